@@ -102,7 +102,7 @@ def unposed(folder: Path, *pairs: tuple[str, str]) -> Path:
     return folder
 
 
-def said(sections, title: str) -> dict[str, str]:
+def rows_of(sections, title: str) -> dict[str, str]:
     """The rows of the section of a title that `check` prints."""
     (section,) = [section for section in sections if section.title == title]
     return dict(section.rows)

@@ -22,13 +22,13 @@ def without_water(seed: int, **settings) -> Survey:
     return replace(survey, water=None, config=replace(survey.config, water=None))
 
 
-def said(survey: Survey) -> list[str]:
+def notes_of(survey: Survey) -> list[str]:
     return [text for text in adjust_survey(survey, use_windows=False).warnings if "show water" in text]
 
 
 @pytest.mark.parametrize(("seed", "dry_share"), [(11, 0.4)])
 def test_bent_rays_tell_of_water_over_a_part_of_the_ground(seed, dry_share):
-    (text,) = said(without_water(seed, dry_share=dry_share, depth=4.0))
+    (text,) = notes_of(without_water(seed, dry_share=dry_share, depth=4.0))
     wet, total = (int(number) for number in re.search(r"(\d+) of (\d+) tie points fit better", text).groups())
     assert wet / total == pytest.approx(1.0 - dry_share, abs=0.2)
     before, after = (float(v) for v in re.search(r"\(([\d.]+) px on straight ones, ([\d.]+) px", text).groups())
@@ -37,4 +37,4 @@ def test_bent_rays_tell_of_water_over_a_part_of_the_ground(seed, dry_share):
 
 @pytest.mark.parametrize("seed", [11, slow(12)])
 def test_dry_ground_shows_no_water(seed):
-    assert said(without_water(seed, dry_share=1.0, depth=4.0)) == []
+    assert notes_of(without_water(seed, dry_share=1.0, depth=4.0)) == []

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from small_survey import TOML, camera_lines, said, small_survey, write_image
+from small_survey import TOML, camera_lines, rows_of, small_survey, write_image
 
 from refract import PinholeCamera
 from survey.photos.exif import read_exif
@@ -154,7 +154,7 @@ def test_the_heads_of_photographs_tell_sun_glitter_and_motion(tmp_path, posed):
     if not posed:
         (folder / "cameras.csv").unlink()
         (folder / "survey.toml").write_text(TOML.replace('poses = "cameras.csv"', ""))
-    rows = said([light_section(require_processable(folder), wind_m_s=3.0)], "Light and sharpness")
+    rows = rows_of([light_section(require_processable(folder), wind_m_s=3.0)], "Light and sharpness")
     # 46.9 north, 10.2 east, at the solstice 19 minutes before noon.
     assert rows["sun"].startswith("66 degrees high in the south (azimuth 1")
     assert "2026-06-21 11:00 to 11:00 UTC" in rows["sun"]
@@ -165,7 +165,7 @@ def test_the_heads_of_photographs_tell_sun_glitter_and_motion(tmp_path, posed):
 
 
 def test_a_survey_without_times_says_so(tmp_path):
-    rows = said([light_section(require_processable(small_survey(tmp_path / "s")))], "Light and sharpness")
+    rows = rows_of([light_section(require_processable(small_survey(tmp_path / "s")))], "Light and sharpness")
     assert rows["sun"] == "unknown: EXIF has no times"
     assert "glitter" not in rows
 

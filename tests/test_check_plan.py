@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_survey import said, small_survey
+from small_survey import rows_of, small_survey
 from typer.testing import CliRunner
 
 from survey import machine
@@ -115,18 +115,18 @@ def test_a_file_of_poses_is_the_flight_that_it_was_written_from(tmp_path):
         np.testing.assert_allclose(one.centre, other.centre, atol=2e-6)
         np.testing.assert_allclose(one.cam_from_local, other.cam_from_local, atol=1e-8)
         assert (one.fx, one.cx, one.width) == (other.fx, other.cx, other.width)
-    rows = [said(checked(tmp_path / name), "Foreseen from the poses") for name in ("plan.toml", "again.toml")]
+    rows = [rows_of(checked(tmp_path / name), "Foreseen from the poses") for name in ("plan.toml", "again.toml")]
     assert rows[0]["overlap"] == rows[1]["overlap"]
 
 
 @pytest.mark.slow
 def test_oblique_views_and_better_positions_tell_the_level_and_nadir_alone_does_not(tmp_path):
-    crossing = said(checked(plan_file(tmp_path)), "Foreseen from the poses")
+    crossing = rows_of(checked(plan_file(tmp_path)), "Foreseen from the poses")
     assert crossing["level"].startswith("good: ")
-    nadir = said(checked(plan_file(tmp_path, ('["nadir", "outer"]', '["nadir"]'))), "Foreseen from the poses")
+    nadir = rows_of(checked(plan_file(tmp_path, ('["nadir", "outer"]', '["nadir"]'))), "Foreseen from the poses")
     assert nadir["level"].startswith("poor: not observable by this flight")
     rough = plan_file(tmp_path, ("height_m = 12.0", "height_m = 12.0\nposition_std_m = 3.0"))
-    vague = said(checked(rough), "Foreseen from the poses")
+    vague = rows_of(checked(rough), "Foreseen from the poses")
     assert std_mm(vague["heights"], "1.5") > 1.5 * std_mm(crossing["heights"], "1.5")
 
 
@@ -138,7 +138,9 @@ def test_heights_of_photographs_that_are_halved_are_half_as_good(tmp_path):
 
 
 def test_a_short_way_is_said_in_seconds(tmp_path):
-    way = said(checked(plan_file(tmp_path, ("height_m = 12.0", "height_m = 12.0\nspeed_m_s = 4.0"))), "Flight")["path"]
+    way = rows_of(checked(plan_file(tmp_path, ("height_m = 12.0", "height_m = 12.0\nspeed_m_s = 4.0"))), "Flight")[
+        "path"
+    ]
     metres, seconds = (int(way.partition(f" {unit} ")[0].split()[-1]) for unit in ("m", "seconds"))
     assert seconds == pytest.approx(metres / 4.0, abs=1.0)
 
@@ -148,18 +150,18 @@ def test_a_flight_with_too_little_overlap_is_told_to_have_more(tmp_path):
         tmp_path, ("forward_overlap = 0.75", "forward_overlap = 0.4"), ("side_overlap = 0.6", "side_overlap = 0.1"),
         ('["nadir", "outer"]', '["nadir"]'), ("[12.0, 10.0]", "[40.0, 40.0]"),
     )  # fmt: skip
-    coverage = said(checked(path), "Flight")["coverage"]
+    coverage = rows_of(checked(path), "Flight")["coverage"]
     assert coverage.startswith("poor: ")
     assert coverage.endswith("give more overlap, or let the strips begin outside the area")
 
 
 @pytest.mark.slow
 def test_glitter_is_worst_at_noon_and_the_hours_without_it_are_said(tmp_path):
-    noon = said(checked(plan_file(tmp_path)), "Light and motion")
+    noon = rows_of(checked(plan_file(tmp_path)), "Light and motion")
     # 47.94 degrees north at the solstice: 90 - 47.94 + 23.44.
     assert noon["sun"].startswith("66 degrees high in the south")
     assert not noon["glitter"].startswith("good")
-    early = said(checked(plan_file(tmp_path, ("T13:15", "T07:30"))), "Light and motion")
+    early = rows_of(checked(plan_file(tmp_path, ("T13:15", "T07:30"))), "Light and motion")
     assert early["glitter"].startswith("good: ")
     assert early["hours"] == noon["hours"]
     # Good in the morning until some time, and again from some time in the afternoon.
@@ -169,7 +171,7 @@ def test_glitter_is_worst_at_noon_and_the_hours_without_it_are_said(tmp_path):
 
 
 def test_without_a_time_the_plan_says_where_to_give_it(tmp_path):
-    rows = said(checked(plan_file(tmp_path, ('time = "2026-06-21T13:15+02:00"', ""))), "Light and motion")
+    rows = rows_of(checked(plan_file(tmp_path, ('time = "2026-06-21T13:15+02:00"', ""))), "Light and motion")
     assert rows["sun"].startswith("unknown: give [light] time")
     assert rows["motion"] == "unknown: the speed is not given"
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from control_files import METASHAPE, POINTS, odm, table, written
 from pyproj import Transformer
-from small_survey import E0, LEVEL, N0, TOML, camera_lines, said, small_survey, unposed, write_poses
+from small_survey import E0, LEVEL, N0, TOML, camera_lines, rows_of, small_survey, unposed, write_poses
 
 from geo.crs import parse_crs
 from survey.control.reading import merge_control, read_control
@@ -282,7 +282,7 @@ def test_check_says_how_many_points_and_marks_there_are_and_how_well_all_is_know
     text = (folder / "survey.toml").read_text()
     text = text.replace("[water]", "position_std_m = 0.02\n[water]\nlevel_std_m = 0.05\nindex_std = 0.001")
     (folder / "survey.toml").write_text(text)
-    rows = said(check_survey(folder), "Found")
+    rows = rows_of(check_survey(folder), "Found")
     assert rows["control"] == (
         "3 points, with 6 marks in 2 images; 3 good to 0.02 m across and 0.03 m in height ([control] std_m); marks to "
         "0.5 px"
@@ -297,7 +297,7 @@ def test_check_says_it_before_structure_from_motion_too(tmp_path):
     control = '[control]\ngcps = "points.xml"\nstd_m = 0.02\n[water]'
     folder = unposed(tmp_path / "s", ("[water]", control))
     written(folder, points__xml=METASHAPE)
-    rows = said(check_survey(folder), "Found")
+    rows = rows_of(check_survey(folder), "Found")
     assert rows["control"] == (
         "3 points, 1 of them check points, with 6 marks in 2 images; 1 good to 0.02, 0.03 and 0.05 m (their file), 2 "
         "good to 0.02 m ([control] std_m); marks to 0.5 px"

@@ -8,7 +8,7 @@ import tomllib
 import numpy as np
 import pytest
 from pyproj import CRS, Transformer
-from small_survey import E0, LEVEL, N0, said, unposed, write_image
+from small_survey import E0, LEVEL, N0, rows_of, unposed, write_image
 
 from geo.errors import GeoError, PlaceMismatch, UnknownUnit
 from survey.errors import ConfigError, PosesError
@@ -105,7 +105,7 @@ def test_check_and_init_name_the_file(tmp_path):
     folder = unposed(tmp_path / "s")
     (folder / "geo.txt").write_text(geo_txt("EPSG:25832", ["z"]))
     sections = check_survey(folder)
-    assert said(sections, "Found")["positions"].startswith("4 of 4 images have one in geo.txt, heights 2126.5")
+    assert rows_of(sections, "Found")["positions"].startswith("4 of 4 images have one in geo.txt, heights 2126.5")
     (folder / "survey.toml").unlink()
     text = draft(folder, Answers(level_m=LEVEL))
     assert "# Found: positions of 4 of 4 images are those in geo.txt (ETRS89 / UTM zone 32N)" in text

@@ -7,7 +7,7 @@ from datetime import datetime, timedelta
 import numpy as np
 import pytest
 from PIL import ExifTags, Image
-from small_survey import replaced, said, small_survey, unposed
+from small_survey import replaced, rows_of, small_survey, unposed
 
 from survey.errors import ConfigError
 from survey.folder.motion import BY_SETTINGS, BY_TIMES, BY_XMP, velocities_of
@@ -88,21 +88,23 @@ def test_neither_a_hover_nor_a_mechanical_shutter_is_warned_of(tmp_path):
 
 
 def test_check_says_what_the_shutter_does(tmp_path):
-    row = said(check_survey(flown(tmp_path / "s", KEY)), "Found")["shutter"]
+    row = rows_of(check_survey(flown(tmp_path / "s", KEY)), "Found")["shutter"]
     assert row == "rolls in 47 ms; velocities of 4 of 4 images (4 by XMP), which move rows by up to 24 cm or 1.2 px"
     toml = replaced(("[water]", "rolling_shutter_s = 0\nrolling_shutter_std_s = 0.02\n[water]"))
     (tmp_path / "s" / "survey.toml").write_text(toml)
-    row = said(check_survey(tmp_path / "s"), "Found")["shutter"]
+    row = rows_of(check_survey(tmp_path / "s"), "Found")["shutter"]
     assert row == "rolls in 0 +- 20 ms; velocities of 4 of 4 images (4 by XMP)"
     (tmp_path / "s" / "survey.toml").write_text(toml.replace("rolling_shutter_std_s = 0.02\n", ""))
-    assert said(check_survey(tmp_path / "s"), "Found")["shutter"] == "exposes all rows at once (global or mechanical)"
+    assert (
+        rows_of(check_survey(tmp_path / "s"), "Found")["shutter"] == "exposes all rows at once (global or mechanical)"
+    )
 
 
 def test_before_structure_from_motion_the_warning_is_there_too(tmp_path):
     folder = unposed(tmp_path / "s")
     for path in (folder / "images").iterdir():
         add_xmp(path, xmp(3.0, 4.0, 0.0))
-    warnings = said(check_survey(folder), "Warnings").values()
+    warnings = rows_of(check_survey(folder), "Warnings").values()
     assert any("would move the last row against the first by up to 15 cm; give" in text for text in warnings)
 
 

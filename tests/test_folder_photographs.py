@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from PIL import Image, ImageFile
-from small_survey import SIZE, camera_lines, replaced, said, small_survey, unposed, write_image, write_poses
+from small_survey import SIZE, camera_lines, replaced, rows_of, small_survey, unposed, write_image, write_poses
 
 from survey.errors import ConfigError, ImageError
 from survey.folder.survey import load_survey
@@ -200,4 +200,4 @@ def test_check_decodes_no_photograph(tmp_path, monkeypatch, suffix):
 
     monkeypatch.setattr(ImageFile.ImageFile, "load", load_grey)
     sections = check_survey(folder, chosen=Choices(device="cpu"))
-    assert said(sections, "Found")["images"].startswith("4 with a pose, of 4")
+    assert rows_of(sections, "Found")["images"].startswith("4 with a pose, of 4")

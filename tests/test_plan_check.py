@@ -18,7 +18,7 @@ from small_survey import (
     TOML,
     camera_lines,
     replaced,
-    said,
+    rows_of,
     small_survey,
     unposed,
     write_image,
@@ -47,7 +47,7 @@ ASKED = "; level_std_m is not given, 0.02 m as of a staff are assumed: say how w
 def test_check_says_what_was_found_and_what_the_plan_is(tmp_path):
     sections = check_survey(small_survey(tmp_path / "s"))
     assert [section.title for section in sections] == ["Found", "Plan"]
-    found = said(sections, "Found")
+    found = rows_of(sections, "Found")
     assert found["images"] == "4 with a pose, of 4 in images"
     assert found["camera"] == "PINHOLE, 64 x 48 px, focal length 100.0 px, 4 images"
     assert found["poses"] == "cameras.csv, heights 2125.00 to 2125.00"
@@ -55,7 +55,7 @@ def test_check_says_what_was_found_and_what_the_plan_is(tmp_path):
     assert found["views"] == "0.0 to 0.0 degrees off nadir, one covers 12.8 x 9.6 m"
     assert "level 2105 m at 589012, 5194736, slope 0 east and 0 north, index 1.333" in found["water"]
     assert found["water"].endswith(f"cameras 20.0 to 20.0 m over it{ASKED}")
-    assert said(sections, "Found")["pixels"].startswith("200\u00a0mm on the ground")
+    assert rows_of(sections, "Found")["pixels"].startswith("200\u00a0mm on the ground")
 
 
 def test_check_says_what_was_assumed_and_what_is_doubtful(tmp_path):
@@ -63,15 +63,15 @@ def test_check_says_what_was_assumed_and_what_is_doubtful(tmp_path):
     write_image(folder / "images" / "more.jpg")
     sections = check_survey(folder)
     assert [section.title for section in sections] == ["Found", "Plan", "Assumed", "Warnings"]
-    assert "fresh water" in said(sections, "Assumed")[""]
-    assert said(sections, "Found")["water"].endswith(f"to 0.004 (survey.toml; that of the index is assumed){ASKED}")
-    assert said(sections, "Warnings")[""] == "1 image without a pose, left out: more.jpg"
+    assert "fresh water" in rows_of(sections, "Assumed")[""]
+    assert rows_of(sections, "Found")["water"].endswith(f"to 0.004 (survey.toml; that of the index is assumed){ASKED}")
+    assert rows_of(sections, "Warnings")[""] == "1 image without a pose, left out: more.jpg"
 
 
 def test_an_index_that_is_stated_is_not_said_to_be_assumed_however_uncertain_it_is(tmp_path):
     toml = TOML.replace("refractive_index = 1.333", "refractive_index = 1.333\nindex_std = 0.004")
     sections = check_survey(small_survey(tmp_path / "s", toml=toml))
-    assert said(sections, "Found")["water"].endswith(f"known: index to 0.004 (survey.toml){ASKED}")
+    assert rows_of(sections, "Found")["water"].endswith(f"known: index to 0.004 (survey.toml){ASKED}")
 
 
 def test_check_says_that_structure_from_motion_would_run_and_does_not_run_it(tmp_path, monkeypatch):
@@ -80,10 +80,10 @@ def test_check_says_that_structure_from_motion_would_run_and_does_not_run_it(tmp
     (folder / "cameras.csv").unlink()
     before = sorted(folder.rglob("*"))
     sections = check_survey(folder)
-    assert said(sections, "Found")["positions"] == "4 of 4 images have one in EXIF, heights 2125.0 to 2125.0 m"
-    assert said(sections, "Found")["water"].endswith(f"by EXIF the cameras are 20.0 to 20.0 m over it{ASKED}")
-    assert said(sections, "Plan")["structure from motion"].startswith("on: there is no poses file")
-    assert said(sections, "Plan")["mapper"] == "incremental: 4 photographs are added one by one"
+    assert rows_of(sections, "Found")["positions"] == "4 of 4 images have one in EXIF, heights 2125.0 to 2125.0 m"
+    assert rows_of(sections, "Found")["water"].endswith(f"by EXIF the cameras are 20.0 to 20.0 m over it{ASKED}")
+    assert rows_of(sections, "Plan")["structure from motion"].startswith("on: there is no poses file")
+    assert rows_of(sections, "Plan")["mapper"] == "incremental: 4 photographs are added one by one"
     assert sorted(folder.rglob("*")) == before
     image = folder / "images" / "0001.jpg"
     image.write_bytes(image.read_bytes()[:1500])
@@ -174,7 +174,7 @@ def test_a_focal_length_of_a_cropped_photograph_is_doubted_by_check_and_by_proce
         write_image(folder / "images" / line.split(",")[0], FocalLengthIn35mmFilm=28)
     (warning,) = load_survey(folder).findings.warnings
     assert warning.startswith("the focal length of 0002.jpg is 100 px, and EXIF gives 50 px; check that")
-    assert said(check_survey(folder), "Warnings")[""] == warning
+    assert rows_of(check_survey(folder), "Warnings")[""] == warning
 
 
 def bounds_toml(e0: float, n0: float, e1: float, n1: float) -> str:
@@ -393,7 +393,7 @@ def test_the_plan_is_saved_as_plain_numbers_and_texts(tmp_path):
 
 def test_the_area_is_shown_in_crs(tmp_path):
     toml = TOML + f"[area]\nbounds = [{E0}, {N0}, {E0 + 5}, {N0 + 6}]\n"
-    found = said(check_survey(small_survey(tmp_path / "s", toml=toml)), "Found")
+    found = rows_of(check_survey(small_survey(tmp_path / "s", toml=toml)), "Found")
     assert found["area"] == "589012 to 589017 east, 5194736 to 5194742 north"
 
 

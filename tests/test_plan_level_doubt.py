@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from small_survey import LEVEL, said, small_survey, unposed
+from small_survey import LEVEL, rows_of, small_survey, unposed
 
 from survey.folder.survey import find_survey, load_survey
 from survey.photos.xmp import Motion
@@ -86,5 +86,5 @@ def test_check_says_it_first(tmp_path):
     sections = check_survey(folder, chosen=Choices(device="cpu"), checked=checked)
     (warnings,) = [section for section in sections if section.title == "Warnings"]
     assert warnings.rows[0][1] == checked.level_warning
-    assert "oblique photographs" in said(sections, "Found")["water"]
+    assert "oblique photographs" in rows_of(sections, "Found")["water"]
     assert require_processable(unposed(tmp_path / "given")).level_warning is None

@@ -6,7 +6,7 @@ import re
 from dataclasses import replace
 
 import pytest
-from small_survey import E0, N0, TOML, said, small_survey, unposed
+from small_survey import E0, N0, TOML, rows_of, small_survey, unposed
 
 from fields.sweep.block import Overlap
 from survey import machine
@@ -117,8 +117,8 @@ def test_too_little_disk_or_memory_is_a_warning_of_check(tmp_path, monkeypatch):
     folder = small_survey(tmp_path / "s")
     monkeypatch.setattr(machine, "free_memory_bytes", lambda: 300_000_000)
     sections = check_survey(folder, chosen=Choices(device="cpu"))
-    assert "views get a height map" in said(sections, "Plan")["workload"]
-    assert "of memory, and 300 MB are free" in said(sections, "Warnings")[""]
+    assert "views get a height map" in rows_of(sections, "Plan")["workload"]
+    assert "of memory, and 300 MB are free" in rows_of(sections, "Warnings")[""]
     monkeypatch.setattr(machine, "free_disk_bytes", lambda _folder: 1_000_000)
     (disk, memory) = warnings_of(check_survey(folder, chosen=Choices(device="cpu")))
     assert re.search(r"the run needs about \d+ MB in .*bathynerf, and 0 MB are free there", disk)
@@ -170,14 +170,14 @@ def test_without_poses_the_estimate_is_a_bound_that_refuses_nothing(tmp_path, mo
     assert finer.disk_bytes > 4 * workload.disk_bytes - 2e9
     monkeypatch.setattr(machine, "free_disk_bytes", lambda _folder: 1_000_000)
     sections = check_survey(unposed(tmp_path / "s"), chosen=Choices(device="cpu"))
-    assert "of them for structure from motion" in said(sections, "Plan")["workload"]
-    assert "the run needs at most" in said(sections, "Warnings")[""]
+    assert "of them for structure from motion" in rows_of(sections, "Plan")["workload"]
+    assert "the run needs at most" in rows_of(sections, "Warnings")[""]
 
 
 def test_check_plans_for_the_image_scale_that_is_asked_for(tmp_path, monkeypatch):
     half = Choices(device="cpu", image_scale=0.5)
     sections = check_survey(small_survey(tmp_path / "s"), chosen=half)
-    assert said(sections, "Plan")["image scale"].startswith("0.5: set by --image-scale")
+    assert rows_of(sections, "Plan")["image scale"].startswith("0.5: set by --image-scale")
     whole, smaller = (workload_of_images([(4000, 3000)] * 100, quality="fine", scale=each) for each in (1.0, 0.5))
     assert whole.disk_bytes > 3 * smaller.disk_bytes
     asked = []

@@ -16,7 +16,7 @@ from survey.plan.check import check_survey
 from survey.settings.config import parse_config
 from survey.water.level import fit_surface, with_level
 from survey.water.level_observation import points_of_surface, readings_of_gauge
-from tests.small_survey import E0, LEVEL, N0, TOML, replaced, said, small_survey
+from tests.small_survey import E0, LEVEL, N0, TOML, replaced, rows_of, small_survey
 
 CRS = parse_crs("EPSG:25832+5778")
 HEAD = Exif((64, 48), None, None, 1, "", None)
@@ -155,7 +155,7 @@ def test_what_all_points_share_is_not_averaged_away(tmp_path):
     survey = load_survey(folder)
     assert survey.config.water.level_std_m == pytest.approx(0.015, abs=2e-4)
     assert len(survey.observations.levels) == 100
-    assert said(check_survey(folder), "Found")["water"].endswith(
+    assert rows_of(check_survey(folder), "Found")["water"].endswith(
         "; known: level to 0.015 m (gnss_points, 100 measured)"
     )
     assert survey.observations.levels[1].place == (E0 + 5, N0 - 3)

@@ -16,7 +16,7 @@ from survey.folder.survey import load_survey
 from survey.plan.check import check_survey
 from survey.water.level_observation import points_of_surface
 from survey.water.surface_features import _HEIGHT_NAMES, points_of_features
-from tests.small_survey import E0, LEVEL, N0, replaced, said, small_survey, unposed
+from tests.small_survey import E0, LEVEL, N0, replaced, rows_of, small_survey, unposed
 
 CRS = parse_crs("EPSG:25832+5778")
 RING = [[E0, N0, LEVEL], [E0 + 9, N0, LEVEL + 0.01], [E0 + 9, N0 + 9, LEVEL], [E0, N0, LEVEL]]
@@ -192,7 +192,7 @@ def test_clicks_without_errors_give_the_level_to_the_digits_of_the_file(clicked,
     assert survey.provenance.is_level_known
     assert [level.source for level in survey.observations.levels] == ["clicks"] * 6
     assert any("from 6 points in [water] clicks" in text for text in survey.findings.assumptions)
-    assert said(check_survey(folder), "Found")["water"].startswith("level 2105")
+    assert rows_of(check_survey(folder), "Found")["water"].startswith("level 2105")
 
 
 def test_the_stated_standard_deviation_of_clicks_is_theirs(clicked, rng):
@@ -212,7 +212,7 @@ def test_clicks_of_a_survey_without_poses_wait_for_them(tmp_path):
     folder = unposed(tmp_path / "s", (f"level_m = {LEVEL}", 'clicks = "clicks.csv"'))
     (folder / "clicks.csv").write_text("image,x,y,name\n")
     assert (
-        said(check_survey(folder), "Found")["water"]
+        rows_of(check_survey(folder), "Found")["water"]
         == "its level by the clicks in clicks.csv, once the poses are known"
     )
 

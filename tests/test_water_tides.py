@@ -20,7 +20,7 @@ from survey.settings.config import parse_config
 from survey.simulate.drawn import DrawnScene, draw_survey
 from survey.water.level import with_level
 from survey.water.tides import MOST_SHIFT_PX, Tide, with_tides
-from tests.small_survey import said, small_survey
+from tests.small_survey import rows_of, small_survey
 
 CRS = parse_crs("EPSG:25832+5778")
 HEAD = Exif((64, 48), None, None, 1, "", None)
@@ -131,13 +131,13 @@ def test_levels_that_move_images_by_less_than_the_noise_of_matching_count_as_one
 def test_the_plan_says_whether_photographs_have_levels_of_their_own(tmp_path):
     draw_survey(tmp_path / "moving", DrawnScene.tiny(rise_m=0.12))
     gauge = tmp_path / "moving" / "gauge.csv"
-    assert said(check_survey(tmp_path / "moving"), "Plan")["level"].startswith("per photograph: gauge, moves by 120")
+    assert rows_of(check_survey(tmp_path / "moving"), "Plan")["level"].startswith("per photograph: gauge, moves by 120")
     gauge.write_text("time,level\n2024-06-01T10:00:00Z,584.199\n2024-06-01T11:00:00Z,584.201\n")
-    assert said(check_survey(tmp_path / "moving"), "Plan")["level"].startswith("one: gauge, moves by 2.0")
+    assert rows_of(check_survey(tmp_path / "moving"), "Plan")["level"].startswith("one: gauge, moves by 2.0")
     toml = tmp_path / "moving" / "survey.toml"
     free = "level_m = 584.2\nlevel_rate_m_per_h = 0.0\nlevel_rate_std_m_per_h = 0.3"
     toml.write_text(toml.read_text(encoding="utf-8").replace('gauge = "gauge.csv"', free), encoding="utf-8")
-    plan = said(check_survey(tmp_path / "moving"), "Plan")
+    plan = rows_of(check_survey(tmp_path / "moving"), "Plan")
     assert plan["level"] == "per photograph: its rate, known to 0 +- 0.3 m/h, is estimated with the poses"
     assert plan["poses"].startswith("refine: level_rate_std_m_per_h asks")
-    assert "level" not in said(check_survey(small_survey(tmp_path / "still")), "Plan")
+    assert "level" not in rows_of(check_survey(small_survey(tmp_path / "still")), "Plan")

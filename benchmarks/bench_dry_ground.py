@@ -1,11 +1,12 @@
 """How true is a cloud under water, and how true over it?
 
-    python benchmarks/bench_dry_ground.py SURVEY CLOUD [CLOUD ...]
+    python benchmarks/bench_dry_ground.py SURVEY CLOUD [CLOUD ...] [--bounds E0 N0 E1 N1]
 
 SURVEY is a folder with known truth (reference.ply and visible.ply in it) and a plane of water, which the true surface
-rises above; a CLOUD is that of a run or of `bathynerf field`. Points within 5 cm of the plane, by their place on the
-true surface, are of neither side. Prints Markdown: mean and standard deviation of the inner 90 % of the distances to
-the true surface, and the share of what three cameras see that has a point within a tolerance.
+rises above; a CLOUD is that of a run or of `bathynerf field`. Bounds, in crs, are those of survey.toml by default.
+Points within 5 cm of the plane, by their place on the true surface, are of neither side. Prints Markdown: mean and
+standard deviation of the inner 90 % of the distances to the true surface, and the share of what three cameras see that
+has a point within a tolerance.
 """
 
 from __future__ import annotations
@@ -28,17 +29,14 @@ HEAD = (
 )
 
 
-def rows(survey: Survey, folder: Path, path: Path) -> list[str]:
+def rows(survey: Survey, folder: Path, path: Path, bounds: list[float]) -> list[str]:
     """Lines of the table for one cloud."""
     frame, water = survey.frame, survey.water
     if water is None:
         raise SystemExit(f"{folder} has no water")
     mesh = read_reference(folder / "reference.ply")
-    cloud = read_cloud(path)
-    e0, n0, e1, n1 = survey.bounds
-    east, north, _ = cloud.points.T
-    points = frame.local_from_crs(cloud.points[(east >= e0) & (east <= e1) & (north >= n0) & (north <= n1)])
-    visible = frame.local_from_crs(read_reference(folder / "visible.ply").points)
+    clouds = read_cloud(path).points, read_reference(folder / "visible.ply").points
+    points, visible = (frame.local_from_crs(each[_inside(each, bounds)]) for each in clouds)
     distances = distance_to_mesh(points, frame.local_from_crs(mesh.vertices), mesh.faces)
     reached = [is_reached(visible, points, tolerance_m=tolerance) for tolerance in TOLERANCES_M]
     lines = []
@@ -52,14 +50,20 @@ def rows(survey: Survey, folder: Path, path: Path) -> list[str]:
     return lines
 
 
+def _inside(points: np.ndarray, bounds: list[float]) -> np.ndarray:
+    return ((points[:, :2] >= bounds[:2]) & (points[:, :2] <= bounds[2:])).all(axis=1)
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("survey", type=Path)
     parser.add_argument("clouds", type=Path, nargs="+")
+    parser.add_argument("--bounds", type=float, nargs=4)
     options = parser.parse_args()
     survey = load_survey(options.survey)
-    lines = [line for path in options.clouds for line in rows(survey, options.survey, path)]
+    bounds = options.bounds or list(survey.bounds)
+    lines = [line for path in options.clouds for line in rows(survey, options.survey, path, bounds)]
     sys.stdout.write("\n".join([*HEAD, *lines]) + "\n")
 
 

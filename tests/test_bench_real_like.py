@@ -34,6 +34,7 @@ def test_a_seed_is_always_the_same_block_and_seeds_are_of_every_kind(bench):
     assert {block.num_control for block in drawn} == set(range(13))
 
 
+@pytest.mark.slow
 def test_a_block_of_exact_matches_is_adjusted_to_the_truth(bench, tmp_path):
     block = bench.blocks.RealLikeBlock(
         7, "dry", 12, 2, has_gap=False, gps="good", num_control=0, wrong_control=False, given="found", level="missing",

@@ -51,8 +51,9 @@ BASELINES = ("mdw-printed", "tensorf", "nerf", "tinynerf", "nerfacto", "hash", "
 # Steps of each model in turn, to compare their times: (rounds, steps of a round). After the switch from coarse to fine
 # density, where a model has one: most steps of a training are such.
 TIMED = (4, POOL_STEPS)
-# Trainings whose memory is measured: one may take twice that of another, as the allocator and its threads go.
-MEMORY_RUNS = 3
+# Of glibc: freed memory is given back at once. Otherwise peaks of one training lie between 100 and 450 MB, by what the
+# allocator keeps.
+GIVEN_BACK = {"MALLOC_ARENA_MAX": "1", "MALLOC_MMAP_THRESHOLD_": "262144", "MALLOC_TRIM_THRESHOLD_": "262144"}
 # Fewer steps show nothing.
 LEAST_STEPS = 50
 
@@ -177,12 +178,12 @@ def step_times(models: tuple[str, ...], scene: ObjectScene, options) -> dict[str
 
 
 def steps_mb(model: str, scene: str, options) -> float:
-    """Memory [MB] that steps of a training take, with parameters: median over separate processes."""
+    """Memory [MB] that steps of a training take, with parameters, in a process of their own."""
     names = ("scale", "cells", "rays", "samples", "steps", "device")
     numbers = [f"--{name}={getattr(options, name)}" for name in names]
     command = [sys.executable, __file__, str(options.work), "--memory", scene, model, *numbers]
-    runs = [subprocess.run(command, check=True, capture_output=True, text=True) for _ in range(MEMORY_RUNS)]
-    return statistics.median(float(run.stdout.split()[-1]) for run in runs)
+    run = subprocess.run(command, check=True, capture_output=True, text=True, env=os.environ | GIVEN_BACK)
+    return float(run.stdout.split()[-1])
 
 
 def print_memory(scene: str, model: str, options) -> None:

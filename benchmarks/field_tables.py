@@ -30,12 +30,12 @@ HEAD = (
 )
 # Of the page: what it leaves out is measured otherwise there, or the same in all rows.
 ABLATION_HEAD = (
-    "| object | model | held-out PSNR | Chamfer distance | parameters | a step | rays/s rendered |",
+    "| object | model | held-out PSNR | Chamfer distance | parameters | memory of steps | a step |",
     "|---|---|---|---|---|---|---|",
 )
 SEEDS_HEAD = (
-    "| object | model | held-out PSNR | Chamfer distance | parameters | a step |",
-    "|---|---|---|---|---|---|",
+    "| object | model | held-out PSNR | Chamfer distance | parameters | memory of steps | a step |",
+    "|---|---|---|---|---|---|---|",
 )
 CONFIDENCE = 0.95
 
@@ -65,12 +65,13 @@ def ablation_table(rows: list[dict]) -> list[str]:
         for model in dict.fromkeys(r["model"] for r in of):
             each = [r for r in of if r["model"] == model]
             base = None if model == first["model"] else [r for r in of if r["model"] == first["model"]]
-            psnr, distance, *_, speed = _columns(each, base)
+            psnr, distance, parameters, memory, *_ = _columns(each, base)
             sizes = [
-                f"{each[0]['parameters_mb']:.2f} MB{_times(each[0], first, 'parameters_mb')}",
+                f"{parameters}{_times(each[0], first, 'parameters_mb')}",
+                memory,
                 f"{1e3 * each[0]['step_s']:.0f} ms{_times(each[0], first, 'step_s')}",
             ]
-            lines.append("| " + " | ".join([name, LABELS[model], psnr, distance, *sizes, speed]) + " |")
+            lines.append("| " + " | ".join([name, LABELS[model], psnr, distance, *sizes]) + " |")
     return lines
 
 
@@ -101,8 +102,8 @@ def seeds_table(rows: list[dict]) -> list[str]:
     """Lines of the table `seeds` of the page: as `table_of`, without what is the same in all rows."""
     lines = [*SEEDS_HEAD]
     for each in table_of(rows).splitlines()[len(HEAD) :]:
-        *figures, _memory, _steps, step, _speed = each.split(" | ")
-        lines.append(" | ".join([*figures, step]) + " |")
+        *figures, memory, _steps, step, _speed = each.split(" | ")
+        lines.append(" | ".join([*figures, memory, step]) + " |")
     return lines
 
 

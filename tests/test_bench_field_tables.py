@@ -33,9 +33,9 @@ def test_the_ablation_has_the_columns_of_the_page(tables):
     rows = [row("wreck", "vm", 32.1, 0.1113), row("wreck", "mdw", 33.7, 0.0964, parameters_mb=0.646, step_s=0.0643)]
     found = tables.ablation_table(rows)
     assert found[:2] == on_page("ablation")[:2]
-    assert found[2] == "| wreck | VM | 32.10 dB | 111.3 mm | 1.70 MB | 54 ms | 54 k |"
+    assert found[2] == "| wreck | VM | 32.10 dB | 111.3 mm | 1.70 MB | 61 MB | 54 ms |"
     assert (
-        found[3] == "| wreck | MDW | 33.70 dB (+1.60) | 96.4 mm (x 0.87) | 0.65 MB (x 0.38) | 64 ms (x 1.19) | 54 k |"
+        found[3] == "| wreck | MDW | 33.70 dB (+1.60) | 96.4 mm (x 0.87) | 0.65 MB (x 0.38) | 61 MB | 64 ms (x 1.19) |"
     )
 
 
@@ -57,7 +57,7 @@ def test_of_several_seeds_stand_the_mean_and_its_interval(tables):
     rows += [row("ship", "mdw", 29.0, 0.046), row("ship", "mdw", 30.0, 0.046, seed=1)]
     found = tables.seeds_table(rows)
     assert found[:2] == on_page("seeds")[:2]
-    assert found[2] == "| ship | VM | 28.50 ± 6.35 dB | 46.0 ± 0.0 mm | 1.70 MB | 54.0 ms |"
+    assert found[2] == "| ship | VM | 28.50 ± 6.35 dB | 46.0 ± 0.0 mm | 1.70 MB | 61 MB | 54.0 ms |"
     assert found[3].startswith("| ship | MDW | 29.50 ± 6.35 dB (+1.00 ± 0.00) | 46.0 ± 0.0 mm (x 1.00 ± 0.00) |")
 
 

@@ -73,7 +73,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize(("files", "words"), FAULTS.values(), ids=FAULTS.keys())
-def test_a_fault_is_one_sentence_with_its_place_and_its_mend(tmp_path, files, words):
+def test_a_fault_is_one_sentence_with_its_place_and_a_remedy(tmp_path, files, words):
     with pytest.raises((ControlError, GeoError), match=words) as error:
         gathered(written(tmp_path, **files))
     assert ";" in str(error.value)

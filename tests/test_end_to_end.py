@@ -46,8 +46,7 @@ SHORE = {"shore": True, "slope_east": -0.002, "slope_north": 0.004}
 # LAS stores millimetres.
 LAS_STEP_M = 0.001
 
-COMMAND = [sys.executable, "-c", "from survey.commands.app import main; main()"]
-# The same command, killed as soon as the sweep is stored.
+# The command in a process of its own, killed as soon as the sweep is stored.
 KILLED = """
 import os, signal
 from survey.commands.app import main
@@ -106,9 +105,8 @@ def noisy(tmp_path_factory):
     assert not survey.run.cloud_path.exists()
     truth = survey.folder / "truth"
     options = ("--reference", truth / "reference.ply", "--visible", truth / "visible.ply")
-    command = [*COMMAND, "process", survey.folder, "--field", "off", *options]
-    again = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
-    assert again.returncode == 0, again.stderr
+    again = bathynerf("process", survey.folder, "--field", "off", *options)
+    assert again.exit_code == 0, again.stderr
     return survey
 
 

@@ -75,7 +75,7 @@ def read_features(path: str | Path, kind: str) -> Features:
         if not all(np.isfinite(shapely.get_coordinates(each.geometry)).all() for each in found.features):
             raise ValueError("coordinates that are not finite")
     except _FAULTS as error:
-        reason = " ".join(str(error).split())[:80]
+        reason = f"without the member {error}" if isinstance(error, KeyError) else " ".join(str(error).split())[:80]
         raise UnreadableFile(f"{path} has no {kind} that can be read ({reason}); export it again.") from error
     return found
 

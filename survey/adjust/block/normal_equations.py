@@ -15,12 +15,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import bsr_array, csr_array, diags_array, lil_array
+from scipy.sparse import block_array, bsr_array, csr_array, diags_array, lil_array
 
 from survey.adjust.block.normal_matrix import NormalMatrix
 from survey.adjust.block.prediction import linearise, linearise_by_points
 from survey.adjust.block.problem import HUBER, Problem, huber_weights
-from survey.adjust.block.state import NUM_SHIFT, State
+from survey.adjust.block.state import NUM_POSE, NUM_SHIFT, State
 from survey.photos.poses import TiePoints
 
 # Weights give an outlier the curvature of a square, which Huber's loss has not along its residual: where steps gain
@@ -31,6 +31,8 @@ _CURVATURE = 0.1
 _WEAK = 3.0
 # An operation of a sparse product takes as long as so many of a dense one (50 to 80 for 69 to 435 parameters).
 _SPARSE_COST = 50.0
+# Parameters besides poses up to which their columns are taken as dense.
+_FEW = 100
 # Keeps the elimination finite for a point that its rays hardly determine. It holds points where they are, and with them
 # the scale of a block: 1e-9 constrains it as strongly as positions of 0.2 m.
 _DAMPING = 1e-13
@@ -129,7 +131,7 @@ def _weighted_system(
         )
     coupling = _coupling(problem, linear.weighted, linear.design, point_root, planes)
     own_normal = _of_parameters(linear.design, linear.weights, problem.ties.view)
-    normal = own_normal - _eliminated(coupling) + diags_array(precision)
+    normal = own_normal - eliminated(coupling, problem.layout.first_pose) + diags_array(precision)
     deviation = priors.deviation(problem.layout, state)
     gradient = linear.design.T @ (linear.weights[:, None] * linear.residuals).ravel()
     gradient = gradient - coupling.T @ point_right_side.ravel() - precision * deviation
@@ -213,14 +215,22 @@ def _of_parameters(design: csr_array, weights: np.ndarray, view: np.ndarray) -> 
     return csr_array((blocks.ravel(), (rows, np.tile(columns, columns.shape[1]).ravel())), shape=(design.shape[1],) * 2)
 
 
-def _eliminated(coupling: csr_array) -> csr_array:
-    """``C' C`` (P, P), by a dense product where that is faster."""
+def eliminated(coupling: csr_array, first_pose: int) -> csr_array:
+    """``C' C`` (P, P) of a coupling (3 M, P) whose columns from ``first_pose`` on are those of poses.
+
+    By dense products where these are faster, and of poses by blocks: each of them is coupled with a point as a whole.
+    """
     num_rows, num_columns = coupling.shape
     operations = np.sum(np.diff(coupling.indptr).astype(np.float64) ** 2)
-    if num_rows * float(num_columns) ** 2 > _SPARSE_COST * operations:
-        return csr_array(coupling.T @ coupling)
-    dense = coupling.toarray()
-    return csr_array(dense.T @ dense)
+    if num_rows * float(num_columns) ** 2 <= _SPARSE_COST * operations:
+        dense = coupling.toarray()
+        return csr_array(dense.T @ dense)
+    others, of_poses = coupling[:, :first_pose], coupling[:, first_pose:]
+    if first_pose <= _FEW:
+        others = others.toarray()
+    mixed = csr_array(of_poses.T @ others)
+    blocks = bsr_array(of_poses, blocksize=(3, NUM_POSE))
+    return csr_array(block_array([[csr_array(others.T @ others), mixed.T], [mixed, blocks.T @ blocks]]))
 
 
 def _coupling(

@@ -215,14 +215,14 @@ class PinholeCamera:
         """Projection of points for a centre of projection and the water at the time of the photograph; as `project`."""
         centre = self._over_own(centre)
         if isinstance(water, ParallelLayers):
-            way = project(points, centre, water).direction
+            direction = project(points, centre, water).direction
         else:
-            way = crossing_point(points, centre, water, steps=steps) - centre
-        return self.pixels_of(way)
+            direction = crossing_point(points, centre, water, steps=steps) - centre
+        return self.pixels_of(direction)
 
-    def pixels_of(self, way: np.ndarray) -> np.ndarray:
+    def pixels_of(self, directions: np.ndarray) -> np.ndarray:
         """Pixels (..., 2) [px] of straight rays (..., 3), local, from the centre; NaN as for `project`."""
-        seen = way @ self.cam_from_local.T
+        seen = directions @ self.cam_from_local.T
         z = np.where(seen[..., 2] > 0.0, seen[..., 2], np.nan)
         if self.distortion is not None:
             x, y = self.distortion.distorted(seen[..., 0] / z, seen[..., 1] / z)

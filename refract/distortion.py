@@ -246,16 +246,16 @@ def _undistort_fisheye(x, y, row, steps: int) -> tuple:
     xp = namespace(x, y)
     r2 = xp.fma(x, x, y * y)
     far = r2 > _ON_AXIS
-    wanted = xp.sqrt(xp.where(far, r2, 1.0))
+    radius = xp.sqrt(xp.where(far, r2, 1.0))
     tolerance, widest = _ROUNDINGS * xp.eps(x), _JUST_INSIDE * row[9]
-    theta = xp.minimum(wanted, widest)
+    theta = xp.minimum(radius, widest)
     for _ in range(steps):
         found, slope = _angle(xp, theta, row)
-        theta = xp.maximum(xp.minimum(theta - (found - wanted) / slope, widest), 0.0)
-        if _all_small(xp, found - wanted, 0.0, tolerance):
+        theta = xp.maximum(xp.minimum(theta - (found - radius) / slope, widest), 0.0)
+        if _all_small(xp, found - radius, 0.0, tolerance):
             break
-    solved = xp.abs(_angle(xp, theta, row)[0] - wanted) < tolerance
-    scale = xp.where(far, xp.sin(theta) / (xp.cos(theta) * wanted), 1.0)
+    solved = xp.abs(_angle(xp, theta, row)[0] - radius) < tolerance
+    scale = xp.where(far, xp.sin(theta) / (xp.cos(theta) * radius), 1.0)
     scale = xp.where(solved | ~far, scale, math.nan)
     return x * scale, y * scale
 

@@ -281,9 +281,9 @@ def crossing_of_point(camera, point, plane: WaterPlane, steps, like=None):
     For a point on or above the plane (depth <= 0), and for a camera on or below it, the crossing is the
     point itself: the ray is straight. ``steps`` and ``like`` as in `air_share`.
     """
-    H, depth, way, straight, share = _shared_out(camera, point, plane, steps, like)
+    H, depth, along, straight, share = _shared_out(camera, point, plane, steps, like)
     # From the camera's side: the direction of view keeps its digits even just above the water.
-    crossing = point_at_distance(point_at_distance(camera, plane.normal, -H), way, share)
+    crossing = point_at_distance(point_at_distance(camera, plane.normal, -H), along, share)
     return chosen(straight, point, crossing), depth
 
 
@@ -293,11 +293,11 @@ def legs_of_point(camera, point, plane: WaterPlane, steps, like=None):
     Each counts from its own end: no digits are lost to coordinates far from the origin. Where the ray is straight, the
     first leg is all of it and the second zero. Arguments as for `crossing_of_point`.
     """
-    H, depth, way, straight, share = _shared_out(camera, point, plane, steps, like)
+    H, depth, along, straight, share = _shared_out(camera, point, plane, steps, like)
     xp = namespace(share)
     air, water = (
-        tuple(_fused(xp, -fall, m, _fused(xp, part, w, 0.0)) for m, w in zip(plane.normal, way, strict=True))
-        for fall, part in ((H, share), (depth, 1.0 - share))
+        tuple(_fused(xp, -height, m, _fused(xp, part, w, 0.0)) for m, w in zip(plane.normal, along, strict=True))
+        for height, part in ((H, share), (depth, 1.0 - share))
     )
     return chosen(straight, minus(point, camera), air), chosen(straight, 0.0, water), depth
 
@@ -307,11 +307,11 @@ def _shared_out(camera, point, plane: WaterPlane, steps, like):
     plane_point, normal, n = plane
     H, depth = height_over_plane(camera, plane_point, normal), -height_over_plane(point, plane_point, normal)
     straight = (depth <= 0.0) | (H <= CONTACT)
-    way = tangential_part(minus(point, camera), normal)
+    along = tangential_part(minus(point, camera), normal)
     # Straight rays get harmless numbers, so that neither their values nor their gradients can be NaN.
     select = selector(straight)
-    share = air_share(dot(way, way), select(1.0, H), select(0.0, depth), n, steps, like)
-    return H, depth, way, straight, share
+    share = air_share(dot(along, along), select(1.0, H), select(0.0, depth), n, steps, like)
+    return H, depth, along, straight, share
 
 
 def at_height(origin, direction, height, plane_point, normal, n):
@@ -332,9 +332,9 @@ def at_height(origin, direction, height, plane_point, normal, n):
     reached = (xp.abs(falling) > GRAZING) & (drop * falling >= 0.0)
     bends = reached & (H > CONTACT) & (height < 0.0)
     one = falling * 0.0 + 1.0
-    fall = xp.where(reached, falling, one)
+    safe_falling = xp.where(reached, falling, one)
     squared = (1.0 - eta) * (1.0 + eta) * dot(direction, direction) + scaled * scaled
-    fall_in_water = xp.sqrt(xp.where(bends, squared, one))
-    run = xp.where(bends, H / fall + in_water * eta / fall_in_water, drop / fall)
+    falling_in_water = xp.sqrt(xp.where(bends, squared, one))
+    run = xp.where(bends, H / safe_falling + in_water * eta / falling_in_water, drop / safe_falling)
     points = point_at_distance(point_at_distance(origin, normal, -drop), flat, run)
     return chosen(reached, points, math.nan)

@@ -67,8 +67,8 @@ class LayeredPath:
             start, ray, past = components(crossing), components(direction), t > begin
             passes = past & ~xp.isnan(ray[0])
             start, ray = (kernels.chosen(passes, v, 0.0) for v in (start, ray))
-            here = kernels.point_at_distance(start, ray, xp.where(passes, t - begin, 0.0))
-            points = kernels.chosen(past, kernels.chosen(passes, here, math.nan), points)
+            moved = kernels.point_at_distance(start, ray, xp.where(passes, t - begin, 0.0))
+            points = kernels.chosen(past, kernels.chosen(passes, moved, math.nan), points)
         return stack(*kernels.chosen(valid, points, math.nan))
 
     def raised(self, by: float) -> LayeredPath:
@@ -168,27 +168,27 @@ class ParallelLayers:
         xp = namespace(*at)
         valid = kernels.is_unit(ray) & kernels.in_reach(at)
         at, ray = kernels.chosen(valid, at, 0.0), kernels.chosen(valid, ray, 0.0)
-        way = kernels.height_over_plane(at, self.point, self.normal)
-        valid = valid & (way >= 0.0)
-        going, crossings, lengths = valid, [], []
+        drop = kernels.height_over_plane(at, self.point, self.normal)
+        valid = valid & (drop >= 0.0)
+        active, crossings, lengths = valid, [], []
         directions = [stack(*kernels.chosen(valid, ray, math.nan))]
         regime = xp.where(kernels.dot(ray, self.normal) > 0.0, int(Regime.STRAIGHT), int(Regime.BENT))
         for place, (n_from, n_to) in enumerate(zip(self.indices, self.indices[1:], strict=False)):
             falling = -kernels.dot(ray, self.normal)
             if place == 0:
                 regime = xp.where(xp.abs(falling) <= kernels.GRAZING, int(Regime.PARALLEL), regime)
-            going = going & (falling > kernels.GRAZING)
+            active = active & (falling > kernels.GRAZING)
             # Rays that go no farther get harmless numbers: their gradients are zero.
-            length = way / xp.where(going, falling, 1.0)
-            at = kernels.point_at_distance(at, ray, xp.where(going, length, 0.0))
-            lengths.append(xp.where(going, length, math.inf))
-            crossings.append(stack(*kernels.chosen(going, at, math.nan)))
+            length = drop / xp.where(active, falling, 1.0)
+            at = kernels.point_at_distance(at, ray, xp.where(active, length, 0.0))
+            lengths.append(xp.where(active, length, math.inf))
+            crossings.append(stack(*kernels.chosen(active, at, math.nan)))
             bent = kernels.bend(ray, self.normal, n_from, n_to)
-            passes = going & ~xp.isnan(bent[0])
-            regime = xp.where(going & ~passes, int(Regime.REFLECTED), regime)
-            going, ray = passes, kernels.chosen(passes, bent, ray)
-            directions.append(stack(*kernels.chosen(going, ray, math.nan)))
-            way = self.thicknesses[place] if place < len(self.thicknesses) else 0.0
+            passes = active & ~xp.isnan(bent[0])
+            regime = xp.where(active & ~passes, int(Regime.REFLECTED), regime)
+            active, ray = passes, kernels.chosen(passes, bent, ray)
+            directions.append(stack(*kernels.chosen(active, ray, math.nan)))
+            drop = self.thicknesses[place] if place < len(self.thicknesses) else 0.0
         regime = xp.where(valid, regime, int(Regime.INVALID))
         if xp.name != "drjit":
             origin = spread(origin, directions[0])[0]
@@ -215,8 +215,8 @@ class ParallelLayers:
             If the last axis of `points` or `camera` is not 3, or their shapes do not broadcast.
         """
         points, camera = common(points=points, camera=camera)
-        (leg, _), rest = self.legs(components(camera), components(points))
-        xp = namespace(rest)
+        (leg, _), depth = self.legs(components(camera), components(points))
+        xp = namespace(depth)
         length = xp.sqrt(kernels.dot(leg, leg))
         seen = length > 0.0
         return stack(*kernels.chosen(seen, tuple(c / xp.where(seen, length, 1.0) for c in leg), math.nan))
@@ -230,16 +230,16 @@ class ParallelLayers:
         valid = kernels.in_reach(camera, point)
         camera, point = kernels.chosen(valid, camera, 0.0), kernels.chosen(valid, point, 0.0)
         H = kernels.height_over_plane(camera, self.point, self.normal)
-        rest = -kernels.height_over_plane(point, self.point, self.normal) - sum(self.thicknesses)
-        seen = valid & (H > 0.0) & (rest > 0.0)
-        near, far = xp.where(seen, H, 1.0), xp.where(seen, rest, 1.0)
+        depth = -kernels.height_over_plane(point, self.point, self.normal) - sum(self.thicknesses)
+        seen = valid & (H > 0.0) & (depth > 0.0)
+        near, far = xp.where(seen, H, 1.0), xp.where(seen, depth, 1.0)
         along = kernels.tangential_part(kernels.minus(point, camera), self.normal)
         legs = (
-            tuple(fall * (slope * a - m) for a, m in zip(along, self.normal, strict=True))
-            for fall, slope in zip((near, far), self._slopes(kernels.dot(along, along), near, far), strict=True)
+            tuple(height * (slope * a - m) for a, m in zip(along, self.normal, strict=True))
+            for height, slope in zip((near, far), self._slopes(kernels.dot(along, along), near, far), strict=True)
         )
         first, last = (kernels.chosen(seen, leg, 0.0) for leg in legs)
-        return (first, last), xp.where(valid, rest, math.nan)
+        return (first, last), xp.where(valid, depth, math.nan)
 
     def _slopes(self, D_squared, near, far):
         """Tangents to the normal in the first and the last medium over the distance D: smooth where D = 0.

@@ -149,11 +149,11 @@ def mixed_wavelength(shares: Sequence[float], wavelengths_nm: Sequence[float] = 
     >>> round(mixed_wavelength((0.3, 0.6, 0.1)))
     548
     """
-    wanted = mixed_index(shares, USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU, wavelengths_nm)
+    index = mixed_index(shares, USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU, wavelengths_nm)
     short, long = _SHORTEST_NM, _LONGEST_NM
     for _ in range(_HALVINGS):
         middle = 0.5 * (short + long)
-        if water_index(middle, USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU) > wanted:
+        if water_index(middle, USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU) > index:
             short = middle
         else:
             long = middle
@@ -177,5 +177,5 @@ def converted_index(
     >>> round(converted_index(1.333, 589.3, (0.3, 0.6, 0.1)), 4)
     1.3344
     """
-    there = mixed_index(shares, temperature_c, salinity_psu)
-    return float(index + there - water_index(wavelength_nm, temperature_c, salinity_psu))
+    mixed = mixed_index(shares, temperature_c, salinity_psu)
+    return float(index + mixed - water_index(wavelength_nm, temperature_c, salinity_psu))

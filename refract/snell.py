@@ -211,8 +211,11 @@ def fresnel_coefficients(cos_from, *, n_from, n_to) -> Fresnel:
     cos_to = xp.sqrt(xp.where(passes, cos_to_squared, zero + 1.0))
     nothing = xp.where(cos_from >= 0.0, zero, zero + float("nan"))
     shares = []
-    for here, there in ((n_from * cos_from, n_to * cos_to), (n_to * cos_from, n_from * cos_to)):
-        reflected, passed = (here - there) / (here + there), 4.0 * here * there / ((here + there) * (here + there))
+    for incident, transmitted in ((n_from * cos_from, n_to * cos_to), (n_to * cos_from, n_from * cos_to)):
+        reflected, passed = (
+            (incident - transmitted) / (incident + transmitted),
+            4.0 * incident * transmitted / ((incident + transmitted) * (incident + transmitted)),
+        )
         shares.append(xp.where(passes, reflected * reflected, zero + 1.0) + nothing)
         shares.append(xp.where(passes, passed, zero) + nothing)
     r_s, t_s, r_p, t_p = shares

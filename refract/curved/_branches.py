@@ -82,9 +82,12 @@ def _cut(surface, path_slope, camera, point, middle, radius):
             roots.append((owner[single], *at))
         stuck = ~(empty | single) & ((np.maximum(half_x, half_y) < smallest[owner]) | (cut[owner] > _BUDGET))
         unproven[owner[stuck]] = True
-        rest = ~(empty | single) & ~unproven[owner]
+        undecided = ~(empty | single) & ~unproven[owner]
         owner, mid_x, mid_y, half_x, half_y = _halved(
-            owner[rest], mid_x[rest], mid_y[rest], *(tuple(e[rest] for e in end) for end in (lo, hi))
+            owner[undecided],
+            mid_x[undecided],
+            mid_y[undecided],
+            *(tuple(e[undecided] for e in end) for end in (lo, hi)),
         )
     if not roots:
         return np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), unproven

@@ -47,12 +47,12 @@ def hypot(xp, a, b):
     return xp.sqrt(a * a + b * b)
 
 
-def _leg(xp, way, rise):
-    """Sine and cosine to the vertical of a leg that covers ``way`` and ``rise``; horizontal where rise <= 0."""
+def _leg(xp, run, rise):
+    """Sine and cosine to the vertical of a leg that covers ``run`` and ``rise``; horizontal where rise <= 0."""
     up = xp.maximum(rise, rise * 0.0)
-    length = hypot(xp, way, up)
+    length = hypot(xp, run, up)
     safe = xp.where(length > 0.0, length, length * 0.0 + 1.0)
-    return way / safe, xp.where(length > 0.0, up / safe, up * 0.0 + 1.0)
+    return run / safe, xp.where(length > 0.0, up / safe, up * 0.0 + 1.0)
 
 
 def _reach(xp, surface, camera, point, depth):
@@ -79,15 +79,15 @@ def _reach(xp, surface, camera, point, depth):
     return R, _nearer(xp, bounds, z_p, R)
 
 
-def _nearer(xp, bounds, z, way):
-    """The bounds within ``way`` of a place where the surface has the height z."""
-    rise = bounds.slope * way
+def _nearer(xp, bounds, z, run):
+    """The bounds within ``run`` of a place where the surface has the height z."""
+    rise = bounds.slope * run
     return bounds._replace(z_lo=xp.maximum(bounds.z_lo, z - rise), z_hi=xp.minimum(bounds.z_hi, z + rise))
 
 
-def _incidence(xp, way, rise, slope):
-    """Sine of the largest angle between the normal and an air leg that covers ``way`` over at least ``rise``."""
-    sine, cosine = _leg(xp, way, rise)
+def _incidence(xp, run, rise, slope):
+    """Sine of the largest angle between the normal and an air leg that covers ``run`` over at least ``rise``."""
+    sine, cosine = _leg(xp, run, rise)
     leaning = (sine + slope * cosine) / xp.sqrt(1.0 + slope * slope)
     return xp.where(cosine <= slope * sine, 1.0, leaning)
 
@@ -106,28 +106,31 @@ def search_disc(surface, camera, point, depth) -> Disc:
     R, bounds = _reach(xp, surface, camera, point, depth)
     D = hypot(xp, camera[0] - point[0], camera[1] - point[1])
     z_p = point[2] + depth
-    apart = (bounds.z_lo > point[2]) & (camera[2] > bounds.z_hi)
-    H = xp.where(apart, camera[2] - z_p, 1.0)
+    is_between = (bounds.z_lo > point[2]) & (camera[2] > bounds.z_hi)
+    H = xp.where(is_between, camera[2] - z_p, 1.0)
     share = kernels.air_share(D * D, H, depth, n, _FLAT_STEPS)
-    way_w, way_a = (1.0 - share) * D, share * D
-    radius = R + way_w
+    run_w, run_a = (1.0 - share) * D, share * D
+    radius = R + run_w
     for _ in range(3):  # each round starts from the bounds of the one before
-        far_w, far_a = xp.minimum(R, way_w + radius), xp.minimum(D + R, way_a + radius)
+        far_w, far_a = xp.minimum(R, run_w + radius), xp.minimum(D + R, run_a + radius)
         bounds = _nearer(xp, bounds, z_p, far_w)
-        h_lo, H_lo = xp.where(apart, bounds.z_lo - point[2], 1.0), xp.where(apart, camera[2] - bounds.z_hi, 1.0)
+        h_lo, H_lo = (
+            xp.where(is_between, bounds.z_lo - point[2], 1.0),
+            xp.where(is_between, camera[2] - bounds.z_hi, 1.0),
+        )
         sine = _incidence(xp, far_a, H_lo, bounds.slope)
         turn = xp.sqrt(xp.maximum(n * n - sine * sine, 0.0)) - xp.sqrt(xp.maximum(1.0 - sine * sine, 0.0))
         lift = n * xp.minimum(far_w / h_lo, 0.385) / h_lo + xp.minimum(far_a / H_lo, 0.385) / H_lo  # sin cos^2 <= 0.385
         G = bounds.slope * turn + lift * xp.maximum(bounds.z_hi - z_p, z_p - bounds.z_lo)
-        for way, rise, excess in ((way_w, depth, G / n), (way_a, H, G)):
-            most = way / hypot(xp, way, rise) + excess
+        for run, rise, excess in ((run_w, depth, G / n), (run_a, H, G)):
+            most = run / hypot(xp, run, rise) + excess
             reach = rise * most / xp.sqrt(xp.maximum(1.0 - most * most, _ALONG))
-            radius = xp.where(most < 1.0 - _ALONG, xp.minimum(radius, _WIDER * reach - way), radius)
-    use = apart & (radius < R)
+            radius = xp.where(most < 1.0 - _ALONG, xp.minimum(radius, _WIDER * reach - run), radius)
+    use = is_between & (radius < R)
     x = xp.where(use, camera[0] + share * (point[0] - camera[0]), point[0])
     y = xp.where(use, camera[1] + share * (point[1] - camera[1]), point[1])
-    disc = Disc(x, y, xp.where(use, radius, R), apart)
-    return disc._replace(convex=apart & _convex(xp, n, camera, point, disc, bounds))
+    disc = Disc(x, y, xp.where(use, radius, R), is_between)
+    return disc._replace(convex=is_between & _convex(xp, n, camera, point, disc, bounds))
 
 
 def _convex(xp, n, camera, point, disc, bounds):
@@ -145,9 +148,9 @@ def _convex(xp, n, camera, point, disc, bounds):
         (camera, 1.0, camera[2] - z_hi, camera[2] - z_lo),
         (point, n, z_lo - point[2], z_hi - point[2]),
     ):
-        way = hypot(xp, disc.x - end[0], disc.y - end[1])
-        sine, cosine = _leg(xp, way + disc.radius, rise_lo)
-        _, cosine_hi = _leg(xp, xp.maximum(way - disc.radius, way * 0.0), rise_hi)
+        run = hypot(xp, disc.x - end[0], disc.y - end[1])
+        sine, cosine = _leg(xp, run + disc.radius, rise_lo)
+        _, cosine_hi = _leg(xp, xp.maximum(run - disc.radius, run * 0.0), rise_hi)
         leaning = xp.maximum(cosine - sine * s, cosine * 0.0) * cos_s
         bend = bend + weight * leaning * leaning * cosine / rise_hi
         steep = steep & (cosine > sine * s)

@@ -43,7 +43,7 @@ def crossing(surface, camera, point):
         exact = _through(surface, triangle.long(), camera, point, inside > 0.0)
         at = tuple(xp.where(inside > 0.0, e, c) for e, c in zip(exact, at, strict=True))
     seen = tuple(xp.where(bent, a, p) for a, p in zip(at, point, strict=True))
-    return seen, depth, xp.where(bent, xp.whole(count), 1)
+    return seen, depth, xp.where(bent, xp.integer(count), 1)
 
 
 @solver(outputs=6)
@@ -55,10 +55,10 @@ def shortest_path(surface, *arrays):
     *ends, depth, bent = (array.ravel() for array in arrays)
     wet = bent != 0.0
     camera, point = (tuple(c[wet] for c in end) for end in (ends[:3], ends[3:]))
-    whole = [np.full(wet.shape, fill) for fill in (math.nan, math.nan, math.nan, 0, -1)]
-    for array, values in zip(whole, _found(surface, camera, point, depth[wet]), strict=True):
+    results = [np.full(wet.shape, fill) for fill in (math.nan, math.nan, math.nan, 0, -1)]
+    for array, values in zip(results, _found(surface, camera, point, depth[wet]), strict=True):
         array[wet] = values
-    *at, triangle = (array.reshape(arrays[0].shape) for array in whole)
+    *at, triangle = (array.reshape(arrays[0].shape) for array in results)
     return *at, surface.or_any(triangle), triangle >= 0
 
 
@@ -69,7 +69,7 @@ def _through(surface, triangle, camera, point, some):
     up = 1.0 / xp.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
     normal = -slope_x * up, -slope_y * up, up
     camera, point = (
-        tuple(xp.where(some, c, q + way) for c, q, way in zip(end, corner, (0.0, 0.0, side), strict=True))
+        tuple(xp.where(some, c, q + shift) for c, q, shift in zip(end, corner, (0.0, 0.0, side), strict=True))
         for end, side in ((camera, 1.0), (point, -1.0))
     )
     plane = kernels.WaterPlane(corner, normal, surface.n_water)
@@ -89,14 +89,14 @@ def _found(surface, camera, point, depth):
     near = mesh.middles.query_ball_point(middle, radius, return_length=True)
     part = np.cumsum(near) // _PAIRS
     for number in np.unique(part):
-        here = np.flatnonzero(part == number)
-        lists = mesh.middles.query_ball_point(middle[here], radius[here])
-        owner = np.repeat(np.arange(here.size), near[here])
+        members = np.flatnonzero(part == number)
+        lists = mesh.middles.query_ball_point(middle[members], radius[members])
+        owner = np.repeat(np.arange(members.size), near[members])
         triangle = np.concatenate([np.asarray(found, dtype=np.int64) for found in lists])
         wet = surface.wet_triangles[triangle]
-        ends = tuple(c[here] for c in camera), tuple(p[here] for p in point)
+        ends = tuple(c[members] for c in camera), tuple(p[members] for p in point)
         for array, values in zip(results, _shortest(surface, *ends, owner[wet], triangle[wet]), strict=True):
-            array[here] = values
+            array[members] = values
     return results
 
 
@@ -116,8 +116,8 @@ def _shortest(surface, camera, point, owner, triangle):
     # Sorted by point and place, paths that two triangles share are adjacent; a triangle precedes an edge.
     order = np.lexsort((-triangle, np.round(y / _SAME), np.round(x / _SAME), owner))
     owner, x, y, z, triangle, length = (a[order] for a in (owner, x, y, z, triangle, length))
-    again = (np.diff(owner) == 0) & (np.hypot(np.diff(x), np.diff(y)) < _SAME)
-    keep = np.concatenate([np.ones(min(owner.size, 1), dtype=bool), ~again])
+    is_duplicate = (np.diff(owner) == 0) & (np.hypot(np.diff(x), np.diff(y)) < _SAME)
+    keep = np.concatenate([np.ones(min(owner.size, 1), dtype=bool), ~is_duplicate])
     owner, x, y, z, triangle, length = (a[keep] for a in (owner, x, y, z, triangle, length))
     order = np.lexsort((length, owner))
     first = order[np.unique(owner[order], return_index=True)[1]]
@@ -156,14 +156,14 @@ def _on_edges(surface, camera, point, owner, triangle):
     owner, edge = _pairs(owner, kinks.trough[triangle])
     camera, point = tuple(c[owner] for c in camera), tuple(p[owner] for p in point)
     start, unit = (tuple(c[edge] for c in v) for v in (kinks.start, kinks.unit))
-    along, away = [], []
+    along, distances = [], []
     for end in (camera, point):
-        way = kernels.minus(end, start)
-        along.append(kernels.dot(way, unit))
-        away.append(np.sqrt(np.maximum(kernels.dot(way, way) - along[-1] ** 2, 0.0)))
-    way = along[1] - along[0]
-    H, h = away
-    tau = along[0] + way * kernels.air_share(way * way, H, h, surface.n_water, _FLAT_STEPS)
+        from_start = kernels.minus(end, start)
+        along.append(kernels.dot(from_start, unit))
+        distances.append(np.sqrt(np.maximum(kernels.dot(from_start, from_start) - along[-1] ** 2, 0.0)))
+    run = along[1] - along[0]
+    H, h = distances
+    tau = along[0] + run * kernels.air_share(run * run, H, h, surface.n_water, _FLAT_STEPS)
     at = kernels.point_at_distance(start, unit, tau)
     gradient = _gradient(surface.n_water, camera, point, at)
     keep = (tau >= 0.0) & (tau <= kinks.length[edge])
@@ -250,8 +250,8 @@ class Kinks:
         source, target = np.concatenate([ends, ends[:, ::-1]]).T
         order = np.argsort(source, kind="stable")
         source, target = source[order], target[order]
-        way = place[target] - place[source]
-        self.spokes = (way / np.linalg.norm(way, axis=-1, keepdims=True)).T
+        vector = place[target] - place[source]
+        self.spokes = (vector / np.linalg.norm(vector, axis=-1, keepdims=True)).T
         count = np.bincount(source, minlength=len(place))
         self.spokes_of = np.full((len(place), count.max()), -1)
         self.spokes_of[source, np.arange(source.size) - np.repeat(np.cumsum(count) - count, count)] = np.arange(

@@ -87,8 +87,8 @@ class Triangulation:
         order = np.argsort(keys)
         own = np.minimum(first, second) * len(self.points) + np.maximum(first, second)
         both = sides[order[np.searchsorted(keys[order], own)]]
-        here = np.arange(len(self.triangles))[:, None]
-        return np.where(both[..., 0] == here, both[..., 1], both[..., 0])
+        own_number = np.arange(len(self.triangles))[:, None]
+        return np.where(both[..., 0] == own_number, both[..., 1], both[..., 0])
 
     @cached_property
     def middles(self):
@@ -105,9 +105,9 @@ class Triangulation:
     def offsets(self, triangle, x, y) -> np.ndarray:
         """Signed distances (..., 3) [m] of points from the edges of triangles, positive inside."""
         a = self.points[self.triangles[triangle]]
-        way = np.roll(a, -1, axis=-2) - a
-        away = cross(way[..., 0], way[..., 1], x[..., None] - a[..., 0], y[..., None] - a[..., 1])
-        return away / np.hypot(way[..., 0], way[..., 1])
+        edge = np.roll(a, -1, axis=-2) - a
+        double_area = cross(edge[..., 0], edge[..., 1], x[..., None] - a[..., 0], y[..., None] - a[..., 1])
+        return double_area / np.hypot(edge[..., 0], edge[..., 1])
 
     def locate(self, x, y) -> tuple[np.ndarray, np.ndarray]:
         """The triangle of each point (points,), and True where it holds it; outside, some triangle at the rim.
@@ -120,14 +120,14 @@ class Triangulation:
         left = np.arange(x.size)
         inside = np.zeros(x.size, dtype=bool)
         for _ in range(len(self.triangles)):
-            away = self.offsets(triangle[left], x[left], y[left])
-            inside[left] = away.min(axis=-1) >= -_ON_EDGE * self.size
-            across = self.neighbours[triangle[left], away.argmin(axis=-1)]
-            going = ~inside[left] & (across >= 0)
-            left = left[going]
+            offset = self.offsets(triangle[left], x[left], y[left])
+            inside[left] = offset.min(axis=-1) >= -_ON_EDGE * self.size
+            across = self.neighbours[triangle[left], offset.argmin(axis=-1)]
+            moves = ~inside[left] & (across >= 0)
+            left = left[moves]
             if left.size == 0:
                 break
-            triangle[left] = across[going]
+            triangle[left] = across[moves]
         return triangle, inside & finite
 
     def span(self, x, y, dx, dy) -> tuple[np.ndarray, np.ndarray]:
@@ -144,13 +144,13 @@ class Triangulation:
     def exit(self, triangle, x, y, dx, dy) -> tuple[np.ndarray, np.ndarray]:
         """Distance at which rays leave a triangle, and the triangle behind; infinite for a ray without dx and dy."""
         a = self.points[self.triangles[triangle]]
-        way = np.roll(a, -1, axis=-2) - a
-        over = cross(way[..., 0], way[..., 1], x[:, None] - a[..., 0], y[:, None] - a[..., 1])
-        rate = cross(way[..., 0], way[..., 1], dx[:, None], dy[:, None])
+        sides = np.roll(a, -1, axis=-2) - a
+        over = cross(sides[..., 0], sides[..., 1], x[:, None] - a[..., 0], y[:, None] - a[..., 1])
+        rate = cross(sides[..., 0], sides[..., 1], dx[:, None], dy[:, None])
         t = np.where(rate < 0.0, over / np.where(rate < 0.0, -rate, 1.0), np.inf)
         edge = t.argmin(axis=-1)
-        here = np.arange(edge.size)
-        return t[here, edge], np.where(np.isfinite(t[here, edge]), self.neighbours[triangle, edge], -1)
+        rows = np.arange(edge.size)
+        return t[rows, edge], np.where(np.isfinite(t[rows, edge]), self.neighbours[triangle, edge], -1)
 
 
 @solver(outputs=2)
@@ -165,23 +165,23 @@ def triangle_at(surface, x, y):
 def triangle_met(surface, *ends):
     """The triangle where rays from above (...) first meet the surface, any wet one where none, and whether they do."""
     origin, direction = (tuple(c.ravel() for c in v) for v in (ends[:3], ends[3:]))
-    met = first_triangle(surface, origin, direction, 1.0).reshape(ends[0].shape)
-    return surface.or_any(met), met >= 0
+    triangle = first_triangle(surface, origin, direction, 1.0).reshape(ends[0].shape)
+    return surface.or_any(triangle), triangle >= 0
 
 
 def first_triangle(surface, origin, direction, side):
     """The triangle where rays from above (side 1) or below (-1) first meet the surface; -1 for none."""
-    met = np.full(origin[0].shape, -1)
+    first = np.full(origin[0].shape, -1)
     wet = surface.plain_heights[surface.triangles[surface.wet_triangles]]
     level = wet.max() if side > 0.0 else wet.min()
-    fall = side * direction[2]
+    rise = side * direction[2]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         start, end = surface.mesh.span(*origin[:2], *direction[:2])
         over = side * (origin[2] - level)
-        start = np.maximum(start, np.where(over > 0.0, np.where(fall < 0.0, over / -fall, np.inf), 0.0))
+        start = np.maximum(start, np.where(over > 0.0, np.where(rise < 0.0, over / -rise, np.inf), 0.0))
         left = np.flatnonzero((start <= end) & np.isfinite(start))
-        here = tuple((o + start * d)[left] for o, d in zip(origin[:2], direction[:2], strict=True))
-        triangle, _ = surface.mesh.locate(*here)
+        xy = tuple((o + start * d)[left] for o, d in zip(origin[:2], direction[:2], strict=True))
+        triangle, _ = surface.mesh.locate(*xy)
         enters = np.ones(left.size, dtype=bool)
         t = start[left]
         for _ in range(len(surface.triangles)):
@@ -194,28 +194,28 @@ def first_triangle(surface, origin, direction, side):
             hit |= np.isinf(leave) & (rate < 0.0)
             # A ray that comes in from dry land below the level of the water never meets it from its own side.
             sunk = enters & (over + t * rate < -_ROUNDING * (1.0 + np.abs(over)))
-            met[left[hit & ~sunk]] = triangle[hit & ~sunk]
+            first[left[hit & ~sunk]] = triangle[hit & ~sunk]
             enters = ~surface.wet_triangles[triangle]
-            going = ~hit & ~sunk & (behind >= 0)
-            left, triangle, enters, t = left[going], behind[going], enters[going], leave[going]
+            active = ~hit & ~sunk & (behind >= 0)
+            left, triangle, enters, t = left[active], behind[active], enters[active], leave[active]
             if left.size == 0:
                 break
-    return met
+    return first
 
 
 def clear(surface, camera, crossing, point):
     """True where neither leg meets the surface before the crossing."""
     clear = np.ones(crossing[0].shape, dtype=bool)
     for end, side in ((camera, 1.0), (point, -1.0)):
-        way = kernels.minus(crossing, end)
-        length = np.sqrt(kernels.dot(way, way))
-        flat = np.abs(way[2]) <= surface._steepest * np.hypot(way[0], way[1])
-        origin, direction = tuple(c[flat] for c in end), tuple((w / length)[flat] for w in way)
-        met = first_triangle(surface, origin, direction, side)
-        corner, slopes = surface.planes(surface.or_any(met), origin[0])
+        leg = kernels.minus(crossing, end)
+        length = np.sqrt(kernels.dot(leg, leg))
+        flat = np.abs(leg[2]) <= surface._steepest * np.hypot(leg[0], leg[1])
+        origin, direction = tuple(c[flat] for c in end), tuple((w / length)[flat] for w in leg)
+        triangle = first_triangle(surface, origin, direction, side)
+        corner, slopes = surface.planes(surface.or_any(triangle), origin[0])
         over, rate = clearance(corner, slopes, origin, direction)
         with np.errstate(divide="ignore", invalid="ignore"):
-            first = np.where(met >= 0, -over / rate, np.inf)
+            first = np.where(triangle >= 0, -over / rate, np.inf)
         clear[flat] = first >= length[flat] * (1.0 - _ARRIVED)
     return clear
 

@@ -27,9 +27,9 @@ _APART = 1e-6
 _PLANE_STEPS = 4
 
 
-def _all(arrived) -> bool:
+def _all(is_converged) -> bool:
     """Whether all have converged; False where that cannot be read before the end."""
-    return namespace(arrived).name != "drjit" and not transformed() and bool(arrived.all())
+    return namespace(is_converged).name != "drjit" and not transformed() and bool(is_converged.all())
 
 
 def _size(position):
@@ -78,8 +78,8 @@ class AnySurface(ABC):
         origin, direction = together(origin, direction)
         xp = namespace(*origin)
 
-        t, arrived = self._arrived(*(tuple(map(xp.fixed, v)) for v in (origin, direction)))
-        meets = arrived & (t >= 0.0)
+        t, is_converged = self._newton_distance(*(tuple(map(xp.fixed, v)) for v in (origin, direction)))
+        meets = is_converged & (t >= 0.0)
         t = along_ray(lambda t: self._clearance(origin, direction, t), xp.where(meets, t, 0.0), meets)
         return xp.like(xp.where(meets, xp.maximum(t, 0.0), math.nan), like)
 
@@ -89,20 +89,20 @@ class AnySurface(ABC):
         slope_x, slope_y = self._slopes(x, y)
         return z - self.height(x, y), direction[2] - slope_x * direction[0] - slope_y * direction[1]
 
-    def _arrived(self, origin, direction):
+    def _newton_distance(self, origin, direction):
         """Newton's method along rays, and its convergence; without derivatives."""
         xp = namespace(*origin)
-        t, arrived, rounding = origin[0] * 0.0, origin[0] < math.inf, _ROUNDING * _size(origin)
+        t, is_converged, rounding = origin[0] * 0.0, origin[0] < math.inf, _ROUNDING * _size(origin)
         for _ in range(_MOST_STEPS):
             over, rate = map(xp.fixed, self._clearance(origin, direction, t))
             falls = rate < -kernels.GRAZING
-            fall = xp.where(falls, -rate, 1.0)
-            move = over / fall
-            arrived = falls & (xp.abs(move) <= _CONVERGED * (1.0 + xp.abs(t)) + rounding / fall)
+            rate_down = xp.where(falls, -rate, 1.0)
+            move = over / rate_down
+            is_converged = falls & (xp.abs(move) <= _CONVERGED * (1.0 + xp.abs(t)) + rounding / rate_down)
             t = xp.where(falls, t + move, t)
-            if _all(arrived):
+            if _all(is_converged):
                 break
-        return t, arrived
+        return t, is_converged
 
     def crossing(self, camera, point, steps: int):
         """See `WaterSurface.crossing`; `num_paths` is 1 where the steps arrive at a path, else -1: not proven."""
@@ -113,8 +113,8 @@ class AnySurface(ABC):
         # A camera where the surface has no height is over it; a point there is not under it.
         bent = (depth > 0.0) & ~(over <= kernels.CONTACT)
         above, below = (tuple(map(xp.fixed, end)) for end in self._harmless(camera, point, bent))
-        x, y, arrived = self._located(above, below, xp.fixed(xp.where(bent, depth, 1.0)))
-        found = bent & arrived
+        x, y, is_converged = self._newton_crossing(above, below, xp.fixed(xp.where(bent, depth, 1.0)))
+        found = bent & is_converged
         x, y = (xp.where(found, a, p) for a, p in zip((x, y), point[:2], strict=True))
         above, below = self._harmless(camera, point, found)
         matrix = self._matrix(above, below, x, y)
@@ -152,43 +152,43 @@ class AnySurface(ABC):
         """Derivatives of `_gradient` by x and by y, from finite differences, without derivatives of their own."""
         xp = namespace(x)
         camera, point = (tuple(map(xp.fixed, end)) for end in (camera, point))
-        way = kernels.minus(camera, point)
-        apart = _APART * xp.sqrt(kernels.dot(way, way))
+        chord = kernels.minus(camera, point)
+        step = _APART * xp.sqrt(kernels.dot(chord, chord))
         rows = []
-        for ax, ay in ((apart, 0.0), (0.0, apart)):
-            ahead, behind = (self._gradient(camera, point, x + sign * ax, y + sign * ay) for sign in (1.0, -1.0))
-            rows.append(tuple(xp.fixed(p - q) / (2.0 * apart) for p, q in zip(ahead, behind, strict=True)))
+        for ax, ay in ((step, 0.0), (0.0, step)):
+            forward, backward = (self._gradient(camera, point, x + sign * ax, y + sign * ay) for sign in (1.0, -1.0))
+            rows.append(tuple(xp.fixed(p - q) / (2.0 * step) for p, q in zip(forward, backward, strict=True)))
         return rows
 
-    def _located(self, camera, point, depth):
+    def _newton_crossing(self, camera, point, depth):
         """Newton's method from the crossing of a level plane, and its convergence."""
         xp = namespace(*point)
-        way = kernels.minus(point, camera)
-        square = way[0] * way[0] + way[1] * way[1]
+        leg = kernels.minus(point, camera)
+        square = leg[0] * leg[0] + leg[1] * leg[1]
         H = camera[2] - point[2] - depth
         share = kernels.air_share(square, xp.where(H > 0.0, H, 1.0), depth, xp.fixed(self.n_water), _PLANE_STEPS)
-        x, y = camera[0] + share * way[0], camera[1] + share * way[1]
-        chord = xp.sqrt(kernels.dot(way, way))
-        arrived, converged = chord < 0.0, _CONVERGED * chord + _ROUNDING * _size(camera)
+        x, y = camera[0] + share * leg[0], camera[1] + share * leg[1]
+        chord = xp.sqrt(kernels.dot(leg, leg))
+        is_converged, tolerance = chord < 0.0, _CONVERGED * chord + _ROUNDING * _size(camera)
         for _ in range(_MOST_STEPS):
             gradient, matrix = self._gradient(camera, point, x, y), self._matrix(camera, point, x, y)
             step_x, step_y = map(xp.fixed, newton_step(gradient, matrix))
             length = xp.sqrt(step_x * step_x + step_y * step_y)
-            arrived = length <= converged
+            is_converged = length <= tolerance
             back = xp.where(length > depth, depth / xp.where(length > 0.0, length, 1.0), 1.0)
             x, y = x + back * step_x, y + back * step_y
-            if _all(arrived):
+            if _all(is_converged):
                 break
-        return x, y, arrived
+        return x, y, is_converged
 
 
 @solver(outputs=2)
-def arrived_at(surface: AnySurface, *ends):
+def newton_distance(surface: AnySurface, *ends):
     """Intersection of rays (origins, directions) with the surface by Newton's method, and its convergence."""
-    return surface._arrived(ends[:3], ends[3:])
+    return surface._newton_distance(ends[:3], ends[3:])
 
 
 @solver(outputs=3)
-def path_found(surface: AnySurface, *arrays):
+def newton_crossing(surface: AnySurface, *arrays):
     """Crossing x, y of the paths from cameras to points by Newton's method, and its convergence."""
-    return surface._located(arrays[:3], arrays[3:6], arrays[6])
+    return surface._newton_crossing(arrays[:3], arrays[3:6], arrays[6])

@@ -11,7 +11,7 @@ import numpy as np
 from refract._array import as_like, as_numpy, compiling, namespace
 from refract._numbers import hold, moved, number, read, require_index
 from refract._solvers import solved
-from refract.curved.any_surface import AnySurface, arrived_at, path_found
+from refract.curved.any_surface import AnySurface, newton_crossing, newton_distance
 
 
 @solved
@@ -89,17 +89,17 @@ class BicubicWater(AnySurface):
         return -zx * up, -zy * up, up
 
     # torch.compile would unroll each of thirty steps with sixteen nodes per height.
-    def _arrived(self, origin, direction):
+    def _newton_distance(self, origin, direction):
         if not compiling():
-            return super()._arrived(origin, direction)
-        t, arrived = read(arrived_at, self, (*origin, *direction))
-        return t, arrived > 0.0
+            return super()._newton_distance(origin, direction)
+        t, is_converged = read(newton_distance, self, (*origin, *direction))
+        return t, is_converged > 0.0
 
-    def _located(self, camera, point, depth):
+    def _newton_crossing(self, camera, point, depth):
         if not compiling():
-            return super()._located(camera, point, depth)
-        x, y, arrived = read(path_found, self, (*camera, *point, depth))
-        return x, y, arrived > 0.0
+            return super()._newton_crossing(camera, point, depth)
+        x, y, is_converged = read(newton_crossing, self, (*camera, *point, depth))
+        return x, y, is_converged > 0.0
 
     def _interpolated(self, x, y, along_x, along_y):
         """The sum over 4 by 4 nodes with weights along x and y."""
@@ -111,12 +111,12 @@ class BicubicWater(AnySurface):
             _cell((at - start) / self.spacing, nodes)
             for at, start, nodes in zip((x, y), self.corner, (columns, rows), strict=True)
         )
-        padded, whole = _filled(self._padded(x))
+        padded, is_complete = _filled(self._padded(x))
         total = 0.0
         for j, weight_y in enumerate(along_y(v)):
             line = sum(weight * padded[row + j, column + i] for i, weight in enumerate(along_x(u)))
             total = total + weight_y * line
-        return namespace(x).where(in_x & in_y & whole[row, column], total, math.nan)
+        return namespace(x).where(in_x & in_y & is_complete[row, column], total, math.nan)
 
     def _padded(self, like):
         """The heights with one more node all around, on the parabola through the last three."""

@@ -204,7 +204,7 @@ def crossing(surface: SmoothSurface, camera, point):
         x, y, count = _located_drjit(surface.detached(), camera, point, depth, bent)
     else:
         x, y, count = read(located, surface, (*camera, *point, depth, xp.like(bent, depth)))
-        count = xp.whole(count)
+        count = xp.integer(count)
     found = bent & (count > 0)
     if xp.name != "numpy":
         x, y = _attached(surface, camera, point, (x, y), found)

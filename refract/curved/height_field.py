@@ -212,7 +212,7 @@ class HeightFieldWater:
         _needs_numpy_or_torch(x)
         xp, (x, y) = namespace(x, y), _of_one_shape(x, y)
         triangle, wet = read(_triangulation.triangle_at, self, (xp.double(x), xp.double(y)))
-        return *self.planes(xp.whole(triangle), x), wet > 0.0
+        return *self.planes(xp.integer(triangle), x), wet > 0.0
 
     def height(self, x, y):
         """Height z of the surface [m] at local x, y [m]; NaN where there is no water."""
@@ -236,7 +236,7 @@ class HeightFieldWater:
         origin, direction = fermat.together(origin, direction)
         xp = namespace(*origin)
         triangle, meets = read(_triangulation.triangle_met, self, origin + direction)
-        corner, slopes = self.planes(xp.whole(triangle), origin[0])
+        corner, slopes = self.planes(xp.integer(triangle), origin[0])
         over, rate = _triangulation.clearance(corner, slopes, origin, direction)
         t = -over / xp.where(meets > 0.0, rate, -1.0)
         return xp.like(xp.where(meets > 0.0, xp.maximum(t, 0.0), math.nan), like)

@@ -143,7 +143,7 @@ class SphericalWater:
         far, near = xp.where(inside, far, 0.0), xp.where(inside, near, 0.0)
         up = xp.sqrt(self.radius * self.radius - far * far)
         slope, curvature = far / up, self.radius * self.radius / (up * up * up)
-        low, high = (self.point[2] - _drop(way * way, self.radius) for way in (far, near))
+        low, high = (self.point[2] - _drop(distance * distance, self.radius) for distance in (far, near))
         endless = far * 0.0 + float("inf")
         return Bounds(
             xp.where(inside, low, -endless), xp.where(inside, high, endless),

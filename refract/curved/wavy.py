@@ -108,13 +108,13 @@ class WavyWater:
     @classmethod
     def from_numbers(cls, *numbers) -> WavyWater:
         """The waves with these `numbers`."""
-        x, y, z, n_water, slope_x, slope_y, *rest = numbers
-        waves = len(rest) // 5
+        x, y, z, n_water, slope_x, slope_y, *coefficients = numbers
+        waves = len(coefficients) // 5
         amplitudes, kx_ky, phases, frequencies = (
-            rest[:waves],
-            rest[waves : -2 * waves],
-            rest[-2 * waves : -waves],
-            rest[-waves:],
+            coefficients[:waves],
+            coefficients[waves : -2 * waves],
+            coefficients[-2 * waves : -waves],
+            coefficients[-waves:],
         )
         return cls(
             (x, y, z), amplitudes, tuple(zip(kx_ky[::2], kx_ky[1::2], strict=True)), phases,
@@ -178,8 +178,8 @@ class WavyWater:
         origin, direction = fermat.together(origin, direction)
         xp = namespace(*origin)
         if xp.name == "drjit":
-            start, way = (tuple(map(xp.fixed, v)) for v in (origin, direction))
-            t = self.detached()._first_meeting(start, way, side=1.0)
+            start, ray = (tuple(map(xp.fixed, v)) for v in (origin, direction))
+            t = self.detached()._first_meeting(start, ray, side=1.0)
         else:
             (t,) = read(first_meeting, self, origin + direction)
         meets = t >= 0.0
@@ -214,13 +214,13 @@ class WavyWater:
             return self._marched(origin, direction, start, end, bend, side)
         import drjit
 
-        t, going = start, start >= 0.0
+        t, active = start, start >= 0.0
         for _ in range(_MOST_STEPS // _ROUND):
-            t, going = self._round((origin, direction), t, end, bend, side, going)
-            drjit.eval(t, going)
-            if not drjit.any(going):
+            t, active = self._round((origin, direction), t, end, bend, side, active)
+            drjit.eval(t, active)
+            if not drjit.any(active):
                 break
-        return xp.where(going, float("nan"), t)
+        return xp.where(active, float("nan"), t)
 
     def _marched(self, origin, direction, start, end, bend, side):
         """The rounds of `_first_meeting` in numpy, each for the rays that are still under way."""
@@ -233,12 +233,12 @@ class WavyWater:
                 if left.size == 0:
                     break
                 o, d = (tuple(c[left] for c in v) for v in (origin, direction))
-                t[left], going = self._round((o, d), t[left], end[left], bend[left], side, np.ones(left.size, bool))
-                left = left[going]
+                t[left], active = self._round((o, d), t[left], end[left], bend[left], side, np.ones(left.size, bool))
+                left = left[active]
         t[left] = np.nan
         return t.reshape(shape)
 
-    def _round(self, ray, t, end, bend, side, going):
+    def _round(self, ray, t, end, bend, side, active):
         """A few steps, for the rays (origin, direction) that are going; a ray that has left the waves is NaN."""
         xp, (origin, direction) = namespace(t), ray
         for _ in range(_ROUND):
@@ -246,20 +246,20 @@ class WavyWater:
             clearance, rate = side * clearance, side * rate
             root = xp.sqrt(rate * rate + 2.0 * bend * xp.maximum(clearance, 0.0))
             step = xp.where(rate < 0.0, 2.0 * clearance / (root - rate), (rate + root) / bend)
-            going = going & (clearance > 0.0)
-            t = xp.where(going, t + step, t)
-            going = going & (step > _TINY * t)
-            gone = going & (t > end)
-            t, going = xp.where(gone, float("nan"), t), going & ~gone
-        return t, going
+            active = active & (clearance > 0.0)
+            t = xp.where(active, t + step, t)
+            active = active & (step > _TINY * t)
+            gone = active & (t > end)
+            t, active = xp.where(gone, float("nan"), t), active & ~gone
+        return t, active
 
     def clear(self, camera, crossing, point):
         """True where neither leg meets the waves before the crossing (numpy)."""
         clear = np.ones(np.shape(crossing[0]), dtype=bool)
         for end, side in ((camera, 1.0), (point, -1.0)):
-            way = kernels.minus(crossing, end)
-            length = np.sqrt(kernels.dot(way, way))
-            first = self._first_meeting(end, tuple(w / length for w in way), side)
+            leg = kernels.minus(crossing, end)
+            length = np.sqrt(kernels.dot(leg, leg))
+            first = self._first_meeting(end, tuple(w / length for w in leg), side)
             clear &= ~(first < length * (1.0 - _ARRIVED))
         return clear
 

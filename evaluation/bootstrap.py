@@ -95,13 +95,15 @@ def spatial_blocks(plan: np.ndarray, errors: np.ndarray) -> Blocks:
         return Blocks(np.zeros(len(plan), dtype=np.int64), math.nan, math.nan, 1.0, True)
     grid = _Cells.over(plan[known])
     correlation = grid.correlation_length(plan[known], errors[known])
-    wanted = max(_LENGTHS_PER_BLOCK * correlation, _CELLS_PER_BLOCK * grid.cell, math.sqrt(grid.area / _MOST))
+    required_size = max(_LENGTHS_PER_BLOCK * correlation, _CELLS_PER_BLOCK * grid.cell, math.sqrt(grid.area / _MOST))
     widest = math.sqrt(grid.area / _FEWEST)
-    size = min(wanted, widest)
+    size = min(required_size, widest)
     number = grid.squares(plan, size)
-    whole, half = (_variance_of_mean(errors[known], n[known]) for n in (number, grid.squares(plan, 0.5 * size)))
-    widening = math.sqrt(max(2.0 - half / whole, 1.0)) if whole > 0.0 else 1.0
-    return Blocks(number, size, correlation, widening, wanted > widest)
+    variance, variance_of_halves = (
+        _variance_of_mean(errors[known], n[known]) for n in (number, grid.squares(plan, 0.5 * size))
+    )
+    widening = math.sqrt(max(2.0 - variance_of_halves / variance, 1.0)) if variance > 0.0 else 1.0
+    return Blocks(number, size, correlation, widening, required_size > widest)
 
 
 def mean_interval(values: np.ndarray, blocks: Blocks, *, seed: int = SEED) -> tuple[float, float]:
@@ -184,8 +186,8 @@ class _Cells:
         # Each pair of cells appears at a lag and at its opposite.
         if covariance[1] * math.sqrt(0.5 * number[1]) <= _SIGNIFICANT * covariance[0]:
             return 0.0
-        ahead = covariance[min(2, longest)]
-        shared = min(covariance[0], covariance[1] ** 2 / ahead) if ahead > 0.0 else covariance[1]
+        at_lag_2 = covariance[min(2, longest)]
+        shared = min(covariance[0], covariance[1] ** 2 / at_lag_2) if at_lag_2 > 0.0 else covariance[1]
         curve = np.concatenate([[shared], covariance[1:]])
         falls = np.flatnonzero(curve < shared / math.e)
         if not len(falls):

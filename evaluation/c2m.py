@@ -135,13 +135,13 @@ class _Surface:
         # igl squeezes a single row.
         hit = np.reshape(self._tree.squared_distance(self._vertices, self._faces, points)[1], len(points))
         nearest, feature = closest_on_triangles(points, self._vertices[self._faces[hit]])
-        away = points - nearest
-        distance = np.linalg.norm(away, axis=1)
-        away /= np.where(distance > 0.0, distance, 1.0)[:, None]
-        positive = np.einsum("ij,ij->i", away, self._normals[hit]) >= 0.0
+        direction = points - nearest
+        distance = np.linalg.norm(direction, axis=1)
+        direction /= np.where(distance > 0.0, distance, 1.0)[:, None]
+        positive = np.einsum("ij,ij->i", direction, self._normals[hit]) >= 0.0
         tied = np.flatnonzero((feature != INSIDE) & (distance > 0.0))
         for rows, counts in self._blocks(tied, hit, feature):
-            positive[rows] = self._is_above(away[rows], hit[rows], feature[rows], counts)
+            positive[rows] = self._is_above(direction[rows], hit[rows], feature[rows], counts)
         return np.where(positive, distance, -distance), nearest, self._slope_deg[hit]
 
     def _blocks(self, tied: np.ndarray, hit: np.ndarray, feature: np.ndarray):
@@ -152,10 +152,10 @@ class _Surface:
         cuts = np.flatnonzero(np.diff(block)) + 1
         return zip(np.split(tied, cuts), np.split(counts, cuts), strict=True) if len(tied) else ()
 
-    def _is_above(self, away: np.ndarray, hit: np.ndarray, feature: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    def _is_above(self, direction: np.ndarray, hit: np.ndarray, feature: np.ndarray, counts: np.ndarray) -> np.ndarray:
         """Whether points (N,) whose nearest point is on an edge or vertex lie above the surface.
 
-        ``away`` are unit vectors from there to the points, ``counts`` the sizes of the stars of the first
+        ``direction`` are unit vectors from there to the points, ``counts`` the sizes of the stars of the first
         vertex.
         """
         corners = self._faces[hit[:, None], FEATURE_CORNERS[feature]]
@@ -163,7 +163,7 @@ class _Surface:
         point = np.repeat(np.arange(len(hit)), counts)
         within = np.arange(counts.sum()) - starts[point]
         face = self._star_faces[self._star_start[corners[point, 0]] + within]
-        cos = np.einsum("ij,ij->i", away[point], self._normals[face])
+        cos = np.einsum("ij,ij->i", direction[point], self._normals[face])
         # Around an edge only the triangles that have its other vertex too.
         shares = (self._faces[face] == corners[point, 1, None]).any(axis=1)
         orthogonality = np.where(shares, np.abs(cos), -1.0)

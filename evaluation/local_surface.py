@@ -65,7 +65,7 @@ def local_surface(
     rows = np.flatnonzero(np.isfinite(places).all(axis=1))
     if count >= _FEWEST:
         tree = cKDTree(cloud[:, :2], balanced_tree=False, compact_nodes=False)
-        apart = tree.query(cloud[:, :2], k=min(_FEWEST + 1, count), workers=-1)[0][:, -1]
+        spacing = tree.query(cloud[:, :2], k=min(_FEWEST + 1, count), workers=-1)[0][:, -1]
         for start in range(0, len(rows), _CHUNK):
             part = rows[start : start + _CHUNK]
             distances, numbers = tree.query(places[part], k=count, workers=-1)
@@ -73,7 +73,7 @@ def local_surface(
             offsets[..., :2] -= places[part, None]
             found, found_std = _plane_at(offsets, distances)
             # Residuals show relief between neighbours; where it is smooth, errors grow as the square of the distance.
-            gap = distances[:, 0] / np.maximum(np.median(apart[numbers], axis=1), np.finfo(np.float64).tiny)
+            gap = distances[:, 0] / np.maximum(np.median(spacing[numbers], axis=1), np.finfo(np.float64).tiny)
             height[part] = np.where(gap <= _GAP, found, np.nan)
             std[part] = np.where(gap <= _GAP, found_std * np.square(np.maximum(gap, 1.0)), np.nan)
             radius[part] = distances[:, -1]

@@ -223,9 +223,9 @@ class Coverage:
     num: int
 
     @staticmethod
-    def of(error: np.ndarray, std: np.ndarray, among: np.ndarray) -> Coverage:
-        """Coverage of the errors (N,) [m] that are ``among`` (N,) bool."""
-        covered = np.abs(error[among]) < WITHIN * std[among]
+    def of(error: np.ndarray, std: np.ndarray, mask: np.ndarray) -> Coverage:
+        """Coverage of the errors (N,) [m] in a ``mask`` (N,) bool."""
+        covered = np.abs(error[mask]) < WITHIN * std[mask]
         return Coverage(float(covered.mean()) if len(covered) else float("nan"), len(covered))
 
 
@@ -269,7 +269,7 @@ def coverage_by_class(
         name = f"{low} views" if low == high else f"{low} to {high} views" if high < 65535 else f"{low} views and more"
         classes[name] = (num_views >= low) & (num_views <= high)
     classes |= {"slopes": slope_deg > SLOPE_DEG, "wet": is_wet, "dry": ~is_wet}
-    return {name: Coverage.of(error, std, among) for name, among in classes.items()}
+    return {name: Coverage.of(error, std, mask) for name, mask in classes.items()}
 
 
 def slope_below(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -278,6 +278,6 @@ def slope_below(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> 
     for axis in (0, 1):
         step = np.zeros(3)
         step[axis] = _BESIDE_M
-        back, on = (vertical_difference(points + way * step, vertices, faces) for way in (-1.0, 1.0))
+        back, on = (vertical_difference(points + sign * step, vertices, faces) for sign in (-1.0, 1.0))
         rise.append((back - on) / (2.0 * _BESIDE_M))
     return np.degrees(np.arctan(np.hypot(*rise)))

@@ -78,7 +78,7 @@ def build_octree(columns: Sequence[np.ndarray], per_unit: Sequence[int] = (1, 1,
         cell <<= axis
         code |= cell
     del cell
-    rest = np.argsort(code, kind="stable").astype(np.uint32 if len(code) <= _MOST_UINT32 else np.int64)
+    remaining = np.argsort(code, kind="stable").astype(np.uint32 if len(code) <= _MOST_UINT32 else np.int64)
     code.sort()
     rng = np.random.default_rng(_SEED)
     order, keys, counts = [], [], []
@@ -86,11 +86,11 @@ def build_octree(columns: Sequence[np.ndarray], per_unit: Sequence[int] = (1, 1,
         taken = _taken(code, bits, level, rng)
         nodes = code[taken] >> 3 * (bits - level)
         first = _starts(nodes)
-        order.append(rest[taken])
+        order.append(remaining[taken])
         keys.append(_keys(nodes[first], level))
         counts.append(np.diff(np.append(first, len(nodes))))
-        rest, code = rest[~taken], code[~taken]
-        if not len(rest):
+        remaining, code = remaining[~taken], code[~taken]
+        if not len(remaining):
             break
     return Octree(np.array(corner), side, np.concatenate(order), np.concatenate(keys), np.concatenate(counts))
 

@@ -218,9 +218,9 @@ def prime_meridian_rad(crs: CRS) -> float:
 
 def crs_code(crs: CRS) -> str | None:
     """Codes of a CRS, e.g. "EPSG:25832+5778"; None where it has none."""
-    whole = crs.to_authority(min_confidence=100)
-    if whole is not None:
-        return ":".join(whole)
+    codes = crs.to_authority(min_confidence=100)
+    if codes is not None:
+        return ":".join(codes)
     parts = [
         part.to_authority(min_confidence=100) for part in (horizontal_crs(crs), vertical_crs(crs)) if part is not None
     ]

@@ -74,9 +74,9 @@ def _rgb(meshes: list) -> np.ndarray | None:
     """Colours (V, 3) uint8 of all vertices, also of images; white where a part has none, None if all have none."""
     colours = []
     for part in meshes:
-        look = part.visual
-        has_image = look.kind == "texture" and getattr(look.material, "baseColorTexture", None) is not None
-        known = look.to_color() if has_image else look if look.kind == "vertex" else None
+        visual = part.visual
+        has_image = visual.kind == "texture" and getattr(visual.material, "baseColorTexture", None) is not None
+        known = visual.to_color() if has_image else visual if visual.kind == "vertex" else None
         colours.append(None if known is None else np.asarray(known.vertex_colors)[:, :3].astype(np.uint8))
     if all(rgb is None for rgb in colours):
         return None

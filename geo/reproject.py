@@ -42,8 +42,8 @@ def cut_polygon(rings: list[np.ndarray]) -> list[list[np.ndarray]]:
     """The parts of a polygon on both sides, each as its closed rings (N, 2) [deg] with the outer one first."""
     if not any(crosses(ring) for ring in rings) and not crosses(np.concatenate(rings)):
         return [rings]
-    whole = [_unwrapped(ring) for ring in rings]
-    return [polygon for east in (False, True) for polygon in _polygons_on_side(whole, east)]
+    unwrapped = [_unwrapped(ring) for ring in rings]
+    return [polygon for east in (False, True) for polygon in _polygons_on_side(unwrapped, east)]
 
 
 def _unwrapped(line: np.ndarray) -> np.ndarray:
@@ -151,13 +151,13 @@ class Reprojection:
         MissingGrid
             If a grid that the transformation needs is not there.
         """
-        wanted = _with_height(source, target, where)
-        keeps_height = _same_heights(source, wanted)
-        ends = (horizontal_crs(source), horizontal_crs(wanted)) if keeps_height else (source, wanted)
-        changes_plan = not horizontal_crs(source).equals(horizontal_crs(wanted), ignore_axis_order=True)
+        target_crs = _with_height(source, target, where)
+        keeps_height = _same_heights(source, target_crs)
+        ends = (horizontal_crs(source), horizontal_crs(target_crs)) if keeps_height else (source, target_crs)
+        changes_plan = not horizontal_crs(source).equals(horizontal_crs(target_crs), ignore_axis_order=True)
         operation = best_operation(*ends, where, _REMEDY, places)
-        warning = None if places is None else _warning(source, wanted, operation, where, places)
-        return Reprojection(wanted, keeps_height, operation, changes_plan, where, warning)
+        warning = None if places is None else _warning(source, target_crs, operation, where, places)
+        return Reprojection(target_crs, keeps_height, operation, changes_plan, where, warning)
 
     @property
     def height_std_m(self) -> float:
@@ -191,10 +191,10 @@ class Reprojection:
         return turned
 
 
-def _warning(source: CRS, wanted: CRS, operation: Transformer, where: str, places: np.ndarray) -> str | None:
+def _warning(source: CRS, target: CRS, operation: Transformer, where: str, places: np.ndarray) -> str | None:
     """A warning where the operation makes places or heights less accurate, as PROJ states."""
-    in_plan = Transformation.between(source, wanted, places)
-    if in_plan.accuracy_m == 0.0 and not _same_heights(source, wanted) and operation.accuracy > 0.0:
+    in_plan = Transformation.between(source, target, places)
+    if in_plan.accuracy_m == 0.0 and not _same_heights(source, target) and operation.accuracy > 0.0:
         return (
             f"{where}: heights are transformed by {operation.description} with an accuracy of "
             f"{operation.accuracy:.2g} m by PROJ: an error common to all of them"
@@ -205,24 +205,28 @@ def _warning(source: CRS, wanted: CRS, operation: Transformer, where: str, place
 def _with_height(source: CRS, target: str | CRS, where: str) -> CRS:
     """The target as a CRS with heights: its own, else those of the source."""
     try:
-        wanted = crs_of(target)
+        target_crs = crs_of(target)
     except CRSError as error:
         raise UnknownCRS(
             f'{where} is "{str(target)[:80]}", which is not a known coordinate reference system; give an EPSG code '
             'such as "EPSG:32632", WKT or a PROJ string.'
         ) from error
-    if has_height(wanted) or not (wanted.is_projected or wanted.is_geographic):
-        return parse_crs(wanted, where=where)
+    if has_height(target_crs) or not (target_crs.is_projected or target_crs.is_geographic):
+        return parse_crs(target_crs, where=where)
     vertical = vertical_crs(source)
-    whole = wanted.to_3d() if vertical is None else CompoundCRS(f"{wanted.name} + {vertical.name}", [wanted, vertical])
-    return parse_crs(whole, where=where)
+    with_height = (
+        target_crs.to_3d()
+        if vertical is None
+        else CompoundCRS(f"{target_crs.name} + {vertical.name}", [target_crs, vertical])
+    )
+    return parse_crs(with_height, where=where)
 
 
-def _same_heights(source: CRS, wanted: CRS) -> bool:
+def _same_heights(source: CRS, target: CRS) -> bool:
     """Whether both count heights from the same surface and in the same unit."""
-    before, after = vertical_crs(source), vertical_crs(wanted)
+    before, after = vertical_crs(source), vertical_crs(target)
     if before is None or after is None:
-        same_ellipsoid = horizontal_crs(source).geodetic_crs == horizontal_crs(wanted).geodetic_crs
-        same_unit = source.axis_info[2].unit_conversion_factor == wanted.axis_info[2].unit_conversion_factor
+        same_ellipsoid = horizontal_crs(source).geodetic_crs == horizontal_crs(target).geodetic_crs
+        same_unit = source.axis_info[2].unit_conversion_factor == target.axis_info[2].unit_conversion_factor
         return before is after is None and same_ellipsoid and same_unit
     return before.equals(after)

@@ -337,13 +337,13 @@ def _spread_m(candidates: list[Transformer], source: CRS, target: CRS, middle: n
     x, y = middle
     if not source.is_geographic:
         x, y = _in_one_datum(geodetic_crs(source), source).transform(x, y)
-    there = np.array([each.transform(x, y) for each in rated])
+    places = np.array([each.transform(x, y) for each in rated])
     if not target.is_geographic:
-        there = np.column_stack(_in_one_datum(target, geodetic_crs(target)).transform(*there.T))
+        places = np.column_stack(_in_one_datum(target, geodetic_crs(target)).transform(*places.T))
     unit = geodetic_crs(target).axis_info[0].unit_conversion_factor
-    apart = (there - there[rated.index(candidates[0])]) * unit * EARTH_RADIUS_M
-    apart[:, 0] *= np.cos(there[:, 1] * unit)
-    far = np.hypot(*apart.T)
+    offsets = (places - places[rated.index(candidates[0])]) * unit * EARTH_RADIUS_M
+    offsets[:, 0] *= np.cos(places[:, 1] * unit)
+    far = np.hypot(*offsets.T)
     return float(max(far[np.isfinite(far)].max(initial=0.0), candidates[0].accuracy))
 
 

@@ -133,8 +133,8 @@ def _rounding_cause(plan: np.ndarray, steps: np.ndarray, metres: np.ndarray) -> 
     if fits(np.spacing(largest.astype(np.float32)).astype(np.float64)):
         return "single precision"
     for digits in _DIGITS:
-        whole = np.floor(np.log10(np.maximum(largest, 1e-300))) + 1.0
-        if fits(np.array([float(f"1e{int(n)}") for n in whole - digits])):
+        num_digits = np.floor(np.log10(np.maximum(largest, 1e-300))) + 1.0
+        if fits(np.array([float(f"1e{int(n)}") for n in num_digits - digits])):
             return f"numbers of {digits} digits"
     return None
 
@@ -171,12 +171,12 @@ def _no_data_notes(height: np.ndarray, path: Path) -> tuple[str, ...]:
     """A note where the lowest or highest of heights (N,) may be a no-data value; UnreadableFile where it must be."""
     for value in {float(height.min()), float(height.max())}:
         has_value = height == value
-        rest = height[~has_value]
+        other_heights = height[~has_value]
         known, num = value in _NO_DATA_VALUES or abs(value) >= _BEYOND_EARTH, int(has_value.sum())
         # No-data values may have been scaled and shifted with the heights.
-        if not len(rest) or not (known or value == 0.0 or num >= _FEWEST):
+        if not len(other_heights) or not (known or value == 0.0 or num >= _FEWEST):
             continue
-        low, high = np.quantile(rest, [0.01, 0.99])
+        low, high = np.quantile(other_heights, [0.01, 0.99])
         gap = max(low - value, value - high)
         message = (
             f"{num} of the {len(height)} heights of {path} are exactly {value:.10g}, most of the others from "
@@ -188,6 +188,10 @@ def _no_data_notes(height: np.ndarray, path: Path) -> tuple[str, ...]:
                 f"{message}: a no-data value that the file does not declare; declare it (of a raster: gdal_translate "
                 f"-a_nodata {value:.10g} {path.name} new.tif), or remove those points."
             )
-        if (known or value == 0.0) and num > max(_SHARE * len(height), 20) and len(np.unique(rest)) > 0.5 * len(rest):
+        if (
+            (known or value == 0.0)
+            and num > max(_SHARE * len(height), 20)
+            and len(np.unique(other_heights)) > 0.5 * len(other_heights)
+        ):
             return (f"{message}: if that is a no-data value, declare it (gdal_translate -a_nodata {value:.10g})",)
     return ()

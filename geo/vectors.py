@@ -90,9 +90,9 @@ def write_geojson(path: str | Path, layer: Layer) -> str | None:
         "accuracy_of_wgs84_m": operation.accuracy_m,
         "about": layer.notes,
     }
-    whole = {"type": "FeatureCollection", "name": layer.name, "bathynerf": about, "features": features}
+    collection = {"type": "FeatureCollection", "name": layer.name, "bathynerf": about, "features": features}
     with write_whole(path) as stream:
-        stream.write(json.dumps(whole, ensure_ascii=False, allow_nan=False).encode())
+        stream.write(json.dumps(collection, ensure_ascii=False, allow_nan=False).encode())
     return operation.warning(f"places in {path}") if layer.shapes else None
 
 

@@ -47,8 +47,8 @@ def lpips(reference: np.ndarray, image: np.ndarray, weights: Mapping[str, Tensor
     total = 0.0
     for number, (a, b) in enumerate(zip(layers(x, weights), layers(y, weights), strict=True)):
         head = _weight(weights, f"lin{number}.model.1.weight")
-        apart = (_unit(a) - _unit(b)) ** 2
-        total += float((head.view(1, -1, 1, 1) * apart).sum(dim=1).mean())
+        squared_difference = (_unit(a) - _unit(b)) ** 2
+        total += float((head.view(1, -1, 1, 1) * squared_difference).sum(dim=1).mean())
     return total
 
 

@@ -243,8 +243,8 @@ def image_quality(
             if weights is not None:
                 measures[name] = partial(getattr(learned, name), weights=weights)
     window = (slice(None), slice(None)) if mask is None else largest_rectangle(mask)
-    whole = {"psnr_db": psnr(reference, image, mask)}
-    return whole | {name: measure(reference[window], image[window]) for name, measure in measures.items()}
+    of_all_pixels = {"psnr_db": psnr(reference, image, mask)}
+    return of_all_pixels | {name: measure(reference[window], image[window]) for name, measure in measures.items()}
 
 
 def psnr(reference: np.ndarray, image: np.ndarray, mask: np.ndarray | None = None) -> float:
@@ -290,8 +290,8 @@ def ms_ssim(reference: np.ndarray, image: np.ndarray) -> float:
     for x, y in _channels(a, b):
         value = 1.0
         for level, weight in enumerate(_MS_SSIM_WEIGHTS):
-            whole, contrast = _ssim_and_contrast(x, y)
-            value *= max(whole if level == levels - 1 else contrast, 0.0) ** weight
+            ssim, contrast = _ssim_and_contrast(x, y)
+            value *= max(ssim if level == levels - 1 else contrast, 0.0) ** weight
             x, y = block_means(x, 2), block_means(y, 2)
         values.append(value)
     return float(np.mean(values))

@@ -111,7 +111,7 @@ class Windows:
         side = np.arange(-REACH_PX, REACH_PX + 1)
         across, down = np.meshgrid(side, side)
         pixels = np.stack([column + 0.5 + across.ravel(), row + 0.5 + down.ravel()], axis=-1)
-        others = block.neighbours(m.view, NEIGHBOURS, among=views)
+        others = block.neighbours(m.view, NEIGHBOURS, candidates=views)
         truth, known = self._height(point), float(m.height[row, column])
         step = STEP_PX / block.parallax(m.view, others, truth)
         beside = step * np.arange(-BESIDE, BESIDE + 1)

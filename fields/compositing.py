@@ -37,19 +37,19 @@ def with_opaque_end(weights: Tensor, meets: Tensor | float = 1.0) -> Tensor:
 
     ``meets`` (rays, 1) is zero for rays that meet nothing at all.
     """
-    rest = (1.0 - weights[:, :-1].sum(dim=1, keepdim=True)) * meets
-    return torch.cat([weights[:, :-1], rest], dim=1)
+    remaining = (1.0 - weights[:, :-1].sum(dim=1, keepdim=True)) * meets
+    return torch.cat([weights[:, :-1], remaining], dim=1)
 
 
-def composite(weights: Tensor, look: Callable[[Tensor], Tensor], opacity: Tensor | None = None) -> Tensor:
+def composite(weights: Tensor, radiance_of: Callable[[Tensor], Tensor], opacity: Tensor | None = None) -> Tensor:
     """Linear radiance (rays, 3) of samples with weights (rays, samples), times the opacity (rays, 1), 1 where None.
 
-    ``look`` gives the colours (n, 3) of the samples at flat indices (n,). Samples too light to be looked up take the
-    others' colour: left black, they would push a bed about, and darken what is thin.
+    ``radiance_of`` gives the colours (n, 3) of the samples at flat indices (n,). Samples too light to be looked up take
+    the others' colour: left black, they would push a bed about, and darken what is thin.
     """
     painted = weights.detach() > MIN_COLOUR_WEIGHT
     where = painted.view(-1).nonzero()[:, 0]
-    colours = weights.new_zeros(weights.numel(), 3).index_put((where,), look(where)).view(*weights.shape, 3)
+    colours = weights.new_zeros(weights.numel(), 3).index_put((where,), radiance_of(where)).view(*weights.shape, 3)
     share = weights * painted
     total = share.sum(dim=1, keepdim=True)
     share = share / total if opacity is None else share * (opacity / total.clamp(min=MIN_COLOUR_WEIGHT))
@@ -68,8 +68,8 @@ def quantile_height(weights: Tensor, edges: Tensor, level: float = 0.5) -> Tenso
     total = torch.cumsum(weights, dim=1)
     target = level * total[:, -1:]
     index = (total < target).sum(dim=1, keepdim=True).clamp(max=weights.shape[1] - 1)
-    here = weights.gather(1, index)
-    before = total.gather(1, index) - here
-    share = ((target - before) / here.clamp(min=1e-12)).clamp(0.0, 1.0)
+    weight = weights.gather(1, index)
+    before = total.gather(1, index) - weight
+    share = ((target - before) / weight.clamp(min=1e-12)).clamp(0.0, 1.0)
     start, end = edges.gather(1, index), edges.gather(1, index + 1)
     return (start + share * (end - start))[:, 0]

@@ -27,7 +27,7 @@ class Device:
     reason: str  # why this one, in words for the plan.
     place: str = "cpu"  # "cpu" or "cuda": where torch keeps its tensors
     # Whether it has a memory of its own: what is computed stays there between the passes of the sweep
-    apart: bool = False
+    has_own_memory: bool = False
 
 
 def _find_llvm() -> str | None:
@@ -62,7 +62,7 @@ def _cuda() -> Device | None:
         return None
     import drjit.cuda as module
 
-    return Device("cuda", module, "a CUDA device is there", "cuda", apart=True)
+    return Device("cuda", module, "a CUDA device is there", "cuda", has_own_memory=True)
 
 
 def _llvm() -> Device | None:
@@ -135,7 +135,7 @@ def choose_device(wanted: str = "auto") -> Device:
 
     place = "cuda" if torch.cuda.is_available() and wanted != "cpu" else "cpu"
     reason = "torch was requested" if wanted == "torch" else f"{why}: torch runs the sweep, slower"
-    return Device("torch", None, reason, place, apart=place == "cuda")
+    return Device("torch", None, reason, place, has_own_memory=place == "cuda")
 
 
 @contextmanager

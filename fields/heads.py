@@ -153,12 +153,12 @@ class ColourHead(nn.Module):
             known.append(spherical_harmonics(directions, self.degree))
         if appearance is not None:
             known.append(appearance)
-        beside = torch.cat(known, dim=1) if known else features.new_empty(len(features), 0)
+        conditions = torch.cat(known, dim=1) if known else features.new_empty(len(features), 0)
         # The colour weights go into the map that follows them: no pass over all features for them alone.
         width = len(self.weights)
         maps = (self.first.weight[:, :width] * self.weights).t(), self.first.weight[:, width:].t()
         part = max(len(features), 1) if features.is_cuda else PART
-        parts = zip(features.split(part), beside.split(part), strict=True)
+        parts = zip(features.split(part), conditions.split(part), strict=True)
         return torch.cat([self._regress(f, torch.addmm(self.first.bias, b, maps[1]), maps[0]) for f, b in parts])
 
     def _regress(self, features: Tensor, start: Tensor, weighted: Tensor) -> Tensor:

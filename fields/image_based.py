@@ -129,13 +129,13 @@ class ImageBasedField:
         """Numbers of the photographs that show what a camera sees of a level bed: the nearest of each place of it."""
         return self._around(camera, dry, range(len(self.cameras)), SOURCES)
 
-    def _around(self, camera: PinholeCamera, dry: bool, among: Iterable[int], most: int) -> list[int]:
+    def _around(self, camera: PinholeCamera, dry: bool, candidates: Iterable[int], most: int) -> list[int]:
         optics = self._optics(dry)
         u, v = (np.linspace(0.5, size - 0.5, _CELLS) for size in (camera.width, camera.height))
         pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
         points = camera.paths(pixels, optics).at_height(np.full(len(pixels), self.height), optics)
         points = points[np.isfinite(points).all(axis=1)]
-        chosen = self._nearest(points, camera.centre, among, most)
+        chosen = self._nearest(points, camera.centre, candidates, most)
         return sorted({number for numbers in chosen for number in numbers})
 
     def render(
@@ -186,17 +186,17 @@ class ImageBasedField:
         """The water that a camera looks through: an index of one keeps the plane that heights count from."""
         return replace(self.water, n_water=1.0) if dry and self.water is not None else self.water
 
-    def _nearest(self, points: np.ndarray, centre: np.ndarray, among: Iterable[int], most: int) -> list[list[int]]:
+    def _nearest(self, points: np.ndarray, centre: np.ndarray, candidates: Iterable[int], most: int) -> list[list[int]]:
         """The photographs, so many, that see each of N points (N, 3) under the smallest angle to a place."""
-        own, among = _directions(points, centre), np.array(list(among), dtype=np.int64)
-        angles = np.full((len(among), len(points)), np.inf)
-        for row, number in enumerate(among):
+        own, candidates = _directions(points, centre), np.array(list(candidates), dtype=np.int64)
+        angles = np.full((len(candidates), len(points)), np.inf)
+        for row, number in enumerate(candidates):
             camera = self.cameras[number]
             seen = camera.sees(camera.project(points, self.water))
             angles[row, seen] = _angle(own, _directions(points, camera.centre))[seen]
         order = np.argsort(angles, axis=0, kind="stable")[:most]
         known = np.isfinite(np.take_along_axis(angles, order, axis=0))
-        return [among[order[known[:, n], n]].tolist() for n in range(len(points))]
+        return [candidates[order[known[:, n], n]].tolist() for n in range(len(points))]
 
     def _averaged(
         self, path: BentPaths, optics: FlatWater | None, height: np.ndarray, numbers: Iterable[int]

@@ -91,7 +91,7 @@ class _Field:
         """A scale's layout as constants of the kernel."""
         return [self.module.UInt(int(number)) for number in self.layout[scale]]
 
-    def gathered(self, scale) -> list:
+    def gather(self, scale) -> list:
         """The same of a scale that only the kernel knows."""
         flat, columns = self.module.UInt(self.layout.ravel()), self.layout.shape[1]
         return [dr.gather(self.module.UInt, flat, scale * columns + k) for k in range(columns)]
@@ -158,7 +158,7 @@ def _add_in_order(field: _Field, u, gradient, samples: int, sums: tuple) -> None
 
     def one_unit(unit):
         scale, part = unit // field.packets, unit % field.packets
-        layout = field.gathered(scale)
+        layout = field.gather(scale)
 
         def some_samples(sample):
             active = sample < num

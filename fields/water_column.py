@@ -63,7 +63,7 @@ class WaterColumn(nn.Module):
         values = {"absorption": self.given_absorption, "veil": self.given_veil}
         return {name: tuple(value.tolist()) for name, value in values.items() if value is not None}
 
-    def way(self, depth: Tensor, length: Tensor) -> Tensor:
+    def path_length(self, depth: Tensor, length: Tensor) -> Tensor:
         """Length (rays,) [m] over which light is absorbed, from the bed's depth and the length of the path up from it.
 
         A given coefficient is that of the water itself and acts on the way down too, straight down to the bed; a
@@ -71,19 +71,19 @@ class WaterColumn(nn.Module):
         """
         return length if self.given_absorption is None else length + depth
 
-    def forward(self, bed: Tensor, way: Tensor, reflectance: Tensor) -> Tensor:
-        """Radiance (rays, 3) above the water of the bed's (rays, 3) behind a ``way`` (rays,) [m] in water."""
-        kept = torch.exp(-self.absorption * way[:, None])
+    def forward(self, bed: Tensor, path_length: Tensor, reflectance: Tensor) -> Tensor:
+        """Radiance (rays, 3) above the water of the bed's (rays, 3) behind a ``path_length`` (rays,) [m] in water."""
+        kept = torch.exp(-self.absorption * path_length[:, None])
         below = kept * bed + (1.0 - kept) * self.veil
         r = reflectance[:, None]
         return (1.0 - r) * below + r * self.sky
 
-    def bed_of(self, seen: Tensor, way: Tensor, reflectance: Tensor) -> Tensor:
+    def bed_of(self, seen: Tensor, path_length: Tensor, reflectance: Tensor) -> Tensor:
         """Radiance (rays, 3) of the bed from the radiance seen above the water (rays, 3); the inverse of `forward`.
 
         Below zero where the veil and the sky's reflection alone are brighter than what is seen.
         """
-        kept = torch.exp(-self.absorption * way[:, None])
+        kept = torch.exp(-self.absorption * path_length[:, None])
         r = reflectance[:, None]
         below = (seen - r * self.sky) / (1.0 - r)
         return (below - (1.0 - kept) * self.veil) / kept

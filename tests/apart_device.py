@@ -14,4 +14,4 @@ def device_apart(wanted: str) -> Device:
     chosen = choose_device(wanted)
     if wanted == "cpu" and chosen.name != "llvm":
         pytest.skip(f"Dr.Jit does not run on this CPU: {chosen.reason}")
-    return replace(chosen, name="torch" if chosen.module is None else "cuda", apart=True)
+    return replace(chosen, name="torch" if chosen.module is None else "cuda", has_own_memory=True)

@@ -38,7 +38,7 @@ def through_water(colour: np.ndarray, depth: np.ndarray, incidence: np.ndarray, 
     column = WaterColumn(ABSORPTION, VEIL)
     cosine = np.sqrt(1.0 - (np.sin(incidence) / n_water) ** 2)
     mirrored = fresnel_coefficients(np.cos(incidence), n_from=1.0, n_to=n_water).reflectance
-    way = column.way(torch.as_tensor(depth), torch.as_tensor(depth / cosine))
+    way = column.path_length(torch.as_tensor(depth), torch.as_tensor(depth / cosine))
     with torch.no_grad():
         light = column(torch.as_tensor((colour / 255.0) ** GAMMA), way, torch.as_tensor(mirrored)).numpy()
     return 255.0 * light ** (1.0 / GAMMA)

@@ -66,8 +66,8 @@ def test_what_is_given_of_a_column_is_not_learned_and_counts_the_way_down_too():
         assert column.given()[name] == pytest.approx(value)
     assert learned.given() == {}
     depth, length = torch.tensor([2.0]), torch.tensor([2.5])
-    assert column.way(depth, length).item() == 4.5
-    assert learned.way(depth, length).item() == 2.5
+    assert column.path_length(depth, length).item() == 4.5
+    assert learned.path_length(depth, length).item() == 2.5
 
 
 def mirroring(sources: Sources) -> Sources:

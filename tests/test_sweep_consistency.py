@@ -44,7 +44,7 @@ def test_equal_heights_agree_in_every_peer_that_sees_them(device, water):
     np.testing.assert_array_equal(agreeing[clear], expected[clear])
     assert (agreeing == 3).any()
     assert (agreeing < 3).any()
-    assert agreeing.dtype == (np.float32 if device.apart else np.uint8)
+    assert agreeing.dtype == (np.float32 if device.has_own_memory else np.uint8)
     np.testing.assert_array_equal(fused, np.float32(OWN))
     np.testing.assert_array_equal(spread, 0.0)
 

@@ -185,7 +185,7 @@ def test_a_place_for_maps_takes_and_gives_room(apart, rng):
 
 
 def test_the_host_keeps_its_own_maps(device):
-    if not device.apart:
+    if not device.has_own_memory:
         assert device_map_store(device, dict) is dict
         assert memory_bytes(device) == 0
     else:

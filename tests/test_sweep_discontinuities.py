@@ -39,21 +39,21 @@ class Terrace:
         return np.where(height == HIGH, texture(points[..., 0], points[..., 1]), ground).astype(np.float32)
 
 
-def searched_by(stack, neighbours, found, parallax, search, among=None):
+def searched_by(stack, neighbours, found, parallax, search, matched=None):
     """What the search makes of height, score and curvature, all on the host."""
     placed = tuple(image_backend(stack.device).to_device(stack.device, each) for each in found)
     return found_by(
-        stack.device, search_discontinuities(Reference(stack, 0, neighbours, 2), placed, parallax, search, among)
+        stack.device, search_discontinuities(Reference(stack, 0, neighbours, 2), placed, parallax, search, matched)
     )
 
 
-def searched(device, height, truth, *, score=0.9, search=SEARCH, among=None):
+def searched(device, height, truth, *, score=0.9, search=SEARCH, matched=None):
     """What the search makes of a height map of the middle view."""
     cameras = ring(8)
     stack = ViewStack.build(device, cameras, [Terrace().photograph(c) for c in cameras], WATER)
     found = (height, np.full_like(truth, score), np.full_like(truth, 5.0))
     parallax = PlaneBed(WATER, LOW).block(device, cameras).parallax(0, list(range(1, 9)), LOW)
-    return found, searched_by(stack, list(range(1, 9)), found, parallax, search, among)
+    return found, searched_by(stack, list(range(1, 9)), found, parallax, search, matched)
 
 
 def assert_same(before, after) -> None:
@@ -162,10 +162,10 @@ def test_a_wall_is_found_better_by_upright_windows_than_by_level_ones(device):
 
 def test_beyond_what_was_matched_nothing_is_searched(device, fattened):
     truth, height = fattened
-    among, middle, beyond = np.zeros(truth.shape, dtype=bool), len(truth) // 2, SEARCH.tile_px
-    among[:middle] = True
+    matched, middle, beyond = np.zeros(truth.shape, dtype=bool), len(truth) // 2, SEARCH.tile_px
+    matched[:middle] = True
     _, (whole, *_) = searched(device, height, truth)
-    _, (part, *_) = searched(device, height, truth, among=among)
+    _, (part, *_) = searched(device, height, truth, matched=matched)
     np.testing.assert_array_equal(part[middle:], height[middle:])
     assert (whole[middle:] != height[middle:]).any()
     # A tile has the heights of its wanted pixels alone.

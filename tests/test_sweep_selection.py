@@ -129,7 +129,7 @@ def test_some_pixels_agree_as_they_do_among_all(block):
     stack = ViewStack.build(block.device, block.cameras, [m.height for m in maps], TILTED)
     whole = found_by(block.device, agreement(stack, 0, [1, 2, 3], 0.05))
     pixels = np.arange(1000, 3000, 7)
-    some = indices(block.device, pixels) if block.device.apart else pixels
+    some = indices(block.device, pixels) if block.device.has_own_memory else pixels
     part = found_by(block.device, agreement(stack, 0, [1, 2, 3], 0.05, some))
     for few, every in zip(part, whole, strict=True):
         np.testing.assert_allclose(few, every.ravel()[pixels], rtol=0.0, atol=1e-6)

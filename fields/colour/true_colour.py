@@ -74,8 +74,8 @@ def without_water(
     mirrored = fresnel_coefficients(np.cos(incidence), n_from=1.0, n_to=n_water).reflectance
     seen = torch.as_tensor((rgb / 255.0) ** GAMMA)
     with torch.no_grad():
-        way = column.way(torch.as_tensor(depth), torch.as_tensor(depth) / torch.as_tensor(cos_wet))
-        return column.bed_of(seen, way, torch.as_tensor(mirrored)).numpy()
+        path_length = column.path_length(torch.as_tensor(depth), torch.as_tensor(depth) / torch.as_tensor(cos_wet))
+        return column.bed_of(seen, path_length, torch.as_tensor(mirrored)).numpy()
 
 
 def stored_colours(radiance: np.ndarray) -> np.ndarray:
@@ -89,7 +89,7 @@ class PatchSightings:
 
     patch: np.ndarray  # (N,) int
     below: np.ndarray  # (N, 3): mean linear radiance under the surface, without the light that the surface reflects
-    way: np.ndarray  # (N,) [m]: mean path of the light in water, down and up
+    path_length: np.ndarray  # (N,) [m]: mean path of the light in water, down and up
 
 
 def estimate_absorption(sources: Sources) -> tuple[float, float, float]:
@@ -107,10 +107,12 @@ def estimate_absorption(sources: Sources) -> tuple[float, float, float]:
         _sightings(points, patch, *view, sources.water)
         for view in zip(sources.cameras, sources.maps, sources.images, strict=True)
     ]
-    seen = PatchSightings(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("patch", "below", "way")))
+    seen = PatchSightings(
+        *(np.concatenate([getattr(p, name) for p in parts]) for name in ("patch", "below", "path_length"))
+    )
     if np.count_nonzero(np.bincount(seen.patch) > 1) < FEWEST:
         raise ValueError("too little of the bed under water is seen by several views")
-    red, green, blue = (_fit(seen.patch, seen.below[:, channel], seen.way) for channel in range(3))
+    red, green, blue = (_fit(seen.patch, seen.below[:, channel], seen.path_length) for channel in range(3))
     return red, green, blue
 
 
@@ -123,8 +125,8 @@ def _patches(sources: Sources) -> tuple[np.ndarray, np.ndarray]:
         shape = (camera.height // SIDE_PX, SIDE_PX, camera.width // SIDE_PX, SIDE_PX)
         height = height_map.height[: shape[0] * SIDE_PX, : shape[2] * SIDE_PX]
         wet = trusted(height_map)[: height.shape[0], : height.shape[1]] & (height < -SHALLOWEST_M)
-        whole = np.argwhere(wet.reshape(shape).mean(axis=(1, 3)) >= TRUSTED_SHARE)
-        for row, column in whole[rng.permutation(len(whole))[:each]] * SIDE_PX:
+        squares = np.argwhere(wet.reshape(shape).mean(axis=(1, 3)) >= TRUSTED_SHARE)
+        for row, column in squares[rng.permutation(len(squares))[:each]] * SIDE_PX:
             r, c = np.nonzero(wet[row : row + SIDE_PX, column : column + SIDE_PX])
             path = camera.paths(np.stack([column + c + 0.5, row + r + 0.5], axis=-1), sources.water)
             points.append(path.at_height(height[row + r, column + c].astype(np.float64), sources.water))
@@ -158,22 +160,27 @@ def _sightings(
     seen = np.stack([map_coordinates(linear[image[..., k]], at, order=1) for k in range(3)], axis=-1)
     below = (seen - mirrored * WaterColumn().sky.detach().numpy()) / (1.0 - mirrored)
     columns = [*below.T, depth - depth / (path.water_direction @ up)]
-    whole, found = np.bincount(patch), np.bincount(patch[inside], minlength=patch[-1] + 1 if len(patch) else 0)
-    kept = np.flatnonzero(found >= SEEN_SHARE * whole)
-    means = np.stack([np.bincount(patch[inside], v, len(whole))[kept] / found[kept] for v in columns], axis=-1)
+    num_pixels, num_inside = (
+        np.bincount(patch),
+        np.bincount(patch[inside], minlength=patch[-1] + 1 if len(patch) else 0),
+    )
+    kept = np.flatnonzero(num_inside >= SEEN_SHARE * num_pixels)
+    means = np.stack(
+        [np.bincount(patch[inside], v, len(num_pixels))[kept] / num_inside[kept] for v in columns], axis=-1
+    )
     return PatchSightings(kept, means[:, :3], means[:, 3])
 
 
-def _fit(patch: np.ndarray, below: np.ndarray, way: np.ndarray) -> float:
+def _fit(patch: np.ndarray, below: np.ndarray, path_length: np.ndarray) -> float:
     """Absorption [1/m] of one channel: least squares with a bed radiance per patch, outliers removed."""
     share = np.ones(len(patch))
 
     def misfit(absorption: float) -> np.ndarray:
-        return share * _without_bed(patch, below, np.exp(-absorption * way), share)
+        return share * _without_bed(patch, below, np.exp(-absorption * path_length), share)
 
     for _ in range(TRIMS):
         found = float(minimize_scalar(lambda a: np.sum(misfit(a) ** 2), bounds=(0.0, MOST), method="bounded").x)
-        residual = _without_bed(patch, below, np.exp(-found * way), share)
+        residual = _without_bed(patch, below, np.exp(-found * path_length), share)
         change = (misfit(found + STEP) - misfit(found)) / STEP
         std = np.sqrt(np.sum(misfit(found) ** 2) / (max(share.sum(), 1.0) * max(np.sum(change**2), 1e-30)))
         share = (np.abs(residual) <= TRIM_STDS * 1.4826 * np.median(np.abs(residual))) * 1.0

@@ -114,20 +114,20 @@ def points_of_holes(holes: Holes, sightings: Sequence[Sighting]) -> FoundPoints 
     """
     if len(sightings) < LEAST_VIEWS:
         return None
-    wanted = holes.are_holes & np.any([each.near_obstacle for each in sightings], axis=0)
+    is_candidate = holes.are_holes & np.any([each.near_obstacle for each in sightings], axis=0)
     if len(sightings) > _MOST_VIEWS:
-        shown = [int((wanted & each.is_inside & ~each.is_hidden).sum()) for each in sightings]
+        shown = [int((is_candidate & each.is_inside & ~each.is_hidden).sum()) for each in sightings]
         sightings = [sightings[k] for k in np.sort(np.argsort(shown, kind="stable")[-_MOST_VIEWS:])]
-    radiometry = _Radiometry.of(sightings) if wanted.any() else None
+    radiometry = _Radiometry.of(sightings) if is_candidate.any() else None
     if radiometry is None:
         return None
-    context = binary_dilation(wanted, iterations=_WINDOW // 2)
+    context = binary_dilation(is_candidate, iterations=_WINDOW // 2)
     part = _extent(context)
     found = _search(holes, [each.part(part) for each in sightings], radiometry, context[part])
     height, information = np.zeros(holes.shape), np.full(holes.shape, np.inf)
     members = np.zeros((len(sightings), *holes.shape), dtype=bool)
     height[part], information[part], members[:, *part] = found
-    kept = _connected(wanted & (members.sum(axis=0) >= LEAST_VIEWS))
+    kept = _connected(is_candidate & (members.sum(axis=0) >= LEAST_VIEWS))
     if not kept.any():
         return None
     kept = _unexplained(holes, sightings, radiometry, height, members, kept)
@@ -222,12 +222,12 @@ class _Radiometry:
         for number, mask in enumerate(shown & common):
             if mask.sum() < _LEAST_SHOWN:
                 continue
-            here, there = mean[mask], values[number][mask]
-            about = here - here.mean(axis=0)
-            slope = (about * there).sum(axis=0) / np.maximum((about**2).sum(axis=0), 1e-6)
+            reference, colours = mean[mask], values[number][mask]
+            about = reference - reference.mean(axis=0)
+            slope = (about * colours).sum(axis=0) / np.maximum((about**2).sum(axis=0), 1e-6)
             gain[number] = np.clip(slope, *_GAINS)
-            offset[number] = there.mean(axis=0) - gain[number] * here.mean(axis=0)
-            residuals.append((there - offset[number]) / gain[number] - here)
+            offset[number] = colours.mean(axis=0) - gain[number] * reference.mean(axis=0)
+            residuals.append((colours - offset[number]) / gain[number] - reference)
         if not residuals:
             return None
         noise = 1.4826 * np.median(np.abs(np.concatenate(residuals)), axis=0)

@@ -122,8 +122,8 @@ class BedLayer:
         if known.mean() < _LEAST_BED:
             return None
         reach = _RADIUS_GSD // _CELL_GSD
-        aside = np.arange(-reach, reach + 1)
-        disc = aside[:, None] ** 2 + aside**2 <= reach * reach
+        offsets = np.arange(-reach, reach + 1)
+        disc = offsets[:, None] ** 2 + offsets**2 <= reach * reach
         eroded = grey_erosion(np.where(known, low, np.inf), footprint=disc, mode="nearest")
         opened = grey_dilation(np.where(np.isinf(eroded), -np.inf, eroded), footprint=disc, mode="nearest")
         is_bed = known & (low < opened + _OPENED_GSD * box.gsd)

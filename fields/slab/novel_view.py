@@ -48,11 +48,11 @@ def render_view(field: TensorField, camera: PinholeCamera, water: FlatWater | No
         part = falling[first : first + CHUNK]
         none = np.zeros(len(part), dtype=np.float32)
         rays = rays_of(camera, optics, pixels[part], none, np.zeros((len(part), 3)))
-        rays, met = rays_on(surface, rays)
+        rays, on_surface = rays_on(surface, rays)
         if len(rays) == 0:
             continue
-        part = part[met]
-        colour, found, upright = field.look(rays, torch.as_tensor(normal, dtype=torch.float32), dry=dry)
+        part = part[on_surface]
+        colour, found, upright = field.render_surface(rays, torch.as_tensor(normal, dtype=torch.float32), dry=dry)
         rgb[part] = np.round(255.0 * colour.clamp(max=1.0).numpy()).astype(np.uint8)
         height[part], normals[part] = found.numpy(), upright.numpy()
         distance[part] = _distance(rays, found, camera.centres(pixels[part]))
@@ -114,8 +114,8 @@ def rays_on(surface: SlabSurface, rays: SlabRays) -> tuple[SlabRays, np.ndarray]
         z = above[pending] - step
         under = z <= slab.height_at(marching.at(z)[:, :2])
         above[pending[~under]] = z[~under]
-        going = ~under & (z > bottom)
-        pending, marching = pending[going], marching[going]
+        active = ~under & (z > bottom)
+        pending, marching = pending[active], marching[active]
     for halving in range(1, HALVINGS + 1):
         z = above - step * 0.5**halving
         above = torch.where(z > slab.height_at(rays.at(z)[:, :2]), z, above)

@@ -143,15 +143,15 @@ def rays_of(
     normal = np.array(water.up if water else (0.0, 0.0, 1.0))
     plane = np.array(water.point if water else (0.0, 0.0, 0.0))
     plane[2] += camera.tide
-    fall = path.air_direction @ normal
+    along_normal = path.air_direction @ normal
     centre = camera.centres(pixels)
-    foot = centre - path.air_direction * (((centre - plane) @ normal) / fall)[:, None]
-    air = path.air_direction / fall[:, None]
-    fall_wet = path.water_direction @ normal
-    wet = path.water_direction / fall_wet[:, None]
+    foot = centre - path.air_direction * (((centre - plane) @ normal) / along_normal)[:, None]
+    air = path.air_direction / along_normal[:, None]
+    along_normal_wet = path.water_direction @ normal
+    wet = path.water_direction / along_normal_wet[:, None]
     reflectance = np.zeros(len(pixels))
     if water is not None:
-        reflectance = fresnel_coefficients(-fall, n_from=1.0, n_to=water.n_water).reflectance
+        reflectance = fresnel_coefficients(-along_normal, n_from=1.0, n_to=water.n_water).reflectance
     tide = np.full(len(pixels), camera.tide * normal[2])
     columns = (foot, air, wet, height, rgb / 255.0, reflectance, tide)
     return SlabRays(*(torch.as_tensor(np.ascontiguousarray(c), dtype=torch.float32) for c in columns))

@@ -113,9 +113,9 @@ class TensorField(nn.Module):
         if self.column is not None and not dry:
             bed = (weights.detach() * z).sum(dim=1)
             depth = (-bed).clamp(min=0.0)
-            way = self.column.way(depth, depth * rays.wet.norm(dim=1))
+            path_length = self.column.path_length(depth, depth * rays.wet.norm(dim=1))
             # Light of dry ground crosses no surface.
-            radiance = self.column(radiance, way, torch.where(bed < 0.0, rays.reflectance, 0.0))
+            radiance = self.column(radiance, path_length, torch.where(bed < 0.0, rays.reflectance, 0.0))
         return as_stored(radiance), weights, ends
 
     @torch.no_grad()
@@ -126,7 +126,7 @@ class TensorField(nn.Module):
         return quantile_height(weights, ends), 0.5 * (high - low).abs()
 
     @torch.no_grad()
-    def look(self, rays: SlabRays, up: Tensor, *, dry: bool) -> tuple[Tensor, Tensor, Tensor]:
+    def render_surface(self, rays: SlabRays, up: Tensor, *, dry: bool) -> tuple[Tensor, Tensor, Tensor]:
         """Colours (rays, 3) as stored in photographs, median heights (rays,) [m] and upward unit normals (rays, 3).
 
         ``up`` (3,) is the normal of the water plane, along which heights count.

@@ -70,8 +70,8 @@ def second_differences_of(tile: SolverTile) -> SecondDifferences:
         ((number[:-2], number[1:-1], number[2:]), along),
         ((number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]), cross),
     ):
-        whole = np.flatnonzero(np.logical_and.reduce([each >= 0 for each in members]))
-        chosen = np.stack([each.ravel()[whole] for each in members], axis=-1)
+        complete = np.flatnonzero(np.logical_and.reduce([each >= 0 for each in members]))
+        chosen = np.stack([each.ravel()[complete] for each in members], axis=-1)
         rows, size = len(chosen), len(factors)
         values = np.tile(factors, rows).astype(np.float32)
         parts.append(sparse.csr_matrix((values, chosen.ravel(), np.arange(rows + 1) * size), shape=(rows, len(tile))))
@@ -222,8 +222,8 @@ def shift_information(weight: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """
     seen = (weight > 0.0)[:, None]
     count = np.maximum(seen.sum(axis=0), 1)
-    there = np.where(seen, motion, np.float32(0.0))
-    about = np.where(seen, motion - there.sum(axis=0) / count, np.float32(0.0))
+    visible_motion = np.where(seen, motion, np.float32(0.0))
+    about = np.where(seen, motion - visible_motion.sum(axis=0) / count, np.float32(0.0))
     return np.maximum(np.einsum("kan,kan->n", about, about), 1e-6)
 
 

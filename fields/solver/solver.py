@@ -307,9 +307,9 @@ def sweep_slope_noise_ratio(
     for tile, each in samples:
         moved = np.zeros(tile.inside.shape, dtype=np.float32)
         moved[tile.inside] = each.height - each.start.height
-        whole = cv2.erode(tile.inside.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)[tile.inside] > 0
+        interior = cv2.erode(tile.inside.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)[tile.inside] > 0
         solved = replace(each, stiffness=stiffness_of(each.differences.matrix @ each.height, roughness))
         by_noise = noise.height_variance_ratio * expected_variances(tile, solved, noise.response).noise
-        found += [np.abs(rise[tile.inside][whole]) / np.sqrt(by_noise[whole]) for rise in gradient_of(moved)]
+        found += [np.abs(rise[tile.inside][interior]) / np.sqrt(by_noise[interior]) for rise in gradient_of(moved)]
     together = np.concatenate(found)
     return float(np.quantile(together, QUANTILE_95)) / SIGMAS_95 if len(together) else 1.0

@@ -110,8 +110,8 @@ def _halves(wanted: np.ndarray) -> Iterator[tuple[int, int, int, int]]:
     waiting = [(0, wanted.shape[0], 0, wanted.shape[1])]
     while waiting:
         top, bottom, left, right = waiting.pop()
-        here = wanted[top:bottom, left:right]
-        rows, columns = (np.flatnonzero(here.any(axis=axis)) for axis in (1, 0))
+        part = wanted[top:bottom, left:right]
+        rows, columns = (np.flatnonzero(part.any(axis=axis)) for axis in (1, 0))
         if not len(rows):
             continue
         top, bottom = top + int(rows[0]), top + int(rows[-1]) + 1

@@ -109,12 +109,12 @@ def smoothed_relief(
     square, by_noise = change * change, changed_noise * expected.changed_noise
     by_relief = noise * expected.changed_relief
     # The relief with which that share of the tile lies within one standard deviation.
-    whole = max(float(np.quantile(((square - by_noise) / by_relief)[tile.requested], ONE_STD)), 0.0)
-    number, everywhere = expected.independent, by_noise + whole * by_relief
+    relief_scale = max(float(np.quantile(((square - by_noise) / by_relief)[tile.requested], ONE_STD)), 0.0)
+    number, everywhere = expected.independent, by_noise + relief_scale * by_relief
     near = _local_mean(tile, square, _NEAR_PX)
     count = effective_sample_weight(near / everywhere, tile.requested, float(np.median(number[tile.requested])))
-    here = (number * near + count * everywhere) / (number + count)
-    return np.maximum(here - by_noise, 0.0) * expected.relief / expected.changed_relief
+    expected_square = (number * near + count * everywhere) / (number + count)
+    return np.maximum(expected_square - by_noise, 0.0) * expected.relief / expected.changed_relief
 
 
 def effective_sample_weight(ratio: np.ndarray, requested: np.ndarray, number: float) -> np.ndarray:
@@ -153,10 +153,10 @@ def subpixel_relief(
 
 def local_slope(tile: SolverTile, height: np.ndarray) -> np.ndarray:
     """Slope (N,) [m/px] of heights (N,) [m] over the adjacent pixels."""
-    beside = np.ones((3, 3), dtype=np.uint8)
+    window = np.ones((3, 3), dtype=np.uint8)
     highest, lowest = (np.full(tile.inside.shape, bound, dtype=np.float32) for bound in (-np.inf, np.inf))
     highest[tile.inside] = lowest[tile.inside] = height
-    return 0.5 * (cv2.dilate(highest, beside)[tile.inside] - cv2.erode(lowest, beside)[tile.inside])
+    return 0.5 * (cv2.dilate(highest, window)[tile.inside] - cv2.erode(lowest, window)[tile.inside])
 
 
 def _local_mean(tile: SolverTile, values: np.ndarray, alike_px: float) -> np.ndarray:

@@ -128,9 +128,9 @@ def project_tiles(
     firsts = np.cumsum([0, *counts[:-1]])
     parts = [slice(first, first + count) for first, count in zip(firsts, counts, strict=True)]
     # Each point, raised, and those of positions beside it at its height.
-    beside = [pixels, pixels, *(pixels + step for step in _STEP_PX * np.eye(2))]
+    positions = [pixels, pixels, *(pixels + step for step in _STEP_PX * np.eye(2))]
     heights = np.concatenate([start, start + np.float32(tolerance), start, start])
-    points = projector.points(view, np.concatenate(beside), heights)
+    points = projector.points(view, np.concatenate(positions), heights)
     own = np.ascontiguousarray(pixels.T, dtype=np.float32)
     unmoved, everywhere = np.zeros_like(own), np.ones(total, dtype=bool)
     found = [[(view, own[:, part], unmoved[:, part], unmoved[:, part], everywhere[part])] for part in parts]
@@ -173,9 +173,9 @@ def _is_occluded(occluder: Occluder, at: np.ndarray, height: np.ndarray) -> np.n
     x, y = at
     rows, columns = lookup_window(x, y)
     x, y = x - columns.start, y - rows.start
-    there = lookup(occluder.height[rows, columns], x, y, cv2.INTER_LINEAR)
+    occluder_height = lookup(occluder.height[rows, columns], x, y, cv2.INTER_LINEAR)
     agreeing = lookup(occluder.agreeing_once[rows, columns].astype(np.float32), x, y, cv2.INTER_LINEAR)
-    return (there > height) & (agreeing > 0.5)
+    return (occluder_height > height) & (agreeing > 0.5)
 
 
 class Projector:

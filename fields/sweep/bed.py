@@ -111,10 +111,10 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
     chosen = views_of(maps)
     cameras = [block.cameras[view] for view in chosen]
     shapes: list[tuple[int, ...]] = [(camera.height, camera.width) for camera in cameras]
-    kept, claimed, walls, steep, all_trusted, addable, beside = (Masks(list(shapes)) for _ in range(7))
+    kept, claimed, walls, steep, all_trusted, addable, near_steps = (Masks(list(shapes)) for _ in range(7))
     ground, tolerances = [], []
     for index, m in enumerate(maps):
-        others = block.neighbours(m.view, 8, among=chosen)
+        others = block.neighbours(m.view, 8, candidates=chosen)
         tolerance = block.agreement_tolerance(m.view, others, median(m.height)) if others else 0.0
         extent = float(m.height.min()), float(m.height.max())
         ground.append(Footprint.of(cameras[index], block.water, extent))
@@ -129,7 +129,7 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
         shown, m = np.isfinite(block.images[chosen[index]]), maps[index]
         kept[index] = keep = all_trusted[index] & shown & ~claimed[index]
         addable[index] = walls[index] & shown & is_confirmed(m, WALL_NCC)
-        beside[index] = shown & (m.agreeing > 0) & pixels_beside_steps(m.height, gsd)
+        near_steps[index] = shown & (m.agreeing > 0) & pixels_beside_steps(m.height, gsd)
         if not keep.any():
             continue
         rays, own = kernels(block.device).rays_and_heights(heights, index, np.flatnonzero(keep))
@@ -139,7 +139,7 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
                 claimed.add(later, same & (close | ~walls[later].ravel()))
         free_unused(block.device)
     filter_steep_pixels(heights, SteepPixels(steep, addable, all_trusted), kept, gsd)
-    add_points_beneath(heights, beside, all_trusted, kept, gsd)
+    add_points_beneath(heights, near_steps, all_trusted, kept, gsd)
     return kept
 
 
@@ -182,12 +182,14 @@ def has_neighbours(xyz: np.ndarray, gsd: float) -> np.ndarray:
     # Quantiles of every hundredth point: slabs of about as many points each.
     edges = np.quantile(x[::100], np.linspace(0.0, 1.0, -(-len(xyz) // POINTS_PER_SLAB) + 1))
     for low, high in pairwise([-np.inf, *edges[1:-1], np.inf]):
-        mine = np.flatnonzero((x >= low) & (x < high))
-        if not len(mine):
+        in_strip = np.flatnonzero((x >= low) & (x < high))
+        if not len(in_strip):
             continue
         near = xyz[(x >= low - _UPPER_BOUND_FACTOR * reach) & (x < high + _UPPER_BOUND_FACTOR * reach)]
-        distance, _ = cKDTree(near).query(xyz[mine], k=[LEAST_NEIGHBOURS + 1], distance_upper_bound=reach, workers=-1)
-        found[mine] = np.isfinite(distance[:, 0])
+        distance, _ = cKDTree(near).query(
+            xyz[in_strip], k=[LEAST_NEIGHBOURS + 1], distance_upper_bound=reach, workers=-1
+        )
+        found[in_strip] = np.isfinite(distance[:, 0])
     return found
 
 
@@ -230,8 +232,8 @@ def points_of(
         part = np.s_[first : first + rows]
         row, column = np.nonzero(keep[part])
         path = camera.paths(np.column_stack([column + 0.5, row + (first + 0.5)]), water)
-        here = height[part][row, column].astype(np.float64)
-        xyz = path.at_height(here, water)
+        heights = height[part][row, column].astype(np.float64)
+        xyz = path.at_height(heights, water)
         normal = np.array(water.up if water else (0.0, 0.0, 1.0))
         depth = water.height(xyz[:, 0], xyz[:, 1]) - xyz[:, 2] if water else np.full(len(xyz), np.nan)
         parts.append(
@@ -242,7 +244,7 @@ def points_of(
                 (agreeing[part][row, column] + 1).astype(np.uint8),
                 depth.astype(np.float32),
                 np.arccos(np.clip(-(path.air_direction @ normal), -1.0, 1.0)).astype(np.float32),
-                np.zeros(len(xyz), dtype=bool) if water is None else here < 0.0,
+                np.zeros(len(xyz), dtype=bool) if water is None else heights < 0.0,
             )
         )
     return BedPoints.concatenate(parts)
@@ -260,7 +262,7 @@ def with_slope_std(
     n = 1.0 if water is None else water.n_water
     sine = np.sin(points.incidence) / np.where(points.wet, n, 1.0)
     ray_slope = sine / np.sqrt(np.maximum(1.0 - sine * sine, _LEAST_COSINE**2))
-    there = half_range(height)[: keep.shape[0], : keep.shape[1]][keep]
-    aside = np.minimum(ray_slope * points.std / gsd, _WHOLE_RANGE)
-    variance = points.std**2 + aside**2 * np.maximum(there**2 - points.std**2, 0.0)
+    height_range = half_range(height)[: keep.shape[0], : keep.shape[1]][keep]
+    plan_shift_px = np.minimum(ray_slope * points.std / gsd, _WHOLE_RANGE)
+    variance = points.std**2 + plan_shift_px**2 * np.maximum(height_range**2 - points.std**2, 0.0)
     return replace(points, std=np.sqrt(variance).astype(np.float32))

@@ -94,13 +94,13 @@ class Overlap:
             seen = csr_array(seen.multiply(inside)) if inside.any() else seen
         return views.cover(seen, self.cells, self.cameras, times, times_oblique)
 
-    def neighbours(self, view: int, count: int, among: list[int] | None = None) -> list[int]:
-        """Neighbour views of a view (of ``among``, default all), best first, at most ``count``."""
+    def neighbours(self, view: int, count: int, candidates: list[int] | None = None) -> list[int]:
+        """Neighbour views of a view (of ``candidates``, default all), best first, at most ``count``."""
         # Each is the best beside those before it: fewer of them are the first of more.
-        key, most = (view, None if among is None else tuple(among)), max(count, MOST_NEIGHBOURS)
+        key, most = (view, None if candidates is None else tuple(candidates)), max(count, MOST_NEIGHBOURS)
         if count > MOST_NEIGHBOURS or key not in self._found_neighbours:
-            among = list(range(len(self.cameras))) if among is None else among
-            self._found_neighbours[key] = views.neighbours(self.cameras, self.seen, self.cells, view, among, most)
+            candidates = list(range(len(self.cameras))) if candidates is None else candidates
+            self._found_neighbours[key] = views.neighbours(self.cameras, self.seen, self.cells, view, candidates, most)
         return self._found_neighbours[key][:count]
 
     @cached_property
@@ -168,16 +168,18 @@ class Block(Overlap):
         """Images and cameras at a scale, kept on the device until `release`."""
         if scale not in self._stacks:
             cameras = [c.scaled(scale) if scale != 1.0 else c for c in self.cameras]
-            whole = self.images
-            images: Sequence[np.ndarray] = whole
+            full_size = self.images
+            images: Sequence[np.ndarray] = full_size
             if scale != 1.0:
                 images = LazyImages(
-                    lambda view: fill_small_holes(downsample(whole[view], (cameras[view].width, cameras[view].height))),
+                    lambda view: fill_small_holes(
+                        downsample(full_size[view], (cameras[view].width, cameras[view].height))
+                    ),
                     len(cameras),
                     largest(cameras),
                 )
             elif not self.images.are_unmasked:
-                images = LazyImages(lambda view: fill_small_holes(whole[view]), len(cameras), largest(cameras))
+                images = LazyImages(lambda view: fill_small_holes(full_size[view]), len(cameras), largest(cameras))
             self._stacks[scale] = ViewStack.build(self.device, cameras, images, self.water, self.skips)
         return self._stacks[scale]
 

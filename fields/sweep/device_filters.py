@@ -88,12 +88,12 @@ def _sorting_network(count: int) -> list[tuple[int, int]]:
     found, first = [], 1 << (count - 1).bit_length() - 1
     part = first
     while part:
-        far, rest, apart = first, 0, part
+        far, residue, distance = first, 0, part
         while True:
-            found += [(n, n + apart) for n in range(count - apart) if n & part == rest]
+            found += [(n, n + distance) for n in range(count - distance) if n & part == residue]
             if far == part:
                 break
-            apart, far, rest = far - part, far >> 1, part
+            distance, far, residue = far - part, far >> 1, part
         part >>= 1
     return found
 
@@ -120,9 +120,9 @@ def upsample(height: Any, shape: tuple[int, int]) -> Any:
     """Heights of a coarser pass at another shape, bilinear, after a median filter."""
     if tuple(height.shape) == shape:
         return height
-    flat, here = flatten(height), places(height, shape)
+    flat, place = flatten(height), places(height, shape)
     (top, below, down), (first, right, across) = (
-        _between(line, length, target) for line, length, target in zip(here, height.shape, shape, strict=True)
+        _between(line, length, target) for line, length, target in zip(place, height.shape, shape, strict=True)
     )
     width = scalar(flat, height.shape[1])
     a, b, c, d = (gather(flat, row * width + column) for row in (top, below) for column in (first, right))
@@ -203,10 +203,10 @@ def _jump(place: Place, nearest: list[Any], reach: Any, last: tuple[Any, Any], w
             xp.minimum(xp.maximum(line + step * reach, 0), end)
             for line, step, end in zip(place, (y, x), last, strict=True)
         )
-        there = [gather(each, row * width + column) for each in nearest]
-        other, later = _distance(place, there), _scan_rank(place, there)
+        candidates = [gather(each, row * width + column) for each in nearest]
+        other, later = _distance(place, candidates), _scan_rank(place, candidates)
         better = (other < distance) | ((other == distance) & (later < rank))
-        nearest = [xp.where(better, new, old) for new, old in zip(there, nearest, strict=True)]
+        nearest = [xp.where(better, new, old) for new, old in zip(candidates, nearest, strict=True)]
         distance, rank = xp.minimum(distance, other), xp.where(better, later, rank)
     return nearest
 
@@ -298,9 +298,9 @@ def tile_gradients(height: Any, wanted: Any, size: int) -> np.ndarray:
     return np.stack(found, axis=-1)
 
 
-def _step(flat: Any, shape: tuple[int, int], place: Place, axis_step: tuple[int, int], aside: int, by: int) -> Any:
+def _step(flat: Any, shape: tuple[int, int], place: Place, axis_step: tuple[int, int], offset: int, by: int) -> Any:
     """Pixel a step farther along an axis, and an offset across it."""
-    return _shifted(flat, shape, place, (by, aside) if axis_step[0] else (aside, by), _mirrored)
+    return _shifted(flat, shape, place, (by, offset) if axis_step[0] else (offset, by), _mirrored)
 
 
 def extrapolate_planes(height: Any, known: Any, tolerance: float) -> Any:

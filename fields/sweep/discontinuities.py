@@ -27,7 +27,7 @@ _LEAST_COSINE = 0.3
 
 
 def search_discontinuities(
-    reference: Reference, found: Found, parallax: float, search: DiscontinuitySearch, among: np.ndarray | None = None
+    reference: Reference, found: Found, parallax: float, search: DiscontinuitySearch, matched: np.ndarray | None = None
 ) -> Job[Found]:
     """Height, score and curvature of a pass, with those of the search where heights around differ.
 
@@ -38,30 +38,30 @@ def search_discontinuities(
     found : height [m], score, curvature [1/m^2], (height, width) float32 each
     parallax : [px/m]
         At the scale of the stack, per metre of height.
-    among : (height, width) bool, optional
+    matched : (height, width) bool, optional
         Pixels that are searched: those that were matched, of a view of which parts were not.
     """
     stack, height, score = reference.stack, found[0], found[1]
     backend = image_backend(stack.device)
-    typical = backend.median(score) if among is None else backend.median_above(score, -1.0)
+    typical = backend.median(score) if matched is None else backend.median_above(score, -1.0)
     if typical is None or typical < search.least_score or min(height.shape) < search.tile_px + 2 * search.radius:
         return found
     low, high = backend.local_min_max(height, search.around_px)
-    wanted = backend.exceeds_shift(low, high, parallax, search.reach_px)
-    if among is not None:
+    searched = backend.exceeds_shift(low, high, parallax, search.reach_px)
+    if matched is not None:
         # Heights continue beyond what was matched, and lines between them look like discontinuities.
-        wanted = wanted & backend.to_device(stack.device, among)
-    if not backend.any_true(wanted):
+        searched = searched & backend.to_device(stack.device, matched)
+    if not backend.any_true(searched):
         return found
     nearby = Reference(stack, reference.view, reference.neighbours[: search.neighbours], search.radius)
     spacing, least = search.spacing_px / parallax, backend.full(stack.device, height.shape, MATCHED_NCC)
-    size, bounds = search.tile_px, backend.tile_extents(wanted, low, high, search.tile_px)
-    level = ImageTiles.of(wanted, bounds, spacing, size, search.radius)
+    size, bounds = search.tile_px, backend.tile_extents(searched, low, high, search.tile_px)
+    level = ImageTiles.of(searched, bounds, spacing, size, search.radius)
     found = yield from _best_of_tiles(nearby, found, level, spacing, least)
     if search.walls:
-        width, gradients = 2.0 * search.radius + 1.0, backend.tile_gradients(height, wanted, size)
+        width, gradients = 2.0 * search.radius + 1.0, backend.tile_gradients(height, searched, size)
         slope = wall_slopes(stack.cameras[nearby.view], stack.water, gradients, bounds, size, width)
-        upright = ImageTiles.of(wanted, bounds, spacing, size, search.radius, slope)
+        upright = ImageTiles.of(searched, bounds, spacing, size, search.radius, slope)
         found = yield from _best_of_tiles(nearby, found, upright, spacing, backend.pixelwise_max(least, found[1]))
     return found
 

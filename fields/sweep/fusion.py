@@ -87,10 +87,10 @@ def _agreement(
         tolerance = block.agreement_tolerance(view, others, backend.median(m.height))
         found = yield from agreement(heights, chosen.index(view), [chosen.index(p) for p in others], tolerance, pixels)
         if pixels is not None:
-            whole = [backend.flat_copy(each) for each in (m.agreeing, m.height, m.spread)]
-            for target, each in zip(whole, found, strict=True):
+            full_maps = [backend.flat_copy(each) for each in (m.agreeing, m.height, m.spread)]
+            for target, each in zip(full_maps, found, strict=True):
                 backend.put(target, pixels, each)
-            found = tuple(backend.reshaped(each, m.height.shape) for each in whole)
+            found = tuple(backend.reshaped(each, m.height.shape) for each in full_maps)
         return m, tolerance, found
 
     yield from run_jobs(block.device, (job(view) for view in chosen if view in compared and compared[view].peers))
@@ -158,7 +158,7 @@ def num_comparable(block: Block, maps: Sequence[HeightMap]) -> Iterator[np.ndarr
         for make in (lambda number: maps[number].height, shown)
     )
     for index, m in enumerate(maps):
-        peers = block.neighbours(m.view, PEERS, among=chosen)
+        peers = block.neighbours(m.view, PEERS, candidates=chosen)
         if not any(block.images.is_masked(peer) for peer in peers):
             yield None
             continue
@@ -196,7 +196,7 @@ def remove_free_space_violations(
     images = LazyImages(heights, len(chosen), largest(cameras), 1)
     stack = ViewStack.build(block.device, cameras, images, block.water)
     for index, m in enumerate(maps):
-        peers = block.neighbours(m.view, PEERS, among=chosen)
+        peers = block.neighbours(m.view, PEERS, candidates=chosen)
         pixels = np.flatnonzero(trusted(m))
         if not peers or not len(pixels):
             found[m.view] = m

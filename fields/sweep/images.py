@@ -38,7 +38,7 @@ class Images(Protocol):
 
     def reshaped(self, flat: Any, shape: tuple[int, int]) -> Any: ...
 
-    def where(self, mask: Any, there: Any, elsewhere: Any) -> Any: ...
+    def where(self, mask: Any, inside: Any, outside: Any) -> Any: ...
 
     def pixelwise_max(self, one: Any, other: Any) -> Any: ...
 
@@ -107,7 +107,7 @@ class Images(Protocol):
 
 def image_backend(device: Device) -> Images:
     """Functions on the images of a device: in a memory of its own, or on the host."""
-    if device.apart:
+    if device.has_own_memory:
         from fields.sweep import images_device
 
         return images_device

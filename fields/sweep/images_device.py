@@ -110,9 +110,9 @@ def reshaped(flat: Any, shape: tuple[int, int]) -> Any:
     return unflatten(flat, shape)
 
 
-def where(mask: Any, there: Any, elsewhere: Any) -> Any:
+def where(mask: Any, inside: Any, outside: Any) -> Any:
     """Selection of one of two images, or numbers, by a mask."""
-    found = kernels.namespace(mask).where(mask, there, elsewhere)
+    found = kernels.namespace(mask).where(mask, inside, outside)
     evaluate(found)
     return found
 
@@ -175,10 +175,10 @@ def median_above(image: Any, least: float) -> float | None:
 def newly_visible(device: Device, height: Any, num_agreeing: Any | None) -> np.ndarray:
     """Pixels with a height that no steeper view has, dilated by a pixel; see the twin."""
     flat = flatten(height)
-    there = ~kernels.namespace(flat).isnan(flat)
+    is_selected = ~kernels.namespace(flat).isnan(flat)
     if num_agreeing is not None:
-        there = there & (flatten(num_agreeing) == 0.0)
-    mask = as_numpy(to_float(there)).reshape(height.shape)
+        is_selected = is_selected & (flatten(num_agreeing) == 0.0)
+    mask = as_numpy(to_float(is_selected)).reshape(height.shape)
     return cv2.dilate(mask, images_host.NEIGHBOURHOOD) > 0.0
 
 
@@ -306,8 +306,8 @@ def own_pixels(device: Device, tiles: ImageTiles, part: slice, pixels: Any, lost
     tile, place, local = _in_tiles(like, tiles, part)
     found = gather(flatten(tiles.wanted), pixels)
     for axis, (line, inner) in enumerate(zip(place, local, strict=True)):
-        mine = gather(vector(like, tiles.place[part, axis]), tile)
-        found = found & (line // scalar(like, tiles.size) == mine)
+        tile_place = gather(vector(like, tiles.place[part, axis]), tile)
+        found = found & (line // scalar(like, tiles.size) == tile_place)
         found = found & (inner >= tiles.radius) & (inner < tiles.side - tiles.radius)
     evaluate(found)
     return trim_halo(found, lost)

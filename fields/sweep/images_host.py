@@ -78,9 +78,9 @@ def reshaped(flat: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     return flat.reshape(shape)
 
 
-def where(mask: np.ndarray, there: Any, elsewhere: Any) -> np.ndarray:
+def where(mask: np.ndarray, inside: Any, outside: Any) -> np.ndarray:
     """Selection of one of two images, or numbers, by a mask."""
-    return np.where(mask, *(np.float32(each) if isinstance(each, float) else each for each in (there, elsewhere)))
+    return np.where(mask, *(np.float32(each) if isinstance(each, float) else each for each in (inside, outside)))
 
 
 def pixelwise_max(one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -151,10 +151,10 @@ def newly_visible(device: Device, height: np.ndarray, num_agreeing: Any | None) 
     ``num_agreeing`` (height * width) is the number of steeper views that agree with it; None where there are none. The
     mask is always in the memory of the host: it says which tiles are matched.
     """
-    there = np.isfinite(height)
+    is_selected = np.isfinite(height)
     if num_agreeing is not None:
-        there &= host(device, num_agreeing).reshape(there.shape) == 0.0
-    return cv2.dilate(there.astype(np.uint8), NEIGHBOURHOOD).astype(bool)
+        is_selected &= host(device, num_agreeing).reshape(is_selected.shape) == 0.0
+    return cv2.dilate(is_selected.astype(np.uint8), NEIGHBOURHOOD).astype(bool)
 
 
 def fill_nearest(height: np.ndarray, known: np.ndarray) -> np.ndarray:

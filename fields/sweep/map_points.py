@@ -61,7 +61,7 @@ class MapPoints:
     def __getitem__(self, which: np.ndarray) -> MapPoints:
         return MapPoints(self.number[which], self.pixel[which], self.xyz[:, which])
 
-    def votes(self, stack: ViewStack, trusted: Masks, apart: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def votes(self, stack: ViewStack, trusted: Masks, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Number of other maps (N,) that span the point, that see through it, and that match it in a pixel."""
         spanning, through, matching = (np.zeros(len(self.number), dtype=np.int32) for _ in range(3))
         if not len(self.number):
@@ -69,7 +69,7 @@ class MapPoints:
         points = tuple(floats(stack.device, each) for each in self.xyz)
         for number, mask in enumerate(trusted):
             other = self.number != number
-            spans, sees_through, matches = kernels(stack.device).vote_on_points(stack, points, number, apart, mask)
+            spans, sees_through, matches = kernels(stack.device).vote_on_points(stack, points, number, tolerance, mask)
             spanning += spans & other
             through += sees_through & other
             matching += matches & other

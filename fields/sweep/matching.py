@@ -73,15 +73,19 @@ def match_view(reference: Reference, hypotheses: Hypotheses, columns: np.ndarray
     none = (backend.full(stack.device, (height, width), value) for value in (-1.0, 0.0))
     found = [backend.flat_copy(start), *(backend.flat_view(each) for each in none)]
     columns = np.tile([0, width], (height, 1)) if columns is None else columns
-    wanted = np.flatnonzero(columns[:, 1] > columns[:, 0])
-    wanted = wanted[(wanted >= radius) & (wanted < height - radius)] if width > 2 * radius else wanted[:0]
-    for first in range(wanted[0], wanted[-1] + 1, rows) if len(wanted) else ():
-        last = min(first + rows, wanted[-1] + 1)
-        here = columns[wanted[(wanted >= first) & (wanted < last)]]
-        if not len(here):
+    rows_to_match = np.flatnonzero(columns[:, 1] > columns[:, 0])
+    rows_to_match = (
+        rows_to_match[(rows_to_match >= radius) & (rows_to_match < height - radius)]
+        if width > 2 * radius
+        else rows_to_match[:0]
+    )
+    for first in range(rows_to_match[0], rows_to_match[-1] + 1, rows) if len(rows_to_match) else ():
+        last = min(first + rows, rows_to_match[-1] + 1)
+        spans = columns[rows_to_match[(rows_to_match >= first) & (rows_to_match < last)]]
+        if not len(spans):
             continue
-        left, right = _span(int(here[:, 0].min()), int(here[:, 1].max()), width, radius)
-        inner = slice(max(int(here[:, 0].min()), radius), min(int(here[:, 1].max()), width - radius))
+        left, right = _span(int(spans[:, 0].min()), int(spans[:, 1].max()), width, radius)
+        inner = slice(max(int(spans[:, 0].min()), radius), min(int(spans[:, 1].max()), width - radius))
         strip = np.s_[first - radius : last + radius, left:right]
         grey, begin = backend.grey(stack, view, strip), backend.crop(start, strip)
         rays = partial(_rays_of_strip, stack, view, strip)

@@ -88,8 +88,8 @@ def lie_beneath(
         return np.zeros(0, dtype=bool)
     steps = range(-around, around + 1)
     column, row = _columns_and_rows(xyz, gsd)
-    wanted = np.stack([_number(column + x, row + y) for x in steps for y in steps])
-    cells, cell_of = np.unique(wanted, return_inverse=True)
+    cells_around = np.stack([_number(column + x, row + y) for x in steps for y in steps])
+    cells, cell_of = np.unique(cells_around, return_inverse=True)
     top = np.full(len(cells), -np.inf, dtype=np.float32)
     for number, mask in enumerate(kept):
         points = points_of_pixels(stack, number, np.flatnonzero(mask))
@@ -97,7 +97,7 @@ def lie_beneath(
         place = np.minimum(np.searchsorted(cells, key), len(cells) - 1)
         same = cells[place] == key
         np.maximum.at(top, place[same], points[2][same])
-    return top[cell_of.reshape(wanted.shape)].max(axis=0) > xyz[2] + over_gsd * gsd
+    return top[cell_of.reshape(cells_around.shape)].max(axis=0) > xyz[2] + over_gsd * gsd
 
 
 def _columns_and_rows(xyz: np.ndarray, gsd: float) -> np.ndarray:
@@ -123,13 +123,13 @@ def without_ghosts(block: Block, maps: Sequence[HeightMap], kept: Masks, gsd: fl
     """
     cameras = [block.cameras[view] for view in views_of(maps)]
     shapes = [(camera.height, camera.width) for camera in cameras]
-    all_trusted, beside, left = (Masks(list(shapes)) for _ in range(3))
+    all_trusted, near_steps, left = (Masks(list(shapes)) for _ in range(3))
     for index, m in enumerate(maps):
         all_trusted[index], left[index] = trusted(m), kept[index]
-        beside[index] = left[index] & pixels_beside_steps(m.height, gsd)
+        near_steps[index] = left[index] & pixels_beside_steps(m.height, gsd)
     images = LazyImages(lambda index: maps[index].height, len(cameras), largest(cameras), 1)
     stack = ViewStack.build(block.device, cameras, images, block.water)
-    points = MapPoints.of(stack, beside)
+    points = MapPoints.of(stack, near_steps)
     points = points[lie_beneath(stack, kept, points.xyz, gsd, _GHOST_OVER_GSD, around=1)]
     matching = points.votes(stack, all_trusted, gsd)[2]
     points, matching = points[matching < _WELL_MATCHED], matching[matching < _WELL_MATCHED]
@@ -177,9 +177,9 @@ def _are_off(
     spread = surface[near] - middle[:, None]
     variances, axes = np.linalg.eigh(np.einsum("nk,nka,nkb->nab", weight, spread, spread))
     thick, wide = np.sqrt(np.maximum(variances[:, :2], 0.0)).T
-    aside, normal = points - middle, axes[:, :, 0]
-    off = np.einsum("na,na->n", aside, normal)
-    beside = np.linalg.norm(aside - off[:, None] * normal, axis=1)
+    offset, normal = points - middle, axes[:, :, 0]
+    off = np.einsum("na,na->n", offset, normal)
+    lateral = np.linalg.norm(offset - off[:, None] * normal, axis=1)
     is_piece = (known.sum(axis=1) >= _LEAST_POINTS) & (thick < _FLAT_GSD) & (wide > _WIDE_GSD)
     few = matching < _SHARE_OF_PIECE * np.einsum("nk,nk->n", weight, of_surface[near])
-    return is_piece & few & (np.abs(off) > _OFF_GSD) & (beside < _BESIDE_GSD)
+    return is_piece & few & (np.abs(off) > _OFF_GSD) & (lateral < _BESIDE_GSD)

@@ -34,25 +34,30 @@ class Consistency:
     contrast: float  # [grey levels]: standard deviation of its grey levels in that band
 
 
-def photo_consistency(block: Block, maps: Sequence[HeightMap], whole: PinholeCamera | None = None) -> list[Consistency]:
+def photo_consistency(
+    block: Block, maps: Sequence[HeightMap], full_camera: PinholeCamera | None = None
+) -> list[Consistency]:
     """Each photograph of a block, in its order, against the trusted points of the height maps of others.
 
-    Where views are windows of photographs, ``whole`` is the camera of one of these: a window is reduced as the whole
-    is, and gives as many points as its share of the pixels.
+    Where views are windows of photographs, ``full_camera`` is the camera of one of these: a window is reduced as the
+    whole is, and gives as many points as its share of the pixels.
     """
-    scale = min(1.0, _WIDTH_PX / (max(camera.width for camera in block.cameras) if whole is None else whole.width))
+    width = max(camera.width for camera in block.cameras) if full_camera is None else full_camera.width
+    scale = min(1.0, _WIDTH_PX / width)
     cameras = [camera.scaled(scale) for camera in block.cameras]
     bands = [_band(block.images[view], scale) for view in range(len(cameras))]
-    xyz, grey, source = _points(block, maps, bands, scale, None if whole is None else whole.width * whole.height)
+    xyz, grey, source = _points(
+        block, maps, bands, scale, None if full_camera is None else full_camera.width * full_camera.height
+    )
     found = []
     for view, (camera, band) in enumerate(zip(cameras, bands, strict=True)):
         others = source != view
         at = camera.project(xyz[others], block.water)
         seen = camera.sees(at)
-        here, there = _sampled(band, at[seen]), grey[others][seen]
-        known = np.isfinite(here)
+        sampled, expected = _sampled(band, at[seen]), grey[others][seen]
+        known = np.isfinite(sampled)
         contrast = float(np.nanstd(band)) if np.isfinite(band).any() else 0.0
-        found.append(Consistency(int(known.sum()), _correlation(here[known], there[known]), contrast))
+        found.append(Consistency(int(known.sum()), _correlation(sampled[known], expected[known]), contrast))
     return found
 
 

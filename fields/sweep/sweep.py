@@ -48,7 +48,7 @@ def device_map_store(device: Device, make_store: StoreFactory, budget_bytes: int
 
     Maps on the device take ``budget_bytes``, by default half of its memory.
     """
-    if not device.apart:
+    if not device.has_own_memory:
         return make_store
     budget = MemoryBudget(int(_SHARE * memory_bytes(device)) if budget_bytes is None else budget_bytes)
     return lambda: DeviceMaps(device, make_store(), budget)
@@ -56,7 +56,7 @@ def device_map_store(device: Device, make_store: StoreFactory, budget_bytes: int
 
 def to_host_maps(device: Device, maps: Maps, make_store: StoreFactory) -> Maps:
     """Maps moved to the memory of the host; the store on the device is emptied."""
-    if not device.apart:
+    if not device.has_own_memory:
         return maps
     found = make_store()
     for view in list(maps):
@@ -116,7 +116,7 @@ class EarlierMaps:
 
     # mapping of view to HeightMap: views that have one keep its heights and confirm those of the others
     maps: Mapping[int, HeightMap]
-    again: Collection[int] = ()  # views of ``maps`` that go on from there, with the finer passes
+    continued: Collection[int] = ()  # views of ``maps`` that go on from there, with the finer passes
 
 
 def sweep(
@@ -148,7 +148,7 @@ def sweep(
     maps = make_device_store()
     work = _begin(block, chosen, settings, earlier, maps)
     views = sorted({each.view for of_pass in work for each in of_pass} | set(maps))
-    peers = {view: block.neighbours(view, PEERS, among=views) for view in views}
+    peers = {view: block.neighbours(view, PEERS, candidates=views) for view in views}
     state = _Sweep(block, settings, work, peers, progress)
     passes = settings.passes
     for number, pass_ in enumerate(passes):
@@ -167,15 +167,15 @@ def _begin(
 ) -> list[Sequence[ViewPass]]:
     """Views that take part in each pass; the maps that chosen views have from an earlier sweep go into ``maps``."""
     size = (block.cameras[0].width, block.cameras[0].height)
-    again, widths = earlier.again, dict[int, int]()
+    continued, widths = earlier.continued, dict[int, int]()
     for view, m in earlier.maps.items():
         if view in chosen:
-            known = m if view in again else upsample_map(m, size)
+            known = m if view in continued else upsample_map(m, size)
             maps[view], widths[view] = image_backend(block.device).upload(block.device, known), m.height.shape[1]
     return [
         view_passes(
             block,
-            [v for v in chosen if _takes_part(size, pass_, widths.get(v), v in again)],
+            [v for v in chosen if _takes_part(size, pass_, widths.get(v), v in continued)],
             pass_,
             None if n else settings.bound,
         )
@@ -208,27 +208,27 @@ class _Sweep:
         self._block, self._settings, self._work, self._peers, self._progress = block, settings, work, peers, progress
         self.views = [{each.view for each in of_pass} for of_pass in work]
         self.fused = [
-            sum(pixels_of(block, pass_, v) * len(peers[v]) for v in mine) if pass_.fuse else 0
-            for pass_, mine in zip(settings.passes, self.views, strict=True)
+            sum(pixels_of(block, pass_, v) * len(peers[v]) for v in views_of_pass) if pass_.fuse else 0
+            for pass_, views_of_pass in zip(settings.passes, self.views, strict=True)
         ]
         # Of each view, radius of its windows less that of the pass.
         self._extra_radius_px = dict.fromkeys(peers, 0)
-        self._wanted: dict[int, np.ndarray] = {}
+        self._selected: dict[int, np.ndarray] = {}
         self._done, self._total, self._reported = 0.0, 0.0, 0.0
 
     def match(self, number: int, maps: Maps) -> dict[int, Any]:
         """Match the views of a pass into ``maps``; the refined pixels of views of which only parts were matched."""
         block, settings, work = self._block, self._settings, self._work[number]
         pass_, extra_px = settings.passes[number], self._extra_radius_px
-        if pass_.points_only and not self._wanted:
-            self._wanted = predict_selected_pixels(block, maps)
-        wanted, refined = self._wanted, dict[int, Any]()
+        if pass_.points_only and not self._selected:
+            self._selected = predict_selected_pixels(block, maps)
+        selected, refined = self._selected, dict[int, Any]()
         to_do = sum(self.fused[number:]) + _samples(settings.passes[number:], self._work[number:], extra_px)
         self._total = self._done + to_do
         # A generator: each job holds a map.
         jobs: Iterator[Job[MatchedView]] = (
-            refine_part(block, pass_, each, maps[each.view], wanted[each.view])
-            if each.view in wanted and not extra_px[each.view]
+            refine_part(block, pass_, each, maps[each.view], selected[each.view])
+            if each.view in selected and not extra_px[each.view]
             else match_pass(block, pass_, each, settings, maps.get(each.view), extra_px[each.view])
             for each in work
         )
@@ -287,9 +287,9 @@ def _views_in_queue(block: Block, pass_: Pass) -> int:
     return 2 if block.stack(pass_.scale).packed.values.most >= 2 * (pass_.neighbours + 1) else 1
 
 
-def _takes_part(size: tuple[int, int], pass_: Pass, width: int | None, again: bool) -> bool:
+def _takes_part(size: tuple[int, int], pass_: Pass, width: int | None, is_continued: bool) -> bool:
     """Whether a view takes part in a pass: one that has a map of some width only if it goes on, in finer passes."""
-    return width is None or (again and pass_.scale * size[0] > _FINER * width)
+    return width is None or (is_continued and pass_.scale * size[0] > _FINER * width)
 
 
 def predict_selected_pixels(block: Block, maps: Mapping[int, HeightMap]) -> dict[int, np.ndarray]:
@@ -321,7 +321,7 @@ def predict_selected_pixels(block: Block, maps: Mapping[int, HeightMap]) -> dict
         LazyImages(lambda number: known[order[number]], len(order), largest(cameras), 1),
         block.water,
     )
-    wanted = {}
+    selected = {}
     for number, view in enumerate(order):
         against = None
         steeper = [
@@ -329,7 +329,7 @@ def predict_selected_pixels(block: Block, maps: Mapping[int, HeightMap]) -> dict
         ]
         middle = backend.median_above(known[view], -math.inf) if steeper else None
         if middle is not None:
-            tolerance = block.agreement_tolerance(view, block.neighbours(view, 8, among=order), middle)
+            tolerance = block.agreement_tolerance(view, block.neighbours(view, 8, candidates=order), middle)
             against, _, _ = kernels(block.device).compare_heights(heights, number, steeper, tolerance)
-        wanted[view] = backend.newly_visible(block.device, known[view], against)
-    return wanted
+        selected[view] = backend.newly_visible(block.device, known[view], against)
+    return selected

@@ -134,9 +134,9 @@ def match_pass(
         found, radius = yield from match_with_adaptive_windows(reference, hypotheses, columns)
     # The search has windows of its own, narrower than those that were too narrow here.
     if pass_.discontinuities is not None and radius == pass_.radius:
-        among = _mask_of(columns(radius), shape[1]) if pass_.in_area else None
+        matched = _mask_of(columns(radius), shape[1]) if pass_.in_area else None
         parallax = pass_.spacing_px / step
-        found = yield from search_discontinuities(reference, found, parallax, pass_.discontinuities, among)
+        found = yield from search_discontinuities(reference, found, parallax, pass_.discontinuities, matched)
     height, score, _ = found
     m = backend.new_map(view, height, _of_shown(block, pass_, view, score))
     return MatchedView(m, extra_radius_px=radius - pass_.radius)
@@ -232,8 +232,8 @@ def columns_over_area(
     low, high, side = extremes_of_squares(camera, height)
     meets = squares_over_area(rays_of(low.shape), area, low, high)
     of_row, of_column = (
-        ((np.arange(whole) + 0.5) * length / whole).astype(int) // side
-        for whole, length in zip(shape, height.shape, strict=True)
+        ((np.arange(full_length) + 0.5) * length / full_length).astype(int) // side
+        for full_length, length in zip(shape, height.shape, strict=True)
     )
     return _columns_of(meets[np.ix_(of_row, of_column)])
 

@@ -161,12 +161,12 @@ def cover(
     steep = ray[:, 2] > np.cos(np.radians(STEEP_DEG)) * np.linalg.norm(ray, axis=1)
     quarter = np.floor(np.arctan2(ray[:, 1], ray[:, 0]) / (0.5 * np.pi)).astype(int) % 4
 
-    def among(use: np.ndarray) -> csr_array:
+    def subset(use: np.ndarray) -> csr_array:
         return csr_array((np.ones(int(use.sum()), dtype=bool), (view[use], cell[use])), shape=seen.shape)
 
-    chosen = _greedy(among(steep), [], times)
+    chosen = _greedy(subset(steep), [], times)
     for side in range(4):
-        chosen = _greedy(among(~steep & (quarter == side)), chosen, times_oblique)
+        chosen = _greedy(subset(~steep & (quarter == side)), chosen, times_oblique)
     return sorted(_greedy(seen, chosen, times))
 
 
@@ -182,10 +182,10 @@ def _greedy(seen: csr_array, chosen: list[int], times: int) -> list[int]:
             return chosen
         best = int(gain.argmax())
         chosen.append(best)
-        mine = cells_of(seen, best)
-        have[mine] += 1
+        own_cells = cells_of(seen, best)
+        have[own_cells] += 1
         # Only the cells that have enough now count less: thousands of views would take minutes otherwise.
-        gain -= views_of_cell[:, mine[have[mine] == need[mine]]].sum(axis=1)
+        gain -= views_of_cell[:, own_cells[have[own_cells] == need[own_cells]]].sum(axis=1)
 
 
 def cells_of(seen: csr_array, view: int) -> np.ndarray:
@@ -195,29 +195,29 @@ def cells_of(seen: csr_array, view: int) -> np.ndarray:
 
 def overlaps(seen: csr_array, view: int) -> np.ndarray:
     """Share (V,) of the cells that a view sees which each view sees; it sees one at least."""
-    mine = cells_of(seen, view)
-    is_mine = np.zeros(seen.shape[1], dtype=np.int64)
-    is_mine[mine] = 1
-    return (seen @ is_mine) / len(mine)
+    own_cells = cells_of(seen, view)
+    is_own = np.zeros(seen.shape[1], dtype=np.int64)
+    is_own[own_cells] = 1
+    return (seen @ is_own) / len(own_cells)
 
 
 def neighbours(
-    cameras: list[PinholeCamera], seen: csr_array, cells: np.ndarray, view: int, among: list[int], count: int
+    cameras: list[PinholeCamera], seen: csr_array, cells: np.ndarray, view: int, candidates: list[int], count: int
 ) -> list[int]:
     """The ``count`` best neighbours of a view among others by overlap, intersection angle and spread of directions.
 
     Greedy: each is the best beside those before it, in directions and in the parts of the view that it sees.
     """
-    mine = cells_of(seen, view)
-    if not len(mine):
+    own_cells = cells_of(seen, view)
+    if not len(own_cells):
         return []
     overlap = overlaps(seen, view)
-    others = [o for o in among if o != view and overlap[o] >= _LEAST_OVERLAP]
-    shared = seen[others][:, mine].astype(np.float64)
+    others = [o for o in candidates if o != view and overlap[o] >= _LEAST_OVERLAP]
+    shared = seen[others][:, own_cells].astype(np.float64)
     # Cells that chosen neighbours see count less for the next ones: else corners of a view may have none.
-    weight = np.full(len(mine), 1.0 / len(mine))
+    weight = np.full(len(own_cells), 1.0 / len(own_cells))
     centres = np.array([c.centre for c in cameras])
-    rays = centres - cells[mine].mean(axis=0)
+    rays = centres - cells[own_cells].mean(axis=0)
     rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     angle = np.degrees(np.arccos(np.clip(rays[others] @ rays[view], -1.0, 1.0)))
     suitable = np.exp(-0.5 * ((angle - BEST_ANGLE_DEG) / ANGLE_WIDTH_DEG) ** 2)

@@ -132,12 +132,12 @@ def window_std(m: HeightMap) -> np.ndarray:
     for axis in (0, 1):
         if size[axis] <= 2 * _SIDE:
             continue
-        before, here, after = (
+        before, centre, after = (
             np.moveaxis(np.stack([m.height, known]), axis + 1, 1)[:, each]
             for each in (np.s_[: -2 * _SIDE], np.s_[_SIDE:-_SIDE], np.s_[2 * _SIDE :])
         )
-        all_known = before[1] * here[1] * after[1]
-        bend = before[0] - 2.0 * here[0] + after[0]
+        all_known = before[1] * centre[1] * after[1]
+        bend = before[0] - 2.0 * centre[0] + after[0]
         for target, values in ((total, all_known * bend * bend), (weight, all_known)):
             np.moveaxis(target, axis, 0)[_SIDE:-_SIDE] += values
     near, count = (_gaussian(each, _SIDE) for each in (total, weight))

@@ -73,9 +73,9 @@ def draw_nodes(
     low, size = (_single(v, place) for v in (model.box.low, model.box.size / counts))
     x = low + size * (corner[:, None] + torch.rand(drawn, points, 3, device=place))
     axes = torch.eye(3, device=place)
-    aside = 0.5 * length * torch.cat([axes.new_zeros(1, 3), axes, -axes])
-    here, after, before = of(model, x[:, :, None] + aside, length).split([1, 3, 3], dim=2)
-    return Drawn(node, here[:, :, 0], after - before)
+    offsets = 0.5 * length * torch.cat([axes.new_zeros(1, 3), axes, -axes])
+    middle, after, before = of(model, x[:, :, None] + offsets, length).split([1, 3, 3], dim=2)
+    return Drawn(node, middle[:, :, 0], after - before)
 
 
 def density_loss(drawn: Drawn) -> Tensor:
@@ -118,8 +118,8 @@ def gaussian_density_loss(
     place = model.place
     low, size = (_single(v, place) for v in (model.box.low, model.box.size))
     x = low + size * torch.rand(points, 1, 3, device=place)
-    aside = length * torch.randn(points, PAIRS, 3, device=place)
-    a = of(model, torch.cat([x, x + aside, x - aside], dim=1), length)
+    offsets = length * torch.randn(points, PAIRS, 3, device=place)
+    a = of(model, torch.cat([x, x + offsets, x - offsets], dim=1), length)
     return ((a[:, 0] - a[:, 1:].mean(dim=1)) ** 2).mean()
 
 

@@ -110,11 +110,11 @@ class GroundPlaneVolume(VolumeModel):
     def radiance(self, features: Tensor, direction: Tensor, appearance: Tensor | None) -> Tensor:
         width = self.factors.num_features
         planes, hidden, counts = features[:, :width], features[:, width:-1], features[:, -1:]
-        beside = [] if appearance is None else [appearance]
+        conditions = [] if appearance is None else [appearance]
         if self.settings.degree:
-            beside.insert(0, spherical_harmonics(-direction, self.settings.degree))
-        raw = self.colour(torch.cat([planes, *beside], dim=1))
-        raw = raw + counts * self.nerf_colour(torch.cat([hidden, *beside], dim=1))
+            conditions.insert(0, spherical_harmonics(-direction, self.settings.degree))
+        raw = self.colour(torch.cat([planes, *conditions], dim=1))
+        raw = raw + counts * self.nerf_colour(torch.cat([hidden, *conditions], dim=1))
         return nn.functional.softplus(raw, beta=4.0)
 
     def observe(self, losses: list[float]) -> bool:

@@ -74,8 +74,8 @@ class VolumeModel(nn.Module):
 
     def density_gradient(self, x: Tensor, step: float) -> Tensor:
         """Gradient of density (S, 3) [1/m2] at positions (S, 3) [m], by central differences of ``step`` [m]."""
-        aside = step * torch.eye(3, device=x.device)
-        ends = torch.cat([x + a for a in aside] + [x - a for a in aside])
+        steps = step * torch.eye(3, device=x.device)
+        ends = torch.cat([x + a for a in steps] + [x - a for a in steps])
         after, before = self.evaluate(ends)[0].view(2, 3, -1)
         return ((after - before) / (2.0 * step)).T
 

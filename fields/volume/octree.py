@@ -169,11 +169,11 @@ class OctreeVolume(VolumeModel):
             margin + (1.0 - 2.0 * margin) * torch.rand(1, POINTS, 3, device=self.place)
         )
         axes = (torch.eye(3, device=self.place) * cell)[inner]
-        aside = torch.cat([axes.new_zeros(1, 3), axes, -axes])
-        near = (u[:, :, None] + edge[..., None] * aside).reshape(-1, 3)
+        offsets = torch.cat([axes.new_zeros(1, 3), axes, -axes])
+        near = (u[:, :, None] + edge[..., None] * offsets).reshape(-1, 3)
         length = (self.box.edge / self.settings.cells) * 2.0 ** -self.level[parent].to(torch.float32)
-        fine = self._density(self.features(near, child.repeat_interleave(len(aside) * POINTS)))
-        fine = fine.view(len(child), POINTS, len(aside))
+        fine = self._density(self.features(near, child.repeat_interleave(len(offsets) * POINTS)))
+        fine = fine.view(len(child), POINTS, len(offsets))
         coarse = self._density(self.features(u.reshape(-1, 3), parent.repeat_interleave(POINTS))).view(
             len(child), POINTS
         )
@@ -212,8 +212,8 @@ class OctreeVolume(VolumeModel):
         share = margin + (1.0 - 2.0 * margin) * torch.rand(len(node), POINTS, 3, device=self.place)
         u = self.low[node][:, None] + edge[:, None, None] * share
         axes = torch.eye(3, device=self.place) / counts
-        aside = 0.5 * torch.cat([torch.zeros_like(axes[:1]), axes, -axes])
-        near = (u[:, :, None] + edge[:, None, None, None] * aside).reshape(-1, 3)
+        offsets = 0.5 * torch.cat([torch.zeros_like(axes[:1]), axes, -axes])
+        near = (u[:, :, None] + edge[:, None, None, None] * offsets).reshape(-1, 3)
         density = self._density(self.features(near, node.repeat_interleave(7 * POINTS))).view(len(node), POINTS, 7)
         a = -torch.expm1(-density * (self.box.edge / self.settings.cells) * edge[:, None, None])
         gradient = (a[..., 1:4] - a[..., 4:]).mean(dim=1).norm(dim=1)

@@ -109,7 +109,7 @@ class Paths:
     near: Tensor
     far: Tensor
     reflectance: Tensor  # (N,): fresnel reflectance at the water; 0 where there is none
-    fall: Tensor  # (N,): depth under the surface that a path gains per metre in water
+    cos_wet: Tensor  # (N,): cosine of the angle of refraction, depth that a path gains per metre in water
     rgb: Tensor  # (N, 3): Photograph, 0 to 1, as stored (not linear)
     view: Tensor  # (N,) int64: which photograph
     # (N, 8) or (N, 0): priors of the pixels (`fields.volume.photographs`); no columns where there are none
@@ -186,16 +186,16 @@ def paths_along(
         far = np.where(under, np.maximum(far, crossing + leaves), far)
     meets = (near < far) & np.isfinite(wet).all(axis=-1)
     near, far = np.where(meets, near, 0.0), np.where(meets, far, 0.0)
-    reflectance, fall = np.zeros(len(origin)), np.zeros(len(origin))
+    reflectance, cos_wet = np.zeros(len(origin)), np.zeros(len(origin))
     if water is not None and bent.wet.any():
         at = bent.crossing[bent.wet]
         up = np.stack(np.broadcast_arrays(*water.normal(at[:, 0], at[:, 1])), axis=-1)
         before = -(bent.air_direction[bent.wet] * up).sum(axis=-1)
         reflectance[bent.wet] = fresnel_coefficients(before, n_from=1.0, n_to=water.n_water).reflectance
-        fall[bent.wet] = -(wet[bent.wet] * up).sum(axis=-1)
+        cos_wet[bent.wet] = -(wet[bent.wet] * up).sum(axis=-1)
     return Paths(
         _single(origin), _single(bent.air_direction), _single(wet), _single(crossing), _single(near), _single(far),
-        _single(reflectance), _single(fall), rgb, view, torch.empty(len(origin), 0),
+        _single(reflectance), _single(cos_wet), rgb, view, torch.empty(len(origin), 0),
     )  # fmt: skip
 
 

@@ -54,9 +54,9 @@ class PriorImages:
         if self.length is not None and self.std is not None:
             found[:, 0], found[:, 1] = self.length[rows, columns], self.std[rows, columns]
         if self.depth is not None:
-            ahead = camera.directions(np.stack([columns + 0.5, rows + 0.5], axis=-1)) @ camera.cam_from_local[2]
+            cosine = camera.directions(np.stack([columns + 0.5, rows + 0.5], axis=-1)) @ camera.cam_from_local[2]
             # depth = a m + b along the axis is length = a m / ahead + b / ahead along the ray; its inverse likewise.
-            per_axis = ahead if self.is_inverse else 1.0 / ahead
+            per_axis = cosine if self.is_inverse else 1.0 / cosine
             found[:, 2], found[:, 3] = self.depth[rows, columns] * per_axis, per_axis
             found[:, 4] = -1.0 if self.is_inverse else 1.0
         if self.normal is not None:

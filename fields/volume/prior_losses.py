@@ -181,8 +181,8 @@ def ssim_loss(rendered: Tensor, seen: Tensor, shown: Tensor | None = None) -> Te
     ssim = (2.0 * mx * my + C1) * (2.0 * cov + C2) / ((mx**2 + my**2 + C1) * (vx + vy + C2))
     if shown is None:
         return 0.5 * (1.0 - ssim).mean()
-    whole = (mean(shown[:, None]) > 1.0 - 0.5 / WINDOW**2).to(ssim.dtype).expand_as(ssim)
-    return 0.5 * ((1.0 - ssim) * whole).sum() / whole.sum().clamp(min=1.0)
+    complete = (mean(shown[:, None]) > 1.0 - 0.5 / WINDOW**2).to(ssim.dtype).expand_as(ssim)
+    return 0.5 * ((1.0 - ssim) * complete).sum() / complete.sum().clamp(min=1.0)
 
 
 def smooth_normals_loss(normals: Tensor, seen: Tensor) -> Tensor:
@@ -211,17 +211,17 @@ def virtual_view(
     renderer: VolumeRenderer, paths: Paths, rendered: Rendered, cells: Cells, water: WaterSurface | None
 ) -> VirtualView:
     """The points at the median of the weights, taken without gradient, from a camera beside each photograph's."""
-    met = ((rendered.opacity > MIN_OPACITY) & (paths.near < paths.far)).detach()
+    is_hit = ((rendered.opacity > MIN_OPACITY) & (paths.near < paths.far)).detach()
     depth = rendered.depth.detach()
     box = renderer.model.box
     middle = torch.as_tensor(0.5 * (box.low + box.high), dtype=depth.dtype, device=depth.device)
-    points = torch.where(met[:, None], paths.at(depth[:, None])[:, 0], middle)
-    away = BASELINE * (depth * met).sum() / met.sum().clamp(min=1)
-    moved, length = paths_through(paths.origin + away * _offsets(paths.view), points, water, paths, box)
-    again = renderer.render(moved, renderer.samples(moved, cells, SAMPLES, jitter=True))
+    points = torch.where(is_hit[:, None], paths.at(depth[:, None])[:, 0], middle)
+    baseline = BASELINE * (depth * is_hit).sum() / is_hit.sum().clamp(min=1)
+    moved, length = paths_through(paths.origin + baseline * _offsets(paths.view), points, water, paths, box)
+    virtual = renderer.render(moved, renderer.samples(moved, cells, SAMPLES, jitter=True))
     cell = cells.box.edge / max(cells.occupied.shape)
-    shown = (again.depth > length - HIDDEN_CELLS * cell) & (moved.near < moved.far) & met
-    return VirtualView(again, length, shown.detach())
+    shown = (virtual.depth > length - HIDDEN_CELLS * cell) & (moved.near < moved.far) & is_hit
+    return VirtualView(virtual, length, shown.detach())
 
 
 def virtual_view_loss(
@@ -238,10 +238,12 @@ def virtual_view_loss(
         return rendered.rgb.new_zeros(())
     paths, rendered = paths[seen], _rows(rendered, seen)
     found = virtual_view(renderer, paths, rendered, cells, water)
-    again, shown = found.rendered, found.shown
-    colour = ((again.rgb - paths.rgb) ** 2).mean(dim=1)
-    away = (again.weights * (again.samples.s - found.length[:, None]).abs()).sum(dim=1) / renderer.model.box.edge
-    return ((colour + away) * shown).sum() / shown.sum().clamp(min=1)
+    virtual, shown = found.rendered, found.shown
+    colour = ((virtual.rgb - paths.rgb) ** 2).mean(dim=1)
+    depth_error = (virtual.weights * (virtual.samples.s - found.length[:, None]).abs()).sum(
+        dim=1
+    ) / renderer.model.box.edge
+    return ((colour + depth_error) * shown).sum() / shown.sum().clamp(min=1)
 
 
 def virtual_patch_loss(
@@ -261,9 +263,9 @@ def virtual_patch_loss(
     rows = torch.arange(len(paths), device=paths.near.device).view(patches, -1)[::EVERY].reshape(-1)
     paths, rendered = paths[rows], _rows(rendered, rows)
     found = virtual_view(renderer, paths, rendered, cells, water)
-    seen, again = as_patches(paths.rgb, size), as_patches(found.rendered.rgb, size)
-    shown = as_patches(found.shown, size).to(again.dtype)
-    return (1.0 - masked_ncc(again, seen, shown)) ** 2 + 2.0 * ssim_loss(again, seen, shown)
+    seen, virtual = as_patches(paths.rgb, size), as_patches(found.rendered.rgb, size)
+    shown = as_patches(found.shown, size).to(virtual.dtype)
+    return (1.0 - masked_ncc(virtual, seen, shown)) ** 2 + 2.0 * ssim_loss(virtual, seen, shown)
 
 
 def masked_ncc(rendered: Tensor, seen: Tensor, shown: Tensor) -> Tensor:

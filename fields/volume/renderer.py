@@ -123,19 +123,19 @@ class VolumeRenderer(nn.Module):
             weights = with_opaque_end(weights, (paths.far > paths.near)[:, None])
         opacity = weights.sum(dim=1, keepdim=True)
 
-        def look(where: Tensor) -> Tensor:
+        def radiance_of(where: Tensor) -> Tensor:
             vectors = None if self.appearance is None else self.appearance(paths.view)[where // num]
             return self.model.radiance(features[where], direction[where], vectors)
 
-        colour = composite(weights, look, opacity)
+        colour = composite(weights, radiance_of, opacity)
         if self.background is not None:
             colour = colour + (1.0 - opacity) * self.background(paths)
         if self.column is not None and not dry:
             mean = (weights.detach() * samples.s).sum(dim=1) + (1.0 - opacity.detach()[:, 0]) * paths.far
             length = paths.length_in_water(mean)
             # Light of dry ground crosses no surface.
-            way = self.column.way(paths.fall * length, length)
-            colour = self.column(colour, way, torch.where(length > 0.0, paths.reflectance, 0.0))
+            path_length = self.column.path_length(paths.cos_wet * length, length)
+            colour = self.column(colour, path_length, torch.where(length > 0.0, paths.reflectance, 0.0))
         normals = None if self.normals is None else self.normals.along(weights, features)
         return Rendered(as_stored(colour), weights, samples, normals)
 
@@ -231,7 +231,7 @@ def render_volume(
         parts.append((seen.rgb.clamp(max=1.0), depth, seen.opacity, paths.at(depth[:, None])[:, 0]))
     columns = [torch.cat(column).cpu().numpy() for column in zip(*parts, strict=True)]
     if shown is not None:
-        columns = [_spread(column, shown, camera, rest) for column, rest in zip(columns, _UNSEEN, strict=True)]
+        columns = [_spread(column, shown, camera, fill) for column, fill in zip(columns, _UNSEEN, strict=True)]
     return VolumeImage(*(c.reshape(camera.height, camera.width, *c.shape[1:]) for c in columns))
 
 
@@ -239,11 +239,11 @@ def render_volume(
 _UNSEEN = (0.0, np.nan, 0.0, np.nan)
 
 
-def _spread(values: np.ndarray, shown: np.ndarray, camera: PinholeCamera, rest: float) -> np.ndarray:
-    """Values (n, ...) of some pixels of a camera among all of them, the others ``rest``."""
-    whole = np.full((camera.height * camera.width, *values.shape[1:]), rest, dtype=values.dtype)
-    whole[shown] = values
-    return whole
+def _spread(values: np.ndarray, shown: np.ndarray, camera: PinholeCamera, fill: float) -> np.ndarray:
+    """Values (n, ...) of some pixels of a camera among all of them, the others ``fill``."""
+    image = np.full((camera.height * camera.width, *values.shape[1:]), fill, dtype=values.dtype)
+    image[shown] = values
+    return image
 
 
 def chunk_of(renderer: VolumeRenderer, samples: int) -> int:

@@ -32,8 +32,8 @@ def inverse_cdf(bin_edges: Tensor, mass: Tensor, level: Tensor) -> Tensor:
     total = torch.cumsum(mass, dim=1)
     target = (level * total[:, -1:]).contiguous()
     index = torch.searchsorted(total, target, right=True).clamp(max=mass.shape[1] - 1)
-    here = mass.gather(1, index)
-    share = ((target - (total.gather(1, index) - here)) / here.clamp(min=1e-12)).clamp(0.0, 1.0)
+    bin_mass = mass.gather(1, index)
+    share = ((target - (total.gather(1, index) - bin_mass)) / bin_mass.clamp(min=1e-12)).clamp(0.0, 1.0)
     start, end = bin_edges.gather(1, index), bin_edges.gather(1, index + 1)
     return start + share * (end - start)
 

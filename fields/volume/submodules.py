@@ -173,8 +173,8 @@ class Blend:
             mask.flat[shown] = True
         self._rgb[mask] += weight * seen.rgb[mask]
         self._weight[mask] += weight
-        met = mask & np.isfinite(seen.distance) & (seen.opacity > LEAST_OPACITY)
-        rank = np.where(met, weight + (self.grid.owner(seen.points) == number), -1.0)
+        is_hit = mask & np.isfinite(seen.distance) & (seen.opacity > LEAST_OPACITY)
+        rank = np.where(is_hit, weight + (self.grid.owner(seen.points) == number), -1.0)
         better = rank > self._rank
         for kept, new in ((self._rank, rank), (self._distance, seen.distance), (self._opacity, seen.opacity)):
             kept[better] = new[better]
@@ -261,14 +261,14 @@ def matched_vector(
     rng, place = np.random.default_rng(seed), target.renderer.model.place
     vector = appearance_vectors(1, own.shape[1]).to(place)
     vector.weight.data += own.mean(dim=0)
-    wanted = source.cells.to(place)
+    source_cells = source.cells.to(place)
 
     def draw() -> Paths:
         some = shared[rng.integers(len(shared.view), size=rays)]
-        paths, theirs = some.paths(water, target.box).to(place), some.paths(water, source.box).to(place)
+        paths, source_paths = some.paths(water, target.box).to(place), some.paths(water, source.box).to(place)
         with torch.no_grad():
-            samples = source.renderer.samples(theirs, wanted, SAMPLES, jitter=False)
-            paths.rgb = source.renderer.render(theirs, samples).rgb.clamp(max=1.0)
+            samples = source.renderer.samples(source_paths, source_cells, SAMPLES, jitter=False)
+            paths.rgb = source.renderer.render(source_paths, samples).rgb.clamp(max=1.0)
         return paths
 
     fit_vectors(target.renderer, vector, target.cells, draw, steps=steps, seed=seed)
@@ -330,8 +330,8 @@ def matching_pairs(boxes: Sequence[Box], root: int, bed: np.ndarray) -> Iterator
     common = inside.astype(int) @ inside.T.astype(int)
     done = [root]
     while len(done) < len(boxes):
-        rest = [m for m in range(len(boxes)) if m not in done]
-        m, n = max(((m, n) for m in rest for n in done), key=lambda pair: common[pair])
+        remaining = [m for m in range(len(boxes)) if m not in done]
+        m, n = max(((m, n) for m in remaining for n in done), key=lambda pair: common[pair])
         yield m, n
         done.append(m)
 

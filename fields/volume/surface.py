@@ -63,8 +63,8 @@ def distance_of(rendered: Rendered, rule: Rule, density: float) -> Tensor:
         first = dense.to(torch.int8).argmax(dim=1, keepdim=True)
         distance = torch.where(dense.any(dim=1), samples.s.gather(1, first)[:, 0], torch.nan)
     last = samples.edges[:, -2]
-    met = (rendered.opacity > LEAST_OPACITY) & (distance < last)
-    return torch.where(met, distance, torch.nan)
+    is_hit = (rendered.opacity > LEAST_OPACITY) & (distance < last)
+    return torch.where(is_hit, distance, torch.nan)
 
 
 @half_the_threads()
@@ -126,10 +126,10 @@ def _of_view(
         paths = paths_of(camera, water, np.stack([columns + 0.5, rows + 0.5], axis=-1), rgb, box, view)
         paths = paths.to(renderer.model.place)
         distance = distances(paths)
-        met = torch.isfinite(distance).cpu().numpy()
-        points = paths.at(torch.nan_to_num(distance)[:, None])[:, 0].cpu().numpy()[met].astype(np.float64)
-        incidence = np.arccos(np.clip(-(paths.air.cpu().numpy()[met] @ up), -1.0, 1.0))
-        parts.append(np.column_stack([points, rgb[met], incidence, np.full(met.sum(), view)]))
+        is_hit = torch.isfinite(distance).cpu().numpy()
+        points = paths.at(torch.nan_to_num(distance)[:, None])[:, 0].cpu().numpy()[is_hit].astype(np.float64)
+        incidence = np.arccos(np.clip(-(paths.air.cpu().numpy()[is_hit] @ up), -1.0, 1.0))
+        parts.append(np.column_stack([points, rgb[is_hit], incidence, np.full(is_hit.sum(), view)]))
     return np.concatenate(parts)
 
 

@@ -152,12 +152,12 @@ class TensorVolume(VolumeModel):
         self.factors = Factors([grid_of(box, n) for n in scales], settings.directions, settings.channels, device, seed)
         shape = (settings.scales, len(settings.directions), settings.channels)
         self.regression = DensityHead(*shape, reduction=settings.reduction, device=device, shared=settings.shared)
-        look = {"hidden": settings.hidden, "degree": settings.degree, "extra": appearance}
+        head_options = {"hidden": settings.hidden, "degree": settings.degree, "extra": appearance}
         if settings.printed_colour:
             self.weights = ScaleWeights(self.factors.grids, settings.directions, settings.channels)
-            self.colour: nn.Module = PrintedColour(self.factors.num_features, **look)
+            self.colour: nn.Module = PrintedColour(self.factors.num_features, **head_options)
         else:
-            self.colour = ColourHead(*shape, **look)
+            self.colour = ColourHead(*shape, **head_options)
         nn.init.ones_(self.regression.coarse.weight)
 
     def evaluate(self, x: Tensor) -> tuple[Tensor, Tensor]:

@@ -132,14 +132,14 @@ class TensorfVolume(VolumeModel):
         return True
 
     def penalty(self, x: Tensor) -> Tensor:
-        of, fall = self.settings, self.FALL ** (self._step / self.settings.steps)
+        of, decay = self.settings, self.FALL ** (self._step / self.settings.steps)
         total = x.new_zeros(())
         if weight := of.l1[min(self._level, 1)]:
             total = total + weight * mean_magnitude(self.density)
         if of.tv_density:
-            total = total + fall * of.tv_density * total_variation(self.density)
+            total = total + decay * of.tv_density * total_variation(self.density)
         if of.tv_colour:
-            total = total + fall * of.tv_colour * total_variation(self.colour)
+            total = total + decay * of.tv_colour * total_variation(self.colour)
         return total
 
     def _refine(self, level: int) -> None:

@@ -180,10 +180,10 @@ def kth_smallest(flat: Any, rank: int) -> float:
     digits = 0
     # Radix selection: a histogram of the next digit of all keys that begin with the digits found before.
     for known, width in _DIGITS:
-        rest = 32 - known - width
+        shift = 32 - known - width
         begins_so = (keys >> (32 - known)) == drjit.opaque(type(keys), digits) if known else True
         counts = drjit.zeros(type(keys), 1 << width)
-        drjit.scatter_add(counts, type(keys)(1), (keys >> rest) & ((1 << width) - 1), begins_so)
+        drjit.scatter_add(counts, type(keys)(1), (keys >> shift) & ((1 << width) - 1), begins_so)
         up_to = np.cumsum(counts.numpy(), dtype=np.int64)
         digit = int(np.searchsorted(up_to, rank, side="right"))
         rank -= int(up_to[digit - 1]) if digit else 0
@@ -220,7 +220,7 @@ def indices(device: Device, array) -> Any:
 
     Those that are on the device stay there.
     """
-    if device.apart and not isinstance(array, np.ndarray):
+    if device.has_own_memory and not isinstance(array, np.ndarray):
         return array if device.module is None else device.module.UInt(array)
     if device.module is not None:
         return device.module.UInt(_aligned(np.ascontiguousarray(array, dtype=np.uint32).ravel()))
@@ -303,7 +303,7 @@ def host(device: Device, array) -> np.ndarray:
 
 def results(device: Device, launched: list[Any]) -> list[Any]:
     """Results of kernels as flat arrays where the passes work on them: on the host, after a wait, or on the device."""
-    return launched if device.apart else [host(device, each) for each in launched]
+    return launched if device.has_own_memory else [host(device, each) for each in launched]
 
 
 @contextmanager

@@ -112,8 +112,8 @@ def run_jobs(device: Device, jobs: Iterable[Job[Found]], most: int = 2) -> Itera
     """Results of jobs in their order; at most ``most`` are under way, one of which has kernels running."""
     numbered, turn = enumerate(jobs), _Queue({}, deque())
     running: tuple[int, Job, Launch] | None = None
-    for wanted in count():
-        while wanted not in turn.found:
+    for next_number in count():
+        while next_number not in turn.found:
             finished = None
             if running is not None:
                 number, job, launched = running
@@ -130,9 +130,9 @@ def run_jobs(device: Device, jobs: Iterable[Job[Found]], most: int = 2) -> Itera
                 following = next(numbered, None)
                 if following is not None:
                     turn.advance(*following, None)
-                elif not turn.ready and running is None and wanted not in turn.found:
+                elif not turn.ready and running is None and next_number not in turn.found:
                     return
-        yield turn.found.pop(wanted)
+        yield turn.found.pop(next_number)
 
 
 @dataclass(frozen=True)

@@ -164,13 +164,13 @@ def _warp_along_curves(ray_points: _RayPoints, part: range, neighbours: list[int
     for group, of_group, targets in zip(*map(_groups, (neighbours, places, values)), strict=True):
         curves = [fit_curve(three) for three in of_group]
 
-        def look(number, at, group=group, targets=targets, curves=curves):
+        def sample_views(number, at, group=group, targets=targets, curves=curves):
             for view, curve, target in zip(group, curves, targets, strict=True):
                 seen = point_on_curve(curve, Float(number) * per_step, stack.camera_rows[view])
                 dr.scatter(target, sample_packed(stack, view, *seen), at)
             return number + 1, at + length
 
-        dr.while_loop(begin, lambda number, at: number < count, look, labels=("number", "at"))
+        dr.while_loop(begin, lambda number, at: number < count, sample_views, labels=("number", "at"))
         dr.eval(targets)
 
 
@@ -290,11 +290,13 @@ def find_duplicates(
     offsets = (0, 1, width, width + 1)
     heights = [dr.gather(Float, stack.pixels[other], corner + offset, inside) for offset in offsets]
     interpolated = _bilinear(heights, fx, fy)
-    for offset, there in zip(offsets, heights, strict=True):
-        off = dr.abs(there - own_height)
+    for offset, neighbour_height in zip(offsets, heights, strict=True):
+        off = dr.abs(neighbour_height - own_height)
         same = inside & (off < dr.opaque(Float, tolerance))
         dr.scatter(claimed, Byte(1), corner + offset, same)
-        dr.scatter(close, Byte(1), corner + offset, same & (dr.minimum(off, dr.abs(there - interpolated)) < most))
+        dr.scatter(
+            close, Byte(1), corner + offset, same & (dr.minimum(off, dr.abs(neighbour_height - interpolated)) < most)
+        )
     dr.eval(claimed, close)
     return claimed.numpy().view(bool), close.numpy().view(bool)
 

@@ -64,7 +64,7 @@ class WideWindows:
         sums: list[Any] = [0.0] * len(rows)
         for first in range(side):
             parts = [_shifted(self.device, each, first * self.width, count) for each in self.rows[: len(rows)]]
-            sums = [whole + part for whole, part in zip(sums, parts, strict=True)]
+            sums = [column_sum + part for column_sum, part in zip(sums, parts, strict=True)]
         return sums
 
 
@@ -222,9 +222,9 @@ def best_half(device: Device, scores: list):
             high = dr.maximum(top[slot], score)
             score = dr.minimum(top[slot], score)
             top[slot] = high
-    wanted = dr.maximum(dr.ceil(0.5 * seen), dr.minimum(seen, 2.0))
+    num_averaged = dr.maximum(dr.ceil(0.5 * seen), dr.minimum(seen, 2.0))
     for slot in range(keep):
-        take = float(slot) < wanted
+        take = float(slot) < num_averaged
         total += dr.select(take, top[slot], 0.0)
         used += dr.select(take, 1.0, 0.0)
     mean = dr.select(used > 0.0, total / dr.maximum(used, 1.0), -1.0)

@@ -157,15 +157,15 @@ def fit_curve(places) -> list:
     is_long = squared > _SHORTEST_PX**2
     share = (middle[0] * chord[0] + middle[1] * chord[1]) / xp.where(is_long, squared, 1.0)
     share = xp.where(is_long, share, 0.5)
-    ahead = (2.0 * share - 1.0) / (1.0 - share)
+    perspective = (2.0 * share - 1.0) / (1.0 - share)
     lateral = (4.0 * (m - share * w) for m, w in zip(middle, chord, strict=True))
-    return [u, v, *chord, ahead, *lateral]
+    return [u, v, *chord, perspective, *lateral]
 
 
 def point_on_curve(curve, at, camera) -> tuple:
     """Pixel position (u, v) [px] at a fraction 0 to 1 of the range of hypotheses, and whether inside the image."""
-    u, v, chord_u, chord_v, ahead, lateral_u, lateral_v = curve
-    share = (1.0 + ahead) * at / (1.0 + ahead * at)
+    u, v, chord_u, chord_v, perspective, lateral_u, lateral_v = curve
+    share = (1.0 + perspective) * at / (1.0 + perspective * at)
     parabola = at * (1.0 - at)
     u, v = u + chord_u * share + lateral_u * parabola, v + chord_v * share + lateral_v * parabola
     return u, v, is_inside(camera, u, v)

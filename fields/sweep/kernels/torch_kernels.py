@@ -176,10 +176,10 @@ def find_duplicates(
     offsets = (0, 1, stack.width_of(other), stack.width_of(other) + 1)
     corners = [heights[corner + offset] for offset in offsets]
     interpolated = _bilinear(corners, fx, fy)
-    for offset, there in zip(offsets, corners, strict=True):
-        off = (there - own_height).abs()
+    for offset, neighbour_height in zip(offsets, corners, strict=True):
+        off = (neighbour_height - own_height).abs()
         same = off < tolerance
-        near = same & (torch.minimum(off, (there - interpolated).abs()) < close_m)
+        near = same & (torch.minimum(off, (neighbour_height - interpolated).abs()) < close_m)
         claimed[corner[same] + offset] = True
         close[corner[near] + offset] = True
     return claimed.cpu().numpy(), close.cpu().numpy()
@@ -286,10 +286,10 @@ def _best_half(score: Tensor, keep: int) -> Tensor:
             high = torch.maximum(top[slot], s)
             s = torch.minimum(top[slot], s)
             top[slot] = high
-    wanted = torch.maximum(torch.ceil(0.5 * seen), seen.clamp(max=2.0))
+    num_averaged = torch.maximum(torch.ceil(0.5 * seen), seen.clamp(max=2.0))
     slots = torch.arange(keep, device=score.device)[:, None]
-    total = torch.where(slots < wanted, top, 0.0).sum(dim=0)
-    return torch.where(wanted > 0.0, total / wanted.clamp(min=1.0), -1.0)
+    total = torch.where(slots < num_averaged, top, 0.0).sum(dim=0)
+    return torch.where(num_averaged > 0.0, total / num_averaged.clamp(min=1.0), -1.0)
 
 
 def best_height(device: Device, mean: Tensor, start: Tensor, step: float, count: int) -> tuple[Tensor, Tensor, Tensor]:

@@ -27,18 +27,18 @@ class Steady:
         self._made: deque[tuple[float, float]] = deque()
         self._first: float | None = None
 
-    def add(self, now: float, whole: float) -> None:
+    def add(self, now: float, total_s: float) -> None:
         """Take in an estimate [s] made at a time."""
         self._first = now if self._first is None else self._first
         if len(self._made) > 1 and now - self._made[-1][0] < _APART_S:
             return
-        self._made.append((now, whole))
+        self._made.append((now, total_s))
         _forget(self._made, 0.5 * (self._first + now))
 
     @property
     def agrees(self) -> bool:
         """Whether those of the later half of the time are alike."""
-        values = [whole for _, whole in self._made]
+        values = [total_s for _, total_s in self._made]
         return len(values) > 1 and bool(max(values) <= _STEADY * min(values))
 
 
@@ -86,10 +86,10 @@ class StepForecast:
 
     def _needed(self, total: float) -> float | None:
         """Time [s] from the last advance to the end."""
-        (then, before), (last, done) = self._history[0], self._history[-1]
-        if done <= before:
+        (first, done_first), (last, done) = self._history[0], self._history[-1]
+        if done <= done_first:
             return None
-        return (last - then) * max(total - done, 0.0) / (done - before)
+        return (last - first) * max(total - done, 0.0) / (done - done_first)
 
 
 def _forget(entries: deque[tuple[float, float]], middle: float) -> None:
@@ -110,7 +110,7 @@ class Forecast:
     """Forecast of the remaining time of a run."""
 
     # How many times as long as stated rates say work takes on this machine, until parts of the run tell
-    slowness: float = 1.0
+    slowdown: float = 1.0
     _parts: dict[str, _Part] = field(default_factory=dict)
     _steady: Steady = field(default_factory=Steady)
     _start: float | None = None
@@ -128,10 +128,10 @@ class Forecast:
         """Replace parts that are worked on at once by one; ``share`` of them is still to be done."""
         found = [each for each in names if each in self._parts]
         if found:
-            whole = _Part(share * sum(self._parts[each].expected_s for each in found))
+            joined = _Part(share * sum(self._parts[each].expected_s for each in found))
             parts = {(name if key == found[0] else key): part for key, part in self._parts.items()}
             self._parts = {key: part for key, part in parts.items() if key not in found}
-            self._parts[name] = whole
+            self._parts[name] = joined
 
     def begin(self, name: str, now: float) -> None:
         """Say that a part begins; parts before it that did not are left out."""
@@ -172,7 +172,7 @@ class Forecast:
                 running = part
         if running is not None and running.began is not None and of_part_s is not None:
             took, expected = took + now - running.began + of_part_s, expected + running.expected_s
-        pace = took / expected if expected > 0.0 else self.slowness
+        pace = took / expected if expected > 0.0 else self.slowdown
         left = sum(pace * part.expected_s for part in self._parts.values() if part.began is None)
         if of_part_s is not None:
             left += of_part_s
@@ -187,8 +187,8 @@ class Forecast:
             left += own
         elif self._is_unforeseen:
             return None
-        whole = now - self._start + left
-        self._steady.add(now, whole)
-        is_early = now - self._start < max(LEAST_SHARE * whole, _LEAST_S)
+        total_s = now - self._start + left
+        self._steady.add(now, total_s)
+        is_early = now - self._start < max(LEAST_SHARE * total_s, _LEAST_S)
         is_told = expected >= _LEAST_TOLD * sum(part.expected_s for part in self._parts.values())
         return float(left) if is_told and self._steady.agrees and not is_early else None

@@ -101,13 +101,13 @@ class Load:
         return cls(float(np.median(probes_s)) / PROBE_S, max(turns, 1.0))
 
     @property
-    def slowness(self) -> float:
+    def slowdown(self) -> float:
         """Factor by which work takes longer; at least 1, so that a faster machine has a reserve."""
         return max(self.work * self.turns, 1.0)
 
     def __str__(self) -> str:
         return (
-            f"{self.slowness:.1f} times as long as on an idle core: {self.work:.1f} times the processor time, and "
+            f"{self.slowdown:.1f} times as long as on an idle core: {self.work:.1f} times the processor time, and "
             f"{self.turns:.1f} s for each second of it, with other programs on the core"
         )
 
@@ -200,10 +200,10 @@ def _paths(table: Path) -> Iterator[tuple[str, str]]:
 def _mounts(table: Path) -> Iterator[tuple[str, str, Path]]:
     """Type, root in the hierarchy and folder of each mount that may limit memory; proc_pid_mountinfo(5)."""
     for line in _lines(table):
-        here, _, there = line.partition(" - ")
-        kind, options = there.split()[0], there.split()[-1].split(",")
+        mount, _, filesystem = line.partition(" - ")
+        kind, options = filesystem.split()[0], filesystem.split()[-1].split(",")
         if kind == "cgroup2" or (kind == "cgroup" and "memory" in options):
-            root, folder = (_unescaped(word) for word in here.split()[3:5])
+            root, folder = (_unescaped(word) for word in mount.split()[3:5])
             yield kind, root, Path(folder)
 
 

@@ -224,8 +224,8 @@ class Progress:
             with self.lock:
                 self.forecast.end(name, self.now())
         of_run = self.look_ahead() if outermost else None
-        rest = "" if of_run is None or of_run < _LINE_EVERY_S else f", about {rough(of_run)} to the end of the run"
-        self._emit(f"{name}: done in {clock(step.seconds)}{rest}")
+        remaining = "" if of_run is None or of_run < _LINE_EVERY_S else f", about {rough(of_run)} to the end of the run"
+        self._emit(f"{name}: done in {clock(step.seconds)}{remaining}")
 
     def look_ahead(self) -> float | None:
         """Time to the end of the run [s]; None where nothing is forecast, or before it is steady.
@@ -308,9 +308,9 @@ def clock(seconds: float) -> str:
         return f"{seconds:.1f} s"
     if seconds < 59.5:
         return f"{seconds:.0f} s"
-    minutes, rest = divmod(round(seconds), 60)
+    minutes, left_over = divmod(round(seconds), 60)
     if minutes < 60:
-        return f"{minutes} min {rest:02d} s"
+        return f"{minutes} min {left_over:02d} s"
     return f"{minutes // 60} h {minutes % 60:02d} min"
 
 

@@ -183,10 +183,10 @@ def _find(name: str) -> Path | None:
 
     Remembered for one hash, in which each name is asked for ten times.
     """
-    room, *rest = name.split(".")
+    room, *parts = name.split(".")
     if room not in _ROOMS:
         return None
-    place = _ROOT.joinpath(room, *rest)
+    place = _ROOT.joinpath(room, *parts)
     for file in (place.with_suffix(".py"), place / "__init__.py"):
         if file.is_file():
             return file

@@ -26,7 +26,7 @@ from survey.run.clock import Clock, OutOfTimeError
 
 GROUND = FullSizeAmounts(photographs_mpx=10.0, map_px=10e6, points=1e6, poses="fixed", num_views=10)
 # A machine on which all rates are easy to count with.
-PACE = RoundRates(sample_s=1e-8, images_s=1.0, slowness=1.0, point_s=1e-5)
+PACE = RoundRates(sample_s=1e-8, images_s=1.0, slowdown=1.0, point_s=1e-5)
 RECIPES = recipes_for([(1024, 768)])
 SCALES = (0.25, 0.25, 0.5, 0.5, 1.0, 1.0)
 

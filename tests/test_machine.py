@@ -58,7 +58,7 @@ def test_known_work_is_the_median_of_probes_so_that_one_that_is_off_does_not_cou
     assert load.work == pytest.approx(2.0)
     # Where the system does not count turns, wall clock over processor time.
     assert load.turns == pytest.approx(3.0)
-    assert load.slowness == pytest.approx(6.0)
+    assert load.slowdown == pytest.approx(6.0)
     assert "6.0 times as long as on an idle core" in str(load)
 
 
@@ -74,5 +74,5 @@ def test_this_machine_is_loaded_by_a_number():
 
 
 def test_a_machine_that_is_faster_than_the_rates_counts_as_idle():
-    assert machine.Load(work=0.4, turns=1.0).slowness == 1.0
-    assert machine.Load(work=0.4, turns=5.0).slowness == pytest.approx(2.0)
+    assert machine.Load(work=0.4, turns=1.0).slowdown == 1.0
+    assert machine.Load(work=0.4, turns=5.0).slowdown == pytest.approx(2.0)

@@ -138,11 +138,11 @@ def test_process_reads_what_was_marked(tmp_path):
             store.set(PointKey(GROUND, name), f"000{j}.jpg", (10.125 + i, 20.5 + j))
     found = find_survey(folder)
     assert found.control is not None
-    assert [(mark.point, mark.view) for mark in found.control.gathered.marks][:2] == [
+    assert [(mark.point, mark.view) for mark in found.control.merged.marks][:2] == [
         ("p1", "0000.jpg"),
         ("p1", "0001.jpg"),
     ]
-    assert [mark.pixel for mark in found.control.gathered.marks][:2] == [(10.125, 20.5), (10.125, 21.5)]
+    assert [mark.pixel for mark in found.control.merged.marks][:2] == [(10.125, 20.5), (10.125, 21.5)]
     assert store.settings() == []
 
 

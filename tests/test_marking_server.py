@@ -151,7 +151,7 @@ def test_clicks_become_marks_with_residuals_and_predictions(server, folder):
     assert list(point(found, "deep")["marks"]) == names[:2]
     # As `process` reads it.
     control = find_survey(folder).control
-    assert {mark.view: mark.pixel for mark in control.gathered.marks} == pytest.approx(
+    assert {mark.view: mark.pixel for mark in control.merged.marks} == pytest.approx(
         {name: pytest.approx(shown[name], abs=6e-4) for name in names[:2]}
     )
 

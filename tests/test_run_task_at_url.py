@@ -45,13 +45,13 @@ def test_a_task_fetches_what_it_needs_and_leaves_its_result_at_the_url(tmp_path,
         progress = SimpleNamespace(lines=[])
         whole = SimpleNamespace(survey=survey, plan=plan, cameras=[camera], progress=progress, release=lambda: None)
         windows = ([SimpleNamespace(view=1)], [SimpleNamespace(view=1), SimpleNamespace(view=2)])
-        idle = {"drop": lambda: None, "whole": whole, "images": images}
+        idle = {"drop": lambda: None, "survey_job": whole, "images": images}
         tiles = [SimpleNamespace(windows=each, **idle) for each in windows]
-        return SimpleNamespace(whole=whole, tile=lambda number: tiles[number])
+        return SimpleNamespace(survey_job=whole, tile=lambda number: tiles[number])
 
     def compute(tile, folder, needs):
         (folder / "b.txt").write_text((needs["adjust"] / "a.txt").read_text())
-        views = tile.whole.survey.views
+        views = tile.survey_job.survey.views
         seen["here"] = [view.name for view in views if view.path.is_file()]
         seen["window"] = tile.images.window(1, slice(3, 9), slice(0, 64))
 

@@ -356,9 +356,9 @@ def test_tasks_begin_by_cost_where_a_worker_is_free_and_none_waits_at_another(tw
     begun = []
 
     class Recording(Workers):
-        def _submit(self, job, task, among=None):
+        def _submit(self, job, task, workers=None):
             begun.append(task.cost)
-            return super()._submit(job, task, among)
+            return super()._submit(job, task, workers)
 
     workers = Recording(two_workers, tmp_path, are_started=True)
     workers._place = recorded, tmp_path

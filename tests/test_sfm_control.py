@@ -90,7 +90,7 @@ def test_a_wrong_mark_is_named_and_the_point_kept(rng):
     wrong = replace(control.marks[2], pixel=(control.marks[2].pixel[0] - 180.0, control.marks[2].pixel[1] + 90.0))
     spoilt = replace(control, marks=(*control.marks[:2], wrong, *control.marks[3:]))
     fit = fit_control(spoilt, posed)
-    assert fit.met.wrong_marks == (wrong,)
+    assert fit.intersections.wrong_marks == (wrong,)
     assert fit.used == tuple(point.name for point in control.points)
     whole = fit_control(control, posed)
     np.testing.assert_allclose(fit.similarity.shift, whole.similarity.shift, atol=1e-6)
@@ -102,7 +102,7 @@ def test_of_two_marks_that_do_not_meet_neither_is_used(rng):
     moved = replace(mine[0], pixel=(mine[0].pixel[0] + 60.0, mine[0].pixel[1] + 60.0))
     others = tuple(mark for mark in control.marks if mark.point != "gcp1")
     met = intersect_marks(replace(control, marks=(*others, moved, mine[-1])), posed)
-    assert met.apart == ("gcp1",)
+    assert met.inconsistent == ("gcp1",)
     assert len(met.points) == 5
 
 
@@ -168,7 +168,7 @@ def test_points_on_one_line_place_a_block_but_for_its_roll(rng):
     fit = fit_control(block_control(posed, 4, line), posed)
     assert fit.line is not None
     assert "4 control points lie on one line (spread 18." in fit.line.describe(4)
-    off = fit.similarity(fit.met.places) - np.array([point.local for point in fit.met.points])
+    off = fit.similarity(fit.intersections.places) - np.array([point.local for point in fit.intersections.points])
     assert np.abs(off).max() < 0.1
 
 

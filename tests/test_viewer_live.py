@@ -39,7 +39,7 @@ def test_points_of_a_map_lie_where_its_heights_are(tmp_path, scale):
     job = SimpleNamespace(survey=survey, plan=SimpleNamespace(image_scale=1.0), photographs=ImageStore())
     job.block = SimpleNamespace(cameras=[view.camera for view in survey.views])
     job.in_survey = lambda places: places
-    job.whole = job
+    job.survey_job = job
     live = LiveMaps(tmp_path, job, "sweep")
     m = HeightMap(0, np.full(shape, -0.7, dtype=np.float32), score, np.zeros(shape, dtype=np.uint8), 0.0 * score)
     live.show(m)
@@ -62,12 +62,12 @@ def test_a_viewer_goes_on_when_another_one_of_the_run_closes(tmp_path, server):
         pass
     first, second = (LiveRun(RunDir(tmp_path / "run"), server) for _ in range(2))
     second.close()
-    assert first.look() == 0
+    assert first.show_new_maps() == 0
     assert (tmp_path / "run" / LIVE).is_dir()
     # A map that is gone before it is read.
     (tmp_path / "run" / LIVE / "sweep-0.npz").symlink_to("nowhere")
     first._cameras = SimpleNamespace()
-    assert first.look() == 0
+    assert first.show_new_maps() == 0
     first.close()
 
 
@@ -79,14 +79,14 @@ def test_maps_are_shown_as_they_come_and_change_nothing(tmp_path, server):
     with RunDir(watched.run.path):
         pass
     live = LiveRun(watched.run, server)
-    assert live.look() == 0
+    assert live.show_new_maps() == 0
     work = threading.Thread(target=process_quietly, args=(watched.folder,))
     work.start()
     shown = 0
     while work.is_alive():
-        shown += live.look()
+        shown += live.show_new_maps()
         work.join(0.1)
-    live.look()
+    live.show_new_maps()
     assert live.is_finished
     assert shown >= len(watched.survey.views)
     maps = [node for node in server.scene._handle_from_node_name if node.startswith("/maps/")]

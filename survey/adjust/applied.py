@@ -148,14 +148,14 @@ def _straight_ties(survey: Survey, found: Adjustment) -> TiePoints:
     pixel = original_pixels(ties, found.lenses, found.poses.lens_of)
     centres, rays = np.empty((len(point), 3)), np.empty((len(point), 3))
     for number, each in enumerate(survey.views):
-        mine = view == number
-        centres[mine], rays[mine] = each.camera.centres(pixel[mine]), each.camera.directions(pixel[mine])
+        of_view = view == number
+        centres[of_view], rays[of_view] = each.camera.centres(pixel[of_view]), each.camera.directions(pixel[of_view])
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     # Relative to the true place of the point, so that distant centres cost no digits.
-    away = centres - found.points[point]
+    offset = centres - found.points[point]
     normal, right = np.zeros((len(found.points), 3, 3)), np.zeros((len(found.points), 3))
     np.add.at(normal, point, across)
-    np.add.at(right, point, np.einsum("nij,nj->ni", across, away))
+    np.add.at(right, point, np.einsum("nij,nj->ni", across, offset))
     eigenvalues = np.linalg.eigvalsh(normal)
     sound = eigenvalues[:, 0] > _PARALLEL * eigenvalues[:, 2]
     places = found.points.copy()

@@ -267,11 +267,11 @@ def _control(survey: Survey, used: Observed, solution, state: State) -> tuple[Co
     first = len(used.ties) - len(used.control)
     found = []
     for number, name in enumerate(used.control, start=first):
-        mine = (used.ties.point == number) & (used.kind == MARK)
+        is_mark = (used.ties.point == number) & (used.kind == MARK)
         point = state.points[number]
         wet = state.water is not None and float(state.water.depth(point[None])[0]) > 0.0
         east, north, up = (point - by_name[name].local).tolist()
-        rms = float(np.sqrt(np.mean(np.square(solution.residuals[mine]))))
+        rms = float(np.sqrt(np.mean(np.square(solution.residuals[is_mark]))))
         is_check = not np.isfinite(used.point_std[number]).all()
-        found.append(ControlResidual(name, is_check, wet, (east, north, up), int(mine.sum()), rms))
+        found.append(ControlResidual(name, is_check, wet, (east, north, up), int(is_mark.sum()), rms))
     return tuple(found)

@@ -63,10 +63,13 @@ def cluster_design_effect(
     side = np.array([max(size) for size in sizes], dtype=np.float64)[ties.view]
     out = np.ones(len(kind))
     for number in range(len(std_px)):
-        mine = kind == number
-        if mine.any():
-            found = [_design_effect(ties.view[mine], ties.pixel[mine], normal[mine], s * side[mine]) for s in _SIDES]
-            out[mine] = max(1.0, *found)
+        of_kind = kind == number
+        if of_kind.any():
+            found = [
+                _design_effect(ties.view[of_kind], ties.pixel[of_kind], normal[of_kind], s * side[of_kind])
+                for s in _SIDES
+            ]
+            out[of_kind] = max(1.0, *found)
     return out
 
 
@@ -104,8 +107,8 @@ def terrain_design_effect(problem: Problem, solution: Solution, sizes: Sizes, ki
     residuals = np.where(used[:, None], solution.residuals, 0.0)
     design = csr_array(linear.by_parameters.multiply(np.repeat(used, 2)[:, None]))
     by_point = np.where(used[:, None, None], linear.by_point, 0.0)
-    whole = _of_block(problem, state, used) @ solution.covariance
-    changes = [_followed(ties, weights, by_point, (design @ change).reshape(-1, 2)) for change in whole]
+    of_block = _of_block(problem, state, used) @ solution.covariance
+    changes = [_followed(ties, weights, by_point, (design @ change).reshape(-1, 2)) for change in of_block]
     found = []
     for share in _SIDES_ON_GROUND:
         side = share * _footprint(problem, state, sizes)
@@ -154,9 +157,9 @@ def _followed(ties: TiePoints, weights: np.ndarray, by_point: np.ndarray, change
 def _footprint(problem: Problem, state: State, sizes: Sizes) -> float:
     """Footprint of the longer side of a photograph on the ground [m], with straight rays."""
     ties, layout = problem.ties, problem.layout
-    away = np.linalg.norm(state.points[ties.point] - state.centres[ties.view], axis=1)
+    distance = np.linalg.norm(state.points[ties.point] - state.centres[ties.view], axis=1)
     longer = np.array([max(size) for size in sizes], dtype=np.float64)
-    return float(np.median(away * (longer / state.lenses[layout.lens_of, 0])[ties.view]))
+    return float(np.median(distance * (longer / state.lenses[layout.lens_of, 0])[ties.view]))
 
 
 def _padded(starts: np.ndarray, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -203,7 +206,7 @@ class PredictionChanges:
         for first in range(0, len(columns), _AT_A_TIME):
             part = slice(first, first + _AT_A_TIME)
             at = columns[part]
-            mine = np.stack([np.take_along_axis(each[part].toarray(), at, axis=1) for each in taken]) * inside[part]
-            followed = np.einsum("ksi,sij->ksj", mine, covariance[at[:, :, None], at[:, None]])
-            left -= np.einsum("ksi,ksi->k", followed, mine)
+            design = np.stack([np.take_along_axis(each[part].toarray(), at, axis=1) for each in taken]) * inside[part]
+            followed = np.einsum("ksi,sij->ksj", design, covariance[at[:, :, None], at[:, None]])
+            left -= np.einsum("ksi,ksi->k", followed, design)
         return np.sum(sums**2, axis=0) / np.maximum(left, 1e-12 * total + 1e-300)

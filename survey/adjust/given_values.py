@@ -214,12 +214,12 @@ def misfit(residuals: np.ndarray, view: np.ndarray) -> float | None:
     """
     squares = []
     for number in np.unique(view):
-        mine = residuals[(view == number) & np.isfinite(residuals).all(axis=1)]
-        if len(mine) < _FEWEST_OF_VIEW:
+        of_view = residuals[(view == number) & np.isfinite(residuals).all(axis=1)]
+        if len(of_view) < _FEWEST_OF_VIEW:
             continue
-        middle = np.median(mine, axis=0)
+        middle = np.median(of_view, axis=0)
         # The variance of a median is pi / 2 times that of a mean.
-        noise = np.square(1.4826 * np.median(np.abs(mine - middle), axis=0)) * (0.5 * np.pi / len(mine))
+        noise = np.square(1.4826 * np.median(np.abs(of_view - middle), axis=0)) * (0.5 * np.pi / len(of_view))
         squares.append(middle**2 - noise)
     return float(np.sqrt(max(float(np.mean(squares)), 0.0))) if squares else None
 

@@ -216,12 +216,12 @@ def adjusted_with(done: RobustSolution, held: np.ndarray, stated_std: np.ndarray
         state=done.solution.state.moved(prior.layout, *_step(done, held)),
         std=np.where(held, HELD_SHARE * prior.std, prior.std),
     )
-    again = adjust(kept, done.used.at(kept.state.points))
+    adjusted = adjust(kept, done.used.at(kept.state.points))
     follow = covariance[:, held] @ np.linalg.inv(covariance[np.ix_(held, held)])
     more = np.diag(stated_std[held] ** 2) - covariance[np.ix_(held, held)]
-    solution = replace(again.solution, covariance=covariance + follow @ more @ follow.T)
-    blunders = done.blunders | again.blunders
-    return replace(again, prior=replace(again.prior, std=prior.std), solution=solution, blunders=blunders)
+    solution = replace(adjusted.solution, covariance=covariance + follow @ more @ follow.T)
+    blunders = done.blunders | adjusted.blunders
+    return replace(adjusted, prior=replace(adjusted.prior, std=prior.std), solution=solution, blunders=blunders)
 
 
 def _step(done: RobustSolution, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -254,14 +254,14 @@ def roll_notes(survey: Survey, done: RobustSolution, gsd_m: float) -> list[str]:
         if spans_area(survey, roll):
             continue
         std = roll.std_by(prior.layout, done.solution.covariance)
-        beside, below = np.median(np.abs(roll.across.flat(state.points)), axis=0).tolist()
+        across, below = np.median(np.abs(roll.across.flat(state.points)), axis=0).tolist()
         message = (
             f"positions or control of {len(roll.views)} photographs lie on one line; the roll about it is known to "
             f"{math.degrees(std):.2g} degrees by {_sources_of_roll(survey, done, roll)}, which leaves heights "
-            f"{std * beside:.2g} m uncertain (at {beside:.2g} m beside the line, the median) and the bed "
+            f"{std * across:.2g} m uncertain (at {across:.2g} m beside the line, the median) and the bed "
             f"{std * below:.2g} m sideways"
         )
-        if std * beside > most:
+        if std * across > most:
             raise SurveyError(f"{message}; heights may be {most:.2g} m uncertain: {ROLL_REMEDY}")
         notes.append(message)
     return notes

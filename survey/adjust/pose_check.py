@@ -143,10 +143,10 @@ def _of_middle(survey: Survey, height: float) -> list[int]:
     Views from above it look straight down, and determine little of the water.
     """
     centres = np.array([view.camera.centre[:2] for view in survey.views])
-    ahead = np.array([view.camera.cam_from_local[2] for view in survey.views])
-    seen = centres + height * ahead[:, :2] / np.maximum(-ahead[:, 2:], _LEAST_COSINE)
-    away = np.linalg.norm(seen - np.median(seen, axis=0), axis=1)
-    return np.sort(np.argsort(away, kind="stable")[:SAMPLE]).tolist()
+    axes = np.array([view.camera.cam_from_local[2] for view in survey.views])
+    seen = centres + height * axes[:, :2] / np.maximum(-axes[:, 2:], _LEAST_COSINE)
+    distance = np.linalg.norm(seen - np.median(seen, axis=0), axis=1)
+    return np.sort(np.argsort(distance, kind="stable")[:SAMPLE]).tolist()
 
 
 def deep_check(folder: Path, *, device: str = "auto") -> list[CheckSection]:

@@ -115,13 +115,13 @@ def _choose_start_and_adjust(survey: Survey, asked: _Request, search: PoseRecove
 def _adjust_in_stages(survey: Survey, prior: PriorKnowledge, windows: TiePoints | None, asked: _Request) -> Adjustment:
     """Adjust with matches, with windows, and without contradicted values; ``windows`` where they are measured."""
     device, advance, use_windows, free_water = asked.device, asked.advance, asked.use_windows, asked.free_water
-    gathered = StagedAdjustment(survey, prior, free_water)
+    staged = StagedAdjustment(survey, prior, free_water)
     done: RobustSolution | None = None
     shares = [0.0, 0.9, 0.1]
     if survey.observations.ties is not None:
         shares = _shares(survey, device) if use_windows else [1.0, 0.0, 0.0]
         ties = survey.observations.ties
-        done = gathered.first_ties(MATCH, dry_or_within_bounds(survey, ties) if free_water else ties)
+        done = staged.first_ties(MATCH, dry_or_within_bounds(survey, ties) if free_water else ties)
         if use_windows and not survey.provenance.is_level_known and not free_water:
             _require_level(survey, done)
         advance(shares[0])
@@ -130,26 +130,26 @@ def _adjust_in_stages(survey: Survey, prior: PriorKnowledge, windows: TiePoints 
             windows = _windows_at(survey, done, device, lambda part: advance(shares[1] * part))
         windows = within_bounds(survey, windows) if free_water else windows
         if done is None:
-            done = gathered.first_ties(WINDOW, windows)
+            done = staged.first_ties(WINDOW, windows)
         else:
-            done = gathered.more_ties(WINDOW, windows, restarted(gathered.prior, done))
+            done = staged.more_ties(WINDOW, windows, restarted(staged.prior, done))
         advance(shares[2])
     assert done is not None
     contradictions: list[GivenValueTest] = []
     drift: FocalDrift | None = None
     if not free_water:
-        done, drift = gathered.with_focals(done)
-        done, contradictions = gathered.without_contradictions(done)
+        done, drift = staged.with_focals(done)
+        done, contradictions = staged.without_contradictions(done)
     water = None if survey.water is not None else find_unnamed_water(done)
     notes = roll_notes(survey, done, make_plan(survey).gsd_m) if done.prior.rolls and not free_water else []
-    found = gathered.result(done, contradictions)
+    found = staged.result(done, contradictions)
     if not survey.provenance.is_level_known and found.parameter("level_m").status == Status.UNKNOWN:
         raise _level_error(survey, found.parameter("level_m").std)
     warnings = [*(_contradiction_text(found, each) for each in contradictions), *height_warnings(survey, done)]
     warnings += parts_warning(found, survey.water) + ([] if water is None else [str(water)])
     warnings += [] if drift is None else [str(drift)]
     if not free_water:
-        warnings += gathered.against_control()
+        warnings += staged.against_control()
     contradiction = survey.provenance.contradiction
     if contradiction is not None and contradiction.is_of_lens:
         warnings.append(f"{contradiction}: the lens is estimated again under the given poses; correct it")

@@ -80,14 +80,14 @@ def better_of_two_starts(
     best, other = (second, first) if gain > 0.0 else (first, second)
     if abs(gain) > _SURE:
         return best
-    apart = float(np.abs(np.median(first.points[:, 2]) - np.median(second.points[:, 2])))
+    difference = float(np.abs(np.median(first.points[:, 2]) - np.median(second.points[:, 2])))
     return replace(
         best,
         warnings=(
             *best.warnings,
             f"two photographs are fitted about as well by another solution, whose cameras lie "
             f"{np.linalg.norm(best.poses.centres - other.poses.centres, axis=1).max():.2f} m and whose heights "
-            f"{apart:.2f} m (median) off; give control farther apart, [cameras] position_std_m, or attitudes",
+            f"{difference:.2f} m (median) off; give control farther apart, [cameras] position_std_m, or attitudes",
         ),
     )
 
@@ -210,7 +210,7 @@ def without_windows(windows: TiePoints, num_views: int) -> int:
     return int((np.bincount(windows.view, minlength=num_views) < FEW_MATCHES).sum())
 
 
-def recover_poses(survey: Survey, workspace: Path, say: Callable[[str], None]) -> RecoveredPoses:
+def recover_poses(survey: Survey, workspace: Path, report: Callable[[str], None]) -> RecoveredPoses:
     """Block of a survey by structure from motion, aligned with its given poses.
 
     Raises
@@ -227,7 +227,7 @@ def recover_poses(survey: Survey, workspace: Path, say: Callable[[str], None]) -
     given = np.array([view.camera.centre for view in views])
     focal = focals.pop() if len(focals) == 1 else None
     positions = dict(zip(images, given, strict=True))
-    blocks = blocks_of(images, positions, focal, workspace, say, survey.config.cameras.mapper)
+    blocks = blocks_of(images, positions, focal, workspace, report, survey.config.cameras.mapper)
     num = sum(len(found.poses) for found in blocks)
     if 2 * num < len(views):
         raise SurveyError(f"structure from motion placed {num} of {len(views)} photographs")

@@ -99,10 +99,10 @@ def _gain_over(
         return None
     # Both in the same units: the scatter about the better of the two.
     straight = _problem(prior, seen, dry, wet.std_px)
-    again = solve(straight, dry, variance_factor=shared)
-    gain = cost(straight, again.state, wet.std_px, shared) - cost(problem, wet.state, wet.std_px, shared)
-    mine = is_wet[seen.ties.point]
-    before, after = (float(np.sqrt(np.mean(each.residuals[mine] ** 2))) for each in (again, wet))
+    straight_solution = solve(straight, dry, variance_factor=shared)
+    gain = cost(straight, straight_solution.state, wet.std_px, shared) - cost(problem, wet.state, wet.std_px, shared)
+    is_wet_tie = is_wet[seen.ties.point]
+    before, after = (float(np.sqrt(np.mean(each.residuals[is_wet_tie] ** 2))) for each in (straight_solution, wet))
     of_depth = std_over_points(wet.system, wet.covariance)
     mean = float(depth[is_wet].mean())
     if mean < _SURE * of_depth or after > (1.0 - _LEAST_FALL) * before:

@@ -155,7 +155,7 @@ def errors_of(cloud: Path, case: Case) -> Errors:
     found = compare_surfaces(
         cloud, case.reference, CompareOptions(TOLERANCES_M, visible=case.visible, bounds=case.bounds)
     )
-    whole, distances = found.figures.summary.distances, found.distances
+    of_all, distances = found.figures.summary.distances, found.distances
     shares = {
         f"{scores.tolerance_m:g}": scores.completeness if case.visible is None else scores.completeness_visible
         for scores in found.figures.tolerances
@@ -163,10 +163,10 @@ def errors_of(cloud: Path, case: Case) -> Errors:
     stated = _stated(found)
     inner = np.abs(distances) <= np.nanquantile(np.abs(distances), _INNER)
     return Errors(
-        n_points=whole.n_points,
-        mean_m=whole.mean_inner90_m,
-        std_m=whole.std_inner90_m,
-        rms_m=whole.rms_m,
+        n_points=of_all.n_points,
+        mean_m=of_all.mean_inner90_m,
+        std_m=of_all.std_inner90_m,
+        rms_m=of_all.rms_m,
         completeness={tolerance: float(share) for tolerance, share in shares.items() if share is not None},
         coverage=stated.coverage,
         median_m=stated.median_m,

@@ -134,12 +134,12 @@ class ResultChange:
         return self.figure.partition(" at ")[0]
 
 
-def changes(now: Results, then: Results) -> list[ResultChange]:
+def changes(new: Results, old: Results) -> list[ResultChange]:
     """All figures of all records that both have; a cloud that one lacks is a change too."""
-    earlier = {record.key: record for record in then.records}
-    same_machine = now.machine == then.machine
+    earlier = {record.key: record for record in old.records}
+    same_machine = new.machine == old.machine
     found = []
-    for record in now.records:
+    for record in new.records:
         before = earlier.get(record.key)
         if before is not None:
             found += _of_record(record, before, same_machine)
@@ -171,60 +171,60 @@ def _change_over_surveys(key: tuple[str, ...], figure: str, group: list[ResultCh
     return ResultChange(name, figure, float(np.exp(middle)), interval, _verdict(*interval))
 
 
-def unpaired(now: Results, then: Results) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
+def unpaired(new: Results, old: Results) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
     """Keys of the records that only the one has, and of those that only the other has."""
-    ours, theirs = ({record.key for record in results.records} for results in (now, then))
-    return sorted(ours - theirs), sorted(theirs - ours)
+    new_keys, old_keys = ({record.key for record in results.records} for results in (new, old))
+    return sorted(new_keys - old_keys), sorted(old_keys - new_keys)
 
 
-def _of_record(now: Record, then: Record, same_machine: bool) -> list[ResultChange]:
-    if now.errors is None or then.errors is None:
-        if (now.errors is None) == (then.errors is None):
+def _of_record(new: Record, old: Record, same_machine: bool) -> list[ResultChange]:
+    if new.errors is None or old.errors is None:
+        if (new.errors is None) == (old.errors is None):
             return []
-        verdict = WORSE if now.errors is None else BETTER
-        return [ResultChange(now.key, "has a cloud", float("nan"), None, verdict)]
-    found = [_error(now.key, now.errors, then.errors), _mean(now.key, now.errors, then.errors)]
-    for tolerance in sorted(now.errors.completeness.keys() & then.errors.completeness.keys(), key=float):
-        after, before = (errors.completeness[tolerance] for errors in (now.errors, then.errors))
-        found.append(_differs(now.key, f"{COMPLETE} at {tolerance} m", after - before))
-    shares = (now.errors.coverage, then.errors.coverage)
-    if METHODS[now.method].is_refracted and shares[0] is not None and shares[1] is not None:
-        found.append(_differs(now.key, COVERS, abs(shares[0] - _COVERED) - abs(shares[1] - _COVERED)))
+        verdict = WORSE if new.errors is None else BETTER
+        return [ResultChange(new.key, "has a cloud", float("nan"), None, verdict)]
+    found = [_error(new.key, new.errors, old.errors), _mean(new.key, new.errors, old.errors)]
+    for tolerance in sorted(new.errors.completeness.keys() & old.errors.completeness.keys(), key=float):
+        after, before = (errors.completeness[tolerance] for errors in (new.errors, old.errors))
+        found.append(_differs(new.key, f"{COMPLETE} at {tolerance} m", after - before))
+    shares = (new.errors.coverage, old.errors.coverage)
+    if METHODS[new.method].is_refracted and shares[0] is not None and shares[1] is not None:
+        found.append(_differs(new.key, COVERS, abs(shares[0] - _COVERED) - abs(shares[1] - _COVERED)))
     costs: tuple[tuple[str, Callable[[Cost], float]], ...] = (
         ("wall_s", lambda cost: cost.wall_s),
         ("processor_s", lambda cost: cost.processor_s),
         ("memory", lambda cost: float(cost.peak_bytes)),
     )
     for figure, of in costs:
-        a, b = (np.array([of(cost) for cost in record.costs]) for record in (now, then))
-        found.append(_cost(now.key, figure, a, b, same_machine))
+        a, b = (np.array([of(cost) for cost in record.costs]) for record in (new, old))
+        found.append(_cost(new.key, figure, a, b, same_machine))
     return found
 
 
-def _error(key: tuple[str, ...], now: Errors, then: Errors) -> ResultChange:
+def _error(key: tuple[str, ...], new: Errors, old: Errors) -> ResultChange:
     """Root mean square of the inner 90 %, by a bootstrap over pairs of blocks."""
-    ratio, drawn = now.error_m / then.error_m, _bootstrap_sums(now, then)
+    ratio, drawn = new.error_m / old.error_m, _bootstrap_sums(new, old)
     if isinstance(drawn, str):
         return ResultChange(key, "error", ratio, None, UNKNOWN, drawn)
     return _judged(key, "error", ratio, _rms(drawn[0]) / _rms(drawn[1]))
 
 
-def _mean(key: tuple[str, ...], now: Errors, then: Errors) -> ResultChange:
+def _mean(key: tuple[str, ...], new: Errors, old: Errors) -> ResultChange:
     """Bias of the inner 90 % over the earlier error, by a bootstrap over pairs of blocks."""
-    difference, drawn = (abs(now.mean_m) - abs(then.mean_m)) / then.error_m, _bootstrap_sums(now, then)
+    difference, drawn = (abs(new.mean_m) - abs(old.mean_m)) / old.error_m, _bootstrap_sums(new, old)
     if isinstance(drawn, str):
         return ResultChange(key, MEAN, float("nan"), None, UNKNOWN, drawn, difference)
     off = [np.abs(sums[:, 1] / sums[:, 0]) for sums in drawn]
-    low, high = (float(v) for v in np.percentile((off[0] - off[1]) / then.error_m, _LEVEL))
+    low, high = (float(v) for v in np.percentile((off[0] - off[1]) / old.error_m, _LEVEL))
     return _differs(key, MEAN, difference, (low, high))
 
 
-def _bootstrap_sums(now: Errors, then: Errors) -> tuple[np.ndarray, np.ndarray] | str:
+def _bootstrap_sums(new: Errors, old: Errors) -> tuple[np.ndarray, np.ndarray] | str:
     """Bootstrap sums (draws, 3) of both over pairs of the blocks that both have; the reason where these are too few."""
-    shared = sorted(now.blocks.keys() & then.blocks.keys())
+    shared = sorted(new.blocks.keys() & old.blocks.keys())
     if len(shared) < MIN_BLOCKS:
         return f"{len(shared)} blocks in common, expected {MIN_BLOCKS}"
-    a, b = (np.array([errors.blocks[name] for name in shared]) for errors in (now, then))
+    a, b = (np.array([errors.blocks[name] for name in shared]) for errors in (new, old))
     drawn = np.random.default_rng(_SEED).integers(len(shared), size=(_DRAWS, len(shared)))
     return a[drawn].sum(axis=1), b[drawn].sum(axis=1)
 
@@ -233,14 +233,14 @@ def _rms(sums: np.ndarray) -> np.ndarray:
     return np.sqrt(sums[..., 2] / sums[..., 0])
 
 
-def _cost(key: tuple[str, ...], figure: str, now: np.ndarray, then: np.ndarray, same_machine: bool) -> ResultChange:
-    ratio = float(np.median(now) / np.median(then))
+def _cost(key: tuple[str, ...], figure: str, new: np.ndarray, old: np.ndarray, same_machine: bool) -> ResultChange:
+    ratio = float(np.median(new) / np.median(old))
     if not same_machine:
         return ResultChange(key, figure, ratio, None, UNKNOWN, ANOTHER_MACHINE)
-    if min(len(now), len(then)) < MIN_REPEATS:
+    if min(len(new), len(old)) < MIN_REPEATS:
         return ResultChange(key, figure, ratio, None, UNKNOWN, f"expected --repeats {MIN_REPEATS} or more in both")
     rng = np.random.default_rng(_SEED)
-    a, b = (np.median(values[rng.integers(len(values), size=(_DRAWS, len(values)))], axis=1) for values in (now, then))
+    a, b = (np.median(values[rng.integers(len(values), size=(_DRAWS, len(values)))], axis=1) for values in (new, old))
     return _judged(key, figure, ratio, a / b)
 
 
@@ -288,11 +288,11 @@ def _row(record: Record, is_front: bool) -> tuple[str, ...]:
     return (*name, *costs, length(errors.mean_m), length(errors.std_m), f"{shares} %", covers, marks.strip())
 
 
-def comparison(now: Results, then: Results) -> list[str]:
+def comparison(new: Results, old: Results) -> list[str]:
     """Changes for better or worse: over all surveys, then of each, then what could not be compared."""
-    found = changes(now, then)
+    found = changes(new, old)
     lines = lines_of(over_surveys(found)) + lines_of(found)
-    for keys, where in zip(unpaired(now, then), ("this", "the earlier"), strict=True):
+    for keys, where in zip(unpaired(new, old), ("this", "the earlier"), strict=True):
         if keys:
             named = "; ".join(" ".join(key) for key in keys[:_MOST_NAMED])
             lines.append(f"only in {where} result: {len(keys)} records, {named}{'; ...' * (len(keys) > _MOST_NAMED)}")

@@ -69,8 +69,8 @@ def align(differences: Differences, stable: np.ndarray, correlation: Correlation
     known = stable & differences.is_known
     if known.sum() < FEWEST_CELLS:
         raise ValueError(f"{int(known.sum())} cells of both surveys lie in it, expected at least {FEWEST_CELLS}")
-    away = np.abs(differences.height - np.median(differences.height[known]))
-    used = known & (away <= CHANGED_STDS * MAD_TO_STD * max(float(np.median(away[known])), 1e-12))
+    deviation = np.abs(differences.height - np.median(differences.height[known]))
+    used = known & (deviation <= CHANGED_STDS * MAD_TO_STD * max(float(np.median(deviation[known])), 1e-12))
     # Where unchanged cells scatter more than they state, their mean does too.
     scatter = max(1.0, correlation.scatter or 1.0)
     own = replace(differences, std=scatter * differences.std, common=np.zeros_like(differences.common))
@@ -332,9 +332,9 @@ def _draw(change: Change, path: Path) -> None:
     extent = (*east, cells.north - cells.shape[0] * cells.side[1], cells.north)
     figure, axes = map_canvas(extent, cells.crs)
     end = limit * unit.per_metre
-    look = {"cmap": DIFFERENCES, "norm": Normalize(-end, end)}
-    show(axes, d * unit.per_metre, extent, alpha=0.3, **look)
-    drawn = show(axes, np.where(differences.is_significant, d, np.nan) * unit.per_metre, extent, **look)
+    style = {"cmap": DIFFERENCES, "norm": Normalize(-end, end)}
+    show(axes, d * unit.per_metre, extent, alpha=0.3, **style)
+    drawn = show(axes, np.where(differences.is_significant, d, np.nan) * unit.per_metre, extent, **style)
     colour_bar(axes, drawn, f"second minus first [{unit.name}], pale where not significant")
     subtitle = (
         f"fill {change.fill.volume_m3:.4g} m³  ·  cut {change.cut.volume_m3:.4g} m³  ·  net {_volume(change.net)}"

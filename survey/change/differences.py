@@ -137,9 +137,9 @@ def measured_correlation(differences: Differences, cells: np.ndarray) -> Correla
         raise ValueError(f"{int(same.sum())} cells have not changed, expected at least {_FEWEST_CELLS}")
     if np.ptp(ratio[same]) == 0.0:
         raise ValueError("differences do not scatter: both surveys have the same heights")
-    rest = np.where(same, ratio - ratio[same].mean(), 0.0)
+    centred = np.where(same, ratio - ratio[same].mean(), 0.0)
     pairs, distance = _autocorrelation(same.astype(np.float64), differences.side_m)
-    products, _ = _autocorrelation(rest, differences.side_m)
+    products, _ = _autocorrelation(centred, differences.side_m)
     longest = _LONGEST_LAG * min(differences.height.shape) * differences.side_m
     used = (distance > 0.0) & (distance <= max(longest, 2.0 * differences.side_m)) & (pairs > 0.5)
     value = products[used] / pairs[used] / (products.flat[0] / pairs.flat[0])
@@ -325,12 +325,12 @@ def _raster_of(survey: SurveyPoints, cells: PlanCells, crs: CRS, spacing_m: floa
     inside = ((at >= 0.0) & (at < cells.shape[::-1])).all(axis=1)
     at, std, common = at[inside], survey.std[inside], survey.common[inside]
     height = survey.points[inside, 2] * height_unit_m(crs)
-    whole = np.floor(at).astype(np.int64)
-    number = whole[:, 1] * cells.shape[1] + whole[:, 0]
+    cell = np.floor(at).astype(np.int64)
+    number = cell[:, 1] * cells.shape[1] + cell[:, 0]
     layers = np.full((3, cells.shape[0] * cells.shape[1]), np.nan)
     if len(at):
         correlated = correlated_px2(at * cells.side_m, height, std, spacing_m)
-        offset = (at - whole - 0.5) * [1.0, -1.0]
+        offset = (at - cell - 0.5) * [1.0, -1.0]
         points = CellPoints(number, offset, height, std)
         fits = fit_cells(points, side=cells.side_m, pixel=spacing_m, correlated=correlated)
         size = layers.shape[1]

@@ -99,8 +99,8 @@ def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> It
     aim, chosen = _chosen(asked.over(process_config(folder)))
     checked = require_processable(folder)
     load = None if aim is None else machine.measure_load()
-    slowness = None if load is None else load.slowness
-    yield from check_survey(folder, chosen=chosen, checked=checked, slowness=slowness, chooses_workers=True)
+    slowdown = None if load is None else load.slowdown
+    yield from check_survey(folder, chosen=chosen, checked=checked, slowdown=slowdown, chooses_workers=True)
     yield light_section(checked, wind_m_s=wind)
     foreseen = None if checked.survey is None else foreseen_section(checked.survey, chosen=chosen)
     if foreseen is not None:

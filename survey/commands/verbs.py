@@ -77,8 +77,8 @@ class Page(TyperCommand):
         panels: dict[str, list[tuple[str, str]]] = {}
         for panel, row in rows:
             panels.setdefault(panel if sizes[panel] > 1 or panel == _ARGUMENTS else _ALL, []).append(row)
-        rest = panels.pop(_ALL)
-        for name, rows_of_it in (*panels.items(), (_REST if panels.keys() - {_ARGUMENTS} else _ALL, rest)):
+        single_options = panels.pop(_ALL)
+        for name, rows_of_it in (*panels.items(), (_REST if panels.keys() - {_ARGUMENTS} else _ALL, single_options)):
             with formatter.section(name):
                 formatter.write_dl(rows_of_it)
 

@@ -68,8 +68,8 @@ def show(axes: Axes, image: np.ndarray, extent: Extent, **colours) -> AxesImage:
 def colour_bar(axes: Axes, scale: ScalarMappable, label: str, *, extend: str = "both") -> Colorbar:
     """A colour bar beside axes."""
     figure = axes.figure
-    beside = axes.inset_axes((1.025, 0.06, _BAR_WIDTH_IN / (axes.bbox.width / figure.dpi), 0.88))
-    bar = figure.colorbar(scale, cax=beside, extend=extend)
+    bar_axes = axes.inset_axes((1.025, 0.06, _BAR_WIDTH_IN / (axes.bbox.width / figure.dpi), 0.88))
+    bar = figure.colorbar(scale, cax=bar_axes, extend=extend)
     bar.set_label(label, color=INK)
     bar.outline.set_visible(False)
     bar.ax.tick_params(colors=SOFT, labelsize=_TICK_PT)
@@ -126,10 +126,10 @@ def _placed(height_over_width: float, below_in: float) -> tuple[Figure, Axes]:
     width = min(_MAP_IN[0], _MAP_IN[1] / height_over_width)
     height = width * height_over_width
     left, right, below, above = _MARGINS_IN
-    whole = width + left + right, height + below + above + below_in
-    figure = Figure(figsize=whole)
+    size = width + left + right, height + below + above + below_in
+    figure = Figure(figsize=size)
     FigureCanvasAgg(figure)
-    place = (left / whole[0], (below + below_in) / whole[1], width / whole[0], height / whole[1])
+    place = (left / size[0], (below + below_in) / size[1], width / size[0], height / size[1])
     return figure, _plain(figure.add_axes(place))
 
 

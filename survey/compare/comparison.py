@@ -222,14 +222,14 @@ def _edge_note(inputs: Inputs, errors: np.ndarray | None) -> list[str]:
     """A note on points beside the mesh, whose distance is that to the edge of the mesh."""
     if errors is None:
         return []
-    beside = float(np.mean(np.isnan(errors)))
-    if beside <= _BESIDE_SHARE:
+    beyond_share = float(np.mean(np.isnan(errors)))
+    if beyond_share <= _BESIDE_SHARE:
         return []
     low, high = (corner(vertices_of(inputs.reference), axis=0)[:2].tolist() for corner in (np.min, np.max))
     name, box = inputs.paths.reference.name, (*low, *high)
     message = (
-        f"{100.0 * beside:.1f} % of the points have no surface of {name} above or below: their distance is that to its "
-        "nearest edge, not an error of the cloud"
+        f"{100.0 * beyond_share:.1f} % of the points have no surface of {name} above or below: their distance is that "
+        "to its nearest edge, not an error of the cloud"
     )
     around = np.isnan(errors) & ~within(inputs.cloud.points[inputs.inside], box, metres_in_crs(inputs.frame, 0.01))
     if around.mean() > _BESIDE_SHARE:
@@ -256,9 +256,9 @@ def _bounds_note(inputs: Inputs, bounds: Bounds | None) -> list[str]:
 def cloud_to_cloud(scene: ComparedScene) -> CloudToCloud:
     """Distances without sign to the samples of the reference, and from them to the cloud."""
     with current().stage("Cloud to cloud"):
-        there, _ = distance_to_cloud(scene.points, scene.samples)
-        back, _ = distance_to_cloud(scene.samples, scene.points)
-    return CloudToCloud(distance_statistics(there), distance_statistics(back))
+        to_reference, _ = distance_to_cloud(scene.points, scene.samples)
+        to_cloud, _ = distance_to_cloud(scene.samples, scene.points)
+    return CloudToCloud(distance_statistics(to_reference), distance_statistics(to_cloud))
 
 
 def m3c2(scene: ComparedScene, radius_m: float) -> M3C2:

@@ -248,9 +248,9 @@ def _is_ground(cloud: Cloud, path: Path) -> tuple[np.ndarray, list[str]]:
     if out.all():
         raise CompareError(f"no point of {path} is of the ground: it holds {kinds}; give it with the points of the bed")
     notes = [f"{int(out.sum())} of {len(out)} points of {path.name} are not of the ground and left out: {kinds}"]
-    beside = used_as_ground(cloud)
-    of_beside = f"{path.name} counts as ground with {beside}: leave them out of the file where they are none"
-    return ~out, [*(notes if kinds else []), *([of_beside] if beside else [])]
+    doubtful = used_as_ground(cloud)
+    doubt = f"{path.name} counts as ground with {doubtful}: leave them out of the file where they are none"
+    return ~out, [*(notes if kinds else []), *([doubt] if doubtful else [])]
 
 
 def _of_the_ground(shape: Mesh | Cloud, path: Path) -> tuple[Mesh | Cloud, list[str]]:

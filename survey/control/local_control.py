@@ -37,22 +37,22 @@ def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) ->
     if not points:
         return []
     for point in points:
-        apart = _distance_m(np.array(point.place), cameras, crs)
-        if apart <= _FARTHEST_M:
+        distance = _distance_m(np.array(point.place), cameras, crs)
+        if distance <= _FARTHEST_M:
             continue
         east, north, _ = point.place
         message = f"{point.where}: the point {point.name[:40]} at {east:.10g}, {north:.10g}"
         other = with_swapped_axes(point, crs)
         if other is not None and _distance_m(np.array(other.place), cameras, crs) <= _FARTHEST_M:
             raise ControlError(
-                f"{message} lies {_km(apart)} from the cameras, and among them with easting and northing (or longitude "
-                "and latitude) swapped; swap the two columns in the file"
+                f"{message} lies {_km(distance)} from the cameras, and among them with easting and northing (or "
+                "longitude and latitude) swapped; swap the two columns in the file"
             )
         middle = np.median(cameras, axis=0)
         if _is_in_degrees(point, crs):
             raise ControlError(_degrees(message, crs, f", where the cameras are at {middle[0]:.10g}, {middle[1]:.10g}"))
         raise ControlError(
-            f"{message} lies {_km(apart)} from the nearest camera, the cameras are at {middle[0]:.10g}, "
+            f"{message} lies {_km(distance)} from the nearest camera, the cameras are at {middle[0]:.10g}, "
             f"{middle[1]:.10g} in {crs.name}; correct it, or the CRS of the file"
         )
     return _height_warnings(points, cameras, crs)
@@ -130,7 +130,7 @@ def _km(metres: float) -> str:
 
 
 def control_in_local(
-    gathered: MergedControl,
+    merged: MergedControl,
     frame: LocalFrame,
     views: Sequence[str],
     std_m: tuple[float, float, float],
@@ -145,9 +145,9 @@ def control_in_local(
         Of points whose file does not say it.
     """
     posed = set(views)
-    marks = tuple(mark for mark in gathered.marks if mark.view in posed)
+    marks = tuple(mark for mark in merged.marks if mark.view in posed)
     seen = {mark.point for mark in marks}
-    points = tuple(_control_point(point, frame, std_m) for point in gathered.points if point.name in seen)
+    points = tuple(_control_point(point, frame, std_m) for point in merged.points if point.name in seen)
     return Control(points, marks, marks_std_px) if points else None
 
 

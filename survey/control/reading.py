@@ -159,8 +159,8 @@ def merge_control(
     warnings += _warnings(kept)
     order = {point.name: i for i, point in enumerate(kept)}
     marks.sort(key=lambda mark: (order[mark.point], mark.view))
-    gathered = MergedControl(kept, tuple(marks), tuple(point for point in unmarked if point.is_check))
-    return gathered, findings + Findings(warnings=tuple(warnings))
+    merged = MergedControl(kept, tuple(marks), tuple(point for point in unmarked if point.is_check))
+    return merged, findings + Findings(warnings=tuple(warnings))
 
 
 def _points(given: Sequence[GivenPoint], crs: CRS) -> dict[str, GivenPoint]:
@@ -197,8 +197,8 @@ def _marks(
     marks: dict[tuple[str, str], GivenMark] = {}
     unknown_images: dict[str, GivenMark] = {}
     unknown_points: dict[str, GivenMark] = {}
-    called = [(mark, names) for given in of_files for names in [ImageNames(sizes)] for mark in given]
-    for written, names in called:
+    given_marks = [(mark, names) for given in of_files for names in [ImageNames(sizes)] for mark in given]
+    for written, names in given_marks:
         mark, image = written, names.find(written.image, written.where)
         if image is None:
             unknown_images.setdefault(mark.image, mark)
@@ -222,8 +222,8 @@ def _marks(
         )
         like = next(iter(sizes)) if unknown_images else next(iter(points))
         raise ControlError(
-            f"{example.where}: no {what}, and none of the {len(called)} marks belongs to one; use the names that they "
-            f'have, e.g. "{like}"'
+            f"{example.where}: no {what}, and none of the {len(given_marks)} marks belongs to one; use the names that "
+            f'they have, e.g. "{like}"'
         )
     warnings = _left_out(unknown_images, "photograph", "that the survey does not have")
     warnings += _left_out(unknown_points, "point", "without coordinates")

@@ -26,21 +26,21 @@ class ColumnStatistics:
     ----------
     values : (N,)
         An array, or a `ComputedColumn`.
-    among : (N,) bool, optional
+    mask : (N,) bool, optional
         Those that count.
     scale : [-]
         Above zero; all results are of the values times it.
     """
 
-    def __init__(self, values: np.ndarray | ComputedColumn, among: np.ndarray | None = None, scale: float = 1.0):
-        self._values, self._among, self._scale = values, among, scale
+    def __init__(self, values: np.ndarray | ComputedColumn, mask: np.ndarray | None = None, scale: float = 1.0):
+        self._values, self._mask, self._scale = values, mask, scale
 
     def _portions(self) -> Iterator[np.ndarray]:
         for rows in portions(len(self._values)):
             part = np.asarray(self._values[rows])
             keep = np.isfinite(part)
-            if self._among is not None:
-                keep &= self._among[rows]
+            if self._mask is not None:
+                keep &= self._mask[rows]
             yield part if keep.all() else part[keep]
 
     @cached_property
@@ -107,11 +107,11 @@ class ColumnStatistics:
 
 def _keys(values: np.ndarray) -> np.ndarray:
     """Unsigned integers in the order of values: the bits of floating point numbers, inverted where negative."""
-    whole = np.dtype(f"u{values.dtype.itemsize}")
-    bits = np.ascontiguousarray(values).view(whole)
+    unsigned = np.dtype(f"u{values.dtype.itemsize}")
+    bits = np.ascontiguousarray(values).view(unsigned)
     if values.dtype.kind == "u":
         return bits
-    top = whole.type(1 << (8 * whole.itemsize - 1))
+    top = unsigned.type(1 << (8 * unsigned.itemsize - 1))
     if values.dtype.kind == "i":
         return bits ^ top
     return np.where(bits & top, ~bits, bits | top)

@@ -123,23 +123,23 @@ class PlanGrid:
             covered += int(np.count_nonzero(holds))
         return covered * self.cell_m**2
 
-    def count(self, among: np.ndarray | None = None) -> np.ndarray:
-        """Points in each cell, of those ``among`` (N,) bool."""
+    def count(self, mask: np.ndarray | None = None) -> np.ndarray:
+        """Points in each cell, of those in a ``mask`` (N,) bool."""
         count = np.zeros(self.shape, dtype=np.int64)
         for part, number in self._portions():
-            _add(count, number[number >= 0 if among is None else (number >= 0) & among[part]])
+            _add(count, number[number >= 0 if mask is None else (number >= 0) & mask[part]])
         return count
 
-    def mean(self, values: np.ndarray | ComputedColumn, among: np.ndarray | None = None) -> np.ndarray:
+    def mean(self, values: np.ndarray | ComputedColumn, mask: np.ndarray | None = None) -> np.ndarray:
         """Mean of values (N,) in each cell, NaN where there is none; values that are NaN do not count."""
         count, total = np.zeros(self.shape, dtype=np.int32), np.zeros(self.shape)
         for part, number in self._portions():
-            here = np.asarray(values[part], dtype=np.float64)
-            use = (number >= 0) & np.isfinite(here)
-            if among is not None:
-                use &= among[part]
+            portion = np.asarray(values[part], dtype=np.float64)
+            use = (number >= 0) & np.isfinite(portion)
+            if mask is not None:
+                use &= mask[part]
             _add(count, number[use])
-            _add(total, number[use], here[use])
+            _add(total, number[use], portion[use])
         with np.errstate(invalid="ignore"):
             total /= count
         return total
@@ -153,15 +153,15 @@ class PlanGrid:
         kind = np.result_type(values.dtype, np.float32)
         top, found = np.full(cells, -np.inf), np.full((cells, *values.shape[1:]), np.nan, dtype=kind)
         for part, number in self._portions():
-            here = np.asarray(height[part])
-            number = np.where(np.isfinite(here), number, -1)
-            order = np.argsort(here, kind="stable")
+            portion = np.asarray(height[part])
+            number = np.where(np.isfinite(portion), number, -1)
+            order = np.argsort(portion, kind="stable")
             # From the highest down, the first point of each cell.
             cell, last = np.unique(number[order][::-1], return_index=True)
             point = order[::-1][last]
-            higher = (cell >= 0) & ~(here[point] < top[cell])
+            higher = (cell >= 0) & ~(portion[point] < top[cell])
             cell, point = cell[higher], point[higher]
-            top[cell], found[cell] = here[point], values[part][point]
+            top[cell], found[cell] = portion[point], values[part][point]
         return found.reshape(*self.shape, *values.shape[1:])
 
 

@@ -160,9 +160,9 @@ def _fit_tile(grid: BedRaster, low: np.ndarray, side: int, correlated: float, po
     own = is_seen & ((at >= low) & (at < low + side)).all(axis=1)
     if not own.any():
         return
-    whole = np.floor(at[own]).astype(np.int64)
-    offset = (at[own] - whole - 0.5) * np.array([1.0, -1.0])
-    number = whole[:, 1] * cells.shape[1] + whole[:, 0]
+    cell = np.floor(at[own]).astype(np.int64)
+    offset = (at[own] - cell - 0.5) * np.array([1.0, -1.0])
+    number = cell[:, 1] * cells.shape[1] + cell[:, 0]
     in_cells = CellPoints(number, offset, height[own], std[own])
     fits = fit_cells(in_cells, side=cells.side_m, pixel=grid.pixel_m, correlated=correlated)
     own[own] = np.isin(number, fits.cell)

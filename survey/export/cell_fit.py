@@ -170,9 +170,9 @@ def correlated_px2(plan: np.ndarray, height: np.ndarray, std: np.ndarray, pixel:
         x, y = ((plan[near] - middle) / pixel).T
         residual = _quadratic_residuals(x, y, height[near].astype(np.float64))
         i, j = np.triu_indices(len(near), 1)
-        apart = np.hypot(x[i] - x[j], y[i] - y[j])
-        close = apart < _REACH_PX
-        i, j, ring = i[close], j[close], apart[close].astype(np.int64)
+        distance = np.hypot(x[i] - x[j], y[i] - y[j])
+        close = distance < _REACH_PX
+        i, j, ring = i[close], j[close], distance[close].astype(np.int64)
         variance = np.square(std[near].astype(np.float64))
         share = np.minimum((residual[i] - residual[j]) ** 2 / (variance[i] + variance[j]), _LARGEST)
         squared += np.bincount(ring, share, _REACH_PX)

@@ -127,14 +127,14 @@ def with_unseen(run: LoadedRun, stored: StoredBed, crs: str | None) -> tuple[Sto
         points = run.transformation_to(crs)(points)
     classes = [classes_of(bed.wet), np.full(number, CLASS_NO_BOTTOM), np.full(number, CLASS_WATER_SURFACE)]
     common = stored.std_common
-    whole = replace(
+    with_all = replace(
         stored,
         bed=BedPoints.concatenate([bed, added, added]),
         points_crs=np.concatenate([stored.points_crs, points, points]),
         std_common=None if common is None else np.concatenate([common, unknown, unknown]),
         std_placed=None,
     )
-    return whole, np.concatenate(classes).astype(np.uint8)
+    return with_all, np.concatenate(classes).astype(np.uint8)
 
 
 def footprints(run: LoadedRun, options: ExportOptions) -> Layer:
@@ -195,9 +195,9 @@ def unseen_areas(run: LoadedRun, options: ExportOptions) -> Layer:
     unseen = unseen_of(run)
     cells, codes = unseen.cells, unseen.codes
     (west, south), side = cells.low, cells.cell_m
-    away = Affine(side, 0.0, west, 0.0, side, south)  # rows run to the north
+    transform = Affine(side, 0.0, west, 0.0, side, south)  # rows run to the north
     shapes, views, reasons, areas = [], [], [], []
-    for polygon, code in polygons_of(codes, mask=codes > 0, transform=away):
+    for polygon, code in polygons_of(codes, mask=codes > 0, transform=transform):
         rings = [np.array(ring) for ring in polygon["coordinates"]]
         heights = (unseen.level[cells.index(ring)] for ring in rings)
         shapes.append([_in_crs(run, options, np.column_stack(pair)) for pair in zip(rings, heights, strict=True)])
@@ -252,9 +252,9 @@ def contours(run: LoadedRun, options: ExportOptions) -> Layer:
         If the CRS is unusable.
     """
     grid = bed_raster(run, options)
-    whole = _whole(grid)
+    all_cells = _whole(grid)
     is_dry = grid.level is None
-    values = grid.heights(whole) if is_dry else grid.depths(whole)
+    values = grid.heights(all_cells) if is_dry else grid.depths(all_cells)
     step = _interval(values, options.interval_m)
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     if (high - low) / step > _MOST_LEVELS:

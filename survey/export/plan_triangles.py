@@ -87,14 +87,14 @@ def triangles(
     tree, found = None, []
     for first, last in bands:
         begin, end = np.searchsorted(row, (first - rim, last + rim))
-        here = xy[begin:end]
-        faces = _whole(here, longest_m)
+        places = xy[begin:end]
+        faces = _whole(places, longest_m)
         if len(bands) > 1 and len(faces):
-            middle = _cell(here[faces, 1].mean(axis=1), south_m, cell_m)
+            middle = _cell(places[faces, 1].mean(axis=1), south_m, cell_m)
             # A middle beyond the outermost places by rounding belongs to the band there.
             faces = faces[(middle.clip(0, bands[-1][1] - 1) >= first) & (middle < last)]
             edges = south_m + cell_m * np.array([first - rim, last + rim])
-            doubtful = _reaches_beyond(here, faces, edges)
+            doubtful = _reaches_beyond(places, faces, edges)
             if doubtful.any():
                 tree = cKDTree(xy, balanced_tree=False, compact_nodes=False) if tree is None else tree
                 doubtful[doubtful] = _contains_a_point(xy, tree, faces[doubtful] + begin)
@@ -157,10 +157,10 @@ def _contains_a_point(xy: np.ndarray, tree: cKDTree, faces: np.ndarray) -> np.nd
     for other in near.T:
         # With four places in all the last may be missing.
         is_there = other < len(xy)
-        among = is_there & (other[:, None] != corners).all(axis=1)
+        is_other = is_there & (other[:, None] != corners).all(axis=1)
         at = xy[np.where(is_there, other, 0)]
         # Over the paraboloid of squared distances the place lies under the plane of the corners (counter-clockwise).
         rows = xy[corners] - at[:, None]
         lifted = np.concatenate([rows, (rows**2).sum(axis=2, keepdims=True)], axis=2)
-        holds[known] |= among & (np.linalg.det(lifted) > 0.0)
+        holds[known] |= is_other & (np.linalg.det(lifted) > 0.0)
     return holds

@@ -27,11 +27,11 @@ def write_style(path: Path, style: Style) -> None:
     from geo.files import write_whole
     from survey.progress import current
 
-    beside = path.with_suffix(".qml")
-    if beside.exists() and _MARK not in beside.read_text(encoding="utf-8", errors="replace"):
-        current().detail(f"{beside} was not written by bathynerf, and stays")
+    style_path = path.with_suffix(".qml")
+    if style_path.exists() and _MARK not in style_path.read_text(encoding="utf-8", errors="replace"):
+        current().detail(f"{style_path} was not written by bathynerf, and stays")
         return
-    with write_whole(beside) as stream:
+    with write_whole(style_path) as stream:
         stream.write(style(path).encode())
 
 

@@ -35,9 +35,9 @@ class ReadFiles:
     @classmethod
     def of(cls, *paths: Path | None) -> ReadFiles:
         """Sorts paths into files and folders; None is an option that was not given."""
-        there = [path for path in paths if path is not None]
-        files = tuple(path for path in there if path.is_file())
-        return cls(files, tuple(path for path in there if path.is_dir()))
+        given = [path for path in paths if path is not None]
+        files = tuple(path for path in given if path.is_file())
+        return cls(files, tuple(path for path in given if path.is_dir()))
 
     def __add__(self, other: ReadFiles) -> ReadFiles:
         return ReadFiles(self.files + other.files, self.folders + other.folders)

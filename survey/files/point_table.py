@@ -189,12 +189,12 @@ def require_exact(rows: Sequence[Row], path: Path, error: type[SurveyError]) -> 
 def several_heights(names: Sequence[str], places: np.ndarray, height_unit_m: float = 1.0) -> list[str]:
     """Points at one place in plan whose heights differ, of places (N, 3), e.g. "a (5.00) and b (5.30)"."""
     _, place, count = np.unique(places[:, :2], axis=0, return_inverse=True, return_counts=True)
-    apart = []
+    several = []
     for of_place in np.flatnonzero(count > 1):
-        here = np.flatnonzero(place.ravel() == of_place)
-        if np.ptp(places[here, 2]) * height_unit_m > _SAME_HEIGHT_M:
-            apart.append(" and ".join(f"{names[i]} ({places[i, 2]:.2f})" for i in here[:_MOST_NAMED]))
-    return apart
+        rows = np.flatnonzero(place.ravel() == of_place)
+        if np.ptp(places[rows, 2]) * height_unit_m > _SAME_HEIGHT_M:
+            several.append(" and ".join(f"{names[i]} ({places[i, 2]:.2f})" for i in rows[:_MOST_NAMED]))
+    return several
 
 
 def _scaled(rows: Sequence[Row], name: str, factor: float) -> list[Row]:
@@ -219,9 +219,9 @@ def _refuse_no_data(rows: Sequence[Row], name: str, error: type[SurveyError]) ->
 def _synonyms_for(path: Path, error: type[SurveyError]) -> dict[str, str]:
     """The names that count in a table: of one with grid coordinates and degrees, those of the grid."""
     synonyms = _with_units(first_cells(path, error))
-    called = {cell for cell in first_cells(path, error) if synonyms.get(cell, cell) in PLACE[:2]}
-    degrees = {cell for cell in called if cell.startswith(_DEGREES)}
-    if {synonyms.get(cell, cell) for cell in called - degrees} >= set(PLACE[:2]):
+    plan_columns = {cell for cell in first_cells(path, error) if synonyms.get(cell, cell) in PLACE[:2]}
+    degrees = {cell for cell in plan_columns if cell.startswith(_DEGREES)}
+    if {synonyms.get(cell, cell) for cell in plan_columns - degrees} >= set(PLACE[:2]):
         # Their own names again, which no column is asked for by.
         return {**synonyms, **{cell: cell for cell in degrees}}
     return synonyms
@@ -278,11 +278,11 @@ def _require_one_column(path: Path, synonyms: dict[str, str], error: type[Survey
                 f"{path} has {len(twice)} columns that may be the {name}, {' and '.join(twice)}; keep the one that "
                 f"counts in crs, and call it {name}"
             )
-    called = [cell for cell in cells if synonyms.get(cell, cell) in ("height", "depth") or cell in _HEIGHTS]
-    if len(called) > 1:
+    height_columns = [cell for cell in cells if synonyms.get(cell, cell) in ("height", "depth") or cell in _HEIGHTS]
+    if len(height_columns) > 1:
         raise error(
-            f"{path} has {len(called)} columns of heights, {' and '.join(called)}; keep the one that counts in the "
-            "heights of crs, and call it height"
+            f"{path} has {len(height_columns)} columns of heights, {' and '.join(height_columns)}; keep the "
+            "one that counts in the heights of crs, and call it height"
         )
 
 

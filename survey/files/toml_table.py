@@ -192,8 +192,8 @@ class _Reader:
         what = f"table [{dotted}]" if is_table else f"key {name}" + (f" in [{where}]" if where else "")
         # A table is compared with tables and a key with keys.
         everywhere = list(_all_keys(self.root))
-        here = [other for other in known if (_join(where, other) in _tables(everywhere)) == is_table]
-        near = difflib.get_close_matches(name, here, 1, _NEAR)
+        same_kind = [other for other in known if (_join(where, other) in _tables(everywhere)) == is_table]
+        near = difflib.get_close_matches(name, same_kind, 1, _NEAR)
         elsewhere = [path for path, _ in everywhere if path.split(".")[-1] == name]
         synonym = self.synonyms.get(name.casefold())
         # What other programs call it is surer than what looks alike.
@@ -206,7 +206,7 @@ class _Reader:
             later = f", which is not supported yet: {self.not_yet[synonym]}" if synonym in self.not_yet else ""
             remedy = f"that is {_place(synonym)} here{later}. Correct or remove it"
         else:
-            listed = ", ".join(f"[{_join(where, other)}]" if is_table else other for other in here)
+            listed = ", ".join(f"[{_join(where, other)}]" if is_table else other for other in same_kind)
             remedy = f"known are {listed or 'none'}. Correct or remove it"
         raise ConfigError(f"unknown {what}; {remedy}")
 

@@ -49,10 +49,10 @@ _FEWEST_TO_TEST = 4
 
 def control_of_block(found: Found) -> BlockControl | None:
     """The control points of a survey in a local frame of their own; None where there are none."""
-    if found.control is None or found.control.gathered is None:
+    if found.control is None or found.control.merged is None:
         return None
-    gathered = found.control.gathered
-    given = [point for point in gathered.points if not point.is_check]
+    merged = found.control.merged
+    given = [point for point in merged.points if not point.is_check]
     if not given:
         return None
     e, n, h = np.median([point.place for point in given], axis=0).tolist()
@@ -62,7 +62,7 @@ def control_of_block(found: Found) -> BlockControl | None:
     except PlaceMismatch as error:
         raise ControlError(f"control points (first in {given[0].where}) cannot be in crs: {error}") from error
     control = control_in_local(
-        gathered, frame, list(found.images), per_direction(found.control.config.std_m), marks_std_px=1.0
+        merged, frame, list(found.images), per_direction(found.control.config.std_m), marks_std_px=1.0
     )
     return None if control is None else control_for_block(control, frame, found)
 
@@ -83,22 +83,22 @@ def require_placing_control(found: Found) -> BlockControl:
     num = sum(header.lat_lon_height is not None for header in found.headers.values())
     num_whole = sum(is_whole(header.lat_lon_height) for header in found.headers.values())
     least = least_track(len(found.headers))
-    told = (
+    message = (
         f"{found.folder} has no poses file, and {num} of {len(found.headers)} images have a GPS position in EXIF or "
         f"{GEO_TXT} ({num_whole} with a height){what_is_missing(found.headers)}, expected at least {least}"
     )
     if control is None:
         unread = "".join(f". {sentence}" for sentence in find_unread(found.folder))
         raise PosesError(
-            f"{told}, or at least {MIN_POINTS} control points; name a file of poses in [cameras] poses in {FILE_NAME}, "
-            f"or control points with their marks in [control] gcps{unread}"
+            f"{message}, or at least {MIN_POINTS} control points; name a file of poses in [cameras] poses in "
+            f"{FILE_NAME}, or control points with their marks in [control] gcps{unread}"
         )
     enough = with_two_marks(control)
     if len(enough) < MIN_POINTS:
         count = Counter(mark.point for mark in control.marks)
         marks = ", ".join(f"{point.name} {count[point.name]}" for point in control.points[:10])
         raise ControlError(
-            f"{told}; {len(enough)} of {len(control.points)} control points are marked in two photographs or more "
+            f"{message}; {len(enough)} of {len(control.points)} control points are marked in two photographs or more "
             f"(marks: {marks}), expected at least {MIN_POINTS} not on a line to place the survey without positions; "
             "mark more"
         )
@@ -171,14 +171,14 @@ def checked_parts(found: Found, frame: LocalFrame, block: ControlledBlock) -> tu
     refusals: list[ControlError] = []
     findings = Findings()
     for number in range(int(part.max()) + 1):
-        mine = np.flatnonzero(part == number)
-        names = {views[k].name for k in mine}
+        members = np.flatnonzero(part == number)
+        names = {views[k].name for k in members}
         own = _of_views(control, names)
         if not own.marks:
             continue
         own_priors = {name: prior for name, prior in priors.items() if name in names}
         try:
-            checked, of_part = checked_control(found, frame, [views[k] for k in mine], own, own_priors)
+            checked, of_part = checked_control(found, frame, [views[k] for k in members], own, own_priors)
         except ControlError as error:
             refusals.append(error)
             continue
@@ -187,7 +187,7 @@ def checked_parts(found: Found, frame: LocalFrame, block: ControlledBlock) -> tu
         marks += [] if checked.control is None else list(checked.control.marks)
         if checked.move is not None:
             ties = _moved_ties(ties, checked.move, part == number)
-            for k in mine:
+            for k in members:
                 moved_views[k] = _moved(views[k], checked.move)
     if refusals and not marks:
         raise refusals[0]
@@ -224,21 +224,25 @@ def checked_control(
     """
     block = control_for_block(control, frame, found)
     posed = {view.name: BlockView(view.lens, view.camera.centre, view.camera.cam_from_local) for view in views}
-    met = intersect_marks(block, posed)
-    require_consistent_marks(block, posed, met)
-    fit = fit_majority(met, posed) if _can_be_compared(met) else None
+    intersections = intersect_marks(block, posed)
+    require_consistent_marks(block, posed, intersections)
+    fit = fit_majority(intersections, posed) if _can_be_compared(intersections) else None
     wrong = {} if fit is None else fit.wrong
-    warnings = _left_out(met, wrong)
-    lost = {*met.apart, *wrong}
+    warnings = _left_out(intersections, wrong)
+    lost = {*intersections.inconsistent, *wrong}
     points = tuple(point for point in control.points if point.name not in lost)
-    bad = {(mark.point, mark.view) for mark in met.wrong_marks}
+    bad = {(mark.point, mark.view) for mark in intersections.wrong_marks}
     marks = tuple(mark for mark in control.marks if mark.point not in lost and (mark.point, mark.view) not in bad)
-    good = [(place, p.local, p.std) for p, place in zip(met.points, met.places, strict=True) if p.name not in lost]
+    good = [
+        (place, p.local, p.std)
+        for p, place in zip(intersections.points, intersections.places, strict=True)
+        if p.name not in lost
+    ]
     move = None
     if good:
-        places, theirs, stds = (np.array(column) for column in zip(*good, strict=True))
-        reach, std = float(np.median(met.ranges)), np.median(stds, axis=0)
-        other_datum = _other_datum(np.median(places - theirs, axis=0), std, reach, priors)
+        places, control_xyz, stds = (np.array(column) for column in zip(*good, strict=True))
+        reach, std = float(np.median(intersections.ranges)), np.median(stds, axis=0)
+        other_datum = _other_datum(np.median(places - control_xyz, axis=0), std, reach, priors)
         if other_datum is not None:
             warnings.append(other_datum)
             move = None if fit is None else fit.similarity
@@ -253,22 +257,26 @@ def checked_control(
     return checked, Findings(warnings=tuple(warnings))
 
 
-def _can_be_compared(met: Intersections) -> bool:
+def _can_be_compared(intersections: Intersections) -> bool:
     """Whether control points determine a similarity by themselves; on one line they need positions."""
-    if len(met.points) < MIN_POINTS:
+    if len(intersections.points) < MIN_POINTS:
         return False
-    _, across, least = spread_of(*coordinates(met))
+    _, across, least = spread_of(*coordinates(intersections))
     return across >= least
 
 
-def _left_out(met: Intersections, wrong: Mapping[str, float]) -> list[str]:
+def _left_out(intersections: Intersections, wrong: Mapping[str, float]) -> list[str]:
     return [
         *named(
-            [f"{mark.point} in {mark.view}" for mark in met.wrong_marks],
+            [f"{mark.point} in {mark.view}" for mark in intersections.wrong_marks],
             "mark",
             "of control that the other marks of its point contradict, left out",
         ),
-        *named(list(met.apart), "control point", "whose marks contradict each other, left out; correct the marks"),
+        *named(
+            list(intersections.inconsistent),
+            "control point",
+            "whose marks contradict each other, left out; correct the marks",
+        ),
         *named(
             [f"{name} (by {off:.2f} m)" for name, off in wrong.items()],
             "control point",
@@ -334,8 +342,8 @@ def _moved(view: View, move: Similarity) -> View:
     return replace(view, camera=camera)
 
 
-def _moved_ties(ties: TiePoints, move: Similarity, mine: np.ndarray) -> TiePoints:
+def _moved_ties(ties: TiePoints, move: Similarity, is_moved: np.ndarray) -> TiePoints:
     """Tie points, those of views (V,) bool taken elsewhere."""
-    theirs = np.zeros(len(ties), dtype=bool)
-    theirs[ties.point] = mine[ties.view]
-    return replace(ties, start=np.where(theirs[:, None], move(ties.start), ties.start))
+    is_moved_point = np.zeros(len(ties), dtype=bool)
+    is_moved_point[ties.point] = is_moved[ties.view]
+    return replace(ties, start=np.where(is_moved_point[:, None], move(ties.start), ties.start))

@@ -49,18 +49,18 @@ class FoundControl:
     """Contents of the files of [control], in the crs of the survey."""
 
     config: ControlConfig  # With standard deviations, where there are control points
-    gathered: MergedControl | None  # None without control points
+    merged: MergedControl | None  # None without control points
     checkpoints: tuple[GivenPoint, ...]
 
     @property
     def points(self) -> tuple[GivenPoint, ...]:
         """Control and check points."""
-        return (*(() if self.gathered is None else self.gathered.points), *self.checkpoints)
+        return (*(() if self.merged is None else self.merged.points), *self.checkpoints)
 
     @property
     def num_given(self) -> int:
         """Number of control points that the block is adjusted to."""
-        return 0 if self.gathered is None else sum(not point.is_check for point in self.gathered.points)
+        return 0 if self.merged is None else sum(not point.is_check for point in self.merged.points)
 
 
 def find_control(
@@ -95,11 +95,11 @@ def find_control(
         # Metashape's XML has coordinates too, but here only its marks are used.
         contents.append(Content(marks=read_control(folder / config.marks).marks))
     sizes = {name: header.size_px for name, header in headers.items()}
-    gathered, of_files = merge_control(contents, crs, sizes)
-    untold = _unstated_accuracy(config, gathered)
-    config, assumed = _with_stds(config, gathered)
+    merged, of_files = merge_control(contents, crs, sizes)
+    untold = _unstated_accuracy(config, merged)
+    config, assumed = _with_stds(config, merged)
     findings += of_files + Findings(assumed, untold)
-    found = FoundControl(config, gathered, (*checkpoints, *gathered.unmarked))
+    found = FoundControl(config, merged, (*checkpoints, *merged.unmarked))
     return found, findings + Findings(warnings=_repeated_heights(found, crs))
 
 
@@ -110,25 +110,25 @@ def _repeated_heights(found: FoundControl, crs: CRS) -> tuple[str, ...]:
     return tuple(named(several, "place", "of control with several heights, of which one is true at most"))
 
 
-def _unstated_accuracy(config: ControlConfig, gathered: MergedControl) -> tuple[str, ...]:
+def _unstated_accuracy(config: ControlConfig, merged: MergedControl) -> tuple[str, ...]:
     """Warning where neither settings nor files state the accuracy of control points."""
-    untold = [point for point in gathered.points if point.std_m is None]
+    untold = [point for point in merged.points if point.std_m is None]
     if config.std_m is not None or not untold:
         return ()
     return (
-        f"no accuracy is stated for {len(untold)} of {len(gathered.points)} control points: {DEFAULT_STD_M:g} m is "
+        f"no accuracy is stated for {len(untold)} of {len(merged.points)} control points: {DEFAULT_STD_M:g} m is "
         "assumed, as of GNSS with corrections or a total station; give [control] std_m, e.g. 0.03, or [0.02, 0.03] "
         "horizontally and vertically",
     )
 
 
-def _with_stds(config: ControlConfig, gathered: MergedControl) -> tuple[ControlConfig, tuple[str, ...]]:
+def _with_stds(config: ControlConfig, merged: MergedControl) -> tuple[ControlConfig, tuple[str, ...]]:
     """Settings with all standard deviations, missing ones assumed."""
     std_m, marks_std_px = config.std_m, config.marks_std_px
     assumptions = []
     if std_m is None:
         std_m = DEFAULT_STD_M
-        if any(point.std_m is None for point in gathered.points):
+        if any(point.std_m is None for point in merged.points):
             assumptions.append(f"[control] std_m = {std_m:g}, the standard deviation of control points in metres")
     if marks_std_px is None:
         marks_std_px = DEFAULT_MARKS_STD_PX
@@ -155,15 +155,15 @@ def place_control(
     if found is None:
         return None, (), Findings()
     checkpoints = checkpoints_in_local(found.checkpoints, frame)
-    if found.gathered is None:
+    if found.merged is None:
         return None, checkpoints, Findings()
     std, marks_std_px = per_direction(found.config.std_m), found.config.marks_std_px
     if marks_std_px is None:
         raise ValueError("[control] marks_std_px is not filled in; expected what `find_control` returns")
     warnings = named(
-        without_pose(found.gathered.marks, views), "photograph", "with marks of control has no pose, its marks left out"
+        without_pose(found.merged.marks, views), "photograph", "with marks of control has no pose, its marks left out"
     )
-    control = control_in_local(found.gathered, frame, views, std, marks_std_px)
+    control = control_in_local(found.merged, frame, views, std, marks_std_px)
     if control is None:
         warnings.append("no photograph with a pose shows a control point: they are not used")
     return control, checkpoints, Findings(warnings=tuple(warnings))
@@ -203,10 +203,10 @@ def checkpoint_warnings(
 
 def mark_warnings(control: Control, views: Sequence[View], water: FlatWater | None) -> list[str]:
     """Warnings about marks that lie far from where the poses show their points."""
-    away = mark_residuals(control, views, water)
+    residuals = mark_residuals(control, views, water)
     longer = {view.name: max(view.lens.width, view.lens.height) for view in views}
-    near = away <= _DOUBTFUL_SHARE * np.array([longer[mark.view] for mark in control.marks])
-    middle = np.nanmedian(away) if np.isfinite(away).any() else np.inf
+    near = residuals <= _DOUBTFUL_SHARE * np.array([longer[mark.view] for mark in control.marks])
+    middle = np.nanmedian(residuals) if np.isfinite(residuals).any() else np.inf
     if near.mean() < 0.5:
         return [
             f"the marks of control points lie {middle:.0f} px (median) from where the poses show these points; check "
@@ -215,7 +215,7 @@ def mark_warnings(control: Control, views: Sequence[View], water: FlatWater | No
         ]
     wrong = [
         f"{mark.point} in {mark.view}"
-        for mark, is_near, distance in zip(control.marks, near, away, strict=True)
+        for mark, is_near, distance in zip(control.marks, near, residuals, strict=True)
         if not is_near and not distance <= _TIMES * middle
     ]
     return named(wrong, "mark", "far from where the pose shows its point, to be checked")

@@ -106,8 +106,8 @@ def require_apart(views: list[View], over_water: np.ndarray | None) -> list[str]
     warnings = [] if over_water is None else _overlap_warnings(views, over_water)
     poses = [(*view.camera.centre, *view.camera.cam_from_local.ravel()) for view in views]
     first = {pose: i for i, pose in reversed(list(enumerate(poses)))}
-    again = [view.name for i, view in enumerate(views) if first[poses[i]] != i]
-    return warnings + named(again, "image", "with the pose of another one")
+    repeated = [view.name for i, view in enumerate(views) if first[poses[i]] != i]
+    return warnings + named(repeated, "image", "with the pose of another one")
 
 
 def _overlap_warnings(views: list[View], over_water: np.ndarray) -> list[str]:
@@ -120,10 +120,10 @@ def _overlap_warnings(views: list[View], over_water: np.ndarray) -> list[str]:
         along = height / falling
         places.append((camera.centre + along * camera.cam_from_local[2])[:2])
         radii.append(0.5 * along * math.hypot(camera.width / camera.fx, camera.height / camera.fy) / falling)
-    apart = _gaps(np.array(places), np.array(radii))
-    alone = apart > 0.0
+    gaps = _gaps(np.array(places), np.array(radii))
+    alone = gaps > 0.0
     if alone.mean() > 0.5:
-        gap = np.median(apart[alone])
+        gap = np.median(gaps[alone])
         raise PosesError(
             f"{alone.sum()} of {len(views)} views overlap no other at the water: one covers "
             f"{2.0 * np.median(radii):.2f} m, and the next one begins {gap:.2f} m away, expected an overlap of "

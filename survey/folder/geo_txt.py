@@ -37,7 +37,7 @@ _MOST_STD_M = 100.0
 class _Line:
     """A photograph with its position, as one line has it."""
 
-    called: str
+    image: str
     where: str
     place: tuple[float, float, float]
     std_m: tuple[float, float, float] | None
@@ -77,16 +77,16 @@ def with_positions(path: Path, headers: Mapping[str, Exif]) -> tuple[dict[str, E
     names, line_of = ImageNames(headers), {}
     unknown = []
     for line in lines:
-        name = names.find(line.called, line.where)
+        name = names.find(line.image, line.where)
         if name is None:
-            unknown.append(line.called)
+            unknown.append(line.image)
         elif name in line_of:
             raise PosesError(f"{line.where}: {name} has a second position; remove one of the two lines")
         else:
             line_of[name] = line
     if not line_of:
         raise PosesError(
-            f'{path} names none of the photographs: "{lines[0].called}" for "{next(iter(headers))}"; correct its '
+            f'{path} names none of the photographs: "{lines[0].image}" for "{next(iter(headers))}"; correct its '
             "names, or remove the file where it is of another flight"
         )
     done = dict(headers) | _placed(headers, line_of, crs)
@@ -148,12 +148,12 @@ def _replaced(path: Path, crs: CRS, headers: Mapping[str, Exif], line_of: Mappin
         return Findings((f"{message}; EXIF has none of them",))
     lat, lon = np.array([position[:2] for position in replaced.values()]).T
     own_lon, own_lat = lon_lat(crs, np.array([line_of[name].place for name in replaced])).T
-    away = float(np.median(Geod(ellps="WGS84").inv(lon, lat, own_lon, own_lat)[2]))
-    message = f"{message}, instead of those in EXIF of {len(replaced)}, {away:.2g} m away (median)"
-    if not away > SAME_PLACE_M:
+    distance = float(np.median(Geod(ellps="WGS84").inv(lon, lat, own_lon, own_lat)[2]))
+    message = f"{message}, instead of those in EXIF of {len(replaced)}, {distance:.2g} m away (median)"
+    if not distance > SAME_PLACE_M:
         return Findings((message,))
     warning = (
-        f"the positions in {path.name} lie {away:.0f} m (median) from those in EXIF: check the CRS in its first "
+        f"the positions in {path.name} lie {distance:.0f} m (median) from those in EXIF: check the CRS in its first "
         "line, and that easting or longitude comes first"
     )
     return Findings((message,), (warning,))
@@ -186,11 +186,11 @@ def _line(text: str, where: str) -> _Line:
     # What follows both accuracies has no meaning.
     if not count or (len(values) > count < _COUNTS[-1]) or not all(math.isfinite(value) for value in values[:count]):
         raise PosesError(f'{where}: "{shortened(text)}" was found, expected {_FORM}; correct or remove the line')
-    x, y, *rest = values[:count]
+    x, y, *heights = values[:count]
     return _Line(
         " ".join(cells[:end]),
         where,
-        (x, y, rest[0] if rest else math.nan),
+        (x, y, heights[0] if heights else math.nan),
         _std(values[6:8], where) if count == _COUNTS[-1] else None,
         count == _COUNTS[-2],
     )

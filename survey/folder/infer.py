@@ -148,8 +148,8 @@ NO_WATER = (
 def _require_same_place(crs: CRS, file: PoseFile, poses_path: Path, headers: dict[str, Exif]) -> None:
     centres = points_in_crs(file, np.array([pose.centre for pose in file.poses]), crs, "crs")
     names = ImageNames(headers)
-    called = [names.find(pose.name, str(poses_path)) for pose in file.poses]
-    known = {name: centre for name, centre in zip(called, centres, strict=True) if name is not None}
+    image_names = [names.find(pose.name, str(poses_path)) for pose in file.poses]
+    known = {name: centre for name, centre in zip(image_names, centres, strict=True) if name is not None}
     distances = distances_to_exif(crs, known, headers)
     if not distances.size or np.median(distances) > SAME_PLACE_M:
         raise ConfigError(

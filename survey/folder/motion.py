@@ -109,9 +109,9 @@ def _along_lines(
         linked = np.linalg.norm(steps, axis=1) > 0.0
         rates = speed_m_s * steps / np.where(linked, np.linalg.norm(steps, axis=1), 1.0)[:, None]
     lengths = np.linalg.norm(rates, axis=1)
-    apart = np.linalg.norm(np.diff(rates, axis=0), axis=1)
+    rate_changes = np.linalg.norm(np.diff(rates, axis=0), axis=1)
     # Of the photographs but the first and the last: whether they lie on a line.
-    inside = linked[:-1] & linked[1:] & (apart <= _SAME_LINE * np.maximum(lengths[:-1], lengths[1:]))
+    inside = linked[:-1] & linked[1:] & (rate_changes <= _SAME_LINE * np.maximum(lengths[:-1], lengths[1:]))
     found: dict[str, np.ndarray] = {}
     for i, name in enumerate(names):
         if 0 < i < len(names) - 1 and inside[i - 1]:

@@ -240,7 +240,7 @@ def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
         file = read_poses(path)
     except DuplicatePose as error:
         # Two photographs of one name are what the user can correct: that error comes first.
-        ImageNames(found.images).find(error.called, str(path))
+        ImageNames(found.images).find(error.name_in_file, str(path))
         raise
     paired, of_pairs = pair(found, file.poses)
     poses, of_lenses = with_lenses(found, list(paired.values()))
@@ -259,7 +259,9 @@ def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
         centres = np.array([view.camera.centre for view in views])
         warnings += require_near(found.control.points, frame.crs_from_local(centres), frame.crs)
     by_name = {view.name: view for view in views}
-    points, misses = _ties(found, path, file, frame, {called: by_name[pose.name] for called, pose in paired.items()})
+    points, misses = _ties(
+        found, path, file, frame, {file_name: by_name[pose.name] for file_name, pose in paired.items()}
+    )
     priors = priors_of_poses(found.config.cameras, views, _given(found, file, poses, frame), datum)
     of_file = FilePoses(found, frame, views, points, file.tool, file.masks, misses, priors)
     return of_file, findings + Findings(warnings=tuple(warnings))

@@ -80,8 +80,8 @@ def _masked(found: Found, views: Sequence[View], folder: Path | None) -> list[Vi
     root = found.folder / found.config.images.local_dir if folder is None else folder
     names, masks = ImageNames(found.images), dict[str, tuple[int, Path]]()
     for path in _files(found, root, is_beside=folder is None):
-        called = _called(path.relative_to(root), is_beside=folder is None)
-        rank, name = next(((i, n) for i, c in enumerate(called) if (n := names.find(c, str(path)))), (0, None))
+        candidates = _names_by_mask(path.relative_to(root), is_beside=folder is None)
+        rank, name = next(((i, n) for i, c in enumerate(candidates) if (n := names.find(c, str(path)))), (0, None))
         if name is None:
             continue
         before = masks.get(name)
@@ -107,11 +107,11 @@ def _files(found: Found, root: Path, *, is_beside: bool) -> list[Path]:
     )
 
 
-def _called(mask: Path, *, is_beside: bool) -> list[str]:
+def _names_by_mask(mask: Path, *, is_beside: bool) -> list[str]:
     """Names of the photograph that a mask may belong to, by its path: the longest match first."""
-    whole, stem = mask.as_posix(), mask.with_suffix("").as_posix()
+    full_name, stem = mask.as_posix(), mask.with_suffix("").as_posix()
     ending = [stem[: -len(MASK_ENDING)]] if stem.lower().endswith(MASK_ENDING) else []
-    return ending if is_beside else [whole, stem, *ending]
+    return ending if is_beside else [full_name, stem, *ending]
 
 
 def _require_sizes(views: Sequence[View]) -> None:

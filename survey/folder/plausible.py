@@ -66,9 +66,9 @@ def ground_below(cameras: Sequence[PinholeCamera]) -> GroundHeight:
         between = centres[j] - centres[i]
         along_i, along_j = np.sum(between * axes[i], axis=1), np.sum(between * axes[j], axis=1)
         t = (along_i - cos * along_j) / (1.0 - cos**2)
-        met = (centres[i] + t[:, None] * axes[i])[t > 0.0, 2]
-        if met.size >= _FEWEST_PAIRS:
-            return GroundHeight(float(np.median(met)), "where the axes of oblique views converge")
+        heights = (centres[i] + t[:, None] * axes[i])[t > 0.0, 2]
+        if heights.size >= _FEWEST_PAIRS:
+            return GroundHeight(float(np.median(heights)), "where the axes of oblique views converge")
     base = float(np.median(KDTree(centres[:, :2]).query(centres[:, :2], k=2)[0][:, 1]))
     camera = cameras[0]
     seen = min(camera.width / camera.fx, camera.height / camera.fy)
@@ -112,12 +112,12 @@ def require_plausible(
 
 
 def _require_together(frame: LocalFrame, views: list[View], centres: np.ndarray) -> None:
-    apart = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
-    worst = int(np.argmax(apart))
-    if apart[worst] > _ONE_SURVEY_M:
+    distance = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
+    worst = int(np.argmax(distance))
+    if distance[worst] > _ONE_SURVEY_M:
         place = ", ".join(f"{v:.10g}" for v in frame.crs_from_local(centres[worst]))
         raise PosesError(
-            f"the camera of {views[worst].name} at {place} lies {apart[worst] / 1000.0:.0f} km from the others, "
+            f"the camera of {views[worst].name} at {place} lies {distance[worst] / 1000.0:.0f} km from the others, "
             f"expected at most {_ONE_SURVEY_M / 1000.0:.0f} km; correct its pose or leave the image out"
         )
 

@@ -195,14 +195,14 @@ def reprojection(ties: FileTies, points: np.ndarray, views: Mapping[str, View]) 
     order = np.argsort(ties.image, kind="stable")
     starts = np.searchsorted(ties.image[order], np.arange(len(ties.names) + 1))
     for number, name in enumerate(ties.names):
-        mine = order[starts[number] : starts[number + 1]]
-        if name not in views or not len(mine):
+        rows = order[starts[number] : starts[number + 1]]
+        if name not in views or not len(rows):
             continue
-        missed = views[name].camera.project(points[ties.point[mine]], None) - ties.pixel[mine]
+        missed = views[name].camera.project(points[ties.point[rows]], None) - ties.pixel[rows]
         square = (missed**2).sum(axis=1)
         known = np.isfinite(square)
         squares.append(square[known])
-        seen_points.append(ties.point[mine][known])
+        seen_points.append(ties.point[rows][known])
         lost += int((~known).sum())
         num_images += 1
     if not squares or not sum(map(len, squares)):

@@ -38,8 +38,8 @@ def position_warnings(headers: Mapping[str, Exif]) -> list[str]:
         return []
     names, places = np.array(list(known)), np.array([header.lat_lon_height for header in known.values()])
     # Longitudes are unwrapped across the antimeridian, relative to the first.
-    away = places[:, 1] - places[0, 1]
-    plan = EARTH_RADIUS_M * np.radians(np.column_stack([places[:, 0], (away + 180.0) % 360.0 - 180.0]))
+    east_deg = places[:, 1] - places[0, 1]
+    plan = EARTH_RADIUS_M * np.radians(np.column_stack([places[:, 0], (east_deg + 180.0) % 360.0 - 180.0]))
     plan[:, 1] *= np.cos(np.radians(np.median(places[:, 0])))
     cameras = np.array([header.serial for header in known.values()])
     clocks = [header.clock for header in known.values() if header.clock is not None]
@@ -66,8 +66,8 @@ def far_from_others(
         return []
     main = _largest_group(plan)
     warnings = named(names[~main].tolist(), "image", f"kilometres away from the others by {by}: of another survey?")
-    apart = KDTree(plan).query(plan, k=2)[0][:, 1]
-    alone = main & (apart > max(_FAR * float(np.median(apart)), _FAR_PLAN_M))
+    nearest = KDTree(plan).query(plan, k=2)[0][:, 1]
+    alone = main & (nearest > max(_FAR * float(np.median(nearest)), _FAR_PLAN_M))
     warnings += named(_few(names, alone), "image", f"far from all others by its {by} position")
     off = np.zeros(len(names))
     for camera in [np.s_[:]] if cameras is None else [cameras == each for each in np.unique(cameras)]:
@@ -80,7 +80,7 @@ def far_from_others(
     )
     if by == "GPS":
         # Poses that also share their rotation are reported where poses are read.
-        warnings += _again(names, np.column_stack([plan, height]), seconds)
+        warnings += _repeated_positions(names, np.column_stack([plan, height]), seconds)
     with_height = np.isfinite(height)
     return warnings + _far_in_height(names[with_height], height[with_height], by)
 
@@ -89,8 +89,8 @@ def _far_in_height(names: np.ndarray, heights: np.ndarray, by: str) -> list[str]
     """Warnings that name the photographs whose height (N,) [m] is far from the others."""
     if len(heights) < _FEWEST:
         return []
-    away = np.abs(heights - np.median(heights))
-    far = away > max(_FAR * float(np.median(away)), _FAR_HEIGHT_M)
+    deviation = np.abs(heights - np.median(heights))
+    far = deviation > max(_FAR * float(np.median(deviation)), _FAR_HEIGHT_M)
     # Exactly 0 is what receivers write without a height: no other flight, however many have it.
     no_height = far & (heights == 0.0)
     low, high = heights[~far].min(), heights[~far].max()
@@ -102,7 +102,7 @@ def _far_in_height(names: np.ndarray, heights: np.ndarray, by: str) -> list[str]
     )
 
 
-def _again(names: np.ndarray, places: np.ndarray, seconds: np.ndarray | None) -> list[str]:
+def _repeated_positions(names: np.ndarray, places: np.ndarray, seconds: np.ndarray | None) -> list[str]:
     """Warnings about photographs (N,) that share a position (N, 3) to the last digit.
 
     Except those taken at once, or between two fixes of the receiver: bands, brackets, rigs and bursts.
@@ -112,13 +112,13 @@ def _again(names: np.ndarray, places: np.ndarray, seconds: np.ndarray | None) ->
         alike[place.tobytes()].append(number)
     if len(alike) == 1:
         return [f"all {len(names)} images have the same GPS position to the last digit: it tells nothing of them"]
-    again = [
+    repeated = [
         number
         for group in alike.values()
         for number in group[1:]
         if seconds is None or abs(seconds[number] - seconds[group[0]]) > _BETWEEN_FIXES_S
     ]
-    return named(names[again].tolist(), "image", "with the GPS position of an earlier one to the last digit")
+    return named(names[repeated].tolist(), "image", "with the GPS position of an earlier one to the last digit")
 
 
 def _off_the_line(plan: np.ndarray, seconds: np.ndarray | None) -> np.ndarray:
@@ -139,8 +139,10 @@ def _off_the_line(plan: np.ndarray, seconds: np.ndarray | None) -> np.ndarray:
     guesses = np.stack([2.0 * at[1:-3] - at[:-4], 2.0 * at[3:-1] - at[4:], (at[1:-3] + at[3:-1]) / 2.0])
     middle = guesses.mean(axis=0)
     open_m = np.linalg.norm(guesses - middle, axis=2).max(axis=0)
-    away = np.linalg.norm(at[2:-2] - middle, axis=1)
-    found[2:-2] = np.maximum(found[2:-2], np.where(away > np.maximum(_OFF_M, _TIMES_OPEN * open_m), away, 0.0))
+    deviation = np.linalg.norm(at[2:-2] - middle, axis=1)
+    found[2:-2] = np.maximum(
+        found[2:-2], np.where(deviation > np.maximum(_OFF_M, _TIMES_OPEN * open_m), deviation, 0.0)
+    )
     if seconds is not None:
         taken = np.diff(seconds[order])
         longest = _LONGER * float(np.median(taken)) + _CLOCK_STEP_S
@@ -153,30 +155,32 @@ def _off_the_line(plan: np.ndarray, seconds: np.ndarray | None) -> np.ndarray:
 
 def _from_neighbours(at: np.ndarray) -> np.ndarray:
     """Distance (N - 2,) [m] of each place from the line between its neighbours where it is far; 0 elsewhere."""
-    before, here, behind = at[:-2], at[1:-1], at[2:]
+    before, place, behind = at[:-2], at[1:-1], at[2:]
     along = behind - before
-    apart = np.linalg.norm(along, axis=1)
-    share = np.einsum("ni,ni->n", here - before, along) / np.maximum(apart**2, np.finfo(float).tiny)
-    away = np.linalg.norm(here - before - np.clip(share, 0.0, 1.0)[:, None] * along, axis=1)
+    length = np.linalg.norm(along, axis=1)
+    share = np.einsum("ni,ni->n", place - before, along) / np.maximum(length**2, np.finfo(float).tiny)
+    deviation = np.linalg.norm(place - before - np.clip(share, 0.0, 1.0)[:, None] * along, axis=1)
     step = np.linalg.norm(np.diff(at, axis=0), axis=1)
-    beside = sliding_window_view(np.pad(step, _STEPS_BESIDE, constant_values=np.nan), 2 * _STEPS_BESIDE + 2)[
+    steps_around = sliding_window_view(np.pad(step, _STEPS_BESIDE, constant_values=np.nan), 2 * _STEPS_BESIDE + 2)[
         :, [*range(_STEPS_BESIDE), *range(_STEPS_BESIDE + 2, 2 * _STEPS_BESIDE + 2)]
     ]
-    enough = np.isfinite(beside).sum(axis=1) >= _FEWEST_STEPS
-    beside = np.where(enough[:, None], beside, 0.0)
+    enough = np.isfinite(steps_around).sum(axis=1) >= _FEWEST_STEPS
+    steps_around = np.where(enough[:, None], steps_around, 0.0)
     # Around the place, and in all of the flight.
-    usual, most = np.nanquantile(beside, 0.75, axis=1), 1.1 * np.nanmax(beside, axis=1)
-    here_far = (away > np.maximum(_OFF_M, _TIMES_STEP * usual)) & (apart < np.maximum(_TIMES_STEP * usual, most))
+    usual, most = np.nanquantile(steps_around, 0.75, axis=1), 1.1 * np.nanmax(steps_around, axis=1)
+    far_around = (deviation > np.maximum(_OFF_M, _TIMES_STEP * usual)) & (
+        length < np.maximum(_TIMES_STEP * usual, most)
+    )
     usual, most = np.quantile(step, [0.75, 0.9])
-    all_far = (away > max(_OFF_M, _TIMES_STEP * usual)) & (apart < _TIMES_STEP * most)
-    return np.where((here_far & enough) | all_far, away, 0.0)
+    all_far = (deviation > max(_OFF_M, _TIMES_STEP * usual)) & (length < _TIMES_STEP * most)
+    return np.where((far_around & enough) | all_far, deviation, 0.0)
 
 
 def _largest_group(plan: np.ndarray) -> np.ndarray:
     """Mask (N,) bool of the places (N, 2) [m] of the largest group. Groups are at least `_ELSEWHERE_M` apart."""
     squares, square = np.unique(np.floor(plan / _ELSEWHERE_M), axis=0, return_inverse=True)
-    beside = np.array(list(KDTree(squares).query_pairs(1.0, p=np.inf))).reshape(-1, 2)
-    linked = coo_array((np.ones(len(beside)), tuple(beside.T)), shape=(len(squares), len(squares)))
+    adjacent = np.array(list(KDTree(squares).query_pairs(1.0, p=np.inf))).reshape(-1, 2)
+    linked = coo_array((np.ones(len(adjacent)), tuple(adjacent.T)), shape=(len(squares), len(squares)))
     group = connected_components(linked, directed=False)[1][square.ravel()]
     return group == np.bincount(group).argmax()
 

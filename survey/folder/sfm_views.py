@@ -213,8 +213,8 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
     from survey.sfm.poses import image_names, solve_poses
 
     names = {path.absolute(): name for name, path in found.images.items()}
-    name_of = {called: names[path] for called, path in image_names(list(found.images.values())).items()}
-    views_of = {name: called for called, name in name_of.items()}
+    name_of = {alias: names[path] for alias, path in image_names(list(found.images.values())).items()}
+    views_of = {name: alias for alias, name in name_of.items()}
     control = placing_control(found)
     # Of blocks that fall apart, positions may place one and control another.
     spare = control_of_block(found) if control is None else None
@@ -227,8 +227,8 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
         report=report,
     )
     views = []
-    for called, lens, centre, cam_from_local in result.views:
-        name = name_of[called]
+    for alias, lens, centre, cam_from_local in result.views:
+        name = name_of[alias]
         views.append(View(name, found.images[name], lens.camera(centre, cam_from_local), lens))
     if len(views) < (least := least_track(len(found.images))):
         raise PosesError(
@@ -288,14 +288,14 @@ def require_scale(found: Found) -> None:
         return
     cameras = found.config.cameras
     positions = list(gps_positions(found.headers, found.crs, cameras.gps_height).local.values())
-    apart = float(np.linalg.norm(positions[0] - positions[1]))
+    distance = float(np.linalg.norm(positions[0] - positions[1]))
     std = best_plan_std(cameras, found.headers.values())
     message = "good to" if math.isfinite(std) else "of unstated accuracy, taken as"
     std = std if math.isfinite(std) else GPS_STD_M
-    share = math.sqrt(2.0) * std / max(apart, 1e-9)
+    share = math.sqrt(2.0) * std / max(distance, 1e-9)
     if share > _MOST_SCALE_STD:
         raise PosesError(
-            f"the scale of two photographs is not known: their GPS positions lie {apart:.3g} m apart, {message} "
+            f"the scale of two photographs is not known: their GPS positions lie {distance:.3g} m apart, {message} "
             f"{std:.2g} m each, which tells it to {100.0 * share:.0f} %, and {100.0 * _MOST_SCALE_STD:.0f} % would be "
             f"of use; give three control points that both show ([control] gcps{_marked(found)}), or [cameras] "
             "position_std_m if they are better"

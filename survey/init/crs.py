@@ -89,7 +89,7 @@ class SettingsTable:
         self.lines.append(f"{line}    # {comment}" if comment else line)
         self.lines += [f"# {text}" for text in more]
 
-    def say(self, *comments: str) -> None:
+    def add_comments(self, *comments: str) -> None:
         """Add lines of comment."""
         self.lines += [f"# {text}" for text in comments]
 
@@ -119,8 +119,8 @@ class FolderPhotographs:
         if self.file is None:
             return {}
         names = ImageNames(self.headers)
-        called = {names.find(pose.name, str(self.poses_path)): pose.centre for pose in self.file.poses}
-        return {name: centre for name, centre in called.items() if name is not None}
+        centre_of = {names.find(pose.name, str(self.poses_path)): pose.centre for pose in self.file.poses}
+        return {name: centre for name, centre in centre_of.items() if name is not None}
 
     @property
     def lat_lon(self) -> tuple[float, float] | None:
@@ -193,8 +193,8 @@ def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
         return None, "neither the photographs nor their poses tell the coordinate reference system (crs)"
     if file is not None and file.crs is None and file.frame in (PoseFrame.GRID, PoseFrame.ENU):
         crs = CRS(f"EPSG:{zone}+{EGM96_HEIGHT}")
-        away = distances_to_exif(crs, photographs.centres, dict(photographs.headers))
-        if not away.size or np.median(away) > SAME_PLACE_M:
+        distances = distances_to_exif(crs, photographs.centres, dict(photographs.headers))
+        if not distances.size or np.median(distances) > SAME_PLACE_M:
             return (
                 None,
                 f"the poses in {photographs.poses_path} are not in {horizontal_crs(crs).name}, nor say their crs",
@@ -290,16 +290,17 @@ def write_origin(photographs: FolderPhotographs, answers: Answers, crs: CRS, loc
         )
     by_gps, given = np.array([positions[name] for name in both]), np.array([centres[name] for name in both])
     frame = LocalFrame(crs, np.median(by_gps, axis=0).tolist())
-    away = frame.local_from_crs(by_gps) - given
-    rest = (away - np.median(away, axis=0))[:, :2]
+    shifts = frame.local_from_crs(by_gps) - given
+    residuals = (shifts - np.median(shifts, axis=0))[:, :2]
     plan = (given - np.median(given, axis=0))[:, :2]
-    if (rest**2).sum() > _UNEXPLAINED * (plan**2).sum():
+    if (residuals**2).sum() > _UNEXPLAINED * (plan**2).sum():
         raise ConfigError(
-            f"{where} do not fit the GPS positions in EXIF: they are off by {np.sqrt((rest**2).sum(1).mean()):.3g} m "
-            "(rms) after a shift; align them in metres, east, north and up (COLMAP: model_aligner --ref_is_gps 1 "
-            "--alignment_type enu), or give --origin EASTING NORTHING HEIGHT"
+            f"{where} do not fit the GPS positions in EXIF: they are off by "
+            f"{np.sqrt((residuals**2).sum(1).mean()):.3g} m (rms) after a shift; align them in metres, "
+            "east, north and up (COLMAP: model_aligner --ref_is_gps 1 --alignment_type enu), or give "
+            "--origin EASTING NORTHING HEIGHT"
         )
-    origin = frame.crs_from_local(np.median(away, axis=0)[None])[0]
+    origin = frame.crs_from_local(np.median(shifts, axis=0)[None])[0]
     local.set(
         "origin",
         [round(float(v), 3) for v in origin],

@@ -95,12 +95,12 @@ def draft(folder: Path, answers: Answers) -> str:
         not_certain = f"not certain: there are also {others}" if others else ""
         cameras.set("poses", poses[0].relative_to(folder).as_posix(), not_certain)
     else:
-        cameras.say(f"No poses found: structure from motion computes them from the {len(found)} photographs.")
-    cameras.say(*(f"Found: {sentence}." for sentence in findings.assumptions))
-    cameras.say(*(f"Not certain: {sentence}." for sentence in findings.warnings))
+        cameras.add_comments(f"No poses found: structure from motion computes them from the {len(found)} photographs.")
+    cameras.add_comments(*(f"Found: {sentence}." for sentence in findings.assumptions))
+    cameras.add_comments(*(f"Not certain: {sentence}." for sentence in findings.warnings))
     photographs = FolderPhotographs(headers, poses[0] if poses else None, read_poses(poses[0]) if poses else None)
     if photographs.file is not None and any(pose.lens is None for pose in photographs.file.poses):
-        cameras.say(
+        cameras.add_comments(
             "Not certain: the lens, by EXIF where it states the focal length. With a calibration:",
             'model = "OPENCV"    # with size_px, focal_px, principal_point_px and distortion (docs/survey-toml.md)',
         )
@@ -134,23 +134,25 @@ def _write_water(folder: Path, photographs: FolderPhotographs, answers: Answers,
         level = answers.number(question, otherwise=None if can_do_without else otherwise)
     if level is not None:
         water.set("level_m", level, "height of the water in the heights of crs")
-        water.say(*(f'{key} = "{name}"' for key, name in files.items()))
-        water.say("level_std_m = 0.02    # how well it is known, e.g. from a staff")
+        water.add_comments(*(f'{key} = "{name}"' for key, name in files.items()))
+        water.add_comments("level_std_m = 0.02    # how well it is known, e.g. from a staff")
     elif files:
         (key, name), *others = files.items()
         water.set(key, name, "taken by its name")
-        water.say(*(f'{key} = "{name}"' for key, name in others))
+        water.add_comments(*(f'{key} = "{name}"' for key, name in others))
     else:
-        water.say(
+        water.add_comments(
             "level_m = 12.34    # not known: found from the photographs, where oblique views cross; better give it"
         )
-    water.say("refractive_index: not certain, taken as that of fresh water, 1.333 for a handbook; the sea has 1.340.")
+    water.add_comments(
+        "refractive_index: not certain, taken as that of fresh water, 1.333 for a handbook; the sea has 1.340."
+    )
 
 
 def _write_control(folder: Path, control: SettingsTable) -> None:
     files = {key: name for key in _CONTROL_FILES if (name := _named(folder, _CONTROL_FILES[key])) is not None}
     if "gcps" in files and "marks" not in files and not files["gcps"].endswith(".txt"):
-        control.say(
+        control.add_comments(
             f'gcps = "{files.pop("gcps")}"    # where photographs show the points is missing: marks = "marks.csv"'
         )
     if "gcps" not in files:
@@ -161,8 +163,8 @@ def _write_control(folder: Path, control: SettingsTable) -> None:
 
 def _named(folder: Path, stems: tuple[str, ...]) -> str | None:
     """The file with one of these names, the first of them that is there."""
-    there = {path.stem.lower(): path for path in sorted(folder.iterdir()) if path.suffix.lower() in _SUFFIXES}
-    return next((there[stem].name for stem in stems if stem in there), None)
+    file_of = {path.stem.lower(): path for path in sorted(folder.iterdir()) if path.suffix.lower() in _SUFFIXES}
+    return next((file_of[stem].name for stem in stems if stem in file_of), None)
 
 
 def require_level_and_dry_apart(answers: Answers) -> None:

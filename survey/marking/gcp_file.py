@@ -64,8 +64,8 @@ def with_marks(path: Path, marks: Iterable[ControlMark], crs: CRS, images: Itera
     file_crs = odm_crs(lines[head].strip(), str(path), path.name, ControlError)
     at = [i for i in range(head + 1, len(lines)) if is_of_content(lines[i])]
     names = ImageNames(images)
-    called = [names.find(mark.image, mark.where) for mark in content.marks]
-    marked = list(zip(at, (point.name for point in content.points), called, strict=True))
+    image_names = [names.find(mark.image, mark.where) for mark in content.marks]
+    marked = list(zip(at, (point.name for point in content.points), image_names, strict=True))
     marks = list(marks)
     removed = {(mark.point, mark.image) for mark in marks if mark.pixel is None}
     # Points without names are numbered in the order of their lines, which a removal may change.

@@ -68,12 +68,12 @@ def epipolar_curve(source: View, pixel: tuple[float, float], target: View, water
         None: the ray is straight.
     """
     path = source.camera.paths(np.array(pixel), water)
-    apart = float(np.linalg.norm(target.camera.centre - source.camera.centre))
+    baseline = float(np.linalg.norm(target.camera.centre - source.camera.centre))
     air, is_wet = float(path.air_length), bool(path.wet)
-    if not np.isfinite(path.air_direction).all() or apart == 0.0:
+    if not np.isfinite(path.air_direction).all() or baseline == 0.0:
         return Curve(np.zeros((0, 2)), np.zeros((0, 2)))
-    far = air if is_wet else _FARTHEST * apart
-    dry = 1.0 / np.linspace(1.0 / (_NEAREST * min(apart, far)), 1.0 / far, _SAMPLES)
+    far = air if is_wet else _FARTHEST * baseline
+    dry = 1.0 / np.linspace(1.0 / (_NEAREST * min(baseline, far)), 1.0 / far, _SAMPLES)
     wet = air + np.linspace(0.0, _DEEPEST_M, _SAMPLES) if is_wet else np.zeros(0)
     shown = target.camera.project(path.at(np.concatenate([dry, wet])), water)
     inside = target.camera.sees(shown)

@@ -176,11 +176,11 @@ class MarkStore:
         """Lines that survey.toml lacks for `process` to use what was written."""
         control, lines = self._config.control, []
         if self.control_path.is_file():
-            wanted = [*self._accuracy_files, self.control_path.relative_to(self._found.folder).as_posix()]
-            if list(control.gcp_files) != wanted or control.marks is not None:
-                named = ", ".join(f'"{name}"' for name in wanted)
+            gcp_files = [*self._accuracy_files, self.control_path.relative_to(self._found.folder).as_posix()]
+            if list(control.gcp_files) != gcp_files or control.marks is not None:
+                named = ", ".join(f'"{name}"' for name in gcp_files)
                 without = ", without marks" if control.marks is not None else ""
-                lines.append(f"[control] gcps = {named if len(wanted) == 1 else f'[{named}]'}{without}")
+                lines.append(f"[control] gcps = {named if len(gcp_files) == 1 else f'[{named}]'}{without}")
         water = self._config.water
         if self.clicks_path.is_file() and (water is None or water.sources.clicks is None):
             instead = "" if water is None else ", in place of the level that is there"

@@ -139,8 +139,8 @@ class MarkingSession:
             return self._in_order(own, image)
         lon, lat = lon_lat(self._found.crs, np.array([point.place]))[0, :2]
         places = np.radians([(at[1] - lon, at[0] - lat) for at in known.values()])
-        away = EARTH_RADIUS_M * np.hypot(places[:, 0] * np.cos(np.radians(lat)), places[:, 1])
-        order = [name for _, name in sorted(zip(away.tolist(), known, strict=True)) if name not in own]
+        distance = EARTH_RADIUS_M * np.hypot(places[:, 0] * np.cos(np.radians(lat)), places[:, 1])
+        order = [name for _, name in sorted(zip(distance.tolist(), known, strict=True)) if name not in own]
         return [name for name in order if name != image][:_MOST_NEXT]
 
     def _point(self, key: PointKey, point: GivenPoint | None, own: Mapping[str, Pixel]) -> dict:
@@ -161,20 +161,21 @@ class MarkingSession:
         if self._posed is None:
             return answer
         given = self._given(point)
-        met = self._meet(key, own)
+        intersection = self._meet(key, own)
         if given is not None:
             answer["depth_m"] = self._depth(given)
-        if met is None:
+        if intersection is None:
             return answer
         names = [name for name in own if name in self._views]
-        answer["residuals"] = dict(zip(names, met.residuals.tolist(), strict=True))
-        answer["std_m"] = np.sqrt(np.diag(met.covariance)).tolist()
+        answer["residuals"] = dict(zip(names, intersection.residuals.tolist(), strict=True))
+        answer["std_m"] = np.sqrt(np.diag(intersection.covariance)).tolist()
         if given is not None:
-            answer["off_m"] = (met.place - given).tolist()
+            answer["off_m"] = (intersection.place - given).tolist()
         if key.kind == WATER:
-            answer["level"] = float(self._posed.frame.crs_from_local(met.place)[2]) * height_unit_m(self._found.crs)
+            height = float(self._posed.frame.crs_from_local(intersection.place)[2])
+            answer["level"] = height * height_unit_m(self._found.crs)
         elif given is None:
-            answer["depth_m"] = self._depth(met.place)
+            answer["depth_m"] = self._depth(intersection.place)
         return answer
 
     @property
@@ -219,9 +220,9 @@ class MarkingSession:
 
         Coordinates are shifted by ``common`` (`_common`): poses by GPS alone may be metres off.
         """
-        met = self._meet(key, own)
-        if met is not None:
-            return met.place
+        intersection = self._meet(key, own)
+        if intersection is not None:
+            return intersection.place
         given = self._given(point)
         if given is not None:
             return given + common
@@ -234,9 +235,9 @@ class MarkingSession:
         """Median offset (3,) [m], local, of intersected marks from the coordinates of their points; their number."""
         steps = []
         for key, own in marks.items():
-            met, given = self._meet(key, own), self._given(points.get(key))
-            if met is not None and given is not None:
-                steps.append(met.place - given)
+            intersection, given = self._meet(key, own), self._given(points.get(key))
+            if intersection is not None and given is not None:
+                steps.append(intersection.place - given)
         return (np.median(steps, axis=0) if steps else np.zeros(3)), len(steps)
 
     def _moved_note(self, points: _Points, marks: _Marks) -> list[str]:

@@ -86,9 +86,9 @@ def _observation_lines(num_views: int, ties: TiePoints) -> list[str]:
     """Lines of each photograph: x, y and the number of the point of all observations in it, in their order."""
     return [
         " ".join(
-            f"{x:.3f} {y:.3f} {point + 1}" for (x, y), point in zip(ties.pixel[mine], ties.point[mine], strict=True)
+            f"{x:.3f} {y:.3f} {point + 1}" for (x, y), point in zip(ties.pixel[rows], ties.point[rows], strict=True)
         )
-        for mine in (np.flatnonzero(ties.view == number) for number in range(num_views))
+        for rows in (np.flatnonzero(ties.view == number) for number in range(num_views))
     ]
 
 
@@ -96,9 +96,9 @@ def _point_lines(views: Sequence[View], ties: TiePoints) -> str:
     """Number, place, a colour that is not known, error [px] and track of each point."""
     residual, place = np.empty(len(ties.view)), np.empty(len(ties.view), dtype=np.int64)
     for number, view in enumerate(views):
-        mine = np.flatnonzero(ties.view == number)
-        away = view.camera.project(ties.start[ties.point[mine]], None) - ties.pixel[mine]
-        residual[mine], place[mine] = np.linalg.norm(away, axis=1), np.arange(len(mine))
+        observed = np.flatnonzero(ties.view == number)
+        misfit = view.camera.project(ties.start[ties.point[observed]], None) - ties.pixel[observed]
+        residual[observed], place[observed] = np.linalg.norm(misfit, axis=1), np.arange(len(observed))
     first = np.searchsorted(ties.point, np.arange(len(ties) + 1))
     lines = []
     for number, (x, y, z) in enumerate(ties.start):

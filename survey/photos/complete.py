@@ -267,8 +267,8 @@ def _ends_within_a_row(pixels: np.ndarray, row: int, pixel: int, offset: int) ->
     if as_border and len(pixels) - last < _BROADEST_BORDER * len(pixels):
         return False
     begun = pixels[last - column : last]
-    rest = pixels[above : above + row - column]
-    return bool(min(np.count_nonzero(begun) / len(begun), np.count_nonzero(rest) / len(rest)) > _LEAST_BRIGHT)
+    row_above = pixels[above : above + row - column]
+    return bool(min(np.count_nonzero(begun) / len(begun), np.count_nonzero(row_above) / len(row_above)) > _LEAST_BRIGHT)
 
 
 def _has_zero_sectors(pixels: np.ndarray, row: int, offset: int) -> bool:

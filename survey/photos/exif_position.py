@@ -42,8 +42,8 @@ def position_of(gps: dict, xmp: str) -> tuple[tuple[float, float, float] | None,
     if by_exif is None:
         height = math.nan if by_xmp.height is None else by_xmp.height
         return (by_xmp.latitude, by_xmp.longitude, height), ""
-    apart = max(abs(by_exif[0] - by_xmp.latitude), abs(by_exif[1] - by_xmp.longitude))
-    if by_xmp.step_deg < _step_deg(gps) and apart < _SAME_PLACE_DEG:
+    difference_deg = max(abs(by_exif[0] - by_xmp.latitude), abs(by_exif[1] - by_xmp.longitude))
+    if by_xmp.step_deg < _step_deg(gps) and difference_deg < _SAME_PLACE_DEG:
         return (by_xmp.latitude, by_xmp.longitude, by_exif[2]), ""
     return by_exif, fault
 

@@ -263,14 +263,14 @@ def fetch_images(url: str, folder: Path) -> None:
     """
     remote, before = Remote(url), fetched_tags(folder)
     try:
-        there = remote.files()
+        tags = remote.files()
     except NotReached as error:
         if not before or not all(tag and (folder / name).is_file() for name, tag in before.items()):
             raise
         current().warn(f"photographs are those that were fetched before, as {error}")
         return
-    wanted = [name for name in there if Path(name).suffix.lower() in SUFFIXES and not is_hidden(Path(name))]
-    if not wanted:
+    photographs = [name for name in tags if Path(name).suffix.lower() in SUFFIXES and not is_hidden(Path(name))]
+    if not photographs:
         raise ImageError(
             f"no images at {url}; expected files ending in {', '.join(SUFFIXES)}: put them there, or correct "
             "[images] dir in survey.toml"
@@ -278,20 +278,20 @@ def fetch_images(url: str, folder: Path) -> None:
     with reporting_disk_errors(folder):
         folder.mkdir(exist_ok=True)
     with reporting_disk_errors(folder):
-        for name in before.keys() - set(wanted):
+        for name in before.keys() - set(photographs):
             (folder / name).unlink(missing_ok=True)
-    missing = [name for name in wanted if before.get(name) != there[name] or not (folder / name).is_file()]
+    missing = [name for name in photographs if before.get(name) != tags[name] or not (folder / name).is_file()]
     # What may be here when the fetch is interrupted has no tag: it is fetched again, or removed if it is gone by then.
-    kept = {name: there[name] for name in wanted} | dict.fromkeys(missing, "")
+    kept = {name: tags[name] for name in photographs} | dict.fromkeys(missing, "")
     if kept != before:
         write_json(folder / _RECORD, kept)
     if missing:
-        current().note(f"{len(missing)} of {len(wanted)} photographs are fetched from {url}")
+        current().note(f"{len(missing)} of {len(photographs)} photographs are fetched from {url}")
         try:
             for first in range(0, len(missing), _TOGETHER):
                 together = missing[first : first + _TOGETHER]
                 remote.fetch({name: folder / name for name in together})
-                kept |= {name: there[name] for name in together}
+                kept |= {name: tags[name] for name in together}
         finally:
             write_json(folder / _RECORD, kept)
 

@@ -95,9 +95,9 @@ def _scores(grey: np.ndarray, step: int, shift: int) -> tuple[np.ndarray, np.nda
     above, last, first, below = (
         grey[rows + i, : num * each].astype(np.float32).reshape(len(rows), num, each) for i in (-2, -1, 0, 1)
     )
-    beside = (np.abs(last - above).mean(axis=2) + np.abs(below - first).mean(axis=2)) / 2
+    adjacent = (np.abs(last - above).mean(axis=2) + np.abs(below - first).mean(axis=2)) / 2
     across = np.abs(first - last).mean(axis=2)
-    right, left = _sums(np.log((across + _QUIET) / (beside + _QUIET)))
+    right, left = _sums(np.log((across + _QUIET) / (adjacent + _QUIET)))
     found = (right[:-1] + left[1:]) / num
     parts = np.arange(1, num)
     of_sides = np.minimum(right[:-1, 1:-1] / (num - parts), left[1:, 1:-1] / parts)
@@ -275,11 +275,11 @@ def _scan_fault(layout: _Layout, frame: bytes, scan: bytes, *, seams: bool = Fal
     With ``seams``, whether the decoded picture has one, too; without, it is decoded at an eighth of its size.
     """
     # Fill bytes may be zeros, and so may be blocks without any change, but more of them.
-    whole = max(scan.rstrip(b"\0"), scan[: -len(_ZEROS)], key=len)
+    stripped = max(scan.rstrip(b"\0"), scan[: -len(_ZEROS)], key=len)
     start = bytes([0xFF, _SOI]) + b"".join(layout.head)
     start += _segment(layout.marker, frame) + _segment(_SOS, layout.scans[0][0])
-    rest = scan[max(len(whole) - _FILL, 0) :] + _AHEAD
-    stream = _Stream([start + whole[:-_FILL], rest, _END])
+    tail = scan[max(len(stripped) - _FILL, 0) :] + _AHEAD
+    stream = _Stream([start + stripped[:-_FILL], tail, _END])
     with open_stream(stream, "JPEG") as image:
         image.draft("L", image.size if seams else (1, 1))
         try:

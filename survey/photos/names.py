@@ -28,14 +28,14 @@ class ImageNames:
             parts = _parts(name)
             for last in {parts[-1], PurePosixPath(parts[-1]).stem}:
                 self._by_last.setdefault(last, []).append((name, parts))
-        self._called: dict[str, str] = {}
+        self._name_in_file: dict[str, str] = {}
 
-    def find(self, called: str, where: str) -> str | None:
+    def find(self, name_in_file: str, where: str) -> str | None:
         """The photograph that a file means; None where there is none.
 
         Parameters
         ----------
-        called : str
+        name_in_file : str
             As the file has it. Case, slashes and the encoding of accents do not count; the suffix may be missing. One
             of the two paths may begin further up than the other, but their folders must not contradict each other.
         where : str
@@ -46,21 +46,21 @@ class ImageNames:
         ImageError
             Where two photographs fit equally well, or one fits two names whose folders contradict each other.
         """
-        image = called if called in self._names else self._longest_tail(called, where)
+        image = name_in_file if name_in_file in self._names else self._longest_tail(name_in_file, where)
         if image is None:
             return None
         # Of two names of one photograph the longer one is kept, since it has more folders to contradict.
-        before = self._called.setdefault(image, called)
-        if not _agree(_parts(before)[:-1], _parts(called)[:-1]):
+        before = self._name_in_file.setdefault(image, name_in_file)
+        if not _agree(_parts(before)[:-1], _parts(name_in_file)[:-1]):
             raise ImageError(
-                f"{where}: {_shown(called)} and {_shown(before)} are two photographs, and both names fit {image} "
+                f"{where}: {_shown(name_in_file)} and {_shown(before)} are two photographs, and both names fit {image} "
                 "alone; keep the photographs in the folders that the file has, or remove the lines of the other one"
             )
-        self._called[image] = max(before, called, key=lambda name: len(_parts(name)))
+        self._name_in_file[image] = max(before, name_in_file, key=lambda name: len(_parts(name)))
         return image
 
-    def _longest_tail(self, called: str, where: str) -> str | None:
-        parts = _parts(called)
+    def _longest_tail(self, name_in_file: str, where: str) -> str | None:
+        parts = _parts(name_in_file)
         if not parts:
             return None
         ranks = {
@@ -71,7 +71,7 @@ class ImageNames:
         best = [name for name, rank in ranks.items() if rank == max(ranks.values())]
         if len(best) > 1:
             raise ImageError(
-                f"{where}: {_shown(called)} fits {best[0]} and {best[1]}"
+                f"{where}: {_shown(name_in_file)} fits {best[0]} and {best[1]}"
                 f"{f' and {len(best) - 2} more' if len(best) > 2 else ''}, expected the name of one photograph; write "
                 f'its folder and suffix too, e.g. "{best[0]}"'
             )

@@ -25,16 +25,16 @@ class DuplicatePose(PosesError):
 
     Attributes
     ----------
-    called : str
+    name_in_file : str
         The name, as the file has it.
     """
 
-    def __init__(self, called: str, where: str):
+    def __init__(self, name_in_file: str, where: str):
         super().__init__(
-            f"{where}: image {shortened(called)} has a second pose; keep one of the two, or, if they are of two "
+            f"{where}: image {shortened(name_in_file)} has a second pose; keep one of the two, or, if they are of two "
             "photographs in different folders, write the folder before the name"
         )
-        self.called = called
+        self.name_in_file = name_in_file
 
 
 class PoseFrame(Enum):

@@ -128,9 +128,9 @@ def relative_sharpness(details: Sequence[np.ndarray]) -> np.ndarray:
 def _energies(grey: np.ndarray, dx: int, dy: int) -> np.ndarray:
     """Mean squares, by squares of the image, of differences between pixels 2 (dx, dy) apart."""
     rim, (height, width) = _COARSE[1], grey.shape
-    ahead = grey[rim + dy : height - rim + dy, rim + dx : width - rim + dx]
-    behind = grey[rim - dy : height - rim - dy, rim - dx : width - rim - dx]
-    squared = (ahead - behind) ** 2
+    after = grey[rim + dy : height - rim + dy, rim + dx : width - rim + dx]
+    before = grey[rim - dy : height - rim - dy, rim - dx : width - rim - dx]
+    squared = (after - before) ** 2
     side = min(_SQUARE_PX, *squared.shape)
     rows, columns = (length // side for length in squared.shape)
     parts = squared[: rows * side, : columns * side].reshape(rows, side, columns, side)

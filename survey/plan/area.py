@@ -188,9 +188,9 @@ def _footprint(view: View, survey: Survey) -> np.ndarray:
         above = float(camera.centre[2]) - dry_ground(survey).height
     else:
         up, above = np.array(water.up), -float(water.depth(camera.centre))
-    fall = -rays @ up
-    rays, fall = rays[fall > _LEAST_FALL], fall[fall > _LEAST_FALL]
-    return camera.centre + rays * (above / fall)[:, None]
+    cos_nadir = -rays @ up
+    rays, cos_nadir = rays[cos_nadir > _LEAST_FALL], cos_nadir[cos_nadir > _LEAST_FALL]
+    return camera.centre + rays * (above / cos_nadir)[:, None]
 
 
 def _is_seen_twice(survey: Survey, places: np.ndarray) -> bool:
@@ -224,8 +224,8 @@ class Places:
 def in_the_middle(survey: Survey) -> Survey:
     """The survey reduced to its central views, where it has many."""
     centres = np.array([view.camera.centre[:2] for view in survey.views])
-    away = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
-    nearest = np.sort(np.argsort(away, kind="stable")[:_MOST_VIEWS])
+    distance = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
+    nearest = np.sort(np.argsort(distance, kind="stable")[:_MOST_VIEWS])
     return replace(survey, views=tuple(survey.views[number] for number in nearest))
 
 

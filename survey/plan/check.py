@@ -100,7 +100,7 @@ def check_survey(
     *,
     chosen: Choices = USUAL,
     checked: Checked | None = None,
-    slowness: float | None = None,
+    slowdown: float | None = None,
     chooses_workers: bool = False,
 ) -> list[CheckSection]:
     """Check a survey and describe what `process` would do; nothing is computed and nothing written.
@@ -109,8 +109,8 @@ def check_survey(
     ----------
     checked : Checked, optional
         Result of `require_processable` for the folder, if it was called already.
-    slowness : float, optional
-        See `Workload.slowness`; default for idle cores.
+    slowdown : float, optional
+        See `Workload.slowdown`; default for idle cores.
     chooses_workers : bool
         See `survey.plan.tile_choice.choose_tiles`.
 
@@ -129,7 +129,7 @@ def check_survey(
     of_water: tuple[str, ...] = ()
     try:
         workload = workload_of(survey, plan)
-        workload = workload if slowness is None else workload.on_loaded_cores(slowness)
+        workload = workload if slowdown is None else workload.on_loaded_cores(slowdown)
         tiles = choose_tiles(survey, plan, chosen, workload, is_aimed=False)
         tiles = with_free_cores(tiles, chosen) if chooses_workers else tiles
         workload = replace(workload, memory_bytes=int(tiles.memory_bytes))
@@ -211,8 +211,8 @@ def _without_poses(checked: Checked, chosen: Choices) -> list[CheckSection]:
     require_placeable(found.config.control.reference, chosen.poses)
     sfm = Decision("structure from motion", "on", f"there is no poses file; georeferenced by {_placed_by(found)}")
     mapper = Decision("mapper", *mapper_of(len(found.headers), found.config.cameras.mapper))
-    rest = Decision("refraction and the rest", "later", "decided once the poses are known")
-    decisions = (sfm, mapper, device_decision(chosen.device), rest)
+    later = Decision("refraction and the rest", "later", "decided once the poses are known")
+    decisions = (sfm, mapper, device_decision(chosen.device), later)
     sizes = [header.size_px for header in found.headers.values()]
     workload = workload_of_images(sizes, quality=chosen.quality, scale=chosen.image_scale)
     warnings = (*checked.ordered_warnings, *room_warnings(workload, found.folder / RUN_FOLDER))

@@ -36,8 +36,8 @@ def control_rows(control: FoundControl | None) -> list[tuple[str, str]]:
     rows: list[tuple[str, str]] = []
     if control is None:
         return rows
-    if control.gathered is not None:
-        points, marks = control.gathered.points, control.gathered.marks
+    if control.merged is not None:
+        points, marks = control.merged.points, control.merged.marks
         num_check = sum(point.is_check for point in points)
         checks = f", {num_check} of them check points" if num_check else ""
         seen = f"{len(marks)} marks in {len({mark.view for mark in marks})} images"
@@ -55,20 +55,20 @@ def mark_rows(survey: Survey) -> list[tuple[str, str]]:
     control = survey.observations.control
     if control is None:
         return []
-    away = mark_residuals(control, survey.views, survey.water)
-    worst = control.marks[int(np.argmax(np.nan_to_num(away, nan=np.inf)))]
+    residuals = mark_residuals(control, survey.views, survey.water)
+    worst = control.marks[int(np.argmax(np.nan_to_num(residuals, nan=np.inf)))]
     return [
         (
             "marks",
-            f"{np.nanmedian(away):.1f} px (median) from where poses and lens show their points, at most "
-            f"{np.nanmax(away):.1f} px ({worst.point} in {worst.view})",
+            f"{np.nanmedian(residuals):.1f} px (median) from where poses and lens show their points, at most "
+            f"{np.nanmax(residuals):.1f} px ({worst.point} in {worst.view})",
         )
     ]
 
 
 def _stds(control: FoundControl) -> str:
     """Standard deviations of points and marks, with their source."""
-    points = () if control.gathered is None else control.gathered.points
+    points = () if control.merged is None else control.merged.points
     of_file = [point.std_m for point in points if point.std_m is not None]
     parts = []
     if of_file:
@@ -93,10 +93,10 @@ def water_stds(water: WaterConfig, levels: Sequence[LevelObservation], *, is_ind
         by = f"{measured[0]}, {len(measured)} measured" + (f", and {FILE_NAME}" if len(parts) > 1 else "")
     if not is_index_known:
         by += "; that of the index is assumed"
-    told = f"; known: {', '.join(parts)} ({by})" if parts else ""
+    text = f"; known: {', '.join(parts)} ({by})" if parts else ""
     if water.level_m is not None and water.level_std_m is None:
-        told += f"; level_std_m is not given, {STAFF_STD_M:g} m as of a staff are assumed: say how well it is known"
-    return told
+        text += f"; level_std_m is not given, {STAFF_STD_M:g} m as of a staff are assumed: say how well it is known"
+    return text
 
 
 class Verdict(StrEnum):

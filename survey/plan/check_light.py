@@ -253,8 +253,8 @@ def _sun_rows(found: Found, survey: Survey | None, wind_m_s: float) -> list[tupl
     suns = [sun_at(time, *place) for time in times]
     later = sun_at(times[len(times) // 2] - timedelta(hours=1), *place)
     summer = f"summer time, the sun was {math.degrees(later.elevation):.0f} degrees high"
-    told = any(found.headers[name].taken is not None for name in names)
-    assumption = f"; {assumed}" + ("" if told else f": if it was {summer}") if assumed else ""
+    has_time_zone = any(found.headers[name].taken is not None for name in names)
+    assumption = f"; {assumed}" + ("" if has_time_zone else f": if it was {summer}") if assumed else ""
     first, last = min(times), max(times)
     rows = [("sun", sun_text(suns, f"{first:%Y-%m-%d %H:%M} to {last:%H:%M} UTC{assumption}"))]
     flight = _flight(found, survey)
@@ -274,12 +274,12 @@ def times_of(headers: Mapping[str, Exif], longitude_deg: float) -> tuple[list[da
     clocks = [header.clock for header in headers.values() if header.clock is not None]
     if len(clocks) < len(headers):
         return None, ""
-    told = [
+    zones = [
         header.clock.replace(tzinfo=UTC) - header.taken for header in headers.values() if header.clock and header.taken
     ]
-    if told:
+    if zones:
         # One camera, or one that was flown with others: those that say their offset tell that of the rest.
-        zone = timedelta(minutes=round(float(np.median([each.total_seconds() for each in told])) / 60.0))
+        zone = timedelta(minutes=round(float(np.median([each.total_seconds() for each in zones])) / 60.0))
         num_lacking = len(headers) - len(taken)
         assumed = f"EXIF has no time zone of {num_lacking} of {len(headers)}, and that of the others is taken"
     else:

@@ -46,8 +46,10 @@ def refraction(survey: Survey, skips: Skips) -> Decision:
         return Decision("refraction", "off", "the index of the water is 1, as if it were air")
     slope = math.hypot(water.slope_x, water.slope_y)
     tilt = f", sloped by {slope:.4f}" if slope > 1e-6 else ""
-    aside = sum(_sees_beside_water(view.camera, water) for view in survey.views)
-    horizon = f"; {aside} of {len(survey.views)} views look past the water to the horizon" if aside else ""
+    num_to_horizon = sum(_sees_beside_water(view.camera, water) for view in survey.views)
+    horizon = (
+        f"; {num_to_horizon} of {len(survey.views)} views look past the water to the horizon" if num_to_horizon else ""
+    )
     return Decision("refraction", "on", f"water of index {water.n_water:.4f} at {given.level_m:g} m{tilt}{horizon}")
 
 

@@ -217,11 +217,11 @@ def _level(survey: Survey) -> tuple[Decision, ...]:
 def _by_place(survey: Survey, departure: Departure) -> Decision:
     """Decision to follow water that is not a plane."""
     under = np.array([view.camera.centre[:2] for view in survey.views])
-    away = length(float(np.abs(departure.at(under)[0]).max()))
+    distance = length(float(np.abs(departure.at(under)[0]).max()))
     moved = "points of the bed are moved to it"
     if departure.source == EARTH:
-        return Decision(EARTH, "followed", f"still water lies up to {away} below its tangent plane; {moved}")
-    message = f"{departure.source} lies up to {away} off one plane under the cameras"
+        return Decision(EARTH, "followed", f"still water lies up to {distance} below its tangent plane; {moved}")
+    message = f"{departure.source} lies up to {distance} off one plane under the cameras"
     return Decision("level", "by place", f"{message}; {moved}")
 
 

@@ -92,9 +92,9 @@ def choose_tiles(
         If tiles, or workers for them, are asked for where a run is in one piece, or workers where Dask is missing.
     """
     require_dask(chosen)
-    whole = "with an aim" if is_aimed else "with --field slab" if plan.field == "slab" else None
-    if whole is not None:
-        reason = f"a run {whole} is in one piece"
+    option = "with an aim" if is_aimed else "with --field slab" if plan.field == "slab" else None
+    if option is not None:
+        reason = f"a run {option} is in one piece"
         if chosen.tiles is not None and chosen.tiles > 1:
             raise SurveyError(f"--tiles {chosen.tiles}, but {reason}; leave one out")
         _refuse_workers(chosen, reason)
@@ -260,12 +260,12 @@ def _size_of(tiling: Tiling) -> str:
 def _memory(survey: Survey, plan: Plan, tiling: Tiling, counted: SurveyAmounts) -> float:
     """Memory at the peak of a run in tiles [bytes]."""
     pixels = counted.view_pixels
-    whole = np.array([tiling.x[-1] - tiling.x[0], tiling.y[-1] - tiling.y[0]])
+    extent = np.array([tiling.x[-1] - tiling.x[0], tiling.y[-1] - tiling.y[0]])
     own = np.array([tiling.x[1] - tiling.x[0], tiling.y[1] - tiling.y[0]]) + 2.0 * tiling.rim
     footprint = np.array(plan.footprint_m)
     window = np.minimum(_MORE * window_pixels(survey, plan, (float(own[0]), float(own[1]))), np.max(pixels))
     # Photographs are spread over the ground; those that show a tile begin half a footprint beyond it.
-    share = float(np.prod(np.minimum((own + footprint) / (whole + footprint), 1.0)))
+    share = float(np.prod(np.minimum((own + footprint) / (extent + footprint), 1.0)))
     views, maps = (max(int(np.ceil(share * count)), 1) for count in (len(pixels), len(counted.matched_views)))
     largest = max(view.lens.width * view.lens.height for view in survey.views)
     solves = plan.field == "solver"

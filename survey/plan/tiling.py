@@ -119,11 +119,11 @@ def ray_skew_px(
         most = 0.0
         for number in range(1 if tiling is None else len(tiling)):
             places = places_of(ground if tiling is None else tiling.ground(number, tiling.rim))
-            away = over(places)
+            departures = over(places)
             if tiling is not None:
                 design = np.column_stack([np.ones(len(places)), places - places.mean(axis=0)])
-                away = away - design @ np.linalg.lstsq(design, away, rcond=None)[0]
-            most = max(most, float(np.abs(away).max()))
+                departures = departures - design @ np.linalg.lstsq(design, departures, rcond=None)[0]
+            most = max(most, float(np.abs(departures).max()))
         yield tiling, most * per_m / plan.gsd_m
 
 

@@ -83,16 +83,16 @@ class Workload:
     # Whether this is an upper bound: poses are not known yet, or there are too many views to choose from here, and all
     # of them count
     is_bound: bool = False
-    slowness: float | None = None  # How many times as long as on idle cores the seconds are; None for idle ones
+    slowdown: float | None = None  # How many times as long as on idle cores the seconds are; None for idle ones
     # Of structure from motion, where it is a part of the run; the seconds are not a bound then
     sfm_seconds: float | None = None
 
-    def on_loaded_cores(self, slowness: float) -> Workload:
-        """The same on cores that take ``slowness`` times as long as idle ones."""
+    def on_loaded_cores(self, slowdown: float) -> Workload:
+        """The same on cores that take ``slowdown`` times as long as idle ones."""
         if self.seconds is None:
             return self
-        of_sfm = None if self.sfm_seconds is None else self.sfm_seconds * slowness
-        return replace(self, seconds=self.seconds * slowness, sfm_seconds=of_sfm, slowness=slowness)
+        of_sfm = None if self.sfm_seconds is None else self.sfm_seconds * slowdown
+        return replace(self, seconds=self.seconds * slowdown, sfm_seconds=of_sfm, slowdown=slowdown)
 
     @property
     def bound_words(self) -> str:
@@ -107,8 +107,8 @@ class Workload:
             return f"{rooms}; {maps}; no time was measured on such a device"
         cores = "core" if self.num_cores == 1 else "cores"
         state = f"{self.num_cores} idle {cores}"
-        if self.slowness is not None:
-            state = f"{self.num_cores} {cores} {load_in_words(self.slowness)}"
+        if self.slowdown is not None:
+            state = f"{self.num_cores} {cores} {load_in_words(self.slowdown)}"
         if self.sfm_seconds is not None:
             of_sfm = f"{rough(self.sfm_seconds)} of them for structure from motion"
             hard = f"{_HARD_MATCHING_TIME} where photographs match badly"
@@ -116,9 +116,9 @@ class Workload:
         return f"{self.bound_words}{rough(self.seconds)} on {state}, {rooms}; {maps}"
 
 
-def load_in_words(slowness: float) -> str:
+def load_in_words(slowdown: float) -> str:
     """Load that estimated times assume, in words."""
-    return f"as busy as now ({slowness:.1f} times as long as idle)"
+    return f"as busy as now ({slowdown:.1f} times as long as idle)"
 
 
 def workload_of(survey: Survey, plan: Plan, counted: SurveyAmounts | None = None) -> Workload:
@@ -252,13 +252,13 @@ def _scale_of(sizes: Sequence[tuple[int, int]], quality: str, scale: float | Non
 
 
 def _parts_of_images(sizes: Sequence[tuple[int, int]], scale: float, quality: str) -> dict[str, float]:
-    whole = sum(width * height for width, height in sizes) / 1e6
+    photographs_mpx = sum(width * height for width, height in sizes) / 1e6
     amounts = Amounts(
         num_views=len(sizes),
-        photographs_mpx=whole,
+        photographs_mpx=photographs_mpx,
         largest_px=scale**2 * max(width * height for width, height in sizes),
-        map_px=scale**2 * whole * 1e6,
-        points=_OWN_GROUND * scale**2 * whole * 1e6,
+        map_px=scale**2 * photographs_mpx * 1e6,
+        points=_OWN_GROUND * scale**2 * photographs_mpx * 1e6,
         field_cells=0.0,
         poses="refine",
         solves=RECIPES[quality].field == "solver",
@@ -298,8 +298,10 @@ def room_warnings(workload: Workload, run_folder: Path) -> list[str]:
 
 
 def _disk_warning(workload: Workload, run_folder: Path) -> str | None:
-    there = sum(p.stat().st_size for p in run_folder.glob("stages/**/*") if p.is_file()) if run_folder.is_dir() else 0
-    free = machine.free_disk_bytes(run_folder) + there
+    stored_bytes = (
+        sum(p.stat().st_size for p in run_folder.glob("stages/**/*") if p.is_file()) if run_folder.is_dir() else 0
+    )
+    free = machine.free_disk_bytes(run_folder) + stored_bytes
     if workload.disk_bytes <= free:
         return None
     return (

@@ -64,8 +64,8 @@ def pose_files(path: Path) -> list[Path]:
     if path.is_dir():
         return [file for file in path.iterdir() if file.is_file()]
     known = _format_of(path) if path.exists() else None
-    beside = [] if known is None or known.files is None else known.files(path)
-    return [path, *(file for file in beside if file.is_file())]
+    companions = [] if known is None or known.files is None else known.files(path)
+    return [path, *(file for file in companions if file.is_file())]
 
 
 def read_ties(path: Path) -> FileTies | None:

@@ -120,8 +120,8 @@ def _require_rigs_agree(folder: Path, suffix: str, photos: list[files.Photo]) ->
             # A pose that is not finite, or too large, differs from every other.
             with np.errstate(over="ignore", invalid="ignore"):
                 expected = _matrix(cam_from_rig) @ _matrix(rig_from_world)
-                apart = np.abs(expected - _matrix(photo.pose)).max()
-            if not apart <= _SAME_POSE * max(1.0, np.abs(expected).max()):
+                difference = np.abs(expected - _matrix(photo.pose)).max()
+            if not difference <= _SAME_POSE * max(1.0, np.abs(expected).max()):
                 raise PosesError(
                     f"{folder}: the pose of {shortened(photo.name)} in images{suffix} is not that of its rig in "
                     f"frames{suffix} and rigs{suffix}; write the model again, or remove these two "

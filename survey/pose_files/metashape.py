@@ -334,8 +334,8 @@ def _is_true(text: str | None, default: str = "true") -> bool:
 def is_metashape(path: Path) -> bool:
     """Whether a file of XML has cameras with poses; files of markers have cameras too, without them."""
     with path.open("rb") as file:
-        _, cameras, rest = file.read().partition(b"<cameras")
-    return bool(cameras) and b"<transform>" in rest
+        _, cameras, after_cameras = file.read().partition(b"<cameras")
+    return bool(cameras) and b"<transform>" in after_cameras
 
 
 FORMAT = Format(

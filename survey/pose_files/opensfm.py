@@ -162,9 +162,9 @@ def _topocentric_of(path: Path) -> Path:
     """The file in topocentric coordinates that a path, a file or its folder, stands for."""
     if path.is_dir():
         return _files_in(path)[0]
-    beside = path.with_name(_TOPOCENTRIC)
-    if path.name in (_PLAIN, _GRID) and beside.is_file():
-        return beside
+    topocentric = path.with_name(_TOPOCENTRIC)
+    if path.name in (_PLAIN, _GRID) and topocentric.is_file():
+        return topocentric
     is_of_finished_project = path.name == _PLAIN and (path.parent.parent / "odm_georeferencing").is_dir()
     if path.name == _GRID or (is_of_finished_project and path.parent.name == "opensfm"):
         raise PosesError(
@@ -198,9 +198,9 @@ def _geocentric(points: np.ndarray, reference: tuple[float, float, float] | None
 
 
 def _reference(path: Path, block: dict) -> tuple[float, float, float] | None:
-    given, beside = block.get("reference_lla"), path.with_name(_REFERENCE)
-    if given is None and beside.is_file():
-        given = read_foreign_json(beside, PosesError)
+    given, reference_path = block.get("reference_lla"), path.with_name(_REFERENCE)
+    if given is None and reference_path.is_file():
+        given = read_foreign_json(reference_path, PosesError)
     if given is None:
         return None
     keys = ("latitude", "longitude", "altitude")

@@ -121,9 +121,9 @@ def _columns(names: list[str]) -> dict[str, str] | None:
     if not estimated and not set(place) <= found:
         place = ["longitude", "latitude", "height"]
     for angles in (_OPK, _YPR, _GIMBAL):
-        called = [_ESTIMATED.get(name, name) if estimated else name for name in angles]
-        if {"image", *place, *called} <= found:
-            return dict(zip(("image", *_PLACE, *angles), ("image", *place, *called), strict=True))
+        angle_columns = [_ESTIMATED.get(name, name) if estimated else name for name in angles]
+        if {"image", *place, *angle_columns} <= found:
+            return dict(zip(("image", *_PLACE, *angles), ("image", *place, *angle_columns), strict=True))
     return None
 
 
@@ -143,8 +143,8 @@ def _given(row: Row, centre: np.ndarray, units: Mapping[str, float]) -> GivenPos
     stds = [row.cells.get(name) or row.cells.get("std") for name in _STDS]
     if any(not std for std in stds):
         return None
-    called = [name if row.cells.get(name) else "std" for name in _STDS]
-    values = np.array([row.number(name) * units.get(name, 1.0) for name in called])
+    std_columns = [name if row.cells.get(name) else "std" for name in _STDS]
+    values = np.array([row.number(name) * units.get(name, 1.0) for name in std_columns])
     if not (values > 0.0).all():
         raise PosesError(
             f"{row.where}: the accuracy of the position is {values.tolist()}, expected above 0; correct it"

@@ -76,12 +76,12 @@ def _arrows(axes: Axes, places: np.ndarray, vectors: np.ndarray, times: float) -
 
 def mean_residuals(found: Adjustment, lens: int) -> tuple[np.ndarray, np.ndarray, float]:
     """Middles (K, 2) [px] of the cells, mean residuals (K, 2) [px] there, and the side of a cell [px]."""
-    mine = found.poses.lens_of[found.residuals.view] == lens
+    of_lens = found.poses.lens_of[found.residuals.view] == lens
     width, height = found.lenses[lens].width, found.lenses[lens].height
     side = max(width, height) / _CELLS
     shape = (math.ceil(height / side), math.ceil(width / side))
-    cells = cell_numbers(found.residuals.at_px[mine] / side, shape)
-    means = np.stack([cell_means(cells, axis, shape) for axis in found.residuals.px[mine].T], axis=-1)
+    cells = cell_numbers(found.residuals.at_px[of_lens] / side, shape)
+    means = np.stack([cell_means(cells, axis, shape) for axis in found.residuals.px[of_lens].T], axis=-1)
     rows, columns = np.nonzero(cell_counts(cells, shape) >= _FEWEST)
     places = side * (np.column_stack([columns, rows]) + 0.5)
     return places, means[rows, columns], side
@@ -118,10 +118,10 @@ def draw_parts(path: Path, survey: Survey, found: Adjustment) -> Picture:
     extent = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
     figure, axes = map_canvas(_around(extent, cameras), crs, below_in=0.5)
     for part in range(int(number_of.max()) + 1):
-        colour, mine = SERIES[part % len(SERIES)], number_of == part
-        label = f"part {part + 1}: {int(mine.sum())} photographs"
+        colour, of_part = SERIES[part % len(SERIES)], number_of == part
+        label = f"part {part + 1}: {int(of_part.sum())} photographs"
         axes.plot(*points[part_of_point == part].T, ".", ms=1.5, color=colour, alpha=0.4, zorder=3)
-        axes.plot(*cameras[mine].T, "o", ms=5.0, mfc=colour, mec="white", mew=0.6, label=label, zorder=5)
+        axes.plot(*cameras[of_part].T, "o", ms=5.0, mfc=colour, mec="white", mew=0.6, label=label, zorder=5)
     if (number_of < 0).any():
         axes.plot(*cameras[number_of < 0].T, "x", ms=5.0, color=INK, label="without points", zorder=5)
     _draw_control(axes, survey, found)
@@ -225,7 +225,7 @@ def draw_residuals(path: Path, survey: Survey, residuals: Sequence[Residual]) ->
     extent, width_m = _extent(places, unit_m)
     figure, axes = map_canvas(extent, crs, below_in=0.5)
     axes.set_facecolor("white")
-    in_all = np.sqrt(np.nansum(off**2, axis=1))
+    distances = np.sqrt(np.nansum(off**2, axis=1))
     off, longest, is_far = clip_outliers(off)
     times = _LONGEST * width_m / longest
     in_plan = np.isfinite(off[:, 0])
@@ -236,8 +236,8 @@ def draw_residuals(path: Path, survey: Survey, residuals: Sequence[Residual]) ->
     for part, mark, colour, label in ((~is_check, "^", INK, "control point"), (is_check, "s", LAND, "check point")):
         if part.any():
             axes.plot(*places[part].T, mark, ms=6.0, mfc=colour, mec=INK, mew=0.8, label=label, zorder=5)
-    for each, far, whole in zip(residuals, is_far, in_all, strict=True):
-        name = f"{each.name} (shortened: {length(float(whole))})" if far else each.name
+    for each, far, distance in zip(residuals, is_far, distances, strict=True):
+        name = f"{each.name} (shortened: {length(float(distance))})" if far else each.name
         axes.annotate(name, each.place, (5, 5), textcoords="offset points", fontsize=7.5, color=INK, zorder=6)
     figure.legend(loc="lower center", ncols=2, frameon=False, fontsize=9)
     unit = LengthUnit.of([longest])

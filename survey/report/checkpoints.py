@@ -72,9 +72,11 @@ def stated_of(std_m: np.ndarray | ComputedColumn, depth_m: np.ndarray | Computed
     counts = np.zeros(len(TVU) + 2, dtype=np.int64)
     for part in portions(len(std_m)):
         counts += np.bincount(order_by_tvu(std_m[part], depth_m[part]), minlength=len(counts))
-    points_wet, within = int(counts[1:].sum()), np.cumsum(counts[1:])
+    points_wet, nums_within = int(counts[1:].sum()), np.cumsum(counts[1:])
     shares = [
-        StatedOrder(name, float(met / points_wet)) for (name, _, _), met in zip(TVU, within, strict=False) if points_wet
+        StatedOrder(name, float(num_within / points_wet))
+        for (name, _, _), num_within in zip(TVU, nums_within, strict=False)
+        if points_wet
     ]
     return StatedFigures(LE90 * of_std.median, points_wet, tuple(shares))
 

@@ -121,12 +121,12 @@ def _measured(comparison: Comparison, of_sweep: Comparison | None, field: str) -
 
     The solver goes on from a sweep whose heights are not refined to the end, a trained field from one alone.
     """
-    whole = comparison.figures.wet
+    of_run = comparison.figures.wet
     if of_sweep is None:
-        named = {"this run: sweep alone": whole}
+        named = {"this run: sweep alone": of_run}
     else:
         before = "sweep before the solver" if field == "solver" else "sweep alone"
-        named = {before: of_sweep.figures.wet, f"this run: sweep and {_REFINED_BY[field]}": whole}
+        named = {before: of_sweep.figures.wet, f"this run: sweep and {_REFINED_BY[field]}": of_run}
     return [_row(name, "measured", part) for name, part in named.items() if part]
 
 
@@ -138,7 +138,7 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
     """All figures of a report; a gate that was not met is one of its warnings."""
     survey = facts.survey
     adjustment = adjustment_of(survey, facts.adjustment)
-    told = [] if adjustment is None or adjustment.note is None else [adjustment.note]
+    adjustment_notes = [] if adjustment is None or adjustment.note is None else [adjustment.note]
     failed = [gate.sentence for gate in facts.verdict.gates if not gate.passed] if facts.verdict else []
     left_out, checkpoints = _left_out(survey), facts.checkpoints
     return ReportFigures(
@@ -161,7 +161,7 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
             *checkpoint_warnings(checkpoints),
             *survey.findings.warnings,
         ),
-        notes=(*facts.notes, *told),
+        notes=(*facts.notes, *adjustment_notes),
         checkpoints=checkpoints,
         height_std=height_std(facts.bed.std, facts.std_common) if len(facts.bed) else None,
         adjustment=adjustment,
@@ -179,8 +179,8 @@ def _depth_under_water(depth: np.ndarray, wet: np.ndarray) -> np.ndarray:
 
 def height_std(std: np.ndarray, std_common: np.ndarray | None) -> HeightStd:
     """Std of the height of a point, all included: medians over points (N,), one at least."""
-    told = None if std_common is None else ColumnStatistics(std_common)
-    shared = told.median if told is not None and told.size else None
+    common = None if std_common is None else ColumnStatistics(std_common)
+    shared = common.median if common is not None and common.size else None
     return HeightStd(ColumnStatistics(stated_std(std, std_common)).median, shared, ColumnStatistics(std).median)
 
 

@@ -59,11 +59,11 @@ def headline(verdict: RunVerdict | None, warnings: tuple[str, ...]) -> Headline:
     if num_failed:
         message = f"{num_failed} of {len(gates)} quality gates {'is' if num_failed == 1 else 'are'} not met."
         return Headline("failed", "Failed", f"{message} Do not use the cloud without checking it.", gates)
-    met = "All quality gates are met"
+    all_met = "All quality gates are met"
     if warnings:
         them = "the warning" if len(warnings) == 1 else f"the {len(warnings)} warnings"
-        return Headline("doubtful", "Passed with warnings", f"{met}; read {them} below before use.", gates)
-    return Headline("passed", "Passed", f"{met}, and there are no warnings.", gates)
+        return Headline("doubtful", "Passed with warnings", f"{all_met}; read {them} below before use.", gates)
+    return Headline("passed", "Passed", f"{all_met}, and there are no warnings.", gates)
 
 
 def cards(figures: ReportFigures) -> list[Card]:
@@ -80,9 +80,9 @@ def _of_heights(figures: ReportFigures) -> list[Card]:
     found = [Card("Height, one sigma, all included", length(std.whole), f"{shared}{length(std.random)} random")]
     stated = figures.stated
     if figures.comparison is None and stated is not None and stated.orders:
-        met = stated.strictest
+        order = stated.strictest
         detail = "strictest order for 95 % of the points, by what the cloud states"
-        found.append(Card("IHO S-44, vertical, stated", "none" if met is None else met.name, detail))
+        found.append(Card("IHO S-44, vertical, stated", "none" if order is None else order.name, detail))
     return found
 
 
@@ -142,10 +142,10 @@ def _of_comparison(figures: ReportFigures) -> list[Card]:
 
 def _of_orders(iho: IhoS44) -> Card:
     """The strictest order that all points and every depth meet; where all points alone meet a stricter one, why not."""
-    met = iho.strictest
+    strictest = iho.strictest
     pooled = next((order for order in iho.orders if order.meets_tvu), None)
     detail = "strictest order whose TVU is met at every depth"
-    if pooled is not None and pooled is not met:
+    if pooled is not None and pooled is not strictest:
         worst = min(pooled.failing + pooled.undecided, key=lambda band: band.share_within)
         depth = limits_label(worst.low_m, worst.high_m, "m")
         detail += f"; at {depth} only {share(worst.share_within)} are within {pooled.name}"
@@ -153,7 +153,7 @@ def _of_orders(iho: IhoS44) -> Card:
     if doubtful is not None:
         detail += f"; {doubtful.name} is undecided, as heights between the points of the reference are too uncertain"
     worth = "none" if doubtful is None else "undecided"
-    return Card("IHO S-44, vertical only", worth if met is None else met.name, detail)
+    return Card("IHO S-44, vertical only", worth if strictest is None else strictest.name, detail)
 
 
 def coverage(figures: ReportFigures) -> list[Block]:
@@ -161,18 +161,19 @@ def coverage(figures: ReportFigures) -> list[Block]:
     found = figures.coverage
     if found is None:
         return []
-    whole = found.wet_m2 + found.two_views_m2 + found.one_view_m2
-    if not whole:
+    water_m2 = found.wet_m2 + found.two_views_m2 + found.one_view_m2
+    if not water_m2:
         return []
     std = "" if found.water_std_m3 is None else f" ± {volume(found.water_std_m3)} (one sigma)"
     rows = [
-        ("bed found", _part(found.wet_m2, whole)),
+        ("bed found", _part(found.wet_m2, water_m2)),
         ("water over it", f"{volume(found.water_m3)}{std}"),
         (
             "no bed, two photographs or more",
-            f"{_part(found.two_views_m2, whole)}: turbid or too deep, glint, moving plants, or a bed without texture",
+            f"{_part(found.two_views_m2, water_m2)}: turbid or too deep, glint, moving plants, or a bed without "
+            "texture",
         ),
-        ("no bed, one photograph only", f"{_part(found.one_view_m2, whole)}: no second ray to intersect"),
+        ("no bed, one photograph only", f"{_part(found.one_view_m2, water_m2)}: no second ray to intersect"),
     ]
     white = [each.saturated for each in figures.photographs]
     if white:
@@ -190,11 +191,11 @@ def limitations(figures: ReportFigures) -> list[Block]:
     """Fitness of the cloud for purposes, in sentences with this run's figures."""
     parts, std = [], figures.height_std
     if std is not None:
-        told = f"A typical height is within {length(_SIGMAS_95 * std.whole)} of the truth in 95 of 100 cases"
+        message = f"A typical height is within {length(_SIGMAS_95 * std.whole)} of the truth in 95 of 100 cases"
         if std.shared:
             shared = length(_SIGMAS_95 * std.shared)
-            told += f"; of that, {shared} are a common shift of all heights, which averaging does not reduce"
-        parts.append(f"{told}, if level, index and positions are as accurate as stated.")
+            message += f"; of that, {shared} are a common shift of all heights, which averaging does not reduce"
+        parts.append(f"{message}, if level, index and positions are as accurate as stated.")
     parts.append(
         f"Things smaller than about {length(_SMALLEST_GSD * figures.plan.gsd_m)} are smoothed away or missing; what "
         "stands on a wall or under an overhang may be missing too."

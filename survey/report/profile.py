@@ -223,8 +223,8 @@ def choose_cut(facts: ReportFacts) -> Cut:
     for angle in np.linspace(-0.5 * np.pi, 0.5 * np.pi, _DIRECTIONS, endpoint=False) + np.pi / _DIRECTIONS:
         direction = np.array([np.cos(angle), np.sin(angle)])
         left = np.array([-direction[1], direction[0]])
-        for aside in np.linspace(-0.9 * half, 0.9 * half, _PLACES):
-            start = centre + aside * left
+        for offset in np.linspace(-0.9 * half, 0.9 * half, _PLACES):
+            start = centre + offset * left
             values = _along(relief, grid, start + steps[:, None] * direction)
             known = np.flatnonzero(np.isfinite(values))
             if len(known):

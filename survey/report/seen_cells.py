@@ -102,8 +102,8 @@ def _extent(cameras: Sequence[PinholeCamera], area: Area | None, height: float) 
     centres, reaches = np.array([camera.centre for camera in cameras]), []
     axes = np.array([camera.cam_from_local[2] for camera in cameras])
     # Views to the horizon are taken to look at most 45 degrees up from the vertical.
-    fall = np.minimum(axes[:, 2], -np.sqrt(0.5))
-    foot = centres[:, :2] + axes[:, :2] * ((height - centres[:, 2]) / fall)[:, None]
+    axis_z = np.minimum(axes[:, 2], -np.sqrt(0.5))
+    foot = centres[:, :2] + axes[:, :2] * ((height - centres[:, 2]) / axis_z)[:, None]
     for camera in cameras:
         half = 0.5 * camera.widening * np.hypot(camera.width / camera.fx, camera.height / camera.fy)
         reaches.append(half * max(camera.centre[2] - height, 0.0))
@@ -117,11 +117,11 @@ def _around(camera: PinholeCamera, x: np.ndarray, y: np.ndarray, height: np.ndar
     Refraction only moves footprints towards the nadir.
     """
     directions = camera.directions(camera.outline())
-    fall = camera.centre[2] - float(height.min())
+    height_over = camera.centre[2] - float(height.min())
     # False for NaN, where the lens brings no light to the border.
-    if not (directions[:, 2] < -1e-3).all() or fall <= 0.0:
+    if not (directions[:, 2] < -1e-3).all() or height_over <= 0.0:
         return slice(None), slice(None)
-    ends = camera.centre[:2] + directions[:, :2] * (fall / -directions[:, 2])[:, None]
+    ends = camera.centre[:2] + directions[:, :2] * (height_over / -directions[:, 2])[:, None]
     ends = np.concatenate([ends, camera.centre[None, :2]])
     (x0, y0), (x1, y1) = ends.min(axis=0), ends.max(axis=0)
     return slice(*np.searchsorted(y, (y0, y1))), slice(*np.searchsorted(x, (x0, x1)))

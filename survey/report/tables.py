@@ -156,8 +156,8 @@ def comparison(found: Figures | None) -> list[Block]:
     ])  # fmt: skip
     unit = LengthUnit.of([distances.std_m])
     notes = [Sentences(circumstances.notes)] if circumstances.notes else []
-    whole = _bias_and_spread("part", _parts(found), unit, "Bias and spread")
-    return [method, _completeness(found.tolerances), *_reached(found), whole, *_bands(found, unit), *notes]
+    bias = _bias_and_spread("part", _parts(found), unit, "Bias and spread")
+    return [method, _completeness(found.tolerances), *_reached(found), bias, *_bands(found, unit), *notes]
 
 
 def _parts(found: Figures) -> list[tuple[str, DistanceStatistics]]:

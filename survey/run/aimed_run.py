@@ -57,10 +57,10 @@ class FullSizeAmounts:
         """Amounts of a survey whose poses are known, from its plan at another scale."""
         at_scale = survey_amounts(survey, plan)
         per_scale = plan.image_scale**-2
-        whole = sum(view.lens.width * view.lens.height for view in survey.views) / 1e6
+        photographs_mpx = sum(view.lens.width * view.lens.height for view in survey.views) / 1e6
         mapped = float(np.sum(at_scale.view_pixels[at_scale.matched_views]))
         return FullSizeAmounts(
-            whole, mapped * per_scale, at_scale.num_cells * per_scale, plan.pose_choice, len(survey.views)
+            photographs_mpx, mapped * per_scale, at_scale.num_cells * per_scale, plan.pose_choice, len(survey.views)
         )
 
 
@@ -87,25 +87,25 @@ class RoundRates:
 
     sample_s: float  # Of the sweep [s]
     images_s: float  # Reading all photographs [s]
-    slowness: float  # Factor on the times of all else that are stated for one core
+    slowdown: float  # Factor on the times of all else that are stated for one core
     point_s: float  # Of the solver [s]
 
     @staticmethod
-    def stated(amounts: FullSizeAmounts, slowness: float = 1.0) -> RoundRates:
-        """Rates before the first measurement, on a machine that takes ``slowness`` times as long as stated."""
-        per_core = slowness / machine.num_cores()
-        images_s = slowness * _DECODING_S * amounts.photographs_mpx
-        return RoundRates(per_core / SAMPLES_PER_CORE_S, images_s, slowness, _POINT_S * per_core)
+    def stated(amounts: FullSizeAmounts, slowdown: float = 1.0) -> RoundRates:
+        """Rates before the first measurement, on a machine that takes ``slowdown`` times as long as stated."""
+        per_core = slowdown / machine.num_cores()
+        images_s = slowdown * _DECODING_S * amounts.photographs_mpx
+        return RoundRates(per_core / SAMPLES_PER_CORE_S, images_s, slowdown, _POINT_S * per_core)
 
     def after_sweep(self, seconds: float, num_samples: float, images_s: float) -> RoundRates:
         """Rates with the measured time [s] of a round's sweep and of reading its photographs."""
         sample_s = seconds / num_samples
-        slowness = max(self.slowness * sample_s / self.sample_s, _FASTEST)
-        return RoundRates(sample_s, images_s, slowness, self.point_s * slowness / self.slowness)
+        slowdown = max(self.slowdown * sample_s / self.sample_s, _FASTEST)
+        return RoundRates(sample_s, images_s, slowdown, self.point_s * slowdown / self.slowdown)
 
     def after_solver(self, seconds: float, num_points: int) -> RoundRates:
         """Rates with the measured time [s] of the solver."""
-        return replace(self, point_s=max(seconds - _SOLVER_S * self.slowness, _OF_POINTS * seconds) / num_points)
+        return replace(self, point_s=max(seconds - _SOLVER_S * self.slowdown, _OF_POINTS * seconds) / num_points)
 
     def sweep_s(
         self, amounts: FullSizeAmounts, scale: float, *, lowest_scale: float, earlier_scale: float | None = None
@@ -118,16 +118,16 @@ class RoundRates:
 
     def solver_s(self, amounts: FullSizeAmounts, scale: float) -> float:
         """Time [s] of the solver over all points."""
-        return _SOLVER_S * self.slowness + amounts.points * scale**2 * self.point_s
+        return _SOLVER_S * self.slowdown + amounts.points * scale**2 * self.point_s
 
     def tail_s(self, amounts: FullSizeAmounts, scale: float) -> float:
         """Time [s] from the last round to the end of the run."""
-        return (_TAIL_S[0] + _TAIL_S[1] * amounts.points * scale**2) * self.slowness
+        return (_TAIL_S[0] + _TAIL_S[1] * amounts.points * scale**2) * self.slowdown
 
     def least_s(self, amounts: FullSizeAmounts, scale: float, *, lowest_scale: float) -> float:
         """Time [s] of a whole run whose only round is a sweep at a scale; see `samples`."""
         poses = poses_s(amounts.poses, amounts.photographs_mpx, amounts.num_views)
-        before = (_START_S + poses + _RANGE_S) * self.slowness
+        before = (_START_S + poses + _RANGE_S) * self.slowdown
         return before + self.sweep_s(amounts, scale, lowest_scale=lowest_scale) + self.tail_s(amounts, scale)
 
 
@@ -243,8 +243,8 @@ class AimedRun:
     def end_round(self, following: int | None, why: str) -> Decision:
         """Decide on the next round; returns the decision in words, for the plan."""
         done = "with the solver" if self.solves(self.number) else "sweep alone"
-        then = "the last" if following is None else f"then image scale {self.scales[following]:g}"
-        name, choice = f"round {len(self.decisions) + 1}", f"image scale {self.scale:g}, {done}; {then}"
+        next_round = "the last" if following is None else f"then image scale {self.scales[following]:g}"
+        name, choice = f"round {len(self.decisions) + 1}", f"image scale {self.scale:g}, {done}; {next_round}"
         self.decisions.append(Decision(name, choice, why))
         self.following = following
         if following is not None:

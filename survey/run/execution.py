@@ -95,7 +95,7 @@ class TileWorkers:
 
     def run(
         self,
-        whole: Stage,
+        stage: Stage,
         parts: Sequence[tuple[Stage, TileJob]],
         done: Mapping[str, Path],
         shared: TilePlan,
@@ -110,8 +110,8 @@ class TileWorkers:
         if not missing:
             return reused
         workers = self._started()
-        saved = self._saved(shared, whole.name)
-        title = whole.name.capitalize()
+        saved = self._saved(shared, stage.name)
+        title = stage.name.capitalize()
         names = [part_name(title, tile.number, len(parts)) for _, tile in parts]
         title = f"{title} of {len(missing)} tiles"
         if (forecast := self._job.progress.forecast) is not None:
@@ -314,9 +314,9 @@ def run_stages(
         number = 1
         while stage.name == ASSESSMENT and job.aimed is not None and job.aimed.following is not None:
             done = _after_round(done, number)
-            for again in of_round:
-                if again.is_on(job):
-                    done[again.name] = run_stage(again, job, run, done, resume=resume, explains=False)
+            for repeated in of_round:
+                if repeated.is_on(job):
+                    done[repeated.name] = run_stage(repeated, job, run, done, resume=resume, explains=False)
             number += 1
     return done
 

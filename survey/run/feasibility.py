@@ -71,7 +71,7 @@ def assess_feasibility(
         # Only heights of the solver have a standard deviation that can be relied on.
         solving = [number for number, recipe in enumerate(recipes) if recipe.field == "solver"]
         first = next((number for number in solving if not std[number] > aim.std_m), solving[-1])
-    rates = RoundRates.stated(amounts, load.slowness)
+    rates = RoundRates.stated(amounts, load.slowdown)
     common = math.nan if foreseen is None else foreseen.heights.of_all_m
     return Feasibility(recipes, scales, amounts, std, common, first, rates, load)
 

@@ -61,7 +61,7 @@ class Job:
         Of a survey that is worked on in tiles; set by `take_tiles`.
     tiles : TileChoice or None
         The same with its reasons, and how many processes compute them.
-    whole : Job
+    survey_job : Job
         Itself; of a tile the job of the whole survey.
     waits_for_kernels : Event
         Set when a wait for kernels begins that is long enough for another thread to hold the GIL.
@@ -79,7 +79,7 @@ class Job:
     ):
         self.survey, self.chosen, self.progress = survey, chosen, progress
         self.aimed, self.workspace, self.scratch = aimed, workspace, scratch
-        self.whole: Job = self
+        self.survey_job: Job = self
         self.tiling: Tiling | None = None
         self.tiles: TileChoice | None = None
         self.waits_for_kernels = Event()
@@ -161,7 +161,7 @@ class Job:
         """Structure from motion for poses of a file that are too inaccurate; None without a workspace."""
         if self.workspace is None:
             return None
-        return partial(recover_poses, workspace=self.workspace, say=self.progress.note)
+        return partial(recover_poses, workspace=self.workspace, report=self.progress.note)
 
     @cached_property
     def bound(self) -> tuple[float, float]:

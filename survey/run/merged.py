@@ -66,9 +66,9 @@ def merge_points(
 ) -> None:
     """The bed of all tiles."""
     with job.progress.stage("Bed"):
-        gathered = folder / GATHERED
-        finish_bed(job, folder, needs, *gather_points(of_tiles["bed"], gathered))
-        gathered.unlink()
+        points_path = folder / GATHERED
+        finish_bed(job, folder, needs, *gather_points(of_tiles["bed"], points_path))
+        points_path.unlink()
 
 
 def _found(tiles: Sequence[TileJob], swept: Sequence[Path]) -> Iterator[tuple[TileJob, Path]]:

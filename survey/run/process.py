@@ -237,13 +237,13 @@ def _workers_of_sfm(chosen: Choices, run: RunDir, found: Found, progress: Progre
 
 def _forecast(progress: Progress, checked: Checked, chosen: Choices) -> None:
     """Initialise the remaining time by stated rates and the load of the machine."""
-    progress.forecast = Forecast(machine.measure_load().slowness)
+    progress.forecast = Forecast(machine.measure_load().slowdown)
     if checked.survey is not None:
         return
     workload = workload_of_found(checked.found, chosen)
     progress.forecast.expect(parts_of_found(checked.found, chosen))
-    if (slowness := progress.forecast.slowness) >= _BUSY:
-        workload = workload.on_loaded_cores(slowness)
+    if (slowdown := progress.forecast.slowdown) >= _BUSY:
+        workload = workload.on_loaded_cores(slowdown)
     progress.note(f"workload: {workload}")
 
 
@@ -273,14 +273,14 @@ def _announce(
     if aimed is not None:
         # An aim may come to need its largest recipe.
         top = make_plan(survey, chosen, recipe=aimed.recipes[-1])
-        workload = workload_of(survey, top).on_loaded_cores(aimed.rates.slowness)
+        workload = workload_of(survey, top).on_loaded_cores(aimed.rates.slowdown)
     else:
         workload = replace(in_one, memory_bytes=int(tiles.memory_bytes))
         if progress.forecast is not None and plan.device == "llvm":
             parts = parts_s(amounts_of_run(survey, plan, counted), machine.num_cores())
             progress.forecast.expect(parts if tiles.tiling is None else parts_in_tiles(parts, len(tiles.tiling)))
-            slowness = progress.forecast.slowness
-            workload = workload if slowness < _BUSY else workload.on_loaded_cores(slowness)
+            slowdown = progress.forecast.slowdown
+            workload = workload if slowdown < _BUSY else workload.on_loaded_cores(slowdown)
     progress.note(f"workload: {'' if aimed is None else 'with the largest recipe, '}{workload}")
     for text in (*tile_warnings(survey, plan, tiles.tiling), *require_room(workload, run.path)):
         progress.warn(text)

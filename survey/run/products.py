@@ -281,12 +281,12 @@ def _comparisons(finished: FinishedRun) -> tuple[Comparison | None, Comparison |
     job, folder, truth = finished.job, finished.result, finished.truth
     if truth.reference is None:
         return None, None
-    say = job.progress.note
+    note = job.progress.note
     # Loads what compares images too; most runs have nothing to compare with.
     from survey.compare.comparison import CompareOptions, compare_surfaces
 
     options = CompareOptions(tolerances_m=TOLERANCES_M, visible=truth.visible, bounds=job.survey.bounds)
-    say(f"comparison of the cloud with {truth.reference.name}")
+    note(f"comparison of the cloud with {truth.reference.name}")
     found = compare_surfaces(folder / "cloud.las", truth.reference, options)
     # The final path, not that of the folder in which the result is written.
     circumstances = replace(found.figures.circumstances, cloud=str(finished.run.cloud_path))
@@ -295,7 +295,7 @@ def _comparisons(finished: FinishedRun) -> tuple[Comparison | None, Comparison |
         return found, None
     cloud = folder / "sweep.las"
     write_bed_las(cloud, load_bed(finished.stages["bed_of_sweep"]))
-    say(f"comparison of what the sweep alone gives with {truth.reference.name}")
+    note(f"comparison of what the sweep alone gives with {truth.reference.name}")
     of_sweep = compare_surfaces(cloud, truth.reference, options)
     cloud.unlink()
     return found, of_sweep

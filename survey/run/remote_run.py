@@ -93,8 +93,8 @@ class RemoteRun(RunDir):
                 )
             return
         self.write_text(self.path / MARKER, marker.decode())
-        solved, here = self.remote.read(f"{SFM_FOLDER}/{_SOLVED}"), self.sfm_path / _SOLVED
-        if solved is not None and not (here.is_file() and here.read_bytes() == solved):
+        solved, solved_path = self.remote.read(f"{SFM_FOLDER}/{_SOLVED}"), self.sfm_path / _SOLVED
+        if solved is not None and not (solved_path.is_file() and solved_path.read_bytes() == solved):
             # Stages at the URL are of the poses there.
             with reporting_disk_errors(self.sfm_path):
                 shutil.rmtree(self.sfm_path, ignore_errors=True)
@@ -105,11 +105,11 @@ class RemoteRun(RunDir):
         found = super().latest_stage_json(name)
         if found:
             return found
-        there = self.remote.files(_STAGES)
-        whole = [
-            each for each in there if each.endswith(f"/{name}") and f"{each.split('/')[0]}/{STAGE_RECORD}" in there
+        names = self.remote.files(_STAGES)
+        complete = [
+            each for each in names if each.endswith(f"/{name}") and f"{each.split('/')[0]}/{STAGE_RECORD}" in names
         ]
-        return self._read_json(f"{_STAGES}/{whole[-1]}") if whole else {}
+        return self._read_json(f"{_STAGES}/{complete[-1]}") if complete else {}
 
     def finished_stage(self, name: str, key: Key, leaves: Iterable[str] = ()) -> Path | None:
         """As `RunDir.finished_stage`; one that is only here is put to the URL, one that is only there fetched."""
@@ -205,9 +205,9 @@ class RemoteRun(RunDir):
 
     def _put_missing_stages(self, record: dict) -> None:
         """Put stages of a record that another machine has removed meanwhile; leave out results that lack one."""
-        there = self.remote.files(_STAGES)
+        names_at_url = self.remote.files(_STAGES)
         for quality, stages in [(None, record["stages"]), *record["others"].items()]:
-            for name in {name for name in stages.values() if f"{name}/{STAGE_RECORD}" not in there}:
+            for name in {name for name in stages.values() if f"{name}/{STAGE_RECORD}" not in names_at_url}:
                 if (self.stages_path / name / STAGE_RECORD).is_file():
                     self._put_stage(self.stages_path / name)
                 elif quality is not None:
@@ -222,13 +222,13 @@ class RemoteRun(RunDir):
         marks = [PurePosixPath(name).name for name in self.remote.files(_UNFINISHED)]
         kept = {each for stages in (record["stages"], *record["others"].values()) for each in stages.values()}
         kept |= {*marks}
-        here = {path.relative_to(self.path).as_posix() for path in files_below(self.path)}
+        own_names = {path.relative_to(self.path).as_posix() for path in files_below(self.path)}
         gone = {} if marks else dict.fromkeys((JOBS, PARTS, PHOTOGRAPHS, _UNFINISHED))
         for name in self.remote.files():
-            first, *rest = PurePosixPath(name).parts
-            if first == _STAGES and rest[0] not in kept:
+            first, *parts = PurePosixPath(name).parts
+            if first == _STAGES and parts[0] not in kept:
                 # The record first, as where a stage is put again.
-                gone |= dict.fromkeys((f"{_STAGES}/{rest[0]}/{STAGE_RECORD}", f"{_STAGES}/{rest[0]}"))
-            elif first in result.NAMES and name not in here:
+                gone |= dict.fromkeys((f"{_STAGES}/{parts[0]}/{STAGE_RECORD}", f"{_STAGES}/{parts[0]}"))
+            elif first in result.NAMES and name not in own_names:
                 gone[name] = None
         self.remote.remove(gone)

@@ -93,17 +93,17 @@ def results_of_other_qualities(record: Mapping, quality: str) -> dict[str, dict[
 
 def move_into_place(run: Path) -> None:
     """Move a complete result to its place, replacing the old one; does nothing without one."""
-    whole = run / _WHOLE
+    complete = run / _WHOLE
     # The record is moved last: where it is gone, everything else has been moved.
-    if (whole / RECORD).exists():
-        new = json.loads((whole / RECORD).read_text(encoding="utf-8"))
+    if (complete / RECORD).exists():
+        new = json.loads((complete / RECORD).read_text(encoding="utf-8"))
         _forget_unfinished(run, new["quality"])
         for name in NAMES:
-            if (whole / name).exists() or name not in new["files"]:
+            if (complete / name).exists() or name not in new["files"]:
                 _remove(run / name)
-            if (whole / name).exists():
-                (whole / name).rename(run / name)
-    shutil.rmtree(whole, ignore_errors=True)
+            if (complete / name).exists():
+                (complete / name).rename(run / name)
+    shutil.rmtree(complete, ignore_errors=True)
 
 
 def _forget_unfinished(run: Path, quality: str) -> None:

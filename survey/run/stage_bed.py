@@ -79,8 +79,8 @@ def through_surface(
     parts = []
     for first in range(0, len(bed), _AT_ONCE):
         points = bed.xyz[first : first + _AT_ONCE]
-        here = Footprint(points[:, :2].min(axis=0), points[:, :2].max(axis=0))
-        near = [camera for camera, ground in zip(cameras, grounds, strict=True) if ground.meets(here)]
+        footprint = Footprint(points[:, :2].min(axis=0), points[:, :2].max(axis=0))
+        near = [camera for camera, ground in zip(cameras, grounds, strict=True) if ground.meets(footprint)]
         parts.append(_placed(points, near, plane, surface))
     xyz = np.concatenate(parts)
     depth = surface.height(xyz[:, 0], xyz[:, 1]) - xyz[:, 2]
@@ -270,8 +270,8 @@ def finish_bed(
             std_placed = of_block if is_placed(survey) else None
         basis = BASIS_STATED if found is None else BASIS_ADJUSTED
         job.progress.note(f"std_common: {length(ColumnStatistics(common).median)} (median), by {basis}")
-        there = in_crs(survey, bed.xyz) if points_crs is None else points_crs
-        save_bed(folder, StoredBed(bed, there, survey.frame.crs, survey.name, job.plan.gsd_m, common, std_placed))
+        xyz_in_crs = in_crs(survey, bed.xyz) if points_crs is None else points_crs
+        save_bed(folder, StoredBed(bed, xyz_in_crs, survey.frame.crs, survey.name, job.plan.gsd_m, common, std_placed))
 
 
 def _field_of(job: Job, folder: Path) -> TensorField:

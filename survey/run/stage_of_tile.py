@@ -47,10 +47,10 @@ def sweep_tile(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
     sweep_views(tile, folder, {})
     maps = Stored(folder / MAPS, HeightMap, IN_MEMORY)
     kept, own = [], []
-    beside = grown(tile.cell, _BESIDE_GSD * tile.plan.gsd_m)
+    around = grown(tile.cell, _BESIDE_GSD * tile.plan.gsd_m)
     for m, unique in zip(maps, unique_pixels(tile.block, maps, tile.plan.gsd_m), strict=True):
         places = places_in_plan(tile.block, m, tile.in_survey if tile.has_frame else None)
-        kept.append(unique & inside(places, beside))
+        kept.append(unique & inside(places, around))
         own.append(inside(places, tile.cell))
     save_arrays(folder / MASKS, **pack_masks({KEPT: kept, OWN: own}))
     restore_overlap_height(tile, folder)
@@ -74,7 +74,7 @@ def find_points(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     bed = replace(bed, xyz=tile.in_survey(bed.xyz))
     bed = bed[inside(bed.xyz, tile.cell)]
     columns: dict[str, np.ndarray | Column] = {each.name: getattr(bed, each.name) for each in fields(BedPoints)}
-    write_arrays(folder / POINTS, (columns | {"points_crs": in_crs(tile.whole.survey, bed.xyz)}).items())
+    write_arrays(folder / POINTS, (columns | {"points_crs": in_crs(tile.survey_job.survey, bed.xyz)}).items())
 
 
 def gather_points(folders: Sequence[Path], path: Path) -> tuple[BedPoints, np.ndarray]:
@@ -127,10 +127,10 @@ def learn_figures(
 
 def read_figures(folder: Path) -> SolverFigures | None:
     """Figures of `learn_figures`; None where there was nothing to learn from."""
-    told = read_json_object(folder / FIGURES)["figures"]
-    if told is None:
+    figures = read_json_object(folder / FIGURES)["figures"]
+    if figures is None:
         return None
-    return SolverFigures(**told | {"shifts": Shifts(**told["shifts"]), "noise": NoiseShares(**told["noise"])})
+    return SolverFigures(**figures | {"shifts": Shifts(**figures["shifts"]), "noise": NoiseShares(**figures["noise"])})
 
 
 def _own(place: Path) -> list[np.ndarray]:

@@ -106,8 +106,8 @@ def _continue_round(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     start = time.monotonic()
     block, images_s = job.block, time.monotonic() - start
     restore_overlap_height(job, folder)
-    again = _views_to_sweep_again(job, before.views, needs)
-    job.progress.note(f"sweep: {len(again)} of {len(before)} views go on at image scale {job.plan.image_scale:g}")
+    continued = _views_to_sweep_again(job, before.views, needs)
+    job.progress.note(f"sweep: {len(continued)} of {len(before)} views go on at image scale {job.plan.image_scale:g}")
     start, aimed = time.monotonic(), job.aimed
     try:
         scratch = map_store(folder / SCRATCH, HeightMap, show=_live(job, folder))
@@ -124,11 +124,11 @@ def _continue_round(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
                 before.views,
                 SweepSettings((bound["low_m"], bound["high_m"]), area=job.swept_ground),
                 advance,
-                earlier=EarlierMaps(ByView(before, before.views), again),
+                earlier=EarlierMaps(ByView(before, before.views), continued),
                 make_store=make_store,
             )
             swept = _finished(block, maps, make_store)
-            took = _SweepCost(again, job.plan.image_scale, time.monotonic() - start, images_s)
+            took = _SweepCost(continued, job.plan.image_scale, time.monotonic() - start, images_s)
             _save(job, folder, swept, took, earlier_scale)
     except OutOfTimeError:
         job.progress.note("sweep: no time is left for this round; the heights of the previous round are kept")

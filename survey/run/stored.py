@@ -80,7 +80,7 @@ class StoredBed:
         if self.std_placed is None:
             return self.bed.std
         return ComputedColumn(
-            lambda whole, placed: np.sqrt(np.maximum(whole**2 - placed**2, 0.0)), self.bed.std, self.std_placed
+            lambda std, placed: np.sqrt(np.maximum(std**2 - placed**2, 0.0)), self.bed.std, self.std_placed
         )
 
 
@@ -211,8 +211,8 @@ def mapped_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dic
 
 def _require_whole(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
     """Read all of a member, at whose end its checksum is compared."""
-    with archive.open(member) as whole:
-        while whole.read(_PORTION):
+    with archive.open(member) as stream:
+        while stream.read(_PORTION):
             pass
 
 
@@ -321,8 +321,8 @@ class FileArray:
         first, last, _ = rows.indices(height)
         count = max(last - first, 0)
         offset = first * width * self._dtype.itemsize
-        whole = np.fromfile(self._path, self._dtype, count * width, offset=offset).reshape(count, width)
-        return whole[:, columns]
+        full_rows = np.fromfile(self._path, self._dtype, count * width, offset=offset).reshape(count, width)
+        return full_rows[:, columns]
 
 
 class ArrayFiles:

@@ -209,7 +209,7 @@ class LiveMaps:
             return
         with suppress(GeoError, OSError):
             if not (self._folder / FLIGHT).is_file():
-                save_flight(self._folder, self._job.whole.survey)
+                save_flight(self._folder, self._job.survey_job.survey)
             xyz, rgb = self._points(m)
             save_arrays(self._folder / f"{self._stage}-{m.view}.npz", xyz=xyz, rgb=rgb)
 

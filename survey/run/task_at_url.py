@@ -81,8 +81,8 @@ def _sources(survey: Survey, remote: Remote) -> dict[Path, Source]:
             name = f"{PHOTOGRAPHS}/{content_hash(path)[:32]}{path.suffix}"
             found[path], to_put[name] = (remote.url, name, ""), path
     # A put that was interrupted leaves half a file, where a store has folders.
-    there = remote.sizes(PHOTOGRAPHS) if to_put else {}
-    sizes = {name: there.get(name.removeprefix(f"{PHOTOGRAPHS}/")) for name in to_put}
+    sizes_at_url = remote.sizes(PHOTOGRAPHS) if to_put else {}
+    sizes = {name: sizes_at_url.get(name.removeprefix(f"{PHOTOGRAPHS}/")) for name in to_put}
     remote.put({name: path for name, path in to_put.items() if sizes[name] != path.stat().st_size})
     return found
 
@@ -149,8 +149,8 @@ class _WorkerJob:
         )
         self._images = _Decoded(views, self._folder / "grey")
         self._job = WorkerJob(replace(survey, views=views), chosen, tiles, found, self._images, saturated)
-        whole = self._job.whole
-        self._images.scale, camera = whole.plan.image_scale, whole.cameras[0]
+        survey_job = self._job.survey_job
+        self._images.scale, camera = survey_job.plan.image_scale, survey_job.cameras[0]
         self._images.size = camera.width, camera.height
 
     def tile(self, number: int) -> TileJob:
@@ -159,19 +159,19 @@ class _WorkerJob:
 
     def fetch_photographs(self, tile: TileJob) -> None:
         """Fetch those that show a tile, and their masks; remove those of others."""
-        views = [tile.whole.survey.views[window.view] for window in tile.windows]
-        wanted = {path.name: path for view in views for path in (view.path, view.mask_path) if path is not None}
+        views = [tile.survey_job.survey.views[window.view] for window in tile.windows]
+        paths = {path.name: path for view in views for path in (view.path, view.mask_path) if path is not None}
         for path in self._folder.iterdir():
-            if path.is_file() and path.name not in wanted:
+            if path.is_file() and path.name not in paths:
                 path.unlink()
         self._images.keep([window.view for window in tile.windows])
-        missing = [name for name, path in wanted.items() if not path.is_file()]
+        missing = [name for name, path in paths.items() if not path.is_file()]
         for url in {self._sources[name][0] for name in missing}:
-            here = [name for name in missing if self._sources[name][0] == url]
+            names = [name for name in missing if self._sources[name][0] == url]
             remote = Remote(url)
-            remote.fetch({self._sources[name][1]: wanted[name] for name in here})
-            for name in here:
-                _require_same(remote, self._sources[name], wanted[name])
+            remote.fetch({self._sources[name][1]: paths[name] for name in names})
+            for name in names:
+                _require_same(remote, self._sources[name], paths[name])
 
 
 def _require_same(remote: Remote, source: Source, path: Path) -> None:

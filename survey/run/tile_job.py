@@ -72,51 +72,54 @@ class TileJob(Job):
         Of the tile.
     windows : list of Window
         One for each view.
-    whole : Job
+    survey_job : Job
     """
 
-    def __init__(self, whole: Job, number: int, found: TilePlan):
-        if whole.tiling is None:
+    def __init__(self, survey_job: Job, number: int, found: TilePlan):
+        if survey_job.tiling is None:
             raise ValueError("expected a job with tiles")
-        self.whole, self.number, self._plan_of_tiles = whole, number, found
-        self.tiling, self.tiles = whole.tiling, whole.tiles
-        survey, self._moved = whole.survey, None
-        if has_frames(whole.tiling):
-            frame, ground = frame_of_tile(survey.frame, whole.tiling, number), whole.tiling.ground(number, 0.0)
+        self.survey_job, self.number, self._plan_of_tiles = survey_job, number, found
+        self.tiling, self.tiles = survey_job.tiling, survey_job.tiles
+        survey, self._moved = survey_job.survey, None
+        if has_frames(survey_job.tiling):
+            frame, ground = (
+                frame_of_tile(survey.frame, survey_job.tiling, number),
+                survey_job.tiling.ground(number, 0.0),
+            )
             self._moved = frame.from_frame(survey.frame)
-            survey = survey_in_frame(survey, frame, grown(ground, max(whole.plan.footprint_m)))
+            survey = survey_in_frame(survey, frame, grown(ground, max(survey_job.plan.footprint_m)))
         survey, (lowest, highest) = over_own_plane(survey, self.ground)
-        self.plan = replace(whole.plan, image_scale=1.0)
+        self.plan = replace(survey_job.plan, image_scale=1.0)
         if self._moved is None:
             # The bound of the survey is over its plane.
             self._bound = found.bound[0] - highest, found.bound[1] - lowest
         else:
             # The height of dry ground may be known from how far views are apart, which one alone does not tell.
             is_alone = survey.water is None and len(survey.views) < 2
-            self._limits = limits(flattened(whole.survey) if is_alone else survey)
+            self._limits = limits(flattened(survey_job.survey) if is_alone else survey)
             self._bound = self._limits if found.bounds is None else found.bounds[number]
         self.windows = self._find_windows(survey.water) if found.windows is None else found.windows[number]
         views = tuple(
             replace(
-                whole.survey.views[w.view],
-                camera=self._camera_in_frame(whole.cameras[w.view]).cropped(w.row, w.column, w.height, w.width),
+                survey_job.survey.views[w.view],
+                camera=self._camera_in_frame(survey_job.cameras[w.view]).cropped(w.row, w.column, w.height, w.width),
             )
             for w in self.windows
         )
-        self.survey, self.chosen, self.aimed = replace(survey, views=views), whole.chosen, None
-        self.progress: Any = _ProgressOfTile(whole.progress, number, len(whole.tiling))
+        self.survey, self.chosen, self.aimed = replace(survey, views=views), survey_job.chosen, None
+        self.progress: Any = _ProgressOfTile(survey_job.progress, number, len(survey_job.tiling))
         self.workspace, self.scratch = None, None
-        self.waits_for_kernels = whole.waits_for_kernels
+        self.waits_for_kernels = survey_job.waits_for_kernels
         self._hashed, self._hashed_of = {}, (None, None)
 
     def _find_windows(self, water: FlatWater | None) -> list[Window]:
         """Windows of the photographs that show the tile."""
-        whole, own = self.whole, self._in_frame(self._tiling.ground(self.number, 0.0))
-        showing = whole.outlines.may_show(water, own, self._bound, self._moved)
-        cameras = {view: self._camera_in_frame(whole.cameras[view]) for view in showing}
+        survey_job, own = self.survey_job, self._in_frame(self._tiling.ground(self.number, 0.0))
+        showing = survey_job.outlines.may_show(water, own, self._bound, self._moved)
+        cameras = {view: self._camera_in_frame(survey_job.cameras[view]) for view in showing}
         footprints = None
         if self._moved is None:
-            footprints = whole.outlines.footprints(showing, water, self._bound)
+            footprints = survey_job.outlines.footprints(showing, water, self._bound)
         return windows_of(cameras, water, own, self.ground, self._bound, footprints)
 
     @property
@@ -129,12 +132,12 @@ class TileJob(Job):
     @property
     def whole_camera(self) -> PinholeCamera | None:
         """Camera of a whole photograph, at the size that is worked on."""
-        return self.whole.cameras[0]
+        return self.survey_job.cameras[0]
 
     def views_to_match(self) -> list[int]:
         """Views of the whole survey that show the tile, by their numbers here."""
-        here = {window.view: number for number, window in enumerate(self.windows)}
-        return [here[view] for view in self._plan_of_tiles.views if view in here]
+        number_of = {window.view: number for number, window in enumerate(self.windows)}
+        return [number_of[view] for view in self._plan_of_tiles.views if view in number_of]
 
     @property
     def cell(self) -> Area:
@@ -179,7 +182,7 @@ class TileJob(Job):
     @property
     def limits(self) -> tuple[float, float]:
         """Search limits of the whole survey; of the tile itself where it has a frame of its own."""
-        return self.whole.limits if self._moved is None else self._limits
+        return self.survey_job.limits if self._moved is None else self._limits
 
     @property
     def bound(self) -> tuple[float, float]:
@@ -210,7 +213,7 @@ class TileJob(Job):
         if self._moved is None:
             return self.shared_bound
         places = self.in_survey(self._ends())
-        over = _over(self.whole.survey.water, places)
+        over = _over(self.survey_job.survey.water, places)
         return float(over.min()), float(over.max())
 
     def _ends(self) -> np.ndarray:
@@ -227,24 +230,24 @@ class TileJob(Job):
     @property
     def hashes(self) -> dict[str, tuple[str, str, str | None]]:
         """Hashes of the photographs of the whole survey."""
-        return self.whole.hashes
+        return self.survey_job.hashes
 
     @cached_property
     def photographs(self) -> Any:
         """Windows in colour."""
         views = {
-            view.name: (self.whole.survey.views[window.view], window)
+            view.name: (self.survey_job.survey.views[window.view], window)
             for view, window in zip(self.survey.views, self.windows, strict=True)
         }
-        return WindowStore(self.whole.photographs, views, self.whole.plan.image_scale)
+        return WindowStore(self.survey_job.photographs, views, self.survey_job.plan.image_scale)
 
     @cached_property
     def block(self) -> Block:
         """The windows in grey, in memory."""
-        whole = self.whole.block
-        images = (whole.images.window(window.view, *window.part) for window in self.windows)
+        survey_block = self.survey_job.block
+        images = (survey_block.images.window(window.view, *window.part) for window in self.windows)
         cameras = [view.camera for view in self.survey.views]
-        white = [whole.saturated[window.view] for window in self.windows]
+        white = [survey_block.saturated[window.view] for window in self.windows]
         middle = 0.5 * sum(self.bound)
         return Block(
             backend(self.plan),
@@ -261,14 +264,14 @@ class TileJob(Job):
         """Heights (N,) [m] of pixels of a window over the water of the whole survey, from those over its own."""
         pixels, camera = np.column_stack([column + 0.5, row + 0.5]), self.survey.views[view].camera
         if self._moved is None:
-            return heights_over(self.whole.survey.water, self.survey.water, camera, pixels, heights)
+            return heights_over(self.survey_job.survey.water, self.survey.water, camera, pixels, heights)
         xyz = camera.paths(pixels, self.survey.water).at_height(heights.astype(np.float64), self.survey.water)
-        return _over(self.whole.survey.water, self.in_survey(xyz)).astype(heights.dtype)
+        return _over(self.survey_job.survey.water, self.in_survey(xyz)).astype(heights.dtype)
 
     def drop(self) -> None:
         """Forget the windows, and photographs that the next tile may not see."""
         self.__dict__.pop("block", None)
-        self.whole.photographs.clear()
+        self.survey_job.photographs.clear()
 
     def unique_masks(self, folder: Path, find: Callable[[], Masks]) -> Masks:
         """Pixels that become points of the tile or stand beside it, as its sweep left them."""
@@ -277,12 +280,12 @@ class TileJob(Job):
     def hash_of_part(self, name: str) -> str:
         """`Job.hash_of_part`; what belongs to the survey is hashed for all tiles together."""
         is_shared = name in _OF_SURVEY or (name == "heights" and self._moved is None)
-        return self.whole.hash_of_part(name) if is_shared else super().hash_of_part(name)
+        return self.survey_job.hash_of_part(name) if is_shared else super().hash_of_part(name)
 
     def _part(self, name: str):
         if name == "area":
             return self.cell, self.ground
-        return (self.whole.survey.frame, self.survey.frame) if name == "frame" else super()._part(name)
+        return (self.survey_job.survey.frame, self.survey.frame) if name == "frame" else super()._part(name)
 
 
 def pack_masks(masks: Mapping[str, list[np.ndarray]]) -> dict[str, np.ndarray]:

@@ -101,11 +101,11 @@ class Outlines:
         rays = self._rays if moved is None else self._rays @ moved.rotation.T
         up = np.array((0.0, 0.0, 1.0) if water is None else water.up)
         over = centres @ up if water is None else (centres - np.array(water.point)) @ up
-        fall = -rays @ up
-        is_certain = (fall > _LEAST_FALL).all(axis=1) & (over > bound[1])
+        cos_nadir = -rays @ up
+        is_certain = (cos_nadir > _LEAST_FALL).all(axis=1) & (over > bound[1])
         levels = np.array([bound[0], min(max(0.0, bound[0]), bound[1]), bound[1]])
         with np.errstate(divide="ignore", invalid="ignore"):
-            along = (over[:, None] - levels)[:, :, None] / fall[:, None]
+            along = (over[:, None] - levels)[:, :, None] / cos_nadir[:, None]
         plan = (centres[:, None, None] + along[..., None] * rays[:, None])[..., :2].reshape(len(centres), -1, 2)
         low, high = np.minimum(plan.min(axis=1), centres[:, :2]), np.maximum(plan.max(axis=1), centres[:, :2])
         margin = _MARGIN * (high - low).max(axis=1, keepdims=True)
@@ -154,11 +154,11 @@ def windows_of(
     return found
 
 
-def _side(first: int, last: int, whole: int, step: int) -> tuple[int, int]:
+def _side(first: int, last: int, size: int, step: int) -> tuple[int, int]:
     """Begin and length of a window along an axis of an image that is so long."""
     begin = first // _BEGIN_PX * _BEGIN_PX
-    length = min(max(-(-(last - begin) // step) * step, _LEAST_PX), whole)
-    return min(begin, whole - length) // _BEGIN_PX * _BEGIN_PX, length
+    length = min(max(-(-(last - begin) // step) * step, _LEAST_PX), size)
+    return min(begin, size - length) // _BEGIN_PX * _BEGIN_PX, length
 
 
 def _box(camera: PinholeCamera, seen: np.ndarray, margin: int) -> tuple[int, int, int, int]:
@@ -194,8 +194,8 @@ class WindowStore:
         """The window (height, width, 3) uint8, RGB, of a view; black beyond the photograph."""
         if scale != 1.0:
             raise ValueError(f"windows are of one scale, expected 1, got {scale:g}")
-        whole, window = self._views[view.name]
-        image = self._store.load(whole, scale=self._scale)[window.part]
+        full_view, window = self._views[view.name]
+        image = self._store.load(full_view, scale=self._scale)[window.part]
         rows, columns = window.height - image.shape[0], window.width - image.shape[1]
         return np.pad(image, ((0, rows), (0, columns), (0, 0))) if rows or columns else image
 
@@ -218,8 +218,8 @@ def survey_in_frame(survey: Survey, frame: LocalFrame, ground: Area) -> Survey:
     Cameras, water and points are moved; what else was measured (ties, control) stays, and no tile uses it.
     """
     moved = frame.from_frame(survey.frame)
-    here = [view for view in survey.views if within(view.camera.centre[None], ground)[0]] or survey.views
-    views = tuple(replace(view, camera=view.camera.in_frame(moved.rotation, moved.shift)) for view in here)
+    views_over = [view for view in survey.views if within(view.camera.centre[None], ground)[0]] or survey.views
+    views = tuple(replace(view, camera=view.camera.in_frame(moved.rotation, moved.shift)) for view in views_over)
     observations, water = survey.observations, survey.water
     if observations.points is not None:
         points = observations.points[within(observations.points, ground)]

@@ -91,11 +91,11 @@ class WorkerJob:
         from survey.plan.sweep_block import backend, cameras_of_block
         from survey.run.job import Job
 
-        self.whole = Job(survey, chosen, cast(Any, _RecordedProgress()))
-        self.whole.take_tiles(tiles)
+        self.survey_job = Job(survey, chosen, cast(Any, _RecordedProgress()))
+        self.survey_job.take_tiles(tiles)
         self._found = found
-        cameras, plan = cameras_of_block(survey, self.whole.plan), self.whole.plan
-        self.whole.__dict__["block"] = Block(
+        cameras, plan = cameras_of_block(survey, self.survey_job.plan), self.survey_job.plan
+        self.survey_job.__dict__["block"] = Block(
             backend(plan), cameras, images, survey.water, 0.5 * sum(found.bound), saturated, plan.skips
         )
 
@@ -103,7 +103,7 @@ class WorkerJob:
         """A tile of the job; of all tiles their windows alone would take seconds."""
         from survey.run.tile_job import TileJob
 
-        return TileJob(self.whole, number, self._found)
+        return TileJob(self.survey_job, number, self._found)
 
 
 def compute_task(job: Path, stages: Path, task: Task, code: str) -> tuple[Path, float, list[tuple[str, str]]]:
@@ -136,13 +136,13 @@ def require_code(code: str) -> None:
 
 def compute_into(tile: TileJob, task: Task, folder: Path, needs: Mapping[str, Path]) -> list[tuple[str, str]]:
     """Compute a task into a folder, from folders of stages; what it had to say."""
-    recorded = cast(_RecordedProgress, tile.whole.progress)
+    recorded = cast(_RecordedProgress, tile.survey_job.progress)
     recorded.lines.clear()
     try:
         task.compute(tile, folder, needs)
     finally:
         tile.drop()
-        tile.whole.release()
+        tile.survey_job.release()
     return list(recorded.lines)
 
 

@@ -138,9 +138,9 @@ class Workers:
                     if number in failures or not others:
                         raise found.error
                     failures[number] = found
-                    again = self._submit(job, tasks[number], others)
-                    futures[again] = number
-                    waiting.add(again)
+                    retry = self._submit(job, tasks[number], others)
+                    futures[retry] = number
+                    waiting.add(retry)
                     continue
                 folder, seconds, parts = found
                 if (failure := failures.get(number)) is not None:
@@ -236,12 +236,12 @@ class Workers:
         with suppress(Exception):
             self._client.run(function, on_error="return")
 
-    def _submit(self, job: Path | str, task: Task, among: list[str] | None = None) -> Any:
-        """The future of a task, on any worker, or on one ``among`` these."""
+    def _submit(self, job: Path | str, task: Task, workers: list[str] | None = None) -> Any:
+        """The future of a task, on any worker, or on one of ``workers``."""
         compute, place = self._place
         given = (compute, job, place, task, loaded_code())
         key = f"{task.name}-{uuid.uuid4().hex}"
-        return self._client.submit(_attempted, *given, pure=False, key=key, resources=self._resources, workers=among)
+        return self._client.submit(_attempted, *given, pure=False, key=key, resources=self._resources, workers=workers)
 
     def _as_they_end(self, left: set[Any], begin: Callable[[], None] = lambda: None) -> Iterator[Any]:
         """The futures, as they end, also those that come meanwhile; raise where no worker is left to end one.

@@ -80,8 +80,10 @@ class ProcessConfig:
         if self._says(_RECIPE):
             displaced += _AIM
         names = [field.name for field in dataclasses.fields(self)]
-        rest = {name: getattr(lower, name) for name in names if name not in displaced and getattr(self, name) is None}
-        return dataclasses.replace(self, **rest)
+        inherited = {
+            name: getattr(lower, name) for name in names if name not in displaced and getattr(self, name) is None
+        }
+        return dataclasses.replace(self, **inherited)
 
     def _says(self, names: tuple[str, ...]) -> bool:
         return any(getattr(self, name) not in (None, Field.auto) for name in names)

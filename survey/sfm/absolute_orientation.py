@@ -98,8 +98,8 @@ def place_by_gps(
         # Control over an area is the better start.
         if nearby is not None and (by_control := _by_area(nearby, block, alias_of)) is not None:
             return by_control
-        met = None if nearby is None else intersect_marks(nearby, views_of_block(block, alias_of))
-        return f"{message}; {line.describe(len(trusted))}: {_roll(block, line, turned, met)}"
+        intersections = None if nearby is None else intersect_marks(nearby, views_of_block(block, alias_of))
+        return f"{message}; {line.describe(len(trusted))}: {_roll(block, line, turned, intersections)}"
 
     placements: list[Placement] = [by_positions]
     if spare is not None:
@@ -165,8 +165,8 @@ def _by_area(control: BlockControl, block: pycolmap.Reconstruction, alias_of: Ma
 def _onto_control(block: pycolmap.Reconstruction, fit: ControlFit) -> str:
     """Transform a block onto its control, and describe how well it fits."""
     sfm_block.transform(block, fit.similarity)
-    met = zip(fit.met.points, fit.met.places, strict=True)
-    off = [fit.similarity(place) - point.local for point, place in met if point.name in fit.used]
+    placed = zip(fit.intersections.points, fit.intersections.places, strict=True)
+    off = [fit.similarity(place) - point.local for point, place in placed if point.name in fit.used]
     rms = np.sqrt(np.mean(np.square(off), axis=0))
     return (
         f"placed by control points alone ({listed(fit.used)}), which differ from it by about "
@@ -254,19 +254,22 @@ def _to_positions(block: pycolmap.Reconstruction, positions: Mapping[str, np.nda
             f"{len(centres)} of {num} images that structure from motion placed have a GPS position, "
             f"expected at least {least}; {GIVE_POSES}"
         )
-    ours, theirs = np.array(list(centres.values())), np.array([positions[alias] for alias in centres])
+    ours, gps = np.array(list(centres.values())), np.array([positions[alias] for alias in centres])
     if num == 2:
         # Which leave the roll about their line open, and tell no wrong one.
-        similarity, agree = fit_similarity(ours, theirs), np.ones(num, dtype=bool)
+        similarity, agree = fit_similarity(ours, gps), np.ones(num, dtype=bool)
     else:
-        similarity, agree = robust_similarity(ours, theirs)
+        similarity, agree = robust_similarity(ours, gps)
     sfm_block.transform(block, similarity)
     trusted = {alias: positions[alias] for alias, good in zip(centres, agree, strict=True) if good}
     return trusted
 
 
 def _roll(
-    block: pycolmap.Reconstruction, line: PositionLine, attitudes: Mapping[str, np.ndarray], met: Intersections | None
+    block: pycolmap.Reconstruction,
+    line: PositionLine,
+    attitudes: Mapping[str, np.ndarray],
+    intersections: Intersections | None,
 ) -> str:
     """Roll a block about the line of its positions by attitudes, control or the ground; returns which of them."""
     poses, across = sfm_block.poses_of(block), LineAxes.of(line)
@@ -276,10 +279,12 @@ def _roll(
         angle = roll_by_attitudes(across, ours, np.array([attitudes[alias] for alias in with_attitude]))
         sfm_block.transform(block, across.rolled(angle))
         return f"the initial roll is that of the attitudes of {len(with_attitude)} photographs in XMP"
-    if met is not None and met.points:
-        angle = roll_by_control(across, met.places, np.array([point.local for point in met.points]))
+    if intersections is not None and intersections.points:
+        angle = roll_by_control(across, intersections.places, np.array([point.local for point in intersections.points]))
         sfm_block.transform(block, across.rolled(angle))
-        return f"the initial roll is that by the control points {listed([point.name for point in met.points])}"
+        return (
+            f"the initial roll is that by the control points {listed([point.name for point in intersections.points])}"
+        )
     rotations = np.array([rotation for _, rotation in poses.values()])
     angle = roll_by_ground(across, rotations, sfm_block.points_of(block)[0])
     sfm_block.transform(block, across.rolled(angle))
@@ -340,11 +345,11 @@ def _lowered(frame: LocalFrame, blocks: Sequence[pycolmap.Reconstruction]) -> Lo
     """The same frame with its origin at the height of the ground; the blocks go with it."""
     unit = height_unit_m(frame.crs)
     heights = np.concatenate([sfm_block.points_of(block)[0][:, 2] for block in blocks])
-    fall = math.floor(float(np.median(heights)) / unit)
+    drop = math.floor(float(np.median(heights)) / unit)
     for block in blocks:
-        sfm_block.transform(block, Similarity(1.0, np.eye(3), np.array([0.0, 0.0, -fall * unit])))
+        sfm_block.transform(block, Similarity(1.0, np.eye(3), np.array([0.0, 0.0, -drop * unit])))
     e, n, h = frame.origin
-    return LocalFrame(frame.crs, (e, n, h + fall))
+    return LocalFrame(frame.crs, (e, n, h + drop))
 
 
 def _found(block: pycolmap.Reconstruction, num: int) -> str:

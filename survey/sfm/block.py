@@ -101,7 +101,7 @@ class CameraBody:
 
 
 def match_photographs(
-    folder: Path, sensors: Sequence[CameraBody], places: Mapping[str, Place], work: Path, say: Callable[[str], None]
+    folder: Path, sensors: Sequence[CameraBody], places: Mapping[str, Place], work: Path, report: Callable[[str], None]
 ) -> MatchedPhotographs:
     """Features and verified matches of images.
 
@@ -114,7 +114,7 @@ def match_photographs(
         Of images whose position is known; they select the pairs to match.
     work : Path
         An empty folder for the database of features.
-    say : callable
+    report : callable
         Called with a sentence on the progress.
     """
     colmap = solver()
@@ -126,17 +126,17 @@ def match_photographs(
         colmap.import_images(database, folder, colmap.CameraMode.SINGLE, list(sensor.names), _reader(sensor))
     with workers() or nullcontext() as pool:
         on = "" if pool is None else ", on workers"
-        say(f"structure from motion: features of {len(names)} images{on}")
+        report(f"structure from motion: features of {len(names)} images{on}")
         _extract(database, folder, names, pool)
         pairs = image_pairs(names, places)
         lost = [name for name in names if name not in places]
         if lost and len(names) > ALL_PAIRS_UP_TO:
-            say(
+            report(
                 f"structure from motion: {len(lost)} images without a position are matched with those that look like "
                 "them"
             )
             pairs = sorted({*pairs, *_similar_pairs(database, names, lost)})
-        say(f"structure from motion: matches of {len(pairs)} pairs{on}")
+        report(f"structure from motion: matches of {len(pairs)} pairs{on}")
         _match_all(database, pairs, work, pool)
     return MatchedPhotographs(database, folder, work, len(names))
 

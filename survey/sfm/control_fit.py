@@ -34,7 +34,7 @@ class ControlFit:
     """Placement of a block by its control."""
 
     similarity: Similarity  # From the frame of the block to that of the control
-    met: Intersections
+    intersections: Intersections
     # dict of name to float [m]: points that the others contradict, and how far they lie from where the photographs show
     # them
     wrong: dict[str, float]
@@ -43,7 +43,7 @@ class ControlFit:
     @property
     def used(self) -> tuple[str, ...]:
         """Names of the points that agree."""
-        return tuple(point.name for point in self.met.points if point.name not in self.wrong)
+        return tuple(point.name for point in self.intersections.points if point.name not in self.wrong)
 
 
 def fit_control(control: BlockControl, views: Mapping[str, BlockView]) -> ControlFit:
@@ -58,16 +58,16 @@ def fit_control(control: BlockControl, views: Mapping[str, BlockView]) -> Contro
     ControlError
         If fewer than three points can be used, or they contradict each other and nothing tells which are wrong.
     """
-    met = intersect_marks(control, views)
-    require_consistent_marks(control, views, met)
-    if len(met.points) < MIN_POINTS:
-        raise ControlError(_too_few(control, views, met))
-    theirs, std = coordinates(met)
-    if _line(theirs, std) is not None:
-        return _along_line(met)
-    fit = fit_majority(met, views)
-    good = np.array([point.name not in fit.wrong for point in met.points])
-    return replace(fit, line=_line(theirs[good], std[good]))
+    intersections = intersect_marks(control, views)
+    require_consistent_marks(control, views, intersections)
+    if len(intersections.points) < MIN_POINTS:
+        raise ControlError(_too_few(control, views, intersections))
+    control_xyz, std = coordinates(intersections)
+    if _line(control_xyz, std) is not None:
+        return _along_line(intersections)
+    fit = fit_majority(intersections, views)
+    good = np.array([point.name not in fit.wrong for point in intersections.points])
+    return replace(fit, line=_line(control_xyz[good], std[good]))
 
 
 def _line(places: np.ndarray, std: np.ndarray) -> PositionLine | None:
@@ -80,7 +80,7 @@ def _line(places: np.ndarray, std: np.ndarray) -> PositionLine | None:
     return PositionLine(centre, direction, along, across, float(np.median(std)), "control points")
 
 
-def _along_line(met: Intersections) -> ControlFit:
+def _along_line(intersections: Intersections) -> ControlFit:
     """A similarity to points on a line, with any roll about it.
 
     Raises
@@ -88,23 +88,24 @@ def _along_line(met: Intersections) -> ControlFit:
     ControlError
         If they contradict each other.
     """
-    theirs, std = coordinates(met)
-    similarity, _ = robust_similarity(met.places, theirs)
-    off = similarity(met.places) - theirs
-    good = (np.abs(off) <= _limits(met, std, similarity.scale)).all(axis=1)
+    control_xyz, std = coordinates(intersections)
+    similarity, _ = robust_similarity(intersections.places, control_xyz)
+    off = similarity(intersections.places) - control_xyz
+    good = (np.abs(off) <= _limits(intersections, std, similarity.scale)).all(axis=1)
     if good.sum() < MIN_POINTS or 2 * good.sum() <= len(good):
-        raise ControlError(_contradiction(met, theirs, std))
-    wrong = {met.points[i].name: float(np.linalg.norm(off[i])) for i in np.flatnonzero(~good)}
-    similarity = fit_similarity(met.places[good], theirs[good])
-    return ControlFit(similarity, met, wrong, _line(theirs[good], std[good]))
+        raise ControlError(_contradiction(intersections, control_xyz, std))
+    wrong = {intersections.points[i].name: float(np.linalg.norm(off[i])) for i in np.flatnonzero(~good)}
+    similarity = fit_similarity(intersections.places[good], control_xyz[good])
+    return ControlFit(similarity, intersections, wrong, _line(control_xyz[good], std[good]))
 
 
-def coordinates(met: Intersections) -> tuple[np.ndarray, np.ndarray]:
+def coordinates(intersections: Intersections) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates of control points (K, 3) [m], local, and their standard deviations."""
-    return np.array([point.local for point in met.points]), np.array([point.std for point in met.points])
+    points = intersections.points
+    return np.array([point.local for point in points]), np.array([point.std for point in points])
 
 
-def fit_majority(met: Intersections, views: Mapping[str, BlockView]) -> ControlFit:
+def fit_majority(intersections: Intersections, views: Mapping[str, BlockView]) -> ControlFit:
     """The similarity that most of at least three points agree on.
 
     Raises
@@ -112,31 +113,33 @@ def fit_majority(met: Intersections, views: Mapping[str, BlockView]) -> ControlF
     ControlError
         If they contradict each other and nothing tells which are wrong.
     """
-    theirs, std = coordinates(met)
-    best = _agreements(met, theirs, std)
+    control_xyz, std = coordinates(intersections)
+    best = _agreements(intersections, control_xyz, std)
     if not best:
-        raise ControlError(_contradiction(met, theirs, std))
+        raise ControlError(_contradiction(intersections, control_xyz, std))
     # Three points fit by chance alone where heights are wrong; four do not.
     if len(best) > 1 and best[0].sum() == MIN_POINTS:
-        names = ", ".join(point.name for point in met.points)
+        names = ", ".join(point.name for point in intersections.points)
         raise ControlError(
-            f"the {len(met.points)} control points {names} contradict each other, and fit the photographs equally well "
-            f"without {' or without '.join(_left_of(met, good) for good in best[:4])}: correct the coordinates or the "
-            "marks of the wrong one, or add points"
+            f"the {len(intersections.points)} control points {names} contradict each other, and fit the photographs "
+            f"equally well without {' or without '.join(_left_of(intersections, good) for good in best[:4])}: correct "
+            "the coordinates or the marks of the wrong one, or add points"
         )
     good = best[0]
-    similarity = fit_similarity(met.places[good], theirs[good])
-    if _is_below(similarity, met, good, views):
+    similarity = fit_similarity(intersections.places[good], control_xyz[good])
+    if _is_below(similarity, intersections, good, views):
         raise ControlError(
             "control points put the cameras under the ground: easting and northing (or longitude and latitude) are "
             "swapped in their file; swap the two columns"
         )
-    off = np.linalg.norm(similarity(met.places) - theirs, axis=1)
-    wrong = {met.points[i].name: float(off[i]) for i in np.flatnonzero(~good)}
-    return ControlFit(similarity, met, wrong)
+    off = np.linalg.norm(similarity(intersections.places) - control_xyz, axis=1)
+    wrong = {intersections.points[i].name: float(off[i]) for i in np.flatnonzero(~good)}
+    return ControlFit(similarity, intersections, wrong)
 
 
-def require_consistent_marks(control: BlockControl, views: Mapping[str, BlockView], met: Intersections) -> None:
+def require_consistent_marks(
+    control: BlockControl, views: Mapping[str, BlockView], intersections: Intersections
+) -> None:
     """Raise where marks that contradict each other outnumber those that agree, by their points.
 
     Raises
@@ -144,8 +147,8 @@ def require_consistent_marks(control: BlockControl, views: Mapping[str, BlockVie
     ControlError
         With what was found; says so where x and y are swapped.
     """
-    if len(met.apart) > len(met.points):
-        raise ControlError(_too_few(control, views, met))
+    if len(intersections.inconsistent) > len(intersections.points):
+        raise ControlError(_too_few(control, views, intersections))
 
 
 def spread_of(places: np.ndarray, std: np.ndarray) -> tuple[float, float, float]:
@@ -160,14 +163,14 @@ def line_of_control(points: Sequence[ControlPoint]) -> PositionLine | None:
     return _line(np.array([point.local for point in points]), np.array([point.std for point in points]))
 
 
-def _agreements(met: Intersections, theirs: np.ndarray, std: np.ndarray) -> list[np.ndarray]:
+def _agreements(intersections: Intersections, control_xyz: np.ndarray, std: np.ndarray) -> list[np.ndarray]:
     """The largest sets (K,) bool of points that one similarity fits, the best first; none that are not a majority."""
     found: dict[bytes, tuple[int, float, np.ndarray]] = {}
-    for triple in _triples(len(theirs)):
-        start = np.zeros(len(theirs), dtype=bool)
+    for triple in _triples(len(control_xyz)):
+        start = np.zeros(len(control_xyz), dtype=bool)
         start[list(triple)] = True
-        good, cost = _consistent_points(met, theirs, std, start)
-        if good.sum() >= MIN_POINTS and 2 * good.sum() > len(theirs):
+        good, cost = _consistent_points(intersections, control_xyz, std, start)
+        if good.sum() >= MIN_POINTS and 2 * good.sum() > len(control_xyz):
             found[good.tobytes()] = (int(good.sum()), cost, good)
     if not found:
         return []
@@ -185,15 +188,15 @@ def _triples(num: int) -> Iterator[tuple[int, ...]]:
 
 
 def _consistent_points(
-    met: Intersections, theirs: np.ndarray, std: np.ndarray, start: np.ndarray
+    intersections: Intersections, control_xyz: np.ndarray, std: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """Points (K,) bool within tolerance of the similarity fitted to them, from some to start with, and their cost."""
     good, cost = start, np.inf
     for _ in range(10):
-        if good.sum() < MIN_POINTS or _is_line(met.places[good]):
+        if good.sum() < MIN_POINTS or _is_line(intersections.places[good]):
             return np.zeros_like(start), np.inf
-        similarity = fit_similarity(met.places[good], theirs[good])
-        share = np.abs(similarity(met.places) - theirs) / _limits(met, std, similarity.scale)
+        similarity = fit_similarity(intersections.places[good], control_xyz[good])
+        share = np.abs(similarity(intersections.places) - control_xyz) / _limits(intersections, std, similarity.scale)
         before, good = good, share.max(axis=1) <= 1.0
         cost = float(np.sum(share[good] ** 2))
         if (good == before).all():
@@ -206,58 +209,62 @@ def _is_line(places: np.ndarray) -> bool:
     return bool(lengths[1] < _LINE_SHARE * lengths[0])
 
 
-def _limits(met: Intersections, std: np.ndarray, scale: float) -> np.ndarray:
+def _limits(intersections: Intersections, std: np.ndarray, scale: float) -> np.ndarray:
     """Tolerances (K, 3) [m] of a block at its points: it is bent, the more the wider it is for its range."""
-    wide = np.mean(np.sum((met.places - met.places.mean(axis=0)) ** 2, axis=1))
-    bent = _BENT_SHARE * scale * (met.ranges + wide / met.ranges)
-    return _MOST_STD * std + (bent + met.slack)[:, None]
+    wide = np.mean(np.sum((intersections.places - intersections.places.mean(axis=0)) ** 2, axis=1))
+    bent = _BENT_SHARE * scale * (intersections.ranges + wide / intersections.ranges)
+    return _MOST_STD * std + (bent + intersections.slack)[:, None]
 
 
-def _is_below(similarity: Similarity, met: Intersections, good: np.ndarray, views: Mapping[str, BlockView]) -> bool:
+def _is_below(
+    similarity: Similarity, intersections: Intersections, good: np.ndarray, views: Mapping[str, BlockView]
+) -> bool:
     """Whether most cameras lie lower than the points that they show."""
     heights = similarity(np.array([view.centre for view in views.values()]))[:, 2]
-    return bool(np.median(heights) < np.median(similarity(met.places[good])[:, 2]))
+    return bool(np.median(heights) < np.median(similarity(intersections.places[good])[:, 2]))
 
 
-def _too_few(control: BlockControl, views: Mapping[str, BlockView], met: Intersections) -> str:
-    told = []
-    if met.points:
-        told.append(f"usable: {_listed([point.name for point in met.points])}")
-    if met.single:
-        told.append(f"with a mark in fewer than two placed photographs, or from one direction: {_listed(met.single)}")
-    if met.apart:
-        told.append(f"with marks whose rays do not intersect: {_listed(met.apart)}")
-    told.append(f"{len(views)} photographs are placed")
+def _too_few(control: BlockControl, views: Mapping[str, BlockView], intersections: Intersections) -> str:
+    causes = []
+    if intersections.points:
+        causes.append(f"usable: {_listed([point.name for point in intersections.points])}")
+    if intersections.single:
+        causes.append(
+            f"with a mark in fewer than two placed photographs, or from one direction: {_listed(intersections.single)}"
+        )
+    if intersections.inconsistent:
+        causes.append(f"with marks whose rays do not intersect: {_listed(intersections.inconsistent)}")
+    causes.append(f"{len(views)} photographs are placed")
     remedy = "mark more points in more photographs, or correct the marks"
-    if len(met.apart) > 1 and len(intersect_marks(swapped_marks(control), views).points) >= MIN_POINTS:
+    if len(intersections.inconsistent) > 1 and len(intersect_marks(swapped_marks(control), views).points) >= MIN_POINTS:
         remedy = "their rays meet with x and y of the marks swapped: swap the two columns"
     return (
-        f"{len(met.points)} of {len(control.points)} control points fit the photographs, expected at least "
-        f"{MIN_POINTS} not on a line, each marked in two photographs or more ({'; '.join(told)}); {remedy}"
+        f"{len(intersections.points)} of {len(control.points)} control points fit the photographs, expected at least "
+        f"{MIN_POINTS} not on a line, each marked in two photographs or more ({'; '.join(causes)}); {remedy}"
     )
 
 
-def _contradiction(met: Intersections, theirs: np.ndarray, std: np.ndarray) -> str:
+def _contradiction(intersections: Intersections, control_xyz: np.ndarray, std: np.ndarray) -> str:
     """Reason why no similarity fits most of the points."""
-    if _agreements(met, theirs[:, [1, 0, 2]], std):
+    if _agreements(intersections, control_xyz[:, [1, 0, 2]], std):
         return (
             "control points fit the photographs with easting and northing (or longitude and latitude) swapped, and not "
             "as they are; swap the two columns in their file"
         )
-    similarity = fit_similarity(met.places, theirs)
-    off = similarity(met.places) - theirs
+    similarity = fit_similarity(intersections.places, control_xyz)
+    off = similarity(intersections.places) - control_xyz
     rms = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
     worst = int(np.argmax(np.linalg.norm(off, axis=1)))
-    limit = float(np.median(_limits(met, std, similarity.scale)[:, 0]))
+    limit = float(np.median(_limits(intersections, std, similarity.scale)[:, 0]))
     return (
-        f"{len(met.points)} control points do not fit the photographs: the misfit is {rms:.2g} m (root mean square, "
-        f"largest at {met.points[worst].name}), and no more than half of them agree to {limit:.2g} m; check their "
-        "names, coordinates, CRS and marks, or say in [control] std_m how inaccurate they are"
+        f"{len(intersections.points)} control points do not fit the photographs: the misfit is {rms:.2g} m (root mean "
+        f"square, largest at {intersections.points[worst].name}), and no more than half of them agree to {limit:.2g} "
+        "m; check their names, coordinates, CRS and marks, or say in [control] std_m how inaccurate they are"
     )
 
 
-def _left_of(met: Intersections, good: np.ndarray) -> str:
-    return _listed([met.points[i].name for i in np.flatnonzero(~good)])
+def _left_of(intersections: Intersections, good: np.ndarray) -> str:
+    return _listed([intersections.points[i].name for i in np.flatnonzero(~good)])
 
 
 def _listed(names) -> str:

@@ -78,8 +78,8 @@ def part_of(database: Path, pairs: Sequence[tuple[str, str]]) -> Part:
             )
             for table in tables:
                 if table not in _FILLED:
-                    among = " WHERE image_id IN (SELECT image_id FROM wanted)" if table in _OF_IMAGES else ""
-                    part.execute(f"INSERT INTO main.{table} SELECT * FROM whole.{table}{among}")
+                    condition = " WHERE image_id IN (SELECT image_id FROM wanted)" if table in _OF_IMAGES else ""
+                    part.execute(f"INSERT INTO main.{table} SELECT * FROM whole.{table}{condition}")
         return Part(tuple(pairs), path.read_bytes())
 
 
@@ -98,7 +98,7 @@ def rows_of(part: Part, match: Callable[[Path, Sequence[tuple[str, str]], Path, 
 
 def add_rows(database: Path, rows: Rows) -> None:
     """Add rows of `rows_of` to the whole database."""
-    with closing(sqlite3.connect(database)) as whole, whole:
+    with closing(sqlite3.connect(database)) as connection, connection:
         for table, of_table in rows.items():
             if of_table:
-                whole.executemany(f"INSERT INTO {table} VALUES ({', '.join('?' * len(of_table[0]))})", of_table)
+                connection.executemany(f"INSERT INTO {table} VALUES ({', '.join('?' * len(of_table[0]))})", of_table)

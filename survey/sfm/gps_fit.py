@@ -76,8 +76,8 @@ def line_of(positions, std_m: float) -> PositionLine | None:
     positions = np.asarray(positions, dtype=np.float64)
     num = len(positions)
     # A wrong position may make a line of an area, and an area of a line.
-    away = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
-    far = away > _FAR * np.median(away)
+    distance = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
+    far = distance > _FAR * np.median(distance)
     kept = positions[~far] if far.sum() <= num // _ONE_WRONG_OF else positions
     centre = kept.mean(axis=0)
     _, lengths, axes = np.linalg.svd(kept - centre, full_matrices=False)
@@ -99,11 +99,11 @@ def is_contradicted(residuals) -> np.ndarray:
     wrong = np.zeros(len(residuals), dtype=bool)
     if known.sum() < _FEWEST:
         return wrong
-    away = np.linalg.norm(residuals[known] - np.median(residuals[known], axis=0), axis=1)
+    distance = np.linalg.norm(residuals[known] - np.median(residuals[known], axis=0), axis=1)
     # At first no more than half of them are trusted, as in `geo.similarity.robust_similarity`.
-    num = len(away) // 2 + 1
+    num = len(distance) // 2 + 1
     for _ in range(2):
-        is_wrong = away > gross_error_limit(float(np.median(away)), num)
+        is_wrong = distance > gross_error_limit(float(np.median(distance)), num)
         num = max(int((~is_wrong).sum()), num)
     wrong[known] = is_wrong
     return wrong
@@ -116,8 +116,8 @@ class LineAxes:
     # centre, along: (3,) [m], (3,)
     centre: np.ndarray
     along: np.ndarray
-    # beside, up (3,): `beside` is horizontal where the line is
-    beside: np.ndarray
+    # lateral, up (3,): `lateral` is horizontal where the line is
+    lateral: np.ndarray
     up: np.ndarray
 
     @classmethod
@@ -132,7 +132,7 @@ class LineAxes:
 
     def flat(self, points: np.ndarray) -> np.ndarray:
         """Places (N, 2) [m] of points (N, 3), local, beside the line and above it."""
-        return (points - self.centre) @ np.stack([self.beside, self.up], axis=1)
+        return (points - self.centre) @ np.stack([self.lateral, self.up], axis=1)
 
     def rolled(self, angle: float) -> Similarity:
         """The rotation about the line by an angle [rad]."""
@@ -175,8 +175,8 @@ def roll_by_ground(across: LineAxes, rotations: np.ndarray, points: np.ndarray) 
     points : (N, 3) [m], local
         Of the ground.
     """
-    beside, up = rotations[:, 2].sum(axis=0) @ np.stack([across.beside, across.up], axis=1)
-    angle = -0.5 * math.pi - math.atan2(up, beside)
+    lateral, up = rotations[:, 2].sum(axis=0) @ np.stack([across.lateral, across.up], axis=1)
+    angle = -0.5 * math.pi - math.atan2(up, lateral)
     steep = _slope(across.flat(across.rolled(angle)(points)))
     return angle - steep if abs(steep) > _STEEP else angle
 
@@ -190,11 +190,11 @@ def roll_by_control(across: LineAxes, places: np.ndarray, control: np.ndarray) -
     ----------
     places, control : (K, 3) [m], local
     """
-    ours, theirs = across.flat(places), across.flat(control)
-    reach = np.linalg.norm(ours, axis=1)
+    places_across, control_across = across.flat(places), across.flat(control)
+    reach = np.linalg.norm(places_across, axis=1)
     # A point at the same distance below the line, at its own place beside it.
-    below = -np.sqrt(np.maximum(reach**2 - theirs[:, 0] ** 2, (0.1 * reach) ** 2))
-    angles = np.arctan2(below, theirs[:, 0]) - np.arctan2(ours[:, 1], ours[:, 0])
+    below = -np.sqrt(np.maximum(reach**2 - control_across[:, 0] ** 2, (0.1 * reach) ** 2))
+    angles = np.arctan2(below, control_across[:, 0]) - np.arctan2(places_across[:, 1], places_across[:, 0])
     return float(np.median((angles + math.pi) % (2.0 * math.pi) - math.pi))
 
 

@@ -59,7 +59,7 @@ class Intersections:
     ranges: np.ndarray  # (K,): distance of each to its nearest camera, in that frame
     slack: np.ndarray  # (K,) [m]: as that of `BlockControl`
     wrong_marks: tuple[Mark, ...]  # That miss a point whose other marks meet
-    apart: tuple[str, ...]  # Names of points whose marks do not meet, and none can be told to be right
+    inconsistent: tuple[str, ...]  # Names of points whose marks do not meet, and none can be told to be right
     # Names of points with fewer than two marks in the block, or that are seen from one direction
     single: tuple[str, ...]
 
@@ -72,7 +72,7 @@ def intersect_marks(control: BlockControl, views: Mapping[str, BlockView]) -> In
             marks_of[mark.point].append(mark)
     points, places, ranges, slack = [], [], [], []
     wrong: list[Mark] = []
-    apart: list[str] = []
+    inconsistent: list[str] = []
     single: list[str] = []
     for point, own_slack in zip(control.points, control.slack, strict=True):
         marks = marks_of[point.name]
@@ -81,7 +81,7 @@ def intersect_marks(control: BlockControl, views: Mapping[str, BlockView]) -> In
             continue
         place, good = _majority_point(marks, views)
         if place is None:
-            (apart if (~good).any() else single).append(point.name)
+            (inconsistent if (~good).any() else single).append(point.name)
             continue
         points.append(point)
         places.append(place)
@@ -94,7 +94,7 @@ def intersect_marks(control: BlockControl, views: Mapping[str, BlockView]) -> In
         ranges=np.array(ranges),
         slack=np.array(slack),
         wrong_marks=tuple(wrong),
-        apart=tuple(apart),
+        inconsistent=tuple(inconsistent),
         single=tuple(single),
     )
 
@@ -162,6 +162,6 @@ def _nearest_to_rays(origins: np.ndarray, rays: np.ndarray) -> np.ndarray | None
 def _angles_to_rays(place: np.ndarray, origins: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """Angles (N,) [rad] between the rays and a place; infinite for what lies behind a camera."""
     to = place - origins
-    ahead = np.sum(to * rays, axis=1)
-    across = np.linalg.norm(to - ahead[:, None] * rays, axis=1)
-    return np.where(ahead > 0.0, np.arctan2(across, ahead), np.inf)
+    along = np.sum(to * rays, axis=1)
+    across = np.linalg.norm(to - along[:, None] * rays, axis=1)
+    return np.where(along > 0.0, np.arctan2(across, along), np.inf)

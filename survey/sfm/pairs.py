@@ -89,11 +89,11 @@ def _partners(ground: _Footprints) -> Iterator[tuple[int, int]]:
     """Partners of each photograph, at most `NEIGHBOURS`, by numbers."""
     tree = cKDTree(np.column_stack([ground.centres, ground.looks]))
     for number in range(len(ground.radii)):
-        near, away, touches = _looked_at(ground, tree, number)
-        chosen = near[touches][_by_direction(away[touches])[:NEIGHBOURS]]
+        near, offsets, touches = _looked_at(ground, tree, number)
+        chosen = near[touches][_by_direction(offsets[touches])[:NEIGHBOURS]]
         # Heights may be too low, so that nothing touches.
-        rest = near[~touches][: max(_LEAST - len(chosen), 0)]
-        for other in (*chosen, *rest):
+        others = near[~touches][: max(_LEAST - len(chosen), 0)]
+        for other in (*chosen, *others):
             yield number, int(other)
 
 
@@ -106,27 +106,27 @@ def _looked_at(ground: _Footprints, tree: cKDTree, number: int) -> tuple[np.ndar
     farthest = _TOUCHING * (ground.radii[number] + ground.radii.max())
     while True:
         distance, near = tree.query(tree.data[number], k=min(count, most) + 1)
-        away = ground.centres[near] - ground.centres[number]
-        touches = np.hypot(*away.T) <= _TOUCHING * (ground.radii[near] + ground.radii[number])
+        offsets = ground.centres[near] - ground.centres[number]
+        touches = np.hypot(*offsets.T) <= _TOUCHING * (ground.radii[near] + ground.radii[number])
         others = near != number
-        filled = len(np.unique(_sector(away[touches & others]))) == _SECTORS
+        filled = len(np.unique(_sector(offsets[touches & others]))) == _SECTORS
         if filled or count >= most or distance[-1] > farthest:
-            return near[others], away[others], touches[others]
+            return near[others], offsets[others], touches[others]
         count *= _MORE
 
 
-def _sector(away: np.ndarray) -> np.ndarray:
+def _sector(offsets: np.ndarray) -> np.ndarray:
     """Directions (K,) of offsets (K, 2), by number."""
-    return np.floor(np.arctan2(away[:, 1], away[:, 0]) / (2.0 * math.pi) * _SECTORS).astype(int) % _SECTORS
+    return np.floor(np.arctan2(offsets[:, 1], offsets[:, 0]) / (2.0 * math.pi) * _SECTORS).astype(int) % _SECTORS
 
 
-def _by_direction(away: np.ndarray) -> np.ndarray:
+def _by_direction(offsets: np.ndarray) -> np.ndarray:
     """Order of offsets (K, 2), sorted by distance: the nearest of each direction, then the second of each, ..."""
-    sector = _sector(away)
-    rank = np.zeros(len(away), dtype=int)
+    sector = _sector(offsets)
+    rank = np.zeros(len(offsets), dtype=int)
     for each in range(_SECTORS):
         rank[sector == each] = np.arange((sector == each).sum())
-    return np.lexsort([np.arange(len(away)), rank])
+    return np.lexsort([np.arange(len(offsets)), rank])
 
 
 def similar_images(descriptors: Iterable[np.ndarray], num: int, of: Sequence[int]) -> Iterator[tuple[int, int]]:

@@ -122,7 +122,7 @@ def solve_poses(
     -----
     The same images on the same kind of computer give the same poses: seeds and threads are fixed.
     """
-    say = report or (lambda _text: None)
+    note = report or (lambda _text: None)
     images, gps_height = image_names(photographs.paths), photographs.gps_height
     given = {path.absolute(): header for path, header in (photographs.headers or {}).items()}
     known = {name: given[path] if path in given else read_exif(path) for name, path in images.items()}
@@ -138,11 +138,11 @@ def solve_poses(
     local = {name: frame.local_from_crs(position) for name, position in positions.items()}
     ground = None if photographs.level_m is None else _ground(frame, photographs.level_m)
     mapper, why = mapper_of(len(images), photographs.mapper)
-    say(f"plan: mapper: {mapper} ({why})")
-    free = _solved(Photographs(images, known, local, focal_px, mapper, ground), workspace, say)
+    note(f"plan: mapper: {mapper} ({why})")
+    free = _solved(Photographs(images, known, local, focal_px, mapper, ground), workspace, note)
     alias_of = aliases(images)
     by = "their GPS positions" if control is None else f"{len(control.points)} control points"
-    say(f"structure from motion: {free.num_images} images are placed by {by}")
+    note(f"structure from motion: {free.num_images} images are placed by {by}")
     placed = place(free, alias_of=alias_of, sensors=sensors_of(known, alias_of, focal_px))
     return _result(placed, positions, alias_of)
 
@@ -167,7 +167,7 @@ def blocks_of(
     positions: Mapping[str, np.ndarray],
     focal_px: float | None,
     workspace: Path,
-    say: Callable[[str], None],
+    report: Callable[[str], None],
     mapper: str,
 ) -> list[FreeViews]:
     """Poses and points of photographs, not placed anywhere, of each block that they make; the largest first.
@@ -182,7 +182,7 @@ def blocks_of(
         To start from; None for the one in EXIF.
     workspace : Path
         As for `solve_poses`.
-    say : callable
+    report : callable
         Called with a sentence on the progress.
     mapper : str
         One of `survey.words.Mapper`.
@@ -196,8 +196,8 @@ def blocks_of(
     headers = {name: read_exif(path) for name, path in images.items()}
     found = []
     mapper, why = mapper_of(len(images), mapper)
-    say(f"plan: mapper: {mapper} ({why})")
-    for block in _solved(Photographs(images, headers, positions, focal_px, mapper), workspace, say).blocks:
+    report(f"plan: mapper: {mapper} ({why})")
+    for block in _solved(Photographs(images, headers, positions, focal_px, mapper), workspace, report).blocks:
         by_alias = sfm_block.poses_of(block)
         alias_of = {name: alias for name, alias in aliases(images).items() if alias in by_alias}
         poses = {name: by_alias[alias] for name, alias in alias_of.items()}
@@ -205,7 +205,7 @@ def blocks_of(
     return found
 
 
-def _solved(photographs: Photographs, workspace: Path, say: Callable[[str], None]) -> FreeBlocks:
+def _solved(photographs: Photographs, workspace: Path, report: Callable[[str], None]) -> FreeBlocks:
     """The blocks of photographs in their own frames: those in the workspace, or solved now and stored there."""
     # Positions in the images themselves are those of the files.
     images, places = photographs.images, photographs.places
@@ -216,13 +216,15 @@ def _solved(photographs: Photographs, workspace: Path, say: Callable[[str], None
     with reporting_disk_errors(workspace), locked(_make_folder(workspace), busy=busy):
         free = _stored(workspace, key)
         if free is not None:
-            say(f"structure from motion: poses of {free.num_images} images from {workspace}")
+            report(f"structure from motion: poses of {free.num_images} images from {workspace}")
         else:
             if (workspace / _RECORD).is_file():
-                say(f"structure from motion: {workspace} has poses of other photographs or settings, or by other code")
+                report(
+                    f"structure from motion: {workspace} has poses of other photographs or settings, or by other code"
+                )
             with _work_folder(workspace, len(images)) as work:
                 start = time.monotonic()
-                free = solve(photographs, work, say)
+                free = solve(photographs, work, report)
                 _store(workspace, key, work, free, time.monotonic() - start)
     return free
 

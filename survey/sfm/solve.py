@@ -97,7 +97,7 @@ def aliases(images: Mapping[str, Path]) -> dict[str, str]:
     return {name: f"{i:06d}{path.suffix.lower()}" for i, (name, path) in enumerate(images.items())}
 
 
-def solve(photographs: Photographs, work: Path, say: Callable[[str], None]) -> FreeBlocks:
+def solve(photographs: Photographs, work: Path, report: Callable[[str], None]) -> FreeBlocks:
     """Solve for the poses of photographs.
 
     Parameters
@@ -105,7 +105,7 @@ def solve(photographs: Photographs, work: Path, say: Callable[[str], None]) -> F
     photographs : Photographs
     work : Path
         An empty folder.
-    say : callable
+    report : callable
         Called with a sentence on the progress.
 
     Raises
@@ -114,9 +114,9 @@ def solve(photographs: Photographs, work: Path, say: Callable[[str], None]) -> F
         If fewer than three images can be placed, or one of two.
     """
     alias_of = aliases(photographs.images)
-    blocks = _blocks(photographs, alias_of, work, say)
-    apart = without_shared_images(blocks)
-    return FreeBlocks(apart, tuple(left_out(apart, alias_of)))
+    blocks = _blocks(photographs, alias_of, work, report)
+    separate = without_shared_images(blocks)
+    return FreeBlocks(separate, tuple(left_out(separate, alias_of)))
 
 
 def sensors_of(headers: Mapping[str, Exif], alias_of: Mapping[str, str], focal_px: float | None) -> list[CameraBody]:
@@ -132,7 +132,7 @@ def sensors_of(headers: Mapping[str, Exif], alias_of: Mapping[str, str], focal_p
 
 
 def _blocks(
-    photographs: Photographs, alias_of: Mapping[str, str], work: Path, say: Callable[[str], None]
+    photographs: Photographs, alias_of: Mapping[str, str], work: Path, report: Callable[[str], None]
 ) -> list[pycolmap.Reconstruction]:
     folder = work / "images"
     folder.mkdir()
@@ -140,9 +140,9 @@ def _blocks(
         (folder / alias).symlink_to(photographs.images[name].absolute())
     places = {alias_of[name]: place for name, place in photographs.places.items()}
     sensors = sensors_of(photographs.headers, alias_of, photographs.focal_px)
-    of_pairs = sfm_block.match_photographs(folder, sensors, places, work, say)
+    of_pairs = sfm_block.match_photographs(folder, sensors, places, work, report)
     unknown = "; its progress is not known until it ends" if photographs.mapper in WITHOUT_PROGRESS else ""
-    say(f"structure from motion: poses, by {photographs.mapper} mapping{unknown}")
+    report(f"structure from motion: poses, by {photographs.mapper} mapping{unknown}")
     blocks = reconstruct(of_pairs, photographs.mapper)
     placed = blocks[0].num_reg_images() if blocks else 0
     if placed < (least := least_track(len(alias_of))):
@@ -157,13 +157,13 @@ def without_shared_images(blocks: Sequence[pycolmap.Reconstruction]) -> tuple[py
     """The blocks without the images that a larger one has, those that keep three at least; changed in place."""
     least = least_track(max(block.num_reg_images() for block in blocks))
     taken: set[str] = set()
-    apart = []
+    separate = []
     for block in blocks:
         sfm_block.drop_images(block, taken)
         if block.num_reg_images() >= least:
             taken |= sfm_block.poses_of(block).keys()
-            apart.append(block)
-    return tuple(apart)
+            separate.append(block)
+    return tuple(separate)
 
 
 def left_out(blocks: Sequence[pycolmap.Reconstruction], alias_of: Mapping[str, str]) -> list[str]:

@@ -86,9 +86,9 @@ class CloudInBrowser:
     def _draw(self) -> None:
         """Send missing nodes; stops early on new requests, after at least one node."""
         style, tree, view = self._style, self._shown.tree, viewpoint_of(self._client.camera)
-        wanted = select_nodes(tree, view) if style.is_shown else np.empty(0, dtype=np.int64)
-        self._make_room(wanted)
-        for node in wanted.tolist():
+        nodes = select_nodes(tree, view) if style.is_shown else np.empty(0, dtype=np.int64)
+        self._make_room(nodes)
+        for node in nodes.tolist():
             if node not in self._nodes:
                 self._add(node, style)
             elif self._colouring[node] != style.colouring:
@@ -117,10 +117,10 @@ class CloudInBrowser:
         )
         self._colouring[node] = style.colouring
 
-    def _make_room(self, wanted: np.ndarray) -> None:
+    def _make_room(self, nodes: np.ndarray) -> None:
         """Remove nodes that are not wanted from the browser, as far as it would draw too many points."""
-        counts, needed = self._shown.tree.counts, set(wanted.tolist())
-        total = int(counts[wanted].sum()) + sum(int(counts[node]) for node in self._nodes if node not in needed)
+        counts, needed = self._shown.tree.counts, set(nodes.tolist())
+        total = int(counts[nodes].sum()) + sum(int(counts[node]) for node in self._nodes if node not in needed)
         for node in [node for node in self._nodes if node not in needed]:
             if self._style.is_shown and total <= MOST_POINTS and self._colouring[node] == self._style.colouring:
                 continue

@@ -146,8 +146,8 @@ def grid_faces(known: np.ndarray) -> np.ndarray:
     """
     number = np.arange(known.size).reshape(known.shape)
     corners = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
-    whole = known[:-1, :-1] & known[1:, :-1] & known[1:, 1:] & known[:-1, 1:]
-    a, b, c, d = (corner[whole] for corner in corners)
+    complete = known[:-1, :-1] & known[1:, :-1] & known[1:, 1:] & known[:-1, 1:]
+    a, b, c, d = (corner[complete] for corner in corners)
     return np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
 
 

@@ -164,13 +164,13 @@ def thinned(tree: CloudTree, most: int) -> np.ndarray:
     """Rows (K,) of at most so many points, evenly over the cloud: coarse nodes whole, of the next level every n-th."""
     level = np.round(np.log2(tree.side[0] / tree.side)).astype(np.int64)
     ends = np.cumsum(np.bincount(level, weights=tree.counts)).astype(np.int64)
-    whole = int(np.searchsorted(ends, most, side="right"))
-    done = int(ends[whole - 1]) if whole else 0
+    num_complete = int(np.searchsorted(ends, most, side="right"))
+    done = int(ends[num_complete - 1]) if num_complete else 0
     rows = tree.order[:done]
-    if whole == len(ends):
+    if num_complete == len(ends):
         return rows
-    step = -((done - int(ends[whole])) // max(most - done, 1))
-    return np.concatenate([rows, tree.order[done : ends[whole] : step]])[:most]
+    step = -((done - int(ends[num_complete])) // max(most - done, 1))
+    return np.concatenate([rows, tree.order[done : ends[num_complete] : step]])[:most]
 
 
 def _add_points(server: viser.ViserServer, shown: Shown, rows: np.ndarray) -> None:

@@ -69,7 +69,7 @@ class LiveRun:
         """Whether the run has a result by now."""
         return bool(self._run.result())
 
-    def look(self) -> int:
+    def show_new_maps(self) -> int:
         """Show the maps that have come or changed since the last look; their number."""
         # Another viewer of the run removes the folder when it closes.
         with suppress(OSError):
@@ -120,10 +120,10 @@ class LiveRun:
 
     def _look_at(self, middle: np.ndarray) -> None:
         """Point the cameras of new and connected browsers at the first map."""
-        away = np.array([0.0, -0.6, 0.7]) * self._size_m / _SIZE_SHARE
+        offset = np.array([0.0, -0.6, 0.7]) * self._size_m / _SIZE_SHARE
         start: Any = self._server.initial_camera
         for camera in (start, *(client.camera for client in self._server.get_clients().values())):
-            camera.position, camera.look_at = tuple(middle + away), tuple(middle)
+            camera.position, camera.look_at = tuple(middle + offset), tuple(middle)
 
 
 @dataclass(frozen=True)
@@ -210,12 +210,12 @@ class ViewSession:
             self._thumbnails.close()
 
 
-def serve(run: str | Path, options: ViewOptions, say: Callable[[str], None]) -> None:
+def serve(run: str | Path, options: ViewOptions, report: Callable[[str], None]) -> None:
     """Show a run in browsers until Ctrl-C; one without a result while `process` is running.
 
     Parameters
     ----------
-    say : callable
+    report : callable
         Called with the address for a browser on this machine.
 
     Raises
@@ -230,12 +230,12 @@ def serve(run: str | Path, options: ViewOptions, say: Callable[[str], None]) -> 
     session = None
     try:
         if not folder.result():
-            say(address(server, options.host))
+            report(address(server, options.host))
             _watch(folder, server)
             session = ViewSession(_load(run, options), server)
         else:
             session = ViewSession(_load(run, options), server)
-            say(address(server, options.host))
+            report(address(server, options.host))
         _wait_for_ever()
     except KeyboardInterrupt:
         return
@@ -257,7 +257,7 @@ def _watch(folder: RunDir, server: viser.ViserServer) -> None:
     live = LiveRun(folder, server)
     try:
         while not live.is_finished:
-            live.look()
+            live.show_new_maps()
             time.sleep(_EVERY_S)
     finally:
         live.close()

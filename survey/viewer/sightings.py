@@ -172,11 +172,11 @@ def facts_of(
 
 def distance_between(start: np.ndarray, end: np.ndarray) -> list[tuple[str, str]]:
     """Distances between two points (3,) [m], local, as labels and texts."""
-    away = end - start
-    up = float(away[2])
+    offset = end - start
+    up = float(offset[2])
     return [
-        ("distance", length(float(np.linalg.norm(away)))),
-        ("in plan", length(float(np.linalg.norm(away[:2])))),
+        ("distance", length(float(np.linalg.norm(offset)))),
+        ("in plan", length(float(np.linalg.norm(offset[:2])))),
         ("height difference", ("+" if up > 0.0 else "") + length(up).replace("-", MINUS)),
     ]
 

@@ -111,10 +111,10 @@ def slice_of(
 ) -> Slice:
     """The slice between two points (3,) [m], local, that differ in plan."""
     length = float(np.linalg.norm((end - start)[:2]))
-    way = (end - start)[:2] / length
-    rows, distance = _corridor(tree, start[:2], way, length, half_m)
+    direction = (end - start)[:2] / length
+    rows, distance = _corridor(tree, start[:2], direction, length, half_m)
     along = np.linspace(0.0, length, _PLACES)
-    plan = start[:2] + along[:, None] * way
+    plan = start[:2] + along[:, None] * direction
     height = tree.points[rows, 2]
     places = np.column_stack([plan, _heights_near(along, distance, height)])
     unknown = np.full(_PLACES, np.nan)
@@ -130,17 +130,17 @@ def slice_of(
 
 
 def _corridor(
-    tree: CloudTree, start: np.ndarray, way: np.ndarray, length: float, half_m: float
+    tree: CloudTree, start: np.ndarray, direction: np.ndarray, length: float, half_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows of the points near a line in plan, and their distances along it [m]."""
-    across = np.array([-way[1], way[0]])
+    across = np.array([-direction[1], direction[0]])
     middle = tree.low[:, :2] + 0.5 * tree.side[:, None] - start
     reach = np.sqrt(0.5) * tree.side + half_m
-    t, off = middle @ way, middle @ across
+    t, off = middle @ direction, middle @ across
     nodes = np.flatnonzero((np.abs(off) <= reach) & (t >= -reach) & (t <= length + reach))
     rows = np.concatenate([tree.rows(node) for node in nodes.tolist()]) if len(nodes) else np.empty(0, dtype=np.int64)
-    away = tree.points[rows, :2] - start
-    t, off = away @ way, away @ across
+    offset = tree.points[rows, :2] - start
+    t, off = offset @ direction, offset @ across
     near = (np.abs(off) <= half_m) & (t >= 0.0) & (t <= length)
     return rows[near], t[near]
 

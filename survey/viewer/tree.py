@@ -101,9 +101,9 @@ def pick(tree: CloudTree, origin: np.ndarray, direction: np.ndarray, *, angle: f
         if entry > first + _SAME_SURFACE * (least_m + angle * first):
             break
         rows = tree.rows(node)
-        away = tree.points[rows] - origin
-        t = away @ along
-        off = np.linalg.norm(away - t[:, None] * along, axis=1)
+        offset = tree.points[rows] - origin
+        t = offset @ along
+        off = np.linalg.norm(offset - t[:, None] * along, axis=1)
         hit = (t > 0.0) & (off <= least_m + angle * t)
         if hit.any():
             first = min(first, float(t[hit].min()))
@@ -123,17 +123,17 @@ def is_blocked(tree: CloudTree, start: np.ndarray, end: np.ndarray, *, width_m: 
     Points within ``width_m`` of the line count, farther than ``free_m`` from its start, which lies on the surface;
     fewer than three are taken as outliers.
     """
-    way = end - start
-    length = float(np.linalg.norm(way))
+    vector = end - start
+    length = float(np.linalg.norm(vector))
     if length <= free_m:
         return False
-    along, num = way / length, 0
+    along, num = vector / length, 0
     for node, entry in _nodes_on(tree, start, along, 0.0, width_m):
         if entry > length:
             break
-        away = tree.points[tree.rows(node)] - start
-        t = away @ along
-        off = np.linalg.norm(away - t[:, None] * along, axis=1)
+        offset = tree.points[tree.rows(node)] - start
+        t = offset @ along
+        off = np.linalg.norm(offset - t[:, None] * along, axis=1)
         num += int(((t > free_m) & (t < length) & (off <= width_m)).sum())
         if num >= _BLOCKING:
             return True
@@ -143,9 +143,9 @@ def is_blocked(tree: CloudTree, start: np.ndarray, end: np.ndarray, *, width_m: 
 def _nodes_on(tree: CloudTree, origin: np.ndarray, along: np.ndarray, angle: float, least_m: float):
     """Nodes whose bounding spheres a widening ray touches, with the distance [m] at which it enters them, in order."""
     radius = 0.5 * np.sqrt(3.0) * tree.side
-    away = tree.low + 0.5 * tree.side[:, None] - origin
-    t = away @ along
-    off = np.linalg.norm(away - t[:, None] * along, axis=1)
+    offset = tree.low + 0.5 * tree.side[:, None] - origin
+    t = offset @ along
+    off = np.linalg.norm(offset - t[:, None] * along, axis=1)
     end = np.maximum(t + radius, 0.0)
     touched = np.flatnonzero((t + radius > 0.0) & (off <= radius + least_m + angle * end))
     entry = np.maximum(t - radius, 0.0)[touched]
@@ -202,10 +202,10 @@ def select_nodes(tree: CloudTree, view: Viewpoint, most_points: int = MOST_POINT
     """
     coarseness = spacing_px(tree, view)
     needed = np.where(tree.parent < 0, np.inf, coarseness[tree.parent])
-    wanted = np.flatnonzero(seen_nodes(tree, view) & (needed > _FINEST_PX))
+    selected = np.flatnonzero(seen_nodes(tree, view) & (needed > _FINEST_PX))
     # Stable: of equals, parents come first as they do in the tree.
-    wanted = wanted[np.argsort(-needed[wanted], kind="stable")]
-    return wanted[np.cumsum(tree.counts[wanted]) <= most_points]
+    selected = selected[np.argsort(-needed[selected], kind="stable")]
+    return selected[np.cumsum(tree.counts[selected]) <= most_points]
 
 
 def point_sizes(tree: CloudTree, nodes: np.ndarray, view: Viewpoint, finest_m: float) -> np.ndarray:

@@ -77,8 +77,8 @@ def _read(path: Path, dimensions: int) -> np.ndarray:
         raise SurveyError(f"{path} cannot be read ({error})") from error
     if values is None or np.ndim(values) != dimensions or not np.issubdtype(np.asarray(values).dtype, np.number):
         shape = "nothing" if values is None else f"an array {np.shape(values)}"
-        wanted = "(height, width)" if dimensions == 2 else "(height, width, 3)"
-        raise SurveyError(f"{path} holds {shape}, expected numbers {wanted}")
+        expected = "(height, width)" if dimensions == 2 else "(height, width, 3)"
+        raise SurveyError(f"{path} holds {shape}, expected numbers {expected}")
     return values
 
 
@@ -101,12 +101,12 @@ def _normals(path: Path, camera: PinholeCamera) -> np.ndarray:
         given = np.float32(2.0 / np.iinfo(values.dtype).max) * values - np.float32(1.0)
     length = np.linalg.norm(given, axis=-1, keepdims=True)
     normals = np.asarray(given / np.where(length > 0.5, length, np.nan), dtype=np.float32)
-    ahead = normals[..., 2][np.isfinite(normals[..., 2])] > 0.0
-    away = float(ahead.mean()) if ahead.size else 0.0
-    if away > 0.5:
+    is_away = normals[..., 2][np.isfinite(normals[..., 2])] > 0.0
+    share_away = float(is_away.mean()) if is_away.size else 0.0
+    if share_away > 0.5:
         raise SurveyError(
-            f"{path}: {100 * away:.0f} % of its normals point away from the camera; expected axes x right, y down, "
-            "z forward, in which z of a normal that points at the camera is negative"
+            f"{path}: {100 * share_away:.0f} % of its normals point away from the camera; expected axes x right, y "
+            "down, z forward, in which z of a normal that points at the camera is negative"
         )
     return _resized(normals, path, camera) @ camera.cam_from_local.astype(np.float32)
 

@@ -233,13 +233,13 @@ def photographs_of(
     ground: BedBox,
     flight: Flight,
     advance: Callable[[], object],
-    wanted: Callable[[str], bool] = lambda name: True,
+    is_needed: Callable[[str], bool] = lambda name: True,
 ) -> list[BoxPhotograph]:
     """The photographs of wanted names that show the box, decoded; ``advance`` is called after each of the flight."""
     found = []
     for photograph, pixels in _showing(ground, flight, advance):
         name = photograph.view.name
-        if wanted(name):
+        if is_needed(name):
             decoded = photograph.pixels()
             pixels = pixels if decoded.mask is None else pixels[decoded.mask.ravel()[pixels]]
             found.append(BoxPhotograph(name, photograph.camera, decoded.rgb, pixels, decoded.mask))

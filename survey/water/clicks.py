@@ -100,13 +100,15 @@ def _clicks_by_place(path: Path, views: Sequence[View]) -> tuple[dict[str, list[
 def _level_of(clicks: Sequence[Click], frame: LocalFrame) -> LevelObservation | None:
     """Intersection of the rays of clicks, by least squares of pixels; None where they do not meet or fix no height."""
     stds = np.array([std for _, _, std in clicks])
-    met = intersect([view.camera for view, _, _ in clicks], np.array([pixel for _, pixel, _ in clicks]), stds, None)
-    if met is None or not np.abs(met.residuals / stds[:, None]).max() < _MOST_MISS:
+    intersection = intersect(
+        [view.camera for view, _, _ in clicks], np.array([pixel for _, pixel, _ in clicks]), stds, None
+    )
+    if intersection is None or not np.abs(intersection.residuals / stds[:, None]).max() < _MOST_MISS:
         return None
-    place = frame.crs_from_local(met.place)
+    place = frame.crs_from_local(intersection.place)
     return LevelObservation(
         float(place[2]) * height_unit_m(frame.crs),
-        float(np.sqrt(met.covariance[2, 2])),
+        float(np.sqrt(intersection.covariance[2, 2])),
         (float(place[0]), float(place[1])),
         None,
         "clicks",

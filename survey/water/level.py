@@ -187,10 +187,10 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS)
     east, north = (float(value) for value in np.array(fit.level_at) / unit_m)
     level_at = water.level_at or (east, north)
     fit = replace(fit, slope_east=fit.slope_east or water.slope_east, slope_north=fit.slope_north or water.slope_north)
-    away = np.array(level_at) * unit_m - fit.level_at
-    level = fit.level_m + fit.slope_east * away[0] + fit.slope_north * away[1]
+    offset_m = np.array(level_at) * unit_m - fit.level_at
+    level = fit.level_m + fit.slope_east * offset_m[0] + fit.slope_north * offset_m[1]
     common = COMMON_STD_M.get(source, 0.0)
-    std = math.hypot(math.sqrt(np.array([1.0, *away]) @ fit.covariance @ np.array([1.0, *away])), common)
+    std = math.hypot(math.sqrt(np.array([1.0, *offset_m]) @ fit.covariance @ np.array([1.0, *offset_m])), common)
     shared = f", of which {common:g} m that all of them share" if common else ""
     message = (
         f"level_m = {level:.3f} +- {std:.3f} from {fit.num_points} points in [water] {source}, slope "

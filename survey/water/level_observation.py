@@ -187,25 +187,25 @@ def water_place_warnings(
         places["level_at"] = [water.level_at]
     warnings = []
     for source, found in places.items():
-        away = _distances_m(crs, cameras, np.array(found))
-        worst, num_far = int(np.argmax(away)), int((away > FARTHEST_M).sum())
-        message = f"[water] {source}: {int((away > DOUBTFUL_M).sum())} of {len(away)} places"
+        distance = _distances_m(crs, cameras, np.array(found))
+        worst, num_far = int(np.argmax(distance)), int((distance > FARTHEST_M).sum())
+        message = f"[water] {source}: {int((distance > DOUBTFUL_M).sum())} of {len(distance)} places"
         if num_far:
-            raise ConfigError(_too_far(crs, cameras, source, np.array(found), away))
-        if away[worst] > DOUBTFUL_M:
+            raise ConfigError(_too_far(crs, cameras, source, np.array(found), distance))
+        if distance[worst] > DOUBTFUL_M:
             warnings.append(
                 f"{message} lie more than {DOUBTFUL_M / 1e3:g} km from all cameras, the "
-                f"farthest {away[worst] / 1e3:.1f} km: check that they are on the water that the photographs show"
+                f"farthest {distance[worst] / 1e3:.1f} km: check that they are on the water that the photographs show"
             )
     return warnings
 
 
-def _too_far(crs: CRS, cameras: np.ndarray, source: str, places: np.ndarray, away: np.ndarray) -> str:
-    worst = int(np.argmax(away))
+def _too_far(crs: CRS, cameras: np.ndarray, source: str, places: np.ndarray, distance: np.ndarray) -> str:
+    worst = int(np.argmax(distance))
     e, n = places[worst]
     message = f"[water] {source} has a place at {e:.10g}, {n:.10g}, which "
-    if np.isfinite(away[worst]):
-        message += f"lies {away[worst] / 1e3:.0f} km from the nearest camera in {crs.name}"
+    if np.isfinite(distance[worst]):
+        message += f"lies {distance[worst] / 1e3:.0f} km from the nearest camera in {crs.name}"
     else:
         message += f"is not on the map of {crs.name}"
     if (_distances_m(crs, cameras, places[:, ::-1]) <= FARTHEST_M).all():
@@ -224,10 +224,10 @@ def _distances_m(crs: CRS, cameras: np.ndarray, places: np.ndarray) -> np.ndarra
         turned[:, 0] = (turned[:, 0] + 180.0) % 360.0 - 180.0
         return turned * metres
 
-    away = np.full(len(places), np.inf)
+    distance = np.full(len(places), np.inf)
     known = np.isfinite(degrees).all(axis=1)
-    away[known] = KDTree(flat(cameras)).query(flat(degrees[known]))[0]
-    return away
+    distance[known] = KDTree(flat(cameras)).query(flat(degrees[known]))[0]
+    return distance
 
 
 # Fewer points determine no more than a plane.
@@ -324,7 +324,7 @@ def huber_fit(
     for _ in range(_ROUNDS):
         root = np.sqrt(weights) / stds
         values = np.linalg.lstsq(design * root[:, None], heights * root, rcond=None)[0]
-        rest = np.abs(heights - design @ values) / stds
-        scatter = max(float(np.median(rest)) / MEDIAN_DEVIATION, least_scatter)
-        weights = np.minimum(1.0, _HUBER * scatter / np.maximum(rest, 1e-12))
+        normalised = np.abs(heights - design @ values) / stds
+        scatter = max(float(np.median(normalised)) / MEDIAN_DEVIATION, least_scatter)
+        weights = np.minimum(1.0, _HUBER * scatter / np.maximum(normalised, 1e-12))
     return values, weights, scatter

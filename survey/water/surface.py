@@ -114,8 +114,8 @@ class Departure:
     def surface(self, area: Area, plane: FlatWater) -> BicubicWater:
         """The water over a rectangle (x0, y0, x1, y1), with the plane that heights count from."""
         x, y, heights, _ = self._raster(area)
-        whole = heights + plane.height(*np.meshgrid(x, y))
-        return BicubicWater((float(x[0]), float(y[0])), float(x[1] - x[0]), whole, n_water=plane.n_water)
+        levels = heights + plane.height(*np.meshgrid(x, y))
+        return BicubicWater((float(x[0]), float(y[0])), float(x[1] - x[0]), levels, n_water=plane.n_water)
 
     def interpolated(self, area: Area) -> Callable[[np.ndarray], np.ndarray]:
         """Heights over the plane as a function of places (M, 2), beyond a rectangle (x0, y0, x1, y1) as at its edge."""
@@ -130,8 +130,8 @@ class Departure:
     def _raster(self, area: Area) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Even x and y, as far apart as the points are, and heights and stds (rows, columns)."""
         corner, size = np.array(area[:2]), np.array(area[2:]) - area[:2]
-        apart = float(np.median(self._tree.query(self.points[:, :2], k=min(2, len(self.points)))[0][:, -1]))
-        spacing = max(apart, math.sqrt(float(np.prod(size)) / _MOST_NODES), 1e-3 * float(size.max()))
+        nearest = float(np.median(self._tree.query(self.points[:, :2], k=min(2, len(self.points)))[0][:, -1]))
+        spacing = max(nearest, math.sqrt(float(np.prod(size)) / _MOST_NODES), 1e-3 * float(size.max()))
         columns, rows = (np.ceil(size / spacing).astype(int) + 1 + 2 * _BEYOND).tolist()
         x, y = (
             start + spacing * (np.arange(count) - _BEYOND)
@@ -144,21 +144,21 @@ class Departure:
         """Errors of points, each from its neighbours without itself, in units of its std."""
         chosen = np.unique(np.linspace(0, len(self.points) - 1, _LEFT_OUT).astype(int))
         at = self.points[chosen]
-        away, near = self._tree.query(at[:, :2], k=number + 1)
-        heights, _ = self._fitted(at[:, :2], away[:, 1:], near[:, 1:])
+        distance, near = self._tree.query(at[:, :2], k=number + 1)
+        heights, _ = self._fitted(at[:, :2], distance[:, 1:], near[:, 1:])
         return (heights - at[:, 2]) / self.stds[chosen]
 
     def _near(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if not self._number:
             middle = self.points[:, :2].mean(axis=0)
-            away, spread = (np.sum((each - middle) ** 2, axis=1) for each in (xy, self.points[:, :2]))
+            distance, spread = (np.sum((each - middle) ** 2, axis=1) for each in (xy, self.points[:, :2]))
             std = self._factor * float(np.sqrt(np.mean(self.stds**2)))
-            return self._over_plane(xy), std * np.sqrt(1.0 / len(spread) + away / spread.sum())
-        away, near = self._tree.query(xy, k=self._number)
+            return self._over_plane(xy), std * np.sqrt(1.0 / len(spread) + distance / spread.sum())
+        distance, near = self._tree.query(xy, k=self._number)
         # Beyond the points the water goes on as the plane of the survey does, from where they end.
         reach = np.maximum(self._tree.query(self.points[near[:, 0], :2], k=self._number)[0][:, -1], 1e-9)
         nearest = self.points[near[:, 0], :2]
-        held = nearest + (xy - nearest) * np.minimum(1.0, reach / np.maximum(away[:, 0], 1e-12))[:, None]
+        held = nearest + (xy - nearest) * np.minimum(1.0, reach / np.maximum(distance[:, 0], 1e-12))[:, None]
         moved = np.linalg.norm(self.points[near][:, :, :2] - held[:, None], axis=-1)
         heights, stds = self._fitted(held, moved, near)
         return heights, self._factor * stds
@@ -166,10 +166,10 @@ class Departure:
     def _over_plane(self, xy: np.ndarray) -> np.ndarray:
         return self._plane[0] + xy @ self._plane[1:]
 
-    def _fitted(self, xy: np.ndarray, away: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Heights and stds (M,) of second-order surfaces through points ``near`` (M, K), ``away`` (M, K) [m]."""
-        reach = np.maximum(1.001 * away.max(axis=1), 1e-9)
-        weights = (1.0 - np.minimum(away / reach[:, None], 1.0) ** 3) ** 3 / self.stds[near] ** 2
+    def _fitted(self, xy: np.ndarray, distance: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Heights and stds (M,) of second-order surfaces through points ``near``, ``distance`` [m] away, (M, K)."""
+        reach = np.maximum(1.001 * distance.max(axis=1), 1e-9)
+        weights = (1.0 - np.minimum(distance / reach[:, None], 1.0) ** 3) ** 3 / self.stds[near] ** 2
         offsets = (self.points[near][:, :, :2] - xy[:, None]) / reach[:, None, None]
         residuals = self.points[near][:, :, 2] - self._over_plane(self.points[near][:, :, :2])
         east, north = offsets[..., 0], offsets[..., 1]

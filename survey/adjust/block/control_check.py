@@ -135,7 +135,7 @@ def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int, gi
     by_parameters = linear.by_parameters.toarray().reshape(len(marks), 2, -1)
     std_px = float(solution.std_px[problem.kind[marks[0]]])
 
-    def apart(chosen: np.ndarray) -> float:
+    def normalised(chosen: np.ndarray) -> float:
         by_point = linear.by_point[chosen].reshape(-1, 3)
         inverse = np.linalg.pinv(by_point)
         step = inverse @ residuals[chosen].ravel()
@@ -149,9 +149,9 @@ def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int, gi
     every = np.arange(len(marks))
     # A single wrong mark is not a wrong point: what counts is what the point is off without it.
     parts = [np.delete(every, k) for k in every] if len(marks) > 2 else [every]
-    away = min(apart(part) for part in parts)
+    residual = min(normalised(part) for part in parts)
     is_used = bool(np.isfinite(seen.point_std[point]).all())
-    return max(away, _normalised_residual(solution, point, moved, given.std)) if is_used else away
+    return max(residual, _normalised_residual(solution, point, moved, given.std)) if is_used else residual
 
 
 def _normalised_residual(solution: Solution, point: int, moved: np.ndarray, stated: np.ndarray) -> float:

@@ -77,10 +77,10 @@ def _levels(point: np.ndarray, view: np.ndarray, num_views: int) -> list[np.ndar
         end = int(np.flatnonzero(part_of == part)[0])
         # Of the farthest from the farthest, the one with the fewest neighbours is close to an end.
         for _ in range(3):
-            away = dijkstra(graph, directed=False, indices=end, unweighted=True)
-            away = np.where(part_of == part, away, -1.0)
-            end = min(np.flatnonzero(away == away.max()).tolist(), key=neighbours.__getitem__)
-        found += [np.flatnonzero(away == level) for level in range(int(away.max()) + 1)]
+            distance = dijkstra(graph, directed=False, indices=end, unweighted=True)
+            distance = np.where(part_of == part, distance, -1.0)
+            end = min(np.flatnonzero(distance == distance.max()).tolist(), key=neighbours.__getitem__)
+        found += [np.flatnonzero(distance == level) for level in range(int(distance.max()) + 1)]
     return found
 
 

@@ -138,11 +138,11 @@ def original_pixels(ties: TiePoints, lenses: Sequence[Lens], lens_of: np.ndarray
     """Pixels (N, 2) of photographs as they were taken, of tie points in pixels that the adjustment predicts."""
     pixels = ties.pixel.copy()
     for number, lens in enumerate(lenses):
-        mine = lens_of[ties.view] == number
-        if is_affine(lens) and mine.any():
-            pixels[mine] = affine_from_brown(lens, ties.pixel[mine])
-        elif is_held(lens) and mine.any():
-            pixels[mine] = distorted(lens, ties.pixel[mine])
+        of_lens = lens_of[ties.view] == number
+        if is_affine(lens) and of_lens.any():
+            pixels[of_lens] = affine_from_brown(lens, ties.pixel[of_lens])
+        elif is_held(lens) and of_lens.any():
+            pixels[of_lens] = distorted(lens, ties.pixel[of_lens])
     return pixels
 
 
@@ -152,11 +152,11 @@ def _straightened(ties: TiePoints, prior: PriorKnowledge) -> np.ndarray:
     """
     pixel = ties.pixel.copy()
     for number, lens in enumerate(prior.lenses):
-        mine = prior.layout.lens_of[ties.view] == number
-        if is_affine(lens) and mine.any():
-            pixel[mine] = brown_from_affine(lens, ties.pixel[mine])
-        elif is_held(lens) and mine.any():
-            pixel[mine] = undistorted(lens, ties.pixel[mine]) * lens.focal + (lens["cx"], lens["cy"])
+        of_lens = prior.layout.lens_of[ties.view] == number
+        if is_affine(lens) and of_lens.any():
+            pixel[of_lens] = brown_from_affine(lens, ties.pixel[of_lens])
+        elif is_held(lens) and of_lens.any():
+            pixel[of_lens] = undistorted(lens, ties.pixel[of_lens]) * lens.focal + (lens["cx"], lens["cy"])
     return pixel
 
 

@@ -93,14 +93,14 @@ def ties_on_ground(ground: StableGround, points: np.ndarray, num_ties: int) -> G
 
 def _planes_at(ground: StableGround, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Normals (N, 3), heights along them (N,), their std (N,) at places (N, 2), and the spacing of the ground [m]."""
-    here = local_surface(ground.points, places)
-    if not np.isfinite(here.spacing_m):
-        return np.full((len(places), 3), np.nan), here.height, here.std, np.nan
-    sides = here.spacing_m * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    surface = local_surface(ground.points, places)
+    if not np.isfinite(surface.spacing_m):
+        return np.full((len(places), 3), np.nan), surface.height, surface.std, np.nan
+    sides = surface.spacing_m * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     around = local_surface(ground.points, (places[:, None] + sides).reshape(-1, 2)).height.reshape(-1, 4)
-    slope = (around[:, ::2] - around[:, 1::2]) / (2.0 * here.spacing_m)
+    slope = (around[:, ::2] - around[:, 1::2]) / (2.0 * surface.spacing_m)
     normal = np.column_stack([-slope, np.ones(len(places))])
-    return normal, here.height - np.einsum("ni,ni->n", slope, places), here.std, here.spacing_m
+    return normal, surface.height - np.einsum("ni,ni->n", slope, places), surface.std, surface.spacing_m
 
 
 def _one_of_each_square(points: np.ndarray, good: np.ndarray, std: np.ndarray, spacing: float) -> np.ndarray:
@@ -168,11 +168,11 @@ class _PlanesOnGrid:
         columns, rows = (np.ceil((high - low) / side).astype(np.int64) + 1).tolist()
         x, y = np.meshgrid(low[0] + side * np.arange(columns), low[1] + side * np.arange(rows))
         nodes = np.column_stack([x.ravel(), y.ravel()])
-        here = local_surface(ground.points, nodes)
-        by_row, by_column = np.gradient(here.height.reshape(rows, columns), side)
+        surface = local_surface(ground.points, nodes)
+        by_row, by_column = np.gradient(surface.height.reshape(rows, columns), side)
         normal = np.column_stack([-by_column.ravel(), -by_row.ravel(), np.ones(len(nodes))])
-        height = here.height + np.einsum("ni,ni->n", normal[:, :2], nodes)
-        return _PlanesOnGrid(low, side, (rows, columns), normal, height, here.std)
+        height = surface.height + np.einsum("ni,ni->n", normal[:, :2], nodes)
+        return _PlanesOnGrid(low, side, (rows, columns), normal, height, surface.std)
 
     def at(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Normals (N, 3), heights along them and their std (N,) at places (N, 2); NaN where there is no ground."""
@@ -303,5 +303,5 @@ def moved_by(before: Sequence[View], state: State, middle: np.ndarray) -> np.nda
     was, now = centres - centres.mean(axis=0), state.centres - state.centres.mean(axis=0)
     turned = turn.apply(was)
     scale = float(np.sum(turned * now) / max(float(np.sum(turned * turned)), 1e-12))
-    here = centres.mean(axis=0) + turn.inv().apply(middle - state.centres.mean(axis=0)) / scale
-    return np.array([*(middle - here), *turn.as_rotvec(), scale - 1.0])
+    middle_before = centres.mean(axis=0) + turn.inv().apply(middle - state.centres.mean(axis=0)) / scale
+    return np.array([*(middle - middle_before), *turn.as_rotvec(), scale - 1.0])

@@ -145,9 +145,9 @@ def _without_common_shift(
         at = prior.layout.first_pose + axis + NUM_POSE * np.arange(len(std))
         weight = std[:, axis] ** -2.0
         weight = weight / (weight.sum() + prior.shared_std[axis] ** -2.0)
-        whole = np.zeros(len(prior.std))
-        whole[at] = weight
-        of_shift = factor.solve(whole)[at]
+        of_all = np.zeros(len(prior.std))
+        of_all[at] = weight
+        of_shift = factor.solve(of_all)[at]
         residual[:, axis] -= weight @ residual[:, axis]
         variance[:, axis] += weight @ of_shift - 2.0 * of_shift
     return residual, variance

@@ -78,8 +78,8 @@ class _Crossing:
     def of(cls, line: np.ndarray, centres: np.ndarray, points: np.ndarray, water: FlatWater) -> _Crossing:
         """Of lines (N, 3) [m], local, from centres to points (N, 3), all of them bent."""
         normal, foot, n = _normal(water), np.array(water.point), water.n_water
-        apart = points - centres
-        across = apart - np.outer(apart @ normal, normal)
+        offset = points - centres
+        across = offset - np.outer(offset @ normal, normal)
         high, deep = (centres - foot) @ normal, (foot - points) @ normal
         d = np.linalg.norm(across, axis=1)
         s = np.linalg.norm(line + high[:, None] * normal, axis=1)
@@ -111,14 +111,14 @@ class _Crossing:
 
     def by_water(self, centres: np.ndarray, points: np.ndarray, water: FlatWater) -> np.ndarray:
         """By the height of the plane at its reference point, its slopes and its index, (N, 3, 4)."""
-        slopes, foot, apart = _slopes(water), np.array(water.point), points - centres
+        slopes, foot, offset = _slopes(water), np.array(water.point), points - centres
         stretch = np.linalg.norm(slopes)
         high = (centres - foot) @ self.normal
         columns = [(self.by_deep - self.by_high) / stretch]
         for axis in range(2):
             # As the normal turns by a small vector about the reference point of the plane.
             turn = self.normal * slopes[axis] / stretch**2 - np.eye(3)[axis] / stretch
-            across = -np.outer(apart @ self.normal, turn) - np.outer(apart @ turn, self.normal)
+            across = -np.outer(offset @ self.normal, turn) - np.outer(offset @ turn, self.normal)
             moved = np.einsum("nij,nj->ni", self.by_across, across)
             moved = moved + self.by_high * ((centres - foot) @ turn)[:, None]
             moved = moved + self.by_deep * ((foot - points) @ turn)[:, None]

@@ -109,9 +109,9 @@ def roll_priors(rolls: Sequence[Roll], layout: Layout, std: np.ndarray) -> tuple
     """
     rows = np.zeros((2 * len(rolls), len(layout)))
     for number, roll in enumerate(rolls):
-        whole = roll.roll_of_block(layout)
-        strong = whole / std**2
-        rows[2 * number] = strong / math.sqrt(float(whole @ strong))
+        direction = roll.roll_of_block(layout)
+        strong = direction / std**2
+        rows[2 * number] = strong / math.sqrt(float(direction @ strong))
         rows[2 * number + 1] = roll.mean_roll(layout) / roll.std
     return rows, np.tile([-1.0, 1.0], len(rolls))
 

@@ -86,8 +86,8 @@ def _groups_but_for_focal(lenses: Sequence[Lens]) -> list[list[int]]:
     groups = defaultdict(list)
     for number, lens in enumerate(lenses):
         names = MODELS[lens.model][1]
-        rest = tuple(p for name, p in zip(names, lens.params, strict=True) if name not in _FOCAL_NAMES)
-        groups[lens.model, lens.width, lens.height, rest].append(number)
+        other_params = tuple(p for name, p in zip(names, lens.params, strict=True) if name not in _FOCAL_NAMES)
+        groups[lens.model, lens.width, lens.height, other_params].append(number)
     return [part for group in groups.values() for part in _of_one_ratio(lenses, group)]
 
 

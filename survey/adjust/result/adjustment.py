@@ -365,9 +365,9 @@ def readout_limits(state: State, layout: Layout, heights: Sequence[int]) -> np.n
         Of the photographs of each lens.
     """
     assert layout.velocity_per_row is not None
-    away = np.maximum(state.centres[:, 2] - np.median(state.points[:, 2]), 1e-6)
+    range_m = np.maximum(state.centres[:, 2] - np.median(state.points[:, 2]), 1e-6)
     rows = np.array([rows_between(height) for height in heights])[layout.lens_of]
-    px_per_s = np.linalg.norm(layout.velocity_per_row, axis=1) * rows * state.lenses[layout.lens_of, 0] / away
+    px_per_s = np.linalg.norm(layout.velocity_per_row, axis=1) * rows * state.lenses[layout.lens_of, 0] / range_m
     fastest = np.array([px_per_s[layout.lens_of == number].max() for number in range(len(layout.aspect))])
     return MOST_STD_ROWS_PX / np.maximum(fastest, 1e-9)
 

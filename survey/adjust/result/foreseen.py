@@ -136,8 +136,8 @@ def _ties(survey: Survey, depth_m: float) -> TiePoints | None:
     if places is None:
         return None
     # As many observations in a photograph as the thinning of an adjustment leaves.
-    wanted = CELLS**2 * PER_CELL * len(survey.views) / places.seen.sum(axis=0).mean()
-    places = places.some(round(wanted))
+    num_places = CELLS**2 * PER_CELL * len(survey.views) / places.seen.sum(axis=0).mean()
+    places = places.some(round(num_places))
     # On a level bed, level and index could not be separated at all.
     rough = np.random.default_rng(_SEED).uniform(-1.0, 1.0, len(places.cells))
     places.cells[:, 2] += RELIEF_SHARE * depth_m * rough
@@ -187,12 +187,12 @@ def _heights(found: _ExpectedCovariance) -> _Heights:
     first = np.searchsorted(ties.point, np.arange(num_places + 1))
     of_point, common = np.empty(num_places), np.empty(num_places)
     for number in range(num_places):
-        mine = np.arange(first[number], first[number + 1])
-        mine = mine[np.linspace(0, len(mine) - 1, min(len(mine), _MOST_VIEWS)).round().astype(np.int64)]
-        design = found.by_point[mine].reshape(-1, 3)
+        of_place = np.arange(first[number], first[number + 1])
+        of_place = of_place[np.linspace(0, len(of_place) - 1, min(len(of_place), _MOST_VIEWS)).round().astype(np.int64)]
+        design = found.by_point[of_place].reshape(-1, 3)
         inverse = np.linalg.pinv(design)
         of_point[number] = TIE_STD_PX * math.sqrt(float(np.sum(inverse[2] ** 2)))
-        move = -inverse[2] @ found.by_parameters[np.column_stack([2 * mine, 2 * mine + 1]).ravel()].toarray()
+        move = -inverse[2] @ found.by_parameters[np.column_stack([2 * of_place, 2 * of_place + 1]).ravel()].toarray()
         common[number] = math.sqrt(max(float(move @ found.covariance @ move), 0.0))
     return _Heights(of_point, common)
 

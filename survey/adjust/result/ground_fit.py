@@ -72,22 +72,22 @@ class GroundFit:
             f"{length(value)} {axis} (± {length(std)})"
             for value, std, axis in zip(self.moved[:3], self.std[:3], _AXES, strict=True)
         )
-        told = [
+        undetermined = [
             name.rsplit("_", 1)[0].replace("_", " about ")
             for name, is_determined in self._determined()
             if not is_determined
         ]
-        rest = f"; it does not determine {', '.join(told)}" if told else ""
+        remarks = f"; it does not determine {', '.join(undetermined)}" if undetermined else ""
         found = [
             f"{length(value)} {axis} (± {length(std)})"
             for value, std, prior, axis in zip(self.off_m, self.off_std_m, self.off_prior_m, _AXES, strict=True)
             if std <= _DETERMINED_SHARE * prior
         ]
         if found:
-            rest += f"; all of {self.reference} is off by {', '.join(found)}, as control and positions show"
+            remarks += f"; all of {self.reference} is off by {', '.join(found)}, as control and positions show"
         return (
             f"placed on {self.num_points} points of the dry ground of {self.reference}, to {length(self.rms_m)} rms: "
-            f"moved by {axes}{rest}",
+            f"moved by {axes}{remarks}",
         )
 
     def _determined(self) -> Sequence[tuple[str, bool]]:

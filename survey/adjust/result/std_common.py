@@ -85,9 +85,9 @@ def common_error(found: Adjustment, water: FlatWater | None) -> CommonError | No
     if not len(jacobian):
         return None
     by_place = np.einsum("ki,ij,kj->k", jacobian, found.covariance.matrix, jacobian)
-    whole = jacobian.mean(axis=0)
+    mean_jacobian = jacobian.mean(axis=0)
     return CommonError(
-        mean=math.sqrt(max(float(whole @ found.covariance.matrix @ whole), 0.0)),
+        mean=math.sqrt(max(float(mean_jacobian @ found.covariance.matrix @ mean_jacobian), 0.0)),
         typical=float(np.median(np.sqrt(np.maximum(by_place, 0.0)))),
         num_places=len(jacobian),
     )
@@ -127,9 +127,9 @@ def place_jacobian_at(layout: Layout, state: State, ties: TiePoints, rows: np.nd
     kept = np.r_[:NUM_WATER, layout.first_lens : len(layout)]
     jacobian = np.empty((len(ties), 3, len(kept)))
     for number in range(len(ties)):
-        mine = ties.point == number
-        by_point = linear.by_point[mine].reshape(-1, 3)
-        by_parameters = linear.by_parameters[np.repeat(mine, 2)].toarray()[:, kept]
+        of_point = ties.point == number
+        by_point = linear.by_point[of_point].reshape(-1, 3)
+        by_parameters = linear.by_parameters[np.repeat(of_point, 2)].toarray()[:, kept]
         jacobian[number] = -(np.linalg.pinv(by_point) @ by_parameters)
     return jacobian
 
@@ -226,26 +226,26 @@ def shift_std(xyz: np.ndarray, plan_std_m: float) -> np.ndarray:
         # Shifts by whole cells differ a little from the wanted distance; this scales for it.
         factor = 2.0 * plan_std_m**2 / ((rows**2 + columns**2) * side**2)
         for sign in (1, -1):
-            there = np.roll(height, (sign * rows, sign * columns), axis=(0, 1))
-            known = np.isfinite(there) & np.isfinite(height)
-            squares[known] += factor * (there[known] - height[known]) ** 2
+            shifted = np.roll(height, (sign * rows, sign * columns), axis=(0, 1))
+            known = np.isfinite(shifted) & np.isfinite(height)
+            squares[known] += factor * (shifted[known] - height[known]) ** 2
             num += known
     with np.errstate(invalid="ignore"):
         std = np.sqrt(squares / num)
-    whole = np.sqrt(squares.sum() / max(num.sum(), 1.0))
-    return np.where(np.isfinite(std), std, whole).ravel()[flat]
+    of_cloud = np.sqrt(squares.sum() / max(num.sum(), 1.0))
+    return np.where(np.isfinite(std), std, of_cloud).ravel()[flat]
 
 
-def places_of(xyz: np.ndarray, among: np.ndarray | None = None) -> np.ndarray:
-    """Points (K, 3) of a cloud, or ``among`` (N,) bool of them, spread over its plan.
+def places_of(xyz: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
+    """Points (K, 3) of a cloud, or those in a ``mask`` (N,) bool, spread over its plan.
 
     Of each square the one nearest to its middle; the first of equally near ones.
     """
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for part in portions(len(xyz), PORTION):
-        here = xyz[part, :2] if among is None else xyz[part, :2][among[part]]
-        if len(here):
-            low, high = np.minimum(low, here.min(axis=0)), np.maximum(high, here.max(axis=0))
+        xy = xyz[part, :2] if mask is None else xyz[part, :2][mask[part]]
+        if len(xy):
+            low, high = np.minimum(low, xy.min(axis=0)), np.maximum(high, xy.max(axis=0))
     if not np.isfinite(low).all():
         return np.empty((0, 3))
     side = max(float((high - low).max()), 1e-9) / _SQUARES
@@ -253,7 +253,7 @@ def places_of(xyz: np.ndarray, among: np.ndarray | None = None) -> np.ndarray:
     nearest = np.empty((3, 0))
     for part in portions(len(xyz), PORTION):
         count = len(xyz[part])
-        index = part.start + (np.arange(count) if among is None else np.flatnonzero(among[part]))
+        index = part.start + (np.arange(count) if mask is None else np.flatnonzero(mask[part]))
         square, within = np.divmod((xyz[index, :2] - low) / side, 1.0)
         # One number for each square: rows of two take three times as long.
         number = square @ np.array([_SQUARES + 1.0, 1.0])
@@ -303,12 +303,12 @@ def _variance(survey: Survey, found: Adjustment | None, ties: TiePoints, gsd: fl
     return (jacobian**2) @ std**2
 
 
-def interpolated(at: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def interpolated(at: np.ndarray, values: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Values (K, ...) at places (K, 2) as at places (N, 2) they are: means, weighted by the inverse square distance."""
     count = min(_NEAREST, len(at))
-    tree, found = cKDTree(at), np.empty((len(wanted), *values.shape[1:]))
-    for part in portions(len(wanted), PORTION):
-        distance, index = tree.query(wanted[part], k=list(range(1, count + 1)), workers=-1)
+    tree, found = cKDTree(at), np.empty((len(places), *values.shape[1:]))
+    for part in portions(len(places), PORTION):
+        distance, index = tree.query(places[part], k=list(range(1, count + 1)), workers=-1)
         weight = 1.0 / (distance**2 + 1e-6)
         weight = (weight / weight.sum(axis=1, keepdims=True)).reshape(*weight.shape, *(1,) * (values.ndim - 1))
         found[part] = (weight * values[index]).sum(axis=1)

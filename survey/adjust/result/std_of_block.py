@@ -83,11 +83,11 @@ def std_of_block(
     rise, reached = cells.squared_rise(np.sqrt(np.maximum(covariance.mean(axis=0)[[0, 4]], 0.0)))
     not_by_slopes = rise - (cells.slope**2 * reached).sum(axis=0)
     for part in portions(len(xyz), PORTION):
-        here = xyz[part]
-        there = interpolated(ties.start[:, :2], covariance, here[:, :2]).reshape(-1, 3, 3)
-        towards = np.column_stack([-cells.at(cells.slope, here), np.ones(len(here))])
-        by_slopes = np.einsum("na,nab,nb->n", towards, there, towards)
-        std[part] = np.sqrt(np.maximum(by_slopes + cells.at(not_by_slopes, here), 0.0))
+        points = xyz[part]
+        covariances = interpolated(ties.start[:, :2], covariance, points[:, :2]).reshape(-1, 3, 3)
+        towards = np.column_stack([-cells.at(cells.slope, points), np.ones(len(points))])
+        by_slopes = np.einsum("na,nab,nb->n", towards, covariances, towards)
+        std[part] = np.sqrt(np.maximum(by_slopes + cells.at(not_by_slopes, points), 0.0))
     return std
 
 
@@ -247,11 +247,11 @@ def parts_warning(found: Adjustment, water: FlatWater | None) -> list[str]:
     parts = parts_of_adjustment(found, water)
     if not parts:
         return []
-    told = [f"{len(part.names)} ({part.listed})" for part in parts]
+    sizes = [f"{len(part.names)} ({part.listed})" for part in parts]
     known = [part.to_first_std_m for part in parts if part.to_first_std_m is not None]
     by = f", which determine their relative height to {length(max(known))} (1 sigma)" if known else ""
     return [
-        f"the photographs fall into {len(parts)} parts without common points, of {_listed(told)} photographs: only "
+        f"the photographs fall into {len(parts)} parts without common points, of {_listed(sizes)} photographs: only "
         f"positions, control and water connect them{by}; where they should be one block, fly more overlap between them"
     ]
 
@@ -259,9 +259,11 @@ def parts_warning(found: Adjustment, water: FlatWater | None) -> list[str]:
 def _only(found: Adjustment, keep: np.ndarray) -> Adjustment:
     """An adjustment with only the tie points of views (V,) bool; the covariance stays."""
     is_tie = found.residuals.point < len(found.points) - len(found.control)
-    mine = is_tie & keep[found.residuals.view]
-    kept, point = np.unique(found.residuals.point[mine], return_inverse=True)
-    residuals = Residuals(found.residuals.view[mine], found.residuals.px[mine], found.residuals.at_px[mine], point)
+    is_kept = is_tie & keep[found.residuals.view]
+    kept, point = np.unique(found.residuals.point[is_kept], return_inverse=True)
+    residuals = Residuals(
+        found.residuals.view[is_kept], found.residuals.px[is_kept], found.residuals.at_px[is_kept], point
+    )
     return replace(found, residuals=residuals, points=found.points[kept])
 
 

@@ -114,10 +114,10 @@ def _add_stones(heights: np.ndarray, rng: np.random.Generator, scene: DrawnScene
     for (u, v), radius, bright, flat in zip(centres, radii, brightness, flatness, strict=True):
         i0, i1 = max(int(u - radius), 0), min(int(u + radius) + 2, nx)
         j0, j1 = max(int(v - radius), 0), min(int(v + radius) + 2, ny)
-        apart = ((np.arange(i0, i1) - u) ** 2 + ((np.arange(j0, j1) - v) ** 2)[:, None]) / radius**2
-        cap = flat * radius * scene.cell_m * np.sqrt(np.maximum(1.0 - apart, 0.0))
+        distance2 = ((np.arange(i0, i1) - u) ** 2 + ((np.arange(j0, j1) - v) ** 2)[:, None]) / radius**2
+        cap = flat * radius * scene.cell_m * np.sqrt(np.maximum(1.0 - distance2, 0.0))
         heights[j0:j1, i0:i1] += cap
-        stones[j0:j1, i0:i1] = np.where(apart < 1.0, bright, stones[j0:j1, i0:i1])
+        stones[j0:j1, i0:i1] = np.where(distance2 < 1.0, bright, stones[j0:j1, i0:i1])
     return stones
 
 

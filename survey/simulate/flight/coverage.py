@@ -121,8 +121,8 @@ def _level_sensitivity(cameras: Sequence[PinholeCamera], site: Site) -> float:
         if views.sum() < 3:
             continue
         j, level = by_point[views, k].reshape(-1, 3), by_level[views, k].ravel()
-        rest = level - j @ np.linalg.lstsq(j, level, rcond=None)[0]
-        left, count = left + rest @ rest, count + len(rest)
+        residual = level - j @ np.linalg.lstsq(j, level, rcond=None)[0]
+        left, count = left + residual @ residual, count + len(residual)
     return float(np.sqrt(left / count)) if count else 0.0
 
 

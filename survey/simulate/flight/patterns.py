@@ -120,8 +120,8 @@ def _footprint(lens: Lens, site: Site, height: float) -> tuple[float, float]:
 def _strips(flight: FlightSettings, lens: Lens, site: Site, height: float) -> Iterator[tuple[float, float, float]]:
     """x, y [m] and heading [rad] of nadir views in parallel strips over the whole area, flown back and forth."""
     heading = math.radians(flight.heading_deg)
-    ahead, aside = _axes(heading)
-    long, wide = _extent(site, ahead), _extent(site, aside)
+    ahead, right = _axes(heading)
+    long, wide = _extent(site, ahead), _extent(site, right)
     across, along = _footprint(lens, site, height)
     step, gap = along * (1.0 - flight.forward_overlap), across * (1.0 - flight.side_overlap)
     num_strips = max(math.ceil(wide / gap) + 1, 1)
@@ -130,7 +130,7 @@ def _strips(flight: FlightSettings, lens: Lens, site: Site, height: float) -> It
         b = (strip - 0.5 * (num_strips - 1)) * gap
         order = range(num_views) if strip % 2 == 0 else reversed(range(num_views))
         for view in order:
-            x, y = (view - 0.5 * (num_views - 1)) * step * ahead + b * aside
+            x, y = (view - 0.5 * (num_views - 1)) * step * ahead + b * right
             yield float(x), float(y), heading + math.pi * (strip % 2)
 
 
@@ -156,13 +156,13 @@ def _outer(flight: FlightSettings, lens: Lens, site: Site, height: float, headin
     step = across * (1.0 - flight.forward_overlap)
     for side in range(4):
         inward = heading + 0.5 * math.pi * side
-        ahead, aside = _axes(inward)
-        long = _extent(site, aside)
+        ahead, right = _axes(inward)
+        long = _extent(site, right)
         num_views = max(math.ceil(long / step) + 1, 1)
         start = -(0.5 * _extent(site, ahead) + reach) * ahead
         for view in range(num_views):
             # From right to left, so that the next side begins where this one ends.
-            x, y = start - (view - 0.5 * (num_views - 1)) * step * aside
+            x, y = start - (view - 0.5 * (num_views - 1)) * step * right
             yield float(x), float(y), tilt, inward
 
 

@@ -108,14 +108,14 @@ class BedGrid:
         """Advance `t`, in place, through air above the highest vertices nearby."""
         for size, highest in self._highest:
             live = np.flatnonzero(t < t_end)
-            here, at = ray.take(live), t[live]
+            rays, at = ray.take(live), t[live]
             while live.size:
-                u, v, z = here.at(at)
+                u, v, z = rays.at(at)
                 gap = z - highest[_index(v, size, highest.shape[0]), _index(u, size, highest.shape[1])]
-                at = at + np.maximum(np.minimum(-gap / here.dz, size * here.reach), 0.0)
+                at = at + np.maximum(np.minimum(-gap / rays.dz, size * rays.reach), 0.0)
                 t[live] = at
                 on = (gap > _TOUCH_M) & (at < t_end[live])
-                live, here, at = live[on], here.take(on), at[on]
+                live, rays, at = live[on], rays.take(on), at[on]
 
     def _gap(self, ray: _Rays, t: np.ndarray) -> np.ndarray:
         u, v, z = ray.at(t)
@@ -157,11 +157,11 @@ class _Rays(NamedTuple):
         u, v, _ = self.at(t)
         step = np.full(len(t), np.inf)
         for c, rate in ((u, self.du), (v, self.dv), (u + v, self.du + self.dv)):
-            way = c - np.floor(c)
-            way = np.where(rate > 0.0, 1.0 - way, way)
-            way = np.where(way < _ON_LINE, 1.0, way)
+            to_line = c - np.floor(c)
+            to_line = np.where(rate > 0.0, 1.0 - to_line, to_line)
+            to_line = np.where(to_line < _ON_LINE, 1.0, to_line)
             with np.errstate(divide="ignore"):
-                step = np.minimum(step, way / np.abs(rate))
+                step = np.minimum(step, to_line / np.abs(rate))
         # A vertical ray crosses no line: any length will do, as the bed is linear along it.
         return np.where(np.isfinite(step), step, 1.0)
 
@@ -236,8 +236,8 @@ def near_solids(solids: Sequence, origin: np.ndarray, direction: np.ndarray, t_e
     """Whether rays (N, 3) pass through the ball around each body before `t_end` (N,): (N, number of solids)."""
     centres, radii = np.array([s.centre for s in solids]), np.array([s.radius for s in solids])
     along = direction @ centres.T - np.einsum("ij,ij->i", origin, direction)[:, None]
-    away = np.einsum("ij,ij->i", origin, origin)[:, None] - 2.0 * origin @ centres.T + (centres**2).sum(axis=1)
-    return (away - along**2 < radii**2) & (along > -radii) & (along < t_end[:, None] + radii)
+    distance2 = np.einsum("ij,ij->i", origin, origin)[:, None] - 2.0 * origin @ centres.T + (centres**2).sum(axis=1)
+    return (distance2 - along**2 < radii**2) & (along > -radii) & (along < t_end[:, None] + radii)
 
 
 def rotation(yaw: float, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
@@ -296,11 +296,11 @@ class TriangleMesh:
         start = np.einsum("ij,ij->i", self.centre - origin, direction) - self.radius
         start = np.maximum(start, 0.0)
         near = (origin + start[:, None] * direction - self.centre).astype(np.float32)
-        ahead, reach = direction.astype(np.float32), ((t_end - start) * (1.0 + _SLACK)).astype(np.float32)
+        direction32, reach = direction.astype(np.float32), ((t_end - start) * (1.0 + _SLACK)).astype(np.float32)
         face = np.full(len(origin), -1)
         first = self._tree.intersectRay_first
         for ray in np.flatnonzero(reach > 0.0):
-            found = first(near[ray], ahead[ray], 0.0, float(reach[ray]))
+            found = first(near[ray], direction32[ray], 0.0, float(reach[ray]))
             face[ray] = found[0]
         return self._distance(origin, direction, face, t_end), face
 
@@ -308,9 +308,9 @@ class TriangleMesh:
         """Distance (N,) to the plane of a triangle, in float64."""
         normal = self.normals[face]
         rate = np.einsum("ij,ij->i", direction, normal)
-        met = (face >= 0) & (rate != 0.0)
+        is_hit = (face >= 0) & (rate != 0.0)
         gap = self._offsets[face] - np.einsum("ij,ij->i", origin, normal)
-        t = np.where(met, gap / np.where(met, rate, 1.0), np.inf)
+        t = np.where(is_hit, gap / np.where(is_hit, rate, 1.0), np.inf)
         return np.where((t > 0.0) & (t <= t_end), t, np.inf)
 
     def height(self, x, y) -> np.ndarray:

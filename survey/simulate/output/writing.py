@@ -108,8 +108,8 @@ def _in_reach(camera: PinholeCamera, lens: Lens, points: np.ndarray) -> np.ndarr
     plane, _ = normalised(lens)
     (u0, v0), (u1, v1) = plane.min(axis=0), plane.max(axis=0)
     rays = np.array([(u, v, 1.0) for u in (u0, u1) for v in (v0, v1)]) @ camera.cam_from_local
-    fall = -rays[:, 2] / np.linalg.norm(rays, axis=1)
-    if not len(points) or fall.min() < _LEAST_FALL:
+    cos_nadir = -rays[:, 2] / np.linalg.norm(rays, axis=1)
+    if not len(points) or cos_nadir.min() < _LEAST_FALL:
         return np.ones(len(points), dtype=bool)
     t = (camera.centre[2] - points[:, 2].min()) / -rays[:, 2]
     ends = np.concatenate([camera.centre[None, :2], camera.centre[:2] + t[:, None] * rays[:, :2]])
@@ -282,7 +282,7 @@ def _write_truth(folder: Path, scene: StagedScene, pool: ThreadPoolExecutor, ste
     points_crs = frame.crs_from_local(points)
     points, points_crs = points[inside(points_crs)], points_crs[inside(points_crs)]
 
-    def look(index: int) -> np.ndarray:
+    def visible_in(index: int) -> np.ndarray:
         (renderer, camera), stem = scene.at(index), Path(scene.names[index]).stem
         depth, wet = depth_map(renderer, camera, scene.lens)
         _write_picture(folder / "depth" / f"{stem}.tif", Image.fromarray(depth), compression="tiff_deflate")
@@ -290,7 +290,7 @@ def _write_truth(folder: Path, scene: StagedScene, pool: ThreadPoolExecutor, ste
         return seen_by(renderer, camera, scene.lens, points)
 
     num_views = np.zeros(len(points), dtype=int)
-    for seen in pool.map(look, range(len(scene.cameras))):
+    for seen in pool.map(visible_in, range(len(scene.cameras))):
         num_views += seen
         step.advance()
     write_ply(folder / "visible.ply", points_crs[num_views >= _MIN_VIEWS])

@@ -65,8 +65,8 @@ class Sunlight:
     def seen(self, direction):
         """Whether unit directions, local, meet the disc as a camera sees it."""
         # By the chord: in float32 the cosine of less than 0.3 mrad is 1.
-        apart = dr.squared_norm(direction - self.mi.Vector3f(*self.light.sun.tolist()))
-        return apart < (2.0 * math.sin(0.5 * self.seen_radius)) ** 2
+        chord2 = dr.squared_norm(direction - self.mi.Vector3f(*self.light.sun.tolist()))
+        return chord2 < (2.0 * math.sin(0.5 * self.seen_radius)) ** 2
 
     def connection(self, sampler, place, normal, wet):
         """Direct connections of places to a random point of the sun: refracted direction, and irradiance across it.
@@ -89,14 +89,14 @@ class Sunlight:
             along = (in_air - rise * up) / n
             cosine = dr.safe_sqrt(1.0 - dr.squared_norm(along))
             bent = along + cosine * up
-            way = dr.maximum(dr.dot(mi.Point3f(*point.tolist()) - place, up), 0.0) / cosine
+            length = dr.maximum(dr.dot(mi.Point3f(*point.tolist()) - place, up), 0.0) / cosine
             start = dr.select(wet, place + dr.copysign(off, dr.dot(normal, bent)) * normal, start)
             # A point of the sun below a tilted surface does not shine into the water.
-            free = not_(wet) | ((rise > 0.0) & not_(self.solids.ray_test(mi.Ray3f(start, bent, way, 0.0, []), wet)))
+            free = not_(wet) | ((rise > 0.0) & not_(self.solids.ray_test(mi.Ray3f(start, bent, length, 0.0, []), wet)))
             passed = (1.0 - _fresnel(rise, cosine, n)) * rise / cosine
-            lost = dr.exp(-way * self.scattering) * absorbed(mi, self.colour, way)
+            lost = dr.exp(-length * self.scattering) * absorbed(mi, self.colour, length)
             power = dr.select(wet, power * passed * lost, power)
-            foot = dr.select(wet, place + way * bent, start)
+            foot = dr.select(wet, place + length * bent, start)
             toward = dr.select(wet, bent, in_air)
         else:
             foot = start
@@ -110,10 +110,10 @@ class Sunlight:
         return self.mi.Vector3f(sine * dr.cos(angle), sine * dr.sin(angle), 1.0 - 2.0 * half * half)
 
 
-def absorbed(mi: ModuleType, colour: WaterOptics, way):
+def absorbed(mi: ModuleType, colour: WaterOptics, length):
     """Transmittance per channel of a path [m] through water; zero for an infinite one."""
-    left = mi.Color3f(*(dr.exp(-a * way) for a in colour.absorption))
-    return dr.select(dr.isfinite(way), left, mi.Color3f(0.0))
+    left = mi.Color3f(*(dr.exp(-a * length) for a in colour.absorption))
+    return dr.select(dr.isfinite(length), left, mi.Color3f(0.0))
 
 
 def not_(mask):
@@ -188,31 +188,31 @@ class PathTracer:
             if dr.hint(self.scattering > 0.0, mode="scalar"):
                 flight = dr.select(wet, -dr.log(1.0 - sampler.next_1d(active)) / self.scattering, dr.inf)
             scattered = active & (flight < t)
-            way = dr.minimum(t, flight)
-            throughput = dr.select(wet, throughput * absorbed(mi, self.colour, way), throughput)
+            length = dr.minimum(t, flight)
+            throughput = dr.select(wet, throughput * absorbed(mi, self.colour, length), throughput)
             gone = active & not_(scattered) & not_(dr.isfinite(t))
             light += dr.select(gone & not_(wet), throughput * self._above(ray.d, straight & not_(counted)), 0.0)
             active &= not_(gone)
             at_surface &= active & not_(scattered)
             at_ground = active & not_(scattered) & not_(at_surface)
 
-            ahead = mi.Ray3f(ray)
+            next_ray = mi.Ray3f(ray)
             if at_surface:
                 light += dr.select(straight & not_(wet), throughput * self._glint(surface, straight & not_(wet)), 0.0)
-                ahead, through, bent = self._cross(sampler, surface, ray)
+                next_ray, through, bent = self._cross(sampler, surface, ray)
                 throughput *= through
                 counted = not_(wet) & not_(bent)
                 wet ^= bent
             if at_ground:
-                ahead, reflected, sun = self._leave_ground(sampler, ground, ray, wet)
+                next_ray, reflected, sun = self._leave_ground(sampler, ground, ray, wet)
                 light += throughput * sun
                 throughput *= reflected
                 straight = mi.Bool(False)
             if scattered:
-                ahead, sun = self._scatter(sampler, ray, flight)
+                next_ray, sun = self._scatter(sampler, ray, flight)
                 light += throughput * sun
                 straight = mi.Bool(False)
-            ray = ahead
+            ray = next_ray
             bounce += 1
             active &= bounce < self.max_bounces
             throughput, active = self._thinned(sampler, throughput, bounce, active)
@@ -247,8 +247,8 @@ class PathTracer:
         mi = self.mi
         toward = surface.to_world(mi.Vector3f(-surface.wi.x, -surface.wi.y, surface.wi.z))
         active &= self.sun.seen(toward)
-        ahead = surface.spawn_ray(toward)
-        active &= not_(self.solids.ray_test(ahead, active)) & not_(self.surface.ray_test(ahead, active))
+        shadow_ray = surface.spawn_ray(toward)
+        active &= not_(self.solids.ray_test(shadow_ray, active)) & not_(self.surface.ray_test(shadow_ray, active))
         mirrored = mi.fresnel(mi.Frame3f.cos_theta(surface.wi), self.n_water)[0]
         return mi.Color3f(dr.select(active, mirrored * self.sun.seen_radiance, 0.0))
 

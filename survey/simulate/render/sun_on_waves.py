@@ -61,16 +61,16 @@ class SunOnWaves:
         if not len(self.caustics):
             return np.ones(len(points))
         sun = self.light.sun[:2] / self.plane.n_water
-        way = depth[:, None] * sun / np.sqrt(1.0 - sun @ sun)
+        shift = depth[:, None] * sun / np.sqrt(1.0 - sun @ sun)
         layer = np.clip(depth / self.deepest_m, 0.0, 1.0) * (len(self.caustics) - 1)
         below = np.minimum(layer.astype(int), len(self.caustics) - 2)
-        at = _cells(points[:, :2] + way)
+        at = _cells(points[:, :2] + shift)
         # Whole layers take turns: the tile repeats along its own axes alone.
         gain = np.ones(len(points))
         for number in np.unique(below):
-            here = below == number
-            low, high = (_on_tile(self.caustics[number + k], at[:, here]) for k in (0, 1))
-            gain[here] = low + (layer[here] - number) * (high - low)
+            in_layer = below == number
+            low, high = (_on_tile(self.caustics[number + k], at[:, in_layer]) for k in (0, 1))
+            gain[in_layer] = low + (layer[in_layer] - number) * (high - low)
         return gain
 
     def reflected(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:

@@ -220,8 +220,8 @@ def _ground(plan: ScenePlan, light: Light) -> Ground:
     else:
         shape, material = _bed(plan, light)
         solids, materials = [], [material]
-    for wanted in settings.objects:
-        body, material = place_object(wanted, plan.folder, shape, light)
+    for given in settings.objects:
+        body, material = place_object(given, plan.folder, shape, light)
         solids.append(body)
         materials.append(material)
     return Ground(shape, tuple(solids), tuple(materials))

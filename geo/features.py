@@ -16,7 +16,6 @@ from shapely.errors import ShapelyError
 from shapely.geometry import shape
 from shapely.geometry.base import BaseGeometry, BaseMultipartGeometry
 
-from geo.crs import horizontal_crs
 from geo.errors import UnreadableFile
 from geo.files import existing_file, library_for
 from geo.transformation import transformed
@@ -48,7 +47,7 @@ class Features:
     """Content of a vector file."""
 
     features: tuple[Feature, ...]
-    crs: CRS | None  # Horizontal; None where the file states none
+    crs: CRS | None  # None where the file states none
 
 
 def read_features(path: str | Path, kind: str) -> Features:
@@ -115,7 +114,7 @@ def _parts(geometry: BaseGeometry) -> Iterator[BaseGeometry]:
 def _of_geojson(path: Path) -> Features:
     content = json.loads(path.read_bytes())
     named = content.get("crs")
-    crs = None if named is None else horizontal_crs(CRS.from_user_input(str(named["properties"]["name"])[:200]))
+    crs = None if named is None else CRS.from_user_input(str(named["properties"]["name"])[:200])
     items = content["features"] if content["type"] == "FeatureCollection" else [content]
     return Features(tuple(_feature(item) for item in items if item.get("geometry", item) is not None), crs)
 
@@ -135,5 +134,5 @@ def _by_gdal(path: Path) -> Features:
     # Solids and symbols of a drawing have no counterpart.
     geometries = shapely.from_wkb(shapes, on_invalid="ignore")
     features = (Feature(each, row) for each, row in zip(geometries, rows, strict=True) if each is not None)
-    crs = None if meta["crs"] is None else horizontal_crs(CRS.from_user_input(meta["crs"]))
+    crs = None if meta["crs"] is None else CRS.from_user_input(meta["crs"])
     return Features(tuple(features), crs)

@@ -85,7 +85,8 @@ def points_inside(polygons: list[Polygon], points: np.ndarray) -> np.ndarray:
 def _in_crs(path: str | Path, plural: str, kind: type, crs: CRS) -> list[tuple[Any, dict[str, Any]]]:
     """Parts of one kind of the geometries of a file, in the horizontal part of crs, with their attributes."""
     content, path, target = read_features(path, plural), Path(path), horizontal_crs(crs)
-    source = content.crs or (WGS84 if path.suffix.lower() in GEOJSON else target)
+    unstated = WGS84 if path.suffix.lower() in GEOJSON else target
+    source = unstated if content.crs is None else horizontal_crs(content.crs)
     return [
         (in_horizontal_crs(part, source, target, path), feature.properties)
         for feature in content.features

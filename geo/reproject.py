@@ -152,7 +152,7 @@ class Reprojection:
             If a grid that the transformation needs is not there.
         """
         target_crs = _with_height(source, target, where)
-        keeps_height = _same_heights(source, target_crs)
+        keeps_height = has_same_heights(source, target_crs)
         ends = (horizontal_crs(source), horizontal_crs(target_crs)) if keeps_height else (source, target_crs)
         changes_plan = not horizontal_crs(source).equals(horizontal_crs(target_crs), ignore_axis_order=True)
         operation = best_operation(*ends, where, _REMEDY, places)
@@ -194,7 +194,7 @@ class Reprojection:
 def _warning(source: CRS, target: CRS, operation: Transformer, where: str, places: np.ndarray) -> str | None:
     """A warning where the operation makes places or heights less accurate, as PROJ states."""
     in_plan = Transformation.between(source, target, places)
-    if in_plan.accuracy_m == 0.0 and not _same_heights(source, target) and operation.accuracy > 0.0:
+    if in_plan.accuracy_m == 0.0 and not has_same_heights(source, target) and operation.accuracy > 0.0:
         return (
             f"{where}: heights are transformed by {operation.description} with an accuracy of "
             f"{operation.accuracy:.2g} m by PROJ: an error common to all of them"
@@ -222,7 +222,7 @@ def _with_height(source: CRS, target: str | CRS, where: str) -> CRS:
     return parse_crs(with_height, where=where)
 
 
-def _same_heights(source: CRS, target: CRS) -> bool:
+def has_same_heights(source: CRS, target: CRS) -> bool:
     """Whether both count heights from the same surface and in the same unit."""
     before, after = vertical_crs(source), vertical_crs(target)
     if before is None or after is None:

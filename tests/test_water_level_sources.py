@@ -134,6 +134,18 @@ def test_other_vector_files_give_the_same_points(tmp_path, suffix):
     assert notes == (() if crs else ("shore.dxf names no CRS: taken as crs",))
 
 
+@pytest.mark.parametrize(("code", "is_refused"), [("EPSG:25832+5778", False), ("EPSG:25832+7837", True)])
+def test_heights_of_another_datum_than_that_of_crs_are_refused(tmp_path, code, is_refused):
+    path = tmp_path / "shore.gpkg"
+    shapes = np.array([shapely.to_wkb(shapely.LineString(RING[:3]), flavor="iso")], object)
+    pyogrio.raw.write(path, shapes, [np.array([7])], ["id"], geometry_type="LineString Z", crs=code, driver="GPKG")
+    if not is_refused:
+        assert len(points_of_features(path, CRS)[0]) == 3
+        return
+    with pytest.raises(ConfigError, match=r"has heights in .*DHHN2016.*, expected those of"):
+        points_of_features(path, CRS)
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
@@ -145,6 +157,7 @@ def test_other_vector_files_give_the_same_points(tmp_path, suffix):
         ('{"type": "Point", "coordinates": [1, NaN, 2]}', "not finite"),
         ('{"type": "Point", "coordinates": {"a": 1}}', "can be read"),
         ({"type": "Point", "coordinates": [1, 2, None]}, "can be read"),
+        ('{"type": "Point", "coordinates": [1, 2, NaN]}', "finite numbers"),
         (feature("Polygon", 5), "can be read"),
         (feature("LineString", [[1, 2], [3, 4]]), "positions without a height"),
         ({"type": "Topology"}, "topology"),

@@ -11,9 +11,10 @@ import numpy as np
 import shapely
 from pyproj import CRS
 
-from geo.crs import horizontal_crs, is_geographic
+from geo.crs import crs_name, has_height, horizontal_crs, is_geographic
 from geo.errors import UnreadableFile
 from geo.features import GEOJSON, Features, read_features
+from geo.reproject import has_same_heights
 from geo.transformation import WGS84, transformed
 from geo.values import is_no_data_value
 from survey.errors import ConfigError
@@ -54,12 +55,13 @@ def points_of_features(path: Path, crs: CRS) -> tuple[np.ndarray, tuple[str, ...
         If it cannot be transformed to crs: see `geo.transformation.transformed`.
     """
     content = _content(path)
-    vertices = list(_vertices(content))
+    vertices = list(_vertices(path, content))
     name, notes = _height_property(path, vertices)
     points = np.array(list(dict.fromkeys(_with_heights(path, vertices, name)))).reshape(-1, 3)
     if (wrong := next((height for height in points[:, 2].tolist() if is_no_data_value(height)), None)) is not None:
         raise ConfigError(f"{path} has the height {wrong:g}, a no-data value; remove those points")
-    source, target = content.crs, horizontal_crs(crs)
+    target = horizontal_crs(crs)
+    source = None if content.crs is None else _plan_of(content.crs, crs, path)
     if source is None:
         is_in_degrees = bool((np.abs(points[:, :2]) <= (180.0, 90.0)).all())
         if path.suffix.lower() in GEOJSON and is_in_degrees:
@@ -74,6 +76,16 @@ def points_of_features(path: Path, crs: CRS) -> tuple[np.ndarray, tuple[str, ...
     return points, notes
 
 
+def _plan_of(stated: CRS, crs: CRS, path: Path) -> CRS:
+    """The horizontal part of the CRS that a file states; ConfigError where it states other heights than crs has."""
+    if has_height(stated) and not has_same_heights(stated, crs):
+        raise ConfigError(
+            f"{path} has heights in {crs_name(stated)}, expected those of {crs_name(crs)}; transform it, or state a "
+            "horizontal CRS alone if its heights are in crs"
+        )
+    return horizontal_crs(stated)
+
+
 def _content(path: Path) -> Features:
     if path.is_file() and path.stat().st_size > _LARGEST_BYTES:
         raise ConfigError(f"{path} has more than {_LARGEST_BYTES // 1_000_000} MB, expected a shoreline; thin it")
@@ -83,11 +95,13 @@ def _content(path: Path) -> Features:
         raise ConfigError(str(error)) from error
 
 
-def _vertices(content: Features) -> Iterator[tuple[list[float], dict]]:
+def _vertices(path: Path, content: Features) -> Iterator[tuple[list[float], dict]]:
     """The two or three coordinates of each vertex, with the properties of its feature."""
     for feature in content.features:
         coordinates = shapely.get_coordinates(feature.geometry, include_z=feature.geometry.has_z)
         for numbers in coordinates.tolist():
+            if not math.isfinite(numbers[-1]):
+                raise ConfigError(f"{path} has the position {numbers}, expected two or three finite numbers")
             yield numbers, feature.properties
 
 

@@ -119,6 +119,7 @@ def test_a_problem_of_some_points_has_their_residuals_and_steps():
         huber_system(each, at, std_px, np.ones(len(each.kind))).point_steps(np.zeros(len(problem.priors.std)))
         for each, at in ((part, of_part), (problem, state))
     )
+    # The same sums in float64, of arrays of another length.
     np.testing.assert_allclose(steps, expected[points], rtol=1e-9)
 
 

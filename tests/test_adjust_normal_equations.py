@@ -26,4 +26,5 @@ def test_the_eliminated_part_is_the_product_of_the_coupling_with_itself(rng, num
             if num_others > 15:
                 coupling[rows, 15 + view] = rng.normal(size=3)
     found = eliminated(csr_array(coupling), num_others)
+    # Sums of some hundred products of about one, in another order.
     np.testing.assert_allclose(found.toarray(), coupling.T @ coupling, rtol=0.0, atol=1e-12)

@@ -316,8 +316,8 @@ def _in_crs(path: Path, crs: CRS) -> tuple[Cloud, tuple[float, float], Findings]
     cloud = Cloud(points=vertices_of(shape), crs=shape.crs) if isinstance(shape, Mesh) else shape
     if isinstance(shape, Mesh):
         cloud = replace(cloud, height_unit_m=shape.height_unit_m)
-    out, findings = excluded_points(cloud)
-    notes = [f"{path.name}: {findings} are left out"] if findings else []
+    out, kinds = excluded_points(cloud)
+    notes = [f"{path.name}: {kinds} are left out"] if kinds else []
     cloud = masked_cloud(cloud, ~out)
     own = cloud.crs
     if own is None or not has_height(own):

@@ -147,8 +147,8 @@ def _draw_water(axes: Axes, x: np.ndarray, bed: np.ndarray, level: np.ndarray, u
     shown = np.where(bed >= level, np.nan, level) if len(wet) else level
     axes.plot(x, shown, color=WATER_LINE, lw=1.8, label="water", zorder=3)
     middle = wet[len(wet) // 2] if len(wet) else len(x) // 2
-    message = f"▽ water {number(level[middle], 2)}{NO_BREAK}{unit.name}"
-    axes.text(x[middle], level[middle], message, color=WATER_LINE, fontsize=9, ha="center", va="bottom", zorder=5)
+    label = f"▽ water {number(level[middle], 2)}{NO_BREAK}{unit.name}"
+    axes.text(x[middle], level[middle], label, color=WATER_LINE, fontsize=9, ha="center", va="bottom", zorder=5)
 
 
 def two_digits(value: float) -> str:

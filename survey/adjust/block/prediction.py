@@ -133,6 +133,7 @@ def _slopes(water: FlatWater) -> np.ndarray:
 
 
 def _normal(water: FlatWater) -> np.ndarray:
+    """Unit normal (3,) of the plane, upwards."""
     slopes = _slopes(water)
     return slopes / np.linalg.norm(slopes)
 
@@ -337,6 +338,7 @@ class _Projected:
 
 
 def _project(layout: Layout, state: State, ties: TiePoints, line: np.ndarray) -> _Projected:
+    """Pixels of lines of sight (N, 3) [m], local."""
     in_cam = _in_cam(state, ties, line)
     xy, z = _at_unit_depth(in_cam)
     distorted_xy, by_xy, by_coefficients = distort(xy, state.lenses[layout.lens_of[ties.view], 3:])

@@ -1,35 +1,162 @@
-"""COLMAP models, text and binary, versions 3 and 4: cameras, images and points in the topocentric frame of [local].
+"""COLMAP models, text and binary, of versions 3 and 4: cameras, images and points in the topocentric frame of [local].
 
-Images carry the pose of each photograph. Rigs and frames, where version 4 wrote them, must say the same.
+The layouts are those of COLMAP's ``doc/format.rst`` and ``reconstruction_io_binary.cc``. Images carry the pose of each
+photograph, also where version 4 has rigs and frames beside them.
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from refract.lens import LensError
+from refract.lens import MODELS, Lens, LensError
 from survey.errors import PosesError
 from survey.files.csv_table import shortened
 from survey.photos.poses import DuplicatePose, FileTies, Pose, PoseFile, PoseFrame
 from survey.photos.rotations import rotation_from_quaternion
-from survey.pose_files import colmap_files as files
 from survey.pose_files.format import Format
 
 # Where models lie in a survey folder, beside the folder itself.
 _PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "colmap")
-_READERS = {
-    "cameras.txt": files.cameras_txt, "images.txt": files.images_txt, "points3D.txt": files.points_txt,
-    "rigs.txt": files.rigs_txt, "frames.txt": files.frames_txt,
-    "cameras.bin": files.cameras_bin, "images.bin": files.images_bin, "points3D.bin": files.points_bin,
-    "rigs.bin": files.rigs_bin, "frames.bin": files.frames_bin,
-}  # fmt: skip
 # How models begin that come from an adjustment with bent rays, see `survey.adjust.applied`.
 _OWN_FIRST_WORDS = b"# In survey.toml:"
-# Poses of a rig and of its images are written with 17 digits; further apart than this they are not the same.
-_SAME_POSE = 1e-6
+# Models that are OPENCV_FISHEYE with fewer numbers: the places of fx fy cx cy k1 k2 k3 k4 among these.
+_AS_FISHEYE = {
+    "SIMPLE_RADIAL_FISHEYE": (0, 0, 1, 2, 3), "RADIAL_FISHEYE": (0, 0, 1, 2, 3, 4), "SIMPLE_FISHEYE": (0, 0, 1, 2),
+    "FISHEYE": (0, 1, 2, 3),
+}  # fmt: skip
+# Models by their number in binary files, with how many numbers each has: those that are read, and the others.
+_BY_NUMBER = {number: (name, len(params)) for name, (number, params) in MODELS.items() if number is not None} | {
+    7: ("FOV", 5), 8: ("SIMPLE_RADIAL_FISHEYE", 4), 9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12),
+    11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16), 12: ("SIMPLE_DIVISION", 4), 13: ("DIVISION", 5), 14: ("SIMPLE_FISHEYE", 3),
+    15: ("FISHEYE", 4), 16: ("EUCM", 6), 17: ("EQUIRECTANGULAR", 2),
+}  # fmt: skip
+_FEATURE = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<i8")])
+
+# Model, parameters, width and height: a lens only where an image uses it, as others may be of any model.
+_Camera = tuple[str, tuple[float, ...], int, int]
+_Point = tuple[int, list[float], int]  # number, coordinates, number of views
+
+
+@dataclass(frozen=True, eq=False)
+class _Image:
+    pose: list[float]  # list of 7 float: quaternion (w first) and translation, from world to cam
+    camera: int
+    name: str
+    xy: np.ndarray  # (M, 2) float64 [px], img
+    point: np.ndarray  # (M,) int64: number of the point of each feature; -1 for none
+
+
+def lens_of(model: str, params: tuple[float, ...], width: int, height: int) -> Lens:
+    """The lens of a camera of a model; raises LensError."""
+    places = _AS_FISHEYE.get(model)
+    if places is not None and len(params) == max(places) + 1:
+        return Lens("OPENCV_FISHEYE", (*(params[i] for i in places), *[0.0] * (8 - len(places))), width, height)
+    return Lens(shortened(model), params, width, height)
+
+
+def _cameras_txt(path: Path) -> dict[int, _Camera]:
+    cameras = {}
+    for line in _lines(path):
+        number, model, width, height, *params = line.split()
+        cameras[int(number)] = (model, tuple(map(float, params)), int(width), int(height))
+    return cameras
+
+
+def _images_txt(path: Path) -> Iterator[_Image]:
+    # Every image has two lines, and the second one (its points) may be empty: never drop blank lines before
+    # pairing.
+    lines = iter(path.read_text(encoding="utf-8").splitlines())
+    for line in lines:
+        if not line.strip() or line.startswith("#"):
+            continue
+        parts = line.strip().split(maxsplit=9)
+        if len(parts) != 10:
+            raise ValueError(f"the line of an image has {len(parts)} words, expected 10")
+        _, *pose, camera, name = parts
+        features = next(lines, "").split()
+        if len(features) % 3:
+            raise ValueError(f"the line after image {name} is not a list of points (x, y, id) and not empty")
+        xy = np.array([features[0::3], features[1::3]], dtype=np.float64).T
+        yield _Image([float(v) for v in pose], int(camera), name, xy, np.array(features[2::3], dtype=np.int64))
+
+
+def _points_txt(path: Path) -> Iterator[_Point]:
+    for line in _lines(path):
+        numbers = line.split()
+        if len(numbers) < 8 or len(numbers) % 2:
+            raise ValueError(f"the line of point {numbers[0][:20]} has {len(numbers)} numbers")
+        yield int(numbers[0]), [float(v) for v in numbers[1:4]], (len(numbers) - 8) // 2
+
+
+def _lines(path: Path) -> Iterator[str]:
+    return (line for line in path.read_text(encoding="utf-8").splitlines() if line.strip() and not line.startswith("#"))
+
+
+def _cameras_bin(path: Path) -> dict[int, _Camera]:
+    data, cameras, at = path.read_bytes(), dict[int, _Camera](), 8
+    for _ in range(_count(data)):
+        number, model, width, height = struct.unpack_from("<IiQQ", data, at)
+        if model not in _BY_NUMBER:
+            # How many parameters it has, nobody knows: what follows cannot be read.
+            raise LensError(f"camera model number {model} is not supported, expected one of {', '.join(MODELS)}")
+        name, size = _BY_NUMBER[model]
+        cameras[number] = (name, struct.unpack_from(f"<{size}d", data, at + 24), width, height)
+        at += 24 + 8 * size
+    return cameras
+
+
+def _images_bin(path: Path) -> Iterator[_Image]:
+    data, at = path.read_bytes(), 8
+    for _ in range(_count(data)):
+        _, *pose, camera = struct.unpack_from("<I7dI", data, at)
+        end = data.index(b"\0", at + 64)
+        name, (num,) = data[at + 64 : end].decode("utf-8"), struct.unpack_from("<Q", data, end + 1)
+        at = end + 9 + _FEATURE.itemsize * num
+        if at > len(data):
+            raise ValueError(f"it ends after {len(data)} bytes, within the points of {name}")
+        found = np.frombuffer(data, dtype=_FEATURE, count=num, offset=end + 9)
+        yield _Image(pose, camera, name, np.column_stack([found["x"], found["y"]]), found["point"])
+
+
+def _points_bin(path: Path) -> Iterator[_Point]:
+    data, at = path.read_bytes(), 8
+    for _ in range(_count(data)):
+        number, x, y, z, *_, length = struct.unpack_from("<Q3d3BdQ", data, at)
+        at += 51 + 8 * length
+        if at > len(data):
+            raise ValueError(f"it ends after {len(data)} bytes, within its points")
+        yield number, [x, y, z], length
+
+
+def _count(data: bytes) -> int:
+    return struct.unpack_from("<Q", data)[0]
+
+
+_READERS = {
+    "cameras.txt": _cameras_txt, "images.txt": _images_txt, "points3D.txt": _points_txt,
+    "cameras.bin": _cameras_bin, "images.bin": _images_bin, "points3D.bin": _points_bin,
+}  # fmt: skip
+
+
+def _read(path: Path):
+    """The content of a file of a model; errors name the file."""
+    try:
+        content = _READERS[path.name](path)
+        return content if isinstance(content, dict) else list(content)
+    except LensError as error:
+        raise PosesError(f"{path}: {error}") from error
+    except (struct.error, ValueError, IndexError, OverflowError) as error:
+        raise PosesError(
+            f"{path} is damaged or not a COLMAP file ({shortened(str(error))}); write the model again with "
+            "COLMAP's model_converter"
+        ) from error
+    except OSError as error:
+        raise PosesError(f"{path} cannot be read ({error.strerror}); correct its permissions") from error
 
 
 def is_model(folder: Path) -> bool:
@@ -43,36 +170,34 @@ def read_model(folder: Path) -> PoseFile:
     Raises
     ------
     PosesError
-        Where a file is damaged, a camera model is not supported, a pose is not finite, an image has no camera, or rigs
-        and frames contradict the images.
+        Where a file is damaged, a camera model is not supported, a pose is not finite, or an image has no camera.
     """
     suffix = _suffix(folder)
-    lenses = _read(folder / f"cameras{suffix}")
+    cameras, lenses = _read(folder / f"cameras{suffix}"), dict[int, Lens]()
     path = folder / f"images{suffix}"
-    photos = _read(path)
     poses: dict[str, Pose] = {}
-    for photo in photos:
-        name = shortened(photo.name)
-        if not np.isfinite(photo.pose).all() or not np.any(photo.pose[:4]):
+    for image in _read(path):
+        name = shortened(image.name)
+        if not np.isfinite(image.pose).all() or not np.any(image.pose[:4]):
             raise PosesError(
-                f"{path}: the pose of {name} is {[float(f'{v:.6g}') for v in photo.pose]}, expected a quaternion "
+                f"{path}: the pose of {name} is {[float(f'{v:.6g}') for v in image.pose]}, expected a quaternion "
                 "and a translation of finite numbers; correct it or remove the image from the model"
             )
-        lens = lenses.get(photo.camera)
-        if isinstance(lens, LensError):
-            raise PosesError(f"{folder / f'cameras{suffix}'}: {lens}")
-        if lens is None:
+        if image.camera not in cameras:
             raise PosesError(
-                f"{path}: image {name} has the camera {photo.camera}, which cameras{suffix} does not have; write "
+                f"{path}: image {name} has the camera {image.camera}, which cameras{suffix} does not have; write "
                 "the model again"
             )
-        if photo.name in poses:
-            raise DuplicatePose(photo.name, str(path))
-        cam_from_local = rotation_from_quaternion(*photo.pose[:4])
-        centre = -cam_from_local.T @ np.array(photo.pose[4:])
-        poses[photo.name] = Pose(photo.name, centre, cam_from_local, lens)
-    if (folder / f"frames{suffix}").is_file() and (folder / f"rigs{suffix}").is_file():
-        _require_rigs_agree(folder, suffix, photos)
+        if image.name in poses:
+            raise DuplicatePose(image.name, str(path))
+        if image.camera not in lenses:
+            try:
+                lenses[image.camera] = lens_of(*cameras[image.camera])
+            except LensError as error:
+                raise PosesError(f"{folder / f'cameras{suffix}'}: {error}") from error
+        cam_from_local = rotation_from_quaternion(*image.pose[:4])
+        centre = -cam_from_local.T @ np.array(image.pose[4:])
+        poses[image.name] = Pose(image.name, centre, cam_from_local, lenses[image.camera])
     return PoseFile(tuple(poses.values()), PoseFrame.LOCAL, tool=None if _is_own(folder) else "COLMAP")
 
 
@@ -94,67 +219,22 @@ def read_ties(folder: Path) -> FileTies | None:
         Where a file is damaged.
     """
     path = next((folder / f"points3D{s}" for s in (".bin", ".txt") if (folder / f"points3D{s}").is_file()), None)
-    if path is None:
+    points: Iterable[_Point] = () if path is None else _read(path)
+    points = sorted((point for point in points if np.isfinite(point[1]).all()), key=lambda point: point[0])
+    if not points:
         return None
-    number, points, num_views = _read(path)
-    if not len(points):
-        return None
-    photos = _read(folder / f"images{_suffix(folder)}")
-    image = np.repeat(np.arange(len(photos)), [len(photo.point) for photo in photos])
-    seen = np.concatenate([np.empty(0, dtype=np.int64), *(photo.point for photo in photos)])
-    pixel = np.concatenate([np.empty((0, 2)), *(photo.xy for photo in photos)])
+    number, xyz, num_views = (np.array(column) for column in zip(*points, strict=True))
+    images: list[_Image] = _read(folder / f"images{_suffix(folder)}")
+    of_image = np.repeat(np.arange(len(images)), [len(image.point) for image in images])
+    seen = np.concatenate([np.empty(0, dtype=np.int64), *(image.point for image in images)])
+    pixel = np.concatenate([np.empty((0, 2)), *(image.xy for image in images)])
     at = np.searchsorted(number, seen).clip(max=len(number) - 1)
     known = (number[at] == seen) & np.isfinite(pixel).all(axis=1)
-    return FileTies(points, num_views, tuple(photo.name for photo in photos), at[known], image[known], pixel[known])
-
-
-def _require_rigs_agree(folder: Path, suffix: str, photos: list[files.Photo]) -> None:
-    """Raise where the poses of frames and rigs, which COLMAP 4 goes by, are not those of the images."""
-    rigs = _read(folder / f"rigs{suffix}")
-    by_number = {photo.number: photo for photo in photos}
-    for rig, rig_from_world, data in _read(folder / f"frames{suffix}"):
-        for camera, image in data:
-            photo, cam_from_rig = by_number.get(image), rigs.get((rig, camera))
-            if photo is None or cam_from_rig is None:
-                continue
-            # A pose that is not finite, or too large, differs from every other.
-            with np.errstate(over="ignore", invalid="ignore"):
-                expected = _matrix(cam_from_rig) @ _matrix(rig_from_world)
-                difference = np.abs(expected - _matrix(photo.pose)).max()
-            if not difference <= _SAME_POSE * max(1.0, np.abs(expected).max()):
-                raise PosesError(
-                    f"{folder}: the pose of {shortened(photo.name)} in images{suffix} is not that of its rig in "
-                    f"frames{suffix} and rigs{suffix}; write the model again, or remove these two "
-                    f"files if images{suffix} is right"
-                )
-
-
-def _matrix(pose: list[float]) -> np.ndarray:
-    """(3, 4) and a last row."""
-    found = np.eye(4)
-    has_rotation = np.any(pose[:4]) and np.isfinite(pose[:4]).all()
-    found[:3, :3] = rotation_from_quaternion(*pose[:4]) if has_rotation else np.nan
-    found[:3, 3] = pose[4:]
-    return found
+    return FileTies(xyz, num_views, tuple(image.name for image in images), at[known], of_image[known], pixel[known])
 
 
 def _suffix(folder: Path) -> str:
     return ".bin" if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file() else ".txt"
-
-
-def _read(path: Path):
-    """The content of a file of a model; errors name the file."""
-    try:
-        return _READERS[path.name](path)
-    except (PosesError, LensError) as error:
-        raise PosesError(f"{path}: {error}") from error
-    except (struct.error, ValueError, IndexError, OverflowError, MemoryError) as error:
-        raise PosesError(
-            f"{path} is damaged or not a COLMAP file ({shortened(str(error))}); write the model again with "
-            "COLMAP's model_converter"
-        ) from error
-    except OSError as error:
-        raise PosesError(f"{path} cannot be read ({error.strerror}); correct its permissions") from error
 
 
 def _model_of(path: Path) -> Path | None:

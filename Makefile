@@ -1,5 +1,6 @@
 # What there is to do here. Everything runs in a virtual environment of its own, .venv, made when it is needed first:
-#   make install  the environment alone
+#   make install  the environment alone, for its commands; tests and documentation add what they need
+#   make lock     versions of all packages, chosen anew: constraints.txt
 #   make demo     draw a small survey, process it, compare the cloud with the true bed
 #   make test     style and types, then all tests, with the examples in docstrings and documentation
 #   make check    style alone: what ruff finds
@@ -21,7 +22,10 @@ SHELL := /bin/bash
 
 VENV := .venv
 BIN := $(VENV)/bin
+# What the program needs, with the extras that its commands use; what the tests need; what the documentation needs.
 READY := $(VENV)/ready
+READY_TEST := $(VENV)/ready-test
+READY_DOCS := $(VENV)/ready-docs
 DEMO := .demo/survey
 RUN := $(DEMO)/bathynerf
 # Those that need neither survey data nor hours; each file says at its head how it is run.
@@ -31,21 +35,37 @@ FIELDS := error_time levels
 TRUTH := $(DEMO)/truth
 BOUNDS = $$($(BIN)/python -c 'import tomllib; print(*tomllib.load(open("$(DEMO)/survey.toml", "rb"))["area"]["bounds"])')
 
+OLDEST_PYTHON := $(shell sed -nE 's/^requires-python = ">=([0-9.]+),.*/\1/p' pyproject.toml)
+
 # An environment that was moved or copied with its folder is set up again: its paths are those of the old place.
 ifneq ($(shell cat $(READY) 2>/dev/null),$(CURDIR))
 .PHONY: $(READY)
 endif
 
-.PHONY: help install demo test check types format bench tables stress soak docs licences clean distclean
+.PHONY: help install lock demo test check types format bench tables stress soak docs licences clean distclean
 
 help:
 	@sed -n '2,/^$$/s/^# \{0,1\}//p' Makefile
 
 install: $(READY)
 
-$(READY): pyproject.toml constraints.txt scripts/setup.sh
-	@scripts/setup.sh $(VENV)
+$(READY): EXTRAS = gltf,heic,vector,viewer,dxf,cluster
+$(READY_TEST): EXTRAS = test
+$(READY_DOCS): EXTRAS = docs
+$(READY_TEST) $(READY_DOCS): $(READY)
+$(READY) $(READY_TEST) $(READY_DOCS): pyproject.toml constraints.txt scripts/setup.sh scripts/uv_settings.py
+	@scripts/setup.sh $(VENV) $(EXTRAS)
 	@printf '%s' '$(CURDIR)' > $@
+
+# The newest versions that pyproject.toml allows, for every Python and system that it names. What torch itself pins
+# (libraries of CUDA) is left to torch, and the build of torch to the machine.
+lock: $(READY)
+	@mkdir -p build
+	@eval "$$($(BIN)/python scripts/uv_settings.py)"; \
+	    PATH="$$PATH:$(CURDIR)/$(BIN)" uv pip compile -q --universal --upgrade --all-extras --no-annotate --no-header \
+	    --python-version $(OLDEST_PYTHON) pyproject.toml -o build/lock.txt
+	@{ echo '# Written by "make lock": every package of every extra, in the versions that are tested.'; \
+	    sed -E '/^(nvidia|cuda)-|^triton=/d; s/^(torch==[^+; ]*).*/\1/' build/lock.txt | uniq; } > constraints.txt
 
 demo: $(READY)
 	@echo "Drawing the survey of the demo into $(DEMO)"
@@ -59,22 +79,22 @@ demo: $(READY)
 	@echo "Cloud:   $(CURDIR)/$(RUN)/cloud.las"
 	@echo "Report:  $(CURDIR)/$(RUN)/report.html"
 
-test: check types
+test: $(READY_TEST) check types
 	@# Compiled files are kept, whatever the environment says: a hundred tests start the program.
 	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest --numprocesses=auto --maxprocesses=4 --dist=loadfile
 
-check: $(READY)
+check: $(READY_TEST)
 	@$(BIN)/python -m ruff check .
 	@$(BIN)/python -m ruff format --check .
 
-types: $(READY)
+types: $(READY_TEST)
 	@$(BIN)/python -m mypy
 
-format: $(READY)
+format: $(READY_TEST)
 	@$(BIN)/python -m ruff check --fix .
 	@$(BIN)/python -m ruff format .
 
-bench: $(READY)
+bench: $(READY_TEST)
 	@for name in $(BENCHMARKS); do echo "benchmarks/bench_$$name.py"; $(BIN)/python "benchmarks/bench_$$name.py"; done
 	@for name in $(FIELDS); do echo "benchmarks/bench_$$name.py"; \
 	    $(BIN)/python "benchmarks/bench_$$name.py" "build/bench/$$name"; done
@@ -82,20 +102,19 @@ bench: $(READY)
 tables: $(READY)
 	@$(BIN)/python benchmarks/tables.py
 
-stress: $(READY)
+stress: $(READY_TEST)
 	@$(BIN)/python benchmarks/stress.py
 
-soak: $(READY)
+soak: $(READY_TEST)
 	@$(BIN)/python benchmarks/soak_inputs.py --seconds $(or $(SECONDS),60)
 	@$(BIN)/python benchmarks/soak_kills.py --kills $(or $(KILLS),9)
 
 # The source folder is the root, so that pages of docs/ and of the root link to each other; a warning fails.
-docs: $(READY)
-	@$(BIN)/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[docs]'
+docs: $(READY_DOCS)
 	@$(BIN)/python -m sphinx -q -W --keep-going -b html -c docs/sphinx . build/site
 	@echo "$(CURDIR)/build/site/docs/index.html"
 
-licences: $(READY)
+licences: $(READY_TEST)
 	@$(BIN)/python scripts/licences.py
 
 clean:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import runpy
 import tomllib
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from survey.errors import SurveyError
 from survey.sfm.settings import require_solver
@@ -16,6 +18,7 @@ from survey.sfm.settings import require_solver
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 LICENCES = runpy.run_path(str(ROOT / "scripts" / "licences.py"))
+UV = runpy.run_path(str(ROOT / "scripts" / "uv_settings.py"))
 
 
 def test_the_licence_of_everything_that_is_needed_fits():
@@ -107,3 +110,46 @@ def test_the_container_installs_extras_that_there_are_and_the_libraries_of_setup
     )
     libraries = re.search(r"libllvm\d+", (ROOT / "scripts" / "setup.sh").read_text()).group()
     assert libraries in recipe
+
+
+@pytest.mark.parametrize(
+    ("listing", "expected"),
+    [
+        ("", {"UV_TORCH_BACKEND": "auto"}),
+        (
+            "global.extra-index-url='\\nhttps://a.example/simple\\nhttps://b.example/simple'\n:env:.cert='/c.pem'",
+            {
+                "UV_INDEX": "https://a.example/simple https://b.example/simple",
+                "UV_INDEX_STRATEGY": "unsafe-best-match",
+                "SSL_CERT_FILE": "/c.pem",
+            },
+        ),
+        ("global.find-links='/a b'\ninstall.find-links='/c /d'", {"UV_FIND_LINKS": "/c,/d"}),
+        (
+            "install.timeout='20'\n:env:.timeout='60'\nglobal.no-index='true'",
+            {"UV_HTTP_TIMEOUT": "60", "UV_NO_INDEX": "true"},
+        ),
+        ("freeze.timeout='20'\nglobal.progress-bar='off'", {"UV_TORCH_BACKEND": "auto"}),
+    ],
+)
+def test_settings_of_pip_reach_uv_with_those_of_the_command_and_variables_before_global_ones(listing, expected):
+    assert UV["uv_settings"](UV["pip_settings"](listing), system="linux") == expected
+
+
+def test_off_linux_the_package_index_has_the_cpu_build_of_torch():
+    assert UV["uv_settings"]({}, system="darwin") == {}
+
+
+def test_every_requirement_has_a_tested_version_that_it_allows():
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    locked = [Requirement(line) for line in lines if not line.startswith("#")]
+    versions = {}
+    for each in locked:
+        ((operator, version),) = [(part.operator, part.version) for part in each.specifier]
+        assert operator == "=="
+        versions.setdefault(canonicalize_name(each.name), []).append(version)
+    extras = PROJECT["optional-dependencies"].values()
+    for text in [*PROJECT["dependencies"], *itertools.chain.from_iterable(extras)]:
+        wanted = Requirement(text)
+        if wanted.name != PROJECT["name"]:
+            assert all(map(wanted.specifier.contains, versions[canonicalize_name(wanted.name)])), text

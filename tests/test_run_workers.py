@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import pickle
 import sys
 import time
+import urllib.error
+import urllib.request
 from concurrent.futures import CancelledError, Future
 from contextlib import suppress
 from dataclasses import replace
@@ -209,15 +212,87 @@ def where_computed(_job, _stages, _task, _code):
     return Path(str(get_worker().name)), 0.0, []
 
 
-def test_where_the_dashboard_is_to_be_seen_is_said(monkeypatch):
-    client = SimpleNamespace(
-        dashboard_link="http://10.0.0.7:8787/status", scheduler_info=lambda: {"services": {"dashboard": 4181}}
-    )
-    assert "at http://10.0.0.7:8787/status, where" in start_workers._watched(client, PLACE)
-    monkeypatch.setattr(start_workers, "find_spec", lambda _name: object())
-    assert start_workers._watched(client, None) == "to be watched at http://127.0.0.1:4181/status"
-    monkeypatch.setattr(start_workers, "find_spec", lambda _name: None)
-    assert "pip install bokeh" in start_workers._watched(client, None)
+@pytest.fixture
+def started(run_and_photograph):
+    """Workers that a run has started on this machine."""
+    pytest.importorskip("distributed")
+    with workers_for(1, None, WorkerNeeds(*run_and_photograph), print) as workers:
+        yield workers
+
+
+def test_nobody_without_the_key_of_the_run_reaches_its_scheduler_and_its_workers(started):
+    distributed = pytest.importorskip("distributed")
+    client = started._client
+    places = [client.scheduler.address, *client.nthreads(), *(each["nanny"] for each in workers_info(client))]
+    assert len(places) == 3
+    assert all(place.startswith("tls://127.0.0.1:") for place in places)
+
+    async def identity(place: str, **keys: object) -> object:
+        async with distributed.rpc(place, timeout=5.0, **keys) as server:
+            return await server.identity()
+
+    for place in places:
+        without, other = place.replace("tls:", "tcp:"), distributed.Security.temporary().get_connection_args("client")
+        for address, keys in ((without, {}), (place, {"connection_args": other})):
+            with pytest.raises(distributed.comm.core.CommClosedError):
+                asyncio.run(identity(address, **keys))
+        assert asyncio.run(identity(place, connection_args=client.security.get_connection_args("client")))["id"]
+
+
+def workers_info(client) -> list[dict]:
+    return list(client.scheduler_info()["workers"].values())
+
+
+def test_what_dask_serves_by_http_has_no_page_and_is_of_this_machine_alone(started):
+    me = psutil.Process()
+    listening = [
+        each.laddr
+        for process in (me, *me.children(recursive=True))
+        for each in process.net_connections(kind="tcp")
+        if each.status == psutil.CONN_LISTEN
+    ]
+    assert len(listening) >= 4
+    assert {address.ip for address in listening} == {"127.0.0.1"}
+    dashboards = [started._client.scheduler_info()["services"]["dashboard"]]
+    dashboards += [each["services"]["dashboard"] for each in workers_info(started._client)]
+    for port in dashboards:
+        for page in ("", "health", "metrics", "info/main/workers.html", "json/counts.json", "status", "sysmon"):
+            with pytest.raises(urllib.error.HTTPError, match="404") as refused:
+                urllib.request.urlopen(f"http://127.0.0.1:{port}/{page}", timeout=10.0)
+            refused.value.close()
+
+
+def test_nobody_else_may_write_where_workers_import_from(started):
+    [folder] = [Path(each["local_directory"]) for each in workers_info(started._client)]
+    own = next(parent for parent in folder.parents if parent.name.startswith("bathynerf-"))
+    assert own.stat().st_mode & 0o077 == 0
+
+
+def test_a_scheduler_with_tls_is_reached_by_the_settings_of_dask(run_and_photograph):
+    distributed = pytest.importorskip("distributed")
+    import dask
+
+    keys = distributed.Security.temporary()
+    scheduler = {"cls": distributed.Scheduler, "options": FREE_PORTS | {"protocol": "tls://", "security": keys}}
+    worker = {"cls": distributed.Worker, "options": {"nthreads": 1, "protocol": "tls://", "security": keys}}
+    settings = {
+        "distributed.comm.tls.ca-file": keys.tls_ca_file,
+        "distributed.comm.tls.client.cert": keys.tls_client_cert,
+        "distributed.comm.tls.client.key": keys.tls_client_key,
+    }
+    with distributed.SpecCluster(
+        workers={0: worker}, scheduler=scheduler, security=keys, silence_logs="ERROR"
+    ) as cluster:
+        place = cluster.scheduler_address
+        with dask.config.set(settings), workers_for(1, place, WorkerNeeds(*run_and_photograph), print) as workers:
+            assert workers._client.scheduler.address == place
+        with (
+            pytest.raises(
+                SurveyError, match=f"--scheduler {place} gave no 1 workers .* give Dask the keys of a tls://"
+            ),
+            workers_for(1, place, WorkerNeeds(*run_and_photograph), print),
+        ):
+            pass
 
 
 def test_workers_of_this_machine_share_its_gpus(monkeypatch):
@@ -390,8 +465,9 @@ def test_a_script_that_is_run_again_by_its_processes_is_told_how_to_stand():
     def start(**_options):
         raise RuntimeError("Nanny failed to start.")
 
+    Security = SimpleNamespace(temporary=object)
     with pytest.raises(SurveyError, match='`if __name__ == "__main__":` around what it does; else take workers=1'):
-        start_workers._local_cluster(SimpleNamespace(LocalCluster=start), 2)
+        start_workers._local_cluster(SimpleNamespace(LocalCluster=start, Security=Security), 2, "/tmp")
 
 
 # Set when the other worker has computed five of six tasks, which is all that one slow worker leaves it.

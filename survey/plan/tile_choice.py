@@ -178,9 +178,14 @@ def _for_frames(ground: Area) -> int:
     return math.prod(math.ceil((ground[axis + 2] - ground[axis]) / FRAME_M) for axis in (0, 1))
 
 
+def has_dask() -> bool:
+    """Whether Dask is installed, and what makes its keys."""
+    return find_spec("distributed") is not None and find_spec("cryptography") is not None
+
+
 def require_dask(chosen: Choices) -> None:
     """Raise where workers are asked for and Dask is not installed."""
-    if _asks_for_workers(chosen) is not None and find_spec("distributed") is None:
+    if _asks_for_workers(chosen) is not None and not has_dask():
         raise SurveyError(NO_DASK)
 
 
@@ -219,7 +224,7 @@ def with_free_cores(choice: TileChoice, chosen: Choices) -> TileChoice:
         return choice
     cores = machine.num_cores()
     number = min(cores // _CORES_OF_WORKER, len(choice.tiling), int(_budget(chosen)[0] // choice.memory_bytes))
-    if number < 2 or find_spec("distributed") is None:
+    if number < 2 or not has_dask():
         return choice
     each = size(choice.memory_bytes)
     return _of_processes(

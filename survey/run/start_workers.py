@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import os
 import shutil
+import tempfile
 import uuid
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from geo.files import reporting_disk_errors
 from survey.errors import SurveyError
-from survey.plan.tile_choice import NO_DASK
+from survey.plan.tile_choice import NO_DASK, has_dask
 from survey.run.task_at_url import require_reachable
 from survey.run.worker_task import ANOTHER_VERSION, loaded_code
 from survey.run.workers import ALLOWED_FAILURES, GPU, WORKER_TIMEOUT_S, Workers
@@ -43,11 +43,10 @@ def workers_for(
         If Dask is not installed, no worker comes, or one has no or another version of the program, several threads, or
         does not see the folder or a photograph; or if none has the resource GPU.
     """
-    try:
-        import distributed
-    except ModuleNotFoundError as error:
-        raise SurveyError(NO_DASK) from error
+    if not has_dask():
+        raise SurveyError(NO_DASK)
     import dask
+    import distributed
 
     of_dask = {
         "distributed.scheduler.allowed-failures": ALLOWED_FAILURES,
@@ -61,32 +60,44 @@ def workers_for(
         "distributed.worker.profile.enabled": False,
         "distributed.admin.tick.limit": "1h",
         "logging.distributed": "error",
+        # Its pages and those of workers have no authentication.
+        "distributed.scheduler.http.routes": [],
+        "distributed.worker.http.routes": [],
     }
-    with dask.config.set(of_dask):
-        cluster: Any = nullcontext(scheduler)
+    with dask.config.set(of_dask), ExitStack() as stack:
+        cluster: Any = scheduler
         if scheduler is None:
-            cluster = _local_cluster(distributed, number)
-        with cluster as place, _client_of(distributed, place, scheduler, number) as client:
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="bathynerf-"))
+            cluster = stack.enter_context(_local_cluster(distributed, number, folder))
+        with _client_of(distributed, cluster, scheduler, number) as client:
             if scheduler is None:
                 client.register_plugin(_cores_plugin(distributed, number, gpus() if needs.takes_gpu else []))
             of = "this machine" if scheduler is None else scheduler
-            note(f"workers: {len(client.nthreads())} of {of}, {_watched(client, scheduler)}")
+            note(f"workers: {len(client.nthreads())} of {of}")
             are_started = scheduler is None
             needs = replace(needs, takes_gpu=False, url=None) if are_started else needs
             _check(client, needs)
             yield Workers(client, needs.stages, are_started=are_started, takes_gpu=needs.takes_gpu, url=needs.url)
 
 
-def _local_cluster(distributed: Any, number: int) -> Any:
+def _local_cluster(distributed: Any, number: int, folder: str) -> Any:
+    """Processes of this machine that only the holder of a key of this run reaches, whatever the settings of Dask.
+
+    Workers import from their folder: nobody else may write in it or beside it, as in Dask's folder in /tmp.
+    """
     try:
         return distributed.LocalCluster(
             n_workers=number,
             threads_per_worker=1,
             processes=True,
             memory_limit=0,
+            security=distributed.Security.temporary(),
+            protocol="tls",
+            host="127.0.0.1",
+            local_directory=folder,
             dashboard_address=None,
             # Any free port: 8787, the default, may be that of another cluster.
-            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+            scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
             silence_logs="ERROR",
         )
     except RuntimeError as error:
@@ -102,25 +113,17 @@ def _client_of(distributed: Any, place: Any, scheduler: str | None, number: int)
     try:
         client = distributed.Client(place, timeout=WORKER_TIMEOUT_S)
         client.wait_for_workers(number, timeout=WORKER_TIMEOUT_S)
-    except (OSError, TimeoutError, ValueError) as error:
+    # TypeError without the keys of tls://, RuntimeError where Dask is told to refuse tcp://.
+    except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:
         if client is not None:
             client.close()
         which = "this machine" if scheduler is None else f"--scheduler {scheduler}"
+        keys = ", give Dask the keys of a tls:// address (docs/scaling.md)" if scheduler is not None else ""
         raise SurveyError(
-            f"{which} gave no {number} workers within {WORKER_TIMEOUT_S:.0f} s ({error}); start them, or leave "
+            f"{which} gave no {number} workers within {WORKER_TIMEOUT_S:.0f} s ({error}); start them{keys}, or leave "
             "the option out"
         ) from error
     return client
-
-
-def _watched(client: Any, scheduler: str | None) -> str:
-    """Address at which Dask shows its tasks in a browser, in words."""
-    if scheduler is not None:
-        return f"to be watched at {client.dashboard_link}, where its scheduler has bokeh"
-    if find_spec("bokeh") is None:
-        return "to be watched in a browser with bokeh (pip install bokeh)"
-    # Of this machine alone, whatever address others know it by.
-    return f"to be watched at http://127.0.0.1:{client.scheduler_info()['services']['dashboard']}/status"
 
 
 def _check(client: Any, needs: WorkerNeeds) -> None:

@@ -8,10 +8,18 @@ import numpy as np
 import pytest
 
 from survey.errors import ControlError, SurveyError
-from survey.files.column_units import Units
 from survey.files.csv_table import read_table
 from survey.files.json_values import finite_number
-from survey.files.point_table import PLACE, read_points, require_exact, several_heights, stated_units
+from survey.files.point_table import (
+    PLACE,
+    STDS,
+    Units,
+    accuracy_warnings,
+    read_points,
+    require_exact,
+    several_heights,
+    stated_units,
+)
 from survey.settings.config import parse_config
 
 POINTS = [("p1", 676120.25, 5311480.5, 581.375), ("p2", 676121.0, 5311481.25, -3.5)]
@@ -258,3 +266,36 @@ def test_two_heights_at_one_place_are_named(unit_m, apart, is_named):
     found = several_heights(names, places, unit_m)
     assert found == ([f"a (5.00) and c ({5.0 + apart:.2f})"] if is_named else [])
     assert several_heights([], np.empty((0, 3))) == []
+
+
+@pytest.mark.parametrize(
+    ("names", "stds"),
+    [
+        (("Easting RMS", "Northing RMS", "Elevation RMS"), STDS), (("sde(m)", "sdn(m)", "sdu(m)"), STDS),
+        (("std_e", "std_n", "std_h"), STDS), (("rms_e", "rms_n", "rms_u"), STDS),
+        (("HRMS", "VRMS"), ("std_horizontal", "std_height")),
+        (("Lateral RMS", "Vertical RMS"), ("std_horizontal", "std_height")),
+        (("Accuracy",), ("std",)), (("RMS",), ("std",)), (("CQ 3D",), None), (("Hz Precision", "Vt Precision"), None),
+        (("3D Quality",), None), (("CEP 95",), None), (("sigma position",), None), (("antenna height",), ()),
+    ],
+)  # fmt: skip
+def test_a_column_that_states_an_accuracy_is_read_or_named(tmp_path, names, stds):
+    """``stds`` is None where it is named, and empty where there is none."""
+    path = tmp_path / "points.csv"
+    written(path, ["name", *PLACE, *names], [["a", 1.0, 2.0, 3.0, *[0.25] * len(names)]], ",")
+    (row,) = read_points(path, optional=("name", "std", "std_horizontal", *STDS), error=SurveyError)
+    warnings = accuracy_warnings(path, SurveyError)
+    assert bool(warnings) == (stds is None)
+    assert all(name.lower() in text for text in warnings for name in names)
+    assert all(row.number(name) == 0.25 for name in stds or ())
+
+
+@pytest.mark.parametrize(
+    ("word", "is_named"), [("FIX", 0), ("Fixed", 0), ("FLOAT", 1), ("single", 1), ("DGPS", 1), ("", 0)]
+)
+def test_a_solution_that_is_not_fixed_is_named(tmp_path, word, is_named):
+    path = tmp_path / "points.csv"
+    written(path, ["name", *PLACE, "Solution status"], [["a", 1.0, 2.0, 3.0, "FIX"], ["b", 1.0, 2.0, 3.0, word]], ",")
+    warnings = accuracy_warnings(path, SurveyError)
+    assert len(warnings) == is_named
+    assert all(f"1 of 2 points are {word}" in text for text in warnings)

@@ -41,8 +41,8 @@ from survey.compare.options import (
     within,
 )
 from survey.compare.pictures import write_report
-from survey.files.column_units import Units
 from survey.files.json_values import write_json
+from survey.files.point_table import Units
 from survey.progress import current
 
 __all__ = ["CompareOptions", "Comparison", "compare_files", "compare_surfaces"]

@@ -28,9 +28,9 @@ from geo.shapes import (
 )
 from geo.values import check_values, rounded_coordinates
 from survey.compare.options import Bounds, CompareError, ShiftedFrame, as_text, within
-from survey.files.column_units import Units, crs_of_comment
+from survey.files.crs_lines import crs_of_comment
 from survey.files.csv_table import Row, shortened
-from survey.files.point_table import PLACE, read_points
+from survey.files.point_table import PLACE, Units, read_points
 
 # How a user tells the level that depths count from.
 GIVE_LEVEL = "give --water-level"

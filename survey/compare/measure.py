@@ -42,8 +42,8 @@ from survey.compare.figures import CheckpointFigures, Parts, ReferenceSurface, V
 from survey.compare.inputs import DEPTH_NAMES, GIVE_LEVEL, Inputs
 from survey.compare.options import Bounds, CompareError, metres_in_crs, to_local, within
 from survey.display.quantities import named
-from survey.files.column_units import Units, crs_of_comment
-from survey.files.point_table import PLACE, read_points, require_exact, several_heights
+from survey.files.crs_lines import crs_of_comment
+from survey.files.point_table import PLACE, Units, read_points, require_exact, several_heights
 from survey.progress import current
 
 # Extra bytes of a cloud: the depth below the water in metres, angle at the water in degrees, views that agree.

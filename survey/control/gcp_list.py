@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 
 from survey.control.points import Content, ControlFormat, GivenMark, GivenPoint, is_check_role
 from survey.errors import ControlError
-from survey.files.column_units import is_odm_crs, odm_crs
+from survey.files.crs_lines import is_odm_crs, odm_crs
 from survey.files.csv_table import number_of, shortened, text_lines
 from survey.photos.exif import SUFFIXES
 

@@ -10,7 +10,7 @@ import numpy as np
 from pyproj import CRS
 
 from survey.errors import ControlError
-from survey.files.column_units import Units
+from survey.files.point_table import Units
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +107,7 @@ class Content:
 
     points: tuple[GivenPoint, ...] = ()
     marks: tuple[GivenMark, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

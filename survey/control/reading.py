@@ -17,8 +17,8 @@ from survey.control import gcp_list, metashape_xml, opensfm_json, tables
 from survey.control.points import Content, GivenMark, GivenPoint, Mark
 from survey.display.quantities import named
 from survey.errors import ControlError, Findings
-from survey.files.column_units import Units
 from survey.files.csv_table import text_lines
+from survey.files.point_table import Units
 from survey.photos.names import ImageNames
 
 # Tried in this order to recognise a file; COORDINATES takes every .csv that MARKS does not.
@@ -154,6 +154,7 @@ def merge_control(
     marked = {mark.point for mark in marks}
     unmarked = [point for name, point in points.items() if name not in marked]
     lost = [f"{point.name} ({point.where})" for point in unmarked if not point.is_check]
+    warnings += [warning for content in contents for warning in content.warnings]
     warnings += named(lost, "control point", "without a mark in a photograph, left out")
     kept = tuple(point for name, point in points.items() if name in marked)
     warnings += _warnings(kept)

@@ -10,17 +10,27 @@ from pyproj import CRS
 from geo.crs import horizontal_crs
 from survey.control.points import Content, ControlFormat, GivenMark, GivenPoint, is_check_role, require_std
 from survey.errors import ControlError
-from survey.files.column_units import Units, crs_of_comment
-from survey.files.csv_table import Row, column_names, read_table, shortened
-from survey.files.point_table import PLACE, STDS, SYNONYMS, has_depths, read_points, require_exact, stated_units
+from survey.files.crs_lines import crs_of_comment
+from survey.files.csv_table import Row, Table, column_names, shortened, words_of
+from survey.files.point_table import (
+    PLACE,
+    STDS,
+    WORDS,
+    Units,
+    accuracy_warnings,
+    has_depths,
+    read_points,
+    require_exact,
+    stated_units,
+)
 
 # Names of the columns in other programs.
-_MARK_SYNONYMS = {
-    **dict.fromkeys(("photo", "photograph", "file", "filename", "camera", "image_name"), "image"),
-    **dict.fromkeys(("label", "point", "gcp", "marker", "point name", "point_name"), "name"),
-    **dict.fromkeys(("px", "u", "x_px", "pixel_x", "col"), "x"),
-    **dict.fromkeys(("py", "v", "y_px", "pixel_y", "row"), "y"),
-}
+_MARK_WORDS = words_of({
+    "image": ("photo", "photograph", "file", "filename", "camera", "image_name"),
+    "name": ("label", "point", "gcp", "marker", "point name", "point_name"),
+    "x": ("px", "u", "x_px", "pixel_x", "col"),
+    "y": ("py", "v", "y_px", "pixel_y", "row"),
+})  # fmt: skip
 _MARK_COLUMNS = ("image", "name", "x", "y")
 
 
@@ -35,10 +45,11 @@ def read_coordinates(path: Path) -> Content:
     columns, optional = ("name", *PLACE), ("std", "std_horizontal", *STDS, "role", "enable")
     rows = read_points(path, optional=("name", *optional), error=ControlError)
     require_exact(rows, path, ControlError)
-    if rows and "name" not in column_names(path, SYNONYMS):
+    if rows and "name" not in column_names(path, WORDS):
         raise ControlError(f"{path}: the first line has no column name, expected {','.join(columns)}; add it")
     crs, units = crs_of_comment(path, ControlError), stated_units(path, ControlError)
-    return Content(points=tuple(replace(_point(row, crs), units=units) for row in rows))
+    points = tuple(replace(_point(row, crs), units=units) for row in rows)
+    return Content(points, warnings=accuracy_warnings(path, ControlError))
 
 
 def read_marks(path: Path) -> Content:
@@ -49,7 +60,7 @@ def read_marks(path: Path) -> Content:
     ControlError
         If a column is missing, or a value is not a finite number.
     """
-    rows = read_table(path, _MARK_COLUMNS, synonyms=_MARK_SYNONYMS, error=ControlError)
+    rows = Table.read(path, _MARK_WORDS, ControlError).rows(_MARK_COLUMNS)
     marks = (
         GivenMark(row.text("name"), row.text("image"), row.where, (row.number("x"), row.number("y"))) for row in rows
     )
@@ -111,17 +122,17 @@ def _std(row: Row) -> tuple[float, float, float] | None:
     return None
 
 
-def _has(path: Path, columns: tuple[str, ...], synonyms: dict[str, str]) -> bool:
-    return set(columns) <= set(column_names(path, synonyms))
+def _has(path: Path, columns: tuple[str, ...], words: dict[str, str]) -> bool:
+    return set(columns) <= set(column_names(path, words))
 
 
 MARKS = ControlFormat(
     name="a table image,name,x,y of marks",
-    recognises=lambda path: _has(path, _MARK_COLUMNS, _MARK_SYNONYMS),
+    recognises=lambda path: _has(path, _MARK_COLUMNS, _MARK_WORDS),
     read=read_marks,
 )
 COORDINATES = ControlFormat(
     name="a table name,easting,northing,height",
-    recognises=lambda path: path.suffix.casefold() == ".csv" or _has(path, ("name", *PLACE), SYNONYMS),
+    recognises=lambda path: path.suffix.casefold() == ".csv" or _has(path, ("name", *PLACE), WORDS),
     read=read_coordinates,
 )

@@ -1,7 +1,9 @@
-"""Tables with named columns in text files: comma, semicolon or tab between the values, every error with its line.
+"""Tables in text files: columns by their names, under any of the trade and with a unit; every error with its line.
 
 The first line that is neither empty nor a comment (# or //) decides the separator: a tab if it has one, else a
-semicolon, else a comma. Unless that is a comma, a comma in a number is the decimal one.
+semicolon, else a comma, else blanks. Behind tabs and semicolons a comma in a number is the decimal one. That line names
+the columns, or the comment before it does where it has numbers. What is at fault raises the SurveyError that the caller
+names.
 """
 
 from __future__ import annotations
@@ -9,10 +11,12 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import dropwhile
 from pathlib import Path
 
+from geo.stated import unit_named
 from survey.errors import SurveyError
 from survey.files.json_values import LARGEST
 
@@ -20,6 +24,25 @@ _SPACE = " "
 # What the csv module of Python takes as one value.
 _LONGEST_LINE = 100_000
 _QUOTED = re.compile(r'"[^"]*"')
+_IN_BRACKETS = re.compile(r"(.*?)[\s_]*[(\[]\s*([^()\[\]]+?)\s*[)\]]")
+_DEGREES = ("deg", "degree", "degrees", "°", "dd", "decimal degrees")
+# Of two feet, which differ by 2e-6.
+_SAME_UNIT = 1e-9
+_UNSPECIFIED_FOOT = ("ft", "foot", "feet")
+
+
+class UnspecifiedFoot(float):
+    """A foot [m] of unknown kind, international or US survey; international where nothing decides."""
+
+
+def same_unit(a: float, b: float) -> bool:
+    """Whether two units [m] are one."""
+    return abs(a / b - 1.0) < _SAME_UNIT
+
+
+def words_of(columns: Mapping[str, Iterable[str]]) -> dict[str, str]:
+    """Words by which columns are known, to their names: each name itself, and what else it is called."""
+    return {word: name for name, words in columns.items() for word in (name, *words)}
 
 
 @dataclass(frozen=True)
@@ -27,31 +50,18 @@ class Row:
     """Row of a table."""
 
     where: str  # Path and line number, for messages
-    # dict of str to str: texts of the requested columns, by name; of optional ones only those that the table has
-    cells: dict[str, str]
+    cells: dict[str, str]  # Texts of the requested columns, by name; of optional ones only those that the table has
     decimal: str  # "." or ","
-    error: type[SurveyError]  # what is raised
+    error: type[SurveyError]  # What is raised
 
     def text(self, name: str) -> str:
-        """The text in a column.
-
-        Raises
-        ------
-        SurveyError
-            If it is empty.
-        """
+        """The text in a column; SurveyError if it is empty."""
         if not self.cells[name]:
             raise self.error(f"{self.where}: {name} is empty, expected a text; give it or remove the line")
         return self.cells[name]
 
     def number(self, name: str, *, default: float | None = None) -> float:
-        """The finite number in a column; `default` where the table does not have the column or the cell is empty.
-
-        Raises
-        ------
-        SurveyError
-            If there is no such number.
-        """
+        """The finite number in a column; `default` where the table does not have the column or the cell is empty."""
         text = self.cells.get(name, "")
         if not text and default is not None:
             return default
@@ -63,108 +73,137 @@ class Row:
             )
         return value
 
+    def multiplied(self, factors: Mapping[str, float]) -> Row:
+        """The row with the numbers of some columns multiplied; empty cells stay."""
+        changed = {
+            name: repr(self.number(name) * factor)
+            for name, factor in factors.items()
+            if factor != 1.0 and self.cells.get(name)
+        }
+        return replace(self, cells=self.cells | changed)
+
+
+@dataclass(frozen=True)
+class Column:
+    """Column of a table."""
+
+    cell: str  # Its name in the file, lower case
+    name: str  # What it means by the words of its reader; as in the file where it is none of them
+    unit_m: float | None  # [m], where its name in the file states one
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table in a text file, its head read."""
+
+    path: Path
+    columns: tuple[Column, ...]  # Empty where the first line has numbers, and no comment before it names them
+    first: tuple[str, ...]  # Cells of the first line
+    start: int  # Number of the first line of values
+    delimiter: str
+    error: type[SurveyError]
+
+    @classmethod
+    def read(cls, path: Path, words: Mapping[str, str], error: type[SurveyError] = SurveyError) -> Table:
+        """The head of a table in UTF-8, with or without a byte order mark.
+
+        Parameters
+        ----------
+        words : mapping of str to str
+            Names that a column may have in the file, lower case, to what they mean: `words_of`.
+        """
+        title = ""
+        for numbered in text_lines(path, error):
+            if _is_comment(numbered[1]):
+                title = numbered[1].lstrip().lstrip("#/").lstrip()
+            elif not _is_empty(numbered[1]):
+                break
+        else:
+            return cls(path, (), (), 1, ",", error)
+        number, line = numbered
+        delimiter = _delimiter(line)
+        cells = _cells(f"{path}, line {number}", line, delimiter, error)
+        columns = _columns(cells, words)
+        if any(math.isfinite(number_of(cell, ",")) for cell in cells) and _num_known(columns, words) < 2:
+            columns, number = _columns(_cells(str(path), title, delimiter, error), words), number - 1
+            if not (len(columns) >= len(cells) > 1 and _num_known(columns, words) > 1):
+                columns = ()
+        return cls(path, columns, tuple(cells), number + 1, delimiter, error)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the columns mean."""
+        return tuple(column.name for column in self.columns)
+
+    @property
+    def units(self) -> dict[str, float]:
+        """Units [m] of the columns whose names in the file state one."""
+        return {column.name: column.unit_m for column in reversed(self.columns) if column.unit_m is not None}
+
+    @property
+    def decimal(self) -> str:
+        """The decimal mark beside the point."""
+        return "." if self.delimiter in (",", _SPACE) else ","
+
+    def named(self, names: Iterable[str]) -> Table:
+        """The table with its columns called by their place."""
+        return replace(self, columns=tuple(Column(name, name, None) for name in names))
+
+    def common_unit_m(self, one: str, other: str) -> float | None:
+        """The unit [m] that two columns have by their names in the file; None where these state none."""
+        units = [self.units.get(one), self.units.get(other)]
+        if units[0] is None or units[1] is None or not same_unit(units[0], units[1]):
+            if units == [None, None]:
+                return None
+            stated = ["without a unit" if unit is None else f"in units of {unit:.10g} m" for unit in units]
+            raise self.error(
+                f"{self.path}: {one} is {stated[0]} and {other} {stated[1]}, by the names of their columns; expected "
+                "one unit: convert one, or name it in both"
+            )
+        return units[0]
+
+    def rows(self, columns: Iterable[str], optional: Iterable[str] = ()) -> list[Row]:
+        """All rows, with the columns that the table must have and those that it may have, in any order."""
+        columns, names = tuple(columns), self.names
+        missing = [name for name in columns if name not in names]
+        if missing:
+            found = shortened(",".join(names or self.first)) or "nothing"
+            raise self.error(
+                f"{self.path}: the first line has no column {', '.join(missing)}; expected {','.join(columns)}, found "
+                f"{found}"
+            )
+        place = {name: names.index(name) for name in (*columns, *optional) if name in names}
+        needed, rows = 1 + max(place[name] for name in columns), []
+        for number, line in dropwhile(lambda each: each[0] < self.start, text_lines(self.path, self.error)):
+            if _is_comment(line) or _is_empty(line):
+                continue
+            where = f"{self.path}, line {number}"
+            cells = _cells(where, line, self.delimiter, self.error)
+            if len(cells) < needed:
+                raise self.error(f"{where}: {len(cells)} values were found, expected {needed}; complete the line")
+            texts = {name: cells[i] for name, i in place.items() if i < len(cells)}
+            rows.append(Row(where, texts, self.decimal, self.error))
+        return rows
+
 
 def read_table(
-    path: Path,
-    columns: Sequence[str],
-    *,
-    optional: Sequence[str] = (),
-    header: bool = True,
-    synonyms: Mapping[str, str] | None = None,
-    error: type[SurveyError] = SurveyError,
+    path: Path, columns: Iterable[str], *, optional: Iterable[str] = (), error: type[SurveyError] = SurveyError
 ) -> list[Row]:
-    """Rows of a table with the named columns, in any order, with any others between them.
-
-    Parameters
-    ----------
-    path : Path
-        In UTF-8, with or without a byte order mark.
-    columns : names, lower case
-        That the table must have; upper and lower case count alike in the file.
-    optional : names, lower case
-        That it may have.
-    header : bool
-        Whether the first line must name the columns; if not, values may be in the order of `columns` and
-        `optional`, after a first line of other words or none.
-    synonyms : mapping of names, lower case, to those of columns, optional
-        Other names that a file may have. The last comment before the first line may name the columns too.
-    error : type
-        What is raised.
-
-    Raises
-    ------
-    SurveyError
-        If the file cannot be read, a column is missing, or a line has too few values or a quote without an end.
-    """
-    title, lines = _title_and_lines(path, error)
-    delimiter = _delimiter(lines[0][1]) if lines else ","
-    decimal = "." if delimiter in (",", _SPACE) else ","
-    rows = [(number, _cells(f"{path}, line {number}", line, delimiter, error)) for number, line in lines]
-    names = _names(rows[0][1], synonyms) if rows else []
-    if synonyms is not None and title is not None and not set(columns) <= set(names):
-        of_title = _names(_cells(str(path), title, delimiter, error), synonyms)
-        if set(columns) <= set(of_title):
-            rows, names = [(0, []), *rows], of_title
-    missing = [name for name in columns if name not in names]
-    if missing and header:
-        raise error(
-            f"{path}: the first line has no column {', '.join(missing)}; expected {','.join(columns)}, found "
-            f"{shortened(','.join(names)) or 'nothing'}"
-        )
-    if missing:
-        place = {name: i for i, name in enumerate((*columns, *optional))}
-    else:
-        place = {name: names.index(name) for name in (*columns, *optional) if name in names}
-    begins_with_values = missing and rows and any(math.isfinite(number_of(cell, decimal)) for cell in rows[0][1])
-    needed = 1 + max(place[name] for name in columns)
-    found = []
-    for number, cells in rows if begins_with_values else rows[1:]:
-        where = f"{path}, line {number}"
-        if len(cells) < needed:
-            raise error(f"{where}: {len(cells)} values were found, expected {needed}; complete the line")
-        texts = {name: cells[i] for name, i in place.items() if i < len(cells)}
-        found.append(Row(where, texts, decimal, error))
-    return found
+    """Rows of a table whose columns have these names: `Table.read`, `Table.rows`."""
+    columns, optional = tuple(columns), tuple(optional)
+    return Table.read(path, {name: name for name in (*columns, *optional)}, error).rows(columns, optional)
 
 
-def column_names(path: Path, synonyms: Mapping[str, str] | None = None) -> list[str]:
-    """Names of the columns of a table, lower case; none if the file is not text.
-
-    With synonyms those in the last comment before the first line too, as `read_table` takes them.
-    """
-    texts = []
+def column_names(path: Path, words: Mapping[str, str] | None = None) -> tuple[str, ...]:
+    """What the columns of a table mean; none if the file is not text."""
     try:
-        for _, line in text_lines(path, SurveyError):
-            if _is_comment(line):
-                texts = [] if synonyms is None else [_bare(line)]
-            elif not _is_empty(line):
-                texts.append(line)
-                break
-        return [name for text in texts for name in _names(_cells("", text, _delimiter(text), SurveyError), synonyms)]
+        return Table.read(path, words or {}).names
     except SurveyError:
-        return []
-
-
-def first_cells(path: Path, error: type[SurveyError]) -> list[str]:
-    """Cells of the first line of a table, or of the comment before it where that has as many; lower case."""
-    title, lines = _title_and_lines(path, error)
-    if not lines:
-        return []
-    cells = [cell.casefold() for cell in _cells(str(path), lines[0][1], _delimiter(lines[0][1]), error)]
-    if title is not None and any(math.isfinite(number_of(cell, ",")) for cell in cells):
-        named = [cell.casefold() for cell in _cells(str(path), title, _delimiter(title), error)]
-        return named if len(named) >= len(cells) > 1 else cells
-    return cells
+        return ()
 
 
 def text_lines(path: Path, error: type[SurveyError]) -> Iterator[tuple[int, str]]:
-    """Numbers and texts of all lines of a file in UTF-8, with or without a byte order mark.
-
-    Raises
-    ------
-    SurveyError
-        If the file cannot be read or is not UTF-8.
-    """
+    """Numbers and texts of all lines of a file in UTF-8, with or without a byte order mark."""
     try:
         with path.open(encoding="utf-8-sig") as file:
             for number, line in enumerate(file, start=1):
@@ -181,33 +220,65 @@ def shortened(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _title_and_lines(path: Path, error: type[SurveyError]) -> tuple[str | None, list[tuple[int, str]]]:
-    """The last comment before the lines, without its mark; numbers and texts of those neither empty nor comments."""
-    title: str | None = None
-    lines: list[tuple[int, str]] = []
-    for number, line in text_lines(path, error):
-        if _is_comment(line):
-            title = title if lines else _bare(line)
-        elif not _is_empty(line):
-            lines.append((number, line))
-    return title, lines
+def number_of(text: str, decimal: str = ".") -> float:
+    """A number; NaN where the text is none. With a decimal comma, a point is good too, but not both.
+
+    Python reads "100_0001", the name of a photograph, as a number.
+    """
+    if "_" in text:
+        return math.nan
+    if decimal == "," and "." not in text:
+        text = text.replace(",", ".", 1)
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def meaning(cell: str, words: Mapping[str, str]) -> tuple[str, float | None] | None:
+    """Meaning of a column and its unit [m], by its name in lower case; None where the name is none of the words.
+
+    Examples
+    --------
+    >>> words = {"z": "height", "depth": "depth", "std_m": "std"}
+    >>> meaning("depth_ft", words), meaning("z [m]", words), meaning("std_m", words), meaning("z_up", words)
+    (('depth', 0.3048), ('height', 1.0), ('std', None), None)
+    """
+    if cell in words:
+        return words[cell], None
+    for bare, unit in _parts(cell):
+        if bare in words and unit in _DEGREES:
+            return words[bare], None
+        metres = unit_named(unit) if bare in words else None
+        if metres is not None:
+            return words[bare], UnspecifiedFoot(metres) if unit in _UNSPECIFIED_FOOT else metres
+    return None
+
+
+def _parts(cell: str) -> Iterator[tuple[str, str]]:
+    """A name and what may be its unit: in brackets, or behind an underscore or blank."""
+    if (found := _IN_BRACKETS.fullmatch(cell)) is not None:
+        yield found[1], found[2]
+    for i, letter in enumerate(cell):
+        if letter in "_ " and 0 < i < len(cell) - 1:
+            yield cell[:i], cell[i + 1 :]
+
+
+def _columns(cells: Iterable[str], words: Mapping[str, str]) -> tuple[Column, ...]:
+    lower = [cell.casefold() for cell in cells]
+    return tuple(Column(cell, *(meaning(cell, words) or (cell, None))) for cell in lower)
+
+
+def _num_known(columns: tuple[Column, ...], words: Mapping[str, str]) -> int:
+    return sum(meaning(column.cell, words) is not None for column in columns)
 
 
 def _is_comment(line: str) -> bool:
     return line.lstrip().startswith(("#", "//"))
 
 
-def _bare(comment: str) -> str:
-    return comment.lstrip().lstrip("#/").lstrip()
-
-
 def _is_empty(line: str) -> bool:
     return not line.strip(" \t,;")
-
-
-def _names(cells: Sequence[str], synonyms: Mapping[str, str] | None) -> list[str]:
-    names = [cell.casefold() for cell in cells]
-    return names if synonyms is None else [synonyms.get(name, name) for name in names]
 
 
 def _delimiter(line: str) -> str:
@@ -222,22 +293,7 @@ def _cells(where: str, line: str, delimiter: str, error: type[SurveyError]) -> l
     try:
         if delimiter == _SPACE:
             line = line.strip()
-        cells = next(csv.reader([line], delimiter=delimiter, strict=True, skipinitialspace=delimiter == _SPACE))
+        cells = next(csv.reader([line], delimiter=delimiter, strict=True, skipinitialspace=delimiter == _SPACE), [])
         return [cell.strip() for cell in cells if delimiter != _SPACE or cell]
     except csv.Error as problem:
         raise error(f"{where}: {problem}; expected a closing quote on the same line") from problem
-
-
-def number_of(text: str, decimal: str = ".") -> float:
-    """A number; NaN where the text is none. With a decimal comma, a point is good too, but not both.
-
-    Python reads "100_0001", the name of a photograph, as a number.
-    """
-    if "_" in text:
-        return math.nan
-    if decimal == "," and "." not in text:
-        text = text.replace(",", ".", 1)
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan

@@ -7,70 +7,108 @@ place only where a file has numbers alone. A unit in the name of a column counts
 from __future__ import annotations
 
 import math
+import re
 import statistics
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from pyproj import CRS
 
+from geo.crs import has_height, height_unit_m, horizontal_unit, is_geographic
 from geo.errors import GeoError
+from geo.stated import US_SURVEY_FOOT_M
 from geo.values import is_no_data_value, rounded_coordinates
 from survey.errors import SurveyError
-from survey.files.column_units import Units, common_unit_m, meaning
-from survey.files.csv_table import Row, column_names, first_cells, number_of, read_table, shortened
+from survey.files.csv_table import Row, Table, UnspecifiedFoot, number_of, same_unit, shortened, words_of
 
 PLACE = ("easting", "northing", "height")
 STDS = ("std_east", "std_north", "std_height")
-# What programs and surveyors call the columns.
-SYNONYMS = {
-    **dict.fromkeys(
-        ("label", "point", "gcp", "id", "point name", "point_name", "#label", "p", "no", "nr", "pt"), "name"
-    ),
-    **dict.fromkeys(("e", "east", "x", "x/easting", "x/east", "x/longitude", "longitude", "lon"), "easting"),
-    **dict.fromkeys(("n", "north", "y", "y/northing", "y/north", "y/latitude", "latitude", "lat"), "northing"),
-    **dict.fromkeys(
-        (
-            "h",
-            "z",
-            "z/altitude",
-            "z/height",
-            "altitude",
-            "alt",
-            "elevation",
-            "elev",
-            "up",
-            "hgt",
-            "bed_elevation",
-            "bottom_elevation",
-        ),
-        "height",
-    ),
-    **dict.fromkeys(("accuracy", "sigma", "accuracy_x/y/z_(m)", "accuracy_(m)", "std_m", "stddev", "sd"), "std"),
-    **dict.fromkeys(("accuracy_x/y_(m)", "accuracy_x/y/_(m)"), "std_horizontal"),
-    **dict.fromkeys(("std_e", "accuracy_x_(m)", "accuracy_x/easting_(m)", "accuracy_x"), "std_east"),
-    **dict.fromkeys(("std_n", "accuracy_y_(m)", "accuracy_y/northing_(m)", "accuracy_y"), "std_north"),
-    **dict.fromkeys(
-        ("std_h", "std_up", "accuracy_z_(m)", "accuracy_z/altitude_(m)", "accuracy_z", "std_z"), "std_height"
-    ),
-    **dict.fromkeys(("depths", "true_depth", "water_depth", "sounding"), "depth"),
+_ALL_STDS = ("std", "std_horizontal", *STDS)
+# What programs and surveyors call the columns. RMS and SD of receivers are standard deviations of one coordinate.
+WORDS = words_of({
+    "name": ("label", "point", "gcp", "id", "point name", "point_name", "#label", "p", "no", "nr", "pt"),
+    "easting": ("e", "east", "x", "x/easting", "x/east", "x/longitude", "longitude", "lon"),
+    "northing": ("n", "north", "y", "y/northing", "y/north", "y/latitude", "latitude", "lat"),
+    "height": ("h", "z", "z/altitude", "z/height", "altitude", "alt", "elevation", "elev", "up", "hgt",
+               "bed_elevation", "bottom_elevation"),
+    "std": ("accuracy", "sigma", "accuracy_x/y/z_(m)", "accuracy_(m)", "std_m", "stddev", "sd", "rms"),
+    "std_horizontal": ("accuracy_x/y_(m)", "accuracy_x/y/_(m)", "hrms", "horizontal rms", "lateral rms"),
+    "std_east": ("std_e", "accuracy_x_(m)", "accuracy_x/easting_(m)", "accuracy_x", "easting rms", "rms_e", "sde",
+                 "longitude rms", "east rms"),
+    "std_north": ("std_n", "accuracy_y_(m)", "accuracy_y/northing_(m)", "accuracy_y", "northing rms", "rms_n", "sdn",
+                  "latitude rms", "north rms"),
+    "std_height": ("std_h", "std_up", "accuracy_z_(m)", "accuracy_z/altitude_(m)", "accuracy_z", "std_z", "vrms",
+                   "elevation rms", "height rms", "ellipsoidal height rms", "vertical rms", "rms_h", "rms_u", "sdu"),
+    "depth": ("depths", "true_depth", "water_depth", "sounding"),
     # Of the water over each point, where depths count from.
-    **dict.fromkeys(("wse", "ws_elev", "water_level", "water_surface", "water_surface_elevation"), "level"),
-    **dict.fromkeys(("class", "classification", "scalar_classification"), "classification"),
-    **dict.fromkeys(("type", "use"), "role"),
-    **dict.fromkeys(("enabled",), "enable"),
-}
-_STDS = ("std", "std_horizontal", *STDS)
-_WORDS = SYNONYMS | {name: name for name in (*PLACE, *_STDS, "depth", "level")}
+    "level": ("wse", "ws_elev", "water_level", "water_surface", "water_surface_elevation"),
+    "classification": ("class", "scalar_classification"),
+    "role": ("type", "use"), "enable": ("enabled",),
+    "solution": ("solution status", "solution_status", "solution type", "fix", "fix type", "fix_type", "fix status"),
+    "layer": ("code", "feature", "feature code", "description", "desc", "point code"),
+})  # fmt: skip
 # Other words for a height, of which a table has one alone, or says which counts.
 _HEIGHTS = ("ellipsoidal", "orthometric", "geoid height", "ellipsoidal_height", "orthometric_height")
-_DEGREES = ("lon", "lat")
+_ACCURACY = re.compile(r"rms|sigma|std|accura|precis|uncert|\bcq\b|\bcep\b|\bsd[enuh]?\b|quality")
+# Solutions of a receiver that are as good as its carrier phase: what else there is has decimetres or metres.
+_FIXED = ("fix", "fixed", "rtk fixed", "rtk fix", "rtk_fixed", "integer", "4", "1", "yes", "true", "ppk fixed")
 # Levels of one survey [in units of height]: a river falls by less over it.
 _MOST_APART = 50.0
 # A standard deviation in the fourth place is no more than this [m]; a northing is.
 _MOST_STD_M = 10.0
 # Of one point measured again the heights differ by less [m]; of a place with more points than so many a few are named.
 _SAME_HEIGHT_M, _MOST_NAMED = 0.1, 3
+_FEET = (0.3048, US_SURVEY_FOOT_M)
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units of the coordinates of a table."""
+
+    # plan_m, height_m [m] or None: None where nothing says them, and of degrees
+    plan_m: float | None = None
+    height_m: float | None = None
+
+    @staticmethod
+    def of(crs: CRS | None, heights: CRS | None = None) -> Units:
+        """Units of a CRS, with those of another one's heights where it has none; metres by default."""
+        heights = crs if heights is None or (crs is not None and has_height(crs)) else heights
+        height = height_unit_m(heights) if heights is not None and has_height(heights) else 1.0
+        if crs is None:
+            return Units(1.0, height)
+        return Units(None if is_geographic(crs) else horizontal_unit(crs), height)
+
+    def meant(self, target: Units) -> Units:
+        """These units, with a foot of unknown kind taken as that of the target, where the target has feet."""
+
+        def one(stated: float | None, own: float | None) -> float | None:
+            is_foot = own is not None and any(same_unit(own, foot) for foot in _FEET)
+            return own if isinstance(stated, UnspecifiedFoot) and is_foot else stated
+
+        return Units(one(self.plan_m, target.plan_m), one(self.height_m, target.height_m))
+
+    def height_factor(self, target: Units) -> float:
+        """Factor that converts heights in these units to those of the target; 1 where either is not known."""
+        return 1.0 if self.height_m is None or target.height_m is None else self.height_m / target.height_m
+
+    def plan_fault(self, target: Units) -> str | None:
+        """Fault of the unit of eastings and northings, whose CRS has those of the target; None for none.
+
+        Examples
+        --------
+        >>> Units(plan_m=0.3048).plan_fault(Units(1.0, 1.0))
+        'eastings and northings are in units of 0.3048 m by the names of their columns, expected 1 m as in the CRS'
+        """
+        if self.plan_m is None or (target.plan_m is not None and same_unit(self.plan_m, target.plan_m)):
+            return None
+        message = "degrees" if target.plan_m is None else f"{target.plan_m:.10g} m"
+        return (
+            f"eastings and northings are in units of {self.plan_m:.10g} m by the names of their columns, expected "
+            f"{message} as in the CRS"
+        )
 
 
 def read_points(
@@ -101,80 +139,77 @@ def read_points(
         Of the CRS of the points, which heights and depths get where the table has them in others. Without it heights
         stay as they are: `stated_units`.
     error : type
-        What is raised.
-
-    Raises
-    ------
-    SurveyError
-        Where columns are missing, two have the same meaning, or eastings are in another unit; as
-        `survey.files.csv_table.read_table`.
+        Raised where columns are missing, two have one meaning, eastings are in another unit, or a height stands for no
+        data.
     """
-    synonyms, stated = _synonyms_for(path, error), stated_units(path, error)
-    if by_place and _is_of_numbers(path, error):
-        return _refuse_no_data(read_table(path, PLACE, optional=("std",), header=False, error=error), "height", error)
-    names = column_names(path, synonyms)
-    found = shortened(", ".join(names)) or "nothing"
-    _require_one_column(path, synonyms, error)
+    table = _table(path, error)
+    if by_place and not table.columns and table.first:
+        return [_with_data(row, "height") for row in _by_place(table).rows(PLACE, ("std",))]
+    names, stated = table.names, _units(table)
+    _require_one_column(table)
     stated = stated if units is None else stated.meant(units)
-    fault = None if units is None else stated.plan_fault(units)
-    if fault is not None:
+    if units is not None and (fault := stated.plan_fault(units)) is not None:
         raise error(f"{path}: {fault}; convert them")
-    factor = 1.0 if units is None else stated.height_factor(units)
-    if has_depths(path):
-        has_levels = "level" in names
-        if level is None and not has_levels:
-            remedy = f"{give_level}, or subtract" if give_level else "subtract"
-            raise error(
-                f"{path} has depths, expected heights in crs: {remedy} them from the level of the water they count "
-                "from, and call the column height"
-            )
-        heights = ("depth", "level") if has_levels else ("depth",)
-        rows = read_table(path, (*PLACE[:2], *heights), optional=optional, synonyms=synonyms, error=error)
-        for name in heights:
-            rows = _scaled(_refuse_no_data(rows, name, error), name, factor)
-        _require_near(rows, level, path, error)
-        return _in_metres(_above(rows, level, path, error), path, error)
-    missing = [name for name in PLACE if name not in names]
-    if missing:
+    heights = ("depth", *(["level"] if "level" in names else [])) if _has_depths(table) else ("height",)
+    if heights == ("depth",) and level is None:
+        remedy = f"{give_level}, or subtract" if give_level else "subtract"
+        raise error(
+            f"{path} has depths, expected heights in crs: {remedy} them from the level of the water they count "
+            "from, and call the column height"
+        )
+    if missing := [name for name in (*PLACE[:2], *heights) if name not in names]:
+        found = shortened(", ".join(names or table.first)) or "nothing"
         raise error(
             f"{path}: the first line has no column {', '.join(missing)}; expected easting, northing, height (or E, N, "
             f"Z; X, Y, Z; longitude, latitude, altitude), in any order, found {found}"
         )
-    rows = _refuse_no_data(read_table(path, PLACE, optional=optional, synonyms=synonyms, error=error), "height", error)
-    return _in_metres(_scaled(rows, "height", factor), path, error)
+    rows = table.rows((*PLACE[:2], *heights), optional)
+    for name in heights:
+        rows = [_with_data(row, name) for row in rows]
+    factors = dict.fromkeys(heights, 1.0 if units is None else stated.height_factor(units))
+    factors |= {name: unit for name, unit in table.units.items() if name in _ALL_STDS}
+    rows = [_of_metres(row.multiplied(factors)) for row in rows]
+    return rows if heights == ("height",) else _above(rows, level, path, error)
 
 
 def stated_units(path: Path, error: type[SurveyError]) -> Units:
-    """Units that the names of the columns of a table give its coordinates, depths among them.
-
-    Raises
-    ------
-    SurveyError
-        Where easting and northing have two units, or one of them has none.
-    """
-    synonyms = _synonyms_for(path, error)
-    words = [(cell, known) for cell in first_cells(path, error) if (known := meaning(cell, _WORDS)) is not None]
-    # Not those of degrees beside grid coordinates.
-    found = {name: unit for cell, (name, unit) in words if synonyms.get(cell, cell) == name}
-    plan = common_unit_m(found, (PLACE[0], PLACE[1]), path, error)
-    if has_depths(path) and "level" in found:
-        common_unit_m(found, ("depth", "level"), path, error)
-    return Units(plan, found.get("height" if "height" in found else "depth"))
+    """Units that the names of the columns of a table give its coordinates, depths among them."""
+    return _units(_table(path, error))
 
 
-def _in_metres(rows: Sequence[Row], path: Path, error: type[SurveyError]) -> list[Row]:
-    """Rows with standard deviations in metres, whose columns may name another unit."""
-    units = {known[0]: known[1] for cell in first_cells(path, error) if (known := meaning(cell, _WORDS)) is not None}
-    done = list(rows)
-    for name in _STDS:
-        done = _scaled(done, name, units.get(name) or 1.0)
-        for row in done:
-            if row.cells.get(name) and row.number(name) > _MOST_STD_M:
-                raise error(
-                    f"{row.where}: {name} is {row.number(name):g} m, expected at most {_MOST_STD_M:g} m; name its unit "
-                    f"in the first line, e.g. {name}_mm, or correct it"
-                )
-    return done
+def has_depths(path: Path) -> bool:
+    """Whether a table has depths and no heights."""
+    try:
+        return _has_depths(_table(path, SurveyError))
+    except SurveyError:
+        return False
+
+
+def accuracy_warnings(path: Path, error: type[SurveyError]) -> tuple[str, ...]:
+    """Warnings where a table of points states an accuracy in columns that are not read, or no fixed solution."""
+    table = _table(path, error)
+    unread = [c.cell for c in table.columns if c.name == c.cell not in WORDS and _ACCURACY.search(c.cell)]
+    warnings = []
+    if unread and not set(_ALL_STDS) & set(table.names):
+        warnings.append(
+            f"{path.name} has the column{'s' if len(unread) > 1 else ''} {', '.join(unread[:6])}, which may state an "
+            "accuracy and is not read; call standard deviations std_east, std_north and std_height, or std for all"
+        )
+    if "solution" in table.names:
+        words = Counter(shortened(row.cells["solution"]) for row in table.rows(("solution",)))
+        others = {word: num for word, num in words.items() if word and word.casefold() not in _FIXED}
+        if others:
+            listed = ", ".join(f"{num} of {sum(words.values())} points are {word}" for word, num in others.items())
+            warnings.append(
+                f"{path.name}: {listed} by their solution, not fixed and so known to decimetres or worse; measure "
+                "them again, or leave them out where the block does not need them"
+            )
+    return tuple(warnings)
+
+
+def height_std(row: Row, default: float) -> float:
+    """The standard deviation [m] of the height of a row; that of all three directions, or the default, without one."""
+    return row.number("std_height", default=row.number("std", default=default))
 
 
 def require_exact(rows: Sequence[Row], path: Path, error: type[SurveyError]) -> None:
@@ -197,105 +232,95 @@ def several_heights(names: Sequence[str], places: np.ndarray, height_unit_m: flo
     return several
 
 
-def _scaled(rows: Sequence[Row], name: str, factor: float) -> list[Row]:
-    """Rows with the numbers of a column times a factor; empty cells stay."""
-    if factor == 1.0:
-        return list(rows)
-    return [
-        replace(row, cells=row.cells | {name: repr(row.number(name) * factor)}) if row.cells.get(name) else row
-        for row in rows
-    ]
-
-
-def _refuse_no_data(rows: Sequence[Row], name: str, error: type[SurveyError]) -> list[Row]:
-    """Rows as they are; raises where a height, or a depth, is what programs write that have none."""
-    for row in rows:
-        places = [row.number(each) for each in (*PLACE[:2], name)]
-        if is_no_data_value(places[2]):
-            raise error(f"{row.where}: the {name} is {row.cells[name]}, a no-data value; remove the line")
-    return list(rows)
-
-
-def _synonyms_for(path: Path, error: type[SurveyError]) -> dict[str, str]:
-    """The names that count in a table: of one with grid coordinates and degrees, those of the grid."""
-    synonyms = _with_units(first_cells(path, error))
-    plan_columns = {cell for cell in first_cells(path, error) if synonyms.get(cell, cell) in PLACE[:2]}
-    degrees = {cell for cell in plan_columns if cell.startswith(_DEGREES)}
-    if {synonyms.get(cell, cell) for cell in plan_columns - degrees} >= set(PLACE[:2]):
+def _table(path: Path, error: type[SurveyError]) -> Table:
+    """The head of a table of points; of one with grid coordinates and degrees, the grid counts."""
+    table = Table.read(path, WORDS, error)
+    degrees = {c for c in table.columns if c.cell.startswith(("lon", "lat")) and c.name in PLACE[:2]}
+    if set(PLACE[:2]) <= {c.name for c in table.columns if c not in degrees}:
         # Their own names again, which no column is asked for by.
-        return {**synonyms, **{cell: cell for cell in degrees}}
-    return synonyms
+        columns = (replace(c, name=c.cell, unit_m=None) if c in degrees else c for c in table.columns)
+        return replace(table, columns=tuple(columns))
+    return table
 
 
-def has_depths(path: Path) -> bool:
-    """Whether a table has depths and no heights."""
-    try:
-        names = column_names(path, _with_units(first_cells(path, SurveyError)))
-    except SurveyError:
-        return False
-    return "depth" in names and "height" not in names
+def _by_place(table: Table) -> Table:
+    """A table of numbers alone, its columns taken by their place; raises where it has others than of points."""
+    numbers = [number_of(cell, ",") for cell in table.first]
+    is_plain = len(numbers) in (3, 4) and all(math.isfinite(number) for number in numbers)
+    if not is_plain or (len(numbers) == 4 and not 0.0 <= numbers[3] <= _MOST_STD_M):
+        raise table.error(
+            f"{table.path} has {len(numbers)} columns without names ({shortened(', '.join(table.first))}), expected "
+            "easting, northing, height and perhaps a standard deviation in metres; name the columns in a first line"
+        )
+    return table.named((*PLACE, "std")[: len(numbers)])
+
+
+def _has_depths(table: Table) -> bool:
+    return "depth" in table.names and "height" not in table.names
+
+
+def _units(table: Table) -> Units:
+    if _has_depths(table) and "level" in table.units:
+        table.common_unit_m("depth", "level")
+    height = "height" if "height" in table.names else "depth"
+    return Units(table.common_unit_m(*PLACE[:2]), table.units.get(height))
+
+
+def _with_data(row: Row, name: str) -> Row:
+    """The row; raises where a height, or a depth, is what programs write that have none."""
+    places = [row.number(each) for each in (*PLACE[:2], name)]
+    if is_no_data_value(places[2]):
+        raise row.error(f"{row.where}: the {name} is {row.cells[name]}, a no-data value; remove the line")
+    return row
+
+
+def _of_metres(row: Row) -> Row:
+    """The row; raises where a standard deviation is no number of metres."""
+    for name in _ALL_STDS:
+        if row.cells.get(name) and row.number(name) > _MOST_STD_M:
+            raise row.error(
+                f"{row.where}: {name} is {row.number(name):g} m, expected at most {_MOST_STD_M:g} m; name its unit "
+                f"in the first line, e.g. {name}_mm, or correct it"
+            )
+    return row
 
 
 def _above(rows: Sequence[Row], level: float | None, path: Path, error: type[SurveyError]) -> list[Row]:
     """Rows with heights in place of depths below their own levels, or else below one for all."""
+    if not rows:
+        return []
     depths = [row.number("depth") for row in rows]
-    if rows and statistics.median(depths) < 0.0:
+    if statistics.median(depths) < 0.0:
         raise error(
             f"{path} has a column depth whose numbers are negative ({depths[0]:g}), expected depths that count down "
             "from the water; change their sign, or call the column height if they are heights in crs"
         )
     levels = [row.number("level", default=None if "level" in row.cells else level) for row in rows]
+    own = statistics.median(levels)
+    # Readings of a gauge, of another datum.
+    if level is not None and abs(own - level) > _MOST_APART:
+        raise error(
+            f"{path} has levels of the water about {own:g} beside its depths, and the water stands at {level:g}; give "
+            "levels in the heights of crs, or remove the column so that all depths count from that level"
+        )
     return [
         replace(row, cells=row.cells | {"height": repr(own - depth)})
         for row, own, depth in zip(rows, levels, depths, strict=True)
     ]
 
 
-def _require_near(rows: Sequence[Row], level: float | None, path: Path, error: type[SurveyError]) -> None:
-    """Raise where the levels of a table are far from that of the water: readings of a gauge, of another datum."""
-    if level is None or not rows or "level" not in rows[0].cells:
-        return
-    own = statistics.median(row.number("level") for row in rows)
-    if abs(own - level) > _MOST_APART:
-        raise error(
-            f"{path} has levels of the water about {own:g} beside its depths, and the water stands at {level:g}; give "
-            "levels in the heights of crs, or remove the column so that all depths count from that level"
-        )
-
-
-def _with_units(cells: Sequence[str]) -> dict[str, str]:
-    """The words that columns are known by, with these names of columns that have a unit behind them."""
-    return SYNONYMS | {cell: known[0] for cell in cells if (known := meaning(cell, _WORDS)) is not None}
-
-
-def _require_one_column(path: Path, synonyms: dict[str, str], error: type[SurveyError]) -> None:
+def _require_one_column(table: Table) -> None:
     """Raise where two columns have one meaning: of heights also where one is a height and another a depth."""
-    cells = first_cells(path, error)
-    for name in (*PLACE[:2], "depth", *(("level",) if has_depths(path) else ())):
-        twice = [cell for cell in cells if synonyms.get(cell, cell) == name]
+    for name in (*PLACE[:2], "depth", *(("level",) if _has_depths(table) else ())):
+        twice = [column.cell for column in table.columns if column.name == name]
         if len(twice) > 1:
-            raise error(
-                f"{path} has {len(twice)} columns that may be the {name}, {' and '.join(twice)}; keep the one that "
-                f"counts in crs, and call it {name}"
+            raise table.error(
+                f"{table.path} has {len(twice)} columns that may be the {name}, {' and '.join(twice)}; keep the one "
+                f"that counts in crs, and call it {name}"
             )
-    height_columns = [cell for cell in cells if synonyms.get(cell, cell) in ("height", "depth") or cell in _HEIGHTS]
-    if len(height_columns) > 1:
-        raise error(
-            f"{path} has {len(height_columns)} columns of heights, {' and '.join(height_columns)}; keep the "
-            "one that counts in the heights of crs, and call it height"
+    heights = [c.cell for c in table.columns if c.name in ("height", "depth") or c.cell in _HEIGHTS]
+    if len(heights) > 1:
+        raise table.error(
+            f"{table.path} has {len(heights)} columns of heights, {' and '.join(heights)}; keep the one that counts in "
+            "the heights of crs, and call it height"
         )
-
-
-def _is_of_numbers(path: Path, error: type[SurveyError]) -> bool:
-    """Whether the first line is not a line of words; raises where such a table cannot be taken by place."""
-    cells = first_cells(path, error)
-    numbers = [number_of(cell, ",") for cell in cells]
-    if not any(math.isfinite(number) for number in numbers):
-        return False
-    is_plain = len(cells) in (3, 4) and all(math.isfinite(number) for number in numbers)
-    if not is_plain or (len(cells) == 4 and not 0.0 <= numbers[3] <= _MOST_STD_M):
-        raise error(
-            f"{path} has {len(cells)} columns without names ({shortened(', '.join(cells))}), expected easting, "
-            "northing, height and perhaps a standard deviation in metres; name the columns in a first line"
-        )
-    return True

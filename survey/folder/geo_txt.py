@@ -19,7 +19,7 @@ from geo.crs import has_height, height_unit_m, horizontal_crs, horizontal_unit, 
 from geo.transformation import lon_lat
 from survey.display.quantities import named
 from survey.errors import Findings, PosesError
-from survey.files.column_units import odm_crs
+from survey.files.crs_lines import odm_crs
 from survey.files.csv_table import number_of, shortened, text_lines
 from survey.folder.plausible import SAME_PLACE_M
 from survey.photos.exif import SUFFIXES, Exif, TablePlace

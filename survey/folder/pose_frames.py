@@ -24,7 +24,8 @@ from geo.frames import LocalFrame
 from geo.projection import MapProjection, enu_from_geocentric, geocentric_from_geodetic, geodetic_from_geocentric
 from geo.transformation import Transformation, height_scale
 from survey.errors import PosesError
-from survey.files.column_units import Units, same_unit
+from survey.files.csv_table import same_unit
+from survey.files.point_table import Units
 from survey.photos.cameras import View
 from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame
 from survey.sfm.datum import area_at, height_transformer

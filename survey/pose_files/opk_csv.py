@@ -6,15 +6,15 @@ Omega, phi and kappa count about the grid axes at the camera, yaw from true nort
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
 
 from survey.errors import PosesError
-from survey.files.column_units import common_unit_m, crs_of_comment, meaning
-from survey.files.csv_table import Row, column_names, read_table
+from survey.files.crs_lines import crs_of_comment
+from survey.files.csv_table import Row, Table, column_names, words_of
 from survey.photos.poses import DuplicatePose, GivenPosition, Pose, PoseFile, PoseFrame
 from survey.photos.rotations import CAM_FROM_OPK_CAM, enu_from_yaw_pitch_roll, grid_from_opk
 from survey.pose_files.format import Format, is_lens_key
@@ -25,7 +25,7 @@ _YPR, _GIMBAL = ("yaw", "pitch", "roll"), ("gimbal_yaw", "gimbal_pitch", "gimbal
 # As Metashape calls the poses that it found, beside the positions of its reference.
 _ESTIMATED = {name: f"{name}_est" for name in (*_PLACE, *_OPK, *_YPR)}
 _STDS = ("std_east", "std_north", "std_height")
-_WORDS = {
+_WORDS = words_of({
     "image": ("photo", "photograph", "file", "filename", "file_name", "imagename", "image_name", "name", "label",
               "camera", "photoid", "#label", "#name", "#image"),
     "easting": ("e", "east", "x", "x/easting", "x/east"), "northing": ("n", "north", "y", "y/northing", "y/north"),
@@ -38,15 +38,14 @@ _WORDS = {
     "easting_est": ("x_est",), "northing_est": ("y_est",), "height_est": ("z_est",),
     "std": ("accuracy", "sigma", "std_position"), "std_east": ("std_e", "sx", "std_easting", "accuracy_x"),
     "std_north": ("std_n", "sy", "std_northing", "accuracy_y"), "std_height": ("std_h", "sz", "std_up", "accuracy_z"),
-}  # fmt: skip
-_NAMES = {word: name for name, words in _WORDS.items() for word in (name, *words)}
+})  # fmt: skip
 # A camera that looks straight down has this pitch by its gimbal, and 0 by the convention of photogrammetry.
 _GIMBAL_DOWN_DEG = -90.0
 
 
 def is_opk_csv(path: Path) -> bool:
     """Whether the first line of a file has the columns of a table of poses."""
-    return _columns(column_names(path, _synonyms(path))) is not None
+    return _columns(column_names(path, _WORDS)) is not None
 
 
 def read_opk_csv(path: Path) -> PoseFile:
@@ -61,22 +60,21 @@ def read_opk_csv(path: Path) -> PoseFile:
         Where a column is missing, a number is missing or not finite, a pitch is that of a gimbal, or an image has two
         lines.
     """
-    synonyms = _synonyms(path)
-    columns = _columns(column_names(path, synonyms)) or dict(zip(COLUMNS, COLUMNS, strict=True))
-    names = tuple(columns.values())
-    units = _units(path)
-    rows = read_table(path, names, optional=("std", *_STDS), synonyms=synonyms, error=PosesError)
+    table = Table.read(path, _WORDS, PosesError)
+    columns = _columns(table.names) or dict(zip(COLUMNS, COLUMNS, strict=True))
+    names, units = tuple(columns.values()), table.units
+    rows = table.rows(names, ("std", *_STDS))
     poses: dict[str, Pose] = {}
     for row in rows:
         pose = _pose(row, names, units)
         if pose.name in poses:
             raise DuplicatePose(pose.name, row.where)
         poses[pose.name] = pose
-    of_lens = [name for name in column_names(path) if is_lens_key(name)]
+    of_lens = [column.cell for column in table.columns if is_lens_key(column.cell)]
     warning = f"columns of a lens in {path.name} ({', '.join(of_lens[:10])}) are not read: give it in [cameras]"
     warnings = (warning,) if of_lens else ()
     crs = crs_of_comment(path, PosesError) or (CRS("EPSG:4326") if names[1] == "longitude" else None)
-    height_m, plan_m = units.get(names[3]), common_unit_m(units, (names[1], names[2]), path, PosesError)
+    height_m, plan_m = units.get(names[3]), table.common_unit_m(names[1], names[2])
     if "omega" in columns:
         return PoseFile(
             tuple(poses.values()),
@@ -102,18 +100,7 @@ def read_opk_csv(path: Path) -> PoseFile:
     )
 
 
-def _synonyms(path: Path) -> dict[str, str]:
-    """The meanings of the columns of a table, by their names in it, units among them."""
-    return {cell: known[0] for cell in column_names(path, {}) if (known := meaning(cell, _NAMES)) is not None}
-
-
-def _units(path: Path) -> dict[str, float]:
-    """Units [m] that the names of the columns of a table have, by meaning."""
-    found = [known for cell in column_names(path, {}) if (known := meaning(cell, _NAMES)) is not None]
-    return {name: unit for name, unit in found if unit is not None}
-
-
-def _columns(names: list[str]) -> dict[str, str] | None:
+def _columns(names: Sequence[str]) -> dict[str, str] | None:
     """Names of the columns of a pose in a table; None where they are not all there."""
     found = set(names)
     estimated = all(_ESTIMATED[name] in found for name in _PLACE)

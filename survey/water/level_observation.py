@@ -32,9 +32,8 @@ from geo.shapes import in_height_unit, vertices_of
 from geo.transformation import height_scale, lon_lat, transformed
 from survey.display.quantities import length
 from survey.errors import ConfigError
-from survey.files.column_units import Units
 from survey.files.csv_table import Row, read_table
-from survey.files.point_table import read_points
+from survey.files.point_table import Units, read_points
 from survey.settings.config import WaterConfig
 from survey.water.surface_features import points_of_features
 

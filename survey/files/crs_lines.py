@@ -1,0 +1,89 @@
+"""CRS in comments of tables, and in the first line of the files of OpenDroneMap."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from geo.crs import crs_of
+from survey.errors import SurveyError
+from survey.files.csv_table import number_of, shortened, text_lines
+
+_COMMENT = re.compile(r"#\s*CoordinateSystem:\s*(.+)", re.IGNORECASE)
+# A comment that is nothing but a code, under one of the names that people have for it.
+_CODE = re.compile(
+    r"(?:#|//)\s*(?:(?:crs|srs|srid|projection|coordinates?(?: reference)?(?: system)?)(?: in| is)?\s*[:=]?\s*)?"
+    r"(EPSG\s*[:=]\s*\d+(?:\+\d+)?)",
+    re.IGNORECASE,
+)
+_SRID = re.compile(r"(?:#|//)\s*SRID\s*[:=]\s*(\d+)", re.IGNORECASE)
+_UTM = re.compile(r"WGS\s*84\s+UTM\s+(\d{1,2})\s*([NS])", re.IGNORECASE)
+# OpenSfM's word for longitude and latitude.
+_WGS84 = re.compile(r"WGS\s*84", re.IGNORECASE)
+_EPSG = re.compile(r"EPSG:\s*(\d{1,9}(?:\+\d{1,9})?)", re.IGNORECASE)
+_FORM = 'e.g. "EPSG:25832", "WGS84 UTM 32N" or "+proj=utm +zone=32 +datum=WGS84"'
+
+
+def crs_of_comment(path: Path, error: type[SurveyError]) -> CRS | None:
+    """The CRS in a line ``# CoordinateSystem: WKT or code``, ``# EPSG:code`` or ``# crs = EPSG:code``.
+
+    None where there is none, one of the site, or a datum of heights alone; ``error`` where it is not known.
+    """
+    lines = (line.strip() for _, line in text_lines(path, error))
+    found = next((named for line in lines if (named := _crs_named(line)) is not None), None)
+    if found is None or "LOCAL_CS" in found:
+        return None
+    try:
+        crs = crs_of(found.strip())
+    except CRSError as wrong:
+        raise error(
+            f"{path}: the CRS {shortened(found)} of a comment is not a known CRS; correct the comment, or remove it "
+            "where coordinates are in the crs of survey.toml"
+        ) from wrong
+    # A comment on what heights count from does not tell where places are.
+    return None if crs.is_vertical and not crs.is_compound else crs
+
+
+def _crs_named(line: str) -> str | None:
+    """CRS that a line of a file names."""
+    if match := _COMMENT.match(line):
+        return match[1]
+    if match := _SRID.fullmatch(line):
+        return f"EPSG:{match[1]}"
+    match = _CODE.fullmatch(line)
+    return None if match is None else re.sub(r"\s*[:=]\s*", ":", match[1])
+
+
+def is_odm_crs(line: str) -> bool:
+    """Whether a line has the form of one that names a CRS."""
+    return "+proj" in line or any(known.fullmatch(line) for known in (_UTM, _EPSG, _WGS84))
+
+
+def odm_crs(line: str, where: str, name: str, error: type[SurveyError]) -> CRS:
+    """The CRS that a line names, without blanks around it; ``where`` and ``name`` tell line and file in an error."""
+    if _WGS84.fullmatch(line):
+        return CRS.from_epsg(4326)
+    utm, epsg = _UTM.fullmatch(line), _EPSG.fullmatch(line)
+    message = f'{where}: "{shortened(line)}"'
+    if utm is not None:
+        zone = int(utm[1])
+        if not 1 <= zone <= 60:
+            raise error(f"{message} is not a UTM zone, expected 1 to 60; correct it")
+        return CRS.from_epsg((32600 if utm[2].upper() == "N" else 32700) + zone)
+    if not is_odm_crs(line):
+        if sum(math.isfinite(number_of(word)) for word in line.split()) > 1:
+            raise error(f"{message} is a line of a point, expected the CRS before it, {_FORM}; add it")
+        raise error(f"{message} is not a CRS that {name} may begin with, expected {_FORM}; correct it")
+    try:
+        crs = crs_of(f"EPSG:{epsg[1]}" if epsg is not None else line.strip("'\""))
+    except CRSError as wrong:
+        raise error(f"{message} is not a known CRS, expected {_FORM}; correct it") from wrong
+    if not (crs.is_projected or crs.is_geographic):
+        raise error(
+            f"{message} is {crs.name}, expected a CRS of a map or of longitude and latitude, {_FORM}; correct it"
+        )
+    return crs

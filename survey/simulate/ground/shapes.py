@@ -234,10 +234,22 @@ class Solid:
 
 def near_solids(solids: Sequence, origin: np.ndarray, direction: np.ndarray, t_end: np.ndarray) -> np.ndarray:
     """Whether rays (N, 3) pass through the ball around each body before `t_end` (N,): (N, number of solids)."""
-    centres, radii = np.array([s.centre for s in solids]), np.array([s.radius for s in solids])
-    along = direction @ centres.T - np.einsum("ij,ij->i", origin, direction)[:, None]
-    distance2 = np.einsum("ij,ij->i", origin, origin)[:, None] - 2.0 * origin @ centres.T + (centres**2).sum(axis=1)
-    return (distance2 - along**2 < radii**2) & (along > -radii) & (along < t_end[:, None] + radii)
+    near = np.zeros((len(origin), len(solids)), dtype=bool)
+    # Rays of neighbouring pixels are close to each other: most bodies lie beside the box around all of them.
+    with np.errstate(invalid="ignore"):
+        ends = origin + t_end[:, None] * direction
+    low, high = np.minimum(origin, ends).min(axis=0), np.maximum(origin, ends).max(axis=0)
+    from_origin2 = np.einsum("ij,ij->i", origin, origin)
+    start = np.einsum("ij,ij->i", origin, direction)
+    for index, solid in enumerate(solids):
+        centre, radius = np.asarray(solid.centre), solid.radius
+        # A ray without an end makes a bound NaN, which no comparison rules out.
+        if ((centre + radius < low) | (centre - radius > high)).any():
+            continue
+        along = direction @ centre - start
+        distance2 = from_origin2 - 2.0 * (origin @ centre) + centre @ centre
+        near[:, index] = (distance2 - along**2 < radius**2) & (along > -radius) & (along < t_end + radius)
+    return near
 
 
 def rotation(yaw: float, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:

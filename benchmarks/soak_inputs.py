@@ -37,7 +37,7 @@ from geo.reading import read_reference
 from survey.control.reading import read_control
 from survey.errors import SurveyError
 from survey.folder.geo_txt import with_positions
-from survey.photos.complete import fault_of
+from survey.photos.complete import require_complete
 from survey.photos.exif import Exif, read_exif
 from survey.pose_files import find_poses, read_poses, read_ties
 from survey.settings.config import parse_config
@@ -171,7 +171,7 @@ def obj(path: Path) -> None:
 
 
 def look(path: Path) -> object:
-    return read_exif(path), fault_of(path)
+    return read_exif(path), require_complete(path)
 
 
 HEADS = {name: Exif((640, 480), None, 800.0, 1, "DJI", None) for name in ("0000.jpg", "0001.jpg")}

@@ -182,9 +182,9 @@ def test_heic_without_poses_is_refused_with_what_to_do(tmp_path):
         require_processable(folder)
 
 
-@pytest.mark.parametrize("suffix", ["jpg", "png", "tif", "webp"])
+@pytest.mark.parametrize("suffix", ["jpg", "png", "tif"])
 def test_check_decodes_no_photograph(tmp_path, monkeypatch, suffix):
-    """Of a JPEG its grey levels alone, for the count of its blocks and for seams between them."""
+    """But for the grey levels of a JPEG at an eighth of its size, for libjpeg's warnings."""
     folder = small_survey(tmp_path / "s")
     for path in sorted((folder / "images").iterdir()):
         with Image.open(path) as image:
@@ -193,11 +193,6 @@ def test_check_decodes_no_photograph(tmp_path, monkeypatch, suffix):
             path.unlink()
     cameras = folder / "cameras.csv"
     cameras.write_text(cameras.read_text().replace(".jpg", f".{suffix}"))
-    load = ImageFile.ImageFile.load
-
-    def load_grey(image):
-        return load(image) if image.mode == "L" else pytest.fail("decoded")
-
-    monkeypatch.setattr(ImageFile.ImageFile, "load", load_grey)
+    monkeypatch.setattr(ImageFile.ImageFile, "load", lambda image: pytest.fail("decoded"))
     sections = check_survey(folder, chosen=Choices(device="cpu"))
     assert rows_of(sections, "Found")["images"].startswith("4 with a pose, of 4")

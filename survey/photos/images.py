@@ -19,7 +19,7 @@ from survey.errors import ImageError, NotReached
 from survey.files.json_values import read_json_object, write_json
 from survey.files.remote import Remote
 from survey.photos.cameras import View
-from survey.photos.complete import fault_of, is_complete
+from survey.photos.complete import require_complete
 from survey.photos.exif import SUFFIXES
 from survey.photos.names import MASK_ENDING
 from survey.photos.pixels import read_grey, read_opaque, read_rgb
@@ -76,15 +76,6 @@ def is_mask_of_another(path: Path, names: set[Path]) -> bool:
     """Whether a file is the mask of another one, of whose paths with and without suffixes there is a set."""
     stem = path.stem
     return stem.lower().endswith(MASK_ENDING) and path.with_name(stem[: -len(MASK_ENDING)]) in names
-
-
-def require_complete(path: Path) -> None:
-    """Raise ImageError where an image is cut off or damaged; decoded only where its structure is not conclusive."""
-    fault = fault_of(path)
-    if fault is not None:
-        raise ImageError(f"{path} is damaged or cut off ({fault}); copy it again or remove it")
-    if not is_complete(path):
-        read_rgb(path)
 
 
 def same_files(images: Mapping[str, Path]) -> list[tuple[str, ...]]:

@@ -18,7 +18,7 @@ from geo.crs import parse_crs
 from geo.errors import GeoError
 from survey.errors import ConfigError, ImageError, SurveyError
 from survey.folder.survey import load_survey
-from survey.photos.complete import is_complete
+from survey.photos.complete import require_complete
 from survey.photos.exif import read_exif
 from survey.photos.images import read_mask
 from survey.photos.pixels import read_rgb
@@ -81,7 +81,7 @@ def folder(tmp_path_factory) -> Path:
 def test_a_damaged_photograph_is_read_or_refused(folder, suffix, how):
     path = folder / f"a{suffix}"
     path.write_bytes(damaged(SAMPLES[suffix], *how))
-    for read in (read_exif, is_complete, read_rgb, read_mask):
+    for read in (read_exif, require_complete, read_rgb, read_mask):
         try:
             read(path)
         except (ImageError, GeoError) as error:

@@ -22,6 +22,7 @@ from rich.progress import BarColumn, ProgressColumn, Task, TextColumn, TimeElaps
 from rich.progress import Progress as Bars
 from rich.text import Text
 
+from survey.escaping import printable
 from survey.forecast import LEAST_SHARE, Forecast, StepForecast
 from survey.words import wrap_for
 
@@ -96,7 +97,7 @@ class Step:
             self._step_forecast.advance(self._now(), self.done, self.total)
             self._progress.look_ahead()
         if self._bars is not None and self._task is not None:
-            description = f"{self.name}  {detail}" if detail else self.name
+            description = printable(f"{self.name}  {detail}" if detail else self.name)
             self._bars.update(self._task, completed=self.done, description=description)
         else:
             self.say_if_due(detail)
@@ -197,7 +198,7 @@ class Progress:
         ticking: AbstractContextManager[None] = nullcontext()
         if outermost and self.verbosity >= 0 and self._console.is_terminal:
             columns = (
-                TextColumn("{task.description}"),
+                TextColumn("{task.description}", markup=False),
                 BarColumn(),
                 TimeElapsedColumn(),
                 _TimeLeft(),
@@ -246,17 +247,19 @@ class Progress:
 
     def detail(self, text: str) -> None:
         """A line for the log, shown with ``-v`` only."""
+        text = printable(text)
         LOGGER.debug("%s", text)
         self._line(text, at_verbosity=1)
 
     def warn(self, text: str) -> None:
         """A line that the user must see."""
+        text = printable(text)
         LOGGER.warning("%s", text)
         self._line(f"warning: {text}", at_verbosity=-1)
 
     def log_only(self, text: str) -> None:
         """A text for the log of the run alone, e.g. a traceback."""
-        self._line(text, at_verbosity=math.inf)
+        self._line("\n".join(printable(line) for line in text.splitlines()), at_verbosity=math.inf)
 
     def close(self) -> None:
         """Close the log."""
@@ -276,6 +279,7 @@ class Progress:
         self.close()
 
     def _emit(self, text: str) -> None:
+        text = printable(text)
         LOGGER.info("%s", text)
         self._line(text)
 

@@ -55,6 +55,7 @@ LAYERS = (
 SURVEY_SHARED = {
     "__init__.py",
     "errors.py",
+    "escaping.py",
     "forecast.py",
     "machine.py",
     "progress.py",

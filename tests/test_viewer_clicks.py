@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from types import SimpleNamespace
 
 import numpy as np
@@ -149,7 +150,7 @@ def test_two_clicks_measure_and_cut(session, does):
     assert "click a second point" in session.clicks._text.content
     click(session, middle + 20)
     # Twenty points of a row 0.1 m apart.
-    assert "| in plan | 2.000\u00a0m |" in session.clicks._text.content
+    assert "| in plan | 2.000\u00a0m |" in html.unescape(session.clicks._text.content)
     assert session.clicks._picture.visible == (does == SLICE)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import sys
 import time
+import urllib.error
+import urllib.request
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,7 +19,7 @@ from survey.commands.faults import BAD_INPUT
 from survey.errors import SurveyError
 from survey.viewer import detail, session
 from survey.viewer.detail import CloudInBrowser, Style, node_arrays
-from survey.viewer.page import address, close_server, is_own_page, open_server
+from survey.viewer.page import address, close_server, is_own_page, open_server, token
 from survey.viewer.shown import Shown
 
 
@@ -98,7 +100,8 @@ def test_the_water_lies_over_the_cloud(shown):
 
 def test_a_session_listens_on_this_machine_alone_and_leaves_nothing(shown):
     with served(shown) as own:
-        assert address(own.server, "localhost") == f"http://localhost:{own.server.get_port()}"
+        assert address(own.server, "localhost") == f"http://localhost:{own.server.get_port()}/{token()}/"
+        assert len(token()) >= 20
         assert own.server.get_host() == "localhost"
         assert own.server.request_share_url() is None
 
@@ -128,7 +131,7 @@ def test_the_command_prints_its_address_and_ctrl_c_ends_it(tmp_path, stopped):
     shown = bathynerf("view", small_run(tmp_path), "--port", 8765)
     assert shown.exit_code == 0
     # Where the port is taken, the next free one.
-    assert re.fullmatch(r"http://localhost:87\d\d\n", shown.stdout)
+    assert re.fullmatch(r"http://localhost:87\d\d/[\w-]{22}/\n", shown.stdout)
     assert "warning" not in shown.stderr
 
 
@@ -170,16 +173,29 @@ def test_pages_of_other_sites_are_not_own(host, headers, is_own):
     assert is_own_page(headers, host) is is_own
 
 
-def test_a_page_of_another_site_gets_no_connection():
+def test_a_page_of_another_site_and_who_does_not_know_the_token_get_no_connection():
     from websockets.exceptions import InvalidStatus
     from websockets.sync.client import connect
 
     server = open_server("localhost", 8790, "run")
     try:
-        place = f"ws://localhost:{server.get_port()}"
-        with pytest.raises(InvalidStatus, match="403"):
-            connect(place, origin="https://elsewhere.example")
-        with connect(place, origin=place.replace("ws", "http"), subprotocols=[f"viser-v{viser.__version__}"]) as own:
+        page = address(server, "localhost")
+        # As the client of viser makes it of the address of its page.
+        place, here = page.replace("http", "ws").removesuffix("/"), f"http://localhost:{server.get_port()}"
+        for path, origin in (
+            (place, "https://elsewhere.example"),
+            (place[:-1], here),
+            (place.rpartition("/")[0], None),
+        ):
+            with pytest.raises(InvalidStatus, match="403"):
+                connect(path, origin=origin)
+        with connect(place, origin=here, subprotocols=[f"viser-v{viser.__version__}"]) as own:
             assert own.recv()
+        with urllib.request.urlopen(page) as answer:
+            assert b"Viser" in answer.read()
+        for path in (f"{here}/", f"{here}/index.html", f"{here}/{token()[:-1]}/", f"{page}../../index.html"):
+            with pytest.raises(urllib.error.HTTPError, match=r"40[34]") as refused:
+                urllib.request.urlopen(path)
+            refused.value.close()
     finally:
         close_server(server)

@@ -12,6 +12,7 @@ from pathlib import Path
 import typer
 
 from survey.commands.faults import STANDARD_OUTPUT, disk_error, fault_of, say_error
+from survey.escaping import printable
 from survey.words import wrap_for
 
 # One -q silences the progress, two silence the results as well.
@@ -41,7 +42,7 @@ class ConsoleResults:
         if self._is_silent:
             return
         try:
-            typer.secho(str(text), bold=bold)
+            typer.secho(printable(str(text), most=None), bold=bold)
         except BrokenPipeError:
             raise
         except OSError as error:
@@ -95,6 +96,6 @@ def command(
                 progress.log_only(f"error: {fault.message}\n{trace if fault.is_ours else ''}".rstrip())
     with suppress(OSError):
         if fault.is_ours and verbosity > 0:
-            typer.echo(trace, err=True)
+            typer.echo("\n".join(printable(line) for line in trace.splitlines()), err=True)
         say_error(fault.message)
     raise Ended(fault.code)

@@ -12,6 +12,7 @@ import typer
 from survey.commands.console import command
 from survey.commands.options import Quiet, Verbose
 from survey.errors import FILE_NAME
+from survey.escaping import printable
 
 EXAMPLES = """
     bathynerf init my_survey
@@ -66,4 +67,4 @@ def run(
 
 
 def _ask(question: str) -> str:
-    return typer.prompt(question, default="", show_default=False, err=True)
+    return typer.prompt(printable(question), default="", show_default=False, err=True)

@@ -23,6 +23,7 @@ from geo import write_whole
 from geo.crs import EARTH_RADIUS_M, is_geographic
 from survey.display.palette import EMPTY, INK, SOFT
 from survey.display.quantities import round_up
+from survey.escaping import figure_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -191,7 +192,7 @@ def _scale_bar(axes: Axes, metres_per_unit: float) -> float:
 
 def write_title(axes: Axes, title: str, subtitle: str = "") -> None:
     """A title, and a smaller line below it."""
-    axes.set_title(title, loc="left", color=INK, fontsize=12, pad=22 if subtitle else 10, weight="bold")
+    axes.set_title(figure_text(title), loc="left", color=INK, fontsize=12, pad=22 if subtitle else 10, weight="bold")
     if subtitle:
         axes.text(0.0, 1.0, subtitle, transform=axes.transAxes, va="bottom", color=SOFT, fontsize=9.5)
 

@@ -22,6 +22,7 @@ from survey.compare.canvas import canvas, colour_bar, map_canvas, nice_limit, sa
 from survey.display.palette import BLUE, DIFFERENCES, INK, LAND, RED, SERIES, SOFT, SPREADS
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, length, number
+from survey.escaping import figure_text
 from survey.folder.survey import Survey
 from survey.report.adjustment_figures import correlations, shown_lenses
 from survey.report.checkpoints import CheckpointAccuracy
@@ -238,7 +239,9 @@ def draw_residuals(path: Path, survey: Survey, residuals: Sequence[Residual]) ->
             axes.plot(*places[part].T, mark, ms=6.0, mfc=colour, mec=INK, mew=0.8, label=label, zorder=5)
     for each, far, distance in zip(residuals, is_far, distances, strict=True):
         name = f"{each.name} (shortened: {length(float(distance))})" if far else each.name
-        axes.annotate(name, each.place, (5, 5), textcoords="offset points", fontsize=7.5, color=INK, zorder=6)
+        axes.annotate(
+            figure_text(name), each.place, (5, 5), textcoords="offset points", fontsize=7.5, color=INK, zorder=6
+        )
     figure.legend(loc="lower center", ncols=2, frameon=False, fontsize=9)
     unit = LengthUnit.of([longest])
     title = "Control and check points"

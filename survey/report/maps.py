@@ -19,6 +19,7 @@ from survey.compare.canvas import colour_bar, figure_of, map_canvas, plain_log_t
 from survey.display.palette import COUNTS, EMPTY, INK, OBLIQUE, RED, SPREADS, WATER
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, cell_size, share
+from survey.escaping import figure_text
 from survey.photos.images import load_image
 from survey.report.facts import ReportFacts
 from survey.report.profile import Cut, draw_line
@@ -146,7 +147,7 @@ def draw_view(path: Path, facts: ReportFacts, height_maps: Sequence[HeightMap]) 
     for axes in (left, right):
         axes.set(xticks=[], yticks=[])
         axes.spines[:].set_visible(False)
-    left.set_title(view.name, loc="left", color=INK, fontsize=12, weight="bold")
+    left.set_title(figure_text(view.name), loc="left", color=INK, fontsize=12, weight="bold")
     name = "height" if depth is None else "true depth along its rays"
     right.set_title(f"Its depth map: {name}", loc="left", color=INK, fontsize=12, weight="bold")
     over_origin = f"height over the local origin [{LengthUnit.of_heights().name}]"

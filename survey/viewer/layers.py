@@ -13,6 +13,7 @@ import numpy as np
 from geo.errors import GeoError
 from survey.display.quantities import count, number
 from survey.errors import SurveyError
+from survey.escaping import markdown, printable
 from survey.photos.cameras import View
 from survey.progress import current
 from survey.viewer.detail import Style, viewpoint_of
@@ -89,7 +90,7 @@ def add_frusta(
 def _add_camera(server: viser.ViserServer, view: View, size: float) -> viser.CameraFrustumHandle:
     camera = view.camera
     handle = server.scene.add_camera_frustum(
-        f"/cameras/{view.name}",
+        f"/cameras/{printable(view.name)}",
         fov=2.0 * math.atan(0.5 * camera.height / camera.fy),
         aspect=camera.width / camera.height,
         scale=size,
@@ -260,7 +261,7 @@ class Panel:
         self.style = Style()
         gui = server.gui
         points = count(len(shown.tree.points))
-        gui.add_markdown(f"**{shown.name}**  \n{points} points, {len(shown.views)} photographs")
+        gui.add_markdown(f"**{markdown(shown.name)}**  \n{points} points, {len(shown.views)} photographs")
         # viser's properties have setters that type checkers do not see.
         self._kinds: Any = gui.add_dropdown("points by", self._labels())
         with gui.add_folder("colours", visible=False) as self._legend:

@@ -5,8 +5,11 @@ from __future__ import annotations
 import asyncio
 import html
 import io
+import secrets
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
@@ -16,6 +19,7 @@ import numpy as np
 from geo.files import write_whole
 from survey.display.quantities import number
 from survey.errors import OutputError, SurveyError
+from survey.escaping import printable
 from survey.files.outputs import ReadFiles, require_file
 from survey.viewer.layers import add_cameras, add_water, set_initial_view
 from survey.viewer.shown import SCALES, Shown
@@ -66,10 +70,11 @@ def open_server(host: str, port: int, title: str) -> viser.ViserServer:
 
 @contextmanager
 def _own_pages_only(host: str) -> Iterator[list[Any]]:
-    """Context in which a server of viser starts that refuses connections from pages of other sites.
+    """Context in which a server of viser starts that answers its own pages only, below a path that others do not know.
 
-    Browsers open a WebSocket to this machine for any page, and viser accepts all and has no hook to refuse. Yields the
-    list of guarded servers, which is empty if viser no longer serves by this function.
+    Browsers open a WebSocket to this machine for any page, and any user of the machine can, and viser accepts all and
+    has no hook to refuse. Its page opens the WebSocket at its own address. Yields the list of guarded servers, which is
+    empty if viser no longer serves by this function.
     """
     from websockets.asyncio import server as websockets
 
@@ -79,7 +84,10 @@ def _own_pages_only(host: str) -> Iterator[list[Any]]:
         def answer(connection: Any, request: Any) -> Any:
             if not is_own_page(request.headers, host):
                 return connection.respond(403, "this page is not from this server\n")
-            return process_request(connection, request)
+            given, _, path = request.path.partition("?")[0].removeprefix("/").partition("/")
+            if not secrets.compare_digest(given.encode(), token().encode()):
+                return connection.respond(403, "open the address that bathynerf view printed\n")
+            return process_request(connection, replace(request, path=f"/{path}"))
 
         made.append(serve(*arguments, process_request=answer, **options))
         return made[-1]
@@ -89,6 +97,12 @@ def _own_pages_only(host: str) -> Iterator[list[Any]]:
         yield made
     finally:
         websockets.serve = serve  # type: ignore[misc]
+
+
+@cache
+def token() -> str:
+    """What the addresses of the servers of this process have in their path."""
+    return secrets.token_urlsafe(16)
 
 
 def is_own_page(headers: Mapping[str, str], host: str) -> bool:
@@ -125,7 +139,7 @@ def close_server(server: viser.ViserServer) -> None:
 def address(server: viser.ViserServer, host: str) -> str:
     """Address to open in a browser on this machine."""
     name = "localhost" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
-    return f"http://{name}:{server.get_port()}"
+    return f"http://{name}:{server.get_port()}/{token()}/"
 
 
 def require_page(path: Path, inputs: ReadFiles) -> None:
@@ -153,7 +167,7 @@ def write_page(path: Path, shown: Shown) -> None:
         _add_points(server, shown, thinned(shown.tree, MOST_POINTS))
         if thumbnails is not None:
             thumbnails.wait()
-        page = server.scene.as_html().replace(_TITLE, f"<title>{html.escape(shown.name)}</title>", 1)
+        page = server.scene.as_html().replace(_TITLE, f"<title>{html.escape(printable(shown.name))}</title>", 1)
     finally:
         close_server(server)
     with write_whole(path) as stream:

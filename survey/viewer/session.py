@@ -15,6 +15,7 @@ import numpy as np
 
 from geo.files import reporting_disk_errors
 from survey.errors import SurveyError
+from survey.escaping import markdown
 from survey.export.loaded import LoadedRun
 from survey.files.outputs import ReadFiles
 from survey.progress import current
@@ -62,7 +63,8 @@ class LiveRun:
         self._size_m = 0.0
         with reporting_disk_errors(self._folder):
             self._folder.mkdir(exist_ok=True)
-        self._text: Any = server.gui.add_markdown(f"**{run.path}**  \nwaiting for the first height map")
+        self._text: Any = server.gui.add_markdown("")
+        self._say("waiting for the first height map")
 
     @property
     def is_finished(self) -> bool:
@@ -89,8 +91,11 @@ class LiveRun:
                 self._show(path)
                 fresh += 1
         if fresh:
-            self._text.content = f"**{self._run.path}**  \n{len(self._stamps)} height maps, the sweep goes on"
+            self._say(f"{len(self._stamps)} height maps, the sweep goes on")
         return fresh
+
+    def _say(self, text: str) -> None:
+        self._text.content = f"**{markdown(str(self._run.path))}**  \n{text}"
 
     def close(self) -> None:
         """Stop asking the run to show its maps."""

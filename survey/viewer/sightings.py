@@ -16,6 +16,7 @@ from geo.crs import is_geographic
 from refract import FlatWater
 from survey.display.quantities import MINUS, length, number
 from survey.errors import SurveyError
+from survey.escaping import markdown
 from survey.photos.cameras import View
 from survey.photos.images import load_image
 from survey.photos.pixels import damage_named, open_image
@@ -181,9 +182,9 @@ def distance_between(start: np.ndarray, end: np.ndarray) -> list[tuple[str, str]
     ]
 
 
-def markdown(rows: Sequence[tuple[str, str]]) -> str:
+def table(rows: Sequence[tuple[str, str]]) -> str:
     """Labels and texts as a table for the panel."""
-    return "\n".join(["| | |", "|---|---|", *(f"| {label} | {text} |" for label, text in rows)])
+    return "\n".join(["| | |", "|---|---|", *(f"| {markdown(label)} | {markdown(text)} |" for label, text in rows)])
 
 
 class Clicks:
@@ -240,7 +241,7 @@ class Clicks:
         self._mark(point)
         self._draw("air", [(s.camera, s.crossing) for s in seen], _AIR)
         self._draw("water", [(s.crossing, s.point) for s in seen if s.is_bent], _WATER)
-        self._text.content = markdown(facts_of(self._shown, row, seen, len(framed) - len(seen)))
+        self._text.content = table(facts_of(self._shown, row, seen, len(framed) - len(seen)))
         if seen and self._shown.has_photographs:
             self._show_windows(seen)
 
@@ -248,14 +249,14 @@ class Clicks:
         try:
             windows = [self._photographs.window(sighting) for sighting in seen]
         except (SurveyError, OSError) as error:
-            self._text.content += f"\n\n{error}"
+            self._text.content += f"\n\n{markdown(str(error))}"
             return
         self.show(mosaic(windows, [sighting.view.name for sighting in seen]))
 
     def _measure(self, row: int) -> None:
         between = self._between(row)
         if between is not None:
-            self._text.content = markdown(distance_between(*between))
+            self._text.content = table(distance_between(*between))
 
     def _cut(self, row: int) -> None:
         between = self._between(row)
@@ -263,7 +264,7 @@ class Clicks:
             return
         shown, style = self._shown, self._style()
         found = slice_of(shown.tree, *between, _SLICE_GSD * shown.gsd_m, shown.water, shown.reference)
-        self._text.content = markdown(
+        self._text.content = table(
             [*distance_between(*between), ("points within", f"{100.0 * found.half_m:.0f} cm to either side")]
         )
         self.show(picture_of(found, shown.base_m, shown.colours(style.kind, found.rows, style.limits)))
@@ -275,7 +276,7 @@ class Clicks:
             self._clear()
             self._first = point
             self._mark(point)
-            self._text.content = markdown([*facts_of(self._shown, row), ("then", "click a second point")])
+            self._text.content = table([*facts_of(self._shown, row), ("then", "click a second point")])
             return None
         first, self._first = self._first, None
         self._mark(point)

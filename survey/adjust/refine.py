@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from survey import machine
 from survey.adjust.applied import at_state
@@ -46,6 +47,8 @@ from survey.plan.workload import amounts_of_run
 _MOST_GAIN = 6.0
 
 
+# Threads of BLAS wait for each other longer than they compute on matrices as small as those of the adjustment.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def adjust_survey(
     survey: Survey,
     *,

@@ -30,8 +30,8 @@ DEMO := .demo/survey
 RUN := $(DEMO)/bathynerf
 # Those that need neither survey data nor hours; each file says at its head how it is run.
 BENCHMARKS := optics surfaces lookup sweep slab compare
-# Of these the small sizes, some ten minutes of an idle core: errors of all models over time, levels of detail.
-FIELDS := error_time levels
+# Of this the small size, some eight minutes of an idle core: errors of all models over time.
+FIELDS := error_time
 TRUTH := $(DEMO)/truth
 BOUNDS = $$($(BIN)/python -c 'import tomllib; print(*tomllib.load(open("$(DEMO)/survey.toml", "rb"))["area"]["bounds"])')
 

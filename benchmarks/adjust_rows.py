@@ -2,20 +2,41 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import tomli_w
-from without_gps import copy_without_gps
+from PIL import ExifTags, Image
 
 from survey.adjust.applied import apply_adjustment, write_cameras
 from survey.adjust.refine import adjust_survey
 from survey.folder.survey import load_survey
+from survey.simulate.drawn import DrawnScene, draw_survey
+
+
+def copy_without_gps(source: Path, target: Path) -> None:
+    """Copy a JPEG file without its position."""
+    raw = source.read_bytes()
+    exif = Image.open(io.BytesIO(raw)).getexif()
+    exif.pop(ExifTags.Base.GPSInfo, None)
+    start, parts = 2, []
+    while raw[start + 1] != 0xDA:
+        end = start + 2 + int.from_bytes(raw[start + 2 : start + 4], "big")
+        if raw[start + 4 : start + 8] != b"Exif":
+            parts.append(raw[start:end])
+        start = end
+    data = exif.tobytes()
+    data = data if data.startswith(b"Exif") else b"Exif\0\0" + data
+    head = b"\xff\xd8\xff\xe1" + (len(data) + 2).to_bytes(2, "big") + data
+    target.write_bytes(head + b"".join(parts) + raw[start:])
+
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("BATHYNERF_DATA", ROOT.parent / "shared" / "data"))
@@ -278,4 +299,49 @@ ROWS: dict[str, Callable[[Path], Row]] = {
     "quick": _quick,
     "brighton": _brighton,
     "copr": _copr,
+}
+
+
+READOUT_S, SPEED_M_S = 0.03, 5.0
+EXACT, NOISY, GPS = "", "_noisy", "_gps"
+# What the survey says of its shutter: how it is drawn [s], and keys of [cameras].
+SAID: dict[str, tuple[float, dict[str, float]]] = {
+    "shutter_global": (0.0, {"rolling_shutter_s": 0.0}),
+    "shutter_known": (READOUT_S, {"rolling_shutter_s": READOUT_S}),
+    "shutter_found": (READOUT_S, {"rolling_shutter_s": 0.02, "rolling_shutter_std_s": 0.02}),
+    "shutter_ignored": (READOUT_S, {}),
+}
+
+
+def _row(name: str, folder: Path, *, poses: str) -> Row:
+    readout, keys = SAID[name]
+    source = folder.parent.parent / f"drawn_{readout:g}"
+    scene = DrawnScene(
+        num_views=21, flying_m=22.0, focal_px=900.0, image_px=(600, 450), seed=41, speed_m_s=SPEED_M_S,
+        readout_s=readout,
+    )  # fmt: skip
+    draw_survey(source, scene)
+    table = settings_of(source)
+    true = Truth(
+        water=true_water(table["water"]),
+        lens=true_lens(table["cameras"]) | {"readout_s": readout},
+        cameras=source / "cameras.csv",
+        reference=source / "truth" / "reference.ply",
+        visible=source / "truth" / "visible.ply",
+    )
+    table["cameras"].pop("rolling_shutter_s", None)
+    table["cameras"] |= keys
+    if poses == NOISY:
+        noisy(source, folder, table)
+    elif poses == GPS:
+        del table["cameras"]["poses"]
+        table["cameras"]["position_std_m"] = GPS_STD_M
+        linked(source, folder, table)
+    else:
+        linked(source, folder, table, "cameras.csv")
+    return Row(folder, true)
+
+
+SHUTTER_ROWS: dict[str, Callable[[Path], Row]] = {
+    name + poses: partial(_row, name, poses=poses) for poses in (EXACT, NOISY, GPS) for name in SAID
 }

@@ -20,10 +20,8 @@ from functools import partial
 from pathlib import Path
 
 from adjust_coverage import covered, table
-from adjust_measures import errors_of
-from adjust_real import brighton_errors, copr_errors
-from adjust_rows import DATA, ROWS, Row, prepare
-from shutter_rows import SHUTTER_ROWS
+from adjust_measures import brighton_errors, copr_errors, errors_of
+from adjust_rows import DATA, ROWS, SHUTTER_ROWS, Row, prepare
 
 from survey.benchmark.benchmark import run_bathynerf
 

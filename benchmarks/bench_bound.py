@@ -8,7 +8,7 @@ photographs (the albedo is not known) and less what noise adds to them, squared 
 variance of the noise are the information on the height (bound of Cramer and Rao). With it goes what the window takes
 from the relief. The noise is the sensor's alone, or what photographs differ by at the true height, which holds also
 what is finer than their pixels: each folds it at another phase. Prints rows of Markdown for
-docs/notes/sweep.md: both bounds, and the cloud of standard quality; std of the inner 90 % of the errors.
+docs/decisions.md: both bounds, and the cloud of standard quality; std of the inner 90 % of the errors.
 """
 
 from __future__ import annotations

@@ -2,14 +2,14 @@
 
     python benchmarks/bench_field.py WORK [--objects wreck ship hull] [--models vm dw m mdw ...] [--seeds N]
                                      [--steps N | --seconds S] [--scale S] [--cells N_MAX] [--rays N]
-                                     [--device auto|cpu|cuda|torch] [--write ablation|models|seeds]
+                                     [--device auto|cpu|cuda|torch] [--draw]
 
 VM (planes times vectors, TensoRF's decomposition), DW, M and MDW-NeRF are one code with four settings, compared with
 TensoRF as published, NeRF, TinyNeRF, hash grids with proposals (Nerfacto, and one for processors) and a signed
 distance (as NeuS). All see the same photographs and paths and sample alike (hash grids by their proposals), for as many
 steps, or with --seconds for as many as take that time here. One photograph in eight is held out. Every row is a file in
-WORK; what is there is not computed again. With --write one of the tables of docs/notes/field.md is replaced, and with
-the ablation its pictures. The defaults are for two cores; full size is --scale 1 --cells 256 --steps 30000 --rays 4096.
+WORK; what is there is not computed again. With --draw the pictures of docs/field.md are drawn. The defaults are for two
+cores; full size is --scale 1 --cells 256 --steps 30000 --rays 4096.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from field_tables import PAGE, table_of, write_page
+from field_tables import draw_objects, table_of
 from gallery_canvas import px_per_m
 from object_scenes import NAMES, ObjectScene, chamfer, load_scene
 from PIL import Image
-from point_clouds import thinned
+from study_protocol import thinned
 
 from fields.device import choose_device, tensor_place
 from fields.volume.model import VolumeModel
@@ -261,7 +261,7 @@ def options_of(arguments: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--rays", type=int, default=2048)
     parser.add_argument("--samples", type=int, default=32, help="of each path")
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda", "torch"))
-    parser.add_argument("--write", choices=PAGE, help="put this table of the page, and pictures, into docs/")
+    parser.add_argument("--draw", action="store_true", help="the pictures of docs/field.md")
     parser.add_argument("--memory", nargs=2, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     folder = os.environ.get("BATHYNERF_DATA")
@@ -270,7 +270,7 @@ def options_of(arguments: list[str] | None = None) -> argparse.Namespace:
 
 
 def main() -> None:
-    """Measure, print, and write with --write."""
+    """Measure and print, and draw with --draw."""
     options = options_of()
     options.work.mkdir(parents=True, exist_ok=True)
     if options.memory:
@@ -278,8 +278,8 @@ def main() -> None:
         return
     rows = measure(options)
     sys.stdout.write(table_of(rows) + "\n")
-    if options.write:
-        write_page(options.write, options.work, rows)
+    if options.draw:
+        draw_objects(options.work, rows)
 
 
 if __name__ == "__main__":

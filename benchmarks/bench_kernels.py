@@ -3,7 +3,7 @@
     python benchmarks/bench_kernels.py SURVEY [--quality Q]
 
 Seconds are processor time of the whole process, all cores together; samples are pixels x heights x neighbours. Prints
-the tables of docs/notes/performance.md in Markdown. The kernels run on the middle view at full size; the best of
+tables in Markdown. The kernels run on the middle view at full size; the best of
 many rounds counts. `kernel_limits` says how the limits of arithmetic and memory are measured; here they are those
 of one core.
 """
@@ -22,8 +22,8 @@ from unittest.mock import patch
 
 import drjit
 import numpy as np
+from array_libraries import Limits, measure_limits, shares
 from array_libraries import seconds as best_seconds
-from kernel_limits import Limits, measure_limits, shares
 
 from fields.sweep import height_range
 from fields.sweep.block import Block, Overlap

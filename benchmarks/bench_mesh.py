@@ -5,7 +5,7 @@
 RUN is a run of SURVEY, a survey with known truth (reference.ply, visible.ply). One line for the cloud and one for each
 method, within the bounds of the survey: C2M of the points or vertices, completeness of the visible points at 5 cm and
 2 cm, of a mesh by as many samples of its surface as the cloud has points, and seconds on one core. Poisson needs the
-extra ``mesh``. docs/notes/meshes.md has the table.
+extra ``mesh``. docs/meshes.md has the figures.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """What do trace and project cost, and how far off are they, per library, precision and number of steps?
 
-    python benchmarks/bench_optics.py [--plain] [--write | --picture]
+    python benchmarks/bench_optics.py [--plain | --picture]
 
-Prints the tables of docs/notes/optics.md: run time against error over drone geometry and over the extremes, what
+Prints tables of run time against error over drone geometry and over the extremes, what
 torch takes beside a few plain lines, and how near the kernels come to the speed of memory and of arithmetic, both
-measured in the same run. With --write the tables replace those of the page, and the picture is drawn; with --picture
-only that is done, which times nothing; with --plain only the table of plain lines. Two minutes; on a busy machine
+measured in the same run. With --picture docs/img/optics_error.png is drawn instead, which
+times nothing; with --plain only the table of plain lines. Two minutes; on a busy machine
 believe no figure but the ratios to plain lines, which count processor time.
 """
 
@@ -14,19 +14,22 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from itertools import product
 from pathlib import Path
 
 import drjit
 import numpy as np
 import torch
-from array_libraries import Library, libraries, seconds
+from array_libraries import Library, Limits, libraries, measure_limits, seconds, shares
 from gallery_canvas import BLUE, IN_WATER, RED, canvas, label, save
-from kernel_limits import Limits, measure_limits, shares
-from plain_torch import plain_table
 
 from refract import FlatWater, project, trace
 from survey.display.palette import INK, SOFT
 
+ROUNDS = 40
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 PICTURE = DOCS / "img" / "optics_error.png"
 FOCAL_PX = 1750.0
@@ -37,6 +40,59 @@ STEPS = range(7)
 SURVEYS = (0.1 / 120.0, 15.0 / 5.0)
 # The rounding of a float32, half a unit in the last place, relative.
 HALF_UNIT = 2.0**-24
+
+
+def plain_trace(origin, direction, level: float, n_water: float) -> tuple:
+    """Crossing, length and bent direction."""
+    length = (level - origin[..., 2]) / direction[..., 2]
+    crossing = origin + length[..., None] * direction
+    scaled = direction / n_water
+    fall = torch.sqrt(1.0 - (1.0 - direction[..., 2:] ** 2) / n_water**2)
+    return crossing, length, torch.cat([scaled[..., :2], -fall], dim=-1)
+
+
+def plain_project(points, camera, level: float, n_water: float):
+    """Direction of view, by four of Newton's steps from the share of nadir: as exact as that in drone geometry."""
+    H, h = camera[..., 2] - level, level - points[..., 2]
+    way = points[..., :2] - camera[..., :2]
+    D = torch.linalg.vector_norm(way, dim=-1)
+    u = H / (H + h / n_water)
+    for _ in range(4):
+        S = torch.sqrt((n_water * H) ** 2 + (n_water**2 - 1.0) * (D * u) ** 2)
+        u = u - (u + h * u / S - 1.0) / (1.0 + h * (n_water * H) ** 2 / S**3)
+    leg = torch.cat([u[..., None] * way, (level - camera[..., 2:]).expand(*u.shape, 1)], dim=-1)
+    return leg / torch.linalg.vector_norm(leg, dim=-1, keepdim=True)
+
+
+def _nanoseconds(*runs: Callable[[], object], count: int) -> list[float]:
+    """Least processor time of one thread, in turn, so that other work on the machine disturbs all alike."""
+    best = [np.inf] * len(runs)
+    for _ in range(ROUNDS):
+        for place, run in enumerate(runs):
+            start = time.thread_time()
+            run()
+            best[place] = min(best[place], time.thread_time() - start)
+    return [seconds / count * 1e9 for seconds in best]
+
+
+def plain_table(cameras: np.ndarray, rays: np.ndarray, points: np.ndarray, water: FlatWater) -> str:
+    """Processor time of `trace` and `project` in torch on one thread, beside that of the plain lines."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    rows = ["| torch, one thread | what | ns a ray | plain lines, ns | ratio |", "|---|---|---|---|---|"]
+    plane = 0.0, water.n_water
+    for dtype, (name, centre) in product(
+        (torch.float32, torch.float64), (("one camera", cameras[0]), ("a camera a ray", cameras))
+    ):
+        camera, ray, point = (torch.tensor(v, dtype=dtype) for v in (centre, rays, points))
+        ours = partial(trace, camera, ray, water), partial(project, point, camera, water)
+        plain = partial(plain_trace, camera, ray, *plane), partial(plain_project, point, camera, *plane)
+        for what, own_lines, plain_lines in zip(("trace", "project"), ours, plain, strict=True):
+            own, least = _nanoseconds(own_lines, plain_lines, count=len(rays))
+            place = f"{str(dtype).removeprefix('torch.')}, {name}"
+            rows.append(f"| {place} | {what} | {own:.3g} | {least:.3g} | {own / least:.1f} |")
+    torch.set_num_threads(threads)
+    return "\n".join(rows)
 
 
 def drone_geometry() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -200,21 +256,9 @@ def picture(every: list[Library], path: Path) -> None:
     save(figure, path)
 
 
-def write(tables: dict[str, str]) -> None:
-    """Replace the tables of docs/notes/optics.md, each between its two marks."""
-    page = DOCS / "notes" / "optics.md"
-    text = page.read_text(encoding="utf-8")
-    for name, table in tables.items():
-        first, last = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
-        start, end = text.index(first) + len(first), text.index(last)
-        text = text[:start] + table + "\n" + text[end:]
-    page.write_text(text, encoding="utf-8")
-
-
 def main() -> None:
-    """Measure, print, and write with --write."""
+    """Measure and print, or draw."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--write", action="store_true", help="put tables and picture into docs/")
     parser.add_argument("--picture", action="store_true", help="draw the picture of docs/ alone")
     parser.add_argument("--plain", action="store_true", help="measure only torch beside plain lines")
     arguments = parser.parse_args()
@@ -226,17 +270,12 @@ def main() -> None:
     tables = {"plain": plain_table(*drone_geometry(), WATER)}
     if arguments.plain:
         sys.stdout.write(tables["plain"] + "\n")
-        if arguments.write:
-            write(tables)
         return
     records = [record for library in every for record in of_steps(library)]
     tables["errors"] = error_table(records)
     if drjit.has_backend(drjit.JitBackend.LLVM):
         tables["limits"] = limit_table(measure_limits())
     sys.stdout.write("\n\n".join(tables.values()) + "\n")
-    if arguments.write:
-        write(tables)
-        picture(every, PICTURE)
 
 
 if __name__ == "__main__":

@@ -2,12 +2,15 @@
 
     python benchmarks/bench_photographs.py FOLDER [130 520 2080] [--quality draft] [--workers 1]
         [--photographs-of-tile 14.4] [-o FILE.json]
+    python benchmarks/bench_photographs.py FOLDER 100 --enlarged --quality standard [--memory 3GB]
 
 Draws in FOLDER/<number> strips of 320 x 240 px over a bed 1.5 m deep, 12 m over the water (a pixel covers 25 mm),
 6.5 m² for each photograph whatever their number, and keeps them. Processes each with poses as given, in a tile for
 every 14.4 photographs: of 130 in nine, one of which has others on every side, as most of larger surveys have. Prints
 and writes: wall time by stage and of all, processor time, peak of anonymous memory [bytes] of the process of the run
 and of the largest worker, points, mean and std of the inner 90 % of the vertical errors. Linux alone tells the memory.
+With --enlarged that many photographs of data/wreck_water, the nearest to its middle, are enlarged to 20 Mpx and
+processed whole, with an area of 12 x 12 m: they cost what such photographs cost, and show nothing more.
 """
 
 from __future__ import annotations
@@ -16,13 +19,16 @@ import argparse
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from evaluation import distance_to_mesh
@@ -44,6 +50,11 @@ MIDDLE_M = 8.0
 _POINTS = 1_000_000
 # Share of the extent of the true surface along its edges where errors are not looked at.
 _EDGE = 0.05
+# Photographs that are enlarged to 5168 x 3876 px, over this far around the middle of their survey [m].
+ROOT = Path(__file__).resolve().parents[1]
+SOURCE = Path(os.environ.get("BATHYNERF_DATA", ROOT.parent / "shared" / "data")) / "wreck_water"
+ENLARGED = 5.046875
+HALF_SIDE_M = 6.0
 
 
 def scene_of(number: int) -> DrawnScene:
@@ -131,6 +142,35 @@ def errors_of(folder: Path, points: np.ndarray, reference: Path) -> np.ndarray:
     return distance_to_mesh(here[:: len(here) // _POINTS + 1], vertices, mesh.faces).signed
 
 
+def enlarge(source: Path, survey: Path, number: int) -> None:
+    """Write a survey of the photographs nearest to the middle of another, enlarged."""
+    header, *lines = (source / "cameras.csv").read_text(encoding="utf-8").split()
+    text = (source / "survey.toml").read_text(encoding="utf-8")
+    given = tomllib.loads(text)
+    box = np.array(given["area"]["bounds"])
+    middle = 0.5 * (box[:2] + box[2:])
+    away = [np.linalg.norm(np.array(line.split(",")[1:3], float) - middle) for line in lines]
+    chosen = [lines[each] for each in sorted(np.argsort(away)[:number])]
+    (survey / "images").mkdir(parents=True)
+    for line in chosen:
+        name = line.split(",")[0]
+        pixels = cv2.imread(str(source / "images" / name))
+        large = cv2.resize(pixels, None, fx=ENLARGED, fy=ENLARGED, interpolation=cv2.INTER_CUBIC)
+        cv2.imwrite(str(survey / "images" / name), large, [cv2.IMWRITE_JPEG_QUALITY, 92])
+    (survey / "cameras.csv").write_text("\n".join([header, *chosen]) + "\n", encoding="utf-8")
+    for key in ("size_px", "focal_px", "principal_point_px"):
+        text = _with(text, key, (ENLARGED * np.array(given["cameras"][key])).tolist())
+    text = _with(text, "bounds", [*(middle - HALF_SIDE_M).tolist(), *(middle + HALF_SIDE_M).tolist()])
+    (survey / "survey.toml").write_text(text, encoding="utf-8")
+
+
+def _with(text: str, key: str, value: float | list[float]) -> str:
+    """survey.toml with another value of a key; sizes are whole numbers."""
+    if key == "size_px":
+        value = [round(each) for each in value]
+    return re.sub(rf"^{key} = [^#\n]*", f"{key} = {json.dumps(value)} ", text, flags=re.MULTILINE)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
@@ -138,9 +178,20 @@ def main() -> None:
     parser.add_argument("--quality", default="draft")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--photographs-of-tile", type=float, default=130 / 9)
+    parser.add_argument("--enlarged", action="store_true")
+    parser.add_argument("--memory", help="of a run of enlarged photographs, e.g. 3GB")
     parser.add_argument("-o", "--output", type=Path)
     asked = parser.parse_args()
     rows = []
+    if asked.enlarged:
+        (number,) = asked.photographs
+        survey = asked.folder / f"large_{number}"
+        if not (survey / "survey.toml").exists():
+            enlarge(SOURCE, survey, number)
+        words = ["--quality", asked.quality, "--image-scale", "1", "--workers", str(asked.workers)]
+        words += [] if asked.memory is None else ["--memory", asked.memory]
+        print(json.dumps(measured_run(survey, words, SOURCE / "reference.ply")))  # noqa: T201
+        return
     for number in asked.photographs:
         survey = asked.folder / str(number)
         if not (survey / "survey.toml").exists():

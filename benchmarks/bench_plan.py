@@ -4,7 +4,7 @@
 
 Runs `bathynerf process` with everything left out that a scene does not need, then once with each of these things put
 back, then with `--plan full`, and once with each of what was tried and is not left out. Each is a process of its own.
-Prints the table of docs/notes/plan.md in Markdown. Times are processor time, all cores together: other programs on the
+Prints a table in Markdown. Times are processor time, all cores together: other programs on the
 machine do not count. Surveys need reference.ply and visible.ply, in their folder or in its folder truth/.
 """
 

@@ -1,35 +1,160 @@
 """How accurate, how complete, and is the std true, on surveys that nothing was tuned on?
 
-    python benchmarks/bench_random.py [--seeds 100-111] -o FOLDER [--quality draft standard] [--publish]
+    python benchmarks/bench_random.py [--seeds 100-111] -o FOLDER [--quality draft standard]
 
-Each seed is a survey of random_surveys.py: drawn, processed by the command line in each quality, compared with its true
+Each seed is a `RandomSurvey`: drawn, processed by the command line in each quality, compared with its true
 bed, and removed. Of a survey with waves the median error is taken off before coverage is counted. Prints rows of
-Markdown; FOLDER/random.json has the rows, and what it has is not run again; --publish writes them into
-docs/notes/field.md. A survey takes about a minute of one core.
+Markdown; FOLDER/random.json has the rows, and what it has is not run again. A survey takes about a minute of one core.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import shutil
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+import numpy as np
 from bench_coverage import cells_of
-from published import publish
-from random_surveys import RandomSurvey
+from stress_factors import blur, compressed, contrast, exposure, images, noise
+from stress_scenes import with_waves
 
 from survey.benchmark.benchmark import run_bathynerf
 from survey.benchmark.cases import case_of
 from survey.benchmark.records import Errors, errors_of
+from survey.simulate.drawn import DrawnScene, stage_drawing
+from survey.simulate.ground.ground import Ground, Material, shade_of_map
+from survey.simulate.ground.shapes import BedGrid
+from survey.simulate.ground.textures import light_of_bed
+from survey.simulate.ground.textures import noise as smooth_noise
+from survey.simulate.light import Light
+from survey.simulate.output.sidecars import StagedScene
+from survey.simulate.output.writing import write_survey
 
+SIZES_PX = ((320, 240), (400, 300), (480, 360))
+# Vertices of the bed to a ground sampling distance, so that it goes on below the pixel.
+FINE = 3.0
+# Relief of a drawn bed is this share of its spacing and ends at 5 cm; what is added begins here [m] and goes on below.
+_SHARE, _ADDED_M = 0.05, 0.1
+# What is done to photographs: the lowest and the highest value, and whether a factor between them is drawn.
+CHANGES: dict[str, tuple[Callable[[Path, float], None], float, float]] = {
+    "noise": (images(noise), 3.0, 12.0),
+    "blur": (images(blur), 0.6, 2.2),
+    "JPEG": (compressed, 20.0, 80.0),
+    "contrast": (images(contrast), 0.1, 0.5),
+    "exposure": (images(exposure), 0.1, 0.4),
+}
 # Cells of coverage: all, fifths, four classes of views, slopes, wet, dry, and the least std.
 _CLASSES = 10
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "notes" / "field.md"
 HEAD = (
     "| seed | quality | mean | std | rms | at 0.2 m | at 0.05 m | std covers | fifths | 2 views | 3 to 4 | 5 to 7 "
     "| 8 and more | slopes | wet | dry | least std |"
 )
+
+
+@dataclass(frozen=True)
+class RandomSurvey:
+    """What a seed stands for.
+
+    Attributes
+    ----------
+    scene : DrawnScene
+    relief : [-]
+        What is added below 10 cm, as a multiple of what larger relief leads to expect.
+    waves_m : [m]
+        Amplitude; 0 for still water.
+    change : str or None
+        One of `CHANGES`.
+    value : float
+        Of the change.
+    """
+
+    scene: DrawnScene
+    relief: float
+    waves_m: float
+    change: str | None
+    value: float
+
+    @classmethod
+    def of(cls, seed: int) -> RandomSurvey:
+        """The survey of a seed."""
+        rng = np.random.default_rng([seed, 778])
+        depth = _between(rng, 0.5, 6.0)
+        flying = max(float(rng.uniform(8.0, 25.0)), 2.2 * depth)
+        size_px = SIZES_PX[rng.integers(len(SIZES_PX))]
+        focal = float(size_px[0] * rng.uniform(1.2, 2.0))
+        gsd, views = flying / focal, int(rng.integers(7, 23))
+        side = float(np.clip(0.33 * size_px[0] * gsd * math.sqrt(views), 3.0, 14.0))
+        scene = DrawnScene(
+            size_m=(side, 0.9 * side),
+            depth_m=depth,
+            n_water=float(rng.uniform(1.32, 1.35)),
+            level_m=float(rng.uniform(-5.0, 500.0)),
+            num_views=views,
+            nadir_share=float(rng.choice([0.3, 0.6, 1.0])),
+            image_px=size_px,
+            focal_px=focal,
+            flying_m=flying,
+            noise=_between(rng, 0.5, 4.0),
+            seed=seed,
+            cell_m=min(gsd / FINE, 0.025),
+            texel_m=min(0.4 * gsd, 0.01),
+            shore=bool(rng.random() < 0.35),
+            objects=bool(rng.random() < 0.7),
+        )
+        waves = _between(rng, 0.001, 0.01) if rng.random() < 0.3 else 0.0
+        change = [None, *CHANGES][rng.integers(1 + len(CHANGES))]
+        value = 0.0 if change is None else _between(rng, *CHANGES[change][1:])
+        return cls(scene, _between(rng, 0.25, 3.0), waves, change, value)
+
+    def __str__(self) -> str:
+        scene = self.scene
+        words = [
+            f"{scene.depth_m:.1f} m",
+            f"{scene.num_views} views, {round(100 * scene.nadir_share)} % down",
+            f"{1e3 * scene.flying_m / scene.focal_px:.0f} mm a pixel",
+            f"relief x {self.relief:.2g}",
+            f"noise {scene.noise:.1f}",
+            *(["shore"] if scene.shore else []),
+            *(["boat, rocks"] if scene.objects else []),
+            *([f"waves of {1e3 * self.waves_m:.0f} mm"] if self.waves_m else []),
+            *([f"then {self.change} {self.value:.2g}"] if self.change else []),
+        ]
+        return ", ".join(words)
+
+    def draw(self, folder: Path) -> None:
+        """Write the survey, with its truth, into a folder; what was there goes."""
+        shutil.rmtree(folder, ignore_errors=True)
+        write_survey(folder, asdict(self.scene), self._staged)
+        if self.change is not None:
+            CHANGES[self.change][0](folder, self.value)
+
+    def _staged(self) -> StagedScene:
+        staged = _rougher(stage_drawing(self.scene), self.relief)
+        return with_waves(staged, self.waves_m) if self.waves_m else staged
+
+
+def _between(rng: np.random.Generator, low: float, high: float) -> float:
+    """As likely in each factor of two."""
+    return float(np.exp(rng.uniform(math.log(low), math.log(high))))
+
+
+def _rougher(scene: StagedScene, relief: float) -> StagedScene:
+    """The same bed with more relief below 10 cm, down to its cells."""
+    ground = scene.renderer.ground
+    bed, rng = ground.bed, np.random.default_rng([scene.seed, 34])
+    assert isinstance(bed, BedGrid)
+    heights, spacing = bed.heights.copy(), _ADDED_M
+    while spacing >= bed.cell:
+        heights += relief * _SHARE * spacing * smooth_noise(rng, heights.shape, spacing / bed.cell)
+        spacing *= 0.5
+    rough = BedGrid(heights, bed.west, bed.south, bed.cell)
+    material = Material(ground.materials[0].texture, shade_of_map(rough, light_of_bed(rough, ground.solids, Light())))
+    ground = Ground(rough, ground.solids, (material, *ground.materials[1:]))
+    return replace(scene, renderer=replace(scene.renderer, ground=ground))
 
 
 def rows_of(seed: int, qualities: list[str], folder: Path) -> dict[str, list[str]]:
@@ -71,7 +196,6 @@ def main() -> None:
     parser.add_argument("--seeds", default="100-111", help="first and last")
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--quality", nargs="+", default=["draft", "standard"])
-    parser.add_argument("--publish", action="store_true", help="into docs")
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
     path = options.output / "random.json"
@@ -85,8 +209,6 @@ def main() -> None:
         for quality, cells in found[str(seed)].items():
             print(f"| {' | '.join([str(seed), quality, *cells])} |", flush=True)  # noqa: T201
     print("\n".join(lines_of(found)))  # noqa: T201
-    if options.publish:
-        publish(PAGE, "random", lines_of(found))
 
 
 if __name__ == "__main__":

@@ -6,10 +6,9 @@ A SURVEY is a folder with known truth (reference.ply and visible.ply in it, or i
 quality by the command line in several ways: the sweep alone, the trained slab, a plain Gauss-Newton on each height
 alone (the solver without its prior and without heights that stay as the sweep has them), and the solver. `--noise`
 first adds so many grey levels to the photographs, the same in all channels, and writes them again as JPEG of quality 92
-with 4:4:4, once for each seed. Prints rows of Markdown for each survey, as docs/notes/field.md and
-docs/notes/sweep.md have them: accuracy, with the least and the greatest of several seeds, and the std of
-the true bed averaged over 1 to 4 ground sampling distances. Whether the std of its points is true,
-`bench_coverage.py` tells.
+with 4:4:4, once for each seed. Prints rows of Markdown for each survey: accuracy, with the least and
+the greatest of several seeds, and the std of the true bed averaged over 1 to 4 ground sampling distances. Whether the
+std of its points is true, `bench_coverage.py` tells.
 """
 
 from __future__ import annotations

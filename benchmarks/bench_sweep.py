@@ -5,7 +5,7 @@
 A SURVEY is a folder with known truth (reference.ply and visible.ply in it, or in truth/); without any, that of
 `make demo` is drawn. Accuracy is that of `bathynerf compare` inside the bounds, nothing aligned: mean and standard
 deviation of the inner 90 % of the signed distances, completeness over the points that three cameras see. One JSON for
-each survey and table in FOLDER, not computed again; prints the tables in Markdown, docs/notes/sweep.md has them.
+each survey and table in FOLDER, not computed again; prints the tables in Markdown.
 """
 
 from __future__ import annotations

@@ -29,8 +29,16 @@ from gallery_canvas import (
     save,
     section,
 )  # fmt: skip
-from gallery_matching import draw_dispersion, draw_epipolar, draw_glitter, draw_water_errors
-from gallery_networks import convergent_block, error_map, meeting_points, nadir_block
+from gallery_matching import (
+    convergent_block,
+    draw_dispersion,
+    draw_epipolar,
+    draw_glitter,
+    draw_water_errors,
+    error_map,
+    meeting_points,
+    nadir_block,
+)
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure

@@ -1,4 +1,4 @@
-"""Tables and pictures of docs/notes/field.md from the rows of `bench_field`."""
+"""Tables and pictures of the rows of `bench_field`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from gallery_canvas import canvas, save, scale_bar
 from PIL import Image
-from published import publish
 from scipy.special import stdtrit
 
 from survey.display.palette import INK, SOFT
@@ -28,15 +27,6 @@ HEAD = (
     "| object | model | held-out PSNR | Chamfer distance | parameters | memory | steps | a step | rays/s rendered |",
     "|---|---|---|---|---|---|---|---|---|",
 )
-# Of the page: what it leaves out is measured otherwise there, or the same in all rows.
-ABLATION_HEAD = (
-    "| object | model | held-out PSNR | Chamfer distance | parameters | memory of steps | a step |",
-    "|---|---|---|---|---|---|---|",
-)
-SEEDS_HEAD = (
-    "| object | model | held-out PSNR | Chamfer distance | parameters | memory of steps | a step |",
-    "|---|---|---|---|---|---|---|",
-)
 CONFIDENCE = 0.95
 
 
@@ -54,61 +44,6 @@ def table_of(rows: list[dict]) -> str:
             cells = _columns([r for r in of if r["model"] == model], None if model == models[0] else base)
             lines.append("| " + " | ".join([name, LABELS[model], *cells]) + " |")
     return "\n".join([*HEAD, *lines])
-
-
-def ablation_table(rows: list[dict]) -> list[str]:
-    """Lines of the table `ablation` of the page: as `table_of`, with ratios of parameters and times."""
-    lines = [*ABLATION_HEAD]
-    for name in dict.fromkeys(r["object"] for r in rows):
-        of = [r for r in rows if r["object"] == name]
-        first = of[0]
-        for model in dict.fromkeys(r["model"] for r in of):
-            each = [r for r in of if r["model"] == model]
-            base = None if model == first["model"] else [r for r in of if r["model"] == first["model"]]
-            psnr, distance, parameters, memory, *_ = _columns(each, base)
-            sizes = [
-                f"{parameters}{_times(each[0], first, 'parameters_mb')}",
-                memory,
-                f"{1e3 * each[0]['step_s']:.0f} ms{_times(each[0], first, 'step_s')}",
-            ]
-            lines.append("| " + " | ".join([name, LABELS[model], psnr, distance, *sizes]) + " |")
-    return lines
-
-
-def _times(row: dict, first: dict, key: str) -> str:
-    return "" if row["model"] == first["model"] else f" (x {row[key] / first[key]:.2f})"
-
-
-def models_table(rows: list[dict]) -> list[str]:
-    """Lines of the table `models` of the page: a row for each model, all seeds of an object side by side."""
-    objects = list(dict.fromkeys(r["object"] for r in rows))
-    heads = [f"{name}, {'wet' if name == 'hull' else 'dry'}" for name in objects]
-    lines = [f"| model | {' | '.join(heads)} | parameters |", "|---" * (len(heads) + 2) + "|"]
-    for model in dict.fromkeys(r["model"] for r in rows):
-        of = [r for r in rows if r["model"] == model]
-        cells = [_seeds([r for r in of if r["object"] == name]) for name in objects]
-        lines.append(f"| {LABELS[model]} | {' | '.join(cells)} | {of[-1]['parameters_mb']:.2f} MB |")
-    return lines
-
-
-def _seeds(rows: list[dict]) -> str:
-    if not rows:
-        return "not run"
-    psnr, distance = ([f * r[key] for r in rows] for key, f in (("held_out_psnr_db", 1.0), ("chamfer_m", 1e3)))
-    return f"{', '.join(f'{v:.1f}' for v in psnr)} dB; {', '.join(f'{v:.0f}' for v in distance)} mm"
-
-
-def seeds_table(rows: list[dict]) -> list[str]:
-    """Lines of the table `seeds` of the page: as `table_of`, without what is the same in all rows."""
-    lines = [*SEEDS_HEAD]
-    for each in table_of(rows).splitlines()[len(HEAD) :]:
-        *figures, memory, _steps, step, _speed = each.split(" | ")
-        lines.append(" | ".join([*figures, memory, step]) + " |")
-    return lines
-
-
-# Tables of the page, by the names of their marks.
-PAGE = {"ablation": ablation_table, "models": models_table, "seeds": seeds_table}
 
 
 def _columns(rows: list[dict], base: list[dict] | None) -> list[str]:
@@ -138,11 +73,8 @@ def interval(values: list[float], digits: int, *, sign: bool = False) -> str:
     return f"{mean} ± {half:.{digits}f}"
 
 
-def write_page(name: str, work: Path, rows: list[dict]) -> None:
-    """Replace a table of docs/notes/field.md, one of `PAGE`; with the ablation its pictures."""
-    publish(DOCS / "notes" / "field.md", name, PAGE[name](rows))
-    if name != "ablation":
-        return
+def draw_objects(work: Path, rows: list[dict]) -> None:
+    """The pictures of docs/field.md, one for each object."""
     for each in dict.fromkeys(r["object"] for r in rows):
         of = {r["model"]: r for r in rows if r["object"] == each and r["seed"] == 0}
         draw_row(work, each, of, DOCS / "img" / f"field_{each}.png")

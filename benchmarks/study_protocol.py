@@ -6,7 +6,6 @@ Heights and distances in metres, local frame. The study moved its dry field by 1
 from __future__ import annotations
 
 import numpy as np
-from point_clouds import thinned, tops
 from scipy.ndimage import binary_dilation, median_filter
 from scipy.spatial import cKDTree
 
@@ -19,6 +18,23 @@ OUTLIER_NEIGHBOURS = 6
 # What rises this far over the median of this many metres about it is an object.
 OBJECT_RISE_M, OBJECT_WINDOW_M, RASTER_M = 0.3, 8.0, 0.25
 CLEAR_M = 1.0
+
+
+def thinned(points: np.ndarray, cell: float) -> np.ndarray:
+    """One point, the first, of each cube of that edge [m], in their order."""
+    _, first = np.unique(np.floor(points / cell).astype(np.int64), axis=0, return_index=True)
+    return points[np.sort(first)]
+
+
+def tops(points: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Greatest heights (rows, columns) of points (N, 3) in square cells [m], and row and column (N,) of each point.
+
+    Cells without points are -inf.
+    """
+    column, row = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / cell).astype(np.int64).T
+    top = np.full((row.max() + 1, column.max() + 1), -np.inf)
+    np.maximum.at(top, (row, column), points[:, 2])
+    return top, row, column
 
 
 def cropped(points: np.ndarray, middle: np.ndarray, width: float, height: float) -> np.ndarray:

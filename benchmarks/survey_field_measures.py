@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from depth_steps import FEW, near_steps, sightings, true_points
 from PIL import Image
-from point_clouds import tops
-from scipy.ndimage import distance_transform_edt, percentile_filter
+from scipy.ndimage import distance_transform_edt, map_coordinates, percentile_filter
 from scipy.spatial import cKDTree
+from study_protocol import tops
 
 from evaluation import distance_statistics, distance_to_mesh, image_quality, is_reached, psnr
 from evaluation.images.inputs import largest_rectangle
 from geo import read_cloud, read_reference
+from refract import FlatWater, PinholeCamera
 from survey.folder.survey import Survey, View, load_image, load_mask
 from survey.plan.area import local_area, within
 from survey.simulate.ground.shapes import TriangleMesh
 
+# Neighbouring pixels whose points are further apart along the path than this many times their distance across it: a
+# surface that rises by 79 degrees from the picture, or a step.
+STEP = 5.0
+REACH_PX = 5
+FEW = 3
+# A place is hidden from a photograph that sees something this much nearer [m]; its distances are known at every so many
+# pixels.
+HIDDEN_M, STRIDE = 0.05, 4
 TOLERANCES_M = (0.05, 0.2)
 # A point belongs to a mast if it rises this far above what covers a quarter of the disc of this diameter around it, in
 # a raster of these cells: a deck beside the side of a hull does, and the top of a mast does not.
@@ -26,6 +35,73 @@ RISE_M, WIDE_M, CELL_M, COVERED = 0.5, 1.5, 0.1, 0.25
 THINNED = 4
 # The shortest side of an image that allows five scales.
 SMALLEST_PX = 176
+
+
+def true_points(
+    camera: PinholeCamera, water: FlatWater | None, surface: TriangleMesh, stride: int = 1
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distances (rows, columns) [m] and points (rows, columns, 3) of one pixel in so many each way; NaN for none."""
+    pixels = camera.pixel_centres()[stride // 2 :: stride, stride // 2 :: stride]
+    flat = pixels.reshape(-1, 2)
+    origin, direction = camera.centres(flat), camera.directions(flat)
+    origin = np.broadcast_to(origin, direction.shape)
+    before = np.full(len(flat), np.inf)
+    if water is not None:
+        paths = camera.paths(flat, water)
+        before = np.where(paths.wet, paths.air_length, np.inf)
+    distance, _ = surface.hit(origin, direction, before)
+    points = origin + np.where(np.isfinite(distance), distance, np.nan)[:, None] * direction
+    under = np.flatnonzero(~np.isfinite(distance) & np.isfinite(before))
+    if under.size and water is not None:
+        start, bent = paths.crossing[under], paths.water_direction[under]
+        further, _ = surface.hit(start, bent, np.full(len(under), np.inf))
+        points[under] = start + np.where(np.isfinite(further), further, np.nan)[:, None] * bent
+        distance[under] = before[under] + further
+    distance = np.where(np.isfinite(distance), distance, np.nan)
+    return distance.reshape(pixels.shape[:2]), points.reshape(*pixels.shape[:2], 3)
+
+
+def near_steps(distance: np.ndarray, focal_px: float, reach_px: int = REACH_PX) -> np.ndarray:
+    """Which pixels (height, width) lie within ``reach_px`` of a step between neighbours."""
+    step = np.zeros(distance.shape, dtype=bool)
+    for before, after in (((slice(None), slice(-1)), (slice(None), slice(1, None))),
+                          ((slice(-1), slice(None)), (slice(1, None), slice(None)))):  # fmt: skip
+        near, far = distance[before], distance[after]
+        jump = np.abs(far - near) > STEP * np.fmin(near, far) / focal_px
+        step[before] |= jump
+        step[after] |= jump
+    return step if not step.any() else distance_transform_edt(~step) <= reach_px
+
+
+def sightings(
+    points: np.ndarray, cameras: Sequence[PinholeCamera], water: FlatWater | None, surface: TriangleMesh
+) -> np.ndarray:
+    """How many cameras see each of points (..., 3)."""
+    flat, count = points.reshape(-1, 3), np.zeros(points[..., 0].size, dtype=int)
+    known = np.flatnonzero(np.isfinite(flat).all(axis=1))
+    for camera in cameras:
+        pixels = camera.project(flat[known], water)
+        inside = ((pixels > 0.0) & (pixels < (camera.width, camera.height))).all(axis=1)
+        rows = known[inside]
+        if not rows.size:
+            continue
+        seen, _ = true_points(camera, water, surface, STRIDE)
+        at = (pixels[inside].T[::-1] - 0.5 - STRIDE // 2) / STRIDE
+        found = map_coordinates(seen, at, order=1, mode="nearest")
+        count[rows] += found > _distances(camera, water, flat[rows]) - HIDDEN_M
+    return count.reshape(points.shape[:-1])
+
+
+def _distances(camera: PinholeCamera, water: FlatWater | None, points: np.ndarray) -> np.ndarray:
+    """Path lengths (N,) [m] from a camera to points (N, 3) [m] that it sees."""
+    if water is None:
+        return np.linalg.norm(points - camera.centre, axis=1)
+    paths = camera.paths(camera.project(points, water), water)
+    return np.where(
+        paths.wet,
+        paths.air_length + np.linalg.norm(points - paths.crossing, axis=1),
+        np.linalg.norm(points - camera.centre, axis=1),
+    )
 
 
 def is_mast(points: np.ndarray) -> np.ndarray:

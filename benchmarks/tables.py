@@ -2,7 +2,8 @@
 
     python benchmarks/tables.py
 
-Commands that measure write the results with --publish; those of stress and of drawn conditions write their tables, too.
+Commands that measure write the results with --publish; those of real photographs and of drawn conditions write their
+tables, too.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from drawn_front import lines_of
 from published import publish
 from real_tables import TABLES
 
@@ -41,10 +41,10 @@ def tables() -> dict[tuple[Path, str], list[str]]:
     found = {
         (page, "quick"): quick_rows(quick.records),
         (page, "straight"): straight_rows((*quick.records, *drawn.records)),
-        (DOCS / "notes" / "benchmark.md", "drawn"): lines_of(drawn),
+        (page, "drawn"): drawn_rows(drawn.records),
     }
     tiles = json.loads((RESULTS / "tiles.json").read_text(encoding="utf-8"))
-    found[DOCS / "notes" / "scaling.md", "tiles"] = tile_rows(tiles)
+    found[DOCS / "scaling.md", "tiles"] = tile_rows(tiles)
     return found | {(DOCS / "real.md", name): rows(real[name]) for name, rows in TABLES.items()}
 
 
@@ -73,6 +73,25 @@ def straight_rows(records: tuple[Record, ...]) -> list[str]:
                   if (r.case, r.quality, r.poses) == (case, "standard", "given")}  # fmt: skip
         mm = [f"{1000.0 * median[method]:.0f} mm" for method in ("straight", "times_index", "per_camera")]
         lines.append(f"| {words} | {mm[0]} | {100.0 * median['straight'] / depth_m:.0f} % | {mm[1]} | {mm[2]} |")
+    return lines
+
+
+def drawn_rows(records: tuple[Record, ...]) -> list[str]:
+    """The whole chain on drawn surveys, given poses: draft and, of 20 photographs, standard."""
+    lines = [
+        "| depth, photographs | quality | processor time | mean | std | complete at 0.05 m | std covers |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for record in records:
+        _, depth, pattern, number = record.case.split("_")
+        errors, cost = record.errors, record.costs[0]
+        if record.method != "full" or record.poses != "given" or (number == "20" and record.quality == "draft"):
+            continue
+        lines.append(
+            f"| {depth} m, {number} {pattern} | {record.quality} | {cost.processor_s:.0f} s | "
+            f"{1000.0 * errors.mean_m:.1f} mm | {1000.0 * errors.std_m:.1f} mm | "
+            f"{100.0 * errors.completeness['0.05']:.1f} % | {100.0 * errors.coverage:.0f} % |"
+        )
     return lines
 
 

@@ -19,9 +19,9 @@ BED, TOP = -3.0, -1.0
 @pytest.fixture
 def steps(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    import depth_steps
+    import survey_field_measures
 
-    return depth_steps
+    return survey_field_measures
 
 
 def block() -> TriangleMesh:

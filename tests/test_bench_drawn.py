@@ -1,14 +1,13 @@
-"""The benchmark of drawn surveys: its table, its picture, its place in the page."""
+"""The benchmark of drawn surveys: its table, its picture."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 from survey.benchmark.cases import drawn_names
-from survey.benchmark.records import METHODS, Cost, Errors, Record, Results, read_results
+from survey.benchmark.records import METHODS, Cost, Errors, Record, read_results
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -17,10 +16,8 @@ ROOT = Path(__file__).resolve().parent.parent
 def bench(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
     import bench_drawn
-    import drawn_front
-    import published
 
-    return SimpleNamespace(drawn=bench_drawn, front=drawn_front, published=published)
+    return bench_drawn
 
 
 def _record(method: str, quality: str, processor_s: float, error_m: float, case: str = "drawn_2_oblique_20") -> Record:
@@ -30,49 +27,45 @@ def _record(method: str, quality: str, processor_s: float, error_m: float, case:
 
 
 def test_the_surveys_of_all_parts_can_be_drawn(bench):
-    words = [word for part in bench.drawn.PARTS.values() for word in part.drawn]
+    words = [word for part in bench.PARTS.values() for word in part.drawn]
     assert drawn_names(words) == words
-    assert {word.split(",")[0] for word in words} == set(bench.front.MARKERS)
-    assert set(bench.front.COLOURS) == set(METHODS)
+    assert {word.split(",")[0] for word in words} == set(bench.MARKERS)
+    assert set(bench.COLOURS) == set(METHODS)
 
 
-def test_the_page_gets_the_table_between_its_marks_and_keeps_the_rest(bench, tmp_path):
+def test_a_table_has_a_row_for_each_record_and_the_picture_is_drawn(bench, tmp_path):
     records = (
         _record("full", "draft", 20.0, 0.005),
         _record("full", "standard", 40.0, 0.004),
         _record("straight", "draft", 30.0, 0.4),
         _record("full", "draft", 60.0, 0.01, "drawn_8_nadir_130"),
     )
-    lines = bench.front.table(records)
+    lines = bench.table(records)
     assert len(lines) == 2 + len(records)
     assert len({line.count("|") for line in lines}) == 1
     assert [line.endswith("| * |") for line in lines[2:]] == [True, True, False, True]
     # The stds of a cloud over straight rays are those of its apparent depths: they say nothing of its errors.
     assert "95 %" in lines[2]
     assert "95 %" not in lines[4]
-    machine = {"processor": "any", "cores": "2", "memory": "8 GiB"}
-    (begin, end), page = bench.published.marks("drawn"), tmp_path / "page.md"
-    page.write_text(f"before\n{begin}\nold table\n{end}\nafter\n")
-    bench.published.publish(page, "drawn", bench.front.lines_of(Results(machine, {}, "abc", records)))
-    new = page.read_text()
-    assert "old table" not in new
-    assert new.startswith("before\n")
-    assert new.endswith(f"{end}\nafter\n")
-    assert lines[2] in new
-    with pytest.raises(SystemExit, match="has no lines"):
-        bench.published.publish(page, "other", [])
-    bench.front.draw(tmp_path / "front.png", records)
+    bench.draw(tmp_path / "front.png", records)
     assert (tmp_path / "front.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_table_stands_between_its_marks_and_the_rest_of_the_page_stays(bench, tmp_path):
+    import published
+
+    (begin, end), page = published.marks("drawn"), tmp_path / "page.md"
+    page.write_text(f"before\n{begin}\nold table\n{end}\nafter\n")
+    published.publish(page, "drawn", ["| new |"])
+    assert page.read_text() == f"before\n{begin}\n\n| new |\n\n{end}\nafter\n"
+    with pytest.raises(SystemExit, match="has no lines"):
+        published.publish(page, "other", [])
+
+
 def test_the_legend_has_what_was_measured_alone(bench):
-    labels = [label for label, *_ in bench.front.legend_of([_record("full", "draft", 20.0, 0.005)])]
+    labels = [label for label, *_ in bench.legend_of([_record("full", "draft", 20.0, 0.005)])]
     assert labels == ["whole chain", "2 m deep", "20 photographs", "hollow: draft", "filled: standard"]
 
 
-def test_the_pages_have_the_marks_and_the_published_results_can_be_read(bench):
-    for page, name in ((bench.drawn.PAGE, "drawn"), (ROOT / "docs" / "notes" / "stress.md", "stress")):
-        text, (begin, end) = page.read_text(encoding="utf-8"), bench.published.marks(name)
-        assert text.index(begin) < text.index(end)
-    if bench.drawn.PUBLISHED.is_file():
-        assert read_results(bench.drawn.PUBLISHED).records
+def test_the_published_results_can_be_read(bench):
+    assert read_results(bench.PUBLISHED).records

@@ -18,9 +18,8 @@ ROOT = Path(__file__).resolve().parent.parent
 def bench(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
     import bench_random
-    import random_surveys
 
-    return SimpleNamespace(random=bench_random, surveys=random_surveys)
+    return SimpleNamespace(random=bench_random, surveys=bench_random)
 
 
 def test_a_seed_is_always_the_same_survey_and_another_seed_another(bench):

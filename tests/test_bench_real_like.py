@@ -18,9 +18,8 @@ def bench(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
     import bench_real_like
     import real_like_blocks
-    import real_like_ties
 
-    return SimpleNamespace(bench=bench_real_like, blocks=real_like_blocks, ties=real_like_ties)
+    return SimpleNamespace(bench=bench_real_like, blocks=real_like_blocks, ties=bench_real_like)
 
 
 def test_a_seed_is_always_the_same_block_and_seeds_are_of_every_kind(bench):

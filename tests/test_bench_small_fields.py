@@ -1,4 +1,4 @@
-"""Levels of detail, errors over time and colours without water, as their benchmarks measure them."""
+"""Errors over time and colours without water, as their benchmarks measure them."""
 
 from __future__ import annotations
 
@@ -7,9 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-
-from fields.device import choose_device
-from fields.volume.models import build_model
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -34,21 +31,6 @@ def test_a_dry_scene_and_an_enlarged_one_show_the_same_surface(monkeypatch):
     assert points[known][:, 2].max() == pytest.approx(BLOCK[1][2])
 
 
-@pytest.mark.parametrize("name", ["octree", "ground"])
-def test_finer_levels_have_smaller_cells_and_read_more(name):
-    from bench_levels import LEVELS, at_level
-    from switch_scene import BOX
-
-    model = build_model(name, BOX, 16, choose_device("torch"))
-    if name == "octree":
-        model.split(torch.tensor([0]))
-        model.split(torch.tensor([1]))
-    costs = [at_level(model, level) for level in range(LEVELS)]
-    assert [round(BOX.edge / cost["cell_m"]) for cost in costs] == [4, 8, 16]
-    assert costs[0]["read"] < costs[1]["read"] < costs[2]["read"]
-    assert costs[0]["products"] <= costs[2]["products"]
-
-
 def test_a_table_of_errors_has_each_model_once_with_what_it_reached():
     from bench_error_time import table
 
@@ -59,34 +41,6 @@ def test_a_table_of_errors_has_each_model_once_with_what_it_reached():
     # Of two seeds half of Student's interval is 12.7 times the standard deviation of their mean.
     rows.append({"model": "mdw", "scene": "wet", "steps": 11, "looks": [looks[-1] | {"psnr_db": 25.24}]})
     assert table(rows)[2:] == ["| MDW | - | - | - | 10 ± 13 | 25.1 ± 1.3 dB | 50 ± 0 mm |"]
-
-
-def test_levels_are_measured_again_with_other_views_or_other_code(tmp_path, monkeypatch, capsys):
-    import bench_levels
-
-    measured = []
-
-    def measure(name, scene, options):
-        measured.append((name, options.views))
-        return [{"model": name, "level": 0, "cell_m": 0.1, "read": 250, "products": 8, "depth_m": 0.01}]
-
-    monkeypatch.setattr(bench_levels, "measure", measure)
-    monkeypatch.setattr(bench_levels, "build", lambda enlarged: None)
-
-    def run(*words: str) -> None:
-        monkeypatch.setattr("sys.argv", ["bench_levels.py", str(tmp_path), "--models", "octree", *words])
-        bench_levels.main()
-
-    for words in ((), (), ("--views", "4")):
-        run(*words)
-    assert measured == [("octree", 2), ("octree", 4)]
-    # Words of the page, which is printed each time.
-    assert capsys.readouterr().out.count("| octree | 0 | 10.0 cm | 1 kB | 8 |") == 3
-    changed = tmp_path / "bench_levels.py"
-    changed.write_text("")
-    monkeypatch.setattr(bench_levels, "__file__", str(changed))
-    run()
-    assert measured[2:] == [("octree", 2)]
 
 
 def test_errors_over_time_are_measured_again_for_each_model_scene_and_time(tmp_path, monkeypatch, capsys):

@@ -17,9 +17,9 @@ N = 1.333
 @pytest.fixture
 def networks(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    import gallery_networks
+    import gallery_matching
 
-    return gallery_networks
+    return gallery_matching
 
 
 @pytest.fixture(scope="module")

@@ -21,9 +21,9 @@ AMPLITUDE = 0.06
 @pytest.fixture
 def drawn(monkeypatch) -> ModuleType:
     monkeypatch.syspath_prepend(Path(__file__).resolve().parent.parent / "benchmarks")
-    import drawn_reach
+    import bench_reach
 
-    return drawn_reach
+    return bench_reach
 
 
 def errors(drawn, survey, run, tiles):

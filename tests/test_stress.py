@@ -23,12 +23,12 @@ TINY = DrawnScene.tiny(image_px=(60, 45), focal_px=105.0, objects=False)
 @pytest.fixture
 def stress(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import stress as campaign
     import stress_factors
     import stress_faults
-    import stress_outcome
     import stress_scenes
 
-    return SimpleNamespace(factors=stress_factors, faults=stress_faults, outcome=stress_outcome, scenes=stress_scenes)
+    return SimpleNamespace(factors=stress_factors, faults=stress_faults, outcome=campaign, scenes=stress_scenes)
 
 
 def test_waves_move_from_photograph_to_photograph_and_their_truth_is_still_water(stress):

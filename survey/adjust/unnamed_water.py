@@ -7,7 +7,7 @@ are free in both, so that what they can take of the bend does not count.
 
 Colour, glint and smooth areas of the photographs are not evidence. Shade on a dry road is bluer than the lake beside it
 (8.7 against 0.7 % of a photograph, at most), a dry street has more saturated pixels (0.7 against 0.04 %), and dry dunes
-larger areas without texture (47 against 19 %): `benchmarks/water_by_colour.py` on real photographs.
+larger areas without texture (47 against 19 %).
 """
 
 from __future__ import annotations

@@ -5,9 +5,9 @@ best match of g shifts by the share ``w <dc, dg> / <dg, dg>`` of that, d for der
 Products are taken between neighbours across the derivative, so that white noise cancels. In deep water red has no
 texture left, and a share of zero.
 
-Colour and texture alone do not identify water: dry dunes have larger areas without texture, shade on a road is bluer
-(`benchmarks/water_by_colour.py`), and asphalt and bare soil look similar. So places found here are only reported, and
-never treated as water. Clear water over a textured bed is not found.
+Colour and texture alone do not identify water: dry dunes have larger areas without texture, shade on a road is bluer,
+and asphalt and bare soil look similar. So places found here are only reported, and never treated as water. Clear water
+over a textured bed is not found.
 
 Sharpness is the ratio of the finest to coarser detail. It depends on the scene, so that a photograph is blurred only
 relative to others of the same bed by the same camera. Motion removes detail along its direction alone, so that four

@@ -31,20 +31,8 @@ LEVEL = "584.2"
 BOUNDS = "676115.3 5311475.8 676124.7 5311484.2"
 # Longer output is cut in the middle: so many of its first (of process, one) and last lines stay.
 HEAD, TAIL = 11, 6
-# Of surveys after the first: the lines of init that differ, and so many of the last lines of process.
-END = 4
-TITLES = {
-    "photographs": ("From photographs alone", "A drone's photographs with positions of RTK, and nothing else."),
-    "metashape": (
-        "From Metashape",
-        "Photographs, and cameras.xml of File > Export > Export Cameras ([step by step](from-metashape.md)).",
-    ),
-    "odm": ("From OpenDroneMap", "The project folder, as far as OpenSfM made it ([step by step](from-odm.md))."),
-    "colmap": (
-        "From COLMAP",
-        "A model in metres, aligned by `model_aligner` to the positions in EXIF ([step by step](from-colmap.md)).",
-    ),
-}
+# The first is shown, all are compared with the true bed.
+SURVEYS = ("photographs", "metashape", "odm", "colmap")
 
 
 def main() -> None:
@@ -57,9 +45,8 @@ def main() -> None:
     home = given.root / HOME.lstrip("/")
     furnish(home, given.surveys, given.wheel, given.find_links)
     parts = [install(given.root, given.wheel.name, given.find_links is not None)]
-    seen: set[str] = set()
-    parts += [try_survey(given.root, name, seen) for name in TITLES]
-    parts.append(compared(given.root))
+    shown, *_ = [try_survey(given.root, name) for name in SURVEYS]
+    parts += [shown, compared(given.root)]
     PAGE.write_text(page(parts), encoding="utf-8")
 
 
@@ -67,7 +54,7 @@ def furnish(home: Path, surveys: Path, wheel: Path, wheels: Path | None) -> None
     """Put the surveys, the wheel and the constraints into an empty home."""
     shutil.rmtree(home, ignore_errors=True)
     home.mkdir(parents=True)
-    for name in (*TITLES, "truth"):
+    for name in (*SURVEYS, "truth"):
         shutil.copytree(surveys / name, home / name)
     shutil.copy(wheel, home)
     shutil.copy(HERE / "constraints.txt", home)
@@ -101,26 +88,17 @@ def install(root: Path, wheel: str, has_wheels: bool) -> str:
     )
 
 
-def try_survey(root: Path, name: str, seen: set[str]) -> str:
-    """The section of a survey, whole for the first one; ``seen`` has the lines of init that were shown."""
-    title, what = TITLES[name]
-    is_first = not seen
+def try_survey(root: Path, name: str) -> str:
+    """The section of a survey: its three commands with what they print."""
     commands = [
         f"bathynerf init {name} --level {LEVEL}",
         f"bathynerf check {name}",
         f"bathynerf process {name} --quality draft",
     ]
-    shown = [f"## {title}\n\n{what}\n"]
-    for verb, command in zip(("init", "check", "process"), commands, strict=True):
-        text = run(root, command)
-        lines = cut(text, 1 if verb == "process" else HEAD)
-        if verb == "init":
-            lines, known = fresh(lines, seen), set(lines)
-            seen |= known
-        elif not is_first:
-            lines = ["...", *lines[-END:]] if verb == "process" else []
-        if lines:
-            shown.append(f"    $ {command}\n" + indented(lines))
+    shown = ["## From photographs alone\n\nPhotographs of a drone with RTK positions, and nothing else.\n"]
+    for command in commands:
+        lines = cut(run(root, command), 1 if " process " in command else HEAD)
+        shown.append(f"    $ {command}\n" + indented(lines))
     return "\n".join(shown)
 
 
@@ -128,7 +106,7 @@ def compared(root: Path) -> str:
     """Each cloud against the true bed: mean and standard deviation of wet and of dry ground."""
     shown = ["## Against the true bed\n"]
     rows = ["| | wet: mean | std | dry: mean | std |", "|---|---|---|---|---|"]
-    for name in TITLES:
+    for name in SURVEYS:
         command = f"bathynerf compare -q {name}/bathynerf/cloud.las truth/reference.ply --bounds {BOUNDS}"
         lines = [line for line in run(root, command).splitlines() if line.startswith(("wet", "dry"))]
         if len(rows) == 2:
@@ -141,17 +119,6 @@ def millimetres(line: str) -> str:
     """Mean and standard deviation of a line of compare, as two cells of a table."""
     mean, std = re.findall(r"\b(?:mean|std) (-?\d+\.\d+)", line)[:2]
     return f"{1000 * float(mean):.1f} mm | {1000 * float(std):.1f} mm"
-
-
-def fresh(lines: list[str], seen: set[str]) -> list[str]:
-    """The lines that are not in ``seen``, with ... in place of the others."""
-    out: list[str] = []
-    for line in lines:
-        if line not in seen:
-            out.append(line)
-        elif line and out[-1:] != ["  ..."]:
-            out.append("  ...")
-    return out
 
 
 def cut(text: str, head: int) -> list[str]:
@@ -177,7 +144,9 @@ def page(parts: list[str]) -> str:
         "follows\nwas run in a bare Debian with Python and nothing else, by a user without rights "
         "(`scripts/first_clouds.py`), on a drawn\nsurvey of 18 photographs of 480 x 360 px (`examples/exports.py`); "
         "the text is the terminal's, cut where it is long. The\nwater stands at 584.2 m: `--level` is what no file "
-        "tells. Poses of another program take the same three commands;\nwhat differs from the first survey is shown.\n"
+        "tells. Poses of\n"
+        "[Metashape](from-metashape.md), [OpenDroneMap](from-odm.md) and [COLMAP](from-colmap.md) take the same three "
+        "commands.\n"
     )
     return "\n".join([head, *parts]).rstrip() + "\n"
 

@@ -45,7 +45,7 @@ def blind(drawn, tmp_path_factory) -> Path:
     shutil.copytree(drawn, folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(BENCHMARKS)
-        from without_gps import copy_without_gps
+        from adjust_rows import copy_without_gps
 
         for path in (folder / "images").iterdir():
             copy_without_gps(path, path)

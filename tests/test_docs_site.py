@@ -10,7 +10,9 @@ from survey.commands.verbs import VERBS
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 # What a reader has the patience for. Rows of tables cannot be broken in Markdown.
-README_LINES, LINE, PAGE_WORDS, MEASUREMENT_WORDS, ALL_WORDS = 110, 120, 1500, 1200, 35_000
+README_LINES, LINE, PAGE_WORDS, MEASUREMENT_WORDS, ALL_WORDS = 110, 120, 1500, 1200, 34_500
+# For whoever works on the program, with their most words: not counted among the pages of users.
+FOR_AUTHORS = {"decisions.md": 10_000, "theory.md": 1500, "field-theory.md": 1500}
 
 
 def test_every_page_is_in_a_section():
@@ -28,7 +30,7 @@ def test_the_options_of_every_command_are_in_the_reference():
 
 
 def pages() -> dict[Path, str]:
-    """All pages of the site but those of notes, with their text."""
+    """All pages of the site, with their text."""
     found = [*DOCS.glob("*.md"), *DOCS.glob("sections/*.md"), *DOCS.glob("notebooks/*.md")]
     return {page: page.read_text(encoding="utf-8") for page in sorted(found)}
 
@@ -41,6 +43,8 @@ def words(text: str) -> int:
 def test_pages_are_short():
     measurements = re.findall(r"^\.\./(\S+)$", (DOCS / "sections" / "measurements.md").read_text(), re.MULTILINE)
     counts = {page: words(text) for page, text in pages().items()}
+    for name, most in FOR_AUTHORS.items():
+        assert counts.pop(DOCS / name) <= most
     long = {
         page.name: count
         for page, count in counts.items()

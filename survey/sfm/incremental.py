@@ -1,7 +1,7 @@
 """Incremental mapping by pycolmap: images are added to a block one by one.
 
 COLMAP's pipeline solves bundle adjustments of more than 1,000 images by conjugate gradients, and has no setting for
-another solver: of 2,080 images it did not end in 27 minutes (docs/notes/scaling.md). Larger blocks are therefore built
+another solver: of 2,080 images it did not end in 27 minutes (docs/decisions.md). Larger blocks are therefore built
 here from the steps of its mapper (J. Schoenberger and J.-M. Frahm, Structure-from-motion revisited, 2016), with sparse
 Cholesky factors at every size.
 """

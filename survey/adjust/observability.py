@@ -244,7 +244,8 @@ def roll_notes(survey: Survey, done: RobustSolution, gsd_m: float) -> list[str]:
     Raises
     ------
     SurveyError
-        Where a roll leaves heights of the bed more uncertain than the quality gate allows.
+        Where nothing but level water holds a roll, or it leaves heights of the bed more uncertain than the quality
+        gate allows.
     """
     prior, state = done.prior, done.solution.state
     notes = []
@@ -253,10 +254,13 @@ def roll_notes(survey: Survey, done: RobustSolution, gsd_m: float) -> list[str]:
         # Control over an area holds all of a block: where heights are uncertain, by lens and position as by the roll.
         if spans_area(survey, roll):
             continue
+        on_line = f"positions or control of {len(roll.views)} photographs lie on one line"
+        if not roll.num_attitudes and not np.isfinite(done.used.point_std).all(axis=1).any():
+            raise SurveyError(f"{on_line}, and neither control nor attitudes hold the roll about it: {ROLL_REMEDY}")
         std = roll.std_by(prior.layout, done.solution.covariance)
         across, below = np.median(np.abs(roll.across.flat(state.points)), axis=0).tolist()
         message = (
-            f"positions or control of {len(roll.views)} photographs lie on one line; the roll about it is known to "
+            f"{on_line}; the roll about it is known to "
             f"{math.degrees(std):.2g} degrees by {_sources_of_roll(survey, done, roll)}, which leaves heights "
             f"{std * across:.2g} m uncertain (at {across:.2g} m beside the line, the median) and the bed "
             f"{std * below:.2g} m sideways"
@@ -290,4 +294,4 @@ def _sources_of_roll(survey: Survey, done: RobustSolution, roll: Roll) -> str:
     by = [f"control ({', '.join(control)})"] if control else []
     by += [f"the attitudes of {roll.num_attitudes} photographs"] if roll.num_attitudes else []
     by += ["the level of the water"] if survey.water is not None else []
-    return " and ".join(by) if by else "the scatter of the positions alone"
+    return " and ".join(by)

@@ -15,7 +15,6 @@ from survey.adjust.block.pose_std import reestimate_pose_std
 from survey.adjust.block.prediction import apparent_rise_design
 from survey.adjust.block.priors import PriorKnowledge, priors_for
 from survey.adjust.block.problem import Problem
-from survey.adjust.block.roll import Roll, inflate_roll, minimise_over_roll
 from survey.adjust.block.state import State, with_parameters
 from survey.adjust.clusters import cluster_design_effect, terrain_design_effect
 
@@ -139,7 +138,8 @@ def adjust(prior: PriorKnowledge, seen: Observed) -> RobustSolution:
         seen = kept.at(state.points)
         # The covariance of 2,000 photographs takes 1.2 GB.
         del problem, solution, on_ground
-    solution = _with_open_parameters(prior, seen, problem, solution, factors[kind])
+    if prior.common_up_std > 0.0:
+        solution = replace(solution, covariance=covariance_over_shore(problem, solution))
     placed = None if on_ground is None else ground_alignment(on_ground, problem, solution)
     solution = replace(solution, std_px=np.sqrt(_mean_by_kind(found[kind] ** 2, seen.kind)))
     return RobustSolution(prior, seen, solution, _mean_by_kind(factors[kind], seen.kind), blunders, placed)
@@ -174,28 +174,6 @@ def _solve_once(
             if moves.max() <= _STEADY_ON_GROUND * float(np.median(planes.precision[used] ** -0.5)):
                 break
     return problem, solution, on_ground
-
-
-def _with_open_parameters(
-    prior: PriorKnowledge, seen: Observed, problem: Problem, solution: Solution, variance_factor: np.ndarray
-) -> Solution:
-    """The solution at the least over the rolls that nothing holds, with the covariance of these and of a free level."""
-    stds = []
-    for roll in _open_rolls(prior, seen):
-        solution, std = minimise_over_roll(problem, solution, variance_factor, roll)
-        stds.append((roll, std))
-    if prior.common_up_std > 0.0:
-        solution = replace(solution, covariance=covariance_over_shore(problem, solution))
-    for roll, std in stds:
-        solution = replace(solution, covariance=inflate_roll(problem, solution.covariance, roll, std))
-    return solution
-
-
-def _open_rolls(prior: PriorKnowledge, seen: Observed) -> list[Roll]:
-    """The rolls that nothing holds but level water."""
-    if prior.mean.water is None or np.isfinite(seen.point_std).all(axis=1).any():
-        return []
-    return [roll for roll in prior.rolls if not roll.num_attitudes]
 
 
 def _factors(problem: Problem, solution: Solution, sizes: Sizes, before: np.ndarray) -> np.ndarray:

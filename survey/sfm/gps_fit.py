@@ -24,8 +24,8 @@ MIN_STD_M = 0.02
 # Cameras closer to one line than this many std, or share of its length, leave the roll of the block about it open.
 _LINE_STD, _LINE_SHARE = 3.0, 0.03
 ROLL_REMEDY = (
-    "give a control point some metres beside the line, attitudes of the camera in XMP, or a level of water that the "
-    "photographs show, or add images of a second strip"
+    "give a control point some metres beside the line, or attitudes of the camera in XMP, or add images of a second "
+    "strip"
 )
 # When the shape of all positions is asked for, one of so many may be wrong: farther from their middle than the median
 # by this factor. Of a strip the ends are twice as far.

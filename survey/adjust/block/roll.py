@@ -11,12 +11,8 @@ whose only prior on a common roll is that by the attitudes. All else comes from 
 water, the shoreline, and control points with their marks. The standard deviation of the roll is that of g in the
 covariance of the adjustment.
 
-Where level water alone holds the roll, its standard deviation is by the profile of the cost. Points move along arcs as
-a block rolls, so that steps of the adjustment are refused long before they reach the least cost of a flat valley, and
-its curvature there says little of how wide the valley is. So the roll is held at angles on both sides of where the
-adjustment ended, all else follows, and the block is adjusted again from the best of them. The standard deviation is by
-the first angle on each side at which the cost has risen by so much that its parabola through there can be trusted
-(profile likelihood: D. Bates and D. Watts, Nonlinear Regression Analysis, 1988, section 6.1).
+Level water alone does not hold it well enough: over the valley that rays bent at a level plane leave, the curvature at
+the end of an adjustment says three times too little of its width (`survey.adjust.observability.roll_notes` refuses it).
 """
 
 from __future__ import annotations
@@ -24,14 +20,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from survey.adjust.block.bundle import NotConvergedError, Solution, cost, levenberg_marquardt, solve
-from survey.adjust.block.problem import Problem
-from survey.adjust.block.state import NUM_POSE, Layout, State
+from survey.adjust.block.state import NUM_POSE, Layout
 from survey.photos.poses import connected_parts, least_track
 from survey.sfm.control_fit import line_of_control
 from survey.sfm.gps_fit import LineAxes, PositionLine, gps_std, line_of, roll_by_attitudes
@@ -43,7 +37,7 @@ if TYPE_CHECKING:
     from survey.photos.cameras import View
 
 
-# Of a roll without attitudes, or whose profile no angle leaves: keeps the normal equations regular.
+# Of a roll without attitudes: keeps the normal equations regular.
 _OPEN_STD = math.radians(20.0)
 # Fewer control points than this do not tell a line from an area.
 _FEWEST = 3
@@ -169,115 +163,3 @@ def _control_points_in(survey: Survey, views: Sequence[View], least: int) -> lis
         return []
     shown = Counter(mark.point for mark in control.marks if mark.view in names)
     return [point for point in control.points if shown[point.name] >= least and not point.is_check]
-
-
-# Angles [deg] at which the roll is held, on both sides.
-_ANGLES_DEG = range(3, 22, 3)
-# Standard deviation [rad] of the prior that holds it there.
-_HOLD_STD = math.radians(0.003)
-# Rises of the cost, in units of variances: less is a part of the valley; one that starts an adjustment anew.
-_OF_VALLEY, _BETTER = 3.0, 0.5
-# Beyond a rise of this nothing more is looked for on that side.
-_MOST_RISE = 30.0
-
-
-class ProfilePoint(NamedTuple):
-    """The block at a roll that was held."""
-
-    angle: float  # [rad]: from where the adjustment ended
-    cost: float
-    state: State
-
-
-def minimise_over_roll(
-    problem: Problem, solution: Solution, variance_factor: np.ndarray, roll: Roll
-) -> tuple[Solution, float]:
-    """The solution of least cost over a roll, and the standard deviation [rad] of that roll by its profile.
-
-    Parameters
-    ----------
-    variance_factor : (N,)
-        As for `survey.adjust.block.bundle.solve`.
-    """
-    sides = [_scan_profile(problem, solution, variance_factor, roll, sign) for sign in (1, -1)]
-    profile = [each for side, _ in sides for each in side]
-    least = cost(problem, solution.state, solution.std_px, variance_factor)
-    at, moved = 0.0, 0.0
-    best = min(profile, key=lambda each: each.cost, default=None)
-    if best is not None and best.cost < least - _BETTER:
-        at, std_px = best.angle, solution.std_px
-        try:
-            solution = solve(problem, best.state, variance_factor=variance_factor)
-        except NotConvergedError:
-            # What was found stays, as far off as the better angle.
-            least, moved = best.cost, abs(at)
-        else:
-            at += roll.angle_between(best.state.rotations, solution.state.rotations)
-            least = min(cost(problem, solution.state, std_px, variance_factor), best.cost)
-    rises = [(each.angle - at, each.cost - least) for each in profile]
-    std = std_by_profile(rises, are_whole=(sides[0][1], sides[1][1]))
-    return solution, math.hypot(std, moved)
-
-
-def std_by_profile(rises: list[tuple[float, float]], are_whole: tuple[bool, bool] = (True, True)) -> float:
-    """Standard deviation [rad] of a roll by its profile: the wider side of it.
-
-    Parameters
-    ----------
-    rises : list of (angle [rad] from the best value, rise of the cost)
-    are_whole : (bool, bool)
-        Whether the side above and the one below were looked at to their ends; one that was not, and shows no rise,
-        tells nothing.
-    """
-    known = []
-    for sign, is_whole in zip((1.0, -1.0), are_whole, strict=True):
-        side = sorted((sign * angle, rise) for angle, rise in rises if sign * angle > 0.0)
-        beyond = [angle / math.sqrt(rise) for angle, rise in side if rise >= _OF_VALLEY]
-        known += beyond[:1] if beyond else [_OPEN_STD] if is_whole else []
-    return max(known, default=_OPEN_STD)
-
-
-def _scan_profile(
-    problem: Problem, solution: Solution, variance_factor: np.ndarray, roll: Roll, sign: int
-) -> tuple[list[ProfilePoint], bool]:
-    """The block with the roll held at angles to one side, each from the last; False where an adjustment failed."""
-    found: list[ProfilePoint] = []
-    state, before = solution.state, 0.0
-    mean = roll.mean_roll(problem.layout)
-    shown = np.unique(problem.ties.point[np.isin(problem.ties.view, roll.views)])
-    rows, signs = problem.priors.rows, problem.priors.signs
-    assert rows is not None
-    assert signs is not None
-    least = cost(problem, solution.state, solution.std_px, variance_factor)
-    for degrees in _ANGLES_DEG:
-        angle = sign * math.radians(degrees)
-        turn = roll.across.rolled(angle - before)
-        rotations = state.rotations.copy()
-        rotations[roll.views] = rotations[roll.views] @ turn.rotation.T
-        centres = state.centres.copy()
-        centres[roll.views] = turn(centres[roll.views])
-        points = state.points.copy()
-        points[shown] = turn(points[shown])
-        state = replace(state, rotations=rotations, centres=centres, points=points)
-        priors = replace(
-            problem.priors,
-            state=replace(problem.priors.state, rotations=rotations),
-            rows=np.vstack([rows, mean / _HOLD_STD]),
-            signs=np.append(signs, 1.0),
-        )
-        try:
-            state, _ = levenberg_marquardt(replace(problem, priors=priors), state, solution.std_px, variance_factor)
-        except NotConvergedError:
-            return found, False
-        before = angle
-        found.append(ProfilePoint(angle, cost(problem, state, solution.std_px, variance_factor), state))
-        if found[-1].cost > least + _MOST_RISE:
-            break
-    return found, True
-
-
-def inflate_roll(problem: Problem, covariance: np.ndarray, roll: Roll, std: float) -> np.ndarray:
-    """Covariance (P, P) with the std [rad] of the roll raised, and those of all correlated parameters with it."""
-    along = covariance @ roll.mean_roll(problem.layout)
-    variance = float(roll.mean_roll(problem.layout) @ along)
-    return covariance + max(std**2 / variance - 1.0, 0.0) / variance * np.outer(along, along)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from itertools import product
 
 import pytest
@@ -112,6 +112,19 @@ def test_a_clock_that_is_not_set_hides_no_other(head, date):
     base = ExifTags.Base
     details = {base.DateTimeOriginal: "2024:06:01 10:30:00", base.OffsetTimeOriginal: "+02:00"}
     assert head(gps, details).taken == datetime(2024, 6, 1, 8, 30, tzinfo=UTC)
+
+
+@pytest.mark.parametrize("details", [{}, {ExifTags.Base.DateTimeOriginal: "2024:06:01 10:30:00"}])
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        ("2024-06-01T08:30:00.5", 0.5), ("2024:06:01 08:30:00.500000", 0.5), ("2024-06-01T08:30:01Z", 1.0),
+        ("2024-06-01 08:30:00.1234567+00:00", 0.123456), ("0", None), ("", None), ("2024-13-01T08:30:00", None),
+    ],
+)  # fmt: skip
+def test_the_utc_of_the_exposure_in_xmp_is_the_time_of_a_photograph(head, text, seconds, details):
+    right = None if seconds is None else datetime(2024, 6, 1, 8, 30, tzinfo=UTC) + timedelta(seconds=seconds)
+    assert head({}, details, f'<x drone-dji:UTCAtExposure="{text}"/>').taken == right
 
 
 LOCAL, EARLIER = "2024:06:01 10:30:00", "2024:06:01 10:29:00"

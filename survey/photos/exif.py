@@ -31,6 +31,7 @@ from survey.photos.xmp import (
     SEA_LEVEL,
     Motion,
     Rtk,
+    exposure_time,
     height_datum,
     motion_of,
     number,
@@ -79,7 +80,7 @@ class Exif:
     orientation: int  # 1 where the image is stored upright
     camera: str  # Maker and model
     above_start_m: float | None  # DJI's and Autel's height over the take-off point [m]
-    # In UTC: of the GPS clock, else of the camera's with its offset; None where neither is there
+    # In UTC: by DJI's XMP, else of the GPS clock, else of the camera's with its offset; None where there is none
     taken: datetime | None = None
     rtk: Rtk | None = None  # Accuracy of the position by the receiver, where DJI's XMP has it
     motion: Motion = field(default_factory=Motion)  # Attitudes, speed and shutter at the exposure, by XMP
@@ -139,7 +140,7 @@ def _read_exif(path: Path, _changed: int, _size: int) -> Exif:
         orientation=orientation if orientation in range(1, 9) else 1,
         camera=camera.strip(),
         above_start_m=xmp_number(xmp, "RelativeAltitude"),
-        taken=_taken(gps, details, changed),
+        taken=exposure_time(xmp) or _taken(gps, details, changed),
         rtk=rtk_of(xmp),
         motion=motion_of(xmp),
         std_m=stated_std(xmp) or std_of_gps(gps),

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,8 @@ _ANGLE = re.compile(r"(\d{1,3}),(\d{1,2}(?:\.\d*)?)(?:,(\d{1,2}(?:\.\d*)?))?([NS
 # XML allows both quotes.
 _VALUE = r"(?<![\w-]){}:{}\s{{0,40}}(?:=\s{{0,40}}[\"']|>)\s{{0,40}}([^\"'<]{{1,60}})[\"'<]"
 _NUMBER = re.compile(r"[+-]?[0-9.]+(?:[eE][+-]?[0-9]{1,3})?")
+# As of EXIF or ISO 8601, to a microsecond.
+_UTC = re.compile(r"(\d{4})[:-](\d\d)[:-](\d\d)[T ](\d\d:\d\d:\d\d)(\.\d{1,6})?\d*(?:Z|\+00:00)?")
 _MECHANICAL = re.compile(r"drone-dji:ShutterType\s*(?:=\s*[\"']|>)\s*mechanical", re.IGNORECASE)
 # No receiver is this wrong and still reports a standard deviation; files without one have 0, or a filler.
 _MOST_STD_M = 100.0
@@ -161,6 +164,17 @@ def _on_earth(place: XmpPlace) -> XmpPlace | None:
     """The place, unless it is none, or that of a receiver without a fix."""
     is_fix = place.latitude != 0.0 or place.longitude != 0.0
     return place if is_fix and abs(place.latitude) <= 90.0 and abs(place.longitude) <= 180.0 else None
+
+
+def exposure_time(xmp: str) -> datetime | None:
+    """The time of the exposure in UTC by DJI's XMP (UTCAtExposure), with its fraction; None where there is none."""
+    found = _UTC.fullmatch(_text_in(xmp, _DJI, "UTCAtExposure") or "")
+    if found is None:
+        return None
+    try:
+        return datetime.fromisoformat("{}-{}-{} {}{}".format(*found.groups(""))).replace(tzinfo=UTC)
+    except ValueError:
+        return None
 
 
 def motion_of(xmp: str) -> Motion:

@@ -20,7 +20,7 @@ class LevelSources:
     shoreline: str | None = None  # CSV of points, easting, northing, height, or a vector file, where water meets land
     gnss_points: str | None = None  # the same, of points anywhere on the surface
     surface: str | None = None  # the same or a GeoTIFF, of water that is not a plane
-    gauge: str | None = None  # CSV of time, level
+    gauge: str | None = None  # series of time and level: CSV, or a form of NOAA, PEGELONLINE or USGS
     image_levels: str | None = None  # CSV of image, level
     clicks: str | None = None  # CSV of image, x, y, name: places of the waterline in two photographs or more
 
@@ -120,6 +120,8 @@ class WaterConfig:
     colour: WaterColour = field(default_factory=WaterColour, metadata=INLINE)
     sources: LevelSources = field(default_factory=LevelSources, metadata=INLINE)
     rate: LevelRate = field(default_factory=LevelRate, metadata=INLINE)
+    gauge_zero_m: float | None = None  # height in crs from which the readings of the gauge count
+    layer: str | None = None  # of the file of points or lines, the one that is the water
     level_std_m: float | None = None  # standard deviations, for the adjustment
     index_std: float | None = None
     slope_std: float | None = None
@@ -193,6 +195,8 @@ class WaterConfig:
         levels = [*([] if self.level_m is None else ["level_m"]), *self.sources.named]
         if self.sources.surface is not None and (self.level_at is not None or self.slope_east or self.slope_north):
             raise ConfigError("[water] surface gives the level everywhere; remove level_at, slope_east and slope_north")
+        if self.gauge_zero_m is not None and self.sources.gauge is None:
+            raise ConfigError("[water] has gauge_zero_m without gauge, from whose zero readings count; give both")
         if len(levels) > 1:
             raise ConfigError(
                 f"[water] has {' and '.join(levels)}, each of which gives the height of the water; keep one"

@@ -36,10 +36,9 @@ from survey.water.level_observation import (
     huber_fit,
     plane_warning,
     points_of_surface,
-    readings_of_gauge,
 )
 from survey.water.surface import SURFACE
-from survey.water.tides import Tide, tide_of_gauge, tide_of_levels, tide_of_rate
+from survey.water.tides import MovingLevel, Tide, tide_of_gauge, tide_of_levels, tide_of_rate
 
 _MEASURED = ("shoreline", "gnss_points")
 _POINTS = (*_MEASURED, "surface")
@@ -92,17 +91,13 @@ def with_level(
     if water.level_m is not None:
         std = STAFF_STD_M if water.level_std_m is None else water.level_std_m
         return config, (LevelObservation(water.level_m, std, water.level_at, None, "level_m"),), tide, Findings()
-    if water.sources.gauge is not None:
-        readings = readings_of_gauge(folder / water.sources.gauge, height_unit_m(crs))
-        level, tide, count = tide_of_gauge(folder / water.sources.gauge, readings, headers)
-        note = f"mean at {count} of {len(headers)} images, over which it changes by {1000.0 * tide.moves_m:.0f} mm"
-        water, findings = _of_tide(water, level, readings, note)
-        return replace(config, water=water), readings, tide, findings
-    if water.sources.image_levels is not None:
-        level, tide, found = tide_of_levels(folder / water.sources.image_levels, headers, height_unit_m(crs))
-        note = f"mean of {len(found)} images, over which it changes by {1000.0 * tide.moves_m:.0f} mm"
-        water, findings = _of_tide(water, level, found, note)
-        return replace(config, water=water), found, tide, findings
+    sources, unit_m = water.sources, height_unit_m(crs)
+    if sources.gauge is not None:
+        moving = tide_of_gauge(folder / sources.gauge, water, headers, unit_m)
+        return _with_moving(config, water, moving, f"mean at {moving.num_images} of {len(headers)} images")
+    if sources.image_levels is not None:
+        moving = tide_of_levels(folder / sources.image_levels, headers, unit_m)
+        return _with_moving(config, water, moving, f"mean of {moving.num_images} images")
     name = next((source for source in _POINTS if source in water.sources.named), None)
     if name is None:
         return config, (), tide, Findings()
@@ -268,15 +263,20 @@ def _robust(design: np.ndarray, heights: np.ndarray, stds: np.ndarray) -> tuple[
     return values, np.linalg.inv(normal) * scatter**2 * len(heights) / max(len(heights) - design.shape[1], 1)
 
 
-def _of_tide(
-    water: WaterConfig, level: float, found: Sequence[LevelObservation], note: str
-) -> tuple[WaterConfig, Findings]:
-    """The water with the mean level over the photographs, and a sentence on it.
+def _with_moving(
+    config: SurveyConfig, water: WaterConfig, moving: MovingLevel, note: str
+) -> tuple[SurveyConfig, tuple[LevelObservation, ...], Tide, Findings]:
+    """Settings with the mean level over the photographs, and a sentence on it.
 
-    Its standard deviation includes that of a reading and that of the gauge zero.
+    Its standard deviation includes that of a reading, of the zero of the gauge, and of what lies between readings.
     """
-    source = found[0].source
-    std = math.hypot(float(np.median([each.std_m for each in found])), COMMON_STD_M[source])
-    findings = Findings((f"level_m = {level:.3f} +- {std:.3f} from [water] {source}: {note}",))
+    source = moving.tide.source
+    reading = float(np.median([each.std_m for each in moving.observations]))
+    std = math.hypot(reading, COMMON_STD_M[source], moving.gap_std_m)
+    text = (
+        f"level_m = {moving.level_m:.3f} +- {std:.3f} from [water] {source}: {note}, over which it changes by "
+        f"{1000.0 * moving.tide.moves_m:.0f} mm"
+    )
     level_std = water.level_std_m or min(std, MOST_LEVEL_STD_M)
-    return replace(water, level_m=level, level_std_m=level_std, sources=LevelSources()), findings
+    water = replace(water, level_m=moving.level_m, level_std_m=level_std, gauge_zero_m=None, sources=LevelSources())
+    return replace(config, water=water), moving.observations, moving.tide, Findings((text,)) + moving.findings

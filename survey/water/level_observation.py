@@ -3,7 +3,7 @@
 survey.toml              level_m, level_std_m
 shoreline, gnss_points   CSV with easting, northing, height in crs (and std), or a vector file
 surface                  the same, or a raster of heights
-gauge                    CSV with time, level (and std)
+gauge                    a series of levels: `survey.water.gauge_files`
 image_levels             CSV with image, level (and std): `survey.water.tides`
 clicks                   CSV with image, x, y, name: `survey.water.clicks`
 
@@ -16,8 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from itertools import pairwise
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +31,7 @@ from geo.shapes import in_height_unit, vertices_of
 from geo.transformation import height_scale, lon_lat, transformed
 from survey.display.quantities import length
 from survey.errors import ConfigError
-from survey.files.csv_table import Row, read_table
+from survey.files.csv_table import Row
 from survey.files.point_table import Units, read_points
 from survey.settings.config import WaterConfig
 from survey.water.surface_features import points_of_features
@@ -50,7 +49,7 @@ _RASTER = (".tif", ".tiff")
 _MOST_CELLS, _FINER = 40_000, 0.8
 # Std of a cell relative to its neighbours; the error that they share is common.
 _CELL_STD_M = 0.002
-_MOST_STD_M = 10.0
+MOST_STD_M = 10.0
 # Distances from the nearest camera: beyond the first, places are not of this survey; beyond the second, they may be on
 # another water body.
 FARTHEST_M, DOUBTFUL_M = 20e3, 2e3
@@ -118,44 +117,14 @@ def _points_of_raster(path: Path, source: str, crs: CRS) -> tuple[tuple[LevelObs
     return tuple(LevelObservation(h * unit, _CELL_STD_M, (e, n), None, source) for e, n, h in points.tolist()), notes
 
 
-def readings_of_gauge(path: Path, unit_m: float = 1.0) -> tuple[LevelObservation, ...]:
-    """Readings of a gauge, heights in crs of this unit [m], in rising order of time.
-
-    Raises
-    ------
-    ConfigError
-        If the file is missing or damaged, a time has no time zone, or times do not rise.
-    """
-    rows = read_table(path, ("time", "level"), optional=("std",), error=ConfigError)
-    times = [utc_of(row.text("time"), row.where) for row in rows]
-    found = tuple(
-        LevelObservation(row.number("level") * unit_m, std_of(row, "gauge"), None, time, "gauge")
-        for row, time in zip(rows, times, strict=True)
-    )
-    if len(times) < 2 or any(later <= earlier for earlier, later in pairwise(times)):
-        raise ConfigError(f"{path} has {len(times)} readings, expected two or more with rising times; sort them")
-    return found
-
-
 def std_of(row: Row, source: str) -> float:
     """The standard deviation [m] of a row of a table, by default that of its source; ConfigError where it is none."""
     std = row.number("std", default=STD_M[source])
-    if not 0.0 < std <= _MOST_STD_M:
+    if not 0.0 < std <= MOST_STD_M:
         raise ConfigError(
-            f"{row.where}: std is {std:g}, expected a standard deviation above 0 and at most {_MOST_STD_M:g} m"
+            f"{row.where}: std is {std:g}, expected a standard deviation above 0 and at most {MOST_STD_M:g} m"
         )
     return std
-
-
-def utc_of(text: str, where: str) -> datetime:
-    """A time in UTC from a text at a place of a file; ConfigError where it is none, or has no time zone."""
-    try:
-        moment = datetime.fromisoformat(text)
-        if moment.tzinfo is not None:
-            return moment.astimezone(UTC)
-    except (ValueError, OverflowError) as error:
-        raise ConfigError(f"{where}: {text[:40]!r} is not a time, expected e.g. 2024-06-01T10:30:00Z") from error
-    raise ConfigError(f"{where}: {text} has no time zone; write Z for UTC or e.g. +02:00 after it")
 
 
 def water_place_warnings(

@@ -1,6 +1,6 @@
 """Water level of each photograph: by a gauge, by a table of levels, or by a rate.
 
-    gauge                 CSV with time, level: interpolated at the time of each photograph
+    gauge                 a series of time and level: interpolated at the time of each photograph
     image_levels          CSV with image, level (and std)
     level_rate_m_per_h    beside any other level, which is that of the mean time of the photographs, or of level_time
 
@@ -12,19 +12,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from refract import FlatWater
-from survey.errors import FILE_NAME, ConfigError
-from survey.files.csv_table import read_table
+from survey.errors import FILE_NAME, ConfigError, Findings
+from survey.files.csv_table import Table, words_of
 from survey.photos.cameras import View, metres_per_px
 from survey.photos.exif import Exif
 from survey.photos.names import ImageNames
 from survey.settings.water import WaterConfig
-from survey.water.level_observation import LevelObservation, std_of, utc_of
+from survey.water.gauge_files import Reading, is_no_data_number, read_series, utc_of
+from survey.water.level_observation import LevelObservation, std_of
+from survey.water.series import levels_at, require_levels
 
 # A photograph without a time gets the mean level of the others, if these differ by no more than this [m], which moves
 # the bed by less than 2 mm.
@@ -32,6 +34,7 @@ _MOST_UNKNOWN_M = 0.005
 # Levels that move images by less than this are treated as one level: like pose errors (`survey.plan.decisions`), they
 # are negligible against the noise of matching.
 MOST_SHIFT_PX = 0.1
+_NO_TIME = datetime(1970, 1, 1, tzinfo=UTC)
 # Rays nearer to the horizon are not used for the bed.
 GRAZING_DEG = 70.0
 
@@ -58,60 +61,78 @@ class Tide:
         return self.shift_px > MOST_SHIFT_PX
 
 
-def tide_of_gauge(
-    path: Path, readings: Sequence[LevelObservation], headers: Mapping[str, Exif]
-) -> tuple[float, Tide, int]:
-    """The mean level of the photographs, their tide, and how many of them have a time.
+@dataclass(frozen=True)
+class MovingLevel:
+    """Level of the water by a file that has it at several moments."""
+
+    level_m: float  # [m]: mean at the photographs
+    # [m]: what the distance of readings adds to the standard deviation of the mean
+    gap_std_m: float
+    tide: Tide
+    observations: tuple[LevelObservation, ...]
+    num_images: int  # Photographs with a time, or in the table
+    findings: Findings
+
+
+def tide_of_gauge(path: Path, water: WaterConfig, headers: Mapping[str, Exif], unit_m: float = 1.0) -> MovingLevel:
+    """The mean level of the photographs and their tide, by a series whose levels have this unit [m].
 
     Raises
     ------
     ConfigError
-        If the readings do not cover the flight, or too few photographs have a time.
+        If the file is damaged, its readings do not cover the flight or are no levels, or too few photographs have a
+        time.
     """
-    times = np.array([reading.time.timestamp() for reading in readings if reading.time is not None])
-    levels = np.array([reading.level_m for reading in readings])
+    series = read_series(path, unit_m, water.gauge_zero_m)
     taken = _times(headers, f"no level can be interpolated from {path}; give level_m in {FILE_NAME}")
     moments = np.array(list(taken.values()))
-    if moments.min() < times[0] or moments.max() > times[-1]:
-        raise ConfigError(
-            f"{path} runs from {_shown(times[0])} to {_shown(times[-1])}, but images were taken from "
-            f"{_shown(moments.min())} to {_shown(moments.max())}; add the readings around the flight"
-        )
-    at_images = np.interp(moments, times, levels)
-    mean = float(at_images.mean())
-    over = dict(zip(taken, (at_images - mean).tolist(), strict=True))
-    return mean, Tide("gauge", _completed(over, headers), _hours(taken, float(moments.mean()))), len(taken)
+    readings, at = levels_at(series, moments)
+    mean = float(at.levels_m.mean())
+    over = dict(zip(taken, (at.levels_m - mean).tolist(), strict=True))
+    tide = Tide("gauge", _completed(over, headers), _hours(taken, float(moments.mean())))
+    levels = tuple(LevelObservation(each.level_m, each.std_m, None, each.time, "gauge") for each in readings)
+    return MovingLevel(mean, at.std_m, tide, levels, len(taken), series.findings + at.findings)
 
 
-def tide_of_levels(
-    path: Path, headers: Mapping[str, Exif], unit_m: float = 1.0
-) -> tuple[float, Tide, tuple[LevelObservation, ...]]:
-    """The mean level of the photographs, their tide, and the levels of a table, heights in crs of this unit [m].
+def tide_of_levels(path: Path, headers: Mapping[str, Exif], unit_m: float = 1.0) -> MovingLevel:
+    """The mean level of the photographs and their tide, by a table of levels in this unit [m].
 
     Raises
     ------
     ConfigError
-        If the table is missing or damaged, or has no level for a photograph, or two.
+        If the table is missing or damaged, has no level for a photograph, two, or one that those of the photographs
+        before and after contradict.
     """
     names = ImageNames(headers)
-    found: dict[str, LevelObservation] = {}
-    for row in read_table(path, ("image", "level"), optional=("std",), error=ConfigError):
+    found: dict[str, Reading] = {}
+    # In the order of exposure, or of the names.
+    moments = [(header.taken or _NO_TIME, name) for name, header in headers.items()]
+    order = {name: i for i, (_, name) in enumerate(sorted(moments))}
+    table = Table.read(path, words_of({"image": ("photo", "file", "name"), "level": (), "std": ()}), ConfigError)
+    unit_m = table.units.get("level", unit_m)
+    for row in table.rows(("image", "level"), ("std",)):
         # Photographs that are not there were left out.
         name = names.find(row.text("image"), row.where)
         if name in found:
             raise ConfigError(f"{row.where}: {name} has a level already; keep one")
         if name is not None:
-            std = std_of(row, "image_levels")
-            found[name] = LevelObservation(row.number("level") * unit_m, std, None, headers[name].taken, "image_levels")
+            level, text = row.number("level"), row.cells["level"]
+            time, std = headers[name].taken or _NO_TIME, std_of(row, "image_levels")
+            found[name] = Reading(row.where, time, level * unit_m, std, text, is_no_data_number(level))
     without = [name for name in headers if name not in found]
     if without:
         raise ConfigError(
             f"{path} has no level for {len(without)} of {len(headers)} images (first: {without[0]}); expected "
             "image,level with a row for each"
         )
+    require_levels([found[name] for name in sorted(found, key=lambda name: order[name])])
     mean = float(np.mean([each.level_m for each in found.values()]))
     over = {name: found[name].level_m - mean for name in headers}
-    return mean, Tide("image_levels", over, {}), tuple(found.values())
+    levels = tuple(
+        LevelObservation(each.level_m, each.std_m, None, headers[name].taken, "image_levels")
+        for name, each in found.items()
+    )
+    return MovingLevel(mean, 0.0, Tide("image_levels", over, {}), levels, len(found), Findings())
 
 
 def tide_of_rate(water: WaterConfig, headers: Mapping[str, Exif]) -> Tide:
@@ -190,7 +211,3 @@ def _completed(over: Mapping[str, float], headers: Mapping[str, Exif]) -> dict[s
             "image_levels, a table of image,level"
         )
     return dict(over) | dict.fromkeys(without, float(np.mean(list(over.values()))))
-
-
-def _shown(timestamp: float) -> str:
-    return (datetime(1970, 1, 1) + timedelta(seconds=float(timestamp))).strftime("%Y-%m-%d %H:%M:%S UTC")

@@ -168,10 +168,11 @@ def exif_of_views(scene: StagedScene) -> list[Image.Exif]:
 
 
 def gauge_csv(scene: StagedScene) -> str:
-    """Readings of a gauge from the first photograph to the last, between which the water rises evenly."""
+    """Eleven readings of a gauge from the first photograph to the last, between which the water rises evenly."""
     assert scene.level is not None
-    ends = ((0.0, scene.cameras[0].tide), (scene.duration_s, scene.cameras[-1].tide))
-    rows = [f"{(_START + timedelta(seconds=s)).isoformat()},{scene.level.level_m + tide:.4f}" for s, tide in ends]
+    first, last = scene.cameras[0].tide, scene.cameras[-1].tide
+    at = [(0.1 * i * scene.duration_s, scene.level.level_m + first + 0.1 * i * (last - first)) for i in range(11)]
+    rows = [f"{(_START + timedelta(seconds=s)).isoformat()},{level:.4f}" for s, level in at]
     return "\n".join(["time,level", *rows, ""])
 
 

@@ -48,10 +48,8 @@ def test_a_random_block_is_off_by_what_it_states_and_never_without_a_number(seed
     assert rms(np.degrees(rotations) / found.poses.rotation_std_deg) < 2.5
 
 
-def test_a_strip_whose_roll_level_water_alone_cannot_tell_is_refused_by_name():
-    with pytest.raises(
-        SurveyError, match=r"lie on one line; the roll about it is known to .* by the level of the water"
-    ):
+def test_a_strip_whose_roll_level_water_alone_would_tell_is_refused_by_name():
+    with pytest.raises(SurveyError, match=r"lie on one line, and neither control nor attitudes hold the roll about it"):
         adjust_survey(survey_of(random_block(ONE_LINE)), use_windows=False)
 
 

@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 
 from geo.crs import height_unit_m
-from survey.display.quantities import length, named
+from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.motion import shutter_text
 from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors, common_up_std_of_exif
 from survey.folder.sfm_views import placing_control, require_solvable
 from survey.folder.survey import Found, Survey, find_survey, load_survey
 from survey.photos.exif import position_sources
-from survey.photos.texture import photographs_like_water
 from survey.plan.area import require_seen
 from survey.plan.check_inputs import control_rows, level_warning, mark_rows, water_stds
 from survey.plan.choices import USUAL, Choices
@@ -68,31 +67,11 @@ def require_processable(folder: Path) -> Checked:
     """
     found = find_survey(Path(folder))
     if found.poses_path is None:
-        warnings = (*found.warnings, *require_solvable(found), *unnamed_water(found))
+        warnings = (*found.warnings, *require_solvable(found))
         return Checked(found, None, warnings, level_warning(found, None))
     survey = load_survey(folder, found=found)
     require_seen(survey)
-    return Checked(found, survey, (*survey.findings.warnings, *unnamed_water(found)), level_warning(found, survey))
-
-
-def unnamed_water(found: Found) -> list[str]:
-    """A warning that names photographs that seem to show water, where [water] is not given.
-
-    Raises
-    ------
-    ImageError
-        Where a photograph cannot be decoded.
-    """
-    if found.config.water is not None or found.config.dry:
-        return []
-    names, num = photographs_like_water(found.images)
-    of = f"of the {num} photographs looked at " if num < len(found.images) else ""
-    return named(
-        names,
-        "photograph",
-        f"{of}with large areas that look like water, blue-green, or dark without texture (or asphalt, soil, shade): if "
-        "it is water, give [water] level_m",
-    )
+    return Checked(found, survey, survey.findings.warnings, level_warning(found, survey))
 
 
 def check_survey(

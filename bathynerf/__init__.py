@@ -2,8 +2,8 @@
 
 >>> from bathynerf import LocalFrame, Run, Survey, compare, process, simulate
 
-Everything is defined in the rooms (`survey`, `refract`, `geo`, `fields`, `evaluation`) and imported from there when it
-is first used, so that ``import bathynerf`` itself is quick. docs/python.md has examples.
+Everything is defined in the packages `survey`, `refract`, `geo`, `fields` and `evaluation`, and imported from there
+when it is first used, so that ``import bathynerf`` itself is quick. docs/python.md has examples.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from bathynerf._rooms import find_beside, require_rooms
+from bathynerf._packages import find_beside, require_packages
 
 if TYPE_CHECKING:
     from geo.errors import GeoError
@@ -144,7 +144,7 @@ if not TYPE_CHECKING:
 
             value: Any = version("bathynerf")
         elif name in _HOME:
-            require_rooms()
+            require_packages()
             value = getattr(importlib.import_module(_HOME[name]), _OTHER_NAMES.get(name, name))
         else:
             raise AttributeError(f"module 'bathynerf' has no attribute {name!r}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from bathynerf._rooms import ForeignPackage, require_rooms
+from bathynerf._packages import ForeignPackage, require_packages
 
 _BAD_INSTALLATION = 2
 
@@ -12,7 +12,7 @@ _BAD_INSTALLATION = 2
 def main() -> None:
     """Run the verb named by the arguments, or say which other package is in the way."""
     try:
-        require_rooms()
+        require_packages()
     except ForeignPackage as error:
         sys.stderr.write(f"error: {error}\n")
         sys.exit(_BAD_INSTALLATION)

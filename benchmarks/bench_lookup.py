@@ -1,4 +1,4 @@
-"""How fast are the field's kernels? Lookup forward, with gradients and with heads, beside their torch twins.
+"""How fast are the field's kernels? Lookup forward, with gradients and with heads, beside the same in torch.
 
 python benchmarks/bench_lookup.py [--grid cube|survey] [--samples N] [--rounds N] [--torch-threads N] [--json]
 
@@ -104,11 +104,11 @@ def in_any_order() -> Iterator[None]:
 def measure(kind: str, order: str, samples: int, rounds: int) -> list[dict]:
     """Rates of each device and kind of work, devices taken in turn."""
     u = points(order, samples)
-    kernel, twin = Model(kind, "cpu"), Model(kind, "torch")
+    kernel, reference = Model(kind, "cpu"), Model(kind, "torch")
     seconds: dict[tuple[str, str], list] = {}
     for turn in range(rounds + 1):
         for work, run in KINDS.items():
-            for name, model in (("kernel", kernel), ("unordered", kernel), ("twin", twin)):
+            for name, model in (("kernel", kernel), ("unordered", kernel), ("reference", reference)):
                 start, used = time.perf_counter(), time.process_time()
                 if name == "unordered":
                     with in_any_order():
@@ -119,7 +119,8 @@ def measure(kind: str, order: str, samples: int, rounds: int) -> list[dict]:
                     took = time.perf_counter() - start, time.process_time() - used
                     seconds.setdefault((work, name), []).append(took)
     return [
-        _row(work, order, samples, {n: seconds[work, n] for n in ("kernel", "unordered", "twin")}) for work in KINDS
+        _row(work, order, samples, {n: seconds[work, n] for n in ("kernel", "unordered", "reference")})
+        for work in KINDS
     ]
 
 
@@ -131,7 +132,7 @@ def _row(work: str, order: str, samples: int, seconds: dict[str, list]) -> dict:
         row[f"{name}_processor_ms"] = round(1e3 * min(s[1] for s in seconds[name]), 1)
     return row | {
         "over_unordered": round(best["unordered"] / best["kernel"], 2),
-        "over_twin": round(best["twin"] / best["kernel"], 1),
+        "over_reference": round(best["reference"] / best["kernel"], 1),
     }
 
 
@@ -161,11 +162,15 @@ def _table(result: dict) -> str:
         f"{result['samples']} samples, {result['grid']} grid, {result['device']}, {result['torch_threads']} torch "
         f"threads, load {result['load_of_the_machine']}; million samples a second (processor ms)"
     )
-    lines = [head, f"{'':42}{'kernel':>15}{'unordered':>15}{'twin':>15}{'x twin':>8}"]
+    lines = [head, f"{'':42}{'kernel':>15}{'unordered':>15}{'reference':>15}{'x reference':>13}"]
     for row in result["rows"]:
-        cells = [f"{row[f'{n}_M_per_s']:.2f} ({row[f'{n}_processor_ms']:.0f})" for n in ("kernel", "unordered", "twin")]
+        cells = [
+            f"{row[f'{n}_M_per_s']:.2f} ({row[f'{n}_processor_ms']:.0f})" for n in ("kernel", "unordered", "reference")
+        ]
         lines.append(
-            f"{row['work'] + ', ' + row['order']:42}" + "".join(f"{c:>15}" for c in cells) + f"{row['over_twin']:>8}"
+            f"{row['work'] + ', ' + row['order']:42}"
+            + "".join(f"{c:>15}" for c in cells)
+            + f"{row['over_reference']:>8}"
         )
     return "\n".join(lines)
 

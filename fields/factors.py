@@ -52,7 +52,7 @@ class Factors(nn.Module):
     channels : int
         A multiple of 4 for fused lookups.
     device : Device
-        Dr.Jit device for fused lookups; "torch" for the twin.
+        Dr.Jit device for fused lookups; "torch" for the reference implementation.
     """
 
     def __init__(self, grids: list[Grid], directions: str, channels: int, device: Device, seed: int = 0):
@@ -103,7 +103,7 @@ def nodes_of(u: Tensor, cells: int) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def lookup_torch(factors: Factors, u: Tensor) -> Tensor:
-    """The twin of the fused lookup, in plain torch."""
+    """Reference implementation of the fused lookup, in plain torch."""
     features = []
     for axis, a, b, n, n_a, n_b, plane, vector in factors.cells():
         i0, i1, s = nodes_of(u[:, axis], n)

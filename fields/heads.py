@@ -17,7 +17,7 @@ from fields.device import Device
 # GELU(x) = 1 at this x: as the bias of the gate it leaves the features unchanged.
 GATE_OF_ONE = 1.1444507183528787
 # The weighting network's kernel keeps a sum for each number of its maps. With this many at most it is 6 times as
-# fast as its twin; with 1300 hardly faster, and LLVM takes 15 s to compile it.
+# fast as torch; with 1300 hardly faster, and LLVM takes 15 s to compile it.
 MOST_FUSED = 400
 # Samples whose colours are regressed at once: the activations between the maps stay in a processor's cache.
 PART = 8192
@@ -33,7 +33,7 @@ class DensityHead(nn.Module):
     reduction : int
         r of the paper: the gate's hidden width is D F / r.
     device : Device or None
-        Dr.Jit device for the weighting network's kernel; "torch" or None for its twin.
+        Dr.Jit device for the weighting network's kernel; "torch" or None for its reference implementation.
     shared : bool
         The maps of the gate are those of all scales; else each scale has its own.
     """
@@ -80,7 +80,7 @@ class DensityHead(nn.Module):
         return weighted_drjit(features, layers, self.fine.weight, self.shape, self.device) + self.fine.bias
 
     def _weighted_torch(self, features: Tensor) -> Tensor:
-        """The twin of the weighting network's kernel, in plain torch."""
+        """Reference implementation of the weighting network's kernel, in plain torch."""
         a = features.view(-1, *self.shape)
         flat = a.flatten(2)
         gelu = nn.functional.gelu

@@ -22,7 +22,7 @@ def without_times(text: str) -> str:
 
 
 def fake_module(monkeypatch, name: str, **content) -> None:
-    """Put a room that is not under test here out of the way."""
+    """Put a package that is not under test here out of the way."""
     module = ModuleType(name)
     vars(module).update(content)
     monkeypatch.setitem(sys.modules, name, module)

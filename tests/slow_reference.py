@@ -1,4 +1,4 @@
-"""Slow twins of the optics, transcribed from docstrings and textbooks; they share no code with `refract`.
+"""Slow optics for reference, transcribed from docstrings and textbooks; they share no code with `refract`.
 
 Scalar Python only: angles instead of vectors, and decimal arithmetic where float64 would limit the oracle.
 """

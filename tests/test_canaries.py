@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = ("bathynerf", "refract", "fields", "survey", "geo", "evaluation")
+PACKAGES = ("bathynerf", "refract", "fields", "survey", "geo", "evaluation")
 # The suite has had more than this since its first release; fewer mean that a folder is no longer collected.
 LEAST_TESTS = 600
 # Homes and mounts of single machines, and hosts that serve packages; in pieces, so that this file does not hold them.
@@ -113,7 +113,7 @@ def test_every_dependency_is_imported_somewhere():
 
 
 def python_files() -> list[Path]:
-    return [path for room in ROOMS for path in (ROOT / room).rglob("*.py")]
+    return [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
 
 
 def documents() -> list[Path]:
@@ -123,17 +123,17 @@ def documents() -> list[Path]:
     ]
 
 
-# Their names begin as those of rooms do.
+# Their names begin as those of packages do.
 FILES_OF_USERS = {"survey.toml", "survey.schema.json", "geo.txt"}
 
 
 @pytest.mark.parametrize("path", documents(), ids=lambda path: path.name)
 def test_what_a_document_names_exists(path):
     text = path.read_text(encoding="utf-8")
-    rooms = "|".join(ROOMS)
-    for name in set(re.findall(rf"`((?:{rooms})(?:\.\w+)+)`", text)) - FILES_OF_USERS:
+    packages = "|".join(PACKAGES)
+    for name in set(re.findall(rf"`((?:{packages})(?:\.\w+)+)`", text)) - FILES_OF_USERS:
         assert exists(name), f"{path.name} names {name}, which does not exist"
-    for name in re.findall(rf"`((?:{rooms}|benchmarks|tests|scripts|docs|examples)/[\w/]+\.\w+)`", text):
+    for name in re.findall(rf"`((?:{packages}|benchmarks|tests|scripts|docs|examples)/[\w/]+\.\w+)`", text):
         assert (ROOT / name).exists(), f"{path.name} names {name}, which does not exist"
     for name in re.findall(r"\b(benchmarks/\w+\.py)", text):
         assert (ROOT / name).exists(), f"{path.name} names {name}, which does not exist"

@@ -19,7 +19,7 @@ from survey.stage_key import code_hash, modules_imported, without_prose
 
 ROOT = Path(__file__).resolve().parent.parent
 SWEEP, BED = "survey.run.stage_sweep", "survey.run.stage_bed"
-# Loaded by the device that is chosen: both twins count.
+# Loaded by the device that is chosen: both implementations count.
 KERNELS = ("rays", "drjit_kernels", "drjit_scoring", "torch_kernels")
 A_LINE = ("from __future__ import annotations", "from __future__ import annotations\nX = 1")
 

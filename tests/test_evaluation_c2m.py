@@ -1,4 +1,4 @@
-"""Cloud to mesh: closed forms, an independent slow twin, and the two ways to sign."""
+"""Cloud to mesh: closed forms, an independent slow implementation, and the two ways to sign."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Planes times vectors: the equations against loops, the fused lookup against its torch twin."""
+"""Planes times vectors: the equations against loops, the fused lookup against torch."""
 
 from __future__ import annotations
 
@@ -259,6 +259,6 @@ def test_the_same_seed_starts_the_same_tables_and_another_one_others():
 
 def test_the_fused_lookup_refuses_other_packets_than_its_kernel_reads(device):
     if device.module is None:
-        pytest.skip("the torch twin takes any number of channels")
+        pytest.skip("torch takes any number of channels")
     with pytest.raises(ValueError, match="the field has 3 channels, but the fused lookup reads packets of 4"):
         factors_of(device, "z", channels=3)(torch.rand(2, 3))

@@ -177,7 +177,7 @@ def test_wide_maps_are_left_to_the_twin(rng):
 
 def test_the_weighting_kernel_refuses_other_packets_than_it_reads(device):
     if device.module is None:
-        pytest.skip("the torch twin takes any number of channels")
+        pytest.skip("torch takes any number of channels")
     head = DensityHead(L, D, 3, device=device)
     head.switch_to_fine()
     with pytest.raises(ValueError, match="the head weighs 3 channels, but its kernel reads packets of 4"):

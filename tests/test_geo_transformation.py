@@ -15,7 +15,7 @@ from geo.projection import metres_per_unit
 from geo.transformation import WGS84, Transformation, height_scale, lon_lat, transformed
 
 US_FOOT_M, FOOT_M = 1200.0 / 3937.0, 0.3048
-ROOMS = ("geo", "survey", "evaluation", "fields", "refract", "bathynerf")
+PACKAGES = ("geo", "survey", "evaluation", "fields", "refract", "bathynerf")
 # The door, and where one is made without a change of datum.
 DOORS = {"geo/operations.py", "geo/transformation.py", "geo/projection.py"}
 MAKERS = ("Transformer.", "TransformerGroup(", "Proj(", "rasterio.warp", "osr.")
@@ -25,8 +25,8 @@ def test_no_other_file_makes_transformations_of_proj():
     root = Path(__file__).resolve().parent.parent
     makers = {
         path.relative_to(root).as_posix()
-        for room in ROOMS
-        for path in (root / room).rglob("*.py")
+        for package in PACKAGES
+        for path in (root / package).rglob("*.py")
         if any(maker in path.read_text(encoding="utf-8") for maker in MAKERS)
     }
     assert makers == DOORS

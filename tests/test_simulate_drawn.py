@@ -31,7 +31,7 @@ def stands_before(drawing, start, end, steps=1000):
 
 
 def crossing_by_snell(camera, points, water):
-    """Where rays cross a level or tilted plane through the origin, by bisection on Snell's law: a slow twin."""
+    """Where rays cross a level or tilted plane through the origin, by bisection on Snell's law: a slow reference."""
     normal = np.array(water.up)
     H, depth = camera.centre @ normal, -(points @ normal)
     foot_c, foot_p = camera.centre - H * normal, points + depth[:, None] * normal

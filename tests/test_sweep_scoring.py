@@ -1,4 +1,4 @@
-"""Scores of warped images and the best height among hypotheses, in Dr.Jit and in torch, against slow twins."""
+"""Scores of warped images and the best height among hypotheses, in Dr.Jit and in torch, against slow references."""
 
 from __future__ import annotations
 

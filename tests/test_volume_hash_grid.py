@@ -1,4 +1,4 @@
-"""The hash grid: rows and features against a slow twin, gradients, collisions, and learning."""
+"""The hash grid: rows and features against a slow reference, gradients, collisions, and learning."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Losses on weights and on density: closed forms, slow twins, gradients, and nothing where they must vanish."""
+"""Losses on weights and on density: closed forms, slow references, gradients, and nothing where they must vanish."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""NeRF and TinyNeRF: the encoding in closed form, the networks against a slow twin, sizes of the papers, learning."""
+"""NeRF and TinyNeRF: the encoding in closed form, the networks against a slow one, sizes of the papers, learning."""
 
 from __future__ import annotations
 

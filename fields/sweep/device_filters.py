@@ -275,7 +275,7 @@ def tile_extents(wanted: Any, low: Any, high: Any, size: int) -> tuple[np.ndarra
 
 
 def tile_gradients(height: Any, wanted: Any, size: int) -> np.ndarray:
-    """Gradient of smoothed heights, summed over tiles; see the twin."""
+    """Gradient of smoothed heights, summed over tiles; see `images_host`."""
     height = median_blur(height, 3)
     shape, place, half = height.shape, places(height, height.shape), images_host.SMOOTH_PX // 2
     flat, mask = flatten(height), flatten(wanted)

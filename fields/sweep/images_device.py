@@ -1,8 +1,8 @@
 """Images between the kernels on a device with memory of its own, where they stay between the passes.
 
-The twin of `fields.sweep.images_host`, written once for Dr.Jit and torch: images are their tensors (height, width).
-Only scalars (a median, whether a mask is True anywhere), which tiles are matched and which parts of a view become
-points go to the host.
+The counterpart of `fields.sweep.images_host`, written once for Dr.Jit and torch: images are their tensors (height,
+width). Only scalars (a median, whether a mask is True anywhere), which tiles are matched and which parts of a view
+become points go to the host.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ def median_above(image: Any, least: float) -> float | None:
 
 
 def newly_visible(device: Device, height: Any, num_agreeing: Any | None) -> np.ndarray:
-    """Pixels with a height that no steeper view has, dilated by a pixel; see the twin."""
+    """Pixels with a height that no steeper view has, dilated by a pixel; see `images_host`."""
     flat = flatten(height)
     is_selected = ~kernels.namespace(flat).isnan(flat)
     if num_agreeing is not None:
@@ -253,7 +253,7 @@ def put(target: Any, pixels: Any, values: Any, mask: Any | None = None) -> None:
 
 
 def put_strip(target: Any, width: int, result: Any, part: tuple[slice, slice], strip: slice, radius: int) -> None:
-    """Copy the wanted rows and columns of a strip's results into a flat image of ``width`` columns; see the twin."""
+    """Copy the wanted rows and columns of a strip's results into a flat image of ``width`` columns."""
     rows, columns = part
     wide, left = strip.stop - strip.start, strip.start
     lost = radius * (wide + 1)

@@ -1,7 +1,7 @@
 """Images between the kernels in the memory of the host: numpy and OpenCV.
 
 Images are arrays (height, width), and flat ones hold their pixels row by row. Callers get these functions from
-`fields.sweep.images.image_backend`; `fields.sweep.images_device` is the twin for devices with a memory of their own.
+`fields.sweep.images.image_backend`; `fields.sweep.images_device` does the same on devices with a memory of their own.
 """
 
 from __future__ import annotations

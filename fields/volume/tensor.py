@@ -137,7 +137,7 @@ class TensorVolume(VolumeModel):
     box : Box
     settings : TensorSettings
     device : Device
-        Dr.Jit for fused lookups; "torch" for their twin.
+        Dr.Jit for fused lookups; "torch" for the reference implementation.
     appearance : int
         Length of the appearance vectors; 0 without.
     """

@@ -6,9 +6,9 @@
     L1      = mean |M| + mean |v| of density, summed over directions                                                 (4)
     TV      = mean squared difference of neighbouring cells of M along both axes, doubled, summed over directions    (5)
 
-Sizes, rates, weights and the steps of refinement are those of the authors' configurations. Different here: softplus
-per finest cell and linear radiance, as in all models of this folder; the proxy takes the part of their alpha mask; and
-rates fall over the whole training where theirs begin anew at each refinement.
+Sizes, rates, weights and the steps of refinement are those of the authors' configurations. Different here: softplus per
+finest cell and linear radiance, as in all models of this folder; the occupied cells (`fields.volume.sampling`) stand
+for their alpha mask; and rates fall over the whole training where theirs begin anew at each refinement.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class TensorfVolume(VolumeModel):
     box : Box
     settings : TensorfSettings
     device : Device
-        Dr.Jit for fused lookups; "torch" for their twin.
+        Dr.Jit for fused lookups; "torch" for the reference implementation.
     appearance : int
         Length of the appearance vectors; 0 without.
     """

@@ -47,7 +47,7 @@ class Model(StrEnum):
 
 
 class Rule(StrEnum):
-    """Twin of `fields.volume.surface.Rule`, which takes torch to import."""
+    """The same as `fields.volume.surface.Rule`, which takes torch to import."""
 
     median = "median"
     mode = "mode"

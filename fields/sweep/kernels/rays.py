@@ -16,7 +16,7 @@ projected exactly define an epipolar curve for the others: to 1e-5 px rms over 6
     curve   seven numbers: u and v of the first point [px], the chord from it to the last one (2), how far the middle
             one is ahead along the chord, and its offset from the chord, times four (2)
 
-Each of these numbers may be an array of the device; `drjit_kernels` and its twin prepare them.
+Each of these numbers may be an array of the device; `drjit_kernels` and `torch_kernels` prepare them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The kernels of the sweep in torch: the twin of `drjit_kernels` and `drjit_scoring` where Dr.Jit does not run.
+"""The kernels of the sweep in torch: those of `drjit_kernels` and `drjit_scoring` where Dr.Jit does not run.
 
 The same functions with the same signatures and shapes (K neighbours, J hypotheses, P pixels of a strip, flat). Torch
 computes step by step, so samples are taken in portions that stay in the processor's cache.
@@ -127,7 +127,7 @@ def warp(values: list[Tensor], stack: ViewStack, rays, hypotheses: Hypotheses, n
 def compare_heights(
     stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: np.ndarray | None = None
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Count, sum and sum of squares (P) of the differences below `tolerance`; see the twin."""
+    """Count, sum and sum of squares (P) of the differences below `tolerance`; as in Dr.Jit."""
     if pixels is None:
         rays, own_height = rays_of_rows(stack, view, 0, stack.height_of(view)), stack.pixels[view]
     else:
@@ -144,7 +144,7 @@ def compare_heights(
 
 
 def count_seeing_through(stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: np.ndarray) -> Tensor:
-    """Number of peers (P) that see something lower through the points of pixels; see the twin."""
+    """Number of peers (P) that see something lower through the points of pixels; as in Dr.Jit."""
     rays, own_height = rays_and_heights(stack, view, pixels)
     count, least = torch.zeros_like(own_height), own_height - tolerance
     for peer in peers:
@@ -167,7 +167,7 @@ def find_duplicates(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pixels (P) bool of height map `other` that show the points of rays at their heights, and those close to them.
 
-    See the twin in Dr.Jit.
+    As in Dr.Jit.
     """
     u, v, inside = project_rays(stack, rays, own_height, other)
     corner, fx, fy = (each[inside] for each in _corner(stack, other, u, v, inside))
@@ -188,7 +188,7 @@ def find_duplicates(
 def vote_on_points(
     stack: ViewStack, points: tuple, view: int, close_m: float, trusted: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Votes of height map `view` on points (P); see the twin."""
+    """Votes of height map `view` on points (P); as in Dr.Jit."""
     u, v, inside = project(stack.camera_rows[view], points, stack.kernel_water, stack.terms)
     corner, _, _ = _corner(stack, view, u, v, inside)
     known = torch.from_numpy(trusted.ravel()).to(corner.device)
@@ -231,7 +231,7 @@ def prepare_windows(
 
 
 def ncc(windows: tuple, radius: int, least_known: float = 1.0) -> list[Tensor]:
-    """NCC of W (K tensors of J * P) with the reference strip (P) over square windows; see the twin.
+    """NCC of W (K tensors of J * P) with the reference strip (P) over square windows; as in Dr.Jit.
 
     Windows that leave the strip, or its first and last columns, are incomplete.
     """
@@ -271,7 +271,7 @@ def _ncc_of_known(images: Tensor, grey: Tensor, radius: int, least: float) -> Te
 
 
 def best_half(device: Device, scores: list[Tensor]) -> Tensor:
-    """Mean over the better half of the K neighbours that have the window in their image; see the twin."""
+    """Mean over the better half of the K neighbours that have the window in their image; as in Dr.Jit."""
     keep = max((len(scores) + 1) // 2, min(2, len(scores)))
     parts = zip(*(score.split(PORTION) for score in scores), strict=True)
     return torch.cat([_best_half(torch.stack(part), keep) for part in parts])
@@ -293,7 +293,7 @@ def _best_half(score: Tensor, keep: int) -> Tensor:
 
 
 def best_height(device: Device, mean: Tensor, start: Tensor, step: float, count: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Best height [m], its score and curvature [1/m^2]; see the twin."""
+    """Best height [m], its score and curvature [1/m^2]; as in Dr.Jit."""
     lost = len(start) * count - len(mean)
     start = start[lost // 2 : len(start) - lost // 2]
     # From hypothesis to hypothesis the same place is one strip farther.

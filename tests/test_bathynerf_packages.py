@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bathynerf._rooms import ROOMS
+from bathynerf._packages import PACKAGES
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -31,8 +31,8 @@ def installed(tmp_path) -> Path:
     """An installation in which another project's package lies in the place of one of ours, as pip leaves it."""
     root = tmp_path / "site-packages"
     root.mkdir()
-    for room in {*ROOMS, "bathynerf"} - {"evaluation"}:
-        (root / room).symlink_to(ROOT / room)
+    for package in {*PACKAGES, "bathynerf"} - {"evaluation"}:
+        (root / package).symlink_to(ROOT / package)
     (root / "bathynerf").unlink()
     (root / "bathynerf").mkdir()
     for file in (ROOT / "bathynerf").glob("*.py"):

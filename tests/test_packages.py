@@ -1,4 +1,4 @@
-"""The rooms and their folders: who may import whom, who touches the disk and the console, what each room offers."""
+"""Packages and their folders: who may import whom, who touches the disk and the console, what each package offers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MAY_IMPORT = {
     "survey": {"refract", "geo", "evaluation", "fields"},
     "bathynerf": {"refract", "geo", "evaluation", "fields", "survey"},
 }
-# Folders by layer, the lowest first: a folder imports only folders of the layers below its own, within what its room
+# Folders by layer, the lowest first: a folder imports only folders of the layers below its own, within what its package
 # may import at all.
 LAYERS = (
     {"refract", "geo", "evaluation/images"},
@@ -88,7 +88,7 @@ DISK_FOLDERS = (
 )
 GIVEN_PATHS = {"Path", "RunDir"}
 # These search what is installed on the machine: libLLVM, and foreign packages.
-SEARCHES = {"fields/device.py", "bathynerf/_rooms.py"}
+SEARCHES = {"fields/device.py", "bathynerf/_packages.py"}
 # The files that import a module by a name that they put together, which no other test here can follow.
 IMPORT_BY_NAME_FILES = {"bathynerf/__init__.py", "geo/files.py"}
 IMPORT_BY_NAME = {"import_module", ".import_module", "__import__"}
@@ -97,7 +97,7 @@ NETWORK = {"socket", "urllib", "http", "requests", "ftplib", "fsspec"}
 REMOTE = "survey/files/remote.py"
 # These listen, and call nobody.
 SERVERS = {"survey/marking/server.py", "survey/viewer/page.py"}
-FILES_OF = {room: sorted((ROOT / room).rglob("*.py")) for room in MAY_IMPORT}
+FILES_OF = {package: sorted((ROOT / package).rglob("*.py")) for package in MAY_IMPORT}
 FILES = sorted(path for files in FILES_OF.values() for path in files)
 
 
@@ -205,20 +205,20 @@ def imports() -> dict[str, set[str]]:
     return file_imports({name_of(path): tree_of(path) for path in FILES})
 
 
-def test_every_room_is_there():
-    for room in MAY_IMPORT:
-        assert (ROOT / room / "__init__.py").is_file(), f"{room} has no __init__.py"
+def test_every_package_is_there():
+    for package in MAY_IMPORT:
+        assert (ROOT / package / "__init__.py").is_file(), f"{package} has no __init__.py"
     assert len(FILES) >= 200
 
 
-@pytest.mark.parametrize("room", MAY_IMPORT)
-def test_a_file_imports_only_the_rooms_below_its_own(room):
-    allowed = MAY_IMPORT[room] | {room}
+@pytest.mark.parametrize("package", MAY_IMPORT)
+def test_a_file_imports_only_the_packages_below_its_own(package):
+    allowed = MAY_IMPORT[package] | {package}
     wrong = []
-    for path in FILES_OF[room]:
-        rooms = {name.split(".")[0] for name in imported(tree_of(path))} & (MAY_IMPORT.keys() | OUTSIDE)
-        wrong += [f"{name_of(path)} imports {other}" for other in sorted(rooms - allowed)]
-    assert wrong == [], f"{room} may import {sorted(MAY_IMPORT[room])}"
+    for path in FILES_OF[package]:
+        packages = {name.split(".")[0] for name in imported(tree_of(path))} & (MAY_IMPORT.keys() | OUTSIDE)
+        wrong += [f"{name_of(path)} imports {other}" for other in sorted(packages - allowed)]
+    assert wrong == [], f"{package} may import {sorted(MAY_IMPORT[package])}"
 
 
 def test_files_do_not_import_each_other_in_a_circle(imports):
@@ -250,13 +250,13 @@ def test_a_folder_imports_only_folders_of_the_layers_below_its_own(imports):
 
 def test_files_and_modules_that_texts_name_exist():
     texts = [*FILES, *ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "benchmarks").glob("*.py")]
-    rooms = "|".join(sorted({path.relative_to(ROOT).parts[0] for path in FILES}))
+    packages = "|".join(sorted({path.relative_to(ROOT).parts[0] for path in FILES}))
     wrong = []
     for text in texts:
         said = text.read_text(encoding="utf-8")
-        files = re.findall(rf"(?<![\w/.])(?:{rooms}|tests|benchmarks|examples|scripts)/[\w/]+\.py\b", said)
+        files = re.findall(rf"(?<![\w/.])(?:{packages}|tests|benchmarks|examples|scripts)/[\w/]+\.py\b", said)
         wrong += [f"{name_of(text)}: {name}" for name in sorted(set(files)) if not (ROOT / name).is_file()]
-        modules = sorted(set(re.findall(rf"`((?:{rooms})(?:\.\w+)+)`", said)))
+        modules = sorted(set(re.findall(rf"`((?:{packages})(?:\.\w+)+)`", said)))
         wrong += [f"{name_of(text)}: {name}" for name in modules if not name.endswith((".toml", ".json", ".txt"))
                   and not is_defined(name)]  # fmt: skip
     assert wrong == []
@@ -283,7 +283,7 @@ def test_the_files_to_open_first_have_the_names_that_are_looked_for():
 
 
 def is_defined(name: str) -> bool:
-    """Whether a dotted name is that of a folder or file of a room, or of something in it."""
+    """Whether a dotted name is that of a folder or file of a package, or of something in it."""
     parts = name.split(".")
     for number in range(len(parts), 0, -1):
         place = ROOT.joinpath(*parts[:number])
@@ -353,10 +353,10 @@ def test_only_the_files_that_are_named_import_modules_by_name():
     assert {name_of(path) for path in FILES if called(tree_of(path)) & IMPORT_BY_NAME} == IMPORT_BY_NAME_FILES
 
 
-@pytest.mark.parametrize("room", MAY_IMPORT)
-def test_only_commands_and_progress_touch_the_console(room):
+@pytest.mark.parametrize("package", MAY_IMPORT)
+def test_only_commands_and_progress_touch_the_console(package):
     wrong = []
-    for path in FILES_OF[room]:
+    for path in FILES_OF[package]:
         name, tree = name_of(path), tree_of(path)
         if folder_of(name) == CONSOLE_FOLDER or name in CONSOLE_FILES:
             continue
@@ -373,19 +373,19 @@ def test_only_commands_and_progress_touch_the_console(room):
     assert wrong == [], f"only {CONSOLE_FOLDER} and {CONSOLE_FILES} touch the console"
 
 
-@pytest.mark.parametrize("room", MAY_IMPORT)
-def test_nothing_reaches_for_the_network(room):
+@pytest.mark.parametrize("package", MAY_IMPORT)
+def test_nothing_reaches_for_the_network(package):
     found = {
-        name_of(path): imported(tree_of(path)) for path in FILES_OF[room] if name_of(path) not in {REMOTE, *SERVERS}
+        name_of(path): imported(tree_of(path)) for path in FILES_OF[package] if name_of(path) not in {REMOTE, *SERVERS}
     }
     wrong = [f"{name} imports {other}" for name, others in found.items() for other in others
              if other.split(".")[0] in NETWORK]  # fmt: skip
     assert wrong == [], "a survey is processed without a network"
 
 
-@pytest.mark.parametrize("room", MAY_IMPORT)
-def test_every_public_name_of_a_room_can_be_imported(room):
-    module = importlib.import_module(room)
+@pytest.mark.parametrize("package", MAY_IMPORT)
+def test_every_public_name_of_a_package_can_be_imported(package):
+    module = importlib.import_module(package)
     names = getattr(module, "__all__", [])
     assert len(names) == len(set(names))
     assert sorted(name for name in names if not hasattr(module, name)) == []
@@ -404,16 +404,17 @@ def parsed(**files: str) -> dict[str, ast.Module]:
 
 def test_an_import_of_a_module_is_told_from_one_of_a_name():
     trees = parsed(
-        room__part__a="from room.part import b\nfrom room.other.c import name\nimport room.top", room__part__b=""
+        package__part__a="from package.part import b\nfrom package.other.c import name\nimport package.top",
+        package__part__b="",
     )
-    trees |= parsed(room__other__c="from room.part import b", room__top="") | {
-        "room/part/__init__.py": ast.parse("from room.part.a import one"),
-        "room/last.py": ast.parse("from room.part import b, one\nimport numpy"),
+    trees |= parsed(package__other__c="from package.part import b", package__top="") | {
+        "package/part/__init__.py": ast.parse("from package.part.a import one"),
+        "package/last.py": ast.parse("from package.part import b, one\nimport numpy"),
     }
     found = file_imports(trees)
-    assert found["room/part/a.py"] == {"room/part/b.py", "room/other/c.py", "room/top.py"}
-    assert found["room/last.py"] == {"room/part/b.py", "room/part/__init__.py"}
-    assert between_folders(found)["room/part"] == {"room/other", "room"}
+    assert found["package/part/a.py"] == {"package/part/b.py", "package/other/c.py", "package/top.py"}
+    assert found["package/last.py"] == {"package/part/b.py", "package/part/__init__.py"}
+    assert between_folders(found)["package/part"] == {"package/other", "package"}
 
 
 @pytest.mark.parametrize(

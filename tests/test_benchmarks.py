@@ -1,0 +1,118 @@
+"""Every benchmark runs at its smallest size."""
+
+from __future__ import annotations
+
+import os
+import runpy
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+BENCHMARKS = ROOT / "benchmarks"
+DATA = os.environ.get("BATHYNERF_DATA")
+# Options of each: {survey} is a drawn survey with its truth, {run} a run of it, {work} an empty folder.
+SMALLEST = {
+    "bench_adjust": "--coverage 1",
+    "bench_block_size": "40",
+    "bench_bound": "--scenes sand -o {work}",
+    "bench_compare": "--points 1000 --triangles 500",
+    "bench_conditions": "clear -o {work} --seeds 1-1 --quality draft",
+    "bench_coverage": "{run} {survey}/truth/reference.ply",
+    "bench_dem": "{run} {survey}/truth/reference.ply --resolution 0.5",
+    "bench_error_time": "{work} --models vm --seconds 0.2",
+    "bench_field": "{work} --objects ship --models vm --steps 5 --scale 0.05 --cells 16 --rays 64 --samples 8",
+    "bench_kernels": "{survey}",
+    "bench_lookup": "--samples 1024 --rounds 1",
+    "bench_mapping": "12 --mapper incremental --without-adjustment",
+    "bench_mesh": "{run} {survey} --methods delaunay",
+    "bench_optics": "--plain",
+    "bench_overhang": "{survey} {run}",
+    "bench_photographs": "{work} 9 --photographs-of-tile 9",
+    "bench_picture_bound": "{survey} --every 8",
+    "bench_plan": "{survey} --quality draft",
+    "bench_random": "--seeds 102-102 -o {work} --quality draft",
+    "bench_reach": "{work} --kilometre",
+    "bench_real_like": "-o {work} --seed 2 --count 1 --by ties",
+    "bench_slab": "{survey} --quality draft --rays 1",
+    "bench_solver": "{survey} --ways solver -o {work}",
+    "bench_survey_field": "{survey} -o {work} --rows sweep",
+    "bench_sweep": "{survey} --quality draft --tables trust -o {work}",
+    "bench_switches": "-o {work} --only none --steps 2 --seeds 1",
+    "bench_tiles": "{survey} --tiles 2 -o {work}/tiles.json",
+    "bench_true_colour": "{work} --seeds 1",
+    "bench_water_plane": "--count 2",
+    "draw_gallery": "dispersion -o {work}",
+    "draw_survey": "{run} -o {work}",
+    "field_surveys": "{work} --seeds 12-12",
+    "given_alarms": "{work} --seeds 0-0",
+    "soak_inputs": "--seconds 1 --out {work}",
+    "soak_kills": "--kills 1 --out {work}",
+    "stress": "index -o {work} --quality draft",
+    "table4": "--chains sweep --samples 10000 -o {work}",
+}
+WITH_DATA = {
+    "bench_real": "streams -o {work}",
+    "bench_real_points": "{data} --every 50",
+}
+# Why the others are not run.
+TOO_LARGE = {
+    "bench_drawn": "its smallest part takes an hour; tests/test_bench_drawn.py has its table and its picture",
+    "bench_surfaces": "it has one size, of minutes",
+    "draw_held_out": "it draws what bench_survey_field rendered of data/wreck_water",
+    "tables": "it writes tables of pages, which tests/test_bench_tables.py compares",
+}
+PROGRAMS = sorted(path.stem for path in BENCHMARKS.glob("*.py") if "__main__" in path.read_text(encoding="utf-8"))
+
+
+def test_every_benchmark_is_run_or_has_a_reason():
+    assert sorted([*SMALLEST, *WITH_DATA, *TOO_LARGE]) == PROGRAMS
+
+
+@pytest.mark.parametrize("name", sorted({*PROGRAMS} - {"bench_surfaces", "tables"}))
+def test_a_benchmark_says_how_it_is_run(name, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    monkeypatch.setattr("sys.argv", [f"{name}.py", "--help"])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(BENCHMARKS / f"{name}.py"), run_name="__main__")
+    assert ended.value.code == 0
+    assert "usage:" in capsys.readouterr().out
+
+
+def command(name: str, options: str, **places: Path | str) -> subprocess.CompletedProcess:
+    words = shlex.split(options.format(**places))
+    return subprocess.run(
+        [sys.executable, str(BENCHMARKS / f"{name}.py"), *words], capture_output=True, text=True, check=False, cwd=ROOT
+    )
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory) -> dict[str, Path]:
+    """A drawn survey and a run of it."""
+    from survey.progress import Progress
+    from survey.run.process import process
+    from survey.simulate.drawn import DrawnScene, draw_survey
+
+    folder = tmp_path_factory.mktemp("drawn")
+    draw_survey(folder / "survey", DrawnScene.tiny())
+    with Progress(verbosity=-1):
+        process(folder / "survey", folder / "run", quality="draft", field="off")
+    return {"survey": folder / "survey", "run": folder / "run"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SMALLEST)
+def test_a_benchmark_runs_at_its_smallest_size(name, places, tmp_path):
+    done = command(name, SMALLEST[name], work=tmp_path, **places)
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(DATA is None, reason="set BATHYNERF_DATA to the survey data")
+@pytest.mark.parametrize("name", WITH_DATA)
+def test_a_benchmark_of_the_survey_data_runs_at_its_smallest_size(name, tmp_path):
+    done = command(name, WITH_DATA[name], work=tmp_path, data=str(DATA))
+    assert done.returncode == 0, done.stderr[-2000:]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 import uuid
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,8 @@ _NAME = "bathynerf"
 # The names of scans stand at the end of a file.
 _PAGE = 1024
 _LAST_BYTES = 64 * _PAGE
+# GPS time began on 6 January 1980, and has been 18 s ahead of UTC since 2017.
+_GPS_EPOCH_S, _LEAP_S = 315_964_800.0, 18.0
 
 
 def read_e57(path: str | Path) -> Cloud:
@@ -89,10 +93,26 @@ def write_e57(path: str | Path, points_crs: np.ndarray, crs: CRS, *, rgb: np.nda
     with write_whole_at(path) as part:
         try:
             file = _with_crs(pye57, wkt1(crs))(str(part), mode="w")
-            file.write_scan_raw(data, name=_NAME, translation=origin)
+            file.write_scan_raw(data, name=_NAME, translation=origin, scan_header=_header(columns, origin))
             file.close()
+            with pye57.E57(str(part)) as written:
+                written.get_header(0)
         except pye57.libe57.E57Exception as error:
             raise UnwritableFile(f"cannot write {path} ({error}); most likely no space is left on the disk.") from error
+
+
+def _gps_seconds() -> float:
+    """Now, as E57 counts time: GPS time, in seconds since 1980."""
+    return time.time() - _GPS_EPOCH_S + _LEAP_S
+
+
+def _header(columns: np.ndarray, origin: np.ndarray) -> SimpleNamespace:
+    """What pye57 takes for a scan of columns (3, N): bounds before the pose, as E57 wants them, and dates."""
+    low, high = columns.min(axis=1).astype(float), columns.max(axis=1).astype(float)
+    bounds = {f"{axis}Minimum": value for axis, value in zip("xyz", low, strict=True)}
+    bounds |= {f"{axis}Maximum": value for axis, value in zip("xyz", high, strict=True)}
+    dates = dict.fromkeys(("acquisitionStart_dateTimeValue", "acquisitionEnd_dateTimeValue"), _gps_seconds())
+    return SimpleNamespace(translation=origin, rotation=np.array([1.0, 0.0, 0.0, 0.0]), **bounds, **dates)
 
 
 def _with_crs(pye57: Any, wkt: str) -> type:
@@ -104,7 +124,7 @@ def _with_crs(pye57: Any, wkt: str) -> type:
             image = self.image_file
             image.extensionsAdd("", lib.E57_V1_0_URI)
             made = lib.StructureNode(image)
-            made.set("dateTimeValue", lib.FloatNode(image, 0.0))
+            made.set("dateTimeValue", lib.FloatNode(image, _gps_seconds()))
             made.set("isAtomicClockReferenced", lib.IntegerNode(image, 0))
             for name, node in {
                 "formatName": lib.StringNode(image, "ASTM E57 3D Imaging Data File"),

@@ -6,6 +6,7 @@ These libraries are extras of the distribution, imported when a file needs one.
 from __future__ import annotations
 
 import errno
+import glob
 import os
 import shutil
 from collections.abc import Iterator
@@ -48,6 +49,26 @@ _ONLY_WRITING = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _NO_ROOM_BYTES = 1 << 20
 # Bytes written at a time where the system cannot reserve disk space.
 _ZEROS = 1 << 24
+# Endings of files that other programs read with a file of a suffix, behind its name or, with a star, in place of the
+# suffix: statistics, overviews, masks and places of rasters, journals of SQLite, an index of points, types of columns.
+# Of a file that is replaced they state what no longer holds.
+_SHARED = ("*.aux", "*.wld", "*.prj")
+_RASTER = (".aux.xml", ".ovr", ".msk", ".msk.ovr", "*.rrd", *_SHARED)
+_BESIDE = {
+    ".tif": (*_RASTER, "*.tfw", "*.tifw"),
+    ".tiff": (*_RASTER, "*.tfw", "*.tifw", "*.tiffw"),
+    ".bag": _RASTER,
+    ".xyz": _RASTER,
+    ".png": (*_RASTER, "*.pgw", "*.pngw"),
+    ".gpkg": (".aux.xml", "-wal", "-shm", "-journal"),
+    ".las": ("*.lax",),
+    ".laz": ("*.lax",),
+    ".csv": ("*.csvt", "*.prj"),
+}
+# Journals of SQLite with changes that are not yet in the file.
+_JOURNALS = ("-wal", "-journal")
+# What people have written about a file in QGIS.
+_DESCRIPTION = ".qmd"
 
 
 def disk_error_text(error: OSError, path: str | Path, *, verb: str = "write") -> str | None:
@@ -119,18 +140,50 @@ def write_whole(path: str | Path) -> Iterator[BinaryIO]:
 
 @contextmanager
 def write_whole_at(path: str | Path) -> Iterator[Path]:
-    """Path of a temporary file for libraries that write by path; otherwise as `write_whole`."""
+    """Path of a temporary file for libraries that write by path; otherwise as `write_whole`.
+
+    Files beside the one that is replaced that state what it held, e.g. NAME.aux.xml, go with it.
+    """
     path = Path(path)
     target = Path(os.path.realpath(path))
     part = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         try:
             yield part
+            # Before, so that no program reads the new file with them.
+            for old in _stale(target):
+                old.unlink(missing_ok=True)
             part.replace(target)
         finally:
             part.unlink(missing_ok=True)
     except OSError as error:
         raise _unwritable(error, path) from error
+
+
+def _stale(path: Path) -> list[Path]:
+    """Places beside a file, whether they exist or not, of what other programs read with it."""
+    endings = _BESIDE.get(path.suffix.lower(), ())
+    found = [path.with_suffix(end[1:]) if end[0] == "*" else path.with_name(path.name + end) for end in endings]
+    # These may belong to another file of that stem, as NAME.prj to NAME.shp.
+    own = {path.name, f"{path.stem}.qml", *(place.name for place in found)}
+    same_stem = (each for each in path.parent.glob(f"{glob.escape(path.stem)}.*") if each.stem == path.stem)
+    others = any(each.name not in own for each in same_stem)
+    return [place for end, place in zip(endings, found, strict=True) if not (others and end in _SHARED)]
+
+
+def beside_that_keeps(path: Path) -> str | None:
+    """Why a file must not be replaced for what lies beside it, as the end of a sentence; None where it may be."""
+    for ending in _JOURNALS:
+        journal = path.with_name(path.name + ending)
+        if path.exists() and journal.is_file() and journal.stat().st_size:
+            return (
+                f"but {journal.name} holds changes that another program has not written into it yet; close that "
+                "program, or remove it"
+            )
+    described = path.with_suffix(_DESCRIPTION)
+    if path.exists() and described.is_file():
+        return f"which {described.name} describes; remove or rename that file"
+    return None
 
 
 def scratch_array(path: Path, dtype: str, shape: tuple[int, ...]) -> np.ndarray:

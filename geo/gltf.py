@@ -1,14 +1,17 @@
-"""glTF and GLB meshes (the extra ``gltf``): read as one mesh, turned so that z is up; written near their origin."""
+"""glTF and GLB meshes: read as one mesh (the extra ``gltf``), turned so that z is up; written near their origin."""
 
 from __future__ import annotations
 
+import json
+import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pyproj import CRS
 
 from geo.crs import crs_code, has_height, height_unit_m, horizontal_unit
-from geo.errors import UnreadableFile
+from geo.errors import UnreadableFile, UnwritableFile
 from geo.files import existing_file, library_for, write_whole
 from geo.frames import LocalFrame
 from geo.projection import is_to_scale
@@ -17,6 +20,12 @@ from geo.stated import crs_named
 
 # glTF 2.0, section 3.3: y is up and z points forward. East, north, up are x, -z, y.
 _GRID, _TOPOCENTRIC = "grid", "topocentric"
+# Component types and targets of buffers, glTF 2.0, section 3.6.
+_TYPES = {"<f4": 5126, "<u4": 5125, "<u2": 5123}
+_TARGETS = {"POSITION": 34962, "COLOR_0": 34962, "indices": 34963}
+# Linear light, 0 to 65535, of each value of sRGB (IEC 61966-2-1), as colours of vertices have to be.
+_SRGB = np.arange(256) / 255.0
+_LINEAR = np.round(65535 * np.where(_SRGB <= 0.04045, _SRGB / 12.92, ((_SRGB + 0.055) / 1.055) ** 2.4)).astype("<u2")
 _Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
@@ -48,7 +57,10 @@ def read_gltf(path: str | Path) -> Mesh | Cloud:
         return Cloud(points, crs=crs, notes=notes)
     before = np.cumsum([0, *(len(part) for part in vertices)])
     faces = [np.asarray(part.faces, dtype=np.int64) + first for part, first in zip(meshes, before, strict=False)]
-    return Mesh(points, np.concatenate(faces), rgb=_rgb(meshes), crs=crs, notes=notes)
+    # The copies that `dump` makes lack the colours of vertices that have a material.
+    visuals = [scene.geometry[part.metadata["name"]].visual for part in meshes]
+    rgb = _rgb(visuals, [len(part) for part in vertices])
+    return Mesh(points, np.concatenate(faces), rgb=rgb, crs=crs, notes=notes)
 
 
 def _placed(points: np.ndarray, extras: dict, path: Path) -> tuple[np.ndarray, CRS | None, tuple[str, ...]]:
@@ -70,18 +82,29 @@ def _grid_units(crs: CRS) -> np.ndarray:
     return np.array([across, across, height_unit_m(crs) if has_height(crs) else 1.0])
 
 
-def _rgb(meshes: list) -> np.ndarray | None:
-    """Colours (V, 3) uint8 of all vertices, also of images; white where a part has none, None if all have none."""
-    colours = []
-    for part in meshes:
-        visual = part.visual
-        has_image = visual.kind == "texture" and getattr(visual.material, "baseColorTexture", None) is not None
-        known = visual.to_color() if has_image else visual if visual.kind == "vertex" else None
-        colours.append(None if known is None else np.asarray(known.vertex_colors)[:, :3].astype(np.uint8))
+def _rgb(visuals: list, counts: list[int]) -> np.ndarray | None:
+    """Colours (V, 3) uint8 of all vertices in sRGB; white where a part has none, None if all have none."""
+    colours = [_rgb_of(visual) for visual in visuals]
     if all(rgb is None for rgb in colours):
         return None
-    white = (np.full((len(part.vertices), 3), 255, dtype=np.uint8) for part in meshes)
+    white = (np.full((count, 3), 255, dtype=np.uint8) for count in counts)
     return np.concatenate([other if rgb is None else rgb for rgb, other in zip(colours, white, strict=True)])
+
+
+def _rgb_of(visual: Any) -> np.ndarray | None:
+    """Colours (V, 3) uint8 of a part in sRGB: those of images are, those of vertices are linear light."""
+    if visual.kind == "texture" and getattr(visual.material, "baseColorTexture", None) is not None:
+        return np.asarray(visual.to_color().vertex_colors)[:, :3].astype(np.uint8)
+    # Beside a material trimesh leaves them as they are stored, alone in 8 bits.
+    stored = visual.vertex_attributes.get("color") if visual.kind == "texture" else None
+    stored = visual.vertex_colors if visual.kind == "vertex" else stored
+    if stored is None:
+        return None
+    values = np.asarray(stored)[:, :3]
+    full = np.iinfo(values.dtype).max if values.dtype.kind == "u" else 1.0
+    linear = np.round(values / full * 65535.0).clip(0, 65535)
+    # The value whose linear light is the nearest.
+    return np.searchsorted(0.5 * (_LINEAR[1:].astype(float) + _LINEAR[:-1]), linear).astype(np.uint8)
 
 
 def write_glb(path: str | Path, mesh: Mesh, crs: CRS) -> None:
@@ -92,12 +115,13 @@ def write_glb(path: str | Path, mesh: Mesh, crs: CRS) -> None:
     north and up at the origin (``"topocentric"``). The ``extras`` of the scene hold the axes, the CRS and the origin in
     whole units of it (degrees to nine digits).
 
+    Colours are linear, as COLOR_0 of glTF is, in 16 bits; the material scatters light as paper does, on both sides.
+
     Raises
     ------
     UnwritableFile
-        If the file cannot be written, or trimesh is not installed.
+        If the file cannot be written, or is larger than the 4 GB that GLB holds.
     """
-    trimesh = library_for(path, "trimesh", "gltf", to_write=True)
     middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
     if is_to_scale(crs, middle):
         origin, axes = np.floor(middle), _GRID
@@ -105,8 +129,55 @@ def write_glb(path: str | Path, mesh: Mesh, crs: CRS) -> None:
     else:
         origin, axes = np.round(middle, 9), _TOPOCENTRIC
         vertices = LocalFrame(crs, (origin[0], origin[1], origin[2])).local_from_crs(mesh.vertices)
-    body = trimesh.Trimesh(vertices @ _Z_UP, mesh.faces, vertex_colors=mesh.rgb, process=False)
     extras = {"made_by": "bathynerf", "crs": crs_code(crs) or crs.to_wkt(), "origin": origin.tolist(), "axes": axes}
-    content = trimesh.Scene(body, metadata=extras).export(file_type="glb", include_normals=False)
+    arrays = [("POSITION", (vertices @ _Z_UP).astype("<f4"), "VEC3"), ("indices", mesh.faces.astype("<u4"), "SCALAR")]
+    if mesh.rgb is not None:
+        # Four components, since each element of an array begins at a multiple of four bytes.
+        opaque = np.full((len(mesh.rgb), 1), 65535, dtype="<u2")
+        arrays.append(("COLOR_0", np.hstack([_LINEAR[mesh.rgb], opaque]), "VEC4"))
+    content = json.dumps(_scene(arrays, extras), separators=(",", ":")).encode()
+    content += b" " * (-len(content) % 4)
+    size = sum(array.nbytes for _, array, _ in arrays)
+    length = 12 + 8 + len(content) + 8 + size
+    if length >= 2**32:
+        raise UnwritableFile(
+            f"cannot write {path}: GLB holds 4 GB, and this mesh takes {length / 1e9:.1f} GB; give a larger "
+            "--resolution, or write PLY."
+        )
     with write_whole(path) as stream:
-        stream.write(content)
+        stream.write(struct.pack("<4sII", b"glTF", 2, length) + struct.pack("<I4s", len(content), b"JSON") + content)
+        stream.write(struct.pack("<I4s", size, b"BIN\0"))
+        for _, array, _ in arrays:
+            stream.write(np.ascontiguousarray(array).data)
+
+
+def _scene(arrays: list[tuple[str, np.ndarray, str]], extras: dict) -> dict:
+    """The scene of one mesh whose arrays, by the names of glTF, follow each other in the binary part."""
+    views, accessors, first = [], [], 0
+    for name, array, kind in arrays:
+        views.append({"buffer": 0, "byteOffset": first, "byteLength": array.nbytes, "target": _TARGETS[name]})
+        first += array.nbytes
+        count = array.size if kind == "SCALAR" else len(array)
+        accessor = {
+            "bufferView": len(accessors),
+            "componentType": _TYPES[array.dtype.str],
+            "count": count,
+            "type": kind,
+        }
+        if name == "POSITION":
+            accessor |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
+        accessors.append(accessor | ({"normalized": True} if name == "COLOR_0" else {}))
+    numbers = {name: number for number, (name, _, _) in enumerate(arrays)}
+    primitive = {"indices": numbers.pop("indices"), "attributes": numbers, "material": 0}
+    material = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}, "doubleSided": True}
+    return {
+        "asset": {"version": "2.0", "generator": "bathynerf"},
+        "scene": 0,
+        "scenes": [{"nodes": [0], "extras": extras}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}],
+        "materials": [material],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": first}],
+    }

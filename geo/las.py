@@ -12,6 +12,7 @@ from pathlib import Path
 
 import laspy
 import numpy as np
+from laspy.errors import LaspyException
 from laspy.vlrs.known import WktCoordinateSystemVlr
 from lazrs import LazrsError
 from pyproj import CRS
@@ -22,7 +23,6 @@ from geo.crs import is_geographic, wkt1
 from geo.errors import EmptyCloud, GeoError, UnreadableFile, UnwritableFile
 from geo.files import existing_file, write_whole
 from geo.las_header import add_extra_bytes, crs_of_header, extra_of, length_fault, stored_extra
-from geo.read_back import ValueSums, require_cloud
 from geo.shapes import Cloud
 
 POINT_FORMAT = 7
@@ -135,30 +135,30 @@ def classes_of(is_wet: np.ndarray) -> np.ndarray:
 
 
 def _write(records: copc.Records, count: int, header: laspy.LasHeader, path: Path) -> None:
-    """Write records a portion at a time and verify them by reading them again, except in COPC."""
-    compress, sums = path.suffix.lower() == ".laz", ValueSums()
+    """Write records a portion at a time, and open what was written once more, except COPC."""
     with write_whole(path) as stream:
         try:
             if path.name.lower().endswith(copc.SUFFIX):
                 copc.write_copc(header, records, count, stream)
                 return
-            writer = laspy.open(stream, mode="w", header=header, do_compress=compress, closefd=False)
-            with writer:
+            compress = path.suffix.lower() == ".laz"
+            with laspy.open(stream, mode="w", header=header, do_compress=compress, closefd=False) as writer:
                 for part in portions(max(count, 1), _PORTION):
-                    points = records(part).points
-                    writer.write_points(points)
-                    for values in (points.X, points.Y, points.Z):
-                        sums.add(np.asarray(values, dtype=np.int32))
-        except LazrsError as error:
+                    writer.write_points(records(part).points)
+            stream.flush()
+            # A device or a pipe cannot be read back.
+            if count and stream.seekable() and stream.readable():
+                stream.seek(0)
+                with laspy.open(stream, closefd=False) as reader:
+                    reader.seek(count - 1)
+                    if not len(reader.read_points(1)):
+                        raise IndexError("it ends early")
+        except (LazrsError, LaspyException, IndexError) as error:
             # The LAZ encoder hides the system's error.
             raise UnwritableFile(
                 f"cannot write {path} ({_first_line(error)}); most likely no space is left on the disk: free "
                 "some or write elsewhere."
             ) from error
-        stream.flush()
-        # A device or a pipe cannot be read back.
-        if stream.seekable() and stream.readable():
-            require_cloud(stream, path, count, sums)
 
 
 def _require_sound(points: np.ndarray, others: dict) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
+from geo.columns import portions
 from geo.crs import crs_code, is_geographic
 from geo.errors import UnreadableFile
 from geo.files import existing_file, write_whole
@@ -20,7 +21,8 @@ from geo.stated import crs_named
 MARK = b"# bathynerf\n"
 CRS_COMMENT = b"# crs "
 _DECIMALS_M, _DECIMALS_DEG = 4, 10
-_CHUNK = 100_000
+# Rows that are written at a time.
+_PORTION = 100_000
 
 
 def read_obj(path: str | Path) -> Mesh | Cloud:
@@ -81,14 +83,15 @@ def write_obj(path: str | Path, mesh: Mesh, crs: CRS) -> None:
     is in a comment; the format has no place for it.
     """
     horizontal = _DECIMALS_DEG if is_geographic(crs) else _DECIMALS_M
-    vertex = f"v %.{horizontal}f %.{horizontal}f %.{_DECIMALS_M}f"
-    table = mesh.vertices
-    if mesh.rgb is not None:
-        vertex += " %.4f %.4f %.4f"
-        table = np.column_stack([table, mesh.rgb / 255.0])
+    vertex = f"v %.{horizontal}f %.{horizontal}f %.{_DECIMALS_M}f" + ("" if mesh.rgb is None else " %.4f %.4f %.4f")
     with write_whole(path) as stream:
         stream.write(MARK + CRS_COMMENT + f"{crs_code(crs) or crs.to_wkt()}\n".encode())
-        for rows, form in ((table, vertex), (mesh.faces + 1, "f %d %d %d")):
-            for first in range(0, len(rows), _CHUNK):
-                part = rows[first : first + _CHUNK]
-                stream.write(("\n".join([form] * len(part)) % tuple(part.ravel()) + "\n").encode())
+        for rows in portions(len(mesh.vertices), _PORTION):
+            colour = () if mesh.rgb is None else (mesh.rgb[rows] / 255.0,)
+            stream.write(_lines(vertex, np.column_stack([mesh.vertices[rows], *colour])))
+        for rows in portions(len(mesh.faces), _PORTION):
+            stream.write(_lines("f %d %d %d", mesh.faces[rows] + 1))
+
+
+def _lines(form: str, rows: np.ndarray) -> bytes:
+    return ("\n".join([form] * len(rows)) % tuple(rows.ravel().tolist()) + "\n").encode()

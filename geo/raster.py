@@ -20,10 +20,10 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
+from geo.compatibility import crs_difference
 from geo.crs import ellipsoid, ellipsoidal_wkt1, has_height, horizontal_crs, vertical_crs
 from geo.errors import UnreadableFile, UnwritableFile
 from geo.files import disk_error_text, existing_file, write_whole_at
-from geo.read_back import ValueSums, require_raster
 from geo.shapes import Mesh
 from geo.stated import checked_height_unit, unit_named
 
@@ -78,7 +78,7 @@ def write_cog(path: str | Path, form: RasterForm, parts: Iterable[Part]) -> None
             profile |= {"photometric": "RGB", "interleave": "pixel"}
         else:
             profile |= {"photometric": "MINISBLACK", "interleave": "band"}
-        sums = _write(plain, form, parts, driver="GTiff", **profile)
+        _write(plain, form, parts, driver="GTiff", **profile)
         rasterio.shutil.copy(
             plain,
             copy,
@@ -89,7 +89,7 @@ def write_cog(path: str | Path, form: RasterForm, parts: Iterable[Part]) -> None
             overview_resampling=form.resampling,
             bigtiff="IF_SAFER",
         )
-        require_raster(copy, Path(path), stored_crs(form.crs), form.transform, form.shape, sums)
+        _require_readable(copy, Path(path), form)
         copy.replace(part)
 
 
@@ -112,16 +112,14 @@ def write_bag(path: str | Path, form: RasterForm, parts: Iterable[Part], variabl
         template = {f"VAR_{name}": value for name, value in variables.items()}
         # In memory first: on a full disk HDF5 prints a page of its own messages, and fails again when closed.
         with MemoryFile(ext=".bag") as memory:
-            sums = _write(memory.name, form, parts, driver="BAG", **template)
+            _write(memory.name, form, parts, driver="BAG", **template)
             copy.write_bytes(memory.read())
-        require_raster(copy, Path(path), stored_crs(form.crs), form.transform, form.shape, sums)
+        _require_readable(copy, Path(path), form)
         copy.replace(part)
 
 
-def _write(path: Path | str, form: RasterForm, parts: Iterable[Part], **profile) -> list[ValueSums]:
-    """Write a raster; returns the checksum of each band."""
+def _write(path: Path | str, form: RasterForm, parts: Iterable[Part], **profile) -> None:
     rows, columns = form.shape
-    sums = [ValueSums(form.nodata) for _ in form.bands]
     raster = rasterio.open(
         path,
         "w",
@@ -148,9 +146,38 @@ def _write(path: Path | str, form: RasterForm, parts: Iterable[Part], **profile)
                     raster.set_band_unit(number, band.unit)
         for row, column, values in parts:
             raster.write(values, window=Window(column, row, values.shape[2], values.shape[1]))
-            for band, each in zip(values, sums, strict=True):
-                each.add(np.asarray(band, dtype=form.dtype))
-    return sums
+
+
+def _require_readable(copy: Path, path: Path, form: RasterForm) -> None:
+    """Open a raster that will become ``path`` once more, and read its last cell and its CRS.
+
+    Raises
+    ------
+    RasterioError
+        If it is damaged.
+    UnwritableFile
+        If its format cannot hold the CRS.
+    """
+    rows, columns = form.shape
+    # Without files beside the raster, which stay behind.
+    with rasterio.Env(GDAL_PAM_ENABLED="NO"), rasterio.open(copy) as raster:
+        raster.read(window=Window(columns - 1, rows - 1, 1, 1))
+        wkt = "" if raster.crs is None else raster.crs.to_wkt()
+    crs = stored_crs(form.crs)
+    try:
+        read = CRS.from_wkt(wkt)
+    except CRSError:
+        read = None
+    if read is None:
+        raise UnwritableFile(
+            f"cannot write {path}: the CRS {crs.name} cannot be read back from this format; export in one of common "
+            "EPSG codes (--crs), e.g. the UTM zone with a height datum."
+        )
+    reason = crs_difference(read, crs) or ("its heights have no datum" if has_height(crs) > has_height(read) else None)
+    if reason is not None:
+        raise UnwritableFile(
+            f"cannot write {path}: the CRS {crs.name} reads as another one ({reason}); choose another --crs."
+        )
 
 
 def stored_crs(crs: CRS) -> CRS:

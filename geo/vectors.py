@@ -119,7 +119,7 @@ def write_geopackage(path: str | Path, layer: Layer) -> None:
     with write_whole(path) as stream, _folder_beside(path) as work:
         # GDAL knows the format by the suffix.
         copy = Path(work) / "copy.gpkg"
-        _write_verified(copy, Path(path), layer, "GPKG", layer=layer.name, **options)
+        _write_by_gdal(copy, Path(path), layer, "GPKG", layer=layer.name, **options)
         stream.write(copy.read_bytes())
 
 
@@ -129,11 +129,8 @@ def _folder_beside(path: str | Path) -> TemporaryDirectory:
     return TemporaryDirectory(prefix=".", suffix=".part", dir=Path(path).resolve().parent if is_file else None)
 
 
-def _write_verified(copy: Path, path: Path, layer: Layer, driver: str, /, **options) -> None:
-    """Write a layer in its own CRS by GDAL to ``copy``, which will become ``path``, and read it again to verify."""
-    # Takes a while to load, and most layers are GeoJSON.
-    from geo.read_back import read_back_error
-
+def _write_by_gdal(copy: Path, path: Path, layer: Layer, driver: str, /, **options) -> None:
+    """Write a layer in its own CRS by GDAL to ``copy``, which will become ``path``, and read it once more."""
     pyogrio = library_for(path, "pyogrio.raw", "vector", to_write=True)
     crs, shapes, kind = horizontal_crs(layer.crs), layer.shapes, str(layer.kind)
     if layer.heights is not None and driver == "ESRI Shapefile":
@@ -150,12 +147,15 @@ def _write_verified(copy: Path, path: Path, layer: Layer, driver: str, /, **opti
             crs=crs_code(crs) or crs.to_wkt(),
             **options,
         )
-        meta, _, found, _ = pyogrio.read(copy)
-        read = CRS.from_user_input(meta["crs"]) if meta["crs"] else None
+        meta, *_ = pyogrio.read(copy)
+        read = None if meta["crs"] is None else CRS.from_user_input(meta["crs"])
     except (RuntimeError, ValueError, OSError) as error:
-        raise read_back_error(path, f"it is damaged ({str(error)[:80]})") from error
-    if len(found) != len(shapes) or read is None or crs_difference(read, crs) is not None:
-        raise read_back_error(path, f"it has {len(found)} of {len(shapes)} shapes, or another CRS")
+        raise UnwritableFile(
+            f"cannot write {path}: {str(error)[:80]}; most likely no space is left on the disk: free some or write "
+            "elsewhere."
+        ) from error
+    if read is None or crs_difference(read, crs) is not None:
+        raise UnwritableFile(f"cannot write {path}: its format cannot hold the CRS {crs.name}; choose another --crs.")
 
 
 def write_shapefile(path: str | Path, layer: Layer) -> None:
@@ -167,7 +167,7 @@ def write_shapefile(path: str | Path, layer: Layer) -> None:
         If the file cannot be written, or pyogrio is not installed.
     """
     with write_whole(path) as stream, _folder_beside(path) as work:
-        _write_verified(Path(work) / f"{layer.name}.shp", Path(path), layer, "ESRI Shapefile")
+        _write_by_gdal(Path(work) / f"{layer.name}.shp", Path(path), layer, "ESRI Shapefile")
         content = BytesIO()
         with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.comment = _MARK

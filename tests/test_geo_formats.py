@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from geo import Cloud, Mesh, read_reference
 from geo.crs import parse_crs
 from geo.e57 import is_our_e57, write_e57
 from geo.errors import UnreadableFile, UnwritableFile
+from geo.gltf import write_glb
 
 # What the libraries themselves warn about on import or writing is not ours.
 pytestmark = pytest.mark.filterwarnings("ignore")
@@ -130,3 +133,36 @@ def test_a_written_e57_has_its_points_colours_and_crs(tmp_path, rng):
     path.write_bytes(path.read_bytes().replace(b"bathynerf", b"otherwise"))
     assert not is_our_e57(path)
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_glb_has_colours_in_linear_light_and_a_material_of_both_sides(tmp_path):
+    """Every value of sRGB comes back, and 0.5 of it is 0.214 of the light (IEC 61966-2-1)."""
+    pytest.importorskip("trimesh")
+    grey = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
+    corners = ORIGIN + np.column_stack([np.arange(256.0), np.arange(256.0) % 7, np.arange(256.0) % 5])
+    faces = np.arange(255).reshape(-1, 3)
+    write_glb(tmp_path / "a.glb", Mesh(corners, faces, rgb=grey), parse_crs("EPSG:25832+5783"))
+    np.testing.assert_array_equal(read_reference(tmp_path / "a.glb").rgb, grey)
+    data = (tmp_path / "a.glb").read_bytes()
+    length = int.from_bytes(data[12:16], "little")
+    scene, binary = json.loads(data[20 : 20 + length]), data[28 + length :]
+    (material,) = scene["materials"]
+    assert material["pbrMetallicRoughness"]["metallicFactor"] == 0.0
+    assert material["doubleSided"]
+    accessor = scene["accessors"][scene["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
+    view = scene["bufferViews"][accessor["bufferView"]]
+    stored = np.frombuffer(binary, "<u2", 4 * 256, view["byteOffset"]).reshape(-1, 4)
+    assert stored[128, 0] / 65535 == pytest.approx(((128 / 255 + 0.055) / 1.055) ** 2.4, abs=1e-5)
+
+
+def test_the_bounds_of_an_e57_scan_are_those_before_its_pose_and_it_has_a_date(tmp_path):
+    pye57 = pytest.importorskip("pye57")
+    points = ORIGIN + np.array([[0.0, 0.0, 0.0], [8.0, 6.0, 2.0]])
+    write_e57(tmp_path / "a.e57", points, parse_crs("EPSG:25832+5783"), rgb=np.zeros((2, 3), np.uint8))
+    with pye57.E57(str(tmp_path / "a.e57")) as file:
+        header = file.get_header(0)
+        assert (header.xMinimum, header.xMaximum, header.zMinimum, header.zMaximum) == (-4.0, 4.0, -1.0, 1.0)
+        np.testing.assert_array_equal(header.translation, points.mean(axis=0))
+        made = file.root["creationDateTime"]["dateTimeValue"].value()
+    # GPS time, 18 s ahead of UTC.
+    assert abs(made - (time.time() - 315_964_800.0 + 18.0)) < 3600.0

@@ -26,25 +26,19 @@ def _write_mesh(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     from geo.gltf import write_glb
     from geo.obj import write_obj
     from geo.ply import write_ply
-    from geo.reading import write_verified
 
     key = ("mesh", options.crs, options.resolution_m, options.mesh_method, options.watertight)
     mesh = run.once(key, lambda: _mesh(path, run, options))
     crs = mesh.crs
     if crs is None or mesh.rgb is None:
         raise RuntimeError("the surface of a run has a CRS and colours")
-    rgb = mesh.rgb
-
-    def write(copy: Path) -> None:
-        match path.suffix.lower():
-            case ".ply":
-                write_ply(copy, mesh.vertices, rgb=rgb, scalars={}, crs=crs, faces=mesh.faces)
-            case ".obj":
-                write_obj(copy, mesh, crs)
-            case _:
-                write_glb(copy, mesh, crs)
-
-    write_verified(path, write, mesh.vertices, len(mesh.faces), crs)
+    match path.suffix.lower():
+        case ".ply":
+            write_ply(path, mesh.vertices, rgb=mesh.rgb, scalars={}, crs=crs, faces=mesh.faces)
+        case ".obj":
+            write_obj(path, mesh, crs)
+        case _:
+            write_glb(path, mesh, crs)
 
 
 def _mesh(path: Path, run: LoadedRun, options: ExportOptions) -> Mesh:

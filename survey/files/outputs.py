@@ -2,7 +2,8 @@
 
 - The folder of a named file has to exist; a folder that is named (-o DIR) is made, with those above it.
 - No output is a file that the command reads, under whatever name, nor lies in a folder of them.
-- A file that is already there is replaced only where it is of the kind that would be written, and not write-protected.
+- A file that is already there is replaced only where it is of the kind that would be written, and not write-protected;
+  with it go the files beside it that state what it held (`geo.files`).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from tempfile import TemporaryFile
 
 from filelock import FileLock, Timeout
 
+from geo.files import beside_that_keeps
 from survey.errors import OutputError, SurveyError
 
 # Longer than every head by which a kind of file is known.
@@ -87,6 +89,8 @@ def require_file(
         same = inputs.same_as(path)
         if same is not None:
             raise OutputError(f"{message}which would overwrite the input {same}; choose another name")
+        if (reason := beside_that_keeps(path)) is not None:
+            raise OutputError(f"{message}{reason}, or choose another name")
         with path.open("rb") as stream:
             head = stream.read(_HEAD_BYTES)
         if not is_of_kind(head):

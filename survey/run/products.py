@@ -22,7 +22,6 @@ from geo.e57 import write_e57
 from geo.files import reporting_disk_errors
 from geo.las import write_cloud
 from geo.ply import write_ply
-from geo.reading import write_verified
 from survey.adjust.applied import CAMERAS, MODEL_FOLDER
 from survey.adjust.result.adjustment import ARRAYS, JSON, Adjustment, read_adjustment
 from survey.compare.figures import Comparison
@@ -88,14 +87,12 @@ def write_bed_ply(path: Path, stored: StoredBed) -> None:
         "num_views": bed.num_views,
         "incidence_deg": np.degrees(bed.incidence),
     }
-    points, crs = stored.points_crs, stored.crs
-    write_verified(path, lambda copy: write_ply(copy, points, rgb=bed.rgb, scalars=scalars, crs=crs), points, None, crs)
+    write_ply(path, stored.points_crs, rgb=bed.rgb, scalars=scalars, crs=stored.crs)
 
 
 def write_bed_e57(path: Path, stored: StoredBed) -> None:
     """Places and colours as E57; see `geo.e57.write_e57`."""
-    points, crs, rgb = stored.points_crs, stored.crs, stored.bed.rgb
-    write_verified(path, lambda copy: write_e57(copy, points, crs, rgb=rgb), points, None, crs)
+    write_e57(path, stored.points_crs, stored.crs, rgb=stored.bed.rgb)
 
 
 @dataclass(frozen=True)

@@ -47,6 +47,8 @@ from survey.water.level_observation import points_of_surface, readings_of_gauge
 from survey.water.surface_features import points_of_features
 
 UTM = CRS("EPSG:25832+7837")
+# Corners of what lines and polygons are for.
+AROUND = np.array([[0.0, 0.0], [1e7, 1e7]])
 E0, N0, LEVEL = 676120.0, 5311480.0, 584.2
 # What damages files: other kinds of values, ends of texts and blocks, numbers that nobody can mean.
 PIECES = (
@@ -185,8 +187,8 @@ KINDS = {
     "gauge": Kind("gauge.csv", text(GAUGE), readings_of_gauge),
     "surface": Kind("surface.csv", text(SURFACE), lambda path: points_of_surface(path, "gnss_points", UTM)),
     "shore": Kind("shore.geojson", text(SHORE), lambda path: points_of_features(path, UTM)),
-    "lines": Kind("lines.geojson", text(SHORE), lambda path: read_lines(path, UTM)),
-    "area": Kind("area.geojson", text(AREA), lambda path: read_polygons(path, UTM)),
+    "lines": Kind("lines.geojson", text(SHORE), lambda path: read_lines(path, UTM, AROUND)),
+    "area": Kind("area.geojson", text(AREA), lambda path: read_polygons(path, UTM, AROUND)),
     "geo.txt": Kind("geo.txt", text(GEO_TXT), lambda path: with_positions(path, HEADS)),
     "las": Kind("cloud.las", las, read_reference),
     "laz": Kind("cloud.laz", las, read_reference),

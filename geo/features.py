@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,14 @@ from geo.transformation import transformed
 GEOJSON = (".geojson", ".json")
 SUFFIXES = (*GEOJSON, ".gpkg", ".shp", ".dxf")
 
+# A file that exists in a path with the name of a layer behind it.
+_WITH_LAYER = re.compile(r"(.+\.[A-Za-z]{3,4})(?:\|layername=|:)([^/\\]+)")
+# $INSUNITS of DXF: lengths [m] by number.
+UNITS_OF_DRAWINGS = {
+    1: 0.0254, 2: 0.3048, 4: 0.001, 5: 0.01, 6: 1.0, 7: 1000.0, 10: 0.9144, 14: 0.1, 21: 1200.0 / 3937.0,
+}  # fmt: skip
+_UNIT_OF_DRAWING = re.compile(rb"\$INSUNITS\s+70\s+(\d+)")
+_HEAD_BYTES = 1 << 16
 # What content of another form raises in `json`, `shapely` and pyogrio.
 _FAULTS = (
     ShapelyError, CRSError, ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError,
@@ -48,31 +57,51 @@ class Features:
 
     features: tuple[Feature, ...]
     crs: CRS | None  # None where the file states none
+    unit_m: float | None = None  # [m]: of a drawing that states one
 
 
-def read_features(path: str | Path, kind: str) -> Features:
-    """All features of a vector file; of several layers those of the first.
+def layer_of(path: str | Path) -> tuple[Path, str | None]:
+    """A file and the layer in it that ``FILE|layername=LAYER``, as QGIS writes it, or ``FILE:LAYER`` names.
+
+    Examples
+    --------
+    >>> layer_of("plan.gpkg|layername=dredged")[1], layer_of("plan.gpkg:dredged")[1], layer_of("plan.gpkg")[1]
+    ('dredged', 'dredged', None)
+    """
+    found = _WITH_LAYER.fullmatch(str(path))
+    return (Path(path), None) if found is None or Path(path).exists() else (Path(found[1]), found[2])
+
+
+def read_features(path: str | Path, kind: str, layer: str | None = None) -> Features:
+    """All features of a vector file, of one layer.
 
     Parameters
     ----------
+    path : Path
+        May name a layer too, see `layer_of`.
     kind : str
         What an error names as expected, e.g. "polygons".
+    layer : str, optional
+        Of a file with several layers of geometries.
 
     Raises
     ------
     UnreadableFile
         If it is none of the formats, is damaged, has coordinates that are no finite numbers, or names a CRS that is not
-        known.
+        known; if it has several layers, and none is named, or none of that name.
     """
-    path = existing_file(path)
+    path, named = layer_of(path)
+    path, layer = existing_file(path), layer or named
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         known = ", ".join(("", *SUFFIXES[2:]))
         raise UnreadableFile(f'{path} has the suffix "{path.suffix}", expected {kind} as one of {GEOJSON[0]}{known}.')
     try:
-        found = _of_geojson(path) if suffix in GEOJSON else _by_gdal(path)
+        found = _of_geojson(path) if suffix in GEOJSON else _by_gdal(path, layer)
         if not all(np.isfinite(shapely.get_coordinates(each.geometry)).all() for each in found.features):
             raise ValueError("coordinates that are not finite")
+    except UnreadableFile:
+        raise
     except _FAULTS as error:
         reason = f"without the member {error}" if isinstance(error, KeyError) else " ".join(str(error).split())[:80]
         raise UnreadableFile(f"{path} has no {kind} that can be read ({reason}); export it again.") from error
@@ -126,13 +155,37 @@ def _feature(item: dict[str, Any]) -> Feature:
     return Feature(shape(item["geometry"]), properties if isinstance(properties, dict) else {})
 
 
-def _by_gdal(path: Path) -> Features:
+def _by_gdal(path: Path, layer: str | None) -> Features:
     raw = library_for(path, "pyogrio.raw", "vector")
-    meta, _, shapes, columns = raw.read(path)
+    meta, _, shapes, columns = raw.read(path, layer=_layer(path, layer))
     values = zip(*(column.tolist() for column in columns), strict=True)
     rows = [dict(zip(meta["fields"], row, strict=True)) for row in values] or [{}] * len(shapes)
     # Solids and symbols of a drawing have no counterpart.
     geometries = shapely.from_wkb(shapes, on_invalid="ignore")
     features = (Feature(each, row) for each, row in zip(geometries, rows, strict=True) if each is not None)
     crs = None if meta["crs"] is None else CRS.from_user_input(meta["crs"])
-    return Features(tuple(features), crs)
+    return Features(tuple(features), crs, _unit_of_drawing(path) if path.suffix.lower() == ".dxf" else None)
+
+
+def _layer(path: Path, layer: str | None) -> str:
+    """The layer of a file to read: the one of that name, or the only one with geometries."""
+    layers = library_for(path, "pyogrio", "vector").list_layers(path)
+    kinds = {str(name): str(kind) for name, kind in layers.tolist() if kind is not None}
+    if layer in kinds:
+        return layer
+    listed = ", ".join(f"{name} ({kind})" for name, kind in kinds.items())
+    if layer is not None:
+        raise UnreadableFile(f"{path} has no layer {layer[:80]}, expected one of {listed}.")
+    if len(kinds) != 1:
+        raise UnreadableFile(
+            f"{path} has {len(kinds)} layers, {listed or 'none of geometries'}; name the one that counts, as "
+            f"{path.name}:{next(iter(kinds), 'LAYER')}."
+        )
+    return next(iter(kinds))
+
+
+def _unit_of_drawing(path: Path) -> float | None:
+    """The unit that a drawing states for its coordinates [m]; None where it states none."""
+    with path.open("rb") as stream:
+        found = _UNIT_OF_DRAWING.search(stream.read(_HEAD_BYTES))
+    return None if found is None else UNITS_OF_DRAWINGS.get(int(found[1]))

@@ -153,7 +153,9 @@ def write_glb(path: str | Path, mesh: Mesh, crs: CRS) -> None:
 
 def _scene(arrays: list[tuple[str, np.ndarray, str]], extras: dict) -> dict:
     """The scene of one mesh whose arrays, by the names of glTF, follow each other in the binary part."""
-    views, accessors, first = [], [], 0
+    views: list[dict] = []
+    accessors: list[dict] = []
+    first = 0
     for name, array, kind in arrays:
         views.append({"buffer": 0, "byteOffset": first, "byteLength": array.nbytes, "target": _TARGETS[name]})
         first += array.nbytes

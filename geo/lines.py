@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,13 +14,15 @@ from pyproj import CRS
 from rasterio.features import geometry_mask
 from shapely import LineString, Polygon
 
-from geo.crs import horizontal_crs
+from geo.crs import horizontal_crs, horizontal_unit
 from geo.errors import UnreadableFile
-from geo.features import GEOJSON, in_horizontal_crs, read_features
+from geo.features import GEOJSON, in_horizontal_crs, layer_of, read_features
 from geo.transformation import WGS84
 
 # Attributes that name a line, in any case; a DXF has layers.
 _NAMES = ("name", "id", "line", "profile", "layer")
+# Places of a ring, the first again as the last, that enclose nothing.
+_FEWEST_OF_RING = 3
 
 
 @dataclass(frozen=True)
@@ -30,29 +33,53 @@ class Line:
     corners: np.ndarray  # (N, 2): easting or longitude first
 
 
-def read_lines(path: str | Path, crs: CRS) -> list[Line]:
+def read_lines(path: str | Path, crs: CRS, around: np.ndarray) -> list[Line]:
     """All lines of a file, in the horizontal part of crs.
 
     GeoJSON has longitude and latitude of WGS 84, or the CRS that an older file names; a GeoPackage and a shapefile
-    state their own; a DXF states none, and is taken to be in crs, as is a shapefile without .prj.
+    state their own; a DXF states none, and is taken to be in crs, as is a shapefile without .prj. A DXF in another unit
+    than crs is converted where its coordinates lie around the cloud only then: templates state units that nobody meant.
+
+    Parameters
+    ----------
+    path : Path
+        May name a layer, see `geo.features.layer_of`.
+    around : (2, 2), in crs
+        Lowest and highest corner of the cloud that the lines are for.
 
     Raises
     ------
     UnreadableFile
-        If it is another format, is damaged, or has no line.
+        If it is another format, is damaged, has no line, or several layers of which none is named.
     GeoError
         If it cannot be taken to crs: see `geo.transformation.transformed`.
     """
     found = [
-        (_named(properties), np.array(line.coords)) for line, properties in _in_crs(path, "lines", LineString, crs)
+        (_named(properties), np.array(line.coords))
+        for line, properties in _in_crs(path, "lines", LineString, crs, around)
     ]
     if not found:
         raise UnreadableFile(f"{path} has no line of two corners or more; draw the profile as a line.")
-    return [Line(name or str(number), corners) for number, (name, corners) in enumerate(found, 1)]
+    names = [name or str(number) for number, (name, _) in enumerate(found, 1)]
+    # Parts of one feature, and features of one layer, have its name: they are numbered.
+    several = {name for name, times in Counter(names).items() if times > 1}
+    numbers: Counter[str] = Counter()
+    lines = []
+    for name, (_, corners) in zip(names, found, strict=True):
+        numbers[name] += 1
+        lines.append(Line(f"{name} {numbers[name]}" if name in several else name, corners))
+    return lines
 
 
-def read_polygons(path: str | Path, crs: CRS) -> list[Polygon]:
-    """All polygons of a file, in the horizontal part of crs, easting or longitude first; formats as of `read_lines`.
+def plan_box(points: np.ndarray) -> np.ndarray:
+    """Lowest and highest corner (2, 2) of points (N, 2 or more) in plan."""
+    return np.array([points[:, :2].min(axis=0), points[:, :2].max(axis=0)])
+
+
+def read_polygons(path: str | Path, crs: CRS, around: np.ndarray) -> list[Polygon]:
+    """All polygons of a file, in the horizontal part of crs, easting or longitude first; otherwise as `read_lines`.
+
+    Closed lines are polygons: a drawing has no others.
 
     Raises
     ------
@@ -61,9 +88,16 @@ def read_polygons(path: str | Path, crs: CRS) -> list[Polygon]:
     GeoError
         If it cannot be taken to crs: see `geo.transformation.transformed`.
     """
-    found = [polygon for polygon, _ in _in_crs(path, "polygons", Polygon, crs)]
+    parts = [part for part, _ in _in_crs(path, "polygons", (Polygon, LineString), crs, around)]
+    found = [
+        part if isinstance(part, Polygon) else Polygon(part)
+        for part in parts
+        if isinstance(part, Polygon) or (part.is_closed and len(part.coords) > _FEWEST_OF_RING)
+    ]
     if not found:
-        raise UnreadableFile(f"{path} has no polygon, expected one at least; draw the area as a polygon.")
+        raise UnreadableFile(
+            f"{path} has no polygon and no closed line, expected one at least; draw the area as a polygon."
+        )
     return found
 
 
@@ -82,17 +116,26 @@ def points_inside(polygons: list[Polygon], points: np.ndarray) -> np.ndarray:
     return shapely.contains_xy(area, points)
 
 
-def _in_crs(path: str | Path, plural: str, kind: type, crs: CRS) -> list[tuple[Any, dict[str, Any]]]:
-    """Parts of one kind of the geometries of a file, in the horizontal part of crs, with their attributes."""
-    content, path, target = read_features(path, plural), Path(path), horizontal_crs(crs)
+def _in_crs(
+    path: str | Path, plural: str, kinds: type | tuple[type, ...], crs: CRS, around: np.ndarray
+) -> list[tuple[Any, dict[str, Any]]]:
+    """Parts of some kinds of the geometries of a file, in the horizontal part of crs, with their attributes."""
+    content, path, target = read_features(path, plural), layer_of(path)[0], horizontal_crs(crs)
     unstated = WGS84 if path.suffix.lower() in GEOJSON else target
     source = unstated if content.crs is None else horizontal_crs(content.crs)
-    return [
+    found = [
         (in_horizontal_crs(part, source, target, path), feature.properties)
         for feature in content.features
         for part in feature.parts()
-        if isinstance(part, kind)
+        if isinstance(part, kinds)
     ]
+    unit_m = horizontal_unit(target) if target.is_projected else None
+    if content.unit_m is None or unit_m is None or content.unit_m == unit_m:
+        return found
+    factor, box = content.unit_m / unit_m, shapely.box(*around.ravel())
+    scaled = [(shapely.transform(part, lambda plan: plan * factor), properties) for part, properties in found]
+    meets, meets_scaled = (any(box.intersects(part) for part, _ in parts) for parts in (found, scaled))
+    return scaled if meets_scaled and not meets else found
 
 
 def _named(attributes: dict[str, Any]) -> str:

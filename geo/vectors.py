@@ -21,6 +21,7 @@ from shapely import LineString, Polygon
 from geo.compatibility import crs_difference
 from geo.crs import crs_code, crs_name, height_unit_m, horizontal_crs, horizontal_unit, is_geographic
 from geo.errors import UnwritableFile
+from geo.features import UNITS_OF_DRAWINGS
 from geo.files import library_for, write_whole
 from geo.reproject import cut_line, cut_polygon
 from geo.transformation import WGS84, Transformation
@@ -29,8 +30,8 @@ from geo.transformation import WGS84, Transformation
 _DECIMALS = 9
 # In the comment of a shapefile, and among the variables of a drawing.
 _MARK = b"bathynerf"
-# $INSUNITS, by the length of the unit [m]; 0 for one that has no number.
-_NO_UNIT, _UNITS = 0, ((1.0, 6), (1000.0, 7), (0.3048, 2), (1200.0 / 3937.0, 21))
+# $INSUNITS of a unit that has no number.
+_NO_UNIT = 0
 _VERSION = "R2010"
 # Characters that DXF does not allow in names of layers.
 _NOT_IN_NAMES = re.compile(r"[<>/\\\":;?*|=`\x00-\x1f]")
@@ -228,15 +229,21 @@ def write_dxf(path: str | Path, lines: Sequence[DxfLine], crs: CRS) -> None:
         )
     ezdxf = library_for(path, "ezdxf", "dxf", to_write=True)
     drawing = ezdxf.new(_VERSION)
-    drawing.header["$INSUNITS"] = next((code for length, code in _UNITS if abs(length / unit - 1.0) < 1e-9), _NO_UNIT)
+    codes = (code for code, length in UNITS_OF_DRAWINGS.items() if abs(length / unit - 1.0) < 1e-9)
+    drawing.header["$INSUNITS"] = next(codes, _NO_UNIT)
     drawing.header.custom_vars.append("made_by", _MARK.decode())
     drawing.header.custom_vars.append("crs", crs_code(crs) or crs_name(crs))
     space = drawing.modelspace()
+    if lines:
+        places = np.concatenate([line.places for line in lines])
+        space.reset_extents(places.min(axis=0).tolist(), places.max(axis=0).tolist())
     for line in lines:
         layer = _NOT_IN_NAMES.sub("_", line.layer)
         if layer not in drawing.layers:
             drawing.layers.add(layer)
-        space.add_polyline3d(line.places.tolist(), dxfattribs={"layer": layer})
+        is_ring = len(line.places) > 3 and bool((line.places[0] == line.places[-1]).all())
+        places = line.places[:-1] if is_ring else line.places
+        space.add_polyline3d(places.tolist(), close=is_ring, dxfattribs={"layer": layer})
     text = io.StringIO()
     drawing.write(text)
     with write_whole(path) as stream:

@@ -21,6 +21,7 @@ from geo.lines import Line, read_lines
 from survey.export.profiles import COLUMNS, Bed, ProfileError, profiles_along, write_picture
 
 UTM = CRS("EPSG:25832+7837")
+AROUND = np.array([[0.0, 0.0], [1e7, 1e7]])
 # Of the plane: height in the middle, rise per metre east and north.
 MIDDLE_M, EAST, NORTH, LEVEL_M = 100.0, 0.1, -0.05, 101.5
 AT = {"EPSG:25832+7837": (589012.0, 5194736.0), "EPSG:2263+6360": (990000.0, 200000.0), "EPSG:4979": (10.2, 46.9)}
@@ -160,7 +161,7 @@ def lines_file(path, lines: dict[str, np.ndarray]):
 @pytest.mark.parametrize("suffix", [".geojson", ".gpkg", ".shp", ".dxf"])
 def test_lines_of_every_format_are_the_same(tmp_path, suffix):
     lines = {name: places_of("EPSG:25832+7837", corners) for name, corners in LINES.items()}
-    found = read_lines(lines_file(tmp_path / f"lines{suffix}", lines), UTM)
+    found = read_lines(lines_file(tmp_path / f"lines{suffix}", lines), UTM, AROUND)
     assert [line.name for line in found] == list(lines)
     for line in found:
         assert line.corners == pytest.approx(lines[line.name], abs=1e-4)
@@ -182,7 +183,7 @@ def test_lines_of_every_format_are_the_same(tmp_path, suffix):
 def test_a_file_without_lines_is_refused(tmp_path, name, text, words):
     (tmp_path / name).write_text(text)
     with pytest.raises(UnreadableFile, match=re.escape(words)):
-        read_lines(tmp_path / name, UTM)
+        read_lines(tmp_path / name, UTM, AROUND)
 
 
 def test_parts_of_collections_are_lines_with_the_names_of_their_features(tmp_path):
@@ -191,7 +192,7 @@ def test_parts_of_collections_are_lines_with_the_names_of_their_features(tmp_pat
     other = {"type": "Feature", "properties": None, "geometry": {"type": "GeometryCollection", "geometries": [part]}}
     path = tmp_path / "l.geojson"
     path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature, other]}))
-    assert [line.name for line in read_lines(path, UTM)] == ["dam", "dam", "3", "4"]
+    assert [line.name for line in read_lines(path, UTM, AROUND)] == ["dam 1", "dam 2", "3", "4"]
 
 
 def test_the_command_prints_and_writes_profiles(tmp_path):

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from evaluation.summary import MAD_TO_STD
+from geo.features import layer_of
 from geo.files import existing_file
 from geo.lines import cells_inside, read_polygons
 from geo.raster import RasterBand, RasterForm, is_our_tiff, write_cog
@@ -139,7 +140,7 @@ def change_between(first: Path, second: Path, options: ChangeOptions) -> Change:
         )
         inside = differences.is_known
         if options.area is not None:
-            inside &= cells_inside(read_polygons(options.area, cells.crs), cells.transform, cells.shape)
+            inside &= _cells_in(options.area, cells)
     if not inside.any():
         raise ChangeError(f"no cell that both surveys cover lies in {options.area}; correct the polygon or its CRS")
     correlation, of_scatter = _correlation(differences, inside, options)
@@ -255,11 +256,17 @@ def _correlation(differences: Differences, inside: np.ndarray, options: ChangeOp
 def _aligned(
     differences: Differences, cells: PlanCells, correlation: Correlation, path: Path
 ) -> tuple[Differences, Alignment]:
-    stable = cells_inside(read_polygons(path, cells.crs), cells.transform, cells.shape)
+    stable = _cells_in(path, cells)
     try:
         return align(differences, stable, correlation)
     except ValueError as error:
         raise ChangeError(f"--stable {path}: {error}; draw larger polygons, or correct their CRS") from error
+
+
+def _cells_in(path: Path, cells: PlanCells) -> np.ndarray:
+    """Whether the middle of each cell (rows, columns) lies in a polygon of a file."""
+    polygons = read_polygons(path, cells.crs, cells.box)
+    return cells_inside(polygons, cells.transform, cells.shape)
 
 
 def _require_options(first: Path, second: Path, options: ChangeOptions) -> None:
@@ -278,7 +285,7 @@ def _require_options(first: Path, second: Path, options: ChangeOptions) -> None:
         raise ChangeError(f"--common-correlation is {options.shared:g}, expected -1 to 1; 0 where nothing is shared")
     paths = [existing_file(cloud_path(path)) for path in (first, second)]
     polygons = [path for path in (options.area, options.stable) if path is not None]
-    read = ReadFiles.of(*paths, *(existing_file(path) for path in polygons))
+    read = ReadFiles.of(*paths, *(existing_file(layer_of(path)[0]) for path in polygons))
     require_file("--json", options.json_path, read, kind="a JSON file", is_of_kind=is_json)
     require_file("--picture", options.picture_path, read, kind="a PNG", is_of_kind=is_png)
     tif = options.tif_path

@@ -117,11 +117,16 @@ class PlanCells:
         """Coefficients a to f of ``east = a column + b row + c, north = d column + e row + f``."""
         return (self.side[0], 0.0, self.west, 0.0, -self.side[1], self.north)
 
+    @property
+    def box(self) -> np.ndarray:
+        """Lowest and highest corner (2, 2), in crs."""
+        rows, columns = self.shape
+        east, south = self.west + columns * self.side[0], self.north - rows * self.side[1]
+        return np.array([[self.west, south], [east, self.north]])
+
     def with_side(self, side_m: float) -> PlanCells:
         """Cells of another side [m] over the same area."""
-        rows, columns = self.shape
-        east, north = self.west + columns * self.side[0], self.north - rows * self.side[1]
-        return PlanCells.over(np.array([[self.west, north], [east, self.north]]), self.crs, side_m)
+        return PlanCells.over(self.box, self.crs, side_m)
 
     def columns_rows(self, points_crs: np.ndarray) -> np.ndarray:
         """Column and row (N, 2) of points (N, 2 or more), from the outer corner of the first cell, with fractions."""

@@ -20,15 +20,16 @@ from scipy.spatial import cKDTree
 from evaluation import vertical_difference
 from geo import Cloud, Mesh, read_cloud
 from geo.crs import crs_code, has_height, height_unit_m, is_geographic
+from geo.features import layer_of
 from geo.files import write_whole
-from geo.lines import Line, read_lines
+from geo.lines import Line, plan_box, read_lines
 from geo.projection import ground_units_m
 from geo.shapes import excluded_points, in_height_unit, masked_cloud
 from geo.vectors import DxfLine, write_dxf
 from survey.compare.canvas import save, write_title
 from survey.compare.inputs import InputPaths, load_inputs
 from survey.display.palette import BLUE, INK, LAND, RED, WATER, WATER_LINE
-from survey.display.quantities import length, share
+from survey.display.quantities import length, named, share
 from survey.errors import SurveyError
 from survey.export.bed_cells import LevelFit, round_side
 from survey.files.outputs import ReadFiles, is_png, require_file
@@ -133,6 +134,11 @@ class Bed:
         self._tree = cKDTree(self._plan(self._cloud.points[:, :2]))
         points = self._reference.points if isinstance(self._reference, Cloud) else None
         self._tree_of_reference = None if points is None else cKDTree(self._plan(points[:, :2]))
+
+    @property
+    def box(self) -> np.ndarray:
+        """Lowest and highest corner (2, 2) of the cloud in plan, in crs."""
+        return plan_box(self._cloud.points)
 
     def _plan(self, places: np.ndarray) -> np.ndarray:
         """Places (N, 2) in metres on the ground from the middle of the cloud."""
@@ -256,7 +262,7 @@ def profiles_along(
     path, lines = Path(path), Path(lines)
     given = (reference, csv_path, picture_path, dxf_path)
     truth, table, picture, drawing = (None if each is None else Path(each) for each in given)
-    read = ReadFiles.of(path if path.is_file() else None, lines, truth)
+    read = ReadFiles.of(path if path.is_file() else None, layer_of(lines)[0], truth)
     if path.is_dir():
         read += RunDir(path).inputs()
     # A table that bathynerf wrote begins with its CRS.
@@ -264,7 +270,7 @@ def profiles_along(
     require_file("--picture", picture, read, kind="a PNG", is_of_kind=is_png)
     require_file("--dxf", drawing, read, kind="a DXF", is_of_kind=lambda head: b"SECTION" in head[:64] or not head)
     bed = Bed(path, truth)
-    found = [bed.along(line, step_m) for line in read_lines(lines, bed.crs)]
+    found = _over_bed([bed.along(line, step_m) for line in read_lines(lines, bed.crs, bed.box)], lines)
     if table is not None:
         write_csv(table, found)
     if picture is not None:
@@ -272,6 +278,19 @@ def profiles_along(
     if drawing is not None:
         write_dxf(drawing, drawn_lines(found), found[0].crs)
     return found
+
+
+def _over_bed(profiles: list[Profile], lines: Path) -> list[Profile]:
+    """The profiles, and a warning that names those without a point of the cloud; raises where they all are."""
+    missed = [profile.name for profile in profiles if not profile.num_points.any()]
+    if len(missed) == len(profiles):
+        raise ProfileError(
+            f"no line of {lines} runs over the cloud; draw the lines over it, and check that they are in the CRS that "
+            "the file states (a drawing: that of the cloud, in its unit)"
+        )
+    for text in named(missed, "line", f"of {lines.name} without a point of the cloud near it"):
+        current().warn(text)
+    return profiles
 
 
 def drawn_lines(profiles: Sequence[Profile]) -> list[DxfLine]:

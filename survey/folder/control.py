@@ -17,9 +17,10 @@ from pyproj.crs import CompoundCRS
 
 from geo.compatibility import same_crs
 from geo.crs import has_height, height_unit_m, vertical_crs
+from geo.features import layer_of
 from geo.files import existing_file
 from geo.frames import LocalFrame
-from geo.lines import points_inside, read_polygons
+from geo.lines import plan_box, points_inside, read_polygons
 from geo.reading import read_reference
 from geo.reproject import Reprojection
 from geo.shapes import Cloud, Mesh, excluded_points, in_height_unit, masked_cloud, vertices_of
@@ -81,7 +82,7 @@ def find_control(
     """
     for name in (config.reference, config.stable):
         if name is not None:
-            existing_file(folder / name)
+            existing_file(layer_of(folder / name)[0])
     checkpoints: list[GivenPoint] = []
     findings = Findings()
     if config.checkpoints is not None:
@@ -268,7 +269,8 @@ def read_ground(
     cloud, way_std, of_file = _in_crs(path, frame.crs)
     num_all = len(cloud.points)
     if given.stable is not None:
-        inside = points_inside(read_polygons(folder / given.stable, frame.crs), cloud.points[:, :2])
+        polygons = read_polygons(folder / given.stable, frame.crs, plan_box(cloud.points))
+        inside = points_inside(polygons, cloud.points[:, :2])
         if not inside.any():
             raise ControlError(f"no point of {path} lies in the polygons of {given.stable}; correct them or their CRS")
         cloud = masked_cloud(cloud, inside)

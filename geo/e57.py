@@ -59,6 +59,16 @@ def _crs_text(file: Any) -> str:
     return file.root["coordinateMetadata"].value().strip() if file.root.isDefined("coordinateMetadata") else ""
 
 
+def require_metres(path: str | Path, crs: CRS) -> None:
+    """Raise UnwritableFile where a CRS is not in metres, which E57 is."""
+    if not horizontal_crs(crs).is_projected or any(a.unit_name != "metre" for a in crs.axis_info):
+        raise UnwritableFile(
+            f"cannot write {path}: E57 is in metres, but the CRS is {crs.name} "
+            f"({' and '.join(dict.fromkeys(axis.unit_name for axis in crs.axis_info))}); give --crs with "
+            "a CRS in metres, e.g. the UTM zone with a vertical part in metres, or write LAS or PLY."
+        )
+
+
 def write_e57(path: str | Path, points_crs: np.ndarray, crs: CRS, *, rgb: np.ndarray) -> None:
     """Write a cloud as one scan of an E57 file, whole or not at all.
 
@@ -78,12 +88,7 @@ def write_e57(path: str | Path, points_crs: np.ndarray, crs: CRS, *, rgb: np.nda
     UnwritableFile
         If the CRS is geographic or not in metres, the file cannot be written, or pye57 is not installed.
     """
-    if not horizontal_crs(crs).is_projected or any(a.unit_name != "metre" for a in crs.axis_info):
-        raise UnwritableFile(
-            f"cannot write {path}: E57 is in metres, but the CRS is {crs.name} "
-            f"({' and '.join(dict.fromkeys(axis.unit_name for axis in crs.axis_info))}); give --crs with "
-            "a CRS in metres, e.g. the UTM zone with a vertical part in metres, or write LAS or PLY."
-        )
+    require_metres(path, crs)
     pye57 = library_for(path, "pye57", "e57", to_write=True)
     points = np.asarray(points_crs, dtype=np.float64)
     origin = np.floor(0.5 * (points.min(axis=0) + points.max(axis=0)))

@@ -117,7 +117,7 @@ def write_cloud(
         las.number_of_returns[:] = 1
         las.synthetic[:] = 1
         las.classification[:] = classes_of(is_wet[part]) if classification is None else classification[part]
-        las.withheld[:] = np.asarray(std_m)[part] > WITHHELD_STD_M
+        las.withheld[:] = is_withheld(np.asarray(std_m)[part])
         if user_data is not None:
             las.user_data[:] = user_data[part]
         # 257 maps 0..255 onto the whole of 0..65535.
@@ -127,6 +127,11 @@ def write_cloud(
         return las
 
     _write(records, len(points), header, path)
+
+
+def is_withheld(std_m: np.ndarray) -> np.ndarray:
+    """Whether points (N,) of these standard deviations (N,) [m] are too uncertain to be used; an unknown one is not."""
+    return np.asarray(std_m) > WITHHELD_STD_M
 
 
 def classes_of(is_wet: np.ndarray) -> np.ndarray:

@@ -72,8 +72,7 @@ def write_geojson(path: str | Path, layer: Layer) -> str | None:
         If the transformation to WGS 84 needs a grid that is not installed.
     """
     places = [line for shape in layer.shapes for line in (shape if layer.kind == "Polygon" else [shape])]
-    operation = Transformation.between(layer.crs, WGS84, np.concatenate(places) if places else np.zeros((0, 2)))
-    operation.require_best(str(path), "or write a GeoPackage, which keeps the CRS of the survey.")
+    operation = require_wgs84(path, layer.crs, np.concatenate(places) if places else np.zeros((0, 2)))
 
     def in_wgs84(line: np.ndarray) -> np.ndarray:
         return np.round(np.column_stack(operation(*np.asarray(line, dtype=np.float64).T)), _DECIMALS)
@@ -95,6 +94,13 @@ def write_geojson(path: str | Path, layer: Layer) -> str | None:
     with write_whole(path) as stream:
         stream.write(json.dumps(collection, ensure_ascii=False, allow_nan=False).encode())
     return operation.warning(f"places in {path}") if layer.shapes else None
+
+
+def require_wgs84(path: str | Path, crs: CRS, places: np.ndarray) -> Transformation:
+    """The transformation to WGS 84 at places (N, 2) in crs; raises MissingGrid where its grid is not there."""
+    operation = Transformation.between(crs, WGS84, places)
+    operation.require_best(str(path), "or write a GeoPackage, which keeps the CRS of the survey.")
+    return operation
 
 
 def _geometry(kind: str, parts: list) -> dict:
@@ -207,15 +213,8 @@ class DxfLine(NamedTuple):
     places: np.ndarray  # (N, 3): Easting, northing and height, in the units of a CRS
 
 
-def write_dxf(path: str | Path, lines: Sequence[DxfLine], crs: CRS) -> None:
-    """Write polylines as DXF (R2010), whole or not at all; a layer for each name, the CRS in a custom property.
-
-    Raises
-    ------
-    UnwritableFile
-        If the CRS is in degrees, or in different units in plan and in height, which a drawing cannot hold; if the file
-        cannot be written, or ezdxf is not installed.
-    """
+def require_drawable(path: str | Path, crs: CRS) -> None:
+    """Raise UnwritableFile where a CRS is in degrees, or in different units in plan and in height."""
     if is_geographic(crs):
         raise UnwritableFile(
             f"{path}: DXF has coordinates in a unit of length, and {crs_name(crs)} is in degrees; give --crs, e.g. "
@@ -227,6 +226,19 @@ def write_dxf(path: str | Path, lines: Sequence[DxfLine], crs: CRS) -> None:
             f"{path}: a DXF has one unit for plan and heights, and {crs_name(crs)} has {unit:.10g} m in plan and "
             f"{height_unit_m(crs):.10g} m in height; give --crs with the same unit in both"
         )
+
+
+def write_dxf(path: str | Path, lines: Sequence[DxfLine], crs: CRS) -> None:
+    """Write polylines as DXF (R2010), whole or not at all; a layer for each name, the CRS in a custom property.
+
+    Raises
+    ------
+    UnwritableFile
+        If the CRS is in degrees, or in different units in plan and in height, which a drawing cannot hold; if the file
+        cannot be written, or ezdxf is not installed.
+    """
+    require_drawable(path, crs)
+    unit = horizontal_unit(crs)
     ezdxf = library_for(path, "ezdxf", "dxf", to_write=True)
     drawing = ezdxf.new(_VERSION)
     codes = (code for code, length in UNITS_OF_DRAWINGS.items() if abs(length / unit - 1.0) < 1e-9)

@@ -79,7 +79,7 @@ def test_ply_has_the_points_in_double_precision_and_the_scalars_with_their_units
     cloud = read_reference(tmp_path / "out.ply")
     np.testing.assert_array_equal(cloud.points, stored.points_crs)
     np.testing.assert_array_equal(cloud.rgb, stored.bed.rgb)
-    assert set(cloud.extra) == {"depth_m", "std_m", "std_common_m", "num_views", "incidence_deg"}
+    assert set(cloud.extra) == {"depth_m", "std_m", "std_common_m", "num_views", "incidence_deg", "withheld"}
     np.testing.assert_allclose(cloud.extra["incidence_deg"], np.degrees(stored.bed.incidence), rtol=FLOAT_EPS)
 
 

@@ -206,10 +206,9 @@ def test_the_command_prints_and_writes_profiles(tmp_path):
     first, second = result.stdout.splitlines()
     assert re.match(r"A-B +10\.0 m, bed known at 100.* of 21 places; deepest", first)
     assert second.startswith("across")
-    head, *rest = table.read_text().splitlines()
-    assert head == "# CoordinateSystem: EPSG:25832+7837"
-    rows = list(csv.DictReader(rest))
-    assert tuple(rows[0]) == COLUMNS
+    rows = list(csv.DictReader(table.read_text().splitlines()))
+    assert tuple(rows[0]) == (*COLUMNS, "crs")
+    assert [row["crs"] for row in rows[:2]] == ["EPSG:25832+7837", ""]
     assert len(rows) == 21 + 49
     assert rows[-1]["bed"] == rows[-1]["std_m"] == rows[-1]["reference"] == ""
     assert float(rows[0]["bed"]) + float(rows[0]["depth_m"]) == pytest.approx(float(rows[0]["water"]), abs=2e-4)

@@ -5,16 +5,21 @@ from __future__ import annotations
 import csv
 
 import numpy as np
+import pyogrio
 import pytest
+import rasterio
 from pyproj import CRS
 from stored_run import run_of, stored_points
 
 from geo.crs import height_unit_m
-from survey.errors import SurveyError
+from survey.compare.comparison import compare_files
+from survey.compare.inputs import read_shape
+from survey.errors import OutputError, SurveyError
 from survey.export.bed_raster import bed_raster
 from survey.export.export import export
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
+from survey.progress import Progress
 
 LEVEL_M = 101.5
 
@@ -31,11 +36,11 @@ def run_with(folder, code="EPSG:25832+7837", *, level_m: float | None = LEVEL_M)
 
 
 def numbers_in(path) -> np.ndarray:
-    return np.loadtxt(path, comments="#")
+    return np.loadtxt(path)
 
 
 def rows_in(path) -> list[dict[str, str]]:
-    return list(csv.DictReader(line for line in path.read_text().splitlines() if not line.startswith("#")))
+    return list(csv.DictReader(path.read_text().splitlines()))
 
 
 @pytest.mark.parametrize("code", ["EPSG:25832+7837", "EPSG:2263+6360"])
@@ -43,12 +48,78 @@ def test_all_points_are_in_xyz_and_csv(tmp_path, code):
     points, run = run_with(tmp_path, code)
     for name in ("a.xyz", "a.csv"):
         export(run, soundings=tmp_path / name)
-    said = (tmp_path / "a.xyz").read_text().splitlines()[1].removeprefix("# CoordinateSystem: ")
-    assert CRS(said).name == CRS(code).name
     assert numbers_in(tmp_path / "a.xyz") == pytest.approx(points, abs=6e-4)
     rows = rows_in(tmp_path / "a.csv")
     assert [float(row["height"]) for row in rows] == pytest.approx(points[:, 2], abs=6e-4)
     assert {(row["std_m"], row["std_common_m"], row["points"]) for row in rows} == {("0.010", "", "1")}
+    assert CRS(rows[0]["crs"]).name == CRS(code).name
+    assert {row["crs"] for row in rows[1:]} == {""}
+
+
+def test_gdal_opens_both_as_they_are(tmp_path):
+    _, run = run_with(tmp_path)
+    options = ExportOptions(thin="mean", resolution_m=1.0)
+    for name in ("m.xyz", "m.csv"):
+        export(run, soundings=tmp_path / name, options=options)
+    with rasterio.open(tmp_path / "m.xyz") as raster:
+        assert raster.shape == (4, 6)
+    meta, *_ = pyogrio.raw.read(tmp_path / "m.csv")
+    assert list(meta["fields"])[:4] == ["easting", "northing", "height", "depth_m"]
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".xyz"])
+@pytest.mark.parametrize("code", ["EPSG:25832+7837", "+proj=utm +zone=32 +ellps=GRS80 +vunits=m +type=crs"])
+def test_compare_reads_soundings_back(tmp_path, suffix, code):
+    points, run = run_with(tmp_path, code)
+    las, path = tmp_path / "a.las", tmp_path / f"s{suffix}"
+    export(run, las=las, soundings=path)
+    for first, second in ((las, path), (path, las)):
+        figures = compare_files(first, second)
+        assert figures.summary.distances.n_points + figures.summary.distances.n_nan == len(points)
+        assert abs(figures.summary.distances.mean_m) < 1e-3
+    assert (read_shape(path, None).crs is None) == (suffix == ".xyz")
+    assert ("depth" in read_shape(path, None).extra) == (suffix == ".csv")
+
+
+def test_compare_reads_a_bag_back(tmp_path):
+    _, run = run_with(tmp_path)
+    export(run, las=tmp_path / "a.las", bag=tmp_path / "b.bag", options=ExportOptions(resolution_m=0.5))
+    distances = compare_files(tmp_path / "a.las", tmp_path / "b.bag").vertical.distances
+    assert abs(distances.mean_m) < 0.005
+    assert distances.std_m == pytest.approx(0.05, rel=0.2)
+
+
+@pytest.mark.parametrize("thin", ["none", "shoal", "mean"])
+def test_points_that_las_flags_as_withheld_are_no_soundings(tmp_path, capsys, thin):
+    """A false match 1.5 m over the bed whose standard deviation is 1.4 m."""
+    points, _ = run_with(tmp_path)
+    points[17, 2] += 1.5
+    stored = stored_points(points, CRS("EPSG:25832+7837"), level_m=LEVEL_M)
+    stored.bed.std[17] = 1.4
+    run = run_of(stored, tmp_path / "run")
+    options = ExportOptions(thin=thin, resolution_m=None if thin == "none" else 0.5)
+    with Progress(verbosity=0):
+        export(run, soundings=tmp_path / "s.csv", options=options)
+    assert max(float(row["height"]) for row in rows_in(tmp_path / "s.csv")) < 100.4
+    said = " ".join(capsys.readouterr().err.split())
+    if thin != "mean":
+        assert "1 of 4000 points are left out" in said
+    assert ("1 cells have a withheld point higher than their sounding" in said) == (thin == "shoal")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".xyz"])
+def test_soundings_that_somebody_edited_are_kept(tmp_path, suffix):
+    _, run = run_with(tmp_path)
+    path = tmp_path / f"s{suffix}"
+    export(run, soundings=path)
+    text = path.read_text()
+    path.write_text("\n".join(text.splitlines()[:-1]) + "\n")
+    with pytest.raises(OutputError, match="as it was written: somebody has changed it; remove it"):
+        export(run, soundings=path, options=ExportOptions(thin="shoal"))
+    # Touched, and the same.
+    path.write_text(text)
+    export(run, soundings=path, options=ExportOptions(thin="shoal"))
+    assert len(path.read_text()) < len(text)
 
 
 def test_the_shoalest_point_of_each_cell_is_kept_as_it_is(tmp_path):

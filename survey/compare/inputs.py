@@ -30,7 +30,7 @@ from geo.values import check_values, rounded_coordinates
 from survey.compare.options import Bounds, CompareError, ShiftedFrame, as_text, within
 from survey.files.crs_lines import crs_of_comment
 from survey.files.csv_table import Row, shortened
-from survey.files.point_table import PLACE, Units, read_points
+from survey.files.point_table import PLACE, Units, has_depths, read_points
 
 # How a user tells the level that depths count from.
 GIVE_LEVEL = "give --water-level"
@@ -71,7 +71,7 @@ def read_shape(path: Path, water_level: float | None, crs: CRS | None = None) ->
     own = crs_of_comment(existing_file(path), CompareError)
     rows = read_points(
         path,
-        optional=("std", "classification"),
+        optional=("std", "classification", "depth"),
         by_place=True,
         level=water_level,
         give_level=GIVE_LEVEL,
@@ -80,7 +80,11 @@ def read_shape(path: Path, water_level: float | None, crs: CRS | None = None) ->
     )
     points = places_of(rows, path)
     classes, notes = _classes_of(rows, path)
-    return Cloud(points=points, crs=own, classification=classes, notes=(*check_values(points, own, path), *notes))
+    # Soundings have the depth below the water beside the height.
+    extra = {} if has_depths(path) else {"depth": np.array([row.number("depth", default=np.nan) for row in rows])}
+    extra = {name: values for name, values in extra.items() if np.isfinite(values).any()}
+    notes = (*check_values(points, own, path), *notes)
+    return Cloud(points=points, crs=own, classification=classes, extra=extra, notes=notes)
 
 
 def _classes_of(rows: Sequence[Row], path: Path) -> tuple[np.ndarray | None, tuple[str, ...]]:

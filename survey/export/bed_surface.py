@@ -75,8 +75,7 @@ def bed_surface(
     UnwritableFile
         If Open3D, which makes Poisson surfaces, is not installed.
     """
-    if method not in METHODS:
-        raise SurveyError(f"--mesh-method is {method}, expected one of {', '.join(METHODS)}")
+    require_method(method)
     if method == "delaunay":
         chosen, faces = delaunay_surface(points, std, spacing_m)
         vertices, colours = points[chosen], rgb[chosen]
@@ -92,6 +91,12 @@ def bed_surface(
         vertices, faces, above = solid_of(vertices, faces, spacing_m)
         colours = colours[above]
     return Mesh(vertices, faces, rgb=colours)
+
+
+def require_method(method: str) -> None:
+    """Raise SurveyError for an unknown method."""
+    if method not in METHODS:
+        raise SurveyError(f"--mesh-method is {method}, expected one of {', '.join(METHODS)}")
 
 
 def oriented_normals(points: np.ndarray) -> np.ndarray:

@@ -126,6 +126,16 @@ def _nerfstudio_lens(lens: Lens) -> dict:
     return {"camera_model": model, **inside, **{name: lens[name] for name in (*names, "p1", "p2")}}
 
 
+def _check_colmap(_path: Path, run: LoadedRun, _options: ExportOptions) -> None:
+    for view in run.flight.views:
+        _in_colmap(view.lens)
+
+
+def _check_nerfstudio(_path: Path, run: LoadedRun, _options: ExportOptions) -> None:
+    for view in run.flight.views:
+        _nerfstudio_lens(view.lens)
+
+
 CAMERAS = (
     Product(
         option="colmap",
@@ -136,6 +146,7 @@ CAMERAS = (
         takes=(),
         is_ours=_is_our_model,
         write=_write_colmap,
+        check=_check_colmap,
         is_folder=True,
     ),
     Product(
@@ -147,5 +158,7 @@ CAMERAS = (
         takes=(),
         is_ours=begins_with(b"{", b'"made_by": "bathynerf"'),
         write=_write_nerfstudio,
+        check=_check_nerfstudio,
+        is_of_points=False,
     ),
 )

@@ -36,7 +36,13 @@ def _write_ply(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 def _write_e57(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     from survey.run.products import write_bed_e57
 
-    write_bed_e57(path, run.bed_in(options.crs))
+    write_bed_e57(path, run.bed_in(options.crs, certain=True))
+
+
+def _check_e57(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    from geo.e57 import require_metres
+
+    require_metres(path, run.crs_for(options.crs))
 
 
 def _is_our_e57(path: Path) -> bool:
@@ -103,5 +109,7 @@ CLOUDS = (
         takes=("crs",),
         is_ours=_is_our_e57,
         write=_write_e57,
+        libraries={".e57": ("pye57", "e57")},
+        check=_check_e57,
     ),
 )

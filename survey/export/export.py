@@ -1,17 +1,21 @@
 """`bathynerf export`: products of a finished run. Each is written completely or not at all, and only if out of date.
 
-A record in the run folder states which products are up to date.
+A record in the run folder states which products are up to date, and what was in those that people edit: one that
+somebody has changed since is not replaced.
 """
 
 from __future__ import annotations
 
+import hashlib
+import sqlite3
+from contextlib import closing
 from dataclasses import fields
 from pathlib import Path
 
 from geo.errors import UnwritableFile
 from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun
-from survey.export.product import ExportOptions, Product, require_lengths
+from survey.export.product import ExportOptions, Product, require_lengths, require_makeable
 from survey.export.registry import PRODUCTS
 from survey.export.styles import write_style
 from survey.files.json_values import read_json_object, write_json
@@ -20,6 +24,8 @@ from survey.progress import current
 from survey.stage_key import code_hash, stage_key
 
 _RECORD = "exports.json"
+# What people edit in GIS, CAD and tables, and would lose; other products that were changed are written anew.
+_EDITED = (".gpkg", ".geojson", ".dxf", ".csv", ".xyz")
 
 
 def export(run: str | Path, *, options: ExportOptions | None = None, **files: str | Path | None) -> list[Path]:
@@ -43,10 +49,11 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
     ------
     SurveyError
         If a length is unusable, nothing is asked for, a name does not end as its product does, an option has no effect
-        on any of them, the folder is not a run, or the run has not come as far as the cloud.
+        on any of them, the folder is not a run, or the run has not come as far as the cloud; or if a product cannot be
+        made of the run with these options: all are checked before the first is computed.
     OutputError
         If a file must not be written, see `survey.files.outputs`: a file that is there is replaced only where bathynerf
-        wrote it.
+        wrote it, and one that people edit only as it was written.
     GeoError
         If a file cannot be written, or the CRS is unusable.
     """
@@ -56,31 +63,40 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
     _require_effect([product for product, _ in wanted], options)
     with LoadedRun(run) as loaded:
         inputs = loaded.folder.inputs()
-        for product, path in wanted:
-            _require_writable(product, path, inputs)
-        loaded.folder.warn_if_unfinished()
         if options.crs is not None and (warning := loaded.transformation_to(options.crs).warning) is not None:
             current().warn(warning)
+        keys = {path: key_of(product, loaded, options) for product, path in wanted}
+        outdated = [(product, path) for product, path in wanted if not is_current(loaded, path, keys[path])]
+        for product, path in outdated:
+            _require_writable(product, path, loaded, inputs)
+        for product, path in outdated:
+            require_makeable(product, path, loaded, options)
+        loaded.folder.warn_if_unfinished()
+        written: list[Path] = []
         with current().stage("Export", len(wanted)) as stage:
-            for product, path in wanted:
-                _write(product, path, loaded, options)
-                stage.advance()
+            try:
+                for product, path in wanted:
+                    if (product, path) in outdated:
+                        _write(product, path, loaded, options, keys[path])
+                    else:
+                        current().note(f"{path}: unchanged")
+                    written.append(path)
+                    stage.advance()
+            finally:
+                if written and len(written) < len(wanted):
+                    left = ", ".join(str(path) for _, path in wanted[len(written) :])
+                    current().warn(f"written before it ended: {', '.join(map(str, written))}; not written: {left}")
     return [path for _, path in wanted]
 
 
-def _write(product: Product, path: Path, loaded: LoadedRun, options: ExportOptions) -> None:
-    """Write one product, unless the file is there and up to date."""
+def _write(product: Product, path: Path, loaded: LoadedRun, options: ExportOptions, key: str) -> None:
+    """Write one product, with its style."""
+    product.write(path, loaded, options)
     if product.is_folder:
-        product.write(path, loaded, options)
         return
-    key = key_of(product, loaded, options)
-    if is_current(loaded, path, key):
-        current().note(f"{path}: unchanged")
-    else:
-        product.write(path, loaded, options)
-        if product.style is not None:
-            write_style(path, product.style)
-        note_written(loaded, path, key)
+    if product.style is not None:
+        write_style(path, product.style)
+    note_written(loaded, path, key)
 
 
 def _wanted(files: dict[str, str | Path | None]) -> list[tuple[Product, Path]]:
@@ -104,13 +120,19 @@ def _wanted(files: dict[str, str | Path | None]) -> list[tuple[Product, Path]]:
     return wanted
 
 
-def _require_writable(product: Product, path: Path, inputs: ReadFiles) -> None:
+def _require_writable(product: Product, path: Path, run: LoadedRun, inputs: ReadFiles) -> None:
     if product.is_folder:
         require_folder(_name(product), path, inputs)
         if path.is_dir() and any(path.iterdir()) and not product.is_ours(path):
             raise OutputError(f"{_name(product)} names {path}, which holds other files; name a new or empty folder")
         return
-    require_file(_name(product), path, inputs, kind=product.kind, is_of_kind=lambda _head: product.is_ours(path))
+    noted = _entry(run, path).get("sha256")
+
+    def is_ours(_head: bytes) -> bool:
+        return noted == _content_hash(path) if noted is not None else product.is_ours(path)
+
+    kind = product.kind if noted is None else f"{product.kind}, as it was written: somebody has changed it"
+    require_file(_name(product), path, inputs, kind=kind, is_of_kind=is_ours)
 
 
 def _require_effect(products: list[Product], options: ExportOptions) -> None:
@@ -135,20 +157,42 @@ def key_of(product: Product, run: LoadedRun, options: ExportOptions) -> str:
 
 def is_current(run: LoadedRun, path: Path, key: str) -> bool:
     """Whether a file is the one that was written with this key, and unchanged since."""
-    entry = read_json_object(run.folder.path / _RECORD).get(str(path.resolve()))
-    return path.is_file() and entry == {"key": key, **_stamp(path)}
+    return path.is_file() and _entry(run, path).items() >= {"key": key, **_stamp(path)}.items()
 
 
 def note_written(run: LoadedRun, path: Path, key: str) -> None:
     """Note that a file was written with this key; a run that cannot be written to stays as it is."""
     record = run.folder.path / _RECORD
     known = {name: entry for name, entry in read_json_object(record).items() if Path(name).is_file()}
+    edited = {"sha256": _content_hash(path)} if path.suffix.lower() in _EDITED else {}
+    entry = {"key": key, **_stamp(path), **edited}
     try:
-        write_json(record, known | {str(path.resolve()): {"key": key, **_stamp(path)}})
+        write_json(record, known | {str(path.resolve()): entry})
     except UnwritableFile as error:
         current().detail(f"{error}; the next export writes {path} again")
+
+
+def _entry(run: LoadedRun, path: Path) -> dict[str, int | str]:
+    """What the run has noted of a file; nothing where it has not written it."""
+    entry = read_json_object(run.folder.path / _RECORD).get(str(path.resolve()))
+    return entry if isinstance(entry, dict) else {}
 
 
 def _stamp(path: Path) -> dict[str, int]:
     status = path.stat()
     return {"bytes": status.st_size, "modified_ns": status.st_mtime_ns}
+
+
+def _content_hash(path: Path) -> str:
+    """SHA-256 of a file; of a GeoPackage that of its rows, since a program that only shows it changes its bytes."""
+    if path.suffix.lower() != ".gpkg":
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    found = hashlib.sha256()
+    with closing(sqlite3.connect(f"{path.resolve().as_uri()}?immutable=1", uri=True)) as database:
+        tables = database.execute("select name from sqlite_master where type = 'table' order by name").fetchall()
+        for (table,) in tables:
+            if not table.startswith(("sqlite_", "gpkg_", "rtree_")):
+                for row in database.execute(f'select * from "{table}"'):
+                    found.update(repr((table, row)).encode())
+    return found.hexdigest()

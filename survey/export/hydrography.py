@@ -1,9 +1,11 @@
-"""Hydrographic products: the bed as BAG, the IHO S-44 order of each cell, and soundings as a table."""
+"""Hydrographic rasters: the bed as BAG, and the IHO S-44 order of each cell."""
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
+from xml.sax.saxutils import escape
 
 from survey.errors import SurveyError
 from survey.export.product import ExportOptions, Product, begins_with
@@ -12,7 +14,6 @@ from survey.export.terrain import CELLS, is_our_raster, noted_if_empty, parts_of
 
 if TYPE_CHECKING:
     import numpy as np
-    from pyproj import CRS
 
     from survey.export.bed_cells import BedRaster, CellWindow
     from survey.export.loaded import LoadedRun
@@ -24,12 +25,22 @@ _NOT_TESTED = (
     "An order of IHO S-44 (Ed. 6.1.0) also asks for feature detection, bathymetric coverage and search, which are not "
     "tested here"
 )
-THIN = ("none", "shoal", "mean")
-_MARK = b"# bathynerf soundings"
-# Of a table in CSV; XYZ has the first three, separated by blanks.
-_COLUMNS = ("easting", "northing", "height", "depth_m", "std_m", "std_common_m", "points")
-_DECIMALS, _DECIMALS_OF_DEGREES = 3, 9
-_ROWS = 100_000
+
+
+def _check_bag(_path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    """Raise SurveyError where the CRS has no square cells in metres."""
+    from geo.projection import ground_units_m
+
+    crs = run.crs_for(options.crs)
+    if not crs.is_projected or any(axis.unit_name != "metre" for axis in crs.axis_info):
+        raise SurveyError(f"--bag holds square cells and heights in metres, but the CRS is {crs.name}; give --crs")
+    place = run.some_place if options.crs is None else run.transformation_to(options.crs)(run.some_place)
+    east, north = ground_units_m(crs, place[0, :2])
+    if east != north:
+        raise SurveyError(
+            f"--bag holds square cells, and {crs.name} stretches the ground unequally to the east and to the north; "
+            "give --crs, e.g. the UTM zone"
+        )
 
 
 def _write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
@@ -41,14 +52,6 @@ def _write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
     grid = bed_raster(run, options)
     crs = grid.cells.crs
-    if not crs.is_projected or any(axis.unit_name != "metre" for axis in crs.axis_info):
-        raise SurveyError(f"--bag holds square cells and heights in metres, but the CRS is {crs.name}; give --crs")
-
-    if grid.cells.side[0] != grid.cells.side[1]:
-        raise SurveyError(
-            f"--bag holds square cells, and {crs.name} stretches the ground unequally to the east and to the north; "
-            "give --crs, e.g. the UTM zone"
-        )
 
     def values(window: CellWindow) -> np.ndarray:
         height = grid.heights(window)
@@ -63,8 +66,36 @@ def _write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
         f"[m]: mean of the bed over a cell around the node{filled}. Uncertainty [m]: one standard deviation; at "
         "95 % 1.96 times that.",
         "PROCESS_STEP_DESCRIPTION": f"{SOFTWARE}: a least-squares plane through the topmost points of each cell",
+        # The standard deviation of the product, all errors included, not that of the soundings in a cell.
+        "VERTICAL_UNCERT_CODE": "productUncert",
+        "XML_IDENTIFICATION_CITATION": _citation(run.bed_header.name),
     }
     write_bag(path, form, noted_if_empty(path, parts_of(grid, values), _BAG_NODATA), tags)
+
+
+def _citation(title: str) -> str:
+    """The citation of ISO 19139: a title, and the date of its creation."""
+    codes = "http://www.isotc211.org/2005/resources/Codelist/gmxCodelists.xml#CI_DateTypeCode"
+    return (
+        f"<gmd:CI_Citation><gmd:title><gco:CharacterString>{escape(title)}</gco:CharacterString></gmd:title><gmd:date>"
+        f"<gmd:CI_Date><gmd:date><gco:Date>{datetime.now(UTC).date().isoformat()}</gco:Date></gmd:date><gmd:dateType>"
+        f'<gmd:CI_DateTypeCode codeList="{codes}" codeListValue="creation">creation</gmd:CI_DateTypeCode>'
+        "</gmd:dateType></gmd:CI_Date></gmd:date></gmd:CI_Citation>"
+    )
+
+
+def _index_of_water(run: LoadedRun) -> float:
+    """The refractive index; raises SurveyError for a dry survey."""
+    import numpy as np
+
+    n_water = None if run.config.water is None else run.config.water.refractive_index
+    if n_water is None or not np.isfinite(run.columns("depth")["depth"]).any():
+        raise SurveyError("--s44 judges what lies under water, but the survey is dry; leave it out")
+    return n_water
+
+
+def _check_s44(_path: Path, run: LoadedRun, _options: ExportOptions) -> None:
+    _index_of_water(run)
 
 
 def _write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
@@ -76,9 +107,7 @@ def _write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     from survey.export.bed_raster import bed_raster
 
     grid = bed_raster(run, options)
-    n_water = None if run.config.water is None else run.config.water.refractive_index
-    if grid.level is None or n_water is None:
-        raise SurveyError("--s44 judges what lies under water, but the survey is dry; leave it out")
+    n_water = _index_of_water(run)
 
     def values(window: CellWindow) -> np.ndarray:
         std, depth = grid.stds(window), grid.depths(window)
@@ -125,6 +154,7 @@ HYDROGRAPHY = (
         takes=CELLS,
         is_ours=begins_with(b"\x89HDF\r\n\x1a\n", _BAG_MARK),
         write=_write_bag,
+        check=_check_bag,
         style=of_heights,
     ),
     Product(
@@ -136,97 +166,7 @@ HYDROGRAPHY = (
         takes=CELLS,
         is_ours=is_our_raster,
         write=_write_s44,
+        check=_check_s44,
         style=of_orders,
-    ),
-)
-
-
-def _write_soundings(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    """Write the soundings."""
-    if options.thin not in THIN:
-        raise SurveyError(f"--thin is {options.thin}, expected one of {', '.join(THIN)}")
-    if options.thin == "none" and options.resolution_m is not None:
-        raise SurveyError("--resolution is the cell of which a sounding is kept; give --thin shoal or --thin mean too")
-    stored = run.bed_in(options.crs)
-    rows = _of_points(run, options)
-    if options.thin != "none":
-        from survey.export.bed_raster import bed_raster
-
-        grid = bed_raster(run, options)
-        rows = _means(grid) if options.thin == "mean" else _shoalest(rows, grid)
-    _write_table(path, rows, stored.crs)
-
-
-def _of_points(run: LoadedRun, options: ExportOptions) -> np.ndarray:
-    """All points (N, 7), see `_COLUMNS`."""
-    import numpy as np
-
-    stored = run.bed_in(options.crs)
-    n = len(stored.points_crs)
-    common = np.full(n, np.nan) if stored.std_common is None else stored.std_common
-    return np.column_stack([stored.points_crs, stored.bed.depth, stored.bed.std, common, np.ones(n)])
-
-
-def _shoalest(rows: np.ndarray, grid: BedRaster) -> np.ndarray:
-    """The highest point of each cell, with the number of points there."""
-    import numpy as np
-
-    cell = grid.cells.numbers(rows)
-    order = np.lexsort([-rows[:, 2], cell])
-    _, first, counts = np.unique(cell[order], return_index=True, return_counts=True)
-    kept = rows[order[first]].copy()
-    kept[:, -1] = counts
-    return kept
-
-
-def _means(grid: BedRaster) -> np.ndarray:
-    """The mean height of each cell, at its middle."""
-    import numpy as np
-
-    parts = []
-    for window in grid.cells.windows(512):
-        known = grid.origin[window.slices] > 0
-        layers = (
-            grid.heights(window) / grid.height_unit_m,
-            grid.depths(window),
-            grid.std[window.slices],
-            grid.common[window.slices],
-            grid.count[window.slices],
-        )
-        values = [layer[known].astype(np.float64) for layer in layers]
-        parts.append(np.column_stack([grid.cells.middles(window)[known], *values]))
-    return np.concatenate(parts)
-
-
-def _write_table(path: Path, rows: np.ndarray, crs: CRS) -> None:
-    from geo.crs import crs_code, is_geographic
-    from geo.files import write_whole
-
-    places = _DECIMALS_OF_DEGREES if is_geographic(crs) else _DECIMALS
-    digits = (places, places, *(_DECIMALS,) * 4, 0)
-    is_xyz = path.suffix.lower() == ".xyz"
-    columns, separator = (_COLUMNS[:3], " ") if is_xyz else (_COLUMNS, ",")
-    with write_whole(path) as stream:
-        stream.write(_MARK + f"\n# CoordinateSystem: {crs_code(crs) or crs.to_wkt()}\n".encode())
-        if not is_xyz:
-            stream.write(f"{separator.join(columns)}\n".encode())
-        form = separator.join(f"%.{number}f" for number in digits[: len(columns)])
-        for first in range(0, len(rows), _ROWS):
-            some = rows[first : first + _ROWS, : len(columns)]
-            # What is not known is empty.
-            text = "\n".join(form % tuple(row) for row in some.tolist()).replace("nan", "")
-            stream.write(f"{text}\n".encode())
-
-
-SOUNDINGS = (
-    Product(
-        option="soundings",
-        suffixes=(".xyz", ".csv"),
-        kind="soundings that bathynerf wrote",
-        help="Points as XYZ or, with depth and standard deviations, CSV.",
-        example="--soundings bed.xyz --thin shoal",
-        takes=("crs", "resolution_m", "thin"),
-        is_ours=begins_with(_MARK),
-        write=_write_soundings,
     ),
 )

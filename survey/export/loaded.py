@@ -13,15 +13,19 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import cv2
 import numpy as np
 
+from geo.las import WITHHELD_STD_M, is_withheld
 from refract import PinholeCamera
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object
 from survey.photos.cameras import View
 from survey.photos.images import load_image, load_mask
+from survey.progress import current
 from survey.run.flight import Flight
 from survey.run.folder import RunDir
 
 if TYPE_CHECKING:
+    from pyproj import CRS
+
     from geo.reproject import Reprojection
     from survey.run.stored import BedHeader, StoredBed
     from survey.settings.config import SurveyConfig
@@ -77,6 +81,33 @@ class LoadedRun:
 
         return load_bed_header(self._bed_folder)
 
+    def require_points(self) -> None:
+        """Raise SurveyError where the run found no point of the bed."""
+        if not len(self.columns("std")["std"]):
+            raise SurveyError(
+                f"the run {self.folder.path} has no point of the bed, of which products are made; see its report for "
+                "what the photographs lack"
+            )
+
+    @cached_property
+    def certain_bed(self) -> StoredBed:
+        """The cloud without the points that LAS flags as withheld; a warning counts them, once for a command."""
+        bed = self.bed
+        withheld = is_withheld(bed.bed.std)
+        if not withheld.any():
+            return bed
+        current().warn(
+            f"{int(withheld.sum())} of {len(withheld)} points are left out of products that have no place for a flag: "
+            f"their standard deviation is over {WITHHELD_STD_M:g} m, and LAS has them as withheld"
+        )
+        return replace(
+            bed,
+            bed=bed.bed[~withheld],
+            points_crs=bed.points_crs[~withheld],
+            std_common=None if bed.std_common is None else bed.std_common[~withheld],
+            std_placed=None if bed.std_placed is None else bed.std_placed[~withheld],
+        )
+
     @cached_property
     def flight(self) -> Flight:
         """Cameras, water and local frame; see `survey.run.flight`.
@@ -113,16 +144,30 @@ class LoadedRun:
 
         if crs not in self._reprojections:
             # One place of the survey restricts the choice of the operation to those that hold there.
-            places = np.asarray(self.columns("points_crs")["points_crs"][:1])
-            self._reprojections[crs] = Reprojection.between(self.bed_header.crs, crs, where="--crs", places=places)
+            self._reprojections[crs] = Reprojection.between(
+                self.bed_header.crs, crs, where="--crs", places=self.some_place
+            )
         return self._reprojections[crs]
 
-    def bed_in(self, crs: str | None) -> StoredBed:
-        """The cloud with its coordinates in another CRS; None for that of the survey. Errors as `transformation_to`."""
+    def bed_in(self, crs: str | None, *, certain: bool = False) -> StoredBed:
+        """The cloud, or `certain_bed`, with its coordinates in another CRS; None for that of the survey.
+
+        Errors as `transformation_to`.
+        """
+        bed = self.certain_bed if certain else self.bed
         if crs is None:
-            return self.bed
+            return bed
         reprojection = self.transformation_to(crs)
-        return replace(self.bed, points_crs=reprojection(self.bed.points_crs), crs=reprojection.crs)
+        return replace(bed, points_crs=reprojection(bed.points_crs), crs=reprojection.crs)
+
+    def crs_for(self, crs: str | None) -> CRS:
+        """The CRS of products: another one, or None for that of the survey."""
+        return self.bed_header.crs if crs is None else self.transformation_to(crs).crs
+
+    @property
+    def some_place(self) -> np.ndarray:
+        """A point (1, 3) of the bed, in the CRS of the survey."""
+        return np.asarray(self.columns("points_crs")["points_crs"][:1])
 
     def once(self, key: Hashable, make: Callable[[], _Made]) -> _Made:
         """Result of ``make``, computed once for a key, for several products of one command."""

@@ -47,7 +47,7 @@ def _mesh(path: Path, run: LoadedRun, options: ExportOptions) -> Mesh:
 
     from survey.export.bed_surface import bed_surface
 
-    bed, frame = run.bed.bed, run.flight.frame
+    bed, frame = run.certain_bed.bed, run.flight.frame
     mesh = bed_surface(
         bed.xyz,
         bed.rgb,
@@ -64,15 +64,27 @@ def _mesh(path: Path, run: LoadedRun, options: ExportOptions) -> Mesh:
     return replace(mesh, vertices=vertices, crs=crs)
 
 
+def _check(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    from geo.files import library_for
+    from survey.export.bed_surface import require_method
+
+    require_method(options.mesh_method)
+    if options.mesh_method == "poisson":
+        library_for(path, "open3d", "mesh", to_write=True)
+    # The frame in which it is made.
+    _ = run.flight
+
+
 MESHES = (
     Product(
         option="mesh",
         suffixes=(".ply", ".obj", ".glb"),
         kind="a mesh that bathynerf wrote",
-        help="The bed in coloured triangles: PLY, OBJ or (extra gltf) GLB.",
+        help="The bed in coloured triangles: PLY, OBJ or GLB.",
         example="--mesh bed.obj --watertight",
         takes=("crs", "resolution_m", "mesh_method", "watertight"),
         is_ours=_is_ours,
         write=_write_mesh,
+        check=_check,
     ),
 )

@@ -44,6 +44,12 @@ def _write_orthophoto(path: Path, run: LoadedRun, options: ExportOptions) -> Non
     write_cog(path, form, noted_if_empty(path, parts, 0, band=3))
 
 
+def _check(_path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    from survey.export.loaded import flight_of
+
+    flight_of(run, options.survey)
+
+
 def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
     """The photographs on the bed, in cells of a side [m]."""
     import numpy as np
@@ -142,5 +148,6 @@ ORTHOPHOTO = (
         takes=("crs", "resolution_m", "fill_m", "survey"),
         is_ours=is_our_raster,
         write=_write_orthophoto,
+        check=_check,
     ),
 )

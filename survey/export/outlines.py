@@ -24,8 +24,6 @@ from survey.report.seen_cells import SeenCells, cells_seen
 from survey.water.surface import plane_under
 
 if TYPE_CHECKING:
-    from pyproj import CRS
-
     from geo.frames import LocalFrame
     from refract import FlatWater, PinholeCamera
     from survey.export.bed_cells import BedRaster
@@ -163,7 +161,7 @@ def footprints(run: LoadedRun, options: ExportOptions) -> Layer:
         current().warn(f"{len(lost)} photographs show the horizon and have no footprint, e.g. {lost[0]}")
     columns: dict[str, list] = {"image": names, "area_m2": areas}
     about = "borders of the photographs on the bed, through the water; beyond the points, at the height of the nearest"
-    return Layer("footprints", "Polygon", shapes, _crs(run, options), columns, about)
+    return Layer("footprints", "Polygon", shapes, run.crs_for(options.crs), columns, about)
 
 
 def _on_bed(camera: PinholeCamera, water: FlatWater | None, cells: SeenCells) -> np.ndarray | None:
@@ -207,17 +205,13 @@ def unseen_areas(run: LoadedRun, options: ExportOptions) -> Layer:
         areas.append(round(abs(sum(signed)), 3))
     columns: dict[str, list] = {"views": views, "reason": reasons, "area_m2": areas}
     about = f"water that was looked at and in which no bed was found, in cells of {side:g} m"
-    return Layer("unseen", "Polygon", shapes, _crs(run, options), columns, about)
+    return Layer("unseen", "Polygon", shapes, run.crs_for(options.crs), columns, about)
 
 
 def _in_crs(run: LoadedRun, options: ExportOptions, local: np.ndarray) -> np.ndarray:
     """Points (N, 3) [m], local, in plan (N, 2) in the CRS that is asked for."""
     points = run.flight.frame.crs_from_local(local)
     return (points if options.crs is None else run.transformation_to(options.crs)(points))[:, :2]
-
-
-def _crs(run: LoadedRun, options: ExportOptions) -> CRS:
-    return run.bed_header.crs if options.crs is None else run.transformation_to(options.crs).crs
 
 
 def write_mask(path: Path, run: LoadedRun, options: ExportOptions) -> None:
@@ -255,6 +249,7 @@ def contours(run: LoadedRun, options: ExportOptions) -> Layer:
     all_cells = _whole(grid)
     is_dry = grid.level is None
     values = grid.heights(all_cells) if is_dry else grid.depths(all_cells)
+    require_interval(options)
     step = _interval(values, options.interval_m)
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     if (high - low) / step > _MOST_LEVELS:
@@ -280,14 +275,26 @@ def shoreline(run: LoadedRun, options: ExportOptions) -> Layer:
     SurveyError
         For a dry survey.
     """
+    require_wet(run)
     grid = bed_raster(run, options)
-    if grid.level is None:
-        raise SurveyError(f"{run.bed_header.name} is a dry survey and has no shoreline; leave --shoreline out")
     lines = _lines(grid, grid.depths(_whole(grid)), 0.0)
     about = f"where the bed meets the water of the survey, in cells of {grid.cells.side_m:g} m"
     depths = [0.0] * len(lines)
     heights = _heights(grid, lines, depths)
     return Layer("shoreline", "LineString", lines, grid.cells.crs, {"depth_m": depths}, about, heights)
+
+
+def require_wet(run: LoadedRun) -> None:
+    """Raise SurveyError for a dry survey."""
+    if not np.isfinite(run.columns("depth")["depth"]).any():
+        raise SurveyError(f"{run.bed_header.name} is a dry survey and has no shoreline; leave --shoreline out")
+
+
+def require_interval(options: ExportOptions) -> None:
+    """Raise SurveyError where the interval of contours is none."""
+    asked = options.interval_m
+    if asked is not None and not (math.isfinite(asked) and asked > 0.0):
+        raise SurveyError(f"--interval is {asked:g}, expected metres between contours, e.g. 0.25")
 
 
 def _heights(grid: BedRaster, lines: list[np.ndarray], values: list[float]) -> list[np.ndarray]:
@@ -322,8 +329,6 @@ def _lines(grid: BedRaster, values: np.ndarray, level: float) -> list[np.ndarray
 def _interval(values: np.ndarray, asked: float | None) -> float:
     """Interval of contours [m]: the one asked for, or a round number that gives about ten."""
     if asked is not None:
-        if not (math.isfinite(asked) and asked > 0.0):
-            raise SurveyError(f"--interval is {asked:g}, expected metres between contours, e.g. 0.25")
         return asked
     low, high = np.nanquantile(values, [0.02, 0.98])
     return round_up(max(float(high - low), 1e-3) / _ABOUT, _ROUND)

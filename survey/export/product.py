@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -96,8 +96,31 @@ class Product:
     write: Callable[[Path, LoadedRun, ExportOptions], None]
     # Whether it is a folder of files, which is made where it is not there, and always written anew
     is_folder: bool = False
+    # By suffix, the module that writes it and the extra that brings that, where it is not there always
+    libraries: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    # callable, optional: raises where it cannot be made of a run with these options, before anything is computed
+    check: Callable[[Path, LoadedRun, ExportOptions], None] | None = None
+    is_of_points: bool = True  # Whether it is made of the points of the bed, of which a run may have none
     # callable, optional: the style of QGIS for a file of it, see `survey.export.styles`
     style: Callable[[Path], str] | None = None
+
+
+def require_makeable(product: Product, path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    """Raise SurveyError or GeoError where a product cannot be made: for its library, its options, or the run.
+
+    What can only be found while it is computed, e.g. that no cell of a raster has a height, is not.
+    """
+    from geo.files import library_for
+
+    if product.is_of_points:
+        run.require_points()
+    for suffix, (module, extra) in product.libraries.items():
+        if path.name.lower().endswith(suffix):
+            library_for(path, module, extra, to_write=True)
+    if "resolution_m" in product.takes and options.resolution_m is not None:
+        require_not_too_fine(options.resolution_m, run.bed_header.gsd_m)
+    if product.check is not None:
+        product.check(path, run, options)
 
 
 def begins_with(start: bytes, *marks: bytes) -> Callable[[Path], bool]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -227,6 +228,7 @@ COLUMNS = (
     "line", "distance_m", "easting", "northing", "bed", "std_m", "std_common_m", "points", "water", "depth_m",
     "reference", "error_m",
 )  # fmt: skip
+_HEAD = ",".join(COLUMNS).encode()
 
 
 def profiles_along(
@@ -265,8 +267,9 @@ def profiles_along(
     read = ReadFiles.of(path if path.is_file() else None, layer_of(lines)[0], truth)
     if path.is_dir():
         read += RunDir(path).inputs()
-    # A table that bathynerf wrote begins with its CRS.
-    require_file("--csv", table, read, kind="a table of profiles", is_of_kind=lambda head: head[:2] in (b"# ", b""))
+    require_file(
+        "--csv", table, read, kind="a table of profiles", is_of_kind=lambda head: not head or head.startswith(_HEAD)
+    )
     require_file("--picture", picture, read, kind="a PNG", is_of_kind=is_png)
     require_file("--dxf", drawing, read, kind="a DXF", is_of_kind=lambda head: b"SECTION" in head[:64] or not head)
     bed = Bed(path, truth)
@@ -309,9 +312,10 @@ def write_csv(path: Path, profiles: Sequence[Profile]) -> None:
     """Write all places of profiles as one table; what is not known is empty."""
     text = io.StringIO()
     crs = profiles[0].crs
-    text.write(f"# CoordinateSystem: {crs_code(crs) or crs.to_string()}\n")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    writer.writerow((*COLUMNS, "crs"))
+    # In the first row alone; programs take comments for rows.
+    stated = itertools.chain([crs_code(crs) or crs.to_wkt()], itertools.repeat(""))
     places = 9 if is_geographic(crs) else 4
     for profile in profiles:
         numbers = (
@@ -320,7 +324,7 @@ def write_csv(path: Path, profiles: Sequence[Profile]) -> None:
             (profile.reference, 4), (profile.error, 4),
         )  # fmt: skip
         columns = [[f"{value:.{digits}f}" if np.isfinite(value) else "" for value in v] for v, digits in numbers]
-        writer.writerows([profile.name, *row] for row in zip(*columns, strict=True))
+        writer.writerows([profile.name, *row, next(stated)] for row in zip(*columns, strict=True))
     with write_whole(path) as stream:
         stream.write(text.getvalue().encode())
 

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 from survey.export.cameras import CAMERAS
 from survey.export.clouds import CLOUDS
-from survey.export.hydrography import HYDROGRAPHY, SOUNDINGS
+from survey.export.hydrography import HYDROGRAPHY
 from survey.export.meshes import MESHES
 from survey.export.orthophoto import ORTHOPHOTO
 from survey.export.product import ExportOptions, Product
 from survey.export.qgis_project import QGIS
+from survey.export.soundings import SOUNDINGS
 from survey.export.terrain import TERRAIN
 from survey.export.vectors import VECTORS
 
@@ -31,6 +32,12 @@ def _write_pdf(path: Path, run: LoadedRun, _options: ExportOptions) -> None:
     write_pdf(run.folder.report_html_path, path)
 
 
+def _check_pdf(path: Path, _run: LoadedRun, _options: ExportOptions) -> None:
+    from survey.report.page import browser_for
+
+    browser_for(path)
+
+
 DOCUMENTS = (
     Product(
         option="pdf",
@@ -41,6 +48,8 @@ DOCUMENTS = (
         takes=(),
         is_ours=_is_our_pdf,
         write=_write_pdf,
+        check=_check_pdf,
+        is_of_points=False,
     ),
 )
 # Products by the panel of the help text.

@@ -60,28 +60,46 @@ def _writer(make: Callable[[LoadedRun, ExportOptions], Layer]) -> Callable[[Path
     return write
 
 
-def _footprints(run: LoadedRun, options: ExportOptions) -> Layer:
-    from survey.export.outlines import footprints
+def _layer_by(name: str) -> Callable[[LoadedRun, ExportOptions], Layer]:
+    """The function of `survey.export.outlines` of that name, imported when it is called."""
 
-    return footprints(run, options)
+    def make(run: LoadedRun, options: ExportOptions) -> Layer:
+        from survey.export import outlines
 
+        return getattr(outlines, name)(run, options)
 
-def _shoreline(run: LoadedRun, options: ExportOptions) -> Layer:
-    from survey.export.outlines import shoreline
-
-    return shoreline(run, options)
-
-
-def _contours(run: LoadedRun, options: ExportOptions) -> Layer:
-    from survey.export.outlines import contours
-
-    return contours(run, options)
+    return make
 
 
-def _unseen(run: LoadedRun, options: ExportOptions) -> Layer:
-    from survey.export.outlines import unseen_areas
+def _check(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    """Raise where the format of a layer cannot hold the CRS."""
+    from geo.vectors import require_drawable, require_wgs84
 
-    return unseen_areas(run, options)
+    suffix, crs = path.suffix.lower(), run.crs_for(options.crs)
+    if suffix == ".dxf":
+        require_drawable(path, crs)
+    elif suffix == ".geojson":
+        place = run.some_place if options.crs is None else run.transformation_to(options.crs)(run.some_place)
+        require_wgs84(path, crs, place[:, :2])
+
+
+def _check_seen(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    _ = run.flight
+    _check(path, run, options)
+
+
+def _check_lines(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    from survey.export.outlines import require_interval
+
+    require_interval(options)
+    _check(path, run, options)
+
+
+def _check_shoreline(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    from survey.export.outlines import require_wet
+
+    require_wet(run)
+    _check(path, run, options)
 
 
 def _product(
@@ -89,8 +107,8 @@ def _product(
     what: str,
     example: str,
     takes: tuple[str, ...],
-    make: Callable[[LoadedRun, ExportOptions], Layer],
     *,
+    check: Callable[[Path, LoadedRun, ExportOptions], None] = _check,
     has_heights: bool = False,
 ) -> Product:
     return Product(
@@ -101,7 +119,9 @@ def _product(
         example=f"--{option} {example}",
         takes=takes,
         is_ours=_is_ours,
-        write=_writer(make),
+        write=_writer(_layer_by(option)),
+        libraries=_LIBRARIES,
+        check=check,
     )
 
 
@@ -117,23 +137,29 @@ def _write_unseen(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
         write_mask(path, run, options)
     else:
-        _writer(_unseen)(path, run, options)
+        _writer(_layer_by("unseen_areas"))(path, run, options)
 
 
+_LIBRARIES = {".gpkg": ("pyogrio", "vector"), ".zip": ("pyogrio", "vector"), ".dxf": ("ezdxf", "dxf")}
 _BY_GDAL = {False: "GeoPackage", True: "GPKG, zipped shapefile"}
 _CELLS = ("crs", "resolution_m", "fill_m")
 _RASTERS = (".tif", ".tiff")
 VECTORS = (
-    _product("footprints", "What each photograph shows of the bed", "images.geojson", ("crs",), _footprints),
+    _product("footprints", "What each photograph shows of the bed", "images.geojson", ("crs",), check=_check_seen),
     _product(
-        "shoreline", "Where the bed meets the water", "shore.gpkg --fill 0.5", _CELLS, _shoreline, has_heights=True
+        "shoreline",
+        "Where the bed meets the water",
+        "shore.gpkg --fill 0.5",
+        _CELLS,
+        check=_check_shoreline,
+        has_heights=True,
     ),
     _product(
         "contours",
         "Lines of equal depth",
         "deep.dxf --interval 0.5",
         (*_CELLS, "interval_m"),
-        _contours,
+        check=_check_lines,
         has_heights=True,
     ),
     Product(
@@ -145,5 +171,7 @@ VECTORS = (
         takes=_CELLS,
         is_ours=_is_our_unseen,
         write=_write_unseen,
+        libraries=_LIBRARIES,
+        check=_check_seen,
     ),
 )

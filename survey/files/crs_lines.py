@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import itertools
 import math
 import re
 from pathlib import Path
@@ -29,12 +31,14 @@ _FORM = 'e.g. "EPSG:25832", "WGS84 UTM 32N" or "+proj=utm +zone=32 +datum=WGS84"
 
 
 def crs_of_comment(path: Path, error: type[SurveyError]) -> CRS | None:
-    """The CRS in a line ``# CoordinateSystem: WKT or code``, ``# EPSG:code`` or ``# crs = EPSG:code``.
+    """The CRS in a line ``# CoordinateSystem: WKT or code``, ``# EPSG:code`` or ``# crs = EPSG:code``, or a column crs.
 
-    None where there is none, one of the site, or a datum of heights alone; ``error`` where it is not known.
+    The column has it in the first row, as `bathynerf export` writes tables. None where there is none, one of the site,
+    or a datum of heights alone; ``error`` where it is not known.
     """
     lines = (line.strip() for _, line in text_lines(path, error))
     found = next((named for line in lines if (named := _crs_named(line)) is not None), None)
+    found = found or _crs_of_column(path, error)
     if found is None or "LOCAL_CS" in found:
         return None
     try:
@@ -46,6 +50,13 @@ def crs_of_comment(path: Path, error: type[SurveyError]) -> CRS | None:
         ) from wrong
     # A comment on what heights count from does not tell where places are.
     return None if crs.is_vertical and not crs.is_compound else crs
+
+
+def _crs_of_column(path: Path, error: type[SurveyError]) -> str | None:
+    """The cell of a column crs in the first row of a table with commas."""
+    first_lines = [line for _, line in itertools.islice(text_lines(path, error), 2)]
+    head, *rows = csv.reader(first_lines)
+    return dict(zip(head, rows[0], strict=False)).get("crs") if rows else None
 
 
 def _crs_named(line: str) -> str | None:

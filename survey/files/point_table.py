@@ -62,6 +62,8 @@ _MOST_STD_M = 10.0
 # Of one point measured again the heights differ by less [m]; of a place with more points than so many a few are named.
 _SAME_HEIGHT_M, _MOST_NAMED = 0.1, 3
 _FEET = (0.3048, US_SURVEY_FOOT_M)
+# Of soundings that `bathynerf export` wrote: the height counts, and the depth below the water is its own.
+_OF_SOUNDINGS = ["height", "depth_m"]
 
 
 @dataclass(frozen=True)
@@ -319,7 +321,7 @@ def _require_one_column(table: Table) -> None:
                 f"that counts in crs, and call it {name}"
             )
     heights = [c.cell for c in table.columns if c.name in ("height", "depth") or c.cell in _HEIGHTS]
-    if len(heights) > 1:
+    if len(heights) > 1 and heights != _OF_SOUNDINGS:
         raise table.error(
             f"{table.path} has {len(heights)} columns of heights, {' and '.join(heights)}; keep the one that counts in "
             "the heights of crs, and call it height"

@@ -163,7 +163,7 @@ def write_pdf(html: Path, path: Path, *, browsers: Sequence[str] = BROWSERS) -> 
     UnwritableFile
         If the file cannot be written, or there is no browser, or it does not print.
     """
-    browser = _first_of(browsers, path)
+    browser = browser_for(path, browsers)
     with tempfile.TemporaryDirectory(prefix="bathynerf-pdf-") as work:
         printed = Path(work, "report.pdf")
         options = ["--headless", "--disable-gpu", "--no-first-run", "--no-pdf-header-footer", f"--user-data-dir={work}"]
@@ -186,7 +186,8 @@ def write_pdf(html: Path, path: Path, *, browsers: Sequence[str] = BROWSERS) -> 
         stream.write(content.rstrip(b"\n") + b"\n" + MARK)
 
 
-def _first_of(browsers: Sequence[str], path: Path) -> str:
+def browser_for(path: Path, browsers: Sequence[str] = BROWSERS) -> str:
+    """The path of the first browser that is there; raises UnwritableFile, which names a file, where none is."""
     found = next((place for name in browsers if (place := shutil.which(name)) is not None), None)
     if found is None:
         raise UnwritableFile(

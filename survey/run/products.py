@@ -20,7 +20,7 @@ from fields.sweep.photo_consistency import Consistency
 from geo.columns import ComputedColumn
 from geo.e57 import write_e57
 from geo.files import reporting_disk_errors
-from geo.las import write_cloud
+from geo.las import is_withheld, write_cloud
 from geo.ply import write_ply
 from survey.adjust.applied import CAMERAS, MODEL_FOLDER
 from survey.adjust.result.adjustment import ARRAYS, JSON, Adjustment, read_adjustment
@@ -86,6 +86,7 @@ def write_bed_ply(path: Path, stored: StoredBed) -> None:
         "std_common_m": np.full(len(bed), np.nan) if stored.std_common is None else stored.std_common,
         "num_views": bed.num_views,
         "incidence_deg": np.degrees(bed.incidence),
+        "withheld": is_withheld(bed.std),
     }
     write_ply(path, stored.points_crs, rgb=bed.rgb, scalars=scalars, crs=stored.crs)
 

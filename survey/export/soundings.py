@@ -1,0 +1,133 @@
+"""Soundings as XYZ or CSV: all points, the shoalest of each cell, or the mean.
+
+XYZ is easting, northing and height alone, as GDAL's driver reads it. The first line of CSV names its columns, the last
+of which has the CRS in the first row: programs take comments for rows.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from survey.errors import SurveyError
+from survey.export.product import ExportOptions, Product, begins_with
+
+if TYPE_CHECKING:
+    import numpy as np
+    from pyproj import CRS
+
+    from survey.export.bed_cells import BedRaster
+    from survey.export.loaded import LoadedRun
+
+THIN = ("none", "shoal", "mean")
+# XYZ has the first three.
+COLUMNS = ("easting", "northing", "height", "depth_m", "std_m", "std_common_m", "points")
+_HEAD = ",".join((*COLUMNS, "crs"))
+_DECIMALS, _DECIMALS_OF_DEGREES = 3, 9
+_ROWS = 100_000
+
+
+def _check(_path: Path, _run: LoadedRun, options: ExportOptions) -> None:
+    if options.thin not in THIN:
+        raise SurveyError(f"--thin is {options.thin}, expected one of {', '.join(THIN)}")
+    if options.thin == "none" and options.resolution_m is not None:
+        raise SurveyError("--resolution is the cell of which a sounding is kept; give --thin shoal or --thin mean too")
+
+
+def _write(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    from survey.export.bed_raster import bed_raster
+
+    if options.thin == "none":
+        rows = _of_points(run, options)
+    else:
+        grid = bed_raster(run, options)
+        rows = _means(grid) if options.thin == "mean" else _shoalest(run, options, grid)
+    _write_table(path, rows, run.crs_for(options.crs))
+
+
+def _of_points(run: LoadedRun, options: ExportOptions) -> np.ndarray:
+    """All points (N, 7) that LAS does not flag as withheld, see `COLUMNS`."""
+    import numpy as np
+
+    stored = run.bed_in(options.crs, certain=True)
+    n = len(stored.points_crs)
+    common = np.full(n, np.nan) if stored.std_common is None else stored.std_common
+    return np.column_stack([stored.points_crs, stored.bed.depth, stored.bed.std, common, np.ones(n)])
+
+
+def _shoalest(run: LoadedRun, options: ExportOptions, grid: BedRaster) -> np.ndarray:
+    """The highest point of each cell, with the number of points there; a warning where a withheld one is higher."""
+    import numpy as np
+
+    from geo.las import is_withheld
+    from survey.progress import current
+
+    rows = _of_points(run, options)
+    cell = grid.cells.numbers(rows)
+    order = np.lexsort([-rows[:, 2], cell])
+    cells, first, counts = np.unique(cell[order], return_index=True, return_counts=True)
+    kept = rows[order[first]].copy()
+    kept[:, -1] = counts
+    withheld = run.bed_in(options.crs).points_crs[is_withheld(run.bed.bed.std)]
+    if len(withheld):
+        top = np.full(grid.cells.shape, -np.inf).ravel()
+        top[cells] = kept[:, 2]
+        over = grid.cells.numbers(withheld)[withheld[:, 2] > top[grid.cells.numbers(withheld)]]
+        current().warn(f"{len(np.unique(over))} cells have a withheld point higher than their sounding, or no other")
+    return kept
+
+
+def _means(grid: BedRaster) -> np.ndarray:
+    """The mean height of each cell, at its middle."""
+    import numpy as np
+
+    parts = []
+    for window in grid.cells.windows(512):
+        known = grid.origin[window.slices] > 0
+        layers = (
+            grid.heights(window) / grid.height_unit_m,
+            grid.depths(window),
+            grid.std[window.slices],
+            grid.common[window.slices],
+            grid.count[window.slices],
+        )
+        values = [layer[known].astype(np.float64) for layer in layers]
+        parts.append(np.column_stack([grid.cells.middles(window)[known], *values]))
+    return np.concatenate(parts)
+
+
+def _write_table(path: Path, rows: np.ndarray, crs: CRS) -> None:
+    from geo.crs import is_geographic, quoted_crs
+    from geo.files import write_whole
+
+    places = _DECIMALS_OF_DEGREES if is_geographic(crs) else _DECIMALS
+    digits = (places, places, *(_DECIMALS,) * 4, 0)
+    if path.suffix.lower() == ".xyz":
+        form, head, first_end = " ".join(f"%.{number}f" for number in digits[:3]), "", ""
+    else:
+        form, head = ",".join(f"%.{number}f" for number in digits) + ",", f"{_HEAD}\n"
+        first_end = quoted_crs(crs)
+    with write_whole(path) as stream:
+        stream.write(head.encode())
+        for first in range(0, len(rows), _ROWS):
+            some = rows[first : first + _ROWS, : form.count("%")]
+            # What is not known is empty.
+            lines = (form % tuple(row) for row in some.tolist())
+            text = "\n".join(line.replace("nan", "") + ("" if first + n else first_end) for n, line in enumerate(lines))
+            stream.write(f"{text}\n".encode())
+
+
+SOUNDINGS = (
+    Product(
+        option="soundings",
+        suffixes=(".xyz", ".csv"),
+        kind="soundings that bathynerf wrote",
+        help="Points as XYZ or, with depth and standard deviations, CSV.",
+        example="--soundings bed.xyz --thin shoal",
+        takes=("crs", "resolution_m", "thin"),
+        # XYZ has no place for a mark: one that a run wrote is known by its record alone.
+        is_ours=begins_with(f"{_HEAD}\n".encode()),
+        write=_write,
+        check=_check,
+    ),
+)

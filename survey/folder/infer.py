@@ -76,13 +76,8 @@ def config_of_images(
             f"{folder} has no {FILE_NAME}, and no image has a GPS position to infer it from; write {FILE_NAME} with "
             f"{_EXAMPLE}"
         )
-    if file is not None and file.frame is PoseFrame.LOCAL:
-        raise ConfigError(
-            f"{folder} has no {FILE_NAME}, and the poses in {poses_path} are not georeferenced; write "
-            f"{FILE_NAME} with crs and [local] origin = [easting, northing, height]"
-        )
     crs = f"EPSG:{code}+{EGM96_HEIGHT}"
-    if by_exif is not None and file is not None and poses_path is not None:
+    if by_exif is not None and file is not None and poses_path is not None and file.frame is not PoseFrame.LOCAL:
         _require_same_place(CRS(crs), file, poses_path, headers)
     source = position_sources(headers) if poses_path is None else poses_path.name
     assumptions = [

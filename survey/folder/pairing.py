@@ -21,6 +21,7 @@ from survey.files.csv_table import shortened
 from survey.folder import local_frame
 from survey.folder.faults import angle_warnings
 from survey.folder.found import MIN_VIEWS, Found
+from survey.folder.gps_placement import PlacedPoses, place_poses
 from survey.folder.pose_frames import (
     TiePointMisfit,
     given_in_local,
@@ -28,7 +29,7 @@ from survey.folder.pose_frames import (
     reprojection,
     transformation_into_crs,
 )
-from survey.folder.pose_priors import PosePrior, priors_of_poses
+from survey.folder.pose_priors import PosePrior, priors_of_gps, priors_of_poses
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.photos.names import ImageNames
@@ -245,9 +246,11 @@ def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
     paired, of_pairs = pair(found, file.poses)
     poses, of_lenses = with_lenses(found, list(paired.values()))
     findings = Findings(tuple(file.notes), tuple(file.warnings)) + of_pairs + of_lenses
+    placed, of_place = place_poses(found, file, poses)
+    file, poses = placed.file, placed.poses
     datum, of_datum = _datum(found, file)
     found, of_clicks = _with_clicked_level(found, file, poses)
-    findings += Findings(warnings=tuple(angle_warnings(poses, file.frame))) + of_datum + of_clicks
+    findings += Findings(warnings=tuple(angle_warnings(poses, file.frame))) + of_place + of_datum + of_clicks
     warnings = []
     frame, views = local_frame.views_in_local(found, file, poses)
     if file.tool is not None and found.config.water is not None:
@@ -260,9 +263,12 @@ def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
         warnings += require_near(found.control.points, frame.crs_from_local(centres), frame.crs)
     by_name = {view.name: view for view in views}
     points, misses = _ties(
-        found, path, file, frame, {file_name: by_name[pose.name] for file_name, pose in paired.items()}
+        found, path, placed, frame, {file_name: by_name[pose.name] for file_name, pose in paired.items()}
     )
-    priors = priors_of_poses(found.config.cameras, views, _given(found, file, poses, frame), datum)
+    if placed.by_gps is None:
+        priors = priors_of_poses(found.config.cameras, views, _given(found, file, poses, frame), datum)
+    else:
+        priors = {name: replace(prior, attitude=None) for name, prior in priors_of_gps(found, frame, views).items()}
     of_file = FilePoses(found, frame, views, points, file.tool, file.masks, misses, priors)
     return of_file, findings + Findings(warnings=tuple(warnings))
 
@@ -294,13 +300,13 @@ def _with_clicked_level(found: Found, file: PoseFile, poses: list[Pose]) -> tupl
 
 
 def _ties(
-    found: Found, path: Path, file: PoseFile, frame: LocalFrame, views: Mapping[str, View]
+    found: Found, path: Path, placed: PlacedPoses, frame: LocalFrame, views: Mapping[str, View]
 ) -> tuple[np.ndarray | None, TiePointMisfit | None]:
     """Tie points in local with at least three observations (two where there are two views), and their residuals."""
     ties = read_ties(path)
     if ties is None:
         return None, None
-    points = points_in_local(file, ties.points, frame, found.config.cameras.gps_height)
+    points = points_in_local(placed.file, placed.points(ties), frame, found.config.cameras.gps_height)
     good = np.isfinite(points).all(axis=1) & (ties.num_views >= least_track(len(views)))
     return points[good], reprojection(ties, points, views)
 

@@ -34,7 +34,7 @@ DRONE_HEIGHT_M, AIRCRAFT_HEIGHT_M = 300.0, 3000.0
 # Photographs of one survey overlap, so cameras are not this many times higher than the usual overlap suggests.
 MOST_OF_OVERLAP = 8.0
 # Further apart than this, positions are not of one survey.
-_ONE_SURVEY_M = 20e3
+ONE_SURVEY_M = 20e3
 # A GPS position without corrections is within 10 m: beyond the first it is doubted, beyond the second it is of another
 # zone or datum.
 _EXIF_DOUBT_M, SAME_PLACE_M = 50.0, 100.0
@@ -114,11 +114,11 @@ def require_plausible(
 def _require_together(frame: LocalFrame, views: list[View], centres: np.ndarray) -> None:
     distance = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
     worst = int(np.argmax(distance))
-    if distance[worst] > _ONE_SURVEY_M:
+    if distance[worst] > ONE_SURVEY_M:
         place = ", ".join(f"{v:.10g}" for v in frame.crs_from_local(centres[worst]))
         raise PosesError(
             f"the camera of {views[worst].name} at {place} lies {distance[worst] / 1000.0:.0f} km from the others, "
-            f"expected at most {_ONE_SURVEY_M / 1000.0:.0f} km; correct its pose or leave the image out"
+            f"expected at most {ONE_SURVEY_M / 1000.0:.0f} km; correct its pose or leave the image out"
         )
 
 

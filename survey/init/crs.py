@@ -26,6 +26,7 @@ from geo.crs import (
 from geo.frames import LocalFrame
 from survey.errors import ConfigError
 from survey.folder import infer
+from survey.folder.gps_placement import GpsFit
 from survey.folder.plausible import SAME_PLACE_M, distances_to_exif
 from survey.folder.pose_frames import middle_of_geocentric, points_in_crs
 from survey.photos.exif import Exif, position_sources, utm_code_of
@@ -39,8 +40,6 @@ from survey.words import GEO_TXT
 # Asks a person; returns the answer, which may be empty.
 Ask = Callable[[str], str]
 _WGS84_3D = 4979
-# Poses fit GPS positions if at most this share of the variance remains after a shift.
-_UNEXPLAINED = 0.1
 
 
 @dataclass(frozen=True)
@@ -290,17 +289,17 @@ def write_origin(photographs: FolderPhotographs, answers: Answers, crs: CRS, loc
         )
     by_gps, given = np.array([positions[name] for name in both]), np.array([centres[name] for name in both])
     frame = LocalFrame(crs, np.median(by_gps, axis=0).tolist())
-    shifts = frame.local_from_crs(by_gps) - given
-    residuals = (shifts - np.median(shifts, axis=0))[:, :2]
-    plan = (given - np.median(given, axis=0))[:, :2]
-    if (residuals**2).sum() > _UNEXPLAINED * (plan**2).sum():
+    fit = GpsFit.of(given, frame.local_from_crs(by_gps))
+    if fit is not None and (fit.is_free or not fit.is_shift) and fit.fault is None:
+        local.add_comments(f"No origin: GPS positions place the poses, with {fit.describe()}, as their axes are free.")
+        return
+    if fit is None or fit.is_free or not fit.is_shift:
         raise ConfigError(
-            f"{where} do not fit the GPS positions in EXIF: they are off by "
-            f"{np.sqrt((residuals**2).sum(1).mean()):.3g} m (rms) after a shift; align them in metres, "
-            "east, north and up (COLMAP: model_aligner --ref_is_gps 1 --alignment_type enu), or give "
+            f"{where} do not fit the GPS positions in EXIF{f', as {fit.fault}' if fit is not None else ''}; align them "
+            "in metres, east, north and up (COLMAP: model_aligner --ref_is_gps 1 --alignment_type enu), or give "
             "--origin EASTING NORTHING HEIGHT"
         )
-    origin = frame.crs_from_local(np.median(shifts, axis=0)[None])[0]
+    origin = frame.crs_from_local(fit.shift[None])[0]
     local.set(
         "origin",
         [round(float(v), 3) for v in origin],

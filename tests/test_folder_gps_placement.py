@@ -173,6 +173,12 @@ def test_poses_with_axes_and_a_scale_of_their_own_are_placed_by_gps_and_it_is_sa
         assert survey.provenance.reprojection.rms_px < CLOSE_PX
 
 
+def test_millimetres_are_a_scale(tmp_path):
+    unit = Similarity(5000.0, np.eye(3), np.zeros(3))
+    survey = Draw(tmp_path / "s").load(colmap_text, changed(draw_block(), unit))
+    assert most_missed_px(survey, draw_block()) < CLOSE_PX
+
+
 @pytest.mark.parametrize("write", LOCAL_FORMATS)
 def test_metric_poses_east_north_and_up_keep_axes_and_scale(tmp_path, write):
     moved = Similarity(1.0, np.eye(3), np.array([40.0, -30.0, 7.0]))

@@ -302,14 +302,11 @@ def test_a_folder_that_does_not_exist_or_is_a_file_is_refused(tmp_path):
         load_survey(tmp_path / "file")
 
 
-def test_several_files_of_poses_need_to_be_told_apart(tmp_path):
+def test_the_only_poses_are_taken_and_named(tmp_path):
     folder = small_survey(tmp_path / "s", toml=replaced(('poses = "cameras.csv"', "")))
     survey = load_survey(folder)
     assert survey.findings.assumptions == ("the poses are those in cameras.csv, the only poses found",)
     assert survey.config.cameras.poses == "cameras.csv"
-    (folder / "again.csv").write_text((folder / "cameras.csv").read_text())
-    with pytest.raises(ConfigError, match=r"several files of poses \(again\.csv, cameras\.csv\); name one"):
-        load_survey(folder)
 
 
 def test_local_poses_need_an_origin_and_take_their_frame_from_it(tmp_path):

@@ -84,10 +84,11 @@ def test_the_origin_of_a_colmap_model_is_that_of_its_gps_positions(tmp_path):
     assert local["origin"] == pytest.approx(in_utm(np.zeros((1, 3)))[0], abs=0.05)
 
 
-def test_a_model_that_is_not_in_metres_is_refused(tmp_path):
+def test_a_model_that_is_not_in_metres_is_left_to_the_gps_positions(tmp_path):
     colmap(tmp_path, scale=0.1)
-    with pytest.raises(ConfigError, match="model_aligner"):
-        draft(tmp_path, Answers(level_m=LEVEL))
+    text = draft(tmp_path, Answers(level_m=LEVEL))
+    assert tomllib.loads(text)["local"] == {}
+    assert "GPS positions place the poses, with a scale of 10 and a rotation by 0 degrees" in text
 
 
 def test_a_local_frame_without_gps_needs_its_origin(tmp_path):

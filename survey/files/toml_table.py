@@ -64,12 +64,14 @@ def read_toml(path: Path, parse: Callable[[str], Any]) -> Any:
     Raises
     ------
     ConfigError
-        That of `parse`, with the name of the file before it, or where the file is not UTF-8.
+        That of `parse`, with the name of the file before it, or where the file cannot be read or is not UTF-8.
     """
     try:
         return parse(path.read_text(encoding="utf-8-sig"))
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from error
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read ({error.strerror}); correct its name or its permissions") from error
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
 

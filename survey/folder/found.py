@@ -5,7 +5,7 @@ Image headers are checked here as well: rotation, several pages.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,8 +25,9 @@ from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.folder.positions import position_warnings
 from survey.photos.exif import SUFFIXES, Exif, position_sources, read_exif, without_void_fixes
 from survey.photos.images import fetch_images, list_images, same_files
-from survey.pose_files import find_poses, find_unread, pose_files
-from survey.settings.config import SurveyConfig, read_config
+from survey.photos.names import ImageNames
+from survey.pose_files import find_poses, find_unread, pose_files, read_poses
+from survey.settings.config import SurveyConfig, settings_of
 from survey.settings.tables import ProcessConfig
 from survey.sfm.datum import EXACT, DatumStd, plan_std, smallest
 from survey.sfm.gps import PositionTransform, datum_warnings, transforms_into_crs
@@ -64,8 +65,8 @@ class Found:
 
 def process_config(folder: Path) -> ProcessConfig:
     """[process] of the survey.toml in a folder, empty where there is none."""
-    toml = folder / FILE_NAME
-    return read_config(toml).process if toml.is_file() else ProcessConfig()
+    settings = settings_of(folder) if folder.is_dir() else None
+    return ProcessConfig() if settings is None else settings.process
 
 
 def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
@@ -82,13 +83,12 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
         raise SurveyError(f"the survey folder {folder} {what}; expected a folder with images and {FILE_NAME}")
     toml = folder / FILE_NAME
     if config is None:
-        config = read_config(toml) if toml.is_file() else infer.config_of_folder(folder)
-    poses_path, assumption = _poses_path(folder, config)
-    findings = Findings(() if assumption is None else (assumption,))
+        config = infer.settings_or_inferred(folder)
     place = folder / config.images.local_dir
     if is_url(config.images.dir):
         fetch_images(config.images.dir, place)
     images = list_images(place, deep=config.images.dir != ".")
+    poses_path, findings = _poses_path(folder, config, images)
     headers = {name: read_exif(path) for name, path in images.items()}
     table = find_geo_txt(folder, place)
     if table is not None:
@@ -165,22 +165,54 @@ def _one_level(config: SurveyConfig, crs: CRS) -> float | None:
     return water.level_m / height_unit_m(crs)
 
 
-def _poses_path(folder: Path, config: SurveyConfig) -> tuple[Path | None, str | None]:
-    """The file of poses, and what is assumed where the settings do not name it."""
+def _poses_path(folder: Path, config: SurveyConfig, images: Collection[str]) -> tuple[Path | None, Findings]:
+    """The file of poses: as the settings name it, else of those found the one with most photographs."""
     if config.cameras.poses is not None:
         path = folder / config.cameras.poses
         if path.exists():
-            return path, None
+            return path, Findings()
         raise PosesError(f"the poses {path} do not exist; correct [cameras] poses in {folder / FILE_NAME}")
     paths = find_poses(folder)
-    if len(paths) > 1:
-        names = ", ".join(path.relative_to(folder).as_posix() for path in paths)
-        raise ConfigError(
-            f"{folder} has several files of poses ({names}); name one of them in [cameras] poses in {FILE_NAME}"
-        )
     if not paths:
-        return None, None
-    return paths[0], f"the poses are those in {paths[0].relative_to(folder).as_posix()}, the only poses found"
+        return None, Findings()
+    if len(paths) == 1:
+        return paths[0], Findings((f"the poses are those in {_below(folder, paths[0])}, the only poses found",))
+    counts = {path: num_posed(path, images) for path in paths}
+    most = max(paths, key=lambda path: counts[path])
+    said = ", ".join(f"{_below(folder, path)} with {num} of {len(images)} photographs" for path, num in counts.items())
+    if sorted(counts.values())[-2] == counts[most]:
+        raise ConfigError(
+            f"{folder} has several files of poses ({said}); name one of them in [cameras] poses in {FILE_NAME}"
+        )
+    return most, Findings((f"the poses are those in {_below(folder, most)}, which has most: found were {said}",))
+
+
+def num_posed(path: Path, images: Collection[str]) -> int:
+    """Number of photographs of which a poses file has the pose; 0 where it cannot be read."""
+    try:
+        names = ImageNames(images)
+        return len({names.find(pose.name, str(path)) for pose in read_poses(path).poses} - {None})
+    except SurveyError:
+        return 0
+
+
+def larger_poses(found: Found, path: Path, num: int) -> tuple[str, ...]:
+    """A warning where another poses file beside one with poses of `num` photographs has more."""
+    siblings = [] if path.parent == found.folder else [path.parent]
+    others = dict.fromkeys(other for place in (found.folder, *siblings) for other in find_poses(place))
+    counts = {other: num_posed(other, found.images) for other in others if not other.samefile(path)}
+    best = max(counts, key=lambda other: counts[other], default=path)
+    if counts.get(best, 0) <= num:
+        return ()
+    return (
+        f"{_below(found.folder, path)} has the poses of {num} of {len(found.images)} photographs, and "
+        f"{_below(found.folder, best)} those of {counts[best]}: name that in [cameras] poses if it is meant",
+    )
+
+
+def _below(folder: Path, path: Path) -> str:
+    """A path as it is seen from a folder."""
+    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else str(path)
 
 
 def head_warnings(headers: Mapping[str, Exif]) -> list[str]:
@@ -223,9 +255,8 @@ def survey_inputs(folder: Path) -> ReadFiles:
     """
     if not folder.is_dir():
         return ReadFiles()
-    toml = folder / FILE_NAME
-    config = read_config(toml) if toml.is_file() else infer.config_of_folder(folder)
-    named = [toml]
+    config = infer.settings_or_inferred(folder)
+    named = [folder / FILE_NAME]
     if config.water is not None:
         named += [folder / path for path in config.water.sources.named.values()]
     named += [folder / name for name in config.control.files]

@@ -264,7 +264,7 @@ def _recognised(found: Found, file: PoseFile, poses: list[Pose], gps: GpsPositio
     if is_in_crs:
         note = f"the poses in {name} are coordinates in {found.crs.name}, by their size"
         return replace(file, frame=PoseFrame.GRID), Findings((note,))
-    if not _is_near_zero(centres):
+    if not _is_near_zero(centres) and np.ptp(centres, axis=0).max() < ONE_SURVEY_M:
         place = ", ".join(f"{value:.10g}" for value in centres[0])
         raise PosesError(
             f"the poses in {found.poses_path} are at {place}, which is in no local frame, nor in {found.crs.name} "

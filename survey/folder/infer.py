@@ -15,13 +15,20 @@ from survey.errors import FILE_NAME, ConfigError, ControlError, Findings
 from survey.folder.plausible import SAME_PLACE_M, distances_to_exif
 from survey.folder.pose_frames import middle_of_geocentric, points_in_crs
 from survey.photos.exif import SUFFIXES, Exif, position_sources, utm_code_of
+from survey.photos.images import photographs_elsewhere
 from survey.photos.names import ImageNames
 from survey.photos.poses import PoseFile, PoseFrame
 from survey.pose_files import read_poses
-from survey.settings.config import ImagesConfig, SurveyConfig
+from survey.settings.config import ImagesConfig, SurveyConfig, settings_of
 from survey.words import GCP_LIST, GEO_TXT
 
 _EXAMPLE = 'at least crs = "EPSG:25832+5778", [cameras] and, for water, [water] level_m = 12.34'
+
+
+def settings_or_inferred(folder: Path) -> SurveyConfig:
+    """Settings of a folder: those of its survey.toml, else as `config_of_folder`; raises ConfigError."""
+    settings = settings_of(folder)
+    return config_of_folder(folder) if settings is None else settings
 
 
 def config_of_folder(folder: Path) -> SurveyConfig:
@@ -37,8 +44,8 @@ def config_of_folder(folder: Path) -> SurveyConfig:
     if any(path.suffix.lower() in SUFFIXES for path in folder.iterdir()):
         return SurveyConfig(images=ImagesConfig(dir="."))
     raise ConfigError(
-        f"{folder} has no {FILE_NAME} and no images to infer it from; put the photographs into {folder / 'images'} "
-        f"and write {FILE_NAME} with {_EXAMPLE}"
+        f"{folder} has no {FILE_NAME} and no images to infer it from{photographs_elsewhere(folder)}; put the "
+        f"photographs into {folder / 'images'} and write {FILE_NAME} with {_EXAMPLE}"
     )
 
 

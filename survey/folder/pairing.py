@@ -20,7 +20,7 @@ from survey.errors import FILE_NAME, ConfigError, Findings, ImageError, PosesErr
 from survey.files.csv_table import shortened
 from survey.folder import local_frame
 from survey.folder.faults import angle_warnings
-from survey.folder.found import MIN_VIEWS, Found
+from survey.folder.found import MIN_VIEWS, Found, larger_poses
 from survey.folder.gps_placement import PlacedPoses, place_poses
 from survey.folder.pose_frames import (
     TiePointMisfit,
@@ -244,6 +244,8 @@ def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
         ImageNames(found.images).find(error.name_in_file, str(path))
         raise
     paired, of_pairs = pair(found, file.poses)
+    if len(paired) < len(found.images):
+        of_pairs += Findings(warnings=larger_poses(found, path, len(paired)))
     poses, of_lenses = with_lenses(found, list(paired.values()))
     findings = Findings(tuple(file.notes), tuple(file.warnings)) + of_pairs + of_lenses
     placed, of_place = place_poses(found, file, poses)

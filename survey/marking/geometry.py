@@ -12,7 +12,7 @@ import numpy as np
 from geo.errors import GeoError
 from geo.frames import LocalFrame
 from refract import FlatWater
-from survey.errors import FILE_NAME, SurveyError
+from survey.errors import SurveyError
 from survey.folder import infer
 from survey.folder.found import Found, find_survey
 from survey.folder.local_frame import water_plane
@@ -21,7 +21,7 @@ from survey.folder.pairing import read_file_poses
 from survey.photos.cameras import View
 from survey.photos.intersection import projection_and_jacobian
 from survey.run.flight import FLIGHT, load_flight
-from survey.settings.config import SurveyConfig, read_config
+from survey.settings.config import SurveyConfig
 from survey.settings.tables import ControlConfig
 from survey.water.index import FRESH_WATER
 from survey.water.tides import with_tides
@@ -127,8 +127,7 @@ def survey_to_mark(folder: Path) -> tuple[SurveyConfig, Found]:
     if not folder.is_dir():
         what = "is a file" if folder.exists() else "does not exist"
         raise SurveyError(f"the survey folder {folder} {what}; expected a folder with photographs")
-    toml = folder / FILE_NAME
-    config = read_config(toml) if toml.is_file() else infer.config_of_folder(folder)
+    config = infer.settings_or_inferred(folder)
     bare = replace(config, control=ControlConfig())
     clicks = None if config.water is None else config.water.sources.clicks
     if clicks is not None and not (folder / clicks).is_file():

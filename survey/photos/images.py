@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from hashlib import blake2b, file_digest
@@ -24,6 +24,7 @@ from survey.photos.exif import SUFFIXES
 from survey.photos.names import MASK_ENDING
 from survey.photos.pixels import read_grey, read_opaque, read_rgb
 from survey.progress import current
+from survey.words import RUN_FOLDER
 
 # White of 16 bits in white of 8 bits.
 _STEPS = 257.0
@@ -55,7 +56,10 @@ def list_images(folder: Path, *, deep: bool = True) -> dict[str, Path]:
         Where the folder does not exist or has no image.
     """
     if not folder.is_dir():
-        raise ImageError(f"the image folder {folder} does not exist; make it, or correct [images] dir in survey.toml")
+        raise ImageError(
+            f"the image folder {folder} does not exist{photographs_elsewhere(folder.parent)}; make it, or correct "
+            "[images] dir in survey.toml"
+        )
     below = folder.rglob("*") if deep else folder.iterdir()
     files = sorted(
         p for p in below if p.suffix.lower() in SUFFIXES and not is_hidden(p.relative_to(folder)) and p.is_file()
@@ -63,8 +67,29 @@ def list_images(folder: Path, *, deep: bool = True) -> dict[str, Path]:
     names = {path.with_suffix("") for path in files} | set(files)
     files = [path for path in files if not is_mask_of_another(path, names)]
     if not files:
-        raise ImageError(f"no images in {folder}; expected files ending in {', '.join(SUFFIXES)}")
+        raise ImageError(
+            f"no images in {folder}{photographs_elsewhere(folder.parent, folder)}; expected files ending in "
+            f"{', '.join(SUFFIXES)}"
+        )
     return {path.relative_to(folder).as_posix(): path for path in files}
+
+
+def photographs_elsewhere(folder: Path, but: Path | None = None) -> str:
+    """Where else below a folder photographs lie, or files of other kinds in `but`, as a part of a sentence."""
+    if not folder.is_dir():
+        return ""
+    by_top: dict[str, list[Path]] = defaultdict(list)
+    for path in folder.rglob("*"):
+        own = path.relative_to(folder)
+        is_left_out = is_hidden(own) or own.parts[0] in (RUN_FOLDER, "masks") or (but and path.is_relative_to(but))
+        if len(own.parts) > 1 and path.suffix.lower() in SUFFIXES and not is_left_out:
+            by_top[own.parts[0]].append(path.parent)
+    if by_top:
+        top, places = max(by_top.items(), key=lambda item: len(item[1]))
+        common = Path(os.path.commonpath(places)).relative_to(folder).as_posix()
+        return f', but {len(places)} photographs lie in {folder / top}: write [images] dir = "{common}" for them'
+    kinds = Counter(path.suffix for path in (but.rglob("*") if but else ()) if path.suffix and path.is_file())
+    return f", but {kinds.most_common(1)[0][1]} files ending in {kinds.most_common(1)[0][0]}" if kinds else ""
 
 
 def is_hidden(path: Path) -> bool:

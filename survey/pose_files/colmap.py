@@ -20,8 +20,8 @@ from survey.photos.poses import DuplicatePose, FileTies, Pose, PoseFile, PoseFra
 from survey.photos.rotations import rotation_from_quaternion
 from survey.pose_files.format import Format
 
-# Where models lie in a survey folder, beside the folder itself.
-_PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "colmap")
+# Where models lie in a survey folder; a mapper numbers those of blocks without common points.
+_PLACES = ("sparse/[0-9]*", "sparse", "colmap/sparse/[0-9]*", "colmap/sparse", "colmap", "[0-9]*")
 # How models begin that come from an adjustment with bent rays, see `survey.adjust.applied`.
 _OWN_FIRST_WORDS = b"# In survey.toml:"
 # Models that are OPENCV_FISHEYE with fewer numbers: the places of fx fy cx cy k1 k2 k3 k4 among these.
@@ -246,7 +246,9 @@ def _model_of(path: Path) -> Path | None:
 
 FORMAT = Format(
     name="the folder of a COLMAP model (cameras and images, .txt or .bin)",
-    find=lambda folder: [p for p in (folder, *(folder / name for name in _PLACES)) if is_model(p)],
+    find=lambda folder: [
+        p for p in (folder, *(p for place in _PLACES for p in sorted(folder.glob(place)))) if is_model(p)
+    ],
     recognises=lambda path: _model_of(path) is not None,
     read=lambda path: read_model(_model_of(path) or path),
     files=lambda path: [path.with_name(name) for name in _READERS],

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import tomli_w
 
-from survey.errors import ConfigError
+from survey.errors import FILE_NAME, ConfigError
 from survey.files.remote import is_url, local_name
 from survey.files.toml_table import key, parse_toml, read_toml, require_one_of, require_positive, table_of
 from survey.settings.tables import ControlConfig, FieldConfig, ProcessConfig, require_std
@@ -38,6 +39,8 @@ _NOT_YET = {
     "water.mask": "the sweep detects wet areas itself; remove it",
 }
 METRES, FEET = "metres", "feet"
+# What editors and file managers make of the name of the settings.
+_NEAR_NAMES = (FILE_NAME, *(f"{FILE_NAME}{ending}" for ending in (".txt", ".toml", ".bak")), "survey.tml")
 
 
 @dataclass(frozen=True)
@@ -225,6 +228,28 @@ def read_config(path: Path) -> SurveyConfig:
         another.
     """
     return read_toml(path, parse_config)
+
+
+def settings_of(folder: Path) -> SurveyConfig | None:
+    """The settings in a folder; None where it has no survey.toml.
+
+    Raises
+    ------
+    ConfigError
+        As `read_config`, and where what has the name is no file, or a file has the name with another ending or case.
+    """
+    toml = folder / FILE_NAME
+    if toml.is_file():
+        return read_config(toml)
+    if os.path.lexists(toml):
+        what = "a link to a file that is not there" if toml.is_symlink() else "no file"
+        raise ConfigError(f"{toml} is {what}, expected the settings of the survey; copy the file itself, or remove it")
+    others = sorted(path.name for path in folder.iterdir() if path.name.casefold() in _NEAR_NAMES)
+    if others:
+        raise ConfigError(
+            f"{folder} has {others[0]} and no {FILE_NAME}; rename it (Windows may hide the ending .txt), or remove it"
+        )
+    return None
 
 
 def parse_config(text: str) -> SurveyConfig:

@@ -12,9 +12,9 @@ import numpy as np
 from fields.volume.losses import Losses, PatchWeights, PriorWeights
 from fields.volume.models import MODELS
 from fields.volume.surface import Rule
-from survey.errors import FILE_NAME, SurveyError
+from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun, survey_folder
-from survey.settings.config import read_config
+from survey.settings.config import settings_of
 from survey.settings.tables import FieldConfig, LossesConfig
 from survey.volume.monocular import priors_hash
 from survey.volume.recipe import VolumeRecipe
@@ -133,8 +133,8 @@ def field_config(run: str | Path, survey: str | None) -> FieldConfig:
     """
     with LoadedRun(run) as loaded:
         folder = survey_folder(loaded, survey)
-    toml = folder / FILE_NAME
-    config = read_config(toml).field if toml.is_file() else FieldConfig()
+    settings = settings_of(folder) if folder.is_dir() else None
+    config = FieldConfig() if settings is None else settings.field
     if config.monocular is None:
         return config
     return replace(config, monocular=str((folder / config.monocular).absolute()))

@@ -20,7 +20,7 @@ SMALLEST = {
     "bench_block_size": "40",
     "bench_bound": "--scenes sand -o {work}",
     "bench_compare": "--points 1000 --triangles 500",
-    "bench_conditions": "clear -o {work} --seeds 1-1 --quality draft",
+    "bench_conditions": "nothing -o {work} --seeds 1-1 --quality draft",
     "bench_coverage": "{run} {survey}/truth/reference.ply",
     "bench_dem": "{run} {survey}/truth/reference.ply --resolution 0.5",
     "bench_error_time": "{work} --models vm --seconds 0.2",

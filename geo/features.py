@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,9 @@ from shapely.errors import ShapelyError
 from shapely.geometry import shape
 from shapely.geometry.base import BaseGeometry, BaseMultipartGeometry
 
+from geo.drivers import vector_library
 from geo.errors import UnreadableFile
-from geo.files import existing_file, library_for
+from geo.files import existing_file
 from geo.transformation import transformed
 
 GEOJSON = (".geojson", ".json")
@@ -156,8 +158,8 @@ def _feature(item: dict[str, Any]) -> Feature:
 
 
 def _by_gdal(path: Path, layer: str | None) -> Features:
-    raw = library_for(path, "pyogrio.raw", "vector")
-    meta, _, shapes, columns = raw.read(path, layer=_layer(path, layer))
+    pyogrio = vector_library(path)
+    meta, _, shapes, columns = pyogrio.raw.read(path.absolute(), layer=_layer(pyogrio, path, layer))
     values = zip(*(column.tolist() for column in columns), strict=True)
     rows = [dict(zip(meta["fields"], row, strict=True)) for row in values] or [{}] * len(shapes)
     # Solids and symbols of a drawing have no counterpart.
@@ -167,9 +169,9 @@ def _by_gdal(path: Path, layer: str | None) -> Features:
     return Features(tuple(features), crs, _unit_of_drawing(path) if path.suffix.lower() == ".dxf" else None)
 
 
-def _layer(path: Path, layer: str | None) -> str:
+def _layer(pyogrio: ModuleType, path: Path, layer: str | None) -> str:
     """The layer of a file to read: the one of that name, or the only one with geometries."""
-    layers = library_for(path, "pyogrio", "vector").list_layers(path)
+    layers = pyogrio.list_layers(path.absolute())
     kinds = {str(name): str(kind) for name, kind in layers.tolist() if kind is not None}
     if layer in kinds:
         return layer

@@ -22,6 +22,7 @@ from rasterio.windows import Window
 
 from geo.compatibility import crs_difference
 from geo.crs import ellipsoid, ellipsoidal_wkt1, has_height, horizontal_crs, vertical_crs
+from geo.drivers import open_raster
 from geo.errors import UnreadableFile, UnwritableFile
 from geo.files import disk_error_text, existing_file, write_whole_at
 from geo.shapes import Mesh
@@ -267,7 +268,7 @@ def _read_band(path: Path) -> _Band:
         with warnings.catch_warnings():
             # Said below in words of this program.
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            raster = rasterio.open(path)
+            raster = open_raster(path)
         with raster:
             stored = raster.read(1, masked=True)
             heights = stored.astype(np.float64).filled(np.nan) * raster.scales[0] + raster.offsets[0]

@@ -61,16 +61,16 @@ def _write(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
 def project(folder: Path, title: str) -> str:
     """The text of the project for the files that lie in a folder; their paths are relative to it."""
-    import rasterio
     from matplotlib import colormaps
     from pyproj import CRS
 
     from geo.crs import horizontal_crs
+    from geo.drivers import open_raster
     from survey.display.palette import DEPTHS, SPREADS
     from survey.export.styles import ramp
 
     dem = folder / _DEM
-    with rasterio.open(dem) as raster:
+    with open_raster(dem) as raster:
         bounds, crs = raster.bounds, horizontal_crs(CRS.from_wkt(raster.crs.to_wkt()))
     layers = [
         _Layer("cloud", _CLOUD, "copc", "point-cloud", _CLOUD_RENDERER, False),

@@ -70,9 +70,9 @@ def _ramp(path: Path, colours: Colormap) -> str:
 
 def ramp(path: Path, colours: Colormap, band: int = 1) -> str:
     """The renderer of a raster: colours between the ends of the values of a band."""
-    import rasterio
+    from geo.drivers import open_raster
 
-    with rasterio.open(path) as raster:
+    with open_raster(path) as raster:
         scale = max(max(raster.shape) / _MOST_SIDE, 1.0)
         shape = tuple(max(int(side / scale), 1) for side in raster.shape)
         values = raster.read(band, out_shape=shape, masked=True).compressed()

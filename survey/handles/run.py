@@ -12,9 +12,9 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-import rasterio
 from pyproj import CRS
 
+from geo.drivers import open_raster
 from geo.las import read_cloud
 from geo.lines import Line
 from geo.shapes import Cloud
@@ -99,7 +99,7 @@ def dem_of(path: Path, options: ExportOptions) -> Dem:
         file = Path(folder) / "dem.tif"
         product.write(file, run, options)
         crs = run.bed_header.crs if options.crs is None else run.transformation_to(options.crs).crs
-        with rasterio.open(file) as raster:
+        with open_raster(file) as raster:
             layers = dict(zip(_BANDS, raster.read(masked=True).filled(np.nan), strict=True))
             transform, (rows, columns) = raster.transform, raster.shape
     return Dem(

@@ -45,8 +45,10 @@ _DAMAGE = (
     cv2.error,
 )
 _GLOBALS_LOCK = threading.RLock()
+# Formats of Pillow that a file may be taken for, whatever its suffix: others start programs (EPS) or are of no camera.
+_FORMATS = ("JPEG", "PNG", "TIFF", "WEBP")
 # Read by pillow-heif, an extra.
-HEIC_SUFFIXES = (".heic", ".heif")
+HEIC_SUFFIXES, _HEIC_FORMAT = (".heic", ".heif"), "HEIF"
 _WIDTH, _HEIGHT, _BITS, _ORIENTATION, _PLANES = 256, 257, 258, 274, 284
 _SEPARATE_PLANES = 2
 # Tag for bands beyond the colours: 0 is unspecified, 1 and 2 are premultiplied and straight transparency.
@@ -79,13 +81,15 @@ def open_image(path: Path) -> Iterator[Image.Image]:
     OSError
         What the disk refuses.
     """
+    formats: tuple[str, ...] = _FORMATS
     if path.suffix.lower() in HEIC_SUFFIXES:
         library_for(path, "pillow_heif", "heic").register_heif_opener()
+        formats = (*_FORMATS, _HEIC_FORMAT)
     # From an open file: Pillow maps a file that it opens itself into memory, and takes width for height in a TIFF that
     # its tag of the orientation turns by a quarter.
     with path.open("rb") as file:
         with damage_named(f"{path} is not an image that can be read"):
-            image = open_stream(file)
+            image = open_stream(file, *formats)
         with image:
             _require_fit(path, *image.size)
             yield image
@@ -111,11 +115,11 @@ def damage_named(message: str) -> Iterator[None]:
 
 
 def open_stream(file: BinaryIO, *formats: str) -> Image.Image:
-    """An image opened without Pillow's size limit, which is global to the process; of all formats, or of some."""
+    """An image of one of these formats, opened without Pillow's size limit, which is global to the process."""
     with without_complaints():
         limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
         try:
-            return Image.open(file, formats=formats or None)
+            return Image.open(file, formats=formats)
         finally:
             Image.MAX_IMAGE_PIXELS = limit
 

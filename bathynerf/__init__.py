@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from geo.reading import read_reference
     from geo.shapes import Cloud, Mesh
     from refract.camera import PinholeCamera
-    from refract.curved.height_field import HeightFieldWater
+    from refract.curved.bicubic import BicubicWater
     from refract.curved.wavy import WavyWater
     from refract.distortion import Distortion
     from refract.media import water_index
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
+    "BicubicWater",
     "Choices",
     "Cloud",
     "CompareOptions",
@@ -60,7 +61,6 @@ __all__ = [
     "ExportOptions",
     "FlatWater",
     "GeoError",
-    "HeightFieldWater",
     "LoadedSurvey",
     "LocalFrame",
     "Mesh",
@@ -102,7 +102,7 @@ _MODULES = {
     "geo.shapes": ("Cloud", "Mesh"),
     "refract.camera": ("PinholeCamera",),
     "refract.distortion": ("Distortion",),
-    "refract.curved.height_field": ("HeightFieldWater",),
+    "refract.curved.bicubic": ("BicubicWater",),
     "refract.media": ("water_index",),
     "refract.paths": ("trace",),
     "refract.projection": ("project",),

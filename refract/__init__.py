@@ -4,7 +4,6 @@
 
 from refract._numbers import OutsideFit
 from refract.camera import PinholeCamera
-from refract.layers import LayeredPath, ParallelLayers
 from refract.media import channel_indices, water_index
 from refract.paths import BentPaths, trace
 from refract.projection import Projection, crossing_point, project
@@ -19,18 +18,15 @@ from refract.snell import (
     tangential_shift,
     true_depth,
 )
-from refract.surfaces import FlatWater, TidalWater, WaterSurface
+from refract.surfaces import FlatWater, WaterSurface
 
 __all__ = [
     "BentPaths",
     "FlatWater",
-    "LayeredPath",
     "OutsideFit",
-    "ParallelLayers",
     "PinholeCamera",
     "Projection",
     "Regime",
-    "TidalWater",
     "WaterSurface",
     "apparent_depth",
     "apparent_depth_tangential",

@@ -24,8 +24,9 @@ def _is_array(x) -> bool:
 # `double` and `like` convert arrays to float64 and to the precision of the second argument, and leave plain numbers
 # alone; `integer` converts to integers (numpy and torch); `fixed` detaches a value from its derivatives, and `tracked`
 # says whether any argument may carry some, in reverse or forward mode; `eps` is the spacing of numbers near one;
-# `orders` is the number of steps that attach derivatives to a root (`refract._implicit`); `same` is the value of a mask
-# that is the same everywhere, None if it is not, or if knowing it would mean waiting for the device.
+# `orders` is the number of orders of derivatives; `same` is the value of a mask that is the same everywhere, None if it
+# is not, or if knowing it would mean waiting for the device; `none` says whether a mask holds nowhere, false where that
+# cannot be read, and has Dr.Jit evaluate the state of a loop.
 _NUMPY = SimpleNamespace(
     name="numpy", sqrt=np.sqrt, sin=np.sin, cos=np.cos, atan=np.arctan, exp=np.exp, isnan=np.isnan,
     where=np.where, minimum=np.minimum, maximum=np.maximum, abs=np.abs,
@@ -38,6 +39,7 @@ _NUMPY = SimpleNamespace(
     fixed=lambda x: x,
     tracked=lambda *arrays: False,
     same=lambda mask: _same(mask),
+    none=lambda mask, *state: not mask.any(),
 )  # fmt: skip
 
 
@@ -55,7 +57,7 @@ def quiet(function):
     def call(*args, **options):
         if compiling():
             return function(*args, **options)
-        with np.errstate(invalid="ignore", over="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             return function(*args, **options)
 
     return call
@@ -115,11 +117,6 @@ def transformed() -> bool:
     return "torch" in sys.modules and _library("torch").transformed()
 
 
-def solve(name: str, kind: str, numbers, arrays) -> tuple:
-    """See `refract._with_torch.solve`."""
-    return _library("torch").solve(name, kind, numbers, arrays)
-
-
 def as_like(values, like):
     """`values` in the library, type and place of the array `like`; numpy becomes float64."""
     torch = sys.modules.get("torch")
@@ -156,14 +153,14 @@ def as_numpy(array) -> np.ndarray:
 _BLOCK = 8192
 
 
-def in_blocks(function, *arrays) -> np.ndarray:
-    """``function(*arrays)``, an elementwise function of numpy arrays that broadcast, computed block by block."""
+def in_blocks(function, *arrays) -> tuple[np.ndarray, ...]:
+    """Arrays that an elementwise function of numpy arrays that broadcast returns, computed block by block."""
     arrays = np.broadcast_arrays(*arrays)
-    found, flat = np.empty(arrays[0].shape), [array.reshape(-1) for array in arrays]
-    for first in range(0, found.size, _BLOCK):
-        block = slice(first, first + _BLOCK)
-        found.reshape(-1)[block] = function(*(array[block] for array in flat))
-    return found
+    flat = [array.reshape(-1) for array in arrays]
+    starts = range(0, max(flat[0].size, 1), _BLOCK)
+    parts = [function(*(array[first : first + _BLOCK] for array in flat)) for first in starts]
+    columns = zip(*parts, strict=True)
+    return tuple((c[0] if len(c) == 1 else np.concatenate(c)).reshape(arrays[0].shape) for c in columns)
 
 
 def common(**arrays) -> tuple:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from refract._array import as_like, as_numpy, compiling, namespace, solve, transformed
+from refract._array import as_like, as_numpy, compiling, namespace, transformed
 
 
 def number(value):
@@ -29,34 +29,11 @@ def number(value):
     return array if array.ndim else float(array)
 
 
-def plain(value) -> float:
-    """The value of a single number of any library, without its gradient.
-
-    Raises
-    ------
-    ValueError
-        If there are several.
-    """
-    array = as_numpy(value)
-    if array.size != 1:
-        raise ValueError(f"expected one number, got an array of shape {array.shape}; take one surface for each")
-    return array.item()
-
-
 def hold(condition: Callable[[np.ndarray], np.ndarray], *numbers) -> bool:
     """Whether a condition holds for all values; True while a transform of torch hides the values of tensors."""
     if transformed():
         return True
     return all(bool(condition(as_numpy(value)).all()) for value in numbers)
-
-
-def least(*numbers):
-    """The smallest of numbers, some of which may be tensors that cannot be read."""
-    smallest = numbers[0]
-    for value in numbers[1:]:
-        both = namespace(smallest, value)
-        smallest = min(smallest, value) if both.name == "numpy" else both.minimum(smallest, value)
-    return smallest
 
 
 def require_index(index) -> None:
@@ -87,17 +64,6 @@ def mapped(surface, change: Callable[[Any], Any]) -> Any:
 def moved(surface, place: Iterable, options: dict) -> Any:
     """The same dataclass with its tensors moved, as ``Tensor.to(*place, **options)`` moves one."""
     return mapped(surface, lambda tensor: tensor.to(*place, **options))
-
-
-def read(solver: Callable, surface, arrays: tuple) -> tuple:
-    """Result of a solver of `refract._solvers` for a surface and arrays of one shape, in their library.
-
-    Without derivatives. Under a transform of torch it is called where the values can be read.
-    """
-    if transformed() and namespace(*arrays).name == "torch":
-        return solve(solver.__name__, type(surface).__name__, surface.numbers, arrays)
-    found = solver(surface.detached(), *(as_numpy(array) for array in arrays))
-    return tuple(as_like(each, arrays[0]) for each in found)
 
 
 class OutsideFit(UserWarning):

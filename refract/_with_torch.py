@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-import numpy as np
 import torch
-
-from refract._solvers import SOLVERS, SURFACES
 
 
 def transformed() -> bool:
@@ -70,42 +67,5 @@ NAMESPACE = SimpleNamespace(
     eps=lambda x: torch.finfo(x.dtype).eps,
     orders=2,
     fixed=if_tensor(torch.Tensor.detach), tracked=tracked, same=same,
+    none=lambda mask, *state: not transformed() and not mask.any(),
 )  # fmt: skip
-
-
-@torch.library.custom_op(
-    "refract::solve", mutates_args=(), schema="(str name, str kind, Tensor[] numbers, Tensor[] arrays) -> Tensor[]"
-)
-def _solve(name, kind, numbers, arrays):
-    surface = SURFACES[kind](*(number.detach().cpu().numpy() for number in numbers))
-    with np.errstate(all="ignore"):  # the numpy of what torch.compile calls is not `quiet`
-        found = SOLVERS[name][1](surface, *(array.detach().cpu().numpy() for array in arrays))
-    return [torch.tensor(each, dtype=arrays[0].dtype, device=arrays[0].device) for each in found]
-
-
-@_solve.register_fake
-def _(name, kind, numbers, arrays):
-    return [arrays[0].new_empty(arrays[0].shape) for _ in range(SOLVERS[name][0])]
-
-
-@_solve.register_vmap
-def _(info, in_dims, name, kind, numbers, arrays):
-    def row(tensors, dims, at):
-        return [t if dim is None else t.select(dim, at) for t, dim in zip(tensors, dims, strict=True)]
-
-    rows = [
-        _solve(name, kind, row(numbers, in_dims[2], at), row(arrays, in_dims[3], at)) for at in range(info.batch_size)
-    ]
-    outputs = [torch.stack(each) for each in zip(*rows, strict=True)]
-    return outputs, [0] * len(outputs)
-
-
-def solve(name: str, kind: str, numbers, arrays) -> tuple:
-    """Result of a solver (`refract._solvers`) as tensors like the first of `arrays`, without derivatives.
-
-    A custom operator of torch: torch.compile does not trace into it, and vmap calls it once for each row.
-    """
-    like = arrays[0]
-    # torch.compile treats numpy arrays as tensors, but does not support their methods.
-    numbers = [torch.as_tensor(number, dtype=torch.float64, device=like.device).detach() for number in numbers]
-    return tuple(_solve(name, kind, numbers, [array.detach() for array in arrays]))

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import final, overload
+from typing import final
 
 import numpy as np
 
 from refract.distortion import Distortion
-from refract.layers import LayeredPath, ParallelLayers
 from refract.paths import BentPaths, trace
-from refract.projection import EXACT_STEPS, crossing_point, project
+from refract.projection import EXACT_STEPS, crossing_point
 from refract.surfaces import WaterSurface
 
 # Poses in files carry six to nine digits; a matrix with a larger deviation is a mistake, not a rotation.
@@ -178,18 +177,12 @@ class PinholeCamera:
         rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ self.cam_from_local
         return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
-    @overload
-    def paths(self, pixels, water: WaterSurface | None) -> BentPaths: ...
-
-    @overload
-    def paths(self, pixels, water: ParallelLayers) -> LayeredPath: ...
-
-    def paths(self, pixels, water):
+    def paths(self, pixels, water: WaterSurface | None) -> BentPaths:
         """Bent paths of pixels (..., 2) [px]; see `refract.paths.trace`."""
         path = trace(self._over_own(self.centres(pixels)), self.directions(pixels), water)
         return path if self.tide == 0.0 else path.raised(self.tide)
 
-    def project(self, points, water: WaterSurface | ParallelLayers | None, *, steps: int = EXACT_STEPS) -> np.ndarray:
+    def project(self, points, water: WaterSurface | None, *, steps: int = EXACT_STEPS) -> np.ndarray:
         """Pixels (..., 2) [px] at which points (..., 3) [m], local, appear through the water.
 
         NaN for points behind the camera, and beyond the reach of its lens; pixels outside the image are returned as
@@ -214,11 +207,7 @@ class PinholeCamera:
     def _project_from(self, centre: np.ndarray, points: np.ndarray, water, steps: int) -> np.ndarray:
         """Projection of points for a centre of projection and the water at the time of the photograph; as `project`."""
         centre = self._over_own(centre)
-        if isinstance(water, ParallelLayers):
-            direction = project(points, centre, water).direction
-        else:
-            direction = crossing_point(points, centre, water, steps=steps) - centre
-        return self.pixels_of(direction)
+        return self.pixels_of(crossing_point(points, centre, water, steps=steps) - centre)
 
     def pixels_of(self, directions: np.ndarray) -> np.ndarray:
         """Pixels (..., 2) [px] of straight rays (..., 3), local, from the centre; NaN as for `project`."""

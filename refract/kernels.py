@@ -198,7 +198,7 @@ def air_share(D_squared, H, h, n, steps, like=None):
     terms = n * H, (n - 1.0) * (n + 1.0) * D_squared, h
     xp = namespace(*terms)
     if xp.name == "numpy":
-        return in_blocks(lambda *block: _solved(xp, block, steps, like), *terms)
+        return in_blocks(lambda *block: (_solved(xp, block, steps, like),), *terms)[0]
     if not xp.tracked(*terms):
         return _solved(xp, terms, steps, like)
     return _attached(_solved(xp, terms, max(steps - 1, 0), like), *terms)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, final, overload
+from typing import Any, final
 
 from refract import kernels
 from refract._array import common, components, namespace, quiet, spread, stack
 from refract._numbers import in_library, of_any_size
-from refract.layers import LayeredPath, ParallelLayers
 from refract.snell import Regime, regime_counts
 from refract.surfaces import FlatWater, WaterSurface, derivable, height_over, require_surface
 
@@ -101,29 +100,21 @@ class BentPaths:
         return stack(*kernels.chosen(valid, tuple(xp.like(p, self.air_length) for p in points), math.nan))
 
 
-@overload
-def trace(origin, direction, surface: WaterSurface | None) -> BentPaths: ...
-
-
-@overload
-def trace(origin, direction, surface: ParallelLayers) -> LayeredPath: ...
-
-
 @of_any_size
 @quiet
-def trace(origin, direction, surface):
+def trace(origin, direction, surface: WaterSurface | None) -> BentPaths:
     """Bend camera rays at the water surface.
 
     Parameters
     ----------
     origin, direction : (..., 3) numpy, torch, or Dr.Jit Array3f or Array3f64; local [m] and unit
         Camera centres and directions of view; they broadcast.
-    surface : WaterSurface, ParallelLayers or None
+    surface : WaterSurface or None
         None leaves every ray straight and dry.
 
     Returns
     -------
-    BentPaths, or LayeredPath through layers
+    BentPaths
         A ray that never meets the water (it looks up, or runs along the surface) is straight and not wet, and
         only its crossing is NaN. A camera on or below the surface looks straight through the water; it counts
         as wet, with a crossing at the camera. A direction whose length is not one (by more than 5e-6) is invalid. A
@@ -137,8 +128,6 @@ def trace(origin, direction, surface):
         If the surface is none.
     """
     require_surface(surface)
-    if isinstance(surface, ParallelLayers):
-        return surface.trace(origin, direction)
     origin, direction = common(origin=origin, direction=direction)
     given = components(origin), components(direction)
     (o, d), xp = given, namespace(*given[0])

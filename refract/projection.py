@@ -9,7 +9,6 @@ from typing import Any, final
 from refract import kernels
 from refract._array import common, components, namespace, quiet, spread, stack
 from refract._numbers import of_any_size
-from refract.layers import ParallelLayers
 from refract.snell import Regime, regime_counts
 from refract.surfaces import FlatWater, WaterSurface, derivable, height_over, require_surface
 
@@ -40,7 +39,6 @@ class Projection:
     # without water
     depth: Any
     wet: Any  # (...) bool: the point is below the surface
-    num_paths: Any  # (...) int: stationary paths that were found; the least optical one was taken
     under_water: Any  # (...) bool: the camera is on or below the surface
     # Where all is in reach; the point; the legs to the crossing and on to the point; `_measured` of the first.
     _valid: Any = field(repr=False)
@@ -110,7 +108,7 @@ def _stacked(keep, triple, like):
 
 @of_any_size
 @quiet
-def project(points, camera, surface: WaterSurface | ParallelLayers | None, *, steps: int = EXACT_STEPS) -> Projection:
+def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_STEPS) -> Projection:
     """Projection of points of the bed into a camera: the least optical path (Fermat) through the surface.
 
     Points and camera in float32 are computed in float64 where digits would be lost, and rounded once at the end.
@@ -120,9 +118,8 @@ def project(points, camera, surface: WaterSurface | ParallelLayers | None, *, st
     points : (..., 3) [m], local; numpy, torch, or a Dr.Jit Array3f or Array3f64
     camera : (3,) or (..., 3) [m], local
         Camera centre.
-    surface : WaterSurface, ParallelLayers or None
-        None: there is no water, and every ray is straight. Of layers, the air leg is the one in the first medium, and
-        crossing, water leg and depth are those behind the last interface; points that are not there are unseen.
+    surface : WaterSurface or None
+        None: there is no water, and every ray is straight.
     steps : int
         Steps that the solver of the surface may take; fewer are faster (docs/optics.md).
 
@@ -144,16 +141,16 @@ def project(points, camera, surface: WaterSurface | ParallelLayers | None, *, st
     points, camera = common(points=points, camera=camera)
     point, centre = components(points), components(camera)
     valid, point, centre = _ends(point, centre, surface)
-    legs, depth, num_paths, below = _legs(point, centre, surface, steps)
+    legs, depth, below = _legs(point, centre, surface, steps)
     xp = namespace(depth)
     wet = valid & (depth > 0.0)
     squared, inverse = _measured(legs[0])
     seen = valid & ~(squared < _NO_LEG)
     direction = _stacked(seen, tuple(c * inverse for c in legs[0]), point[0])
     depth = xp.where(valid, xp.like(depth, point[0]), math.nan)
-    numbers = depth, wet, xp.where(valid, num_paths, 0), valid & below
+    numbers = depth, wet, valid & below
     if xp.name != "drjit":
-        numbers = spread(*numbers, direction[..., 0])[:4]
+        numbers = spread(*numbers, direction[..., 0])[:3]
     return Projection(
         direction, *numbers, _valid=valid, _point=kernels.double(point), _legs=legs, _first=(squared, inverse)
     )
@@ -168,39 +165,33 @@ def _ends(point, centre, surface):
 
 
 def _legs(point, centre, surface, steps: int) -> tuple:
-    """Legs to the crossing and on, depth, number of paths, and where the camera is below the surface."""
+    """Legs to the crossing and on, depth, and where the camera is below the surface."""
     p, c = kernels.double(point), kernels.double(centre)
     if surface is None:
         none = (p[2] - c[2]) * 0.0
-        return (kernels.minus(p, c), (none, none, none)), none, 1, none > 0.0
-    if isinstance(surface, ParallelLayers):
-        legs, depth = surface.legs(c, p)
-        seen, xp = kernels.dot(legs[0], legs[0]) > 0.0, namespace(depth)
-        return tuple(kernels.chosen(seen, leg, math.nan) for leg in legs), depth, xp.where(seen, 1, 0), seen & False
+        return (kernels.minus(p, c), (none, none, none)), none, none > 0.0
     below = height_over(surface, centre) <= kernels.CONTACT
     if isinstance(surface, FlatWater):
-        *legs, depth, num_paths = surface.legs(centre, point, steps)
-        return legs, depth, num_paths, below
-    seen, depth, num_paths = surface.crossing(centre, point, steps)
+        *legs, depth = surface.legs(centre, point, steps)
+        return legs, depth, below
+    seen, depth = surface.crossing(centre, point, steps)
     seen, xp = kernels.double(seen), namespace(*p)
     # Where the surface has no height there is no water.
     depth = xp.where(xp.isnan(depth), 0.0, depth)
     found = ~xp.isnan(seen[0])
     legs = tuple(kernels.chosen(found, leg, math.nan) for leg in (kernels.minus(seen, c), kernels.minus(p, seen)))
-    return legs, depth, num_paths, below
+    return legs, depth, below
 
 
 @of_any_size
 @quiet
-def crossing_point(points, camera, surface: WaterSurface | ParallelLayers | None, *, steps: int = EXACT_STEPS):
+def crossing_point(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_STEPS):
     """Point of the water surface (..., 3) [m], local, through which the camera sees a point of the bed.
 
-    The point itself where the ray to it is straight; better than 1e-9 m in float64. Of layers, the point of the last
-    interface. Arguments and errors as for `project`, of which this is the crossing and costs less.
+    The point itself where the ray to it is straight; better than 1e-9 m in float64. Arguments and errors as for
+    `project`, of which this is the crossing and costs less.
     """
     require_surface(surface)
-    if isinstance(surface, ParallelLayers):
-        return project(points, camera, surface, steps=steps).crossing
     points, camera = common(points=points, camera=camera)
     valid, point, centre = _ends(components(points), components(camera), surface)
     crossing = point if surface is None else surface.crossing(centre, point, steps)[0]

@@ -1,4 +1,4 @@
-"""Water surfaces: the small interface that all of them share, the plane, and the plane at the time of each photograph.
+"""Water surfaces: the small interface that all of them share, and the plane.
 
 Everything here speaks in triples ``(x, y, z)`` of component arrays of any one library, as `refract.kernels` does;
 `refract.trace` and `refract.project` take and give arrays of vectors.
@@ -13,7 +13,7 @@ from typing import Any, Protocol, final
 import numpy as np
 
 from refract import kernels
-from refract._array import as_numpy, components, namespace, root
+from refract._array import components, namespace, root
 from refract._numbers import hold, in_library, moved, number, of_any_size, require_index
 from refract.kernels import GRAZING
 
@@ -44,24 +44,20 @@ class WaterSurface(Protocol):
         Finite and at least zero; NaN where a ray never meets it. Callers never pass rays that start below.
         """
 
-    def crossing(self, camera, point, steps: int) -> tuple[tuple[Any, Any, Any], Any, Any]:
-        """Crossing of the surface through which a camera sees a point.
+    def crossing(self, camera, point, steps: int) -> tuple[tuple[Any, Any, Any], Any]:
+        """Crossing of the surface through which a camera sees a point, and the depth of the point below the surface.
 
-        Returns the crossing, the depth of the point below the surface (along the normal of a plane, vertical for
-        a curved surface) and the number of stationary paths, from which the one of least optical length was
-        taken. A point that is not below the surface, and every point for a camera that is not above it, is its own
-        crossing: the ray is straight. At most `steps` steps are taken, where a surface takes steps. The answer may be
-        in a higher precision than the arguments; `project` rounds it once.
+        The depth is along the normal of a plane, vertical for a curved surface. A point that is not below the surface,
+        and every point for a camera that is not above it, is its own crossing: the ray is straight. At most `steps`
+        steps are taken, where a surface takes steps. The answer may be in a higher precision than the arguments;
+        `project` rounds it once.
         """
 
 
 def require_surface(surface) -> None:
     """TypeError unless `trace` and `project` can take this surface."""
-    if surface is not None and not any(hasattr(surface, name) for name in ("intersect", "legs")):
-        raise TypeError(
-            "expected FlatWater, another WaterSurface, ParallelLayers or None, got "
-            f"{type(surface).__name__}; of a TidalWater take the water of one time, water.at(time)"
-        )
+    if surface is not None and not hasattr(surface, "intersect"):
+        raise TypeError(f"expected FlatWater, another WaterSurface or None, got {type(surface).__name__}")
 
 
 def height_over(surface: WaterSurface, position):
@@ -230,12 +226,12 @@ class FlatWater:
         return select(H / select(falling, 1.0), math.nan)
 
     def legs(self, camera, point, steps: int):
-        """The legs of the path from camera to point, the depth of the point and the number of paths; in float64."""
-        return *self._solved(kernels.legs_of_point, camera, point, steps), 1
+        """The legs of the path from camera to point, and the depth of the point; in float64."""
+        return self._solved(kernels.legs_of_point, camera, point, steps)
 
     def crossing(self, camera, point, steps: int):
-        """See `WaterSurface.crossing`; a plane has one stationary path. Answers in float64."""
-        return *self._solved(kernels.crossing_of_point, camera, point, steps), 1
+        """See `WaterSurface.crossing`. Answers in float64."""
+        return self._solved(kernels.crossing_of_point, camera, point, steps)
 
     def _solved(self, kernel, camera, point, steps: int) -> tuple:
         single = namespace(*point).eps(point[0]) > 1e-10
@@ -244,94 +240,3 @@ class FlatWater:
         plane = kernels.WaterPlane(kernels.double(plane_point), kernels.double(up), kernels.double((n_water,))[0])
         camera, point_64 = kernels.double(camera), kernels.double(point)
         return kernel(camera, point_64, plane, min(steps, enough), like=point[0] if single else None)
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class TidalWater:
-    """A level from a gauge, in a right-handed frame with z up.
-
-    Between two readings the level is interpolated linearly. The error of that, for a tide of amplitude a and period T
-    read every dt seconds, is at most ``a (pi dt / T)^2 / 2``: with the half-daily tide of 12.42 h, for each metre of
-    amplitude, 0.9 mm for readings every 10 minutes and 32 mm for hourly ones.
-
-    Parameters
-    ----------
-    times : (readings,)
-        Rising: seconds since any one moment, or numpy datetime64 (which knows no time zone: UTC throughout).
-    levels : (readings,) [m], local
-        Height z of the water at x, y of `point`; a tensor of torch to derive by the readings,
-        under `torch.func`, too (for `torch.compile` call `at` before).
-    point : (2,) [m], local
-        Place of the gauge; matters only with slopes.
-    n_water, slope_x, slope_y :
-        As for `FlatWater`.
-
-    Raises
-    ------
-    ValueError
-        If there are less than two readings, shapes differ, times do not rise, or a reading is not finite.
-    """
-
-    times: Any
-    levels: Any
-    _: KW_ONLY
-    point: tuple[float, float] = (0.0, 0.0)
-    n_water: Any = 1.333
-    slope_x: Any = 0.0
-    slope_y: Any = 0.0
-
-    def __post_init__(self):
-        times = np.asarray(self.times)
-        levels = number(self.levels) if namespace(self.levels).name == "torch" else np.asarray(self.levels, np.float64)
-        if not np.issubdtype(times.dtype, np.datetime64):
-            times = times.astype(np.float64)
-        object.__setattr__(self, "times", times)
-        object.__setattr__(self, "levels", levels)
-        if times.ndim != 1 or times.shape != tuple(levels.shape) or times.size < 2:
-            raise ValueError(
-                "expected times and levels (readings,), at least two of each, got "
-                f"{times.shape} and {tuple(levels.shape)}"
-            )
-        missing = np.isnat(times) if times.dtype.kind == "M" else ~np.isfinite(times)
-        if missing.any() or not hold(np.isfinite, levels):
-            bad = int(np.flatnonzero(missing | ~np.isfinite(as_numpy(levels)))[0])
-            raise ValueError(f"expected finite times and levels, got {levels[bad]} m at {times[bad]}; leave it out")
-        falls = np.flatnonzero(times[1:] <= times[:-1])
-        if falls.size:
-            raise ValueError(f"expected rising times, got {times[falls[0]]} before {times[falls[0] + 1]}; sort them")
-        self.at(times[0])  # FlatWater checks the other numbers
-
-    def to(self, *place, **options) -> TidalWater:
-        """The same series with its tensors moved, by the arguments of `torch.Tensor.to`."""
-        return moved(self, place, options)
-
-    def at(self, time) -> FlatWater:
-        """The flat water at one time, or at each of several, of the same kind as the times of the readings.
-
-        Parameters
-        ----------
-        time : number or datetime64, or (...) of them
-            Of photographs, say: `trace` and `project` then take one ray, or one row of rays, for each.
-
-        Raises
-        ------
-        ValueError
-            If a time lies outside the readings, or is not of their kind.
-        """
-        times = np.asarray(time)
-        if (self.times.dtype.kind == "M") != (times.dtype.kind == "M"):
-            raise ValueError(f"expected times like {self.times[0]!r}, as the readings have, got {time!r}")
-        inside = (self.times[0] <= times) & (times <= self.times[-1])
-        if not inside.all():
-            raise ValueError(
-                f"no level at {times[~inside][0]}: the readings run from {self.times[0]} to {self.times[-1]}; "
-                "extend the gauge series, a level outside it would be a guess"
-            )
-        before = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, self.times.size - 2)
-        # Differences of dates: dates themselves would lose nanoseconds in float64.
-        share = (times - self.times[before]) / (self.times[before + 1] - self.times[before])
-        share = in_library(share, self.levels) if share.ndim else float(share)
-        level = self.levels[before] * (1.0 - share) + self.levels[before + 1] * share
-        x, y = self.point
-        return FlatWater((x, y, level), n_water=self.n_water, slope_x=self.slope_x, slope_y=self.slope_y)

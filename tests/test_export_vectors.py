@@ -19,7 +19,6 @@ from stored_run import plane_stored, run_of
 
 from geo.errors import UnwritableFile
 from geo.vectors import DxfLine, Layer, write_dxf, write_geojson, write_geopackage, write_shapefile
-from refract.curved import curvature_drop
 from survey.errors import SurveyError
 from survey.export.export import export
 from survey.export.loaded import LoadedRun
@@ -28,7 +27,7 @@ from survey.export.product import ExportOptions
 from survey.folder.survey import load_survey
 from survey.progress import Progress
 from survey.run.flight import load_flight, save_flight
-from survey.water.surface import plane_under, still_water
+from survey.water.surface import curvature_drop, plane_under, still_water
 
 TO_CRS = Transformer.from_crs("EPSG:4326", "EPSG:25832", always_xy=True)
 # Cells of 0.2 m on the rim of the hole have points in one half only.

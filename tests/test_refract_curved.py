@@ -1,135 +1,409 @@
-"""Curved surfaces through the public doors: `trace` down and `project` back, on every library that they run on."""
+"""Waves, measured heights and a plug-in of height and gradient: laws of optics on every library that they run on."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from slow_cases import slow
+from surface_rays import bed_points, cameras, falling_rays, view_angle
+from torch.func import jacfwd, jacrev, vmap
 
-from refract import Regime, project, trace
-from refract.curved.height_field import HeightFieldWater
-from refract.curved.spherical import SphericalWater
-from refract.curved.wavy import WavyWater
-from refract.surfaces import FlatWater
+from refract import FlatWater, Regime, crossing_point, kernels, project, trace
+from refract.curved import BicubicWater, CurvedWater, WavyWater
 
-WAVES = WavyWater((0.0, 0.0, 0.3), (0.02, 0.01), ((1.5, 0.3), (-0.6, 2.2)), (0.3, 1.0))
-NODES = np.linspace(-90.0, 90.0, 46)
-RIVER = HeightFieldWater.from_raster(NODES, NODES, 0.3 + 0.002 * NODES - 1e-5 * NODES[:, None] ** 2)
-SURFACES = {"waves": WAVES, "sphere": SphericalWater((0.0, 0.0, 0.3)), "river": RIVER}
-RAY_RAD = 1e-12
+CENTRE = np.array([1.0, -2.0, 40.0])
+# Coordinates of 60 m, some twenty roundings.
+NEAR_M, NEAR_RAD = 1e-12, 1e-12
 # float32: the bed point, some 60 m from the origin, is rounded by 2e-6 m, seen from 10 m and more; and the ray by 1e-7.
-RAY_RAD_32 = 2e-6
+NEAR_RAD_32 = 2e-6
+always = settings(max_examples=40, deadline=None, derandomize=True)
 
 
-def rays(rng, count, flattest_deg=50.0):
-    """Camera centres 10 to 60 m up, and unit rays: (count, 3)."""
-    angle, turn = np.radians(rng.uniform(0.0, flattest_deg, count)), rng.uniform(0.0, 2.0 * np.pi, count)
-    ray = np.stack([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), -np.cos(angle)], axis=-1)
-    return np.concatenate([rng.uniform(-3, 3, (count, 2)), rng.uniform(10, 60, (count, 1))], axis=-1), ray
+class Bowl(CurvedWater):
+    """``z = level + b (x^2 + y^2)``; only height and gradient."""
+
+    def __init__(self, level=0.3, n_water=1.333, b=1e-3):
+        self.level, self.n_water, self.b = level, n_water, b
+
+    def height(self, x, y):
+        return self.level + self.b * (x * x + y * y)
+
+    def gradient(self, x, y):
+        return 2.0 * self.b * x, 2.0 * self.b * y
 
 
-def angle_between(a, b):
-    cross = np.linalg.norm(np.cross(a, b), axis=-1)
-    return cross / np.linalg.norm(a, axis=-1) / np.linalg.norm(b, axis=-1)
+def waves(level=0.3, n_water=1.333):
+    return WavyWater((0.0, 0.0, level), (0.02, 0.01), ((1.5, 0.3), (-0.6, 2.2)), (0.3, 1.0), n_water=n_water)
 
 
-@pytest.mark.parametrize("name", SURFACES)
-def test_project_after_trace_returns_the_ray(rng, name):
-    camera, ray = rays(rng, 500)
-    path = trace(camera, ray, SURFACES[name])
-    assert path.wet.all()
-    bed = path.at(path.air_length + rng.uniform(0.01, 8.0, 500))
-    back = project(bed, camera, SURFACES[name])
-    one = back.num_paths == 1
-    assert one.mean() > 0.95  # a raster has ridges
-    assert angle_between(back.direction, ray)[one].max() < RAY_RAD
-    assert back.regime_counts()["bent"] == path.regime_counts()["bent"] == 500
+NODES = np.arange(-120.0, 121.0, 4.0)
+RELIEF = 0.05 * np.sin(0.2 * NODES) * np.cos(0.3 * NODES[:, None])
 
 
-@pytest.mark.parametrize("name", SURFACES)
-def test_torch_in_float32_returns_the_ray(rng, name):
-    camera, ray = (torch.tensor(v, dtype=torch.float32) for v in rays(rng, 300))
-    path = trace(camera, ray, SURFACES[name])
-    back = project(path.at(path.air_length + 3.0), camera, SURFACES[name])
-    one = (back.num_paths == 1).numpy()
-    assert one.mean() > 0.95
-    assert back.direction.dtype == torch.float32
-    assert angle_between(back.direction.double().numpy(), ray.double().numpy())[one].max() < RAY_RAD_32
+def pieces(level=0.3, n_water=1.333):
+    relief = RELIEF if isinstance(level, float) else torch.tensor(RELIEF, dtype=level.dtype)
+    return BicubicWater((-120.0, -120.0), 4.0, relief + level, n_water=n_water)
 
 
-@pytest.mark.parametrize("name", ["waves", "sphere"])
-def test_drjit_in_float32_returns_the_ray(rng, name):
+KINDS = {"waves": waves, "cubic pieces": pieces, "height and gradient": Bowl}
+# Waves that focus light from a metre below: several paths lead up from deeper points.
+CHOP = WavyWater((0.0, 0.0, 0.0), (0.03, 0.012), ((6.0, 1.0), (-4.0, 13.0)), (0.3, 1.1))
+
+
+def vectors(library, *rows, single=False):
+    """Arrays of vectors (..., 3) in a library."""
+    if library == "numpy":
+        return rows
+    if library == "torch":
+        return tuple(torch.tensor(v, dtype=torch.float32 if single else torch.float64) for v in rows)
     drjit = pytest.importorskip("drjit", reason="Dr.Jit is not installed")
     if not drjit.has_backend(drjit.JitBackend.LLVM):
         pytest.skip("Dr.Jit finds no LLVM; install libllvm19 or set DRJIT_LIBLLVM_PATH")
-    from drjit.llvm.ad import Array3f
+    from drjit.llvm.ad import Array3f, Array3f64
 
-    camera, ray = rays(rng, 300)
-    centre, wrapped = Array3f(camera.T), Array3f(ray.T)
-    path = trace(centre, wrapped, SURFACES[name])
-    back = project(path.at(path.air_length + 3.0), centre, SURFACES[name])
-    assert np.all(np.asarray(back.num_paths) == 1)
-    assert angle_between(np.asarray(back.direction, dtype=np.float64).T, np.asarray(wrapped).T).max() < RAY_RAD_32
+    return tuple((Array3f if single else Array3f64)(np.asarray(v).T) for v in rows)
 
 
-@pytest.mark.parametrize("name", SURFACES)
-def test_what_has_no_answer_is_counted(name):
+def rows(array):
+    array = np.asarray(array, dtype=np.float64)
+    return array if array.shape[-1] == 3 else array.T
+
+
+def seen_rays(rng, count, flattest_deg=50.0):
+    """Camera centres 10 to 60 m up, and unit rays: (count, 3)."""
+    return (
+        np.stack(v, axis=-1) for v in (cameras(rng, count, (10.0, 60.0)), falling_rays(rng, count, 0, flattest_deg))
+    )
+
+
+LIBRARIES = [(kind, library) for kind in KINDS for library in ("numpy", "torch", "drjit")]
+LIBRARIES.remove(("cubic pieces", "drjit"))
+
+
+@pytest.mark.parametrize("single", [False, True])
+@pytest.mark.parametrize(("kind", "library"), LIBRARIES)
+def test_project_gives_the_traced_ray_back(rng, kind, library, single):
+    camera, ray = vectors(library, *seen_rays(rng, 300), single=single)
+    water = KINDS[kind]()
+    path = trace(camera, ray, water)
+    back = project(path.at(path.air_length + 3.0), camera, water)
+    found, expected = rows(back.direction), rows(ray)
+    angle = np.linalg.norm(np.cross(found, expected), axis=-1)
+    assert angle.max() < (NEAR_RAD_32 if single and library != "numpy" else NEAR_RAD)
+    assert path.regime_counts()["bent"] == back.regime_counts()["bent"] == 300
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@always
+@given(seed=st.integers(0, 2**32 - 1), n_water=st.floats(1.0, 1.6), depth=st.floats(-3.0, 1.5))
+def test_paths_obey_snell_and_fermat(kind, seed, n_water, depth):
+    """The tangential part of the ray times its index is the same on both sides, and no way nearby is shorter."""
+    rng, water = np.random.default_rng(seed), KINDS[kind](n_water=n_water)
+    camera, ray = seen_rays(rng, 5)
+    path = trace(camera, ray, water)
+    bed = path.at(path.air_length + 10.0**depth)
+    seen = project(bed, camera, water)
+    normal = np.stack(water.normal(*seen.crossing[:, :2].T), axis=-1)
+    legs = bed - seen.crossing
+    assert (
+        np.linalg.norm(np.cross(path.water_direction, normal) * n_water - np.cross(ray, normal), axis=1).max() < 1e-14
+    )
+    # The leg of a point just below the surface is a difference of coordinates of 60 m.
+    off = np.cross(legs, normal) * n_water / seen.water_length[:, None] - np.cross(seen.direction, normal)
+    assert np.linalg.norm(off, axis=1).max() < 1e-13 + NEAR_M / 10.0**depth
+    np.testing.assert_allclose(seen.crossing, path.crossing, atol=NEAR_M * (1.0 + 0.1 / (n_water - 0.99)))
+    least = seen.air_length + n_water * seen.water_length
+    for turn in np.linspace(0.0, 2.0 * math.pi, 7):
+        x, y = seen.crossing[:, 0] + 0.01 * math.cos(turn), seen.crossing[:, 1] + 0.01 * math.sin(turn)
+        way = np.stack([x, y, water.height(x, y)], axis=-1)
+        assert np.all(
+            np.linalg.norm(way - camera, axis=1) + n_water * np.linalg.norm(way - bed, axis=1) > least - 1e-13
+        )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_index_of_one_and_a_ray_along_the_normal_stay_straight(rng, kind):
+    camera, ray = seen_rays(rng, 50)
+    np.testing.assert_allclose(trace(camera, ray, KINDS[kind](n_water=1.0)).water_direction, ray, atol=1e-15)
+    bed = rng.uniform((-20.0, -20.0, -6.0), (20.0, 20.0, -0.5), (50, 3))
+    way = bed - camera
+    found = project(bed, camera, KINDS[kind](n_water=1.0)).direction
+    np.testing.assert_allclose(found, way / np.linalg.norm(way, axis=1, keepdims=True), atol=1e-14)
+    water = KINDS[kind]()
+    x, y = rng.uniform(-10.0, 10.0, (2, 50))
+    foot, normal = np.stack([x, y, water.height(x, y)], axis=-1), np.stack(water.normal(x, y), axis=-1)
+    path = trace(foot + 20.0 * normal, -normal, water)
+    np.testing.assert_allclose(path.crossing, foot, atol=NEAR_M)
+    np.testing.assert_allclose(path.water_direction, -normal, atol=NEAR_M)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_gradient_and_hessian_are_the_derivatives_of_the_height(rng, kind):
+    water, step = KINDS[kind](), 1e-4
+    x, y = rng.uniform(-20.0, 20.0, (2, 100))
+
+    def rate(function, dx, dy):
+        return (np.array(function(x + dx, y + dy)) - function(x - dx, y - dy)) / (2.0 * step)
+
+    np.testing.assert_allclose(
+        water.gradient(x, y), [rate(water.height, step, 0), rate(water.height, 0, step)], atol=1e-8
+    )
+    xx, xy, yy = water.hessian(x, y)
+    np.testing.assert_allclose([xx, xy], rate(water.gradient, step, 0), atol=3e-7)
+    np.testing.assert_allclose([xy, yy], rate(water.gradient, 0, step), atol=3e-7)
+
+
+def test_surfaces_that_are_the_same_plane_are_the_plane(rng):
+    flat = FlatWater((1.0, 2.0, 0.5), n_water=1.34, slope_x=0.01, slope_y=-0.02)
+    same = (
+        WavyWater(flat.point, (0.0,), ((2.0, 0.0),), n_water=1.34, slope_x=0.01, slope_y=-0.02),
+        BicubicWater(
+            (-150.0, -150.0), 30.0, flat.height(*np.meshgrid(*[np.arange(-150.0, 151.0, 30.0)] * 2)), n_water=1.34
+        ),
+    )
+    camera, ray = seen_rays(rng, 300)
+    bed = rng.uniform((-30.0, -30.0, -10.0), (30.0, 30.0, 3.0), (300, 3))
+    expected, there = trace(camera, ray, flat), crossing_point(bed, camera, flat)
+    for water in same:
+        np.testing.assert_allclose(trace(camera, ray, water).crossing, expected.crossing, atol=NEAR_M)
+        np.testing.assert_allclose(crossing_point(bed, camera, water), there, atol=NEAR_M)
+
+
+@pytest.mark.parametrize("flattest_deg", [60.0, 89.9])
+def test_no_wave_is_skipped(rng, flattest_deg):
+    """Against a walk along the ray in 20 000 steps, a small part of a wave each, from the highest crest down."""
+    k = 2.0 * math.pi / np.array([2.0, 1.1, 0.4])
+    vectors = np.stack([k * np.cos([0.3, 1.7, -0.4]), k * np.sin([0.3, 1.7, -0.4])], axis=-1)
+    rough = WavyWater((1.0, 2.0, 0.5), (0.06, 0.03, 0.01), vectors, (0.3, 1.3, 2.3), slope_y=0.002)
+    camera, ray = cameras(rng, 60, (0.7, 3.0)), falling_rays(rng, 60, flattest_deg - 20.0, flattest_deg)
+    found = rough.intersect(camera, ray)
+    x, y, z = kernels.point_at_distance(camera, ray, found)
+    np.testing.assert_allclose(z, rough.height(x, y), atol=NEAR_M)
+    crest = 0.5 + 0.1 + 0.002 * 40.0
+    start = np.maximum((camera[2] - crest) / -ray[2], 0.0)
+    t = start + (found - start) * np.linspace(0.0, 1.0, 20_000, endpoint=False)[:, None]
+    x, y, z = kernels.point_at_distance(camera, ray, t)
+    assert np.all(z > rough.height(x, y))
+
+
+def test_rays_that_rise_meet_a_crest_or_nothing():
+    """From a trough, level rays end in the next crest, steeper ones pass it, as plain geometry says."""
+    swell = WavyWater((0.0, 0.0, 0.0), (1.0,), ((1.0, 0.0),))
+    camera = np.full(3, -0.5 * math.pi), np.zeros(3), np.full(3, 0.0)  # 1 m over the trough
+    rise = np.array([0.0, 0.2, 0.6])
+    found = swell.intersect(camera, (np.cos(rise), np.zeros(3), np.sin(rise)))
+    np.testing.assert_allclose(found[0], 0.5 * math.pi, rtol=1e-14)  # z = 0 is met again at x = 0
+    np.testing.assert_array_equal(np.isfinite(found), [True, True, False])
+    above = swell.intersect((np.zeros(1), np.zeros(1), np.full(1, 1.5)), (np.ones(1), np.zeros(1), np.zeros(1)))
+    assert np.isnan(above[0])
+
+
+def test_every_point_below_focusing_waves_is_seen_along_a_least_path(rng):
+    """Where the ray that was traced is not taken, another path is, which is a minimum of the optical length as well."""
+    camera, ray = cameras(rng, 300, (5.0, 20.0)), falling_rays(rng, 300, flattest_deg=45.0)
+    bed = bed_points(CHOP, camera, ray, rng.uniform(0.2, 5.0, 300))
+    found, _ = CHOP.crossing(camera, bed, 4)
+    assert np.isfinite(found).all()
+    assert 0.2 < (view_angle(camera, found, ray) < NEAR_RAD).mean() < 0.9
+    camera, bed, found = (np.stack(v, axis=-1) for v in (camera, bed, found))
+
+    def length(x, y):
+        way = np.stack([x, y, CHOP.height(x, y)], axis=-1)
+        return np.linalg.norm(way - camera, axis=1) + CHOP.n_water * np.linalg.norm(way - bed, axis=1)
+
+    for turn in np.linspace(0.0, 2.0 * math.pi, 13):
+        nearby = length(found[:, 0] + 1e-4 * math.cos(turn), found[:, 1] + 1e-4 * math.sin(turn))
+        assert np.all(nearby > length(*found[:, :2].T) - 1e-13)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_has_no_answer_is_counted(kind):
     up, down = [0.0, 0.6, 0.8], [0.0, 0.0, -1.0]
     camera = np.array([[0.0, 0.0, 10.0], [0.0, 0.0, 10.0], [0.0, 0.0, -1.0], [np.nan, 0.0, 10.0]])
-    path = trace(camera, np.array([up, down, down, down]), SURFACES[name])
+    path = trace(camera, np.array([up, down, down, down]), KINDS[kind]())
     np.testing.assert_array_equal(path.regime, [Regime.STRAIGHT, Regime.BENT, Regime.UNDER_WATER, Regime.INVALID])
     np.testing.assert_array_equal(np.isnan(path.crossing[:, 0]), [True, False, False, True])
     points = np.array([[1.0, 1.0, 5.0], [1.0, 1.0, -2.0], [1.0, 1.0, -2.0], [1.0, 1.0, -2.0]])
-    back = project(points, camera, SURFACES[name])
+    back = project(points, camera, KINDS[kind]())
     np.testing.assert_array_equal(back.regime, [Regime.STRAIGHT, Regime.BENT, Regime.UNDER_WATER, Regime.INVALID])
+    np.testing.assert_array_equal(back.crossing[0], points[0])
+    assert project(points[1], camera[1], KINDS[kind]()).direction.shape == (3,)
 
 
-@pytest.mark.parametrize("name", SURFACES)
-def test_single_rays_have_no_extra_axis(name):
-    camera, ray = np.array([0.0, 0.0, 20.0]), np.array([0.6, 0.0, -0.8])
-    path = trace(camera, ray, SURFACES[name])
-    back = project(path.at(path.air_length + 2.0), camera, SURFACES[name])
-    assert back.direction.shape == (3,)
-    assert angle_between(back.direction, ray) < RAY_RAD
+def test_beside_measured_heights_rays_are_straight_and_from_the_side_under_water_too():
+    water = pieces()
+    beside = np.array([[300.0, 0.0, -3.0], [3.0, 1.0, -3.0]])
+    ray = (beside - CENTRE) / np.linalg.norm(beside - CENTRE, axis=-1, keepdims=True)
+    np.testing.assert_array_equal(project(beside, CENTRE, water).regime, [Regime.STRAIGHT, Regime.BENT])
+    np.testing.assert_array_equal(trace(CENTRE, ray, water).regime, [Regime.STRAIGHT, Regime.BENT])
+    below = trace(np.array([-130.0, 0.0, 0.0]), np.array([0.8, 0.0, -0.6]), water)
+    assert below.regime == Regime.STRAIGHT
 
 
-def test_all_surfaces_agree_where_they_are_the_same_plane(rng):
-    flat = FlatWater((0.0, 0.0, 0.3))
-    same = (
-        WavyWater((0.0, 0.0, 0.3), (0.0,), ((1.0, 0.0),)),
-        HeightFieldWater.from_raster(NODES, NODES, np.full((46, 46), 0.3)),
-        SphericalWater((0.0, 0.0, 0.3), 1e16),  # over 90 m the sphere falls by 4e-13 m
+def test_cubic_pieces_meet_nodes_and_parabolas_and_have_no_edges(rng):
+    def parabola(x, y):
+        return 0.2 + 0.01 * x - 0.02 * y + 0.003 * x * x - 0.002 * x * y + 0.001 * y * y
+
+    nodes = np.stack(np.meshgrid(2.0 + 0.5 * np.arange(9), -1.0 + 0.5 * np.arange(7)), axis=-1)
+    water = BicubicWater((2.0, -1.0), 0.5, parabola(nodes[..., 0], nodes[..., 1]))
+    x, y = rng.uniform(2.0, 6.0, 500), rng.uniform(-1.0, 2.0, 500)
+    np.testing.assert_allclose(water.height(x, y), parabola(x, y), atol=1e-14)  # up to the rim
+    rough = BicubicWater((2.0, -1.0), 0.5, rng.normal(size=(7, 9)))
+    np.testing.assert_allclose(rough.height(nodes[..., 0], nodes[..., 1]), rough.heights, atol=1e-14)
+    edges = np.arange(2.5, 6.0, 0.5)
+    for here, there in zip(rough.normal(edges - 1e-9, 0.3), rough.normal(edges + 1e-9, 0.3), strict=True):
+        np.testing.assert_allclose(here, there, atol=1e-6)
+    assert np.isnan(rough.height(np.array([1.99, 6.01, 4.0]), np.array([0.0, 0.0, 2.01]))).all()
+    low, high = rough._range
+    assert np.all((low < rough.height(x, y)) & (rough.height(x, y) < high))
+
+
+def test_directions_through_cubic_pieces_converge_with_the_square_of_the_spacing(rng):
+    water = WavyWater((0.0, 0.0, 0.0), (0.05, 0.03), ((1.0, 0.5), (-0.4, 0.8)))
+    points = rng.uniform([-15, -15, -6], [15, 15, -1], (200, 3))
+    exact, errors = project(points, CENTRE, water).direction, []
+    for spacing in (1.0, 0.5, 0.25):
+        x = np.arange(-24.0, 24.0 + 0.5 * spacing, spacing)
+        measured = BicubicWater((-24.0, -24.0), spacing, water.height(*np.meshgrid(x, x)))
+        errors.append(np.sqrt(np.mean((project(points, CENTRE, measured).direction - exact) ** 2)))
+    assert errors[-1] < 2e-5
+    assert abs(np.log2(errors[0] / errors[-1]) / 2.0 - 2.0) < 0.25
+
+
+def test_scattered_points_give_the_surface_that_they_are_of(rng):
+    water = WavyWater((0.0, 0.0, 0.0), (0.05,), ((0.3, 0.1),))
+    points = rng.uniform(-30.0, 30.0, (4000, 2))
+    measured = BicubicWater.from_points(points, water.height(*points.T))
+    x, y = rng.uniform(-25.0, 25.0, (2, 500))
+    # Linear over triangles of 1 to 3 m: curvature 5e-3 / m times the square of a side over 8.
+    np.testing.assert_allclose(measured.height(x, y), water.height(x, y), atol=6e-3)
+    assert np.std(measured.height(x, y) - water.height(x, y)) < 1e-3
+    for few in (
+        [[0.0, 0.0], [1.0, 1.0]],
+        [[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]],
+        [[0.0, 0.0], [1.0, np.nan], [2.0, 0.0]],
+    ):
+        with pytest.raises(ValueError, match="expected three points or more, finite and not on one line"):
+            BicubicWater.from_points(few, np.zeros(len(few)))
+
+
+def test_far_ripples_keep_their_phase_in_float32():
+    x, ripple = torch.full((1,), 1000.0), WavyWater((0.0, 0.0, 0.0), (0.01,), ((15.0, 0.0),))
+    found = ripple.normal(x, 0.0 * x)
+    assert found[0].dtype == torch.float32
+    np.testing.assert_allclose(
+        [float(c) for c in found],
+        np.ravel(ripple.normal(np.array([1000.0]), np.zeros(1))),
+        atol=np.finfo(np.float32).eps,
     )
-    camera, ray = rays(rng, 300)
-    path = trace(camera, ray, flat)
-    bed = path.at(path.air_length + rng.uniform(0.01, 8.0, 300))
-    for water in same:
-        np.testing.assert_allclose(trace(camera, ray, water).crossing, path.crossing, atol=2e-12)
-        np.testing.assert_allclose(project(bed, camera, water).crossing, path.crossing, atol=2e-12)
 
 
-def random_sea(rng) -> WavyWater:
-    """One to three waves of 0.3 to 30 m, slope to 0.3 in all, over water of index 1 to 1.6."""
-    number = rng.integers(1, 4)
-    k = 2.0 * np.pi / 10.0 ** rng.uniform(-0.5, 1.5, number)
-    heading = rng.uniform(0.0, 2.0 * np.pi, number)
-    vectors = np.stack([k * np.cos(heading), k * np.sin(heading)], axis=-1)
-    amplitudes = rng.uniform(0.0, 0.3) / number / k
-    index = rng.choice([1.0, 1.0001, 1.333, 1.6])
-    return WavyWater((0.0, 0.0, 0.0), amplitudes, vectors, rng.uniform(0.0, 6.0, number), n_water=index)
+def test_waves_move_with_their_frequency(rng):
+    moving = WavyWater((1.0, 2.0, 0.5), (0.1,), ((2.0, 0.0),), frequencies=(3.0,))
+    x, y = rng.uniform(-3.0, 3.0, (2, 20))
+    np.testing.assert_allclose(moving.at(0.4).height(x + 0.6, y), moving.height(x, y), atol=1e-15)
 
 
-@pytest.mark.slow
-def test_random_seas_give_the_ray_back_or_say_that_they_cannot(rng):
-    num_paths = []
-    for _ in range(60):
-        water = random_sea(rng)
-        camera, ray = rays(rng, 40, rng.choice([30.0, 70.0, 89.0]))
-        camera[:, 2] = sum(water.amplitudes) + 10.0 ** rng.uniform(-3, 3, 40)
-        path = trace(camera, ray, water)
-        back = project(path.at(path.air_length + 10.0 ** rng.uniform(-3, 1.5, 40)), camera, water)
-        one = (back.num_paths == 1) & back.wet & path.wet
-        assert angle_between(back.direction, ray)[one].max(initial=0.0) < RAY_RAD
-        np.testing.assert_array_equal(np.isnan(back.direction[:, 0]), back.num_paths < 1)
-        num_paths.append(back.num_paths)
-    assert (np.concatenate(num_paths) == -1).mean() < 0.02
+def moved(water, camera, ray, point):
+    """What trace and project say, in one row."""
+    path, seen = trace(camera, ray, water), project(point, camera, water)
+    return torch.cat([path.crossing, path.water_direction, seen.direction, seen.crossing], dim=-1)
+
+
+def test_derivatives_by_every_parameter_of_waves_are_those_of_differences():
+    def function(plane, amplitudes, vectors, phases, camera, point):
+        x, y, z, n, slope = plane
+        water = WavyWater((x, y, z), amplitudes, vectors, phases, n_water=n, slope_x=slope)
+        ray = (point - camera) / torch.linalg.norm(point - camera)
+        return moved(water, camera, ray, point)
+
+    numbers = (
+        [1.0, 2.0, 0.5, 1.333, 0.01], [0.05, 0.02], [[1.9, -0.7], [0.3, 2.0]], [0.4, 0.1], [1.0, 2.0, 30.0],
+        [9.0, 2.0, -3.0],
+    )  # fmt: skip
+    leaves = [torch.tensor(v, dtype=torch.float64, requires_grad=True) for v in numbers]
+    assert torch.autograd.gradcheck(function, leaves, eps=1e-6, atol=1e-6)
+
+
+def test_derivatives_by_the_nodes_are_those_of_differences():
+    heights = torch.tensor(RELIEF[:5, :5], requires_grad=True)
+    camera, ray, point = (
+        torch.tensor(v, dtype=torch.float64) for v in (CENTRE, [0.0, 0.1, -(0.99**0.5)], [2.0, -1.0, -3.0])
+    )
+
+    def function(heights):
+        return moved(BicubicWater((-8.0, -8.0), 4.0, heights), camera, ray, point)
+
+    assert torch.autograd.gradcheck(function, heights, eps=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("kind", [slow("waves"), slow("cubic pieces"), "height and gradient"])
+def test_transforms_of_torch_agree_with_the_tape_beside_dry_and_missing_points(rng, kind):
+    camera, rays = (torch.tensor(v) for v in seen_rays(rng, 3))
+    points = torch.tensor([[8.0, 3.0, -3.0], [8.0, 3.0, 5.0], [math.nan, 0.0, 0.0]]).double()
+
+    def told(numbers):
+        return torch.nan_to_num(moved(KINDS[kind](numbers[0], numbers[1]), camera + numbers[2], rays, points))
+
+    numbers = torch.tensor([0.1, 1.33, 0.2], dtype=torch.float64)
+    taped = torch.autograd.functional.jacobian(told, numbers)
+    assert torch.isfinite(taped).all()
+    for mode in (jacrev, jacfwd):
+        torch.testing.assert_close(mode(told)(numbers), taped, rtol=1e-12, atol=1e-13)
+    both = torch.stack([numbers, numbers + 0.01])
+    torch.testing.assert_close(vmap(told)(both), torch.stack([told(each) for each in both]), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["waves", "height and gradient"])
+def test_derivatives_in_drjit_are_those_of_torch(rng, kind):
+    rays = list(seen_rays(rng, 20))
+    points = rng.uniform([-20, -20, -6], [20, 20, -1], (20, 3))
+    gradients = []
+    for library in ("drjit", "torch"):
+        camera, ray, point = vectors(library, *rays, points)
+        if library == "torch":
+            level, index = (torch.tensor(v, dtype=torch.float64) for v in (0.3, 1.33))
+            leaves = [v.requires_grad_() for v in (level, index, camera)]
+            moved(KINDS[kind](*leaves[:2]), camera, ray, point).sum().backward()
+            gradients.append([leaf.grad.numpy() for leaf in leaves])
+            continue
+        import drjit
+        from drjit.llvm.ad import Float64
+
+        leaves = [Float64(0.3), Float64(1.33), camera]
+        drjit.enable_grad(*leaves)
+        water = KINDS[kind](*leaves[:2])
+        path, seen = trace(camera, ray, water), project(point, camera, water)
+        told = [path.crossing, path.water_direction, seen.direction, seen.crossing]
+        drjit.backward(sum(drjit.sum(drjit.sum(v)) for v in told))
+        gradients.append([np.asarray(drjit.grad(leaf)) for leaf in leaves])
+    for own, other in zip(*gradients, strict=True):
+        np.testing.assert_allclose(own.T if own.ndim == 2 else own.item(), other, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: WavyWater((0.0, 0.0, 0.0), (0.1, 0.2), ((1.0, 0.0),)), r"\(2, 1, 2, 2\)"),
+        (lambda: WavyWater((0.0, 0.0, 0.0), (math.nan,), ((1.0, 0.0),)), "finite"),
+        (lambda: WavyWater((0.0, 0.0, 0.0), (0.1,), ((1.0, 0.0),), n_water=2.5), r"2\.5"),
+        (lambda: BicubicWater((0.0, 0.0), 1.0, np.zeros((2, 5))), r"\(2, 5\)"),
+        (lambda: BicubicWater((0.0, 0.0), 0.0, np.zeros((4, 5))), "positive spacing"),
+        (lambda: BicubicWater((0.0, 0.0), 1.0, np.full((4, 5), np.nan)), "expected finite heights, got 20 others"),
+        (lambda: BicubicWater((0.0, 0.0), 1.0, np.zeros((4, 5)), n_water=0.9), "index of water"),
+    ],
+)
+def test_wrong_numbers_are_named(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_cubic_pieces_refuse_drjit():
+    (points,) = vectors("drjit", np.array([[0.0, 0.0, -1.0]]))
+    with pytest.raises(TypeError, match="BicubicWater runs on numpy and torch, got Dr"):
+        pieces().height(points[0], points[1])

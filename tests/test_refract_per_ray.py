@@ -7,8 +7,8 @@ import pytest
 import torch
 from slow_cases import slow
 
-from refract import FlatWater, TidalWater, channel_indices, crossing_point, project, trace
-from refract.curved import SphericalWater, WavyWater
+from refract import FlatWater, channel_indices, crossing_point, project, trace
+from refract.curved import WavyWater
 
 CENTRE = np.array([1.0, 2.0, 30.0])
 COUNT = 7
@@ -94,20 +94,6 @@ def test_an_index_per_channel_without_its_axis_is_refused_in_words(rng, library)
             call()
 
 
-def test_each_photograph_is_traced_at_its_own_tide(rng):
-    tide = TidalWater([0.0, 600.0, 1500.0], [1.0, 1.4, 1.1], slope_x=0.01)
-    rays, _, _ = scene(rng)
-    times = np.array([0.0, 150.0, 600.0, 1050.0, 1500.0, 1.0, 2.0])
-    path = trace(CENTRE, rays, tide.at(times))
-    for i, time in enumerate(times):
-        np.testing.assert_array_equal(path.crossing[i], trace(CENTRE, rays[i], tide.at(time)).crossing)
-    start = np.datetime64("2026-06-01T10:00:00")
-    dated = TidalWater(start + np.array([0, 600]).astype("timedelta64[s]"), [1.0, 1.4])
-    np.testing.assert_allclose(dated.at(start + np.array([0, 300]).astype("timedelta64[s]")).point[2], [1.0, 1.2])
-    with pytest.raises(ValueError, match=r"no level at 1500\.5"):
-        tide.at(np.array([3.0, 1500.5]))
-
-
 def test_gradients_flow_to_the_level_of_each_ray(rng):
     _, points, numbers = scene(rng)
     level = torch.tensor(numbers[0], requires_grad=True)
@@ -120,8 +106,6 @@ def test_wrong_numbers_among_many_are_found():
     for arguments in ({"n_water": [1.33, 2.5]}, {"slope_x": [0.0, np.nan]}):
         with pytest.raises(ValueError, match=r"expected .* index"):
             FlatWater((0.0, 0.0, 0.0), **arguments)
-    with pytest.raises(ValueError, match=r"one number.*\(2,\)"):
-        SphericalWater((0.0, 0.0, [0.0, 1.0]), 6.4e6).detached()
 
 
 @pytest.mark.parametrize("name", [slow("trace"), "project", slow("at_height"), slow("crossing_point")])

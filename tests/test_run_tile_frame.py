@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from geo.frames import LocalFrame
-from refract.curved import curvature_drop
 from survey.control.points import Control, ControlPoint
 from survey.plan.area import flattened, limits
 from survey.plan.choices import USUAL
@@ -22,7 +21,7 @@ from survey.run import stage_tiles
 from survey.run.job import Job
 from survey.run.tile_job import TileJob, TilePlan, over_own_plane
 from survey.run.windows import area_in_frame, frame_of_tile, has_frames, survey_in_frame
-from survey.water.surface import still_water
+from survey.water.surface import curvature_drop, still_water
 
 TILING = Tiling((-500.0, 3000.0, 6500.0, 10_000.0), (-200.0, 200.0), 0.2)
 LAST = 2

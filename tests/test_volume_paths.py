@@ -11,7 +11,7 @@ from volume_scenes import BOX, WATER, looking_down
 
 from fields.volume.paths import Box, Paths, paths_of
 from refract import FlatWater, fresnel_coefficients
-from refract.curved import SphericalWater
+from refract.curved import WavyWater
 
 # Positions of some metres in float32: half a step is 0.12 um for 2 m, and a path adds up a dozen roundings.
 FLOAT32_M = 3e-6
@@ -28,7 +28,7 @@ def whole(camera, water, box=BOX, view=0) -> Paths:
         None,
         WATER,
         FlatWater((0.0, 0.0, 0.0), n_water=1.333, slope_x=0.05),
-        SphericalWater((0.0, 0.0, 0.0), 200.0, n_water=1.333),
+        WavyWater((0.0, 0.0, 0.0), (0.02,), ((1.0, 0.5),), n_water=1.333),
     ],
 )
 @pytest.mark.parametrize("tilt", [0.0, 0.6])

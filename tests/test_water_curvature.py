@@ -14,17 +14,30 @@ from test_run_curved_water import bed_of, cameras, intersected
 from geo.crs import parse_crs
 from geo.frames import LocalFrame
 from refract import FlatWater
-from refract.curved import SphericalWater, curvature_drop, gaussian_radius
+from refract.curved import CurvedWater
 from survey.folder.placed_views import PlacedViews, shifted_above_water
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
 from survey.run.stage_bed import through_surface
-from survey.water.surface import EARTH, still_water
+from survey.water.surface import EARTH, curvature_drop, still_water
 
 N, LATITUDE = 1.333, math.radians(46.9)
 FRAME = LocalFrame(parse_crs("EPSG:25832+5778"), (589012.0, 5194736.0, 2105.0))
 PLANE = FlatWater((0.0, 0.0, 0.0), n_water=N)
-RADIUS = gaussian_radius(LATITUDE) + 2105.0
+# WGS 84. Gaussian radius of curvature at the latitude: a sqrt(1 - e^2) / (1 - e^2 sin^2) (Torge and Mueller, 4.1).
+E_SQUARED = 1.0 / 298.257223563 * (2.0 - 1.0 / 298.257223563)
+RADIUS = 6_378_137.0 * math.sqrt(1.0 - E_SQUARED) / (1.0 - E_SQUARED * math.sin(LATITUDE) ** 2) + 2105.0
+
+
+class Sphere(CurvedWater):
+    n_water = N
+
+    def height(self, x, y):
+        return -curvature_drop(np.hypot(x, y), RADIUS)
+
+    def gradient(self, x, y):
+        up = np.sqrt(RADIUS**2 - x**2 - y**2)
+        return -x / up, -y / up
 
 
 def around(reach, middle=(0.0, 0.0)):
@@ -75,12 +88,11 @@ def test_a_plane_is_as_good_over_a_small_survey(reach):
 
 def test_the_bed_a_kilometre_away_lies_where_rays_through_a_sphere_meet(rng):
     middle = np.array([900.0, 400.0])
-    sphere = SphericalWater((0.0, 0.0, 0.0), RADIUS, n_water=N)
     drop = float(curvature_drop(np.linalg.norm(middle), RADIUS))
     moved = np.array([*middle, -drop])
     views = [replace(each, centre=each.centre + moved) for each in cameras()]
     points = rng.uniform((-6.0, -2.0, -2.5), (6.0, 2.0, -0.5), (200, 3)) + moved
-    bed = bed_of(intersected(views, points, sphere, PLANE))
+    bed = bed_of(intersected(views, points, Sphere(), PLANE))
     water = still_water(FRAME, PLANE, around(1000.0))
     found = through_surface(bed, views, PLANE, water)
     assert np.abs(bed.xyz[:, 2] - points[:, 2]).max() > 0.02

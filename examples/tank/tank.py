@@ -15,8 +15,8 @@ photograph shows, with the columns
 The board is photographed in three places or more, tilted in different ways, and best in the same places in both
 media: fill the tank and leave the board where it is. The thickness of a pane can be separated from its distance only
 where the distance is measured (--distance-std). Lens, plane of the water (or pane), poses of the board and the unknown
-optics are estimated together by least squares, with rays bent by `refract`. Prints each with its standard deviation,
-and for each photograph the root mean square of its residuals.
+optics are estimated together by least squares, with rays bent at each interface. Prints each with its standard
+deviation, and for each photograph the root mean square of its residuals.
 """
 
 from __future__ import annotations
@@ -33,8 +33,6 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from refract import ParallelLayers
-
 COLUMNS = ("place", "medium", "x_m", "y_m", "u_px", "v_px")
 # Of the plane of the water or pane: two slopes against the optical axis, and the distance along it.
 DISTANCE, INDEX, PANE = "distance_m", "index", "pane_m"
@@ -42,6 +40,8 @@ LENS, PLANE, BOARD = ("f", "cx", "cy", "k1", "k2"), ("slope_x", "slope_y", DISTA
 # Fewest places of the board in air that determine a lens, and fewest corners that determine a place.
 FEWEST_PLACES, FEWEST_CORNERS = 3, 4
 WATER, GLASS = 1.333, 1.52
+# Newton's steps to a ray through parallel interfaces: 12 reach the last bits for a pane of any thickness.
+STEPS = 16
 
 
 @dataclass(frozen=True)
@@ -190,13 +190,40 @@ def project(values: np.ndarray, corners: Corners, optics: Optics) -> np.ndarray:
     for medium, n in ((False, 1.0), (True, index)):
         mine = corners.wet == medium
         layers = ((1.0, optics.glass, n), (pane,)) if optics.pane_m[0] > 0.0 else ((1.0, n), ())
-        interface = ParallelLayers((0.0, 0.0, distance), (slope_x, slope_y, -1.0), *layers)
-        rays[mine] = interface.project(points[mine], np.zeros(3))
+        rays[mine] = seen_through(points[mine], distance, np.array([slope_x, slope_y, -1.0]), *layers)
     x, y = rays[:, 0] / rays[:, 2], rays[:, 1] / rays[:, 2]
     square = x * x + y * y
     radial = f * (1.0 + square * (k1 + square * k2))
     # Where no ray reaches a corner, a residual that turns the estimation away.
     return np.nan_to_num(np.column_stack([cx + radial * x, cy + radial * y]), nan=1e6)
+
+
+def seen_through(points: np.ndarray, distance: float, normal: np.ndarray, indices, thicknesses) -> np.ndarray:
+    """Directions (N, 3) in which the camera, at the origin, sees points (N, 3) [m] behind parallel interfaces.
+
+    ``n_i sin(theta_i)`` is the same in all media (Snell). With v the tangent to the normal, over the distance D along
+    the interfaces, in the medium of least index n, and ``m_i = n_i / n``, the way covered is
+    ``sum_i h_i v / sqrt(m_i^2 + (m_i^2 - 1) D^2 v^2) = 1``: it rises and is concave, so that Newton's steps from below
+    never overshoot. NaN for a point that is not behind the last interface.
+
+    Parameters
+    ----------
+    distance : of the first interface along the optical axis [m]
+    normal : (3,) of the interfaces, toward the camera
+    indices, thicknesses : of the media from the camera's on, and of those between the interfaces [m]
+    """
+    normal = normal / np.linalg.norm(normal)
+    first = -distance * normal[2]
+    last = -(points @ normal) - first - sum(thicknesses)
+    along = points - (points @ normal)[:, None] * normal
+    square = np.sum(along**2, axis=1)
+    heights, m = (first, *thicknesses, np.where(last > 0.0, last, np.nan)), np.array(indices) / min(indices)
+    v = 1.0 / sum(h / k for h, k in zip(heights, m, strict=True))
+    for _ in range(STEPS):
+        roots = [np.sqrt(k * k + (k * k - 1.0) * square * v * v) for k in m]
+        covered = sum(h * v / root for h, root in zip(heights, roots, strict=True))
+        v = v + (1.0 - covered) / sum(h * k * k / root**3 for h, k, root in zip(heights, m, roots, strict=True))
+    return (v / np.sqrt(m[0] ** 2 + (m[0] ** 2 - 1.0) * square * v * v))[:, None] * along - normal
 
 
 def _names(corners: Corners) -> tuple[str, ...]:

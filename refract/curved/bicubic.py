@@ -3,26 +3,33 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import KW_ONLY, dataclass
+from functools import cached_property
 from typing import Any, final
 
 import numpy as np
 
-from refract._array import as_like, as_numpy, compiling, namespace
-from refract._numbers import hold, moved, number, read, require_index
-from refract._solvers import solved
-from refract.curved.any_surface import AnySurface, newton_crossing, newton_distance
+from refract._array import as_like, as_numpy, namespace, transformed
+from refract._numbers import hold, moved, number, require_index
+from refract.curved.curved_water import CurvedWater
+
+# No piece is higher or lower than its sixteen nodes by more than this part of their range: along one axis the weights
+# below zero sum to -1/8 at most.
+_OVERSHOOT = 9.0 / 32.0
+# A place this far beyond the nodes, as part of their spacing, is on the edge.
+_ON_EDGE = 1e-9
+# Nodes through scattered points at most.
+_MOST_NODES = 250_000
 
 
-@solved
 @final
 @dataclass(frozen=True, eq=False)
-class BicubicWater(AnySurface):
+class BicubicWater(CurvedWater):
     """Cubic pieces (Catmull and Rom's) between the nodes of an even raster, in a right-handed frame with z up.
 
     Heights pass through the nodes, and slopes are continuous. Over a spacing s, of a smooth surface, heights are good
-    to the third power of s and slopes to the second, where the triangles of `HeightFieldWater` have the second and the
-    first. numpy and torch; tracing and projection are those of `AnySurface`, not proven.
+    to the third power of s and slopes to the second. numpy and torch.
 
     Parameters
     ----------
@@ -31,15 +38,15 @@ class BicubicWater(AnySurface):
     spacing : [m]
         Between nodes, along x and y.
     heights : (rows, columns) [m], local
-        At the nodes, x along columns; at least 3 by 3. A tensor lets gradients flow to them. NaN where there is no
-        water; the surface has no water within two nodes of such a node either.
+        At the nodes, x along columns; at least 3 by 3. A tensor lets gradients flow to them. Beyond the nodes there is
+        no water.
     n_water : [-]
         Refractive index of the water relative to the air above it, at least 1.
 
     Raises
     ------
     ValueError
-        If shapes do not fit, the spacing is not positive, or the index is outside 1 to 2.
+        If shapes do not fit, a height is not finite, the spacing not positive, or the index outside 1 to 2.
     """
 
     corner: tuple[float, float]
@@ -58,52 +65,87 @@ class BicubicWater(AnySurface):
         require_index(self.n_water)
         if namespace(self.heights).name == "numpy":
             object.__setattr__(self, "heights", np.asarray(self.heights, dtype=np.float64))
+        if not hold(np.isfinite, self.heights):
+            raise ValueError(f"expected finite heights, got {int((~np.isfinite(as_numpy(self.heights))).sum())} others")
 
     def to(self, *place, **options) -> BicubicWater:
         """The same water with its tensors moved, by the arguments of `torch.Tensor.to`."""
         return moved(self, place, options)
 
-    @property
-    def numbers(self) -> tuple:
-        """Parameters of the surface."""
-        return *self.corner, self.spacing, self.heights, self.n_water
-
     @classmethod
-    def from_numbers(cls, x, y, spacing, heights, n_water) -> BicubicWater:
-        """The surface with these `numbers`."""
-        return cls((x, y), spacing, heights, n_water=n_water)
+    def from_points(cls, points, heights, *, n_water=1.333) -> BicubicWater:
+        """Water through scattered points (points, 2) [m], local, of heights (points,) [m].
 
-    def detached(self) -> BicubicWater:
-        """The same water in numpy, without gradients."""
-        return BicubicWater.from_numbers(*map(as_numpy, self.numbers))
+        The nodes are as far apart as the points are, and interpolated linearly; beyond the points as at the nearest.
+
+        Raises
+        ------
+        ValueError
+            If the points are fewer than three, on one line, or not finite.
+        """
+        from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+        from scipy.spatial import Delaunay, KDTree, QhullError
+
+        points, heights = np.asarray(points, dtype=np.float64), np.asarray(heights, dtype=np.float64)
+        try:
+            inside = LinearNDInterpolator(Delaunay(points), heights)
+        except (QhullError, ValueError) as error:
+            raise ValueError(f"expected three points or more, finite and not on one line, got {len(points)}") from error
+        low, size = points.min(axis=0), np.ptp(points, axis=0)
+        apart = float(np.median(KDTree(points).query(points, k=2)[0][:, 1]))
+        spacing = max(apart, math.sqrt(float(np.prod(size)) / _MOST_NODES))
+        columns, rows = np.maximum(np.ceil(size / spacing).astype(int) + 1, 3).tolist()
+        x, y = np.meshgrid(low[0] + spacing * np.arange(columns), low[1] + spacing * np.arange(rows))
+        nodes = inside(x, y)
+        beyond = np.isnan(nodes)
+        nodes[beyond] = NearestNDInterpolator(points, heights)(x[beyond], y[beyond])
+        return cls((float(low[0]), float(low[1])), spacing, nodes, n_water=n_water)
+
+    @property
+    def area(self) -> tuple[np.ndarray, np.ndarray]:
+        """x, y (2,) [m] of the first and the last node."""
+        rows, columns = self.heights.shape
+        first = np.array(self.corner)
+        return first, first + self.spacing * np.array([columns - 1, rows - 1])
 
     def height(self, x, y):
-        """Height z of the surface [m] at local x, y [m]; NaN where there is no water."""
-        return self._interpolated(x, y, _weights, _weights)
+        """Height z of the surface [m] at local x, y [m]; NaN beyond the nodes."""
+        return self._interpolated(x, y, (0, 0))[0]
 
-    def normal(self, x, y) -> tuple[Any, Any, Any]:
-        """Unit normal of the surface at x, y, pointing up into the air; NaN where there is no water."""
-        zx = self._interpolated(x, y, _rates, _weights) / self.spacing
-        zy = self._interpolated(x, y, _weights, _rates) / self.spacing
-        up = 1.0 / namespace(zx).sqrt(1.0 + zx * zx + zy * zy)
-        return -zx * up, -zy * up, up
+    def gradient(self, x, y) -> tuple[Any, Any]:
+        """Slopes of the surface along x and y [-] at local x, y [m]; NaN beyond the nodes."""
+        return self._interpolated(x, y, (1, 0), (0, 1))
 
-    # torch.compile would unroll each of thirty steps with sixteen nodes per height.
-    def _newton_distance(self, origin, direction):
-        if not compiling():
-            return super()._newton_distance(origin, direction)
-        t, is_converged = read(newton_distance, self, (*origin, *direction))
-        return t, is_converged > 0.0
+    def hessian(self, x, y) -> tuple[Any, Any, Any]:
+        """Second derivatives xx, xy, yy of the height [1/m]; they jump between the pieces."""
+        return self._interpolated(x, y, (2, 0), (1, 1), (0, 2))
 
-    def _newton_crossing(self, camera, point, depth):
-        if not compiling():
-            return super()._newton_crossing(camera, point, depth)
-        x, y, is_converged = read(newton_crossing, self, (*camera, *point, depth))
-        return x, y, is_converged > 0.0
+    def span(self, origin, direction) -> tuple[Any, Any]:
+        """Distances [m] along rays from where they are over the nodes, at the highest, to where they leave them."""
+        xp = namespace(*origin)
+        start, end = origin[0] * 0.0, origin[0] * 0.0 + math.inf
+        sides = (*np.transpose(self.area).tolist(), self._range)
+        for o, d, (first, last) in zip(origin, direction, sides, strict=True):
+            still = d == 0.0
+            ways = [xp.where(still, at - o, (at - o) / xp.where(still, 1.0, d)) for at in (first, last)]
+            outside = still & (ways[0] * ways[1] > 0.0)
+            start = xp.where(outside, math.nan, xp.where(still, start, xp.maximum(start, xp.minimum(*ways))))
+            end = xp.where(still, end, xp.minimum(end, xp.maximum(*ways)))
+        return start, end
 
-    def _interpolated(self, x, y, along_x, along_y):
-        """The sum over 4 by 4 nodes with weights along x and y."""
-        if namespace(x).name == "drjit":
+    @property
+    def _range(self) -> tuple[float, float]:
+        """Bounds of the height [m]; none while a transform of torch hides the nodes."""
+        if transformed():
+            return -math.inf, math.inf
+        nodes = as_numpy(self._padded)
+        low, high = float(nodes.min()), float(nodes.max())
+        return low - _OVERSHOOT * (high - low), high + _OVERSHOOT * (high - low)
+
+    def _interpolated(self, x, y, *orders) -> tuple:
+        """Derivatives of the height of some orders (along x, along y), each a sum over 4 by 4 nodes."""
+        xp = namespace(x, y)
+        if xp.name == "drjit":
             raise TypeError("BicubicWater runs on numpy and torch, got Dr.Jit arrays; convert them")
         x, y = x + 0.0 * y, y + 0.0 * x
         rows, columns = self.heights.shape
@@ -111,66 +153,59 @@ class BicubicWater(AnySurface):
             _cell((at - start) / self.spacing, nodes)
             for at, start, nodes in zip((x, y), self.corner, (columns, rows), strict=True)
         )
-        padded, is_complete = _filled(self._padded(x))
-        total = 0.0
-        for j, weight_y in enumerate(along_y(v)):
-            line = sum(weight * padded[row + j, column + i] for i, weight in enumerate(along_x(u)))
-            total = total + weight_y * line
-        return namespace(x).where(in_x & in_y & is_complete[row, column], total, math.nan)
+        padded = as_like(self._padded, x)
+        along_x, along_y = {m: _WEIGHTS[m](u) for m, _ in orders}, {m: _WEIGHTS[m](v) for _, m in orders}
+        totals = dict.fromkeys(orders, 0.0)
+        for j in range(4):
+            nodes = [padded[row + j, column + i] for i in range(4)]
+            lines = {m: sum(w * z for w, z in zip(weights, nodes, strict=True)) for m, weights in along_x.items()}
+            totals = {each: total + along_y[each[1]][j] * lines[each[0]] for each, total in totals.items()}
+        return tuple(
+            xp.where(in_x & in_y, total / self.spacing ** sum(each), math.nan) for each, total in totals.items()
+        )
 
-    def _padded(self, like):
+    @property
+    def _padded(self):
         """The heights with one more node all around, on the parabola through the last three."""
-        z = self.heights if namespace(self.heights).name == "torch" else as_like(self.heights, like)
-        for _ in range(2):
-            first, last = 3.0 * (z[:1] - z[1:2]) + z[2:3], 3.0 * (z[-1:] - z[-2:-1]) + z[-3:-2]
-            z = _concatenated(first, z, last).swapaxes(0, 1)
-        return z
+        return _with_margin(self.heights) if namespace(self.heights).name == "torch" else self._padded_numpy
+
+    @cached_property
+    def _padded_numpy(self) -> np.ndarray:
+        return _with_margin(self.heights)
 
 
-def _filled(z):
-    """Nodes with zeros for those that are missing, and which cells have all of their four by four nodes."""
-    xp = namespace(z)
-    missing = xp.isnan(z)
-    rows, columns = (size - 3 for size in z.shape)
-    hole = sum(1.0 * missing[j : j + rows, i : i + columns] for j in range(4) for i in range(4))
-    return xp.where(missing, 0.0, z), hole < 1
-
-
-def _concatenated(*parts):
-    if namespace(*parts).name == "numpy":
-        return np.concatenate(parts)
-    import torch
-
-    return torch.cat(parts)
+def _with_margin(z):
+    for _ in range(2):
+        parts = 3.0 * (z[:1] - z[1:2]) + z[2:3], z, 3.0 * (z[-1:] - z[-2:-1]) + z[-3:-2]
+        z = (np.concatenate if isinstance(z, np.ndarray) else sys.modules["torch"].cat)(parts).swapaxes(0, 1)
+    return z
 
 
 def _cell(at, nodes: int):
     """The cell of a place among nodes, the fractional position in it, and whether there is one."""
     xp = namespace(at)
-    inside = (at >= 0.0) & (at <= nodes - 1.0)
+    inside = (at >= -_ON_EDGE) & (at <= nodes - 1.0 + _ON_EDGE)
     at = xp.where(inside, at, 0.0)
     if xp.name == "torch":
-        cell = at.detach().floor().clamp(max=nodes - 2.0)
+        cell = at.detach().floor().clamp(0.0, nodes - 2.0)
         return cell.long(), at - cell, inside
-    cell = np.minimum(np.floor(at), nodes - 2.0)
+    cell = np.clip(np.floor(at), 0.0, nodes - 2.0)
     return cell.astype(np.int64), at - cell, inside
 
 
-def _weights(u):
-    """Weights of the four nodes around, at the part u of the cell between the middle two."""
-    return (
+# By order of the derivative by u: weights of the four nodes around, at the part u of the cell between the middle two.
+_WEIGHTS = (
+    lambda u: (
         ((-0.5 * u + 1.0) * u - 0.5) * u,
         (1.5 * u - 2.5) * u * u + 1.0,
         ((-1.5 * u + 2.0) * u + 0.5) * u,
         (0.5 * u - 0.5) * u * u,
-    )
-
-
-def _rates(u):
-    """Derivatives of `_weights`."""
-    return (
+    ),
+    lambda u: (
         (-1.5 * u + 2.0) * u - 0.5,
         (4.5 * u - 5.0) * u,
         (-4.5 * u + 4.0) * u + 0.5,
         (1.5 * u - 1.0) * u,
-    )
+    ),
+    lambda u: (2.0 - 3.0 * u, 9.0 * u - 5.0, 4.0 - 9.0 * u, 3.0 * u - 1.0),
+)

@@ -17,7 +17,7 @@ from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from geo.shapes import in_height_unit, vertices_of
 from refract import FlatWater
-from refract.curved import HeightFieldWater, WavyWater
+from refract.curved import BicubicWater, WavyWater
 from survey.errors import SurveyError
 from survey.simulate.scene_file import WaveSettings
 
@@ -60,7 +60,7 @@ def with_waves(plane: FlatWater, waves: Sequence[WaveSettings]) -> WavyWater:
     )
 
 
-def measured_surface(path: Path, frame: LocalFrame, n_water: float) -> HeightFieldWater:
+def measured_surface(path: Path, frame: LocalFrame, n_water: float) -> BicubicWater:
     """The surface interpolated between measured points in crs, from a raster, cloud or mesh.
 
     Raises
@@ -73,7 +73,7 @@ def measured_surface(path: Path, frame: LocalFrame, n_water: float) -> HeightFie
     shape = in_height_unit(shape, height_unit_m(frame.crs))
     points = frame.local_from_crs(vertices_of(shape))
     try:
-        return HeightFieldWater.from_points(points[:, :2], points[:, 2], n_water=n_water)
+        return BicubicWater.from_points(points[:, :2], points[:, 2], n_water=n_water)
     except ValueError as error:
         raise SurveyError(f"{path} gives no water surface: {error}") from error
 

@@ -21,7 +21,7 @@ from scipy.spatial import KDTree
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from refract import FlatWater
-from refract.curved import BicubicWater, curvature_drop
+from refract.curved import BicubicWater
 from survey.water.level_observation import MEDIAN_DEVIATION, LevelObservation
 
 Area = tuple[float, float, float, float]
@@ -47,6 +47,17 @@ EARTH = "curvature of the Earth"
 _LEAST_DROP_M = 5e-3
 # Places along each side at which its height is computed.
 _NODES = 13
+
+
+_EARTH_RADIUS_M = 6_371_000.0
+
+
+def curvature_drop(distance, radius: float = _EARTH_RADIUS_M):
+    """Drop of a level surface below its tangent plane [m], ``distance`` [m] from where they touch.
+
+    ``R - sqrt(R^2 - d^2)``, written without the difference: 2.0 cm at 500 m, 7.8 cm at 1 km.
+    """
+    return distance**2 / (radius + np.sqrt(radius**2 - distance**2))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from slow_cases import slow
 
-from refract import FlatWater, ParallelLayers, project, trace
-from refract.curved import BicubicWater, HeightFieldWater, SphericalWater, WavyWater
+from refract import FlatWater, project, trace
+from refract.curved import BicubicWater, WavyWater
 
 # The same examples every time; no deadline, because the first example pays for imports.
 always = settings(max_examples=100, deadline=None, derandomize=True)
@@ -80,21 +80,8 @@ def test_no_ray_makes_a_shared_gradient_nan(dtype, ray, height, slope, index):
         assert torch.isfinite(gradient).all()
 
 
-@few
-@given(point=TRIPLE)
-def test_no_point_behind_layers_makes_a_shared_gradient_nan(point):
-    camera, glass = (torch.tensor(v, dtype=torch.float64, requires_grad=True) for v in ([0.0, 0.0, 0.0], 0.01))
-    port = ParallelLayers((0.0, 0.0, 0.03), (0.0, 0.0, -1.0), (1.0, 1.5, 1.34), (glass,))
-    points = torch.tensor([[0.1, 0.0, 1.0], point], dtype=torch.float64)
-    seen = project(points, camera, port)
-    told = seen.direction, seen.air_length, seen.water_length, port.project(points, camera)
-    for gradient in shared_gradients(told, (camera, glass)):
-        assert torch.isfinite(gradient).all()
-
-
 NODES = np.linspace(-20.0, 20.0, 6)
 RELIEF = 0.05 * np.sin(NODES) * np.cos(NODES[:, None])
-RELIEF[5, 5] = np.nan
 
 
 def every_water(level, n):
@@ -102,17 +89,14 @@ def every_water(level, n):
     z = level + torch.tensor(RELIEF, dtype=level.dtype)
     return {
         "plane": FlatWater((0.0, 0.0, level), n_water=n, slope_x=0.01),
-        "layers": ParallelLayers((0.0, 0.0, level), (0.1, 0.0, 1.0), (1.0, 1.5, n), (0.01,)),
-        "sphere": SphericalWater((0.0, 0.0, level), n_water=n),
         "waves": WavyWater((0.0, 0.0, level), (0.02, 0.01), ((1.5, 0.3), (-0.6, 2.2)), n_water=n),
         "cubic pieces": BicubicWater((-20.0, -20.0), 8.0, z, n_water=n),
-        "triangles": HeightFieldWater.from_raster(NODES, NODES, z, n_water=n),
     }
 
 
-KINDS = ("plane", "layers", "sphere", "waves", "cubic pieces", "triangles")
+KINDS = ("plane", "waves", "cubic pieces")
 # Rounding is the risk, and float32 rounds more.
-MORE = [(kind, torch.float64) for kind in ("layers", "sphere", "waves", "triangles")]
+MORE = [("waves", torch.float64)]
 # Cubic pieces take a quarter of a minute.
 CASES = [
     slow(kind, dtype) if kind == "cubic pieces" or (kind, dtype) in MORE else (kind, dtype)
@@ -134,8 +118,8 @@ def test_no_point_camera_or_origin_makes_a_gradient_shared_over_any_water_nan(ki
         told += [seen.direction, seen.crossing, seen.air_length, seen.water_length, seen.depth]
     rays = torch.tensor([[0.6, 0.0, -0.8], [0.0, 0.6, 0.8], [0.0, -0.6, -0.8]], dtype=dtype)
     path = trace(torch.stack([camera, camera, place]), rays, water)
-    crossings = path.crossings if kind == "layers" else (path.crossing, path.air_length, path.water_direction)
-    gradients = shared_gradients((*told, *crossings), (camera, level, n))
+    told += [path.crossing, path.air_length, path.water_direction]
+    gradients = shared_gradients(told, (camera, level, n))
     assert all(torch.isfinite(gradient).all() for gradient in gradients)
     assert all(gradient.abs().sum() > 0.0 for gradient in gradients)
 

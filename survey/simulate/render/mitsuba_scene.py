@@ -7,7 +7,7 @@ from types import ModuleType
 import numpy as np
 
 from fields.device import choose_device
-from refract.curved import HeightFieldWater, WavyWater
+from refract.curved import BicubicWater, CurvedWater, WavyWater
 from refract.surfaces import WaterSurface
 from survey.errors import SurveyError
 from survey.simulate.ground.ground import Ground, Shape
@@ -17,6 +17,8 @@ from survey.simulate.ground.textures import ImageTexture, VertexTexture
 _BEYOND = 0.1
 # Slopes between the corners of triangles on waves err by this at most [rad]: 0.1 mm on the bed per metre of depth.
 _SLOPE_ERROR = 4e-4
+# Between two nodes of a measured surface: its slopes, of second order, are then good to a hundredth of their change.
+_PARTS_OF_PIECE = 4
 # Of the surface: some 400 bytes each.
 _MOST_POINTS = 4_000_000
 _VARIANTS = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "torch": "scalar_rgb"}
@@ -55,25 +57,20 @@ def solid_scene(mi: ModuleType, ground: Ground):
 def water_scene(mi: ModuleType, water: WaterSurface, ground: Ground):
     """The surface of the water, as a Mitsuba scene of its own.
 
-    Waves become triangles, with their true normals at the corners; a surface that is
-    plane by parts is taken as it is.
+    Waves and measured surfaces become triangles, with their true normals at the corners.
     """
     bsdf = {"type": "dielectric", "int_ior": float(water.n_water), "ext_ior": 1.0}
-    normals = None
-    if isinstance(water, HeightFieldWater):
-        points = np.concatenate([water.points, water.plain_heights[:, None]], axis=-1)
-        faces = water.triangles[water.wet_triangles]
-    else:
-        area = _around(ground)
-        spacing = np.inf
-        if isinstance(water, WavyWater):
-            # Of a wave of slope a k, linear interpolation over s takes off (k s)**2 / 8.
-            steep = sum(abs(a) * np.hypot(*k) ** 3 for a, k in zip(water.amplitudes, water.wave_vectors, strict=True))
-            spacing = np.sqrt(8.0 * _SLOPE_ERROR / steep)
-        x, y, faces = _grid(area, spacing)
-        points = np.stack([x, y, water.height(x, y)], axis=-1)
-        if isinstance(water, WavyWater):
-            normals = np.stack(water.normal(x, y), axis=-1)
+    area, spacing = _around(ground), np.inf
+    if isinstance(water, WavyWater):
+        # Of a wave of slope a k, linear interpolation over s takes off (k s)**2 / 8.
+        steep = sum(abs(a) * np.hypot(*k) ** 3 for a, k in zip(water.amplitudes, water.wave_vectors, strict=True))
+        spacing = np.sqrt(8.0 * _SLOPE_ERROR / steep)
+    elif isinstance(water, BicubicWater):
+        area = water.area
+        spacing = max(water.spacing / _PARTS_OF_PIECE, float(np.sqrt(np.prod(area[1] - area[0]) / _MOST_POINTS)))
+    x, y, faces = _grid(area, spacing)
+    points = np.stack([x, y, water.height(x, y)], axis=-1)
+    normals = np.stack(water.normal(x, y), axis=-1) if isinstance(water, CurvedWater) else None
     return mi.load_dict({"type": "scene", "water": _mesh(mi, "water", points, faces, bsdf, normals=normals)})
 
 

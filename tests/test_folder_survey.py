@@ -326,8 +326,11 @@ def test_local_poses_need_an_origin_and_take_their_frame_from_it(tmp_path):
     centres = [view.camera.centre for view in survey.views]
     assert centres == pytest.approx(np.array([[3.0 * i, 0.0, 20.0] for i in range(4)]), abs=1e-12)
     assert survey.views[0].lens.model == "SIMPLE_RADIAL"
-    focal, bent = survey.findings.warnings
-    assert focal == f"focal_px = 100 in survey.toml is not used: {model} has its own, 120.0 px"
+    lens, bent = survey.findings.warnings
+    assert lens.startswith(
+        "[cameras] model = PINHOLE and [cameras] focal_px = 100.0 in survey.toml has no effect: spar"
+    )
+    assert lens.endswith(": sparse/0 has a lens of its own (SIMPLE_RADIAL, 64 x 48 px, focal length 120.0 px)")
     assert bent.startswith("COLMAP ignores refraction")
 
 

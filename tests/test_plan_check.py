@@ -266,7 +266,7 @@ def test_a_size_of_the_settings_that_a_model_contradicts_is_said_not_to_be_used(
     with (folder / "survey.toml").open("a") as file:
         file.write(f"[local]\norigin = [{E0}, {N0}, {LEVEL}]\n")
     warning, _of_straight_rays = load_survey(folder).findings.warnings
-    assert warning.startswith("size_px = [640, 480] in survey.toml is not used")
+    assert warning.startswith("[cameras] size_px = [640, 480] in survey.toml has no effect: sparse has a lens")
 
 
 def test_what_process_has_to_know_first_is_read_once_and_without_anything_slow(tmp_path):

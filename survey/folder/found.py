@@ -23,6 +23,7 @@ from survey.folder import infer
 from survey.folder.control import FoundControl, find_control
 from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.folder.positions import position_warnings
+from survey.folder.unused_keys import Circumstances, unused_keys
 from survey.photos.exif import SUFFIXES, Exif, position_sources, read_exif, without_void_fixes
 from survey.photos.images import fetch_images, list_images, same_files
 from survey.photos.names import ImageNames
@@ -147,12 +148,7 @@ def _warnings_of(found: Found, transforms: Sequence[PositionTransform]) -> Itera
     if found.poses_path is None:
         yield from datum_warnings(transforms)
         yield from find_unread(found.folder)
-        has_attitudes = any(header.motion.gimbal_deg is not None for header in headers.values())
-        if config.cameras.rotation_std_deg is not None and not has_attitudes:
-            yield (
-                "[cameras] rotation_std_deg is not used: it is that of poses from a file or of attitudes in XMP, and "
-                "there are neither; remove it, or name the poses in [cameras] poses"
-            )
+        yield from unused_keys(Circumstances(config, headers))
     if not config.control.gcp_files and (found.folder / GCP_LIST).is_file():
         yield f'{GCP_LIST} is not used; for its control points write gcps = "{GCP_LIST}" in [control]'
 
@@ -176,15 +172,15 @@ def _poses_path(folder: Path, config: SurveyConfig, images: Collection[str]) -> 
     if not paths:
         return None, Findings()
     if len(paths) == 1:
-        return paths[0], Findings((f"the poses are those in {_below(folder, paths[0])}, the only poses found",))
+        return paths[0], Findings((f"the poses are those in {below(folder, paths[0])}, the only poses found",))
     counts = {path: num_posed(path, images) for path in paths}
     most = max(paths, key=lambda path: counts[path])
-    said = ", ".join(f"{_below(folder, path)} with {num} of {len(images)} photographs" for path, num in counts.items())
+    said = ", ".join(f"{below(folder, path)} with {num} of {len(images)} photographs" for path, num in counts.items())
     if sorted(counts.values())[-2] == counts[most]:
         raise ConfigError(
             f"{folder} has several files of poses ({said}); name one of them in [cameras] poses in {FILE_NAME}"
         )
-    return most, Findings((f"the poses are those in {_below(folder, most)}, which has most: found were {said}",))
+    return most, Findings((f"the poses are those in {below(folder, most)}, which has most: found were {said}",))
 
 
 def num_posed(path: Path, images: Collection[str]) -> int:
@@ -205,14 +201,14 @@ def larger_poses(found: Found, path: Path, num: int) -> tuple[str, ...]:
     if counts.get(best, 0) <= num:
         return ()
     return (
-        f"{_below(found.folder, path)} has the poses of {num} of {len(found.images)} photographs, and "
-        f"{_below(found.folder, best)} those of {counts[best]}: name that in [cameras] poses if it is meant",
+        f"{below(found.folder, path)} has the poses of {num} of {len(found.images)} photographs, and "
+        f"{below(found.folder, best)} those of {counts[best]}: name that in [cameras] poses if it is meant",
     )
 
 
-def _below(folder: Path, path: Path) -> str:
+def below(folder: Path, path: Path | None) -> str:
     """A path as it is seen from a folder."""
-    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else str(path)
+    return "" if path is None else path.relative_to(folder).as_posix() if path.is_relative_to(folder) else str(path)
 
 
 def head_warnings(headers: Mapping[str, Exif]) -> list[str]:

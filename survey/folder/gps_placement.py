@@ -20,7 +20,7 @@ from geo.frames import LocalFrame
 from geo.similarity import Similarity, robust_similarity
 from geo.transformation import lon_lat
 from survey.errors import FILE_NAME, ConfigError, Findings, PosesError, SurveyError
-from survey.folder.found import Found
+from survey.folder.found import Found, below
 from survey.folder.plausible import ONE_SURVEY_M, SAME_PLACE_M
 from survey.folder.pose_frames import points_in_crs
 from survey.folder.pose_priors import best_plan_std
@@ -218,14 +218,6 @@ def _gps_of(found: Found, names: Sequence[str]) -> GpsPositions | None:
         return None
 
 
-def _name_of(found: Found) -> str:
-    """Name of the poses file, from the survey folder where it lies there."""
-    path = found.poses_path
-    if path is None:
-        raise ValueError("the survey has no poses file; expected one with poses")
-    return path.relative_to(found.folder).as_posix() if path.is_relative_to(found.folder) else str(path)
-
-
 def _is_near_zero(centres: np.ndarray) -> bool:
     return bool(np.abs(centres).max() < ONE_SURVEY_M)
 
@@ -248,7 +240,7 @@ def _recognised(found: Found, file: PoseFile, poses: list[Pose], gps: GpsPositio
     """The file in the frame that its numbers show: metres from the centre of the Earth, or coordinates in crs."""
     centres = np.array([pose.centre for pose in poses])
     lengths = np.linalg.norm(centres, axis=1)
-    name = _name_of(found)
+    name = below(found.folder, found.poses_path)
     if _EARTH_M[0] < lengths.min() and lengths.max() < _EARTH_M[1]:
         note = f"the poses in {name} are metres from the centre of the Earth (ECEF, WGS 84), by their size"
         return replace(file, frame=PoseFrame.GEOCENTRIC), Findings((note,))
@@ -294,7 +286,7 @@ def _placed(
     PosesError
         If the positions do not determine scale and rotation.
     """
-    name = _name_of(found)
+    name = below(found.folder, found.poses_path)
     if fit.is_free or not fit.is_shift:
         if fit.fault is not None:
             raise PosesError(

@@ -20,7 +20,7 @@ from survey.errors import FILE_NAME, ConfigError, Findings, ImageError, PosesErr
 from survey.files.csv_table import shortened
 from survey.folder import local_frame
 from survey.folder.faults import angle_warnings
-from survey.folder.found import MIN_VIEWS, Found, larger_poses
+from survey.folder.found import MIN_VIEWS, Found, below, larger_poses
 from survey.folder.gps_placement import PlacedPoses, place_poses
 from survey.folder.pose_frames import (
     TiePointMisfit,
@@ -30,11 +30,12 @@ from survey.folder.pose_frames import (
     transformation_into_crs,
 )
 from survey.folder.pose_priors import PosePrior, priors_of_gps, priors_of_poses
+from survey.folder.unused_keys import Circumstances, unused_keys
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.photos.names import ImageNames
 from survey.photos.poses import DuplicatePose, Pose, PoseFile, least_track
-from survey.pose_files import read_poses, read_ties
+from survey.pose_files import find_poses, read_poses, read_ties
 from survey.settings.config import CamerasConfig
 from survey.settings.tables import per_axis
 from survey.sfm.datum import EXACT, DatumStd, plan_std, require_accurate
@@ -90,19 +91,7 @@ def with_lenses(found: Found, poses: list[Pose]) -> tuple[list[Pose], Findings]:
     if lens is None or any(pose.lens is None for pose in poses):
         of_config, findings = lenses_from_config(cameras, {pose.name: found.headers[pose.name] for pose in poses})
         return [replace(pose, lens=pose.lens or of_config[pose.name]) for pose in poses], findings
-    own, size = lens.focal[0], (lens.width, lens.height)
-    given = cameras.focal_px[0] if isinstance(cameras.focal_px, tuple) else cameras.focal_px
-    warnings = []
-    if given is not None and abs(given / own - 1.0) > 0.01:
-        warnings.append(
-            f"focal_px = {given:g} in survey.toml is not used: {found.poses_path} has its own, {own:.1f} px"
-        )
-    if cameras.size_px is not None and cameras.size_px != size:
-        warnings.append(
-            f"size_px = {list(cameras.size_px)} in survey.toml is not used: {found.poses_path} has its own, "
-            f"{list(size)}"
-        )
-    return poses, Findings(warnings=tuple(warnings))
+    return poses, Findings()
 
 
 def require_image(view: View, header: Exif) -> None:
@@ -253,7 +242,13 @@ def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
     datum, of_datum = _datum(found, file)
     found, of_clicks = _with_clicked_level(found, file, poses)
     findings += Findings(warnings=tuple(angle_warnings(poses, file.frame))) + of_place + of_datum + of_clicks
-    warnings = []
+    lens = file.poses[0].lens if all(pose.lens is not None for pose in file.poses) else None
+    name, has_others = below(found.folder, path), len(find_poses(found.folder)) > 1
+    warnings = list(
+        unused_keys(
+            Circumstances(found.config, found.headers, name, file.frame, placed.by_gps is not None, lens, has_others)
+        )
+    )
     frame, views = local_frame.views_in_local(found, file, poses)
     if file.tool is not None and found.config.water is not None:
         warnings.append(

@@ -30,9 +30,10 @@ def test_statistics_are_those_of_the_whole(rng, kind, count):
     assert found.size == len(finite)
     assert (found.least, found.greatest) == (finite.min(), finite.max())
     assert found.mean == pytest.approx(finite.mean(), rel=1e-12, abs=1e-12)
-    assert found.median == np.median(finite)
+    # float32 has steps of 6e-8.
+    assert found.median == pytest.approx(np.median(finite), rel=1e-7)
     shares = (0.0, 0.002, 0.05, 0.5, 0.95, 0.998, 1.0)
-    np.testing.assert_allclose(found.quantiles(*shares), np.quantile(finite, shares), rtol=1e-14, atol=1e-14)
+    np.testing.assert_allclose(found.quantiles(*shares), np.quantile(finite, shares), rtol=1e-6, atol=1e-6)
     edges = np.linspace(finite.min(), finite.max() + 1.0, 12)
     np.testing.assert_array_equal(found.histogram(edges), np.histogram(finite, edges)[0])
 

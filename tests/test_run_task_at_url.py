@@ -24,7 +24,8 @@ from survey.run import task_at_url
 from survey.run.process import process
 from survey.run.remote_run import JOBS, PARTS, PHOTOGRAPHS
 from survey.run.task_at_url import compute_at_url, put_job
-from survey.run.worker_task import Task, loaded_code
+from survey.run.worker_task import Task
+from survey.stage_key import code_hash
 
 pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
 
@@ -58,7 +59,7 @@ def test_a_task_fetches_what_it_needs_and_leaves_its_result_at_the_url(tmp_path,
     monkeypatch.setattr(task_at_url, "WorkerJob", job_of)
     for tile in (1, 0):
         task = Task(f"sweep_tile{tile}", tile, compute, {"adjust": Path("/not/here/adjust-1a")})
-        place, _, _ = compute_at_url(name, remote.url, task, loaded_code())
+        place, _, _ = compute_at_url(name, remote.url, task, code_hash())
         assert remote.read(f"{place}/b.txt") == b"needed"
         # Those of the tile before are removed.
         assert seen["here"] == [survey.views[number].name for number in ((1,), (1, 2))[tile]]
@@ -69,7 +70,7 @@ def test_a_task_fetches_what_it_needs_and_leaves_its_result_at_the_url(tmp_path,
     put_job(job, None, remote, tmp_path, "solver")
     assert [each.partition("/")[0] for each in seen["put"]] == [JOBS]
     with pytest.raises(SurveyError, match="is not there any more"):
-        compute_at_url(f"{JOBS}/none", remote.url, task, loaded_code())
+        compute_at_url(f"{JOBS}/none", remote.url, task, code_hash())
     with pytest.raises(SurveyError, match="another version of bathynerf"):
         compute_at_url(name, remote.url, task, "0")
 

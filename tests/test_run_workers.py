@@ -22,12 +22,13 @@ from drawn_runs import drawn
 
 from survey.errors import SurveyError
 from survey.progress import Progress
-from survey.run import start_workers, worker_task
+from survey.run import start_workers
 from survey.run.folder import RunDir
 from survey.run.process import process
 from survey.run.start_workers import WorkerNeeds, workers_for
-from survey.run.worker_task import Task, compute_task, loaded_code, save_job
+from survey.run.worker_task import Task, compute_task, save_job
 from survey.run.workers import Workers
+from survey.stage_key import code_hash
 
 
 @pytest.fixture(scope="module")
@@ -161,8 +162,8 @@ def test_a_worker_that_is_as_it_should_be_passes(run_and_photograph):
             "cannot load bathynerf .*No module named",
         ),
         ({"answer": ("0" * 64, True, True, {})}, "has another version of bathynerf.*install the same"),
-        ({"answer": (loaded_code(), False, True, {})}, "does not see .*name a run folder with -o"),
-        ({"answer": (loaded_code(), True, False, {})}, r"does not see .*a\.jpg; put the survey where"),
+        ({"answer": (code_hash(), False, True, {})}, "does not see .*name a run folder with -o"),
+        ({"answer": (code_hash(), True, False, {})}, r"does not see .*a\.jpg; put the survey where"),
     ],
 )
 def test_a_worker_that_is_not_as_it_should_be_is_named(run_and_photograph, worker, said):
@@ -180,7 +181,7 @@ def test_a_worker_that_does_not_reach_the_url_of_the_run_is_named(run_and_photog
 
 def test_on_cuda_a_worker_with_the_resource_of_a_gpu_is_asked_for(run_and_photograph):
     start_workers._check(
-        ClientOfOne(answer=(loaded_code(), True, True, {"GPU": 1})), WorkerNeeds(*run_and_photograph, takes_gpu=True)
+        ClientOfOne(answer=(code_hash(), True, True, {"GPU": 1})), WorkerNeeds(*run_and_photograph, takes_gpu=True)
     )
     with pytest.raises(SurveyError, match=r'no worker has the resource GPU; start one .* --resources "GPU=1", or give'):
         start_workers._check(ClientOfOne(), WorkerNeeds(*run_and_photograph, takes_gpu=True))
@@ -339,14 +340,9 @@ def test_a_worker_that_ends_while_it_is_looked_at_is_left_out(run_and_photograph
     start_workers._check(Leaving(), WorkerNeeds(*run_and_photograph))
 
 
-def test_the_code_of_a_process_is_that_of_its_start_and_a_task_of_other_code_is_refused(tmp_path, monkeypatch):
-    loaded_code.cache_clear()
-    hashes = iter(["first", "of files that changed"])
-    monkeypatch.setattr(worker_task, "code_hash", lambda _name: next(hashes))
-    assert [loaded_code(), loaded_code()] == ["first", "first"]
+def test_a_task_of_other_code_is_refused(tmp_path):
     with pytest.raises(SurveyError, match="has another version of bathynerf than the run"):
         compute_task(tmp_path / "job.pickle", tmp_path, Task("sweep_tile1", 0, print, {}), "of the run")
-    loaded_code.cache_clear()
 
 
 def test_each_job_is_saved_under_a_name_of_its_own_with_absolute_paths(shallow_survey, tmp_path, monkeypatch):

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import os
+import shutil
+import subprocess
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from survey.errors import SurveyError
-from survey.stage_key import stage_key
+from survey.stage_key import code_hash, stage_key
+
+ROOT = Path(__file__).resolve().parent.parent
 
 
 @dataclass(frozen=True)
@@ -74,3 +80,31 @@ def test_a_key_of_a_file_that_is_gone_names_it(tmp_path):
 def test_parts_without_a_fixed_form_are_refused(part):
     with pytest.raises(TypeError, match="stage_key got"):
         stage_key(part)
+
+
+CODE = (
+    "import bathynerf, sys; from bathynerf import load_survey; from survey.stage_key import code_hash;"
+    "print(code_hash()); print(sys.modules['survey'].__file__)"
+)
+
+
+def test_the_hash_of_the_code_is_that_of_its_files_wherever_they_lie(tmp_path):
+    first = code_hash()
+    for name in ("refract", "geo", "evaluation", "fields", "survey", "bathynerf"):
+        shutil.copytree(ROOT / name, tmp_path / "copy" / name, ignore=shutil.ignore_patterns("__pycache__"))
+        # Folders of these names in the working directory are not in the way.
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "notes.txt").write_text("no package")
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path / "copy"), "PYTHONSAFEPATH": "1"}
+
+    def hash_there() -> str:
+        command = [sys.executable, "-c", CODE]
+        found = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path, env=environment)
+        assert found.stdout.splitlines()[1].startswith(str(tmp_path / "copy"))
+        return found.stdout.splitlines()[0]
+
+    assert hash_there() == first
+    for old, new in (("PEERS = 12", "PEERS = 13"), ("PEERS = 13", "PEERS = 12")):
+        path = tmp_path / "copy" / "fields" / "sweep" / "fusion.py"
+        path.write_text(path.read_text().replace(old, new))
+        assert (hash_there() == first) is (new == "PEERS = 12")

@@ -125,7 +125,7 @@ def commit() -> str:
         found = subprocess.run(words, capture_output=True, text=True, check=False)
         if found.returncode == 0:
             return found.stdout.strip()
-    return code_hash("survey.run.process")[:12]
+    return code_hash()[:12]
 
 
 def _processor() -> str:

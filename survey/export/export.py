@@ -152,7 +152,7 @@ def _name(product: Product) -> str:
 def key_of(product: Product, run: LoadedRun, options: ExportOptions) -> str:
     """A hash of all that a product depends on: the run's result, the options that it follows, and its code."""
     asked = {name: getattr(options, name) for name in product.takes}
-    return stage_key(product.option, run.stages, asked, code_hash(product.write.__module__))
+    return stage_key(product.option, run.stages, asked, code_hash())
 
 
 def is_current(run: LoadedRun, path: Path, key: str) -> bool:

@@ -33,8 +33,9 @@ from survey.run.stage_tiles import find_shared, read_shared
 from survey.run.start_workers import WorkerNeeds, workers_for
 from survey.run.task_at_url import put_job
 from survey.run.tile_job import MASKS, TileJob
-from survey.run.worker_task import Task, loaded_code, save_job
+from survey.run.worker_task import Task, save_job
 from survey.run.workers import Workers
+from survey.stage_key import code_hash
 
 if TYPE_CHECKING:
     from survey.run.keys import Key
@@ -79,7 +80,7 @@ class TileWorkers:
         self._stack, self._messages_of_start = ExitStack(), list[str]()
         self._starter = ThreadPoolExecutor(1)
         self._starting: Future[Workers] | None = None
-        loaded_code()
+        code_hash()
 
     def __enter__(self) -> TileWorkers:
         # One waits a minute for a scheduler that does not answer.

@@ -303,7 +303,7 @@ def versions_of(folder: Path) -> dict[str, str]:
 
 def versions() -> dict[str, str]:
     """Versions of the installed libraries that compute, by name."""
-    program = f"{importlib.metadata.version('bathynerf')}+{code_hash('survey.run.process')[:8]}"
+    program = f"{importlib.metadata.version('bathynerf')}+{code_hash()[:8]}"
     found = {"bathynerf": program, "python": ".".join(str(v) for v in sys.version_info[:3])}
     for name in _NAMED_VERSIONS:
         try:

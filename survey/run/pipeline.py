@@ -32,9 +32,6 @@ from survey.run.stored import FIELD_FILES
 from survey.run.water_colour import COLOUR_FILE, colour_is_known
 from survey.stage_key import code_hash
 
-# What gives the photographs to all stages.
-LOADING = ("survey.plan.sweep_block", "survey.photos.images", "survey.run.windows")
-
 Compute = Callable[["Job", Path, Mapping[str, Path]], None]
 
 
@@ -46,8 +43,7 @@ class Stage:
     needs: tuple[str, ...]  # Stages whose results it reads; those that a run leaves out are left out here too
     depends_on: tuple[str, ...]  # Parts of the job that decide its result; see `Job.hash_of_part`
     files: tuple[str, ...]  # Files in its folder
-    # callable: gets the job, the folder to write to, and the folders of the stages that it needs, by name. The code
-    # that this function's module reaches by imports is a part of what the stage depends on.
+    # callable: gets the job, the folder to write to, and the folders of the stages that it needs, by name
     compute: Compute
     is_on: Callable[[Job], bool] = lambda _job: True  # callable: whether a job has this stage
     # callable, optional: changes the job by the result in a folder, whether computed now or earlier
@@ -58,7 +54,7 @@ class Stage:
         parts = {name: job.hash_of_part(name) for name in self.depends_on}
         # The name of a stage's folder ends in the hash of all that it depends on.
         parts |= {name: done[name].name for name in self.needs if name in done}
-        return Key(parts | {"code": code_hash(self.compute.__module__, *LOADING)})
+        return Key(parts | {"code": code_hash()})
 
 
 def run_stage(

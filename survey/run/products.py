@@ -49,7 +49,8 @@ from survey.run.stage_solver import SIGHTINGS
 from survey.run.stage_sweep import CONSISTENCY, MAPS, SATURATED
 from survey.run.stored import StoredBed, load_bed
 from survey.run.stored_maps import Stored
-from survey.run.worker_task import forget_jobs, loaded_code, require_code
+from survey.run.worker_task import forget_jobs, require_code
+from survey.stage_key import code_hash
 
 if TYPE_CHECKING:
     from survey.run.workers import Workers
@@ -126,7 +127,7 @@ def write_products(finished: FinishedRun, workers: Workers | None = None) -> Run
         else:
             workers.on_each(forget_jobs)
             place = scratch.absolute() / f"cloud-{uuid.uuid4().hex}.las"
-            under_way = workers.submit(_write_cloud, place, bed.absolute(), loaded_code())
+            under_way = workers.submit(_write_cloud, place, bed.absolute(), code_hash())
             written = cache(lambda: _move(under_way(), cloud))
             # A comparison holds the points again, which workers would each load.
             draw = draw_pictures if finished.truth.reference is not None else partial(draw_on, workers, scratch)

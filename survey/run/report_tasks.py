@@ -23,7 +23,8 @@ from survey.display.quantities import foot_m, lengths_in_feet
 from survey.report.facts import ReportFacts
 from survey.report.pictures import drawings_of
 from survey.report.raster import Picture
-from survey.run.worker_task import loaded_code, require_code, with_absolute_paths
+from survey.run.worker_task import require_code, with_absolute_paths
+from survey.stage_key import code_hash
 
 if TYPE_CHECKING:
     from survey.run.workers import Workers
@@ -42,7 +43,7 @@ def draw_on(workers: Workers, scratch: Path, folder: Path, facts: ReportFacts) -
     place = scratch.absolute() / f"report-{uuid.uuid4().hex}"
     with reporting_disk_errors(place):
         place.mkdir()
-    names, code = list(drawings_of(facts)), loaded_code()
+    names, code = list(drawings_of(facts)), code_hash()
     sent = replace(facts, survey=with_absolute_paths(facts.survey))
     # Found already, from all points.
     sent.__dict__["checkpoints"] = facts.checkpoints

@@ -16,8 +16,9 @@ from geo.files import reporting_disk_errors
 from survey.errors import SurveyError
 from survey.plan.tile_choice import NO_DASK, has_dask
 from survey.run.task_at_url import require_reachable
-from survey.run.worker_task import ANOTHER_VERSION, loaded_code
+from survey.run.worker_task import ANOTHER_VERSION
 from survey.run.workers import ALLOWED_FAILURES, GPU, WORKER_TIMEOUT_S, Workers
+from survey.stage_key import code_hash
 
 
 @dataclass(frozen=True)
@@ -157,7 +158,7 @@ def _check(client: Any, needs: WorkerNeeds) -> None:
             ) from each
         code, sees_run, sees_photograph, resources = each
         has_gpu |= resources.get(GPU, 0) >= 1
-        if code != loaded_code():
+        if code != code_hash():
             raise SurveyError(f"the worker {place} has {ANOTHER_VERSION}")
         if not sees_run:
             raise SurveyError(
@@ -188,7 +189,7 @@ def _token(stages: Path) -> Iterator[Path]:
 
 
 def _seen(token: Path, photograph: Path, dask_worker: Any = None) -> tuple[str, bool, bool, dict[str, float]]:
-    return loaded_code(), token.is_dir(), photograph.is_file(), _resources(dask_worker)
+    return code_hash(), token.is_dir(), photograph.is_file(), _resources(dask_worker)
 
 
 def _resources(dask_worker: Any) -> dict[str, float]:
@@ -197,7 +198,7 @@ def _resources(dask_worker: Any) -> dict[str, float]:
 
 def _seen_at(url: str, dask_worker: Any = None) -> tuple[str, bool, bool, dict[str, float]]:
     require_reachable(url)
-    return loaded_code(), True, True, _resources(dask_worker)
+    return code_hash(), True, True, _resources(dask_worker)
 
 
 def gpus() -> list[str]:

@@ -14,7 +14,7 @@ import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -41,12 +41,6 @@ class Task:
     compute: Callable[[Job, Path, Mapping[str, Path]], None]
     needs: Mapping[str, Path]  # mapping: folders of the stages that it needs, by the names that ``compute`` knows
     cost: int = 0  # Expected, in pixels: the longest are to begin first
-
-
-@cache
-def loaded_code() -> str:
-    """Hash of the code of this process: taken once, before stages are loaded, as files may change later."""
-    return code_hash("survey.run.execution")
 
 
 def save_job(job: Job, found: TilePlan, folder: Path, stage: str) -> Path:
@@ -130,7 +124,7 @@ def compute_task(job: Path, stages: Path, task: Task, code: str) -> tuple[Path, 
 
 def require_code(code: str) -> None:
     """Raise where the code of this process is another than that of the run, by its hash."""
-    if loaded_code() != code:
+    if code_hash() != code:
         raise SurveyError(f"a worker on {platform.node()} has {ANOTHER_VERSION}")
 
 

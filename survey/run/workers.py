@@ -25,7 +25,8 @@ from geo.errors import GeoError
 from survey.errors import SurveyError
 from survey.progress import current
 from survey.run.task_at_url import compute_at_url
-from survey.run.worker_task import Task, compute_task, loaded_code
+from survey.run.worker_task import Task, compute_task
+from survey.stage_key import code_hash
 
 # Folder of the result of a task (or its name at the URL), seconds, and kinds and texts of its messages.
 Computed = tuple[Path | str, float, list[tuple[str, str]]]
@@ -239,7 +240,7 @@ class Workers:
     def _submit(self, job: Path | str, task: Task, workers: list[str] | None = None) -> Any:
         """The future of a task, on any worker, or on one of ``workers``."""
         compute, place = self._place
-        given = (compute, job, place, task, loaded_code())
+        given = (compute, job, place, task, code_hash())
         key = f"{task.name}-{uuid.uuid4().hex}"
         return self._client.submit(_attempted, *given, pure=False, key=key, resources=self._resources, workers=workers)
 

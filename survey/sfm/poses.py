@@ -211,7 +211,7 @@ def _solved(photographs: Photographs, workspace: Path, report: Callable[[str], N
     images, places = photographs.images, photographs.places
     # Of positions, of levels and of heights only the pairs that they choose count.
     settings = (photographs.focal_px, photographs.mapper, sorted(places), image_pairs(list(images), places))
-    key = stage_key("sfm", code_hash("survey.sfm.solve"), *settings, list(images), list(images.values()))
+    key = stage_key("sfm", code_hash(), *settings, list(images), list(images.values()))
     busy = f"another process (number {{pid}}) looks for poses in {workspace}; wait until it ends, or stop it"
     with reporting_disk_errors(workspace), locked(_make_folder(workspace), busy=busy):
         free = _stored(workspace, key)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+import warnings
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -138,13 +139,13 @@ def _folder_beside(path: str | Path) -> TemporaryDirectory:
 
 def _write_by_gdal(copy: Path, path: Path, layer: Layer, driver: str, /, **options) -> None:
     """Write a layer in its own CRS by GDAL to ``copy``, which will become ``path``, and read it once more."""
-    pyogrio = library_for(path, "pyogrio.raw", "vector", to_write=True)
+    pyogrio = library_for(path, "pyogrio", "vector", to_write=True)
     crs, shapes, kind = horizontal_crs(layer.crs), layer.shapes, str(layer.kind)
     if layer.heights is not None and driver == "ESRI Shapefile":
         shapes = [np.column_stack([line, z]) for line, z in zip(shapes, layer.heights, strict=True)]
         kind = f"{kind} Z"
     try:
-        pyogrio.write(
+        pyogrio.raw.write(
             copy,
             geometry=np.array([_wkb(layer.kind, shape) for shape in shapes], dtype=object),
             field_data=[np.array(values) for values in layer.columns.values()],
@@ -154,8 +155,11 @@ def _write_by_gdal(copy: Path, path: Path, layer: Layer, driver: str, /, **optio
             crs=crs_code(crs) or crs.to_wkt(),
             **options,
         )
-        meta, *_ = pyogrio.read(copy)
-        read = None if meta["crs"] is None else CRS.from_user_input(meta["crs"])
+        with warnings.catch_warnings():
+            # Of the measures that every shapefile of lines with heights has.
+            warnings.simplefilter("ignore", UserWarning)
+            stated = pyogrio.read_info(copy)["crs"]
+        read = None if stated is None else CRS.from_user_input(stated)
     except (RuntimeError, ValueError, OSError) as error:
         raise UnwritableFile(
             f"cannot write {path}: {str(error)[:80]}; most likely no space is left on the disk: free some or write "

@@ -27,6 +27,7 @@ from survey.errors import SurveyError
 from survey.export.bed_cells import POINTS, BedRaster, LevelFit, PlanCells, fill_gaps, round_side
 from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells
 from survey.export.product import require_lengths, require_not_too_fine
+from survey.progress import current
 
 if TYPE_CHECKING:
     from survey.export.loaded import LoadedRun
@@ -88,7 +89,7 @@ def _bed_raster(run: LoadedRun, options: ExportOptions) -> BedRaster:
     pixel = run.bed_header.gsd_m
     if options.resolution_m is not None:
         require_not_too_fine(options.resolution_m, pixel)
-    columns = run.columns(*_COLUMNS)
+    columns = _with_std(run.columns(*_COLUMNS))
     points, crs = columns["points_crs"], run.bed_header.crs
     if options.crs is not None:
         reprojection = run.transformation_to(options.crs)
@@ -108,6 +109,19 @@ def _bed_raster(run: LoadedRun, options: ExportOptions) -> BedRaster:
     if options.fill_m > 0.0:
         fill_gaps(grid, options.fill_m)
     return grid
+
+
+def _with_std(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The columns of the points whose standard deviation is known; a warning counts the others."""
+    known = np.isfinite(columns["std"])
+    if known.all():
+        return columns
+    if not known.any():
+        raise SurveyError(f"none of the {len(known)} points has a standard deviation, which cells of a raster need")
+    current().warn(
+        f"{int((~known).sum())} of {len(known)} points have no standard deviation and are left out of rasters"
+    )
+    return {name: column[known] for name, column in columns.items()}
 
 
 def too_coarse(side_m: float, points_crs: np.ndarray, crs: CRS, pixel_m: float) -> str:

@@ -96,6 +96,11 @@ class LoadedRun:
         withheld = is_withheld(bed.bed.std)
         if not withheld.any():
             return bed
+        if withheld.all():
+            raise SurveyError(
+                f"all {len(withheld)} points have a standard deviation over {WITHHELD_STD_M:g} m, which LAS flags as "
+                "withheld; export LAS, LAZ or PLY, which mark them"
+            )
         current().warn(
             f"{int(withheld.sum())} of {len(withheld)} points are left out of products that have no place for a flag: "
             f"their standard deviation is over {WITHHELD_STD_M:g} m, and LAS has them as withheld"

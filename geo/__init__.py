@@ -9,6 +9,9 @@
 | writing | `las` (with `las_header`, `copc`), `ply`, `obj`, `gltf`, `e57` |
 | files that are written whole or not at all, libraries of single formats | `files`; errors: `errors` |
 
+A file, a CRS or a place at fault raises an error of `errors`, which names what was found and how to mend it; a function
+says so only where that is not evident. Arrays that do not fit together raise ValueError.
+
 The formats have no folder of their own: they need `crs`, `errors` and `files`, this file needs them, and no two folders
 may import each other.
 """

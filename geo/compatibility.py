@@ -59,13 +59,7 @@ def same_crs(a: CRS, b: CRS) -> bool:
 
 
 def require_same_crs(a: CRS | None, b: CRS | None, a_name: str, b_name: str) -> None:
-    """Refuse two data sets whose CRSs are known and differ.
-
-    Raises
-    ------
-    CRSMismatch
-        Naming both and what differs.
-    """
+    """Refuse two data sets whose CRSs are known and differ."""
     difference = crs_difference(a, b) if a is not None and b is not None else None
     if difference:
         raise CRSMismatch(
@@ -75,13 +69,7 @@ def require_same_crs(a: CRS | None, b: CRS | None, a_name: str, b_name: str) -> 
 
 
 def require_same_place(a: np.ndarray, b: np.ndarray, a_name: str, b_name: str) -> None:
-    """Refuse two sets of points (N, 3) and (M, 3), in crs, whose horizontal boxes do not touch.
-
-    Raises
-    ------
-    PlaceMismatch
-        Naming both boxes, and swapped axes where that explains it.
-    """
+    """Refuse two sets of points (N, 3) and (M, 3), in crs, whose horizontal boxes do not touch."""
     box_a, box_b = _box(a), _box(b)
     if _overlap(box_a, box_b):
         return

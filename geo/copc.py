@@ -157,11 +157,6 @@ def write_copc(
         Number of points, one at least.
     portion : int
         Points that are made into records at a time, where they are not those of nodes.
-
-    Raises
-    ------
-    lazrs.LazrsError
-        If the system refuses to write.
     """
     # laspy adds the points of each portion of records to the counts in their header.
     header = deepcopy(header)

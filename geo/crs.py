@@ -37,16 +37,6 @@ def parse_crs(text: str | CRS, *, where: str = "crs") -> CRS:
         For example ``"EPSG:25832+5778"`` (horizontal + vertical) or ``"EPSG:4979"`` (3D).
     where : str
         What the error names, for example ``"crs in survey.toml"``.
-
-    Raises
-    ------
-    UnknownCRS
-        If PROJ does not know it.
-    MissingVerticalDatum
-        If it has no vertical part.
-    UnsupportedCRS
-        If its third axis counts downwards (depths), its axes are not easting and northing, it is neither
-        projected nor geographic, or its projection has no WKT 1.
     """
     try:
         crs = crs_of(text)
@@ -61,13 +51,7 @@ def parse_crs(text: str | CRS, *, where: str = "crs") -> CRS:
 
 
 def crs_of(text: str | CRS) -> CRS:
-    """A CRS from its code, WKT or PROJ string, which PROJ reads once: a compound code takes it 20 ms.
-
-    Raises
-    ------
-    CRSError
-        If PROJ does not know it.
-    """
+    """A CRS from its code, WKT or PROJ string, which PROJ reads once: a compound code takes it 20 ms."""
     return _crs_of_text(text) if isinstance(text, str) else text
 
 
@@ -192,13 +176,7 @@ def angular_unit_rad(crs: CRS) -> float:
 
 
 def geodetic_crs(crs: CRS) -> CRS:
-    """The geographic system under a projected or geographic CRS.
-
-    Raises
-    ------
-    UnsupportedCRS
-        If there is none: a site grid, or heights alone.
-    """
+    """The geographic system under a projected or geographic CRS."""
     geodetic = horizontal_crs(crs).geodetic_crs
     if geodetic is None:
         raise UnsupportedCRS(f"{crs.name} is not placed on the Earth; expected a projected or geographic CRS.")
@@ -257,11 +235,6 @@ def wkt1(crs: CRS) -> str:
 
     A compound CRS becomes COMPD_CS. WKT 1 has no 3D systems, so ellipsoidal heights are written as a compound
     with VERT_CS "Ellipsoid (metre)", as GDAL does, which PROJ reads back as 3D.
-
-    Raises
-    ------
-    UnsupportedCRS
-        If the CRS has a projection that WKT 1 cannot express.
     """
     try:
         if has_height(crs) and not _unbound(crs).is_compound:

@@ -27,15 +27,7 @@ _GPS_EPOCH_S, _LEAP_S = 315_964_800.0, 18.0
 
 
 def read_e57(path: str | Path) -> Cloud:
-    """Read the points of all scans of an E57 file, each moved by its pose, with the CRS of its header.
-
-    Raises
-    ------
-    EmptyCloud
-        If it has no points.
-    UnreadableFile
-        If it does not exist, is damaged, or pye57 is not installed.
-    """
+    """Read the points of all scans of an E57 file, each moved by its pose, with the CRS of its header."""
     path = existing_file(path)
     pye57 = library_for(path, "pye57", "e57")
     # libE57Format raises its own errors and RuntimeError for damaged files.
@@ -82,11 +74,6 @@ def write_e57(path: str | Path, points_crs: np.ndarray, crs: CRS, *, rgb: np.nda
     crs : pyproj.CRS
         Written as WKT 1.
     rgb : (N, 3) uint8
-
-    Raises
-    ------
-    UnwritableFile
-        If the CRS is geographic or not in metres, the file cannot be written, or pye57 is not installed.
     """
     require_metres(path, crs)
     pye57 = library_for(path, "pye57", "e57", to_write=True)

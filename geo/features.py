@@ -85,12 +85,6 @@ def read_features(path: str | Path, kind: str, layer: str | None = None) -> Feat
         What an error names as expected, e.g. "polygons".
     layer : str, optional
         Of a file with several layers of geometries.
-
-    Raises
-    ------
-    UnreadableFile
-        If it is none of the formats, is damaged, has coordinates that are no finite numbers, or names a CRS that is not
-        known; if it has several layers, and none is named, or none of that name.
     """
     path, named = layer_of(path)
     path, layer = existing_file(path), layer or named
@@ -111,15 +105,7 @@ def read_features(path: str | Path, kind: str, layer: str | None = None) -> Feat
 
 
 def in_horizontal_crs(geometry: BaseGeometry, source: CRS, target: CRS, path: Path) -> BaseGeometry:
-    """A geometry of a file, in plan, transformed to another horizontal CRS.
-
-    Raises
-    ------
-    UnreadableFile
-        If it is not on the map of the target.
-    GeoError
-        If there is no transformation: see `geo.transformation.transformed`.
-    """
+    """A geometry of a file, in plan, transformed to another horizontal CRS."""
     geometry = shapely.force_2d(geometry)
     if source.equals(target, ignore_axis_order=True):
         return geometry

@@ -118,11 +118,6 @@ def write_whole(path: str | Path) -> Iterator[BinaryIO]:
     Written under a temporary name in the same folder and renamed at the end; after any error the temporary file is
     gone and an older file of that name is untouched. A symbolic link is followed, as by `cp`; into a device or a pipe,
     e.g. /dev/stdout, the bytes go at once, and cannot be read back.
-
-    Raises
-    ------
-    UnwritableFile
-        If it cannot be written (no space, no folder, no permission); the message names the path and the remedy.
     """
     path = Path(path)
     try:
@@ -190,11 +185,6 @@ def scratch_array(path: Path, dtype: str, shape: tuple[int, ...]) -> np.ndarray:
     """An array of zeros in a memory-mapped scratch file, whose disk space is reserved before it is mapped.
 
     A mapped file that meets a full disk when one of its pages is written ends the process (SIGBUS).
-
-    Raises
-    ------
-    UnwritableFile
-        If there is too little space; the message says how much is needed, and where.
     """
     size = int(np.prod(shape, dtype=np.int64)) * np.dtype(dtype).itemsize
     try:
@@ -214,13 +204,7 @@ def scratch_array(path: Path, dtype: str, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def existing_file(path: str | Path) -> Path:
-    """The path, if it names a file that is there.
-
-    Raises
-    ------
-    UnreadableFile
-        If nothing is there, or a folder.
-    """
+    """The path, if it names a file that is there."""
     path = Path(path)
     if path.is_dir():
         raise UnreadableFile(f"{path} is a folder; expected a file.")
@@ -248,13 +232,7 @@ def _is_full(path: Path) -> bool:
 
 
 def library_for(path: str | Path, module: str, extra: str, *, to_write: bool = False) -> ModuleType:
-    """The module that reads, or writes, a file.
-
-    Raises
-    ------
-    UnreadableFile, UnwritableFile
-        If it is not installed; the message names the extra that brings it.
-    """
+    """The module that reads, or writes, a file."""
     try:
         return import_module(module)
     except ModuleNotFoundError as error:

@@ -34,11 +34,6 @@ def read_gltf(path: str | Path) -> Mesh | Cloud:
 
     The format has no CRS. `write_glb` stores it with the origin in the ``extras`` of the scene; such files are returned
     in coordinates of that CRS.
-
-    Raises
-    ------
-    UnreadableFile
-        If it does not exist, is damaged, or trimesh is not installed.
     """
     path = existing_file(path)
     trimesh = library_for(path, "trimesh", "gltf")
@@ -116,11 +111,6 @@ def write_glb(path: str | Path, mesh: Mesh, crs: CRS) -> None:
     whole units of it (degrees to nine digits).
 
     Colours are linear, as COLOR_0 of glTF is, in 16 bits; the material scatters light as paper does, on both sides.
-
-    Raises
-    ------
-    UnwritableFile
-        If the file cannot be written, or is larger than the 4 GB that GLB holds.
     """
     middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
     if is_to_scale(crs, middle):

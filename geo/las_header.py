@@ -96,11 +96,6 @@ def crs_of_header(header: laspy.LasHeader, path: Path) -> tuple[CRS | None, floa
 
     Taken from OGC WKT, else from GeoTIFF keys; (None, None, why) if the file has none. A CRS without a vertical part is
     returned as it is, with a note, and with the unit of heights of the keys.
-
-    Raises
-    ------
-    UnreadableFile
-        If the WKT has heights in another unit than the keys say.
     """
     records = [*header.vlrs, *(header.evlrs or [])]
     texts = [r.string for r in records if isinstance(r, WktCoordinateSystemVlr) and r.string.strip()]

@@ -46,13 +46,6 @@ def read_lines(path: str | Path, crs: CRS, around: np.ndarray) -> list[Line]:
         May name a layer, see `geo.features.layer_of`.
     around : (2, 2), in crs
         Lowest and highest corner of the cloud that the lines are for.
-
-    Raises
-    ------
-    UnreadableFile
-        If it is another format, is damaged, has no line, or several layers of which none is named.
-    GeoError
-        If it cannot be taken to crs: see `geo.transformation.transformed`.
     """
     found = [
         (_named(properties), np.array(line.coords))
@@ -80,13 +73,6 @@ def read_polygons(path: str | Path, crs: CRS, around: np.ndarray) -> list[Polygo
     """All polygons of a file, in the horizontal part of crs, easting or longitude first; otherwise as `read_lines`.
 
     Closed lines are polygons: a drawing has no others.
-
-    Raises
-    ------
-    UnreadableFile
-        If it is another format, is damaged, or has no polygon.
-    GeoError
-        If it cannot be taken to crs: see `geo.transformation.transformed`.
     """
     parts = [part for part, _ in _in_crs(path, "polygons", (Polygon, LineString), crs, around)]
     found = [

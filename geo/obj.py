@@ -30,11 +30,6 @@ def read_obj(path: str | Path) -> Mesh | Cloud:
 
     Faces may count vertices from the first (1, 2, ...) or back from the last one so far (-1, -2, ...) and may
     have texture and normal numbers (``7/3/2``), which are ignored.
-
-    Raises
-    ------
-    UnreadableFile
-        If it does not exist, or a vertex or face line is not understood.
     """
     path = existing_file(path)
     text = path.read_bytes().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")

@@ -17,13 +17,7 @@ _SUFFIXES = (".tif", ".gtx")
 
 
 def operations(source: CRS | str, target: CRS | str, area: AreaOfInterest | None) -> TransformerGroup:
-    """All operations that PROJ knows between two CRSs, with or without heights, at a place; the best first.
-
-    Raises
-    ------
-    ProjError
-        If it knows none.
-    """
+    """All operations that PROJ knows between two CRSs, with or without heights, at a place; the best first."""
     # Cached, since a search takes PROJ some 10 ms: anew where a folder of grids was added, and for each thread, since
     # threads must not share transformers.
     return _operations(_text(source), _text(target), area, datadir.get_data_dir(), get_ident())

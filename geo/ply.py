@@ -72,13 +72,6 @@ def write_ply(
         Named in a comment, ``crs EPSG:25832+5778``; where it has no code, as WKT in several (``crs_wkt``).
     faces : (F, 3) int, optional
         Triangles.
-
-    Raises
-    ------
-    UnwritableFile
-        If the file cannot be written.
-    ValueError
-        If shapes differ or a name cannot be one.
     """
     points = np.asarray(points_crs, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or np.shape(rgb) != points.shape:
@@ -154,11 +147,6 @@ def read_ply(path: str | Path) -> Mesh | Cloud:
     """Read a PLY file: a mesh if it has faces (polygons are cut into triangles), else a cloud.
 
     The CRS is that of the comments that `geo.ply.write_ply` leaves; the format has no place for one.
-
-    Raises
-    ------
-    UnreadableFile
-        If it does not exist, is damaged, or holds large coordinates in single precision.
     """
     path = existing_file(path)
     data = path.read_bytes()

@@ -150,15 +150,7 @@ def _write(path: Path | str, form: RasterForm, parts: Iterable[Part], **profile)
 
 
 def _require_readable(copy: Path, path: Path, form: RasterForm) -> None:
-    """Open a raster that will become ``path`` once more, and read its last cell and its CRS.
-
-    Raises
-    ------
-    RasterioError
-        If it is damaged.
-    UnwritableFile
-        If its format cannot hold the CRS.
-    """
+    """Open a raster that will become ``path`` once more, and read its last cell and its CRS."""
     rows, columns = form.shape
     # Without files beside the raster, which stay behind.
     with rasterio.Env(GDAL_PAM_ENABLED="NO"), rasterio.open(copy) as raster:
@@ -223,12 +215,6 @@ def read_raster(path: str | Path) -> Mesh:
     Cells without data, and triangles that would touch one, are holes. Heights are those of the file, a declared scale
     and offset applied; where the CRS has no vertical part, the unit of the band is their unit. Triangles face up,
     whichever row is the first.
-
-    Raises
-    ------
-    UnreadableFile
-        If it does not exist, is damaged, has fewer than 2 x 2 cells with data, a band in another unit than the
-        heights of its CRS, of depths or of red.
     """
     path = existing_file(path)
     band = _read_band(path)

@@ -143,13 +143,6 @@ class Reprojection:
             What errors name.
         places : (N, 2 or 3), optional
             In the source, of the survey: they decide between regional operations.
-
-        Raises
-        ------
-        UnknownCRS, UnsupportedCRS
-            If PROJ does not know the target, or it does not suit a survey; see `geo.crs.parse_crs`.
-        MissingGrid
-            If a grid that the transformation needs is not there.
         """
         target_crs = _with_height(source, target, where)
         keeps_height = has_same_heights(source, target_crs)
@@ -165,15 +158,7 @@ class Reprojection:
         return 0.0 if self.keeps_height else max(self._transformer.accuracy, 0.0)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Points (N, 3) in the source CRS as points (N, 3) float64 in `crs`; NaN where PROJ has no answer.
-
-        Raises
-        ------
-        UnsupportedCRS
-            If longitudes jump among them.
-        PlaceMismatch
-            If they lie far outside the area that the CRS is made for.
-        """
+        """Points (N, 3) in the source CRS as points (N, 3) float64 in `crs`; NaN where PROJ has no answer."""
         points = np.asarray(points, dtype=np.float64)
         if self.keeps_height:
             east, north = self._transformer.transform(points[:, 0], points[:, 1])

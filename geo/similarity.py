@@ -66,11 +66,6 @@ def robust_similarity(a, b) -> tuple[Similarity, np.ndarray]:
     (N,) bool
         The points that agree.
 
-    Raises
-    ------
-    ValueError
-        With fewer than three points.
-
     Notes
     -----
     Least median of squares over seeded samples of three points (Rousseeuw 1984, "Least median of squares

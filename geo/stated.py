@@ -82,11 +82,6 @@ def checked_height_unit(crs: CRS | None, stated: float | None, path: Path, where
     ----------
     stated : [m] or None
     path, where : what gives it, for a message.
-
-    Raises
-    ------
-    UnreadableFile
-        If the CRS has heights in another unit.
     """
     if stated is None or crs is None or not has_height(crs):
         return stated

@@ -36,11 +36,6 @@ def sun_at(time: datetime, latitude_deg: float, longitude_deg: float) -> Sun:
     latitude_deg, longitude_deg : [deg]
         North and east positive.
 
-    Raises
-    ------
-    ValueError
-        If the time has no time zone.
-
     Notes
     -----
     The low-precision formulas of the Astronomical Almanac as J. J. Michalsky gives them (Solar Energy 40, 1988,

@@ -61,13 +61,7 @@ class Transformation:
 
     @staticmethod
     def between(source: CRS, target: CRS, places: np.ndarray) -> Transformation:
-        """The operation for places (N, 2 or 3) in the source; the middle of those that are on its map counts.
-
-        Raises
-        ------
-        UnsupportedCRS
-            If PROJ knows no operation.
-        """
+        """The operation for places (N, 2 or 3) in the source; the middle of those that are on its map counts."""
         ends = _with_own_operation(source), _with_own_operation(target)
         source, target = horizontal_crs(source), horizontal_crs(target)
         middle = middle_of(source, np.asarray(places, dtype=np.float64))
@@ -131,13 +125,7 @@ class Transformation:
 
 
 def transformed(source: CRS, target: CRS, points: np.ndarray, subject: str, remedy: str) -> np.ndarray:
-    """Points (N, 3) with horizontal coordinates in the target, by the best operation; heights unchanged.
-
-    Raises
-    ------
-    MissingGrid
-        If its grid is missing: see `Transformation.require_best`.
-    """
+    """Points (N, 3) with horizontal coordinates in the target, by the best operation; heights unchanged."""
     transformation = Transformation.between(source, target, points)
     transformation.require_best(subject, remedy)
     return np.column_stack([*transformation(points[:, 0], points[:, 1]), points[:, 2]])
@@ -154,13 +142,6 @@ def height_scale(source: CRS, target: CRS, subject: str, *, unit_m: float | None
         What errors name, e.g. "the heights of control points in gcp_list.txt".
     unit_m : float, optional
         Unit of the heights [m] where the source does not state it but the program that wrote it defines it.
-
-    Raises
-    ------
-    CRSMismatch
-        If the two count heights from different datums.
-    UnknownUnit
-        If the source has no heights, and its unit in plan is another one than that of the target's heights.
     """
     if has_height(source):
         names = _height_names(source, target)
@@ -194,13 +175,6 @@ def best_operation(source: CRS, target: CRS, where: str, remedy: str, places: np
 
     Errors name ``where`` and end with ``remedy``, what else would help; ``places`` (N, 2 or 3) in the source decide
     between regional operations.
-
-    Raises
-    ------
-    MissingGrid
-        If the best one needs a grid that is not installed.
-    UnsupportedCRS
-        If there is none.
     """
     subject = f"{where}: the transformation from {crs_name(source)} to {crs_name(target)}"
     middle = None if places is None else middle_of(horizontal_crs(source), np.asarray(places, dtype=np.float64))

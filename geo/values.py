@@ -47,13 +47,7 @@ def is_no_data_value(height: float) -> bool:
 
 
 def check_values(points: np.ndarray, crs: CRS | None, path: Path) -> tuple[str, ...]:
-    """Notes on the points (N, 3) of a file, in crs (None: metres).
-
-    Raises
-    ------
-    UnreadableFile
-        If their coordinates were rounded to steps far coarser than their spacing, or some heights stand for no data.
-    """
+    """Notes on the points (N, 3) of a file, in crs (None: metres)."""
     # Coordinates of a damaged file may be as large as numbers go.
     with np.errstate(over="ignore", invalid="ignore"):
         return (*_no_data_notes(points[:, 2], path), *rounded_coordinates(points, crs, path))

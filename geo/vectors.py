@@ -64,13 +64,6 @@ def write_geojson(path: str | Path, layer: Layer) -> str | None:
     -------
     str or None
         A warning where places are less well known in WGS 84 than in the CRS of the layer.
-
-    Raises
-    ------
-    UnwritableFile
-        If the file cannot be written.
-    MissingGrid
-        If the transformation to WGS 84 needs a grid that is not installed.
     """
     places = [line for shape in layer.shapes for line in (shape if layer.kind == "Polygon" else [shape])]
     operation = require_wgs84(path, layer.crs, np.concatenate(places) if places else np.zeros((0, 2)))
@@ -116,13 +109,7 @@ def _geometry(kind: str, parts: list) -> dict:
 
 
 def write_geopackage(path: str | Path, layer: Layer) -> None:
-    """Write a layer as GeoPackage in its own CRS, whole or not at all.
-
-    Raises
-    ------
-    UnwritableFile
-        If the file cannot be written, or pyogrio is not installed.
-    """
+    """Write a layer as GeoPackage in its own CRS, whole or not at all."""
     options = {"layer_options": {"IDENTIFIER": f"bathynerf {layer.name}", "DESCRIPTION": layer.notes}}
     with write_whole(path) as stream, _folder_beside(path) as work:
         # GDAL knows the format by the suffix.
@@ -170,13 +157,7 @@ def _write_by_gdal(copy: Path, path: Path, layer: Layer, driver: str, /, **optio
 
 
 def write_shapefile(path: str | Path, layer: Layer) -> None:
-    """Write a layer as a shapefile in its own CRS, its files in one ZIP, whole or not at all; lines with heights.
-
-    Raises
-    ------
-    UnwritableFile
-        If the file cannot be written, or pyogrio is not installed.
-    """
+    """Write a layer as a shapefile in its own CRS, its files in one ZIP, whole or not at all; lines with heights."""
     with write_whole(path) as stream, _folder_beside(path) as work:
         _write_by_gdal(Path(work) / f"{layer.name}.shp", Path(path), layer, "ESRI Shapefile")
         content = BytesIO()
@@ -233,14 +214,7 @@ def require_drawable(path: str | Path, crs: CRS) -> None:
 
 
 def write_dxf(path: str | Path, lines: Sequence[DxfLine], crs: CRS) -> None:
-    """Write polylines as DXF (R2010), whole or not at all; a layer for each name, the CRS in a custom property.
-
-    Raises
-    ------
-    UnwritableFile
-        If the CRS is in degrees, or in different units in plan and in height, which a drawing cannot hold; if the file
-        cannot be written, or ezdxf is not installed.
-    """
+    """Write polylines as DXF (R2010), whole or not at all; a layer for each name, the CRS in a custom property."""
     require_drawable(path, crs)
     unit = horizontal_unit(crs)
     ezdxf = library_for(path, "ezdxf", "dxf", to_write=True)

@@ -61,11 +61,6 @@ def align(differences: Differences, stable: np.ndarray, correlation: Correlation
         Cells that did not change.
     correlation : Correlation
         Of the errors of cells.
-
-    Raises
-    ------
-    ValueError
-        If fewer than `FEWEST_CELLS` of them are known.
     """
     known = stable & differences.is_known
     if known.sum() < FEWEST_CELLS:
@@ -126,13 +121,7 @@ class Change:
 
 
 def change_between(first: Path, second: Path, options: ChangeOptions) -> Change:
-    """Compare two surveys and write what is asked for.
-
-    Raises
-    ------
-    GeoError, SurveyError
-        If a file or an option cannot be used.
-    """
+    """Compare two surveys and write what is asked for."""
     _require_options(first, second, options)
     with current().stage("Reading"):
         differences, cells, notes = differences_of(

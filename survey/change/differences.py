@@ -123,11 +123,6 @@ def measured_correlation(differences: Differences, cells: np.ndarray) -> Correla
 
     The exponential function is fitted by least squares to the correlations at all lags, each with the weight of its
     number of pairs.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than a hundred of them, or they do not scatter.
     """
     ratio = np.where(cells, differences.height / differences.std, np.nan)
     middle = np.nanmedian(ratio)
@@ -195,13 +190,7 @@ class SurveyPoints:
 
 
 def cloud_path(path: Path) -> Path:
-    """The cloud of a run folder; a file itself.
-
-    Raises
-    ------
-    SurveyError
-        If a folder is not a run.
-    """
+    """The cloud of a run folder; a file itself."""
     if not path.is_dir():
         return path
     run = RunDir(path)
@@ -212,15 +201,7 @@ def cloud_path(path: Path) -> Path:
 def differences_of(
     first: Path, second: Path, *, stated: StatedStd, shared: float, side_m: float | None
 ) -> tuple[Differences, PlanCells, list[str]]:
-    """The second survey minus the first, the cells, and notes on the surveys.
-
-    Raises
-    ------
-    GeoError
-        If a file cannot be read, or is of another place.
-    ChangeError
-        If the surveys have no CRS or no cell in common, or standard deviations are missing.
-    """
+    """The second survey minus the first, the cells, and notes on the surveys."""
     clouds = [_cloud(path) for path in (first, second)]
     crs, notes = _common_crs(clouds, (first, second))
     surveys = []

@@ -60,11 +60,6 @@ def read_shape(path: Path, water_level: float | None, crs: CRS | None = None) ->
         In the CRS of the comparison.
     crs : pyproj.CRS, optional
         Of a table that names none, and of the heights of one that names one without.
-
-    Raises
-    ------
-    GeoError, CompareError
-        As `geo.read_reference` and `survey.files.point_table.read_points`.
     """
     if not is_table(path):
         return read_reference(path)
@@ -103,13 +98,7 @@ def _classes_of(rows: Sequence[Row], path: Path) -> tuple[np.ndarray | None, tup
 
 
 def places_of(rows: Sequence[Row], path: Path) -> np.ndarray:
-    """Easting, northing, height (N, 3) of rows of a table.
-
-    Raises
-    ------
-    CompareError
-        If there is none.
-    """
+    """Easting, northing, height (N, 3) of rows of a table."""
     if not rows:
         raise CompareError(f"{path} has no points; expected lines of easting, northing, height")
     return np.array([[row.number(name) for name in PLACE] for row in rows])
@@ -158,13 +147,6 @@ def load_inputs(paths: InputPaths, bounds: Bounds | None, water_level: float | N
     """Read the files of a comparison and refuse what cannot be compared.
 
     Depths in tables count from ``water_level``, in the CRS of the cloud, else from the water that the cloud has.
-
-    Raises
-    ------
-    GeoError
-        If a file is missing, damaged or empty, or in another CRS or place than the cloud.
-    CompareError
-        If no point is within the bounds, or the heights cannot be of one place.
     """
     compared, given = _read_shapes(paths, water_level)
     notes = [note for shape in (compared, *given.values()) for note in shape.notes]

@@ -125,13 +125,7 @@ class Reach:
 
 
 def distances_of(scene: ComparedScene, sign: Sign) -> tuple[Distances, ReferenceSurface | None, list[str]]:
-    """Distances of the compared points, what the surface through a reference of points is like, and notes on both.
-
-    Raises
-    ------
-    CompareError
-        If points of the reference surround none of the compared ones.
-    """
+    """Distances of the compared points, what the surface through a reference of points is like, and notes on both."""
     reference = scene.inputs.reference
     with current().stage("Distances", len(scene.points)) as stage:
         if not isinstance(reference, Mesh):
@@ -260,13 +254,6 @@ def read_checkpoints(
 
     The last column may be missing (0 then). A first line names the columns, in any order; numbers alone have this
     order. Depths count from the level of the water, in the CRS of the cloud. See `survey.files.point_table`.
-
-    Raises
-    ------
-    GeoError
-        If the file does not exist, or names another CRS than that of the cloud.
-    CompareError
-        If a line has other columns, or no line is left.
     """
     existing_file(path)
     require_same_crs(crs, crs_of_comment(path, CompareError), "the cloud", str(path))

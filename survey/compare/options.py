@@ -48,13 +48,7 @@ def within(points: np.ndarray, bounds: Bounds | None, margins: tuple[float, floa
 
 
 def to_local(frame: LocalFrame | ShiftedFrame, points: np.ndarray, name: Path) -> np.ndarray:
-    """Points (N, 3) in the local frame [m].
-
-    Raises
-    ------
-    CompareError
-        If some lie where the projection of the CRS ends.
-    """
+    """Points (N, 3) in the local frame [m]."""
     local = frame.local_from_crs(points)
     if isinstance(frame, ShiftedFrame):
         return local
@@ -167,13 +161,7 @@ def check_outputs(options: CompareOptions, cloud: Path, reference: Path) -> None
 
 
 def outlier_filter(text: str) -> tuple[int, float]:
-    """Neighbours and number of standard deviations of ``"sor:K,S"``.
-
-    Raises
-    ------
-    CompareError
-        If it is not of that form, with at least one neighbour and a finite number above zero.
-    """
+    """Neighbours and number of standard deviations of ``"sor:K,S"``."""
     name, _, numbers = text.partition(":")
     neighbours, _, num_std = numbers.partition(",")
     try:

@@ -39,11 +39,6 @@ def write_report(comparison: Comparison, folder: Path) -> list[Path]:
     """Write histogram.png, map.png, completeness.png and, where parts are known, bands.png into a folder that exists.
 
     Returns their paths.
-
-    Raises
-    ------
-    UnwritableFile
-        If one cannot be written; each is written whole or not at all.
     """
     figures, crs = comparison.figures, comparison.inputs.crs
     tolerance_m, reached, is_visible = _reached(figures)
@@ -211,11 +206,6 @@ def draw_bands(parts: Parts, path: Path) -> None:
         Of a comparison.
     path : Path
         PNG to write.
-
-    Raises
-    ------
-    UnwritableFile
-        If it cannot be written.
     """
     panels = _panels(parts)
     figure = Figure(figsize=(11.0, 3.6), layout="constrained")

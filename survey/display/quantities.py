@@ -150,13 +150,7 @@ def with_unit(text: str, unit: str) -> str:
 
 
 def bytes_of(text: str) -> float:
-    """Bytes of a size as text: "8GB", "500 MB", "2GiB".
-
-    Raises
-    ------
-    SurveyError
-        If the text is no size, or not above zero.
-    """
+    """Bytes of a size as text: "8GB", "500 MB", "2GiB"."""
     found = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]*)?)\s*([A-Za-z]*)\s*", text)
     if found is None or found[2].upper() not in _UNITS or float(found[1]) <= 0.0:
         raise SurveyError(f"--memory is {text!r}, expected a size such as 8GB or 500MB")

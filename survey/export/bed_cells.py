@@ -92,13 +92,7 @@ class PlanCells:
 
     @staticmethod
     def over(points_crs: np.ndarray, crs: CRS, side_m: float) -> PlanCells:
-        """The cells of this side [m] that cover points (N, 2 or more).
-
-        Raises
-        ------
-        SurveyError
-            If they are too many for a raster.
-        """
+        """The cells of this side [m] that cover points (N, 2 or more)."""
         low, high = points_crs[:, :2].min(axis=0), points_crs[:, :2].max(axis=0)
         side = side_m / ground_units_m(crs, 0.5 * (low + high))
         first = np.floor(low / side + _ON_EDGE)

@@ -71,15 +71,7 @@ class _Points:
 
 
 def bed_raster(run: LoadedRun, options: ExportOptions) -> BedRaster:
-    """The raster of the bed of a run, made once for the products of a command.
-
-    Raises
-    ------
-    SurveyError
-        If the resolution or the width of gaps is unusable.
-    GeoError
-        If the CRS is.
-    """
+    """The raster of the bed of a run, made once for the products of a command."""
     require_lengths(options)
     key = ("bed raster", options.crs, options.resolution_m, options.fill_m)
     return run.once(key, lambda: _bed_raster(run, options))

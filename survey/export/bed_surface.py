@@ -67,13 +67,6 @@ def bed_surface(
     Mesh
         In the frame of the points, faces counter-clockwise from above. A vertex has the colour of the point next to it,
         on the bottom that of the surface above.
-
-    Raises
-    ------
-    SurveyError
-        If the method is unknown, or too few points lie together for a triangle.
-    UnwritableFile
-        If Open3D, which makes Poisson surfaces, is not installed.
     """
     require_method(method)
     if method == "delaunay":

@@ -44,11 +44,6 @@ class LoadedRun:
     folder : RunDir
     stages : dict of str to str
         Names of the stages of the result, and their folders; a folder's name ends in a hash of all that it depends on.
-
-    Raises
-    ------
-    SurveyError
-        If the folder is not a run, or the run has not come as far as the cloud.
     """
 
     def __init__(self, path: str | Path):
@@ -115,13 +110,7 @@ class LoadedRun:
 
     @cached_property
     def flight(self) -> Flight:
-        """Cameras, water and local frame; see `survey.run.flight`.
-
-        Raises
-        ------
-        SurveyError
-            If the run folder holds none, or a damaged file of them.
-        """
+        """Cameras, water and local frame; see `survey.run.flight`."""
         from survey.run.flight import load_flight
 
         return load_flight(self.folder.path)
@@ -138,13 +127,7 @@ class LoadedRun:
         return load_bed_columns(self._bed_folder, *names)
 
     def transformation_to(self, crs: str) -> Reprojection:
-        """Transformation from the CRS of the survey to another one; see `geo.reproject.Reprojection`.
-
-        Raises
-        ------
-        GeoError
-            If the CRS is unusable, or a grid that the way to it needs is not there.
-        """
+        """Transformation from the CRS of the survey to another one; see `geo.reproject.Reprojection`."""
         from geo.reproject import Reprojection
 
         if crs not in self._reprojections:
@@ -278,13 +261,7 @@ def colours_without_water(run: LoadedRun) -> Callable[[np.ndarray, np.ndarray, n
 
 
 def flight_of(run: LoadedRun, folder: str | None) -> Flight:
-    """The flight as the run used it, its photographs where they are now if the folder of the survey is named.
-
-    Raises
-    ------
-    SurveyError
-        If the run folder holds no cameras, or a photograph is not there or is another one.
-    """
+    """The flight as the run used it, its photographs where they are now if the folder of the survey is named."""
     flight = run.flight
     views = flight.views
     if folder is not None:
@@ -301,13 +278,7 @@ def flight_of(run: LoadedRun, folder: str | None) -> Flight:
 
 
 def survey_folder(run: LoadedRun, folder: str | None) -> Path:
-    """The folder of a run's survey: the one that is named, or where it lay when the run was made.
-
-    Raises
-    ------
-    SurveyError
-        If none is named, and the place of the photographs does not tell it.
-    """
+    """The folder of a run's survey: the one that is named, or where it lay when the run was made."""
     if folder is not None:
         return Path(folder)
     images = run.config.images.local_dir

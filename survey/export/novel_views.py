@@ -48,11 +48,6 @@ def image_based_field(
         Render without water.
     advance : callable
         Called after each of the photographs that are compared.
-
-    Raises
-    ------
-    SurveyError
-        If the run has no height maps, or a photograph is not there any more.
     """
     flight = flight_of(run, survey)
     photographs = _Photographs(run, flight)

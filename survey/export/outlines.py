@@ -79,11 +79,6 @@ def unseen_of(run: LoadedRun) -> Unseen:
 
     A cell is ten ground sampling distances wide (`survey.report.seen_cells`), counts as water where the nearest bed
     lies under the water, and as seen where its middle is.
-
-    Raises
-    ------
-    SurveyError
-        If the run folder holds no cameras.
     """
     return run.once("unseen", lambda: _unseen(run))
 
@@ -136,13 +131,7 @@ def with_unseen(run: LoadedRun, stored: StoredBed, crs: str | None) -> tuple[Sto
 
 
 def footprints(run: LoadedRun, options: ExportOptions) -> Layer:
-    """The border of each photograph on the bed, through the water; occlusion is ignored.
-
-    Raises
-    ------
-    SurveyError
-        If the run folder holds no cameras.
-    """
+    """The border of each photograph on the bed, through the water; occlusion is ignored."""
     flight = run.flight
     cameras = [view.camera for view in flight.views]
     xyz = run.columns("xyz")["xyz"]
@@ -236,15 +225,7 @@ def write_mask(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
 
 def contours(run: LoadedRun, options: ExportOptions) -> Layer:
-    """Lines of equal depth; of equal height in a dry survey.
-
-    Raises
-    ------
-    SurveyError
-        If the interval is none, or makes too many contours.
-    GeoError
-        If the CRS is unusable.
-    """
+    """Lines of equal depth; of equal height in a dry survey."""
     grid = bed_raster(run, options)
     all_cells = _whole(grid)
     is_dry = grid.level is None
@@ -268,13 +249,7 @@ def contours(run: LoadedRun, options: ExportOptions) -> Layer:
 
 
 def shoreline(run: LoadedRun, options: ExportOptions) -> Layer:
-    """The line of depth zero, where the bed was found on both sides of it.
-
-    Raises
-    ------
-    SurveyError
-        For a dry survey.
-    """
+    """The line of depth zero, where the bed was found on both sides of it."""
     require_wet(run)
     grid = bed_raster(run, options)
     lines = _lines(grid, grid.depths(_whole(grid)), 0.0)

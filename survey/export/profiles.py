@@ -101,11 +101,6 @@ class Bed:
         Run folder, LAS, LAZ or COPC with a CRS.
     reference : Path, optional
         Mesh or cloud in the same CRS.
-
-    Raises
-    ------
-    GeoError, SurveyError
-        If a file cannot be read, or is of another place.
     """
 
     def __init__(self, path: Path, reference: Path | None = None):

@@ -44,11 +44,6 @@ def write_report(
     -------
     ReportFigures
         What the page and report.json show.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        If a file cannot be written, or the photograph that is shown cannot be read.
     """
     (folder / "pictures").mkdir(exist_ok=True)
     drawn = draw(folder / "pictures", facts)

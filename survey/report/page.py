@@ -156,13 +156,7 @@ def _base64(file: Path) -> str:
 
 
 def write_pdf(html: Path, path: Path, *, browsers: Sequence[str] = BROWSERS) -> None:
-    """Write a page as PDF, A4, whole or not at all, by the first of the browsers that is there: a name or a path.
-
-    Raises
-    ------
-    UnwritableFile
-        If the file cannot be written, or there is no browser, or it does not print.
-    """
+    """Write a page as PDF, A4, whole or not at all, by the first of the browsers that is there: a name or a path."""
     browser = browser_for(path, browsers)
     with tempfile.TemporaryDirectory(prefix="bathynerf-pdf-") as work:
         printed = Path(work, "report.pdf")

@@ -50,13 +50,6 @@ def draw_pictures(folder: Path, facts: ReportFacts) -> Iterator[Picture]:
     Yields
     ------
     Picture, in the order of the report
-
-    Raises
-    ------
-    UnwritableFile
-        If a picture cannot be written.
-    ImageError
-        If the photograph beside the depth map can no longer be read.
     """
     return (draw(folder / f"{name}.png") for name, draw in drawings_of(facts).items())
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from survey.errors import SurveyError
-from survey.export.product import ExportOptions, Product, begins_with
+from survey.export.product import ExportOptions, Product
 
 if TYPE_CHECKING:
     from refract.lens import Lens
@@ -23,11 +23,6 @@ if TYPE_CHECKING:
 _MARK = "# bathynerf\n"
 # Initial points for training; more take longer and help little.
 _MOST_POINTS = 200_000
-_KIND = "cameras that bathynerf wrote"
-
-
-def _is_our_model(path: Path) -> bool:
-    return begins_with(_MARK.encode())(path / "cameras.txt") if (path / "cameras.txt").is_file() else False
 
 
 def _metadata(flight: Flight) -> dict:
@@ -138,25 +133,21 @@ def _check_nerfstudio(_path: Path, run: LoadedRun, _options: ExportOptions) -> N
 
 CAMERAS = (
     Product(
-        option="colmap",
-        suffixes=("",),
-        kind=_KIND,
+        "colmap",
+        ("",),
         help="Folder: cameras as a COLMAP model (text); rays bend at the water.",
         example="--colmap sparse",
         takes=(),
-        is_ours=_is_our_model,
         write=_write_colmap,
         check=_check_colmap,
         is_folder=True,
     ),
     Product(
-        option="nerfstudio",
-        suffixes=(".json",),
-        kind=_KIND,
+        "nerfstudio",
+        (".json",),
         help="Cameras as nerfstudio's transforms.json.",
         example="--nerfstudio cameras.json",
         takes=(),
-        is_ours=begins_with(b"{", b'"made_by": "bathynerf"'),
         write=_write_nerfstudio,
         check=_check_nerfstudio,
         is_of_points=False,

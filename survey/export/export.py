@@ -15,6 +15,7 @@ from pathlib import Path
 from geo.errors import UnwritableFile
 from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun
+from survey.export.own_files import is_own, kind_of
 from survey.export.product import ExportOptions, Product, require_lengths, require_makeable
 from survey.export.registry import PRODUCTS
 from survey.export.styles import write_style
@@ -123,15 +124,15 @@ def _wanted(files: dict[str, str | Path | None]) -> list[tuple[Product, Path]]:
 def _require_writable(product: Product, path: Path, run: LoadedRun, inputs: ReadFiles) -> None:
     if product.is_folder:
         require_folder(_name(product), path, inputs)
-        if path.is_dir() and any(path.iterdir()) and not product.is_ours(path):
+        if path.is_dir() and any(path.iterdir()) and not is_own(path):
             raise OutputError(f"{_name(product)} names {path}, which holds other files; name a new or empty folder")
         return
     noted = _entry(run, path).get("sha256")
 
     def is_ours(_head: bytes) -> bool:
-        return noted == _content_hash(path) if noted is not None else product.is_ours(path)
+        return noted == _content_hash(path) if noted is not None else is_own(path)
 
-    kind = product.kind if noted is None else f"{product.kind}, as it was written: somebody has changed it"
+    kind = kind_of(path) if noted is None else f"{kind_of(path)}, as it was written: somebody has changed it"
     require_file(_name(product), path, inputs, kind=kind, is_of_kind=is_ours)
 
 

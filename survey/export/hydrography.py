@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 from xml.sax.saxutils import escape
 
 from survey.errors import SurveyError
-from survey.export.product import ExportOptions, Product, begins_with
+from survey.export.product import ExportOptions, Product
 from survey.export.styles import of_heights, of_orders
-from survey.export.terrain import CELLS, is_our_raster, noted_if_empty, parts_of, raster_form
+from survey.export.terrain import CELLS, noted_if_empty, parts_of, raster_form
 
 if TYPE_CHECKING:
     import numpy as np
@@ -146,25 +146,21 @@ def plan_std(grid: BedRaster, window: CellWindow, std: np.ndarray, n_water: floa
 
 HYDROGRAPHY = (
     Product(
-        option="bag",
-        suffixes=(".bag",),
-        kind="a BAG that bathynerf wrote",
+        "bag",
+        (".bag",),
         help="Heights and uncertainty as BAG (HDF5).",
         example="--bag bed.bag --resolution 0.5",
         takes=CELLS,
-        is_ours=begins_with(b"\x89HDF\r\n\x1a\n", _BAG_MARK),
         write=_write_bag,
         check=_check_bag,
         style=of_heights,
     ),
     Product(
-        option="s44",
-        suffixes=(".tif", ".tiff"),
-        kind="a raster that bathynerf wrote",
+        "s44",
+        (".tif", ".tiff"),
         help="Order of IHO S-44 by uncertainty, as GeoTIFF.",
         example="--s44 orders.tif --resolution 1",
         takes=CELLS,
-        is_ours=is_our_raster,
         write=_write_s44,
         check=_check_s44,
         style=of_orders,

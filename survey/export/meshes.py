@@ -5,21 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from survey.export.product import ExportOptions, Product, begins_with
+from survey.export.product import ExportOptions, Product
 
 if TYPE_CHECKING:
     from geo.shapes import Mesh
     from survey.export.loaded import LoadedRun
-
-_IS_OURS = {
-    ".ply": begins_with(b"ply\n", b"\ncomment bathynerf\n", b"\nelement face "),
-    ".obj": begins_with(b"# bathynerf\n"),
-    ".glb": begins_with(b"glTF", b'"made_by":"bathynerf"'),
-}
-
-
-def _is_ours(path: Path) -> bool:
-    return _IS_OURS[path.suffix.lower()](path)
 
 
 def _write_mesh(path: Path, run: LoadedRun, options: ExportOptions) -> None:
@@ -77,13 +67,11 @@ def _check(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
 MESHES = (
     Product(
-        option="mesh",
-        suffixes=(".ply", ".obj", ".glb"),
-        kind="a mesh that bathynerf wrote",
+        "mesh",
+        (".ply", ".obj", ".glb"),
         help="The bed in coloured triangles: PLY, OBJ or GLB.",
         example="--mesh bed.obj --watertight",
         takes=("crs", "resolution_m", "mesh_method", "watertight"),
-        is_ours=_is_ours,
         write=_write_mesh,
         check=_check,
     ),

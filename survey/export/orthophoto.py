@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from survey.export.product import ExportOptions, Product, require_not_too_fine
-from survey.export.terrain import is_our_raster, noted_if_empty
+from survey.export.terrain import noted_if_empty
 
 if TYPE_CHECKING:
     import numpy as np
@@ -140,13 +140,11 @@ def _colour_of(run: LoadedRun, grid: BedRaster, cells: PlanCells) -> ColourOf:
 
 ORTHOPHOTO = (
     Product(
-        option="orthophoto",
-        suffixes=(".tif", ".tiff"),
-        kind="a raster that bathynerf wrote",
+        "orthophoto",
+        (".tif", ".tiff"),
         help="The bed from above, from the photographs, as GeoTIFF.",
         example="--orthophoto bed.tif --fill 0.5",
         takes=("crs", "resolution_m", "fill_m", "survey"),
-        is_ours=is_our_raster,
         write=_write_orthophoto,
         check=_check,
     ),

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,8 +17,10 @@ if TYPE_CHECKING:
 _LEAST_SIDE, _LARGEST_SIDE = 1e-4, 1e5
 # Finer cells repeat their neighbours, and fill the disk [px].
 _FINEST_PX = 0.05
-# Bytes at the beginning of a file that are searched for the mark of its writer.
-_HEAD_BYTES = 1 << 16
+# By suffix, the module that writes a file and the extra that brings it, where it is not always there.
+_LIBRARIES = {
+    ".e57": ("pye57", "e57"), ".gpkg": ("pyogrio", "vector"), ".zip": ("pyogrio", "vector"), ".dxf": ("ezdxf", "dxf"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -85,19 +87,14 @@ class Product:
 
     option: str  # Without the dashes, e.g. "las".
     suffixes: tuple[str, ...]  # That a file of it may have, in lower case, e.g. (".tif", ".tiff").
-    kind: str  # What its files are, with an article, e.g. "a cloud that bathynerf wrote".
     help: str  # One line
     example: str  # What follows ``bathynerf export RUN`` in an example
     takes: tuple[str, ...]  # Fields of `ExportOptions` that it follows
-    # callable: whether an existing file is one that this product wrote, and may be replaced
-    is_ours: Callable[[Path], bool]
     # callable: writes the file, whole or not at all. It imports slow modules itself, since the command line imports the
     # registry.
     write: Callable[[Path, LoadedRun, ExportOptions], None]
     # Whether it is a folder of files, which is made where it is not there, and always written anew
     is_folder: bool = False
-    # By suffix, the module that writes it and the extra that brings that, where it is not there always
-    libraries: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     # callable, optional: raises where it cannot be made of a run with these options, before anything is computed
     check: Callable[[Path, LoadedRun, ExportOptions], None] | None = None
     is_of_points: bool = True  # Whether it is made of the points of the bed, of which a run may have none
@@ -114,21 +111,9 @@ def require_makeable(product: Product, path: Path, run: LoadedRun, options: Expo
 
     if product.is_of_points:
         run.require_points()
-    for suffix, (module, extra) in product.libraries.items():
-        if path.name.lower().endswith(suffix):
-            library_for(path, module, extra, to_write=True)
+    if (library := _LIBRARIES.get(path.suffix.lower())) is not None:
+        library_for(path, *library, to_write=True)
     if "resolution_m" in product.takes and options.resolution_m is not None:
         require_not_too_fine(options.resolution_m, run.bed_header.gsd_m)
     if product.check is not None:
         product.check(path, run, options)
-
-
-def begins_with(start: bytes, *marks: bytes) -> Callable[[Path], bool]:
-    """Test for `Product.is_ours`: whether a file begins so, and has these marks soon after."""
-
-    def is_ours(path: Path) -> bool:
-        with path.open("rb") as stream:
-            head = stream.read(_HEAD_BYTES)
-        return head.startswith(start) and all(mark in head for mark in marks)
-
-    return is_ours

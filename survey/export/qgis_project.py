@@ -135,20 +135,13 @@ _CLOUD_RENDERER = (
 )
 
 
-def _is_ours(path: Path) -> bool:
-    project = path / _PROJECT
-    return project.is_file() and _MARK in project.read_text(encoding="utf-8", errors="replace")[:500]
-
-
 QGIS = (
     Product(
-        option="qgis",
-        suffixes=("",),
-        kind="a project that bathynerf wrote",
+        "qgis",
+        ("",),
         help="Folder with a QGIS project: cloud, heights, std, orthophoto.",
         example="--qgis for_qgis",
         takes=(*CELLS, "survey"),
-        is_ours=_is_ours,
         write=_write,
         is_folder=True,
     ),

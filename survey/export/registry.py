@@ -20,12 +20,6 @@ if TYPE_CHECKING:
     from survey.export.loaded import LoadedRun
 
 
-def _is_our_pdf(path: Path) -> bool:
-    from survey.report.page import is_our_pdf
-
-    return is_our_pdf(path)
-
-
 def _write_pdf(path: Path, run: LoadedRun, _options: ExportOptions) -> None:
     from survey.report.page import write_pdf
 
@@ -40,13 +34,11 @@ def _check_pdf(path: Path, _run: LoadedRun, _options: ExportOptions) -> None:
 
 DOCUMENTS = (
     Product(
-        option="pdf",
-        suffixes=(".pdf",),
-        kind="a report that bathynerf wrote",
+        "pdf",
+        (".pdf",),
         help="report.html as PDF, A4 (by Chromium, Chrome or Edge).",
         example="--pdf report.pdf",
         takes=(),
-        is_ours=_is_our_pdf,
         write=_write_pdf,
         check=_check_pdf,
         is_of_points=False,

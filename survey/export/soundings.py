@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from survey.errors import SurveyError
-from survey.export.product import ExportOptions, Product, begins_with
+from survey.export.product import ExportOptions, Product
 
 if TYPE_CHECKING:
     import numpy as np
@@ -119,14 +119,11 @@ def _write_table(path: Path, rows: np.ndarray, crs: CRS) -> None:
 
 SOUNDINGS = (
     Product(
-        option="soundings",
-        suffixes=(".xyz", ".csv"),
-        kind="soundings that bathynerf wrote",
+        "soundings",
+        (".xyz", ".csv"),
         help="Points as XYZ or, with depth and standard deviations, CSV.",
         example="--soundings bed.xyz --thin shoal",
         takes=("crs", "resolution_m", "thin"),
-        # XYZ has no place for a mark: one that a run wrote is known by its record alone.
-        is_ours=begins_with(f"{_HEAD}\n".encode()),
         write=_write,
         check=_check,
     ),

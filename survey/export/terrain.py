@@ -136,44 +136,31 @@ def _write_relief(
     write_cog(path, made, noted_if_empty(path, parts_of(grid, values), made.nodata))
 
 
-def is_our_raster(path: Path) -> bool:
-    """Whether a file is a GeoTIFF that bathynerf wrote."""
-    from geo.raster import is_our_tiff
-
-    return is_our_tiff(path)
-
-
 TERRAIN = (
     Product(
-        option="dem",
-        suffixes=_SUFFIXES,
-        kind="a raster that bathynerf wrote",
+        "dem",
+        _SUFFIXES,
         help="Heights as GeoTIFF: height, uncertainty, points, depth, origin.",
         example="--dem bed.tif --resolution 0.1",
         takes=CELLS,
-        is_ours=is_our_raster,
         write=_write_dem,
         style=of_heights,
     ),
     Product(
-        option="slope",
-        suffixes=_SUFFIXES,
-        kind="a raster that bathynerf wrote",
+        "slope",
+        _SUFFIXES,
         help="Slope of the bed as GeoTIFF [deg].",
         example="--slope slope.tif --resolution 0.5",
         takes=CELLS,
-        is_ours=is_our_raster,
         write=_write_slope,
         style=of_slopes,
     ),
     Product(
-        option="hillshade",
-        suffixes=_SUFFIXES,
-        kind="a raster that bathynerf wrote",
+        "hillshade",
+        _SUFFIXES,
         help="Light on the relief as GeoTIFF.",
         example="--hillshade relief.tif --fill 0.5",
         takes=CELLS,
-        is_ours=is_our_raster,
         write=_write_hillshade,
     ),
 )

@@ -6,26 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from survey.export.product import ExportOptions, Product, begins_with
+from survey.export.product import ExportOptions, Product
 
 if TYPE_CHECKING:
     from geo.vectors import Layer
     from survey.export.loaded import LoadedRun
-
-_GEOJSON = begins_with(b"{", b'"made_by": "bathynerf"')
-_SQLITE = begins_with(b"SQLite format 3\0", b"bathynerf ")
-
-
-def _is_ours(path: Path) -> bool:
-    if path.suffix.lower() == ".zip":
-        from geo.vectors import is_our_shapefile
-
-        return is_our_shapefile(path)
-    if path.suffix.lower() == ".dxf":
-        from geo.vectors import is_our_dxf
-
-        return is_our_dxf(path)
-    return (_SQLITE if path.suffix.lower() == ".gpkg" else _GEOJSON)(path)
 
 
 def _write_dxf(path: Path, layer: Layer) -> None:
@@ -112,23 +97,14 @@ def _product(
     has_heights: bool = False,
 ) -> Product:
     return Product(
-        option=option,
-        suffixes=(".geojson", ".gpkg", *((".dxf", ".zip") if has_heights else ())),
-        kind="a layer that bathynerf wrote",
+        option,
+        (".geojson", ".gpkg", *((".dxf", ".zip") if has_heights else ())),
         help=f"{what}: GeoJSON, {'DXF (extra dxf), ' if has_heights else ''}{_BY_GDAL[has_heights]} (extra vector).",
         example=f"--{option} {example}",
         takes=takes,
-        is_ours=_is_ours,
         write=_writer(_layer_by(option)),
-        libraries=_LIBRARIES,
         check=check,
     )
-
-
-def _is_our_unseen(path: Path) -> bool:
-    from geo.raster import is_our_tiff
-
-    return is_our_tiff(path) if path.suffix.lower() in _RASTERS else _is_ours(path)
 
 
 def _write_unseen(path: Path, run: LoadedRun, options: ExportOptions) -> None:
@@ -140,7 +116,6 @@ def _write_unseen(path: Path, run: LoadedRun, options: ExportOptions) -> None:
         _writer(_layer_by("unseen_areas"))(path, run, options)
 
 
-_LIBRARIES = {".gpkg": ("pyogrio", "vector"), ".zip": ("pyogrio", "vector"), ".dxf": ("ezdxf", "dxf")}
 _BY_GDAL = {False: "GeoPackage", True: "GPKG, zipped shapefile"}
 _CELLS = ("crs", "resolution_m", "fill_m")
 _RASTERS = (".tif", ".tiff")
@@ -163,15 +138,12 @@ VECTORS = (
         has_heights=True,
     ),
     Product(
-        option="unseen",
-        suffixes=(".geojson", ".gpkg", *_RASTERS),
-        kind="a layer or mask that bathynerf wrote",
+        "unseen",
+        (".geojson", ".gpkg", *_RASTERS),
         help="Where water was looked at and no bed found: polygons, or GeoTIFF in the cells of --dem.",
         example="--unseen unseen.geojson",
         takes=_CELLS,
-        is_ours=_is_our_unseen,
         write=_write_unseen,
-        libraries=_LIBRARIES,
         check=_check_seen,
     ),
 )

@@ -2,10 +2,10 @@
 
     python benchmarks/bench_mesh.py RUN SURVEY
 
-RUN is a run of SURVEY, a survey with known truth (reference.ply, visible.ply). One line for the cloud and one for each
-method, within the bounds of the survey: C2M of the points or vertices, completeness of the visible points at 5 cm and
-2 cm, of a mesh by as many samples of its surface as the cloud has points, and seconds on one core. Poisson needs the
-extra ``mesh``. docs/meshes.md has the figures.
+RUN is a run of SURVEY, a survey with known truth (reference.ply, visible.ply in it or in truth/). One line for the
+cloud and one for each method, within the bounds of the survey: C2M of the points or vertices, completeness of the
+visible points at 5 cm and 2 cm, of a mesh by as many samples of its surface as the cloud has points, and seconds on one
+core. Poisson needs the extra ``mesh``. docs/meshes.md has the figures.
 """
 
 from __future__ import annotations
@@ -35,9 +35,10 @@ class Truth:
     def __init__(self, run: Path, survey: Path):
         flight = load_flight(run)
         frame = flight.frame
-        reference = read_reference(survey / "reference.ply")
+        truth = survey / "truth" if (survey / "truth").is_dir() else survey
+        reference = read_reference(truth / "reference.ply")
         self.vertices, self.faces = frame.local_from_crs(reference.vertices), reference.faces
-        self.visible = frame.local_from_crs(read_reference(survey / "visible.ply").points)
+        self.visible = frame.local_from_crs(read_reference(truth / "visible.ply").points)
         e0, n0, e1, n1 = flight.bounds
         level = frame.origin[2]
         corners = frame.local_from_crs([[e0, n0, level], [e1, n1, level]])

@@ -43,7 +43,8 @@ from survey.pose_files import find_poses, read_poses, read_ties
 from survey.settings.config import parse_config
 from survey.simulate.output.sidecars import gps_exif
 from survey.simulate.output.writing import write_ply
-from survey.water.level_observation import points_of_surface, readings_of_gauge
+from survey.water.gauge_files import read_series
+from survey.water.level_observation import points_of_surface
 from survey.water.surface_features import points_of_features
 
 UTM = CRS("EPSG:25832+7837")
@@ -184,7 +185,7 @@ KINDS = {
     "marks": Kind("marks.csv", text(MARKS), read_control),
     "markers": Kind("markers.xml", text(MARKERS), read_control),
     "opensfm": Kind("ground_control_points.json", text(OPENSFM), read_control),
-    "gauge": Kind("gauge.csv", text(GAUGE), readings_of_gauge),
+    "gauge": Kind("gauge.csv", text(GAUGE), read_series),
     "surface": Kind("surface.csv", text(SURFACE), lambda path: points_of_surface(path, "gnss_points", UTM)),
     "shore": Kind("shore.geojson", text(SHORE), lambda path: points_of_features(path, UTM)),
     "lines": Kind("lines.geojson", text(SHORE), lambda path: read_lines(path, UTM, AROUND)),

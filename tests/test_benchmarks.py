@@ -32,7 +32,6 @@ SMALLEST = {
     "bench_optics": "--plain",
     "bench_overhang": "{survey} {run}",
     "bench_photographs": "{work} 9 --photographs-of-tile 9",
-    "bench_picture_bound": "{survey} --every 8",
     "bench_plan": "{survey} --quality draft",
     "bench_random": "--seeds 102-102 -o {work} --quality draft",
     "bench_reach": "{work} --kilometre",
@@ -55,6 +54,7 @@ SMALLEST = {
     "table4": "--chains sweep --samples 10000 -o {work}",
 }
 WITH_DATA = {
+    "bench_picture_bound": "{data}/quick --every 20",
     "bench_real": "streams -o {work}",
     "bench_real_points": "{data} --every 50",
 }

@@ -1,4 +1,4 @@
-"""Features of vector files: GeoJSON (RFC 7946 and older), GeoPackage, shapefile and DXF."""
+"""Features of vector files: GeoJSON (RFC 7946 and older), GeoPackage, shapefile, DXF, KML and GPX."""
 
 from __future__ import annotations
 
@@ -9,22 +9,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import shapely
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 from shapely.errors import ShapelyError
-from shapely.geometry import shape
+from shapely.geometry import LineString, Point, Polygon, shape
 from shapely.geometry.base import BaseGeometry, BaseMultipartGeometry
 
 from geo.drivers import vector_library
 from geo.errors import UnreadableFile
 from geo.files import existing_file
-from geo.transformation import transformed
+from geo.transformation import WGS84, transformed
 
 GEOJSON = (".geojson", ".json")
-SUFFIXES = (*GEOJSON, ".gpkg", ".shp", ".dxf")
+_MARKUP = (".kml", ".gpx")
+SUFFIXES = (*GEOJSON, ".gpkg", ".shp", ".dxf", *_MARKUP)
 
 # A file that exists in a path with the name of a layer behind it.
 _WITH_LAYER = re.compile(r"(.+\.[A-Za-z]{3,4})(?:\|layername=|:)([^/\\]+)")
@@ -93,7 +95,10 @@ def read_features(path: str | Path, kind: str, layer: str | None = None) -> Feat
         known = ", ".join(("", *SUFFIXES[2:]))
         raise UnreadableFile(f'{path} has the suffix "{path.suffix}", expected {kind} as one of {GEOJSON[0]}{known}.')
     try:
-        found = _of_geojson(path) if suffix in GEOJSON else _by_gdal(path, layer)
+        if suffix in _MARKUP:
+            found = Features(tuple(_of_markup(path)), WGS84)
+        else:
+            found = _of_geojson(path) if suffix in GEOJSON else _by_gdal(path, layer)
         if not all(np.isfinite(shapely.get_coordinates(each.geometry)).all() for each in found.features):
             raise ValueError("coordinates that are not finite")
     except UnreadableFile:
@@ -141,6 +146,59 @@ def _feature(item: dict[str, Any]) -> Feature:
         return Feature(shape(item), {})
     properties = item.get("properties")
     return Feature(shape(item["geometry"]), properties if isinstance(properties, dict) else {})
+
+
+def _of_markup(path: Path) -> Iterator[Feature]:
+    """The placemarks of KML, or waypoints, routes and tracks of GPX, with their names."""
+    text = path.read_text(encoding="utf-8-sig")
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise UnreadableFile(f"{path} has a document type, expected none; remove it, or export the file again.")
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise UnreadableFile(f"{path} is not well-formed XML ({error}); export it again.") from error
+    for element in root.iter():
+        # Without the namespace, of which versions differ.
+        element.tag = str(element.tag).rpartition("}")[2]
+    if f".{root.tag}" != path.suffix.lower():
+        raise UnreadableFile(
+            f"{path} begins with <{root.tag[:40]}>, expected <{path.suffix[1:].lower()}>; export it again."
+        )
+    for item in root.iter():
+        named = {"name": (item.findtext("name") or "").strip()}
+        if item.tag == "Placemark":
+            geometries = [_of_kml(part) for part in item.iter() if part.tag in ("Point", "LineString", "Polygon")]
+        elif item.tag in ("wpt", "rte", "trk"):
+            parts = [item] if item.tag != "trk" else list(item.iter("trkseg"))
+            geometries = [_of_gpx(part) for part in parts]
+        else:
+            continue
+        for geometry in geometries:
+            yield Feature(geometry, named)
+
+
+def _of_kml(part: ElementTree.Element) -> BaseGeometry:
+    # Heights over the ground are none; without a mode programs write heights.
+    is_flat = "ToGround" in (part.findtext("altitudeMode") or "")
+
+    def corners(element: ElementTree.Element) -> list[tuple[float, ...]]:
+        numbers = [tuple(map(float, one.split(","))) for one in (element.findtext("coordinates") or "").split()]
+        if not numbers:
+            raise ValueError("no coordinates")
+        return [one[:2] if is_flat else one[:3] for one in numbers]
+
+    if part.tag != "Polygon":
+        return Point(corners(part)[0]) if part.tag == "Point" else LineString(corners(part))
+    rings = [corners(ring) for side in ("outer", "inner") for ring in part.iterfind(f"{side}BoundaryIs/LinearRing")]
+    return Polygon(rings[0], rings[1:])
+
+
+def _of_gpx(part: ElementTree.Element) -> BaseGeometry:
+    points = [part] if part.tag == "wpt" else [*part.iter("rtept"), *part.iter("trkpt")]
+    places = [
+        (float(p.attrib["lon"]), float(p.attrib["lat"]), *map(float, filter(None, [p.findtext("ele")]))) for p in points
+    ]
+    return Point(places[0]) if part.tag == "wpt" else LineString(places)
 
 
 def _by_gdal(path: Path, layer: str | None) -> Features:

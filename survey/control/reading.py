@@ -13,16 +13,39 @@ from geo.crs import crs_name, horizontal_crs, is_geographic
 from geo.errors import GeoError
 from geo.stated import checked_height_unit
 from geo.transformation import Transformation, height_scale
-from survey.control import gcp_list, metashape_xml, opensfm_json, tables
+from survey.control import gcp_list, metashape_xml, opensfm_json, tables, waypoints
 from survey.control.points import Content, GivenMark, GivenPoint, Mark
 from survey.display.quantities import named
 from survey.errors import ControlError, Findings
 from survey.files.csv_table import text_lines
+from survey.files.foreign import instead_of
 from survey.files.point_table import Units
 from survey.photos.names import ImageNames
 
 # Tried in this order to recognise a file; COORDINATES takes every .csv that MARKS does not.
-FORMATS = (metashape_xml.FORMAT, opensfm_json.FORMAT, gcp_list.FORMAT, tables.MARKS, tables.COORDINATES)
+FORMATS = (
+    waypoints.FORMAT,
+    metashape_xml.FORMAT,
+    opensfm_json.FORMAT,
+    gcp_list.FORMAT,
+    tables.MARKS,
+    tables.COORDINATES,
+)
+# Files of other programs that hold no control that can be read, by patterns of their names, and what to give instead.
+_NOT_READ = {
+    "*.kmz": "unzip it, and give the .kml in it",
+    "*.opf": "export the control points of the project as a table",
+    "*.p4d": "export the control points of the project as a table",
+    "*.psx": "export the markers from Metashape (File > Export > Export Markers, .xml)",
+    "*.rcproj": "export the control points from RealityScan as a table, with their measurements",
+    **dict.fromkeys(
+        ("*.shp", "*.gpkg", "*.dxf", "*.geojson"), "export the points as a table name,easting,northing,height"
+    ),
+    "*.xlsx": "save it as .csv",
+    "*.xls": "save it as .csv",
+    "*.ods": "save it as .csv",
+    "*.pdf": "give its numbers as a table",
+}
 # Two files may round the coordinates of one point differently.
 _SAME_M, _SAME_DEG = 1e-3, 1e-8
 # The least number of points that fix place, tilt and scale.
@@ -124,6 +147,9 @@ def read_control(path: Path) -> Content:
         raise ControlError(f"the control file {path} {what}; correct [control] in survey.toml")
     if path.stat().st_size == 0:
         raise ControlError(f"{path} is empty, expected {_expected()}; write it again")
+    instead = instead_of(path, _NOT_READ)
+    if instead is not None:
+        raise ControlError(f"{path} is not read: {instead}; expected {_expected()}")
     known = next((known for known in FORMATS if known.recognises(path)), None)
     if known is None:
         for _ in text_lines(path, ControlError):

@@ -5,37 +5,50 @@ from __future__ import annotations
 from pathlib import Path
 
 from survey.errors import PosesError
+from survey.files.foreign import instead_of
 from survey.photos.poses import FileTies, PoseFile
 from survey.pose_files import colmap, exterior_text, metashape, nerfstudio, opensfm, opk_csv, pix4d
 from survey.pose_files.format import Format
 
-# Files of poses of other programs that are not read, and what to do instead; warnings name them.
+# Files of other programs that have no poses that can be read, and what to do instead.
+_POSITIONS = (
+    "it has positions and no rotations; positions in EXIF or in geo.txt are used without being named, and poses are "
+    "then found from the photographs"
+)
 _NOT_READ = {
     "*.nvm": "export a COLMAP model instead",
     "bundle.out": "export a COLMAP model instead",
     "*.psx": "export the cameras from Metashape (File > Export > Export Cameras)",
+    "*.psz": "export the cameras from Metashape (File > Export > Export Cameras)",
     "*.p4d": "give the files in 1_initial/params of the Pix4D project",
+    "*.opf": "export the calibrated cameras from Pix4D (*_calibrated_external_camera_parameters.txt)",
+    "*pmatrix*.txt": "give *_calibrated_external_camera_parameters.txt beside it, which has positions and angles",
     "*.rcproj": "export the registration as a COLMAP model",
+    "*.rsproj": "export the registration as a COLMAP model",
     "*.ori": "which way the matrices of PATB turn is not certain; export omega, phi, kappa as lines of text",
-}
+    "*.kml": _POSITIONS, "*.kmz": _POSITIONS, "*.gpx": _POSITIONS, "*.mrk": _POSITIONS, "*.pos": _POSITIONS,
+    "*.geojson": _POSITIONS,
+}  # fmt: skip
 # Asked in this order which of them a path is of.
 FORMATS = (
     pix4d.FORMAT, exterior_text.FORMAT, opk_csv.FORMAT, colmap.FORMAT, opensfm.FORMAT, metashape.FORMAT,
     nerfstudio.FORMAT,
 )  # fmt: skip
+_EXPECTED = "; ".join(known.name for known in FORMATS)
 
 
 def find_poses(folder: Path) -> list[Path]:
     """Poses files and model folders of a known format, in their usual places in a survey folder."""
-    return [path for known in FORMATS for path in known.find(folder)]
+    found = (path for known in FORMATS for path in known.find(folder))
+    return [path for path in found if instead_of(path, _NOT_READ) is None]
 
 
 def find_unread(folder: Path) -> list[str]:
     """Sentences on poses files in a survey folder whose format is not read: their name, and what to do instead."""
     return [
         f"{path.name} is not read: {instead}"
-        for pattern, instead in _NOT_READ.items()
-        for path in sorted(folder.glob(pattern))
+        for path in sorted(folder.iterdir())
+        if (instead := instead_of(path, _NOT_READ)) is not None and instead is not _POSITIONS
     ]
 
 
@@ -49,10 +62,12 @@ def read_poses(path: Path) -> PoseFile:
     """
     if not path.exists():
         raise PosesError(f"the poses file {path} does not exist; correct [cameras] poses in survey.toml")
+    instead = instead_of(path, _NOT_READ)
+    if instead is not None:
+        raise PosesError(f"{path} is not read: {instead}; expected one of: {_EXPECTED}")
     known = _format_of(path)
     if known is None:
-        expected = "; ".join(known.name for known in FORMATS)
-        raise PosesError(f"{path} is not a known kind of poses file; expected one of: {expected}")
+        raise PosesError(f"{path} is not a known kind of poses file; expected one of: {_EXPECTED}")
     file = known.read(path)
     if not file.poses:
         raise PosesError(f"{path} has no poses, expected those of the photographs; correct it or give another file")

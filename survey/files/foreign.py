@@ -1,0 +1,13 @@
+"""Files of other programs that are known by their names and not read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+
+def instead_of(path: Path, not_read: Mapping[str, str]) -> str | None:
+    """What to do instead of giving a file or folder, by patterns of names in lower case; None for other names."""
+    name = path.name.casefold()
+    return next((instead for pattern, instead in not_read.items() if fnmatchcase(name, pattern)), None)

@@ -13,7 +13,7 @@ import zlib
 from functools import cache
 
 import numpy as np
-from pyproj import CRS
+from pyproj import CRS, Geod, Transformer
 from pyproj.aoi import AreaOfInterest
 from pyproj.crs import CompoundCRS
 from pyproj.database import query_crs_info
@@ -21,7 +21,14 @@ from pyproj.enums import PJType
 from pyproj.exceptions import ProjError
 from pyproj.transformer import AreaOfInterest as OperationArea
 
-from geo.crs import AREA_MARGIN_DEG, degrees_outside_area, horizontal_crs, middle_lon_lat, prime_meridian_rad
+from geo.crs import (
+    AREA_MARGIN_DEG,
+    degrees_outside_area,
+    geodetic_crs,
+    horizontal_crs,
+    middle_lon_lat,
+    prime_meridian_rad,
+)
 from geo.errors import PlaceMismatch
 from geo.operations import operations
 from geo.transformation import middle_of
@@ -79,6 +86,34 @@ def height_systems_at(lat_deg: float, lon_deg: float) -> tuple[CRS, ...]:
         newest[use.bounds] = max(newest.get(use.bounds, (0.0, 0)), (width * (use.north - use.south), code))
     # The code decides between areas of equal size.
     return tuple(CRS.from_epsg(code) for _, code in sorted(newest.values()))
+
+
+def likely_crs(points: np.ndarray, lon_lat_deg: tuple[float, float], within_m: float, like: CRS) -> list[CRS]:
+    """Projected CRSs in use at a place in which points (N, 2 or 3) lie about it: the datum of ``like`` first.
+
+    Codes that EPSG withdrew are left out; the median of the distances to the place is at most ``within_m``.
+    """
+    lon, lat = lon_lat_deg
+    box = lon - _MARGIN_DEG, lat - _MARGIN_DEG, lon + _MARGIN_DEG, lat + _MARGIN_DEG
+    found = []
+    for info in query_crs_info("EPSG", PJType.PROJECTED_CRS, AreaOfInterest(*box), contains=True):
+        crs = CRS.from_epsg(int(info.code))
+        try:
+            east, north = Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(*points[:, :2].T)
+        except ProjError:
+            continue
+        finite = np.isfinite(east) & np.isfinite(north) & (np.abs(north) <= 90.0)
+        if not finite.any():
+            continue
+        away = Geod(ellps="WGS84").inv(
+            east[finite], north[finite], *np.broadcast_to([[lon], [lat]], (2, finite.sum()))
+        )[2]
+        away_m = float(np.median(away))
+        if away_m <= within_m:
+            # Of a grid with its axes swapped, only the name differs here.
+            is_other = geodetic_crs(crs) != geodetic_crs(like) or "(N-E)" in crs.name
+            found.append((is_other, round(away_m, -2), int(info.code), crs))
+    return [crs for *_, crs in sorted(found, key=lambda item: item[:3])]
 
 
 def _is_national(code: int, area: OperationArea) -> bool:

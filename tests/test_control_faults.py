@@ -18,7 +18,7 @@ BOMB = "<!DOCTYPE d [<!ENTITY a 'aaaaaaaaaa'><!ENTITY b '&a;&a;&a;&a;&a;&a;&a;&a
 EXTERNAL = "<!DOCTYPE d [<!ENTITY x SYSTEM 'http://example.invalid/x'>]>\n"
 
 FAULTS = {
-    "empty": ({"gcp_list__txt": ""}, "gcp_list.txt is empty, expected markers of Metashape"),
+    "empty": ({"gcp_list__txt": ""}, "gcp_list.txt is empty, expected points of GPX"),
     "only comments": ({"gcp_list__txt": "# nothing\n\n"}, "is empty, expected a line with its CRS"),
     "no points": ({"gcp_list__txt": "EPSG:25832\n"}, "names no file with coordinates of points"),
     "no header": ({"gcp_list__txt": odm().split("\n", 1)[1]}, "line 1: .* is a line of a point, expected"),
@@ -55,7 +55,7 @@ FAULTS = {
         '"shore 0000.JPG" has a space.*by tabs',
     ),
     "commas": ({"gcp_list__txt": "EPSG:25832\n1,2,3,4,5,0000.jpg\n"}, "separated by commas, expected spaces or tabs"),
-    "unknown kind": ({"points__txt": "abc\n"}, "is not a known kind of control file, expected markers"),
+    "unknown kind": ({"points__txt": "abc\n"}, "is not a known kind of control file, expected points"),
     "binary": ({"points__txt": b"\x00\xff\xfe" * 50}, "is not UTF-8"),
     "no markers": ({"m__xml": "<document/>"}, "has no markers"),
     "half of an XML": ({"m__xml": METASHAPE[:900]}, "is not well-formed XML"),

@@ -8,15 +8,19 @@ from collections.abc import Sequence
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import EARTH_RADIUS_M, height_unit_m, horizontal_unit, is_geographic
+from geo.area_of_use import likely_crs
+from geo.crs import EARTH_RADIUS_M, height_unit_m, horizontal_unit, is_geographic, vertical_crs
 from geo.frames import LocalFrame
+from geo.transformation import lon_lat
 from survey.control.points import Checkpoint, Control, ControlPoint, GivenPoint, Mark
 from survey.control.reading import MergedControl, with_swapped_axes
-from survey.display.quantities import named
+from survey.display.quantities import distance_text, named
 from survey.errors import ControlError
 
 # Photographs of shallow water do not show points farther away.
 _FARTHEST_M = 3000.0
+# Of CRSs that fit.
+_MOST_SHOWN = 3
 # A height is far from the others beyond this many times their usual spread, and this length [m].
 _FAR, _FAR_HEIGHT_M, _FEWEST = 10.0, 30.0, 4
 
@@ -45,15 +49,15 @@ def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) ->
         other = with_swapped_axes(point, crs)
         if other is not None and _distance_m(np.array(other.place), cameras, crs) <= _FARTHEST_M:
             raise ControlError(
-                f"{message} lies {_km(distance)} from the cameras, and among them with easting and northing (or "
-                "longitude and latitude) swapped; swap the two columns in the file"
+                f"{message} lies {distance_text(distance)} from the cameras, and among them with easting and northing "
+                "(or longitude and latitude) swapped; swap the two columns in the file"
             )
         middle = np.median(cameras, axis=0)
         if _is_in_degrees(point, crs):
             raise ControlError(_degrees(message, crs, f", where the cameras are at {middle[0]:.10g}, {middle[1]:.10g}"))
         raise ControlError(
-            f"{message} lies {_km(distance)} from the nearest camera, the cameras are at {middle[0]:.10g}, "
-            f"{middle[1]:.10g} in {crs.name}; correct it, or the CRS of the file"
+            f"{message} lies {distance_text(distance)} from the nearest camera, the cameras are at {middle[0]:.10g}, "
+            f"{middle[1]:.10g} in {crs.name}; {_crs_advice(points, point, middle, crs)}"
         )
     return _height_warnings(points, cameras, crs)
 
@@ -125,8 +129,25 @@ def _distance_m(place: np.ndarray, cameras: np.ndarray, crs: CRS) -> float:
     return nearest if math.isfinite(nearest) else math.inf
 
 
-def _km(metres: float) -> str:
-    return f"{metres / 1000.0:.3g} km"
+def _crs_advice(points: Sequence[GivenPoint], far: GivenPoint, middle: np.ndarray, crs: CRS) -> str:
+    """What to do about points far from the cameras: the CRS that they are likely in, by where they would lie."""
+    stated = None if far.as_read is None else far.as_read.crs
+    if stated is not None:
+        return f"the file states {stated.name}: correct that, the point, or crs in survey.toml"
+    file = far.where.partition(", line ")[0]
+    own = np.array([point.place for point in points if point.where.startswith(file)])
+    place = lon_lat(crs, middle[None, :2])[0].tolist()
+    others = likely_crs(own, (place[0], place[1]), _FARTHEST_M, crs)[:_MOST_SHOWN]
+    if not others:
+        return "correct it, or crs in survey.toml, or state the CRS of the file (# EPSG:n in its first line)"
+    codes = " or ".join(f"EPSG:{other.to_epsg()} ({other.name})" for other in others)
+    vertical = vertical_crs(crs)
+    heights = "" if vertical is None or vertical.to_epsg() is None else f"+{vertical.to_epsg()}"
+    code = f"EPSG:{others[0].to_epsg()}"
+    return (
+        f"in {codes} it lies among them: if that is the CRS of the file, state it in its first line (# {code}), or "
+        f'write crs = "{code}{heights}" in survey.toml'
+    )
 
 
 def control_in_local(

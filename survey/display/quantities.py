@@ -75,6 +75,22 @@ class LengthUnit:
         return self.number(value_m) + NO_BREAK + self.name if is_known(value_m) else UNKNOWN
 
 
+def distance_text(metres: float) -> str:
+    """A distance of places as people write it: whole metres below a kilometre, then kilometres.
+
+    Examples
+    --------
+    >>> distance_text(0.4), distance_text(12.0), distance_text(4321.0), distance_text(56789.0), distance_text(5.2e6)
+    ('0.4 m', '12 m', '4.3 km', '57 km', '5,200 km')
+    """
+    if not math.isfinite(metres):
+        return "an unknown distance"
+    if round(metres) < 1000:
+        return f"{metres:.0f} m" if metres >= 9.5 else f"{metres:.1f} m"
+    km = metres / 1000.0
+    return f"{km:,.0f} km" if km >= 9.95 else f"{km:.1f}".removesuffix(".0") + " km"
+
+
 def is_known(value: float | None) -> TypeGuard[float]:
     """Whether there is a finite value; None, NaN and infinity are shown as unknown."""
     return value is not None and math.isfinite(value)

@@ -15,7 +15,7 @@ from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from geo.transformation import lon_lat
 from refract import PinholeCamera
-from survey.display.quantities import named
+from survey.display.quantities import distance_text, named
 from survey.errors import FILE_NAME, ConfigError, PosesError
 from survey.folder.faults import above_start_of, explanation, place_of
 from survey.photos.cameras import View
@@ -117,8 +117,8 @@ def _require_together(frame: LocalFrame, views: list[View], centres: np.ndarray)
     if distance[worst] > ONE_SURVEY_M:
         place = ", ".join(f"{v:.10g}" for v in frame.crs_from_local(centres[worst]))
         raise PosesError(
-            f"the camera of {views[worst].name} at {place} lies {distance[worst] / 1000.0:.0f} km from the others, "
-            f"expected at most {ONE_SURVEY_M / 1000.0:.0f} km; correct its pose or leave the image out"
+            f"the camera of {views[worst].name} at {place} lies {distance_text(distance[worst])} from the others, "
+            f"expected at most {distance_text(ONE_SURVEY_M)}; correct its pose or leave the image out"
         )
 
 
@@ -187,7 +187,7 @@ def _require_bounds_near(frame: LocalFrame, centres: np.ndarray, bounds: tuple[f
     if not distances.min() < 1000.0:
         east, north, _ = cameras[int(np.argmin(distances))]
         raise ConfigError(
-            f"[area] bounds {list(bounds)} lie {distances.min() / 1000.0:.1f} km from the nearest camera, which is "
+            f"[area] bounds {list(bounds)} lie {distance_text(distances.min())} from the nearest camera, which is "
             f"at {east:.10g}, {north:.10g}; give them in crs ({frame.crs.name}), or correct the CRS of the positions "
             "or control points that place the cameras"
         )
@@ -211,10 +211,11 @@ def place_warnings(
         )
     crs_centres = dict(zip((view.name for view in views), frame.crs_from_local(centres), strict=True))
     distances = distances_to_exif(frame.crs, crs_centres, headers)
-    if distances.size and np.median(distances) > _EXIF_DOUBT_M:
+    away_m = float(np.median(distances)) if distances.size else 0.0
+    if away_m > _EXIF_DOUBT_M:
         found.append(
-            f"the poses lie {np.median(distances):.0f} m (median) from the GPS positions in EXIF; check crs and, for "
-            "local poses, [local] origin"
+            f"the poses lie {distance_text(away_m)} (median) from the GPS positions in EXIF; check "
+            "crs and, for local poses, [local] origin"
         )
     return found
 

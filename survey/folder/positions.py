@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from geo.crs import EARTH_RADIUS_M
-from survey.display.quantities import named
+from survey.display.quantities import distance_text, named
 from survey.photos.exif import Exif
 
 # A position is far from the others beyond this many times their usual spread, and these lengths [m]. If more than this
@@ -72,7 +72,7 @@ def far_from_others(
     off = np.zeros(len(names))
     for camera in [np.s_[:]] if cameras is None else [cameras == each for each in np.unique(cameras)]:
         off[camera] = _off_the_line(plan[camera], None if seconds is None else seconds[camera])
-    labels = np.array([f"{name} (by {of_it:.0f} m)" for name, of_it in zip(names, off, strict=True)])
+    labels = np.array([f"{name} (by {distance_text(of_it)})" for name, of_it in zip(names, off, strict=True)])
     warnings += named(
         _few(labels, main & ~alone & (off > 0.0)),
         "image",

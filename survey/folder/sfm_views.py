@@ -16,7 +16,7 @@ from geo.crs import EARTH_RADIUS_M, height_unit_m, middle_lon_lat
 from geo.frames import LocalFrame
 from refract.lens import Lens
 from survey.control.local_control import require_near
-from survey.display.quantities import named
+from survey.display.quantities import distance_text, named
 from survey.errors import FILE_NAME, ControlError, ImageError, PosesError
 from survey.folder.checked_control import control_of_block, may_hold_roll, require_placing_control, with_two_marks
 from survey.folder.faults import (
@@ -239,7 +239,7 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
     without = [name for name in found.images if name not in solved]
     warnings += named(without, "image", "without a pose, left out")
     rejected = _rejected_positions(views, result.gps_residual_m)
-    parts = [f"{name} (by {metres:.1f} m)" for name, metres in rejected.items()]
+    parts = [f"{name} (by {distance_text(metres)})" for name, metres in rejected.items()]
     warnings += named(parts, "GPS position", "that the block contradicts, left out")
     return SolvedViews(
         result.frame, tuple(views), result.ties, tuple(result.notes), tuple(warnings), frozenset(rejected)

@@ -12,7 +12,7 @@ import numpy as np
 import tomli_w
 from pyproj import CRS
 
-from geo.area_of_use import height_systems_at, require_at
+from geo.area_of_use import height_systems_at, likely_crs, require_at
 from geo.crs import (
     EGM96_HEIGHT,
     crs_code,
@@ -24,6 +24,7 @@ from geo.crs import (
     vertical_crs,
 )
 from geo.frames import LocalFrame
+from survey.control.points import GivenPoint
 from survey.errors import ConfigError
 from survey.folder import infer
 from survey.folder.gps_placement import GpsFit
@@ -40,6 +41,8 @@ from survey.words import GEO_TXT
 # Asks a person; returns the answer, which may be empty.
 Ask = Callable[[str], str]
 _WGS84_3D = 4979
+# Control points of a survey lie this near to its photographs [m].
+_NEAR_CONTROL_M = 3000.0
 
 
 @dataclass(frozen=True)
@@ -111,6 +114,7 @@ class FolderPhotographs:
     headers: Mapping[str, Exif]  # mapping of name to Exif
     poses_path: Path | None
     file: PoseFile | None  # What `poses_path` holds
+    control: tuple[GivenPoint, ...] = ()  # of the control file that was found
 
     @property
     def centres(self) -> dict[str, np.ndarray]:
@@ -184,6 +188,8 @@ def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
     table = infer.table_crs(photographs.headers)
     if table is not None and file is None:
         return table, f"that of {GEO_TXT}"
+    if file is None and (by_control := _of_control(photographs)) is not None:
+        return by_control
     zone = utm_code_of(dict(photographs.headers))
     by = f"the UTM zone of the GPS positions in {position_sources(photographs.headers)}"
     if zone is None and photographs.lat_lon is not None:
@@ -199,6 +205,22 @@ def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
                 f"the poses in {photographs.poses_path} are not in {horizontal_crs(crs).name}, nor say their crs",
             )
     return f"EPSG:{zone}", by
+
+
+def _of_control(photographs: FolderPhotographs) -> tuple[str, str] | None:
+    """The projected CRS of control points, as their file states it or by where they lie; None where neither tells."""
+    points, place = photographs.control, photographs.lat_lon
+    stated = None if not points or points[0].crs is None else horizontal_crs(points[0].crs)
+    if stated is not None:
+        code = crs_code(stated)
+        return (code, "that of the control points") if code is not None and stated.is_projected else None
+    if not points or place is None:
+        return None
+    zone = CRS(f"EPSG:{utm_code(*place)}")
+    fitting = likely_crs(np.array([point.place for point in points]), place[::-1], _NEAR_CONTROL_M, zone)
+    if not fitting or zone in fitting:
+        return None
+    return f"EPSG:{fitting[0].to_epsg()}", f"not certain: {fitting[0].name}, in which the control points lie here"
 
 
 def _vertical(

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 from geo.files import write_whole
-from survey.errors import FILE_NAME, ConfigError, Findings, OutputError, SurveyError
+from survey.control.points import GivenPoint
+from survey.control.reading import read_control
+from survey.errors import FILE_NAME, ConfigError, ControlError, Findings, OutputError, SurveyError
 from survey.files.json_values import write_json
 from survey.files.toml_table import schema_of
 from survey.folder import infer
@@ -35,7 +38,7 @@ _CONTROL_FILES = {
     "marks": ("marks", "markers"),
     "checkpoints": ("checkpoints", "check_points"),
 }
-_SUFFIXES = (".csv", ".txt", ".geojson", ".json")
+_SUFFIXES = (".csv", ".txt", ".geojson", ".json", ".gpx", ".kml")
 
 
 def _require_folder(folder: Path) -> None:
@@ -98,7 +101,9 @@ def draft(folder: Path, answers: Answers) -> str:
         cameras.add_comments(f"No poses found: structure from motion computes them from the {len(found)} photographs.")
     cameras.add_comments(*(f"Found: {sentence}." for sentence in findings.assumptions))
     cameras.add_comments(*(f"Not certain: {sentence}." for sentence in findings.warnings))
-    photographs = FolderPhotographs(headers, poses[0] if poses else None, read_poses(poses[0]) if poses else None)
+    photographs = FolderPhotographs(
+        headers, poses[0] if poses else None, read_poses(poses[0]) if poses else None, _control_points(folder)
+    )
     if photographs.file is not None and any(pose.lens is None for pose in photographs.file.poses):
         cameras.add_comments(
             "Not certain: the lens, by EXIF where it states the focal length. With a calibration:",
@@ -159,6 +164,14 @@ def _write_control(folder: Path, control: SettingsTable) -> None:
         files.pop("marks", None)
     for key, name in files.items():
         control.set(key, name, "taken by its name")
+
+
+def _control_points(folder: Path) -> tuple[GivenPoint, ...]:
+    """Points of the control file that is found; none where it cannot be read, which `check` says."""
+    name = _named(folder, _CONTROL_FILES["gcps"])
+    with suppress(ControlError):
+        return () if name is None else read_control(folder / name).points
+    return ()
 
 
 def _named(folder: Path, stems: tuple[str, ...]) -> str | None:

@@ -19,7 +19,7 @@ from pyproj.exceptions import CRSError
 
 from geo.crs import crs_of
 from refract.lens import Lens, LensError
-from survey.display.quantities import named
+from survey.display.quantities import distance_text, named
 from survey.errors import PosesError
 from survey.files.csv_table import shortened
 from survey.files.xml_tree import read_xml
@@ -297,7 +297,7 @@ def _is_on_earth(poses, crs: CRS | None, path: Path) -> bool:
     is_earth = min(lengths) > _UNDERGROUND_M
     if crs is not None and not is_earth:
         raise PosesError(
-            f"{path}: its chunk has the reference {crs.name}, but a camera lies {min(lengths) / 1000.0:.0f} km from "
+            f"{path}: its chunk has the reference {crs.name}, but a camera lies {distance_text(min(lengths))} from "
             "the centre of the Earth; update the reference in Metashape, and export the cameras again"
         )
     return is_earth

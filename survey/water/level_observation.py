@@ -29,7 +29,7 @@ from geo.features import SUFFIXES
 from geo.reading import read_reference
 from geo.shapes import in_height_unit, vertices_of
 from geo.transformation import height_scale, lon_lat, transformed
-from survey.display.quantities import length
+from survey.display.quantities import distance_text, length
 from survey.errors import ConfigError
 from survey.files.csv_table import Row
 from survey.files.point_table import Units, read_points
@@ -162,8 +162,8 @@ def water_place_warnings(
             raise ConfigError(_too_far(crs, cameras, source, np.array(found), distance))
         if distance[worst] > DOUBTFUL_M:
             warnings.append(
-                f"{message} lie more than {DOUBTFUL_M / 1e3:g} km from all cameras, the "
-                f"farthest {distance[worst] / 1e3:.1f} km: check that they are on the water that the photographs show"
+                f"{message} lie more than {distance_text(DOUBTFUL_M)} from all cameras, the "
+                f"farthest {distance_text(distance[worst])}: check that they are on the water that the photographs show"
             )
     return warnings
 
@@ -173,7 +173,7 @@ def _too_far(crs: CRS, cameras: np.ndarray, source: str, places: np.ndarray, dis
     e, n = places[worst]
     message = f"[water] {source} has a place at {e:.10g}, {n:.10g}, which "
     if np.isfinite(distance[worst]):
-        message += f"lies {distance[worst] / 1e3:.0f} km from the nearest camera in {crs.name}"
+        message += f"lies {distance_text(distance[worst])} from the nearest camera in {crs.name}"
     else:
         message += f"is not on the map of {crs.name}"
     if (_distances_m(crs, cameras, places[:, ::-1]) <= FARTHEST_M).all():

@@ -248,6 +248,7 @@ def read_cloud(path: str | Path) -> Cloud:
         crs=crs,
         classification=np.asarray(las.classification, dtype=np.uint8),
         withheld=np.asarray(las.withheld, dtype=bool),
+        overlap=np.asarray(las.overlap, dtype=bool) if "overlap" in las.point_format.dimension_names else None,
         height_unit_m=height_unit,
         extra=extra_of(las),
         notes=notes,

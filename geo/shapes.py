@@ -27,6 +27,8 @@ class Cloud:
         Sentences for the user about missing parts of the file.
     withheld : (N,) bool or None
         Points that the file itself says are not to be used.
+    overlap : (N,) bool or None
+        Points where flight lines overlap, as formats 6 and later of LAS flag them.
     height_unit_m : [m] or None
         One unit of height, where the file says it and its CRS does not.
     """
@@ -39,6 +41,7 @@ class Cloud:
     notes: tuple[str, ...] = ()
     withheld: np.ndarray | None = None
     height_unit_m: float | None = None
+    overlap: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -120,11 +123,16 @@ def excluded_points(cloud: Cloud) -> tuple[np.ndarray, str]:
 
 
 def used_as_ground(cloud: Cloud) -> str:
-    """Counts, in words, of points that are used as ground although their class says otherwise; "" where none."""
-    if cloud.classification is None:
-        return ""
-    count = np.bincount(cloud.classification, minlength=256)
-    return ", ".join(f"{count[code]} of class {code} ({name})" for code, name in _USED_AS_GROUND.items() if count[code])
+    """Counts, in words, of points that are used although their class or flag says otherwise; "" where none.
+
+    Points that LAS flags as synthetic are used without a word: those of photogrammetry are.
+    """
+    classes = cloud.classification if cloud.classification is not None else np.zeros(0, dtype=np.uint8)
+    count = np.bincount(classes, minlength=256)
+    parts = [f"{count[code]} of class {code} ({name})" for code, name in _USED_AS_GROUND.items() if count[code]]
+    if cloud.overlap is not None and cloud.overlap.any():
+        parts.append(f"{int(cloud.overlap.sum())} flagged overlap")
+    return ", ".join(parts)
 
 
 def masked_cloud(cloud: Cloud, keep: np.ndarray) -> Cloud:
@@ -139,6 +147,7 @@ def masked_cloud(cloud: Cloud, keep: np.ndarray) -> Cloud:
         rgb=kept(cloud.rgb),
         classification=kept(cloud.classification),
         withheld=kept(cloud.withheld),
+        overlap=kept(cloud.overlap),
         extra={name: values[keep] for name, values in cloud.extra.items()},
     )
 

@@ -139,3 +139,14 @@ def test_points_that_may_be_none_of_the_ground_count_and_are_named(code):
     assert not excluded_points(cloud)[0].any()
     assert used_as_ground(cloud).startswith(f"2 of class {code} (")
     assert used_as_ground(Cloud(points=points)) == ""
+
+
+def test_points_flagged_overlap_are_used_and_counted_and_synthetic_ones_are_those_of_photographs(tmp_path):
+    path = write_las(tmp_path / "c.las", FRAME.crs_from_local(grid(0.5)))
+    las = laspy.read(path)
+    assert np.asarray(las.synthetic).all()
+    las.overlap = np.arange(len(las.x)) % 3 == 0
+    las.write(path)
+    cloud = read_reference(path)
+    assert not excluded_points(cloud)[0].any()
+    assert used_as_ground(cloud) == f"{-(-len(cloud.points) // 3)} flagged overlap"

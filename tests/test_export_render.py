@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import rasterio
 from painted_survey import DEPTH_M, EXPOSURES, SLOPE, painted_survey, run_over
 from PIL import Image
 from plane_field import field_over, level_slab
@@ -77,6 +78,7 @@ def test_a_place_comes_back(tmp_path, frame):
         load_place(tmp_path)
 
 
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 def test_a_camera_gets_four_pictures(run, tmp_path):
     (path,) = render(run, poses(tmp_path, ABOVE), tmp_path / "new" / "views", device="cpu", trained=True)
     assert path == tmp_path / "new" / "views" / "nadir.png"
@@ -85,6 +87,10 @@ def test_a_camera_gets_four_pictures(run, tmp_path):
     ]  # fmt: skip
     with Image.open(path) as image:
         assert (image.mode, image.size) == ("RGBA", (40, 30))
+    with rasterio.open(path.with_name("nadir_height.tif")) as raster:
+        assert raster.descriptions == ("height of the bed over the plane of the water",)
+        assert raster.units == ("metre",)
+        assert np.isnan(raster.nodata)
     height = np.asarray(Image.open(path.with_name("nadir_height.tif")))
     assert height.dtype == np.float32
     np.testing.assert_allclose(height, -2.0, atol=5e-4)

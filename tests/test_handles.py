@@ -108,7 +108,12 @@ def test_other_libraries_get_the_same_numbers(run, monkeypatch):
     made = dem.to_xarray()
     assert made.values["height"][0] == ("y", "x")
     assert made.values["height"][1] is dem.height
-    assert made.coords["x"] is dem.east
+    assert {name: attributes["units"] for name, (_, _, attributes) in made.values.items()} == {
+        "height": "metre", "std": "metre", "std_common": "metre", "num_points": "1", "depth": "metre",
+    }  # fmt: skip
+    assert all(attributes["long_name"] for _, _, attributes in made.values.values())
+    assert made.coords["x"][1] is dem.east
+    assert (made.coords["x"][2]["standard_name"], made.coords["y"][2]["units"]) == ("projection_x_coordinate", "metre")
     assert "CRS" in made.coords["spatial_ref"][2]["crs_wkt"]
     fake_module(
         monkeypatch, "open3d", geometry=SimpleNamespace(PointCloud=SimpleNamespace),

@@ -37,6 +37,7 @@ from geo.shapes import excluded_points, in_height_unit, masked_cloud
 from survey.errors import SurveyError
 from survey.export.bed_cells import PlanCells, round_side
 from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells
+from survey.progress import current
 from survey.run.folder import RunDir
 
 # Cells with differences beyond this many robust standard deviations have changed.
@@ -234,6 +235,8 @@ def _cloud(path: Path) -> Cloud:
     out, kinds = excluded_points(shape)
     if out.all():
         raise ChangeError(f"no point of {path} is of the ground: it holds {kinds}")
+    if kinds:
+        current().warn(f"{path}: {kinds} are left out")
     return masked_cloud(shape, ~out)
 
 

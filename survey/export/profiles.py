@@ -114,6 +114,8 @@ class Bed:
             out, kinds = excluded_points(cloud)
             if out.all():
                 raise ProfileError(f"no point of {file} is of the ground: it holds {kinds}; give the points of the bed")
+            if kinds:
+                current().warn(f"{file}: {kinds} are left out")
             self._cloud = masked_cloud(cloud, ~out)
             crs = cloud.crs
         else:

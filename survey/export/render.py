@@ -37,6 +37,8 @@ from survey.settings.config import CamerasConfig, SurveyConfig, read_config
 FIELD_STAGE = "field"
 # In the order of the layers that `write_view` makes.
 _ENDINGS = (".png", "_normal.png", "_height.tif", "_distance.tif")
+_BANDS = {"_height.tif": "height of the bed over the plane of the water", "_distance.tif": "distance along the ray"}
+_GDAL_METADATA, _GDAL_NODATA = 42112, 42113
 # Tag in pictures that render wrote.
 _SOFTWARE = "bathynerf render"
 
@@ -238,6 +240,16 @@ def _pictures(stem: Path) -> list[Path]:
     return [stem.with_name(stem.name + ending) for ending in _ENDINGS]
 
 
+def _band(file_name: str) -> dict[int, str]:
+    """Name, unit and value without data of the band of a TIFF, in the tags of GDAL."""
+    ending = next(end for end in _BANDS if file_name.endswith(end))
+    said = "".join(
+        f'<Item name="{name}" sample="0" role="{role}">{text}</Item>'
+        for name, role, text in (("DESCRIPTION", "description", _BANDS[ending]), ("UNITTYPE", "unittype", "metre"))
+    )
+    return {_GDAL_METADATA: f"<GDALMetadata>{said}</GDALMetadata>", _GDAL_NODATA: "nan"}
+
+
 def write_view(stem: Path, view: NovelView) -> Path:
     """Write the pictures of a view under names that begin with `stem`; the path of the colours."""
     with reporting_disk_errors(stem.parent):
@@ -253,5 +265,5 @@ def write_view(stem: Path, view: NovelView) -> Path:
             if path.suffix == ".png":
                 Image.fromarray(pixels).save(stream, "PNG", pnginfo=mark)
             else:
-                Image.fromarray(pixels).save(stream, "TIFF", software=_SOFTWARE)
+                Image.fromarray(pixels).save(stream, "TIFF", software=_SOFTWARE, tiffinfo=_band(path.name))
     return paths[0]

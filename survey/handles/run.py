@@ -75,7 +75,7 @@ class Dem:
         return np.array(self.height, dtype=dtype, copy=copy)
 
     def to_xarray(self) -> Any:
-        """An ``xarray.Dataset`` of all layers, with the CRS as rioxarray and CF have it (``spatial_ref``).
+        """An ``xarray.Dataset`` of all layers with units and long names, the CRS as rioxarray and CF have it.
 
         Raises
         ------
@@ -86,10 +86,19 @@ class Dem:
             import xarray
         except ModuleNotFoundError as error:
             raise SurveyError("xarray is not installed: pip install 'bathynerf[xarray]'") from error
-        layers = ("height", "std", "std_common", "num_points", "depth")
-        values = {name: (("y", "x"), getattr(self, name), {"grid_mapping": "spatial_ref"}) for name in layers}
-        place = ((), 0, {"crs_wkt": self.crs.to_wkt()})
-        return xarray.Dataset(values, coords={"x": self.east, "y": self.north, "spatial_ref": place})
+        layers = {
+            name: (("y", "x"), getattr(self, name), {"long_name": about, "units": unit, "grid_mapping": "spatial_ref"})
+            for name, about, unit in (
+                ("height", f"height of the bed, {self.crs.name}", self.crs.axis_info[2].unit_name),
+                ("std", "random standard deviation of the height", "metre"),
+                ("std_common", "standard deviation that all heights share", "metre"),
+                ("num_points", "points in the cell", "1"),
+                ("depth", "depth of the bed below the water", "metre"),
+            )
+        }
+        axes = {axis.get("axis"): axis for axis in self.crs.cs_to_cf()}
+        coords = {"x": ("x", self.east, axes["X"]), "y": ("y", self.north, axes["Y"])}
+        return xarray.Dataset(layers, coords=coords | {"spatial_ref": ((), 0, self.crs.to_cf())})
 
 
 def dem_of(path: Path, options: ExportOptions) -> Dem:

@@ -10,65 +10,32 @@ from pyproj import CRS
 
 @dataclass(frozen=True)
 class Cloud:
-    """Points of a file.
+    """Points of a file."""
 
-    Attributes
-    ----------
-    points : (N, 3) float64, in crs
-        Easting or longitude, northing or latitude, height.
-    rgb : (N, 3) uint8 or None
-    crs : pyproj.CRS or None
-        None if the file does not state it, or states one that is not understood; `notes` says which.
-    classification : (N,) uint8 or None
-        Classes of LAS.
-    extra : dict of (N,) or (N, k) arrays
-        Further values by name; NaN where the file declares "no data".
-    notes : tuple of str
-        Sentences for the user about missing parts of the file.
-    withheld : (N,) bool or None
-        Points that the file itself says are not to be used.
-    overlap : (N,) bool or None
-        Points where flight lines overlap, as formats 6 and later of LAS flag them.
-    height_unit_m : [m] or None
-        One unit of height, where the file says it and its CRS does not.
-    """
-
-    points: np.ndarray
-    rgb: np.ndarray | None = None
+    points: np.ndarray  # (N, 3) float64, in crs: Easting or longitude, northing or latitude, height
+    rgb: np.ndarray | None = None  # (N, 3) uint8
+    # None if the file does not state it, or states one that is not understood; `notes` says which
     crs: CRS | None = None
-    classification: np.ndarray | None = None
+    classification: np.ndarray | None = None  # (N,) uint8: Classes of LAS
+    # (N,) or (N, k): further values by name; NaN where the file declares "no data"
     extra: dict[str, np.ndarray] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    withheld: np.ndarray | None = None
-    height_unit_m: float | None = None
+    notes: tuple[str, ...] = ()  # Sentences for the user about missing parts of the file
+    withheld: np.ndarray | None = None  # (N,) bool: Points that the file itself says are not to be used
+    height_unit_m: float | None = None  # [m]: One unit of height, where the file says it and its CRS does not
+    # (N,) bool: Points where flight lines overlap, as formats 6 and later of LAS flag them
     overlap: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles of a file.
+    """Triangles of a file."""
 
-    Attributes
-    ----------
-    vertices : (V, 3) float64, in crs
-    faces : (F, 3) int64
-        Vertex numbers in the winding of the file; polygons are cut into fans.
-    crs : pyproj.CRS or None
-        None where the file states none.
-    rgb : (V, 3) uint8 or None
-        Of the vertices.
-    notes : tuple of str
-        Sentences for the reader about what the file lacks.
-    height_unit_m : [m] or None
-        One unit of height, where the file says it and its CRS does not.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    crs: CRS | None = None
-    rgb: np.ndarray | None = None
-    notes: tuple[str, ...] = ()
-    height_unit_m: float | None = None
+    vertices: np.ndarray  # (V, 3) float64, in crs
+    faces: np.ndarray  # (F, 3) int64: Vertex numbers in the winding of the file; polygons are cut into fans
+    crs: CRS | None = None  # None where the file states none
+    rgb: np.ndarray | None = None  # (V, 3) uint8: Of the vertices
+    notes: tuple[str, ...] = ()  # Sentences for the reader about what the file lacks
+    height_unit_m: float | None = None  # [m]: One unit of height, where the file says it and its CRS does not
 
 
 # Classes of LAS 1.4 and its topo-bathy profile that are left out: noise, water, and places where no bottom was found.

@@ -177,16 +177,11 @@ def numbers_of(figures: Figures) -> dict:
     if figures.checkpoints is not None:
         numbers["asprs"] = _asprs(figures.checkpoints)
     if figures.c2c is not None:
-        numbers["c2c"] = {
-            "to_reference": _known(figures.c2c.to_reference),
-            "to_cloud": _known(figures.c2c.to_cloud),
-        }
-    if (m3c2 := figures.m3c2) is not None:
-        numbers["m3c2"] = _known(m3c2.distances) | {
-            "radius_m": m3c2.radius_m,
-            "detection_median_m": m3c2.detection_median_m,
-            "significant_share": m3c2.significant_share,
-        }
+        both = {"to_reference": figures.c2c.to_reference, "to_cloud": figures.c2c.to_cloud}
+        numbers["c2c"] = {name: _known(distances) for name, distances in both.items()}
+    if figures.m3c2 is not None:
+        others = {name: value for name, value in asdict(figures.m3c2).items() if name != "distances"}
+        numbers["m3c2"] = _known(figures.m3c2.distances) | others
     return plain(numbers | _circumstances(figures.circumstances))
 
 
@@ -270,26 +265,7 @@ def _asprs(checkpoints: CheckpointFigures) -> dict:
 
 
 def _circumstances(circumstances: Circumstances) -> dict:
-    return {
-        "outliers": circumstances.outliers,
-        "confidence": {
-            "level": LEVEL,
-            "method": "block bootstrap",
-            "block_m": circumstances.block_m,
-            "correlation_length_m": circumstances.correlation_length_m,
-            "widening": circumstances.widening,
-            "draws": NUM_DRAWS,
-            "seed": SEED,
-        },
-        "water_level": circumstances.water_level,
-        "method": circumstances.method,
-        "sign": circumstances.sign,
-        "crs": circumstances.crs,
-        "bounds": None if circumstances.bounds is None else [float(v) for v in circumstances.bounds],
-        "cloud": circumstances.cloud,
-        "reference": circumstances.reference,
-        "visible": circumstances.visible,
-        "n_samples": circumstances.n_samples,
-        "seed": circumstances.seed,
-        "notes": list(circumstances.notes),
-    }
+    numbers = asdict(circumstances)
+    blocks = {name: numbers.pop(name) for name in ("block_m", "correlation_length_m", "widening")}
+    confidence = {"level": LEVEL, "method": "block bootstrap", **blocks, "draws": NUM_DRAWS, "seed": SEED}
+    return numbers | {"confidence": confidence}

@@ -93,42 +93,21 @@ def as_text(values) -> str:
 
 @dataclass(frozen=True)
 class CompareOptions:
-    """Options of a comparison.
+    """Options of a comparison."""
 
-    Attributes
-    ----------
-    tolerances_m : tuple of float [m]
-        For completeness, accuracy share and F-score; the first is that of the keys at the top.
-    visible : Path, optional
-        Points of the reference that cameras see.
-    bounds : (E0, N0, E1, N1), optional, in crs
-        Crop the cloud to this first.
-    sign : {"up", "winding"}
-        See `evaluation.distance_to_mesh`.
-    water_level : float, optional, in crs
-        Height of the water; depths are then taken from the reference alone.
-    checkpoints : Path, optional
-        Table of check points, see `survey.compare.measure`.
-    outliers : str, optional
-        ``"sor:K,S"``: leave statistical outliers out, see `evaluation.is_outlier`. Nothing is left out without it.
-    c2c : bool
-        Also cloud-to-cloud distances, in both directions.
-    m3c2_radius_m : float, optional [m]
-        M3C2 distances too, see `evaluation.m3c2_distances`.
-    json_path, report_dir : Path, optional
-        Where the numbers and the pictures go.
-    """
-
+    # [m]: For completeness, accuracy share and F-score; the first is that of the keys at the top
     tolerances_m: tuple[float, ...] = (0.2,)
-    visible: Path | None = None
-    bounds: Bounds | None = None
-    sign: Sign = "up"
+    visible: Path | None = None  # Points of the reference that cameras see
+    bounds: Bounds | None = None  # (E0, N0, E1, N1), in crs: Crop the cloud to this first
+    sign: Sign = "up"  # {"up", "winding"}: See `evaluation.distance_to_mesh`
+    # In crs: Height of the water; depths are then taken from the reference alone
     water_level: float | None = None
-    checkpoints: Path | None = None
+    checkpoints: Path | None = None  # Table of check points, see `survey.compare.measure`
+    # ``"sor:K,S"``: leave statistical outliers out, see `evaluation.is_outlier`. Nothing is left out without it
     outliers: str | None = None
-    c2c: bool = False
-    m3c2_radius_m: float | None = None
-    json_path: Path | None = None
+    c2c: bool = False  # Also cloud-to-cloud distances, in both directions
+    m3c2_radius_m: float | None = None  # [m]: M3C2 distances too, see `evaluation.m3c2_distances`
+    json_path: Path | None = None  # json_path, report_dir: Where the numbers and the pictures go
     report_dir: Path | None = None
 
 

@@ -25,38 +25,17 @@ _LIBRARIES = {
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """Options of products; each product says in `Product.takes` which of these it follows.
+    """Options of products; each product says in `Product.takes` which of these it follows."""
 
-    Attributes
-    ----------
-    crs : str or None
-        CRS of the product; None for that of the run.
-    resolution_m : [m] or None
-        Side of a cell; None leaves it to the product.
-    fill_m : [m]
-        Gaps up to this width are filled.
-    mesh_method : "delaunay" or "poisson"
-        See `survey.export.bed_surface`.
-    watertight : bool
-        Close the mesh with walls and a bottom.
-    interval_m : [m] or None
-        Between contours; None leaves it to the product.
-    no_bed : bool
-        Add points where no bed was found, and of the water over them.
-    survey : str or None
-        Folder of the survey, if it was moved since the run.
-    thin : "none", "shoal" or "mean"
-        What is kept of the soundings of a cell: all, the shoalest, or their mean.
-    """
-
-    crs: str | None = None
-    resolution_m: float | None = None
-    fill_m: float = 0.0
-    mesh_method: str = "delaunay"
-    watertight: bool = False
-    interval_m: float | None = None
-    no_bed: bool = False
-    survey: str | None = None
+    crs: str | None = None  # CRS of the product; None for that of the run
+    resolution_m: float | None = None  # [m]: Side of a cell; None leaves it to the product
+    fill_m: float = 0.0  # [m]: Gaps up to this width are filled
+    mesh_method: str = "delaunay"  # "delaunay" or "poisson": See `survey.export.bed_surface`
+    watertight: bool = False  # Close the mesh with walls and a bottom
+    interval_m: float | None = None  # [m]: Between contours; None leaves it to the product
+    no_bed: bool = False  # Add points where no bed was found, and of the water over them
+    survey: str | None = None  # Folder of the survey, if it was moved since the run
+    # "none", "shoal" or "mean": What is kept of the soundings of a cell: all, the shoalest, or their mean
     thin: str = "none"
 
 

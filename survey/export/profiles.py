@@ -51,34 +51,19 @@ class ProfileError(SurveyError):
 
 @dataclass(frozen=True)
 class Profile:
-    """Heights along a line; arrays are over its places, NaN where nothing is known.
-
-    Attributes
-    ----------
-    name : str
-    crs : pyproj.CRS
-        Of places and heights.
-    distance : (K,) [m]
-        From the start of the line.
-    places : (K, 2), in crs
-    bed : (K,), in the heights of crs
-        Median of the points near the place.
-    std, std_common : (K,) [m]
-        Standard deviation of a point there by its own errors, and by those common to all heights; NaN where unknown.
-    num_points : (K,) int
-    water, reference : (K,), in the heights of crs
-        NaN for a dry survey, and without a reference.
-    """
+    """Heights along a line; arrays are over its places, NaN where nothing is known."""
 
     name: str
-    crs: CRS
-    distance: np.ndarray
-    places: np.ndarray
-    bed: np.ndarray
+    crs: CRS  # Of places and heights
+    distance: np.ndarray  # (K,) [m]: From the start of the line
+    places: np.ndarray  # (K, 2), in crs
+    bed: np.ndarray  # (K,), in the heights of crs: Median of the points near the place
+    # std, std_common (K,) [m]: Standard deviation of a point there by its own errors, and by those common to all
+    # heights; NaN where unknown
     std: np.ndarray
     std_common: np.ndarray
-    num_points: np.ndarray
-    water: np.ndarray
+    num_points: np.ndarray  # (K,) int
+    water: np.ndarray  # water, reference (K,), in the heights of crs: NaN for a dry survey, and without a reference
     reference: np.ndarray
 
     @property

@@ -46,29 +46,18 @@ class Dem:
     """Terrain model: heights of the bed in square cells, the first row in the north; NaN where there is no point.
 
     ``numpy.asarray(dem)`` are its heights.
-
-    Attributes
-    ----------
-    height : (rows, columns) float32, in the heights of crs
-    std, std_common : (rows, columns) float32 [m]
-        Standard deviation of the height, random, and that which all heights share.
-    num_points : (rows, columns) int
-    depth : (rows, columns) float32 [m]
-        Below the water, negative above it; NaN for a dry survey.
-    east, north : (columns,), (rows,), in crs
-        Centres of the cells.
-    crs : pyproj.CRS
-        Compound: with the vertical datum of the heights.
     """
 
-    height: np.ndarray
+    height: np.ndarray  # (rows, columns) float32, in the heights of crs
+    # std, std_common (rows, columns) float32 [m]: Standard deviation of the height, random, and that which all
+    # heights share
     std: np.ndarray
     std_common: np.ndarray
-    num_points: np.ndarray
-    depth: np.ndarray
-    east: np.ndarray
+    num_points: np.ndarray  # (rows, columns) int
+    depth: np.ndarray  # (rows, columns) float32 [m]: Below the water, negative above it; NaN for a dry survey
+    east: np.ndarray  # east, north (columns,), (rows,), in crs: Centres of the cells
     north: np.ndarray
-    crs: CRS
+    crs: CRS  # Compound: with the vertical datum of the heights
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         """The heights."""

@@ -3,7 +3,7 @@
     python benchmarks/bench_plan.py SURVEY ... [--quality Q]
 
 Runs `bathynerf process` with everything left out that a scene does not need, then once with each of these things put
-back, then with `--plan full`, and once with each of what was tried and is not left out. Each is a process of its own.
+back, then with nothing left out, and once with each of what was tried and is not left out. Each is a process by itself.
 Prints a table in Markdown. Times are processor time, all cores together: other programs on the
 machine do not count. Surveys need reference.ply and visible.ply, in their folder or in its folder truth/.
 """
@@ -25,7 +25,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from fields.skips import SKIPS
+from fields.skips import NOTHING, SKIPS
 from fields.solver import gauss_newton
 from fields.solver.appearance import Appearance
 from fields.sweep import views
@@ -57,7 +57,7 @@ def put_back(**names: bool) -> AbstractContextManager:
     return patch.object(planning, "SKIPS", replace(SKIPS, **names))
 
 
-# What is changed beside the usual plan, and the words of --plan and --poses.
+# What is changed beside the usual plan, and the words of --poses.
 VARIANTS: dict[str, tuple[Callable[[], AbstractContextManager], dict[str, str]]] = {
     "the plan": (nullcontext, {}),
     "refraction by an index of 1": (partial(put_back, air=False), {}),
@@ -66,7 +66,7 @@ VARIANTS: dict[str, tuple[Callable[[], AbstractContextManager], dict[str, str]]]
     "the whole range of heights first": (partial(put_back, heights=False), {}),
     "all pixels in the finer passes": (partial(put_back, points=False), {}),
     "poses adjusted without asking": (nullcontext, {"poses": "refine"}),
-    "--plan full": (nullcontext, {"plan": "full"}),
+    "nothing left out": (partial(patch.object, planning, "SKIPS", NOTHING), {"poses": "refine"}),
     "tried: no check of the poses": (nullcontext, {"poses": "fixed"}),
     "tried: no gain and offset of photographs": (partial(patch.object, gauss_newton, "appearance_of", same_light), {}),
     "tried: no last pass": (partial(patch.object, stage_sweep, "PASSES", PASSES[:-1]), {}),

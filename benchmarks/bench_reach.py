@@ -216,7 +216,7 @@ def kilometre(survey: Survey) -> dict:
     river = replace(survey, views=views, water=plane, config=config, observations=observations)
     chosen = Choices(quality="draft", memory="64GB")
     plan = make_plan(river, chosen)
-    tiles = choose_tiles(river, plan, chosen, workload_of(river, plan), is_aimed=False)
+    tiles = choose_tiles(river, plan, chosen, workload_of(river, plan))
     return {
         "photographs": len(views), "off_one_plane_m": float(np.abs(over).max()),
         "miss_px": next(ray_skew_px(river, plan, ground_of(river, plan), [None]))[1],

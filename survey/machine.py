@@ -15,16 +15,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-import numpy as np
 import psutil
 
-# Probes of work, of so many steps each, and how long an idle core with AVX-512 takes for one [s].
-_PROBE_SIZE, _STEPS, _PROBES = 1_000_000, 15, 15
-PROBE_S = 7e-4 * _STEPS
-# What a process did longer ago than this says nothing of how busy the machine is now [s].
-_RECENT_S = 60.0
-# Of Linux, which psutil does not read.
-_TURNS = Path("/proc/self/schedstat")
 # Address space that libraries and kernels map and do not fill, on one core.
 _MAPPED_BYTES = 2.4e9
 PROCESS = Path("/proc/self")
@@ -80,67 +72,6 @@ def free_disk_bytes(folder: Path) -> int:
 def process_age_s() -> float:
     """Seconds since this process started; systems count in whole seconds since 1970, so it may be one off."""
     return max(time.time() - psutil.Process().create_time(), time.process_time())
-
-
-@dataclass(frozen=True)
-class Load:
-    """Load: duration of work now, relative to an idle core of the kind that rates were measured on."""
-
-    # Processor time of known work: below 1 on faster cores, above it where another program shares the core's units
-    work: float
-    turns: float  # Wall clock per second of processor time: above 1 where other programs take turns on the core
-
-    @classmethod
-    def of(cls, probes_s: list[float], wall_s: float, ran_and_waited: tuple[int, int] | None) -> Load:
-        """Load from the processor times of probes and the wall clock of all of them.
-
-        Work is the median of probes. Turns follow from how long the process has run and waited, where the system counts
-        it, else from wall clock over processor time.
-        """
-        turns = wall_s / sum(probes_s) if ran_and_waited is None else sum(ran_and_waited) / ran_and_waited[0]
-        return cls(float(np.median(probes_s)) / PROBE_S, max(turns, 1.0))
-
-    @property
-    def slowdown(self) -> float:
-        """Factor by which work takes longer; at least 1, so that a faster machine has a reserve."""
-        return max(self.work * self.turns, 1.0)
-
-    def __str__(self) -> str:
-        return (
-            f"{self.slowdown:.1f} times as long as on an idle core: {self.work:.1f} times the processor time, and "
-            f"{self.turns:.1f} s for each second of it, with other programs on the core"
-        )
-
-
-def measure_load() -> Load:
-    """Load of this machine now; takes 0.2 s of processor time.
-
-    Turns of other programs come and go within seconds: they are counted since the process started, unless that is long
-    ago.
-    """
-    values = np.linspace(0.0, 1.0, _PROBE_SIZE, dtype=np.float32)
-    np.exp(values)
-    before = (0, 0) if process_age_s() < _RECENT_S else _ran_and_waited()
-    wall, processor = time.monotonic(), []
-    for _ in range(_PROBES):
-        start = time.thread_time()
-        for _ in range(_STEPS):
-            np.exp(values)
-            np.sqrt(values)
-        processor.append(time.thread_time() - start)
-    wall = time.monotonic() - wall
-    after = _ran_and_waited()
-    between = None if before is None or after is None else (after[0] - before[0], after[1] - before[1])
-    return Load.of(processor, wall, between)
-
-
-def _ran_and_waited() -> tuple[int, int] | None:
-    """Run time and wait time of the first thread of the process [ns]; None where they are not counted."""
-    try:
-        ran, waited = (int(word) for word in _TURNS.read_text(encoding="ascii").split()[:2])
-    except (OSError, ValueError):
-        return None
-    return (ran, waited) if ran > 0 else None
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
-"""Progress on the console and in the log of a run: named stages with the time left.
+"""Progress on the console and in the log of a run: named stages, the share of the run that is done, and the time left.
 
-On a terminal stages are bars; elsewhere, and in the log, they are plain lines with their time. All lines also go to
-the logger "bathynerf". Together with `survey.commands` the only place that writes to the console.
+On a terminal this is one line with a bar; elsewhere, and in the log, a line a minute. All lines also go to the logger
+"bathynerf". Together with `survey.commands` the only place that writes to the console.
 """
 
 from __future__ import annotations
@@ -10,24 +10,24 @@ import logging
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from pathlib import Path
-from threading import Event, RLock, Thread
+from threading import Event, Thread
 from typing import TextIO
 
 from rich.console import Console
-from rich.progress import BarColumn, ProgressColumn, Task, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Task, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
-from rich.text import Text
 
 from survey.escaping import printable
-from survey.forecast import LEAST_SHARE, Forecast, StepForecast
 from survey.words import wrap_for
 
-# Seconds between plain lines of one stage, where there is no terminal, and between looks whether one is due.
+# Seconds between plain lines, where there is no terminal, and between looks whether one is due.
 _LINE_EVERY_S, _TICK_S = 60.0, 5.0
+# Time [s] over which the pace is measured that tells the time left.
+_PACE_S = 600.0
 
 _TIME = "%Y-%m-%d %H:%M:%S"
 
@@ -63,58 +63,39 @@ def opened() -> Iterator[Progress]:
 
 
 class Step:
-    """A part of a run while it lasts; whoever does the work reports progress to it."""
+    """A part of a run while it lasts; whoever does the work reports progress to it.
 
-    def __init__(self, progress: Progress, name: str, total: float | None):
-        self.name, self.total, self.done = name, total, 0.0
-        self._progress = progress
-        self._now = progress.now
-        self._start = self._last_line = self._now()
-        self._step_forecast = StepForecast(self._start)
-        self._bars = progress._bars
-        self._task = self._bars.add_task(name, total=total, step=self) if self._bars is not None else None
+    Parameters
+    ----------
+    part : (number, count)
+        Of equal parts that a stage consists of, the one that this is.
+    """
+
+    def __init__(self, progress: Progress, name: str, total: float | None, part: tuple[int, int]):
+        self.name, self.total, self.done, self.part = name, total, 0.0, part
+        self._progress, self._start = progress, progress.now()
 
     @property
     def seconds(self) -> float:
         """Since the step began [s]."""
-        return self._now() - self._start
+        return self._progress.now() - self._start
 
     @property
-    def is_underway(self) -> bool:
-        """Whether enough is done that its own pace predicts better than the stated rates."""
-        return self.total is not None and self.done >= LEAST_SHARE * self.total
+    def share(self) -> float:
+        """Share of the stage that is done."""
+        number, count = self.part
+        return (number + (min(self.done / self.total, 1.0) if self.total else 0.0)) / count
 
     @property
-    def seconds_left(self) -> float | None:
-        """Remaining time of the step [s]; None before estimates agree."""
-        with self._progress.lock:
-            return self._step_forecast.left_s(self._now(), self.total)
+    def title(self) -> str:
+        """Name with the part."""
+        number, count = self.part
+        return self.name if count == 1 else f"{self.name}, tile {number + 1} of {count}"
 
     def advance(self, amount: float = 1.0, *, detail: str = "") -> None:
-        """Say that ``amount`` more of the total is done; ``detail`` is a word or number to show beside."""
+        """Say that ``amount`` more of the total is done; ``detail`` is a word or number for the lines of a log."""
         self.done += amount
-        with self._progress.lock:
-            self._step_forecast.advance(self._now(), self.done, self.total)
-            self._progress.look_ahead()
-        if self._bars is not None and self._task is not None:
-            description = printable(f"{self.name}  {detail}" if detail else self.name)
-            self._bars.update(self._task, completed=self.done, description=description)
-        else:
-            self.say_if_due(detail)
-
-    def say_if_due(self, detail: str = "") -> None:
-        """Say how far the step is where the last line of it is a minute old."""
-        now = self._now()
-        if now - self._last_line < _LINE_EVERY_S:
-            return
-        self._last_line = now
-        share = f"{100.0 * min(self.done / self.total, 1.0):3.0f} %" if self.total else ""
-        left, of_run = self.seconds_left, self._progress.look_ahead()
-        times = (
-            f"{clock(left)} left" if left else f"{clock(self.seconds)} so far",
-            "" if of_run is None else f"about {rough(of_run)} to the end of the run",
-        )
-        self._progress._emit(f"{self.name}: {', '.join(part for part in (share, *times, detail) if part)}")
+        self._progress.advanced(self, detail)
 
 
 class _Ticking:
@@ -132,19 +113,8 @@ class _Ticking:
     def _tick(self) -> None:
         while not self._ended.wait(_TICK_S):
             # A copy: the thread of the run removes steps that end.
-            for step in self._progress._steps[-1:]:
-                step.say_if_due()
-
-
-class _TimeLeft(ProgressColumn):
-    """The step's own estimate, beside its bar."""
-
-    def render(self, task: Task) -> Text:
-        step = task.fields["step"]
-        left, of_run = step.seconds_left, step._progress.look_ahead()
-        parts = [f"{clock(left)} left"] if left else []
-        parts += [] if of_run is None else [f"run: about {rough(of_run)}"]
-        return Text(", ".join(parts))
+            for step in self._progress.steps[-1:]:
+                self._progress.say_if_due(step)
 
 
 class Progress:
@@ -159,11 +129,6 @@ class Progress:
         resumed run is complete.
     stream : text file, optional
         Default: standard error, so that results on standard output can be piped.
-
-    Attributes
-    ----------
-    forecast : Forecast or None
-        Of the run, whose parts have the names of stages.
     """
 
     def __init__(
@@ -177,13 +142,112 @@ class Progress:
         self.verbosity, self.now = verbosity, now
         self._console = Console(file=stream or sys.stderr, highlight=False, markup=False, soft_wrap=True)
         self._log: TextIO | None = None
-        self._bars: Bars | None = None
-        self._steps: list[Step] = []
-        # Estimates are made by threads that show them, too.
-        self.lock = RLock()
-        self.forecast: Forecast | None = None
+        self._last_line = now()
+        self.steps: list[Step] = []
+        # One task: the run, or a stage where nothing is expected of the run.
+        self._bars = Bars(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(bar_width=20),
+            TaskProgressColumn(),
+            TimeRemainingColumn(),
+            TextColumn("left"),
+            console=self._console,
+            transient=True,
+            get_time=now,
+            speed_estimate_period=_PACE_S,
+        )
+        # Expected times [s] of the stages of a run by name, in order, and the shares of those that have begun.
+        self._expected: dict[str, float] = {}
+        self._shares: dict[str, float] = {}
         if log_path is not None:
             self.log_to(log_path)
+
+    @contextmanager
+    def run(self) -> Iterator[None]:
+        """A run, of whose stages times are expected."""
+        try:
+            yield
+        finally:
+            self._expected, self._shares = {}, {}
+            self._forget_task()
+
+    def expect(self, expected_s: Mapping[str, float]) -> None:
+        """Expect times [s] of the stages of a run that follow, by name, in order."""
+        self._expected = {name: self._expected[name] for name in self._shares if name in self._expected}
+        self._expected |= {name: float(seconds) for name, seconds in expected_s.items() if name not in self._shares}
+        if (task := self._task) is not None and self._expected:
+            self._bars.update(task.id, total=sum(self._expected.values()), completed=self._done_s)
+
+    @property
+    def _done_s(self) -> float:
+        """Expected time [s] of what is done of the run."""
+        return sum(seconds * self._shares.get(name, 0.0) for name, seconds in self._expected.items())
+
+    def _begin(self, step: Step) -> None:
+        """Count a stage as begun; stages before it that did not begin are left out of the run."""
+        if step.name in self._expected:
+            names = list(self._expected)
+            for left_out in names[: names.index(step.name)]:
+                if left_out not in self._shares:
+                    del self._expected[left_out]
+            self._shares.setdefault(step.name, 0.0)
+        total = sum(self._expected.values()) or step.total
+        if self._task is None:
+            self._bars.add_task(step.title, total=total)
+        elif self._task.total != total:
+            self._bars.update(self._task.id, total=total)
+        self._show(step)
+
+    @property
+    def share(self) -> float:
+        """Share of the run, or of the stage where nothing is expected of the run, that is done."""
+        return 0.0 if self._task is None else self._task.percentage / 100.0
+
+    def refresh(self) -> None:
+        """Show the present state on a terminal."""
+        self._bars.refresh()
+
+    @property
+    def _task(self) -> Task | None:
+        return next(iter(self._bars.tasks), None)
+
+    def _forget_task(self) -> None:
+        if (task := self._task) is not None:
+            self._bars.remove_task(task.id)
+
+    def _show(self, step: Step) -> None:
+        """Show how far the run is in an outermost step."""
+        if (task := self._task) is None:
+            return
+        done = step.done
+        if self._expected:
+            if step.name in self._expected:
+                self._shares[step.name] = max(step.share, self._shares[step.name])
+            done = self._done_s
+        self._bars.update(task.id, completed=done, description=printable(step.title))
+
+    def advanced(self, step: Step, detail: str = "") -> None:
+        """Take in that a step has advanced."""
+        if step is self.steps[0]:
+            self._show(step)
+        if not self._is_shown:
+            self.say_if_due(step, detail)
+
+    @property
+    def _is_shown(self) -> bool:
+        """Whether a bar shows how far the run is."""
+        return self.verbosity >= 0 and self._console.is_terminal
+
+    def say_if_due(self, step: Step, detail: str = "") -> None:
+        """Say how far the run is where the last line of it is a minute old."""
+        now, task = self.now(), self._task
+        if now - self._last_line < _LINE_EVERY_S or task is None:
+            return
+        self._last_line = now
+        of_run = " of the run" if self._expected else ""
+        share = f"{task.percentage:.0f} %{of_run}" if task.total else ""
+        left = f"about {rough(task.time_remaining)} left" if task.time_remaining else f"{clock(step.seconds)} so far"
+        self._emit(f"{step.title}: {', '.join(part for part in (share, left, detail) if part)}")
 
     def log_to(self, path: Path) -> None:
         """Write every following line to a log file too, whose folder is made where it is missing."""
@@ -192,54 +256,33 @@ class Progress:
         self._log = path.open("a", encoding="utf-8", buffering=1)
 
     @contextmanager
-    def stage(self, name: str, total: float | None = None) -> Iterator[Step]:
-        """A part of the run, or of a stage; ``total`` in any unit in which `Step.advance` counts."""
-        outermost = not self._steps
-        ticking: AbstractContextManager[None] = nullcontext()
-        if outermost and self.verbosity >= 0 and self._console.is_terminal:
-            columns = (
-                TextColumn("{task.description}", markup=False),
-                BarColumn(),
-                TimeElapsedColumn(),
-                _TimeLeft(),
-            )
-            self._bars = Bars(*columns, console=self._console, transient=True)
-            self._bars.start()
-        elif self._bars is None:
-            self._emit(f"{name} ...")
-            ticking = _Ticking(self) if outermost else ticking
-        step = Step(self, name, total)
-        self._steps.append(step)
-        if outermost and self.forecast is not None:
-            with self.lock:
-                self.forecast.begin(name, self.now())
+    def stage(self, name: str, total: float | None = None, *, part: tuple[int, int] = (0, 1)) -> Iterator[Step]:
+        """A part of the run, or of a stage; ``total`` in any unit in which `Step.advance` counts.
+
+        ``part`` is its number among equal parts of the stage, and how many these are.
+        """
+        step = Step(self, name, total, part)
+        outermost = not self.steps
+        self.steps.append(step)
+        ticking: AbstractContextManager[object] = nullcontext()
+        if outermost:
+            self._begin(step)
+            self._last_line = self.now()
+        if not self._is_shown:
+            self._emit(f"{step.title} ...")
+        if outermost:
+            ticking = self._bars if self._is_shown else _Ticking(self)
         try:
             with ticking:
                 yield step
+            if outermost:
+                step.done = step.total = step.total or 1.0
+                self._show(step)
         finally:
-            self._steps.remove(step)
-            if outermost and self._bars is not None:
-                self._bars.stop()
-                self._bars = None
-        if outermost and self.forecast is not None:
-            with self.lock:
-                self.forecast.end(name, self.now())
-        of_run = self.look_ahead() if outermost else None
-        remaining = "" if of_run is None or of_run < _LINE_EVERY_S else f", about {rough(of_run)} to the end of the run"
-        self._emit(f"{name}: done in {clock(step.seconds)}{remaining}")
-
-    def look_ahead(self) -> float | None:
-        """Time to the end of the run [s]; None where nothing is forecast, or before it is steady.
-
-        Whether it is steady is judged by the times that it was asked for.
-        """
-        with self.lock:
-            if self.forecast is None:
-                return None
-            of_part = self._steps[0].seconds_left if self._steps else None
-            if of_part is None and self._steps and self._steps[0].is_underway:
-                return None
-            return self.forecast.left_s(self.now(), of_part)
+            self.steps.remove(step)
+            if outermost and not self._expected:
+                self._forget_task()
+        self._emit(f"{step.title}: done in {clock(step.seconds)}")
 
     def note(self, text: str) -> None:
         """A line that the user should see."""

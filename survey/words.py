@@ -43,13 +43,6 @@ class Field(StrEnum):
     off = "off"
 
 
-class Plan(StrEnum):
-    """Whether what a scene does not need is left out, or nothing is."""
-
-    auto = "auto"
-    full = "full"
-
-
 class Poses(StrEnum):
     """Treatment of the poses: as the plan decides, taken as they are, or adjusted."""
 

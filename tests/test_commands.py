@@ -85,7 +85,6 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
         "device": "cpu",
         "field": "slab",
         "poses": None,
-        "plan": None,
         "image_scale": None,
         "tiles": None,
         "memory": None,
@@ -105,7 +104,6 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
     defaults = {"device": None, "field": None, "resume": True, "calibrate_water": None}
     others = {
         "poses": None,
-        "plan": None,
         "image_scale": None,
         "tiles": None,
         "memory": None,

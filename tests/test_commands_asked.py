@@ -13,9 +13,8 @@ from command_line import bathynerf, fake_module
 from small_survey import small_survey
 
 from survey.commands.options import PREFIX, asked_of_environment
-from survey.errors import ConfigError
-from survey.plan.choices import USUAL, Choices
-from survey.plan.recipe import Aim, aim_and_choices
+from survey.errors import ConfigError, SurveyError
+from survey.plan.choices import USUAL, Aim, Choices, choices_of
 from survey.run.repeat import Truth, command_of
 from survey.settings.config import dump_config, parse_config
 from survey.settings.tables import ProcessConfig
@@ -28,7 +27,6 @@ VALUES = {
     "device": ("cpu", "cuda"),
     "field": ("slab", "off"),
     "poses": ("fixed", "refine"),
-    "plan": ("full", "auto"),
     "image_scale": (0.5, 0.25),
     "calibrate_water": (True, False),
     "true_colour": (True, False),
@@ -42,7 +40,7 @@ AIM, RECIPE = {"target_std_m", "time_budget_s"}, {"quality", "field", "image_sca
 
 def test_every_key_is_tried_here():
     assert VALUES.keys() == {field.name for field in fields(ProcessConfig)}
-    assert {field.name for field in fields(Choices)} | AIM == VALUES.keys()
+    assert ({field.name for field in fields(Choices)} - {"aim"}) | AIM == VALUES.keys()
 
 
 @pytest.mark.parametrize("name", VALUES)
@@ -57,15 +55,30 @@ def test_what_is_said_first_counts(name):
 @pytest.mark.parametrize(("upper", "lower"), list(itertools.permutations(VALUES, 2)))
 def test_an_aim_and_a_recipe_of_different_places_never_contradict_each_other(upper, lower):
     merged = ProcessConfig(**{upper: VALUES[upper][0]}).over(ProcessConfig(**{lower: VALUES[lower][0]}))
-    aim_and_choices(merged)
+    choices_of(merged)
     is_displaced = (upper in AIM and lower in RECIPE) or (upper in RECIPE and lower in AIM)
     assert (getattr(merged, lower) is None) == is_displaced
 
 
 def test_what_nobody_says_is_the_default_and_words_are_plain():
-    assert aim_and_choices(ProcessConfig()) == (None, USUAL)
-    aim, chosen = aim_and_choices(ProcessConfig(target_std_m=0.02, device="cpu"))
-    assert (aim, chosen) == (Aim(0.02, None), Choices(device="cpu"))
+    assert choices_of(ProcessConfig()) == USUAL
+    assert choices_of(ProcessConfig(target_std_m=0.02, device="cpu")) == Choices(device="cpu", aim=Aim(0.02, None))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"target_std_m": 0.0}, "--target-std is 0, expected a number above zero, in m"),
+        ({"time_budget_s": -5.0}, "--time-budget is -5, expected a number above zero, in s"),
+        ({"time_budget_s": float("nan")}, "--time-budget is nan"),
+        ({"target_std_m": 0.01, "quality": "fine"}, "--quality fine and an aim"),
+        ({"target_std_m": 0.01, "field": "slab"}, "--field slab and an aim"),
+        ({"target_std_m": 0.01, "image_scale": 0.5}, "--image-scale 0.5 and an aim"),
+    ],
+)
+def test_an_aim_that_cannot_be_is_refused(options, words):
+    with pytest.raises(SurveyError, match=words):
+        choices_of(ProcessConfig(**options))
 
 
 @pytest.mark.parametrize("name", VALUES)
@@ -160,11 +173,11 @@ def test_the_report_of_check_in_json_has_what_is_printed(tmp_path):
     assert (refused.exit_code, "would overwrite the input" in refused.stderr) == (2, True)
 
 
-@pytest.mark.parametrize("by_file", [{}, {"device": "cpu", "true_colour": True, "plan": "full"}])
+@pytest.mark.parametrize("by_file", [{}, {"device": "cpu", "true_colour": True}])
 def test_the_command_that_repeats_a_run_overrides_survey_toml(by_file):
     config = SimpleNamespace(process=ProcessConfig(**by_file))
-    job = SimpleNamespace(chosen=USUAL, aimed=None, survey=SimpleNamespace(folder="s", config=config))
+    job = SimpleNamespace(chosen=USUAL, survey=SimpleNamespace(folder="s", config=config))
     words = command_of(job, Truth(None, None)).split()
-    added = ["--device", "auto", "--plan", "auto", "--no-true-colour"] if by_file else []
+    added = ["--device", "auto", "--no-true-colour"] if by_file else []
     assert words == ["bathynerf", "process", "s", "--quality", "standard", *added]
     assert asdict(config.process).keys() == VALUES.keys()

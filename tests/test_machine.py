@@ -50,29 +50,3 @@ def test_limits_are_those_of_ulimit():
     command = f"ulimit -d 700000; {shlex.join([sys.executable, '-c', code])}"
     ended = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=True)
     assert ended.stdout == "716800000.0\n"
-
-
-def test_known_work_is_the_median_of_probes_so_that_one_that_is_off_does_not_count():
-    probes_s = [machine.PROBE_S * times for times in (2.0, 2.0, 50.0, 2.0, 0.1)]
-    load = machine.Load.of(probes_s, 3.0 * sum(probes_s), None)
-    assert load.work == pytest.approx(2.0)
-    # Where the system does not count turns, wall clock over processor time.
-    assert load.turns == pytest.approx(3.0)
-    assert load.slowdown == pytest.approx(6.0)
-    assert "6.0 times as long as on an idle core" in str(load)
-
-
-def test_turns_are_those_that_the_system_counted():
-    assert machine.Load.of([1.0], 1.0, (2_000_000_000, 6_000_000_000)).turns == pytest.approx(4.0)
-    assert machine.Load.of([1.0], 9.0, (2_000_000_000, 0)).turns == 1.0
-
-
-def test_this_machine_is_loaded_by_a_number():
-    load = machine.measure_load()
-    assert load.work > 0.0
-    assert load.turns >= 1.0
-
-
-def test_a_machine_that_is_faster_than_the_rates_counts_as_idle():
-    assert machine.Load(work=0.4, turns=1.0).slowdown == 1.0
-    assert machine.Load(work=0.4, turns=5.0).slowdown == pytest.approx(2.0)

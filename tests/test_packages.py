@@ -56,7 +56,6 @@ SURVEY_SHARED = {
     "__init__.py",
     "errors.py",
     "escaping.py",
-    "forecast.py",
     "machine.py",
     "progress.py",
     "stage_key.py",

@@ -45,20 +45,13 @@ def test_rays_stay_straight_in_water_of_index_one_unless_all_is_asked_for(device
     assert indices == [None, 1.0]
 
 
-def test_the_plan_says_what_is_left_out_and_that_nothing_is_if_all_is_asked_for(tmp_path):
+def test_the_plan_says_what_is_left_out(tmp_path):
     survey = load_survey(small_survey(tmp_path / "s"))
-    usual, full = (make_plan(survey, Choices(device="cpu", plan=word)) for word in ("auto", "full"))
-    assert (usual.skips, full.skips) == (SKIPS, NOTHING)
-    lines = [{d.name: d.choice for d in plan.decisions} for plan in (usual, full)]
-    assert (lines[0]["terms of the lens"], lines[1]["terms of the lens"]) == ("none", "all")
-    assert lines[1]["pixels"] == "all"
-    assert lines[1]["first heights"] == "the whole range"
-    assert (lines[0]["finer passes"], lines[1]["finer passes"]) == ("pixels that become points", "all pixels")
-    assert (usual.refines_points_only, full.refines_points_only) == (True, False)
-    draft = make_plan(survey, Choices(device="cpu", quality="draft"))
-    assert not draft.refines_points_only
-    with pytest.raises(SurveyError, match="plan is most, expected one of auto, full"):
-        make_plan(survey, Choices(device="cpu", plan="most"))
+    usual, draft = (make_plan(survey, Choices(device="cpu", quality=quality)) for quality in ("standard", "draft"))
+    assert usual.skips == SKIPS
+    choices = {each.name: each.choice for each in usual.decisions}
+    assert (choices["terms of the lens"], choices["finer passes"]) == ("none", "pixels that become points")
+    assert (usual.refines_points_only, draft.refines_points_only) == (True, False)
 
 
 def test_images_are_worked_on_at_the_scale_that_is_asked_for_if_it_is_halvings(tmp_path):

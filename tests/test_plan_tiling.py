@@ -62,18 +62,18 @@ def planned(shallow_survey):
 
 def test_one_piece_where_memory_suffices_and_the_plan_says_why(planned, monkeypatch):
     monkeypatch.setattr(tile_choice.machine, "free_memory_bytes", lambda: 10_000_000_000)
-    found = choose_tiles(*planned[:2], Choices(), planned[2], is_aimed=False)
+    found = choose_tiles(*planned[:2], Choices(), planned[2])
     assert (found.tiling, found.decision.choice, found.memory_bytes) == (None, "1", planned[2].memory_bytes)
     assert found.decision.reason.endswith("of memory, which is free")
-    own = choose_tiles(*planned[:2], Choices(memory="8GB"), planned[2], is_aimed=False)
+    own = choose_tiles(*planned[:2], Choices(memory="8GB"), planned[2])
     assert own.decision.reason.endswith("of memory, which is within the 8.0 GB of --memory")
 
 
 def test_a_number_of_tiles_is_taken_as_it_is(planned):
-    found = choose_tiles(*planned[:2], Choices(tiles=3), planned[2], is_aimed=False)
+    found = choose_tiles(*planned[:2], Choices(tiles=3), planned[2])
     assert len(found.tiling) == 3
     assert found.decision.reason.startswith("set by --tiles, ")
-    assert choose_tiles(*planned[:2], Choices(tiles=1), planned[2], is_aimed=False).tiling is None
+    assert choose_tiles(*planned[:2], Choices(tiles=1), planned[2]).tiling is None
 
 
 def test_less_memory_asks_for_more_tiles(planned):
@@ -81,28 +81,30 @@ def test_less_memory_asks_for_more_tiles(planned):
     # As if photographs were of 300 megapixels: windows are what the memory is for.
     plan = replace(plan, footprint_m=(2.0, 1.5))
     workload = replace(workload, memory_bytes=4_000_000_000)
-    many = choose_tiles(survey, plan, Choices(memory="600MB"), workload, is_aimed=False)
+    many = choose_tiles(survey, plan, Choices(memory="600MB"), workload)
     assert len(many.tiling) > 1
     assert many.memory_bytes < 4e9
     assert "600 MB are allowed (--memory); in tiles of " in many.decision.reason
     # An unfinished run goes on with its own tiles.
-    again = choose_tiles(survey, plan, Choices(memory="600MB"), workload, is_aimed=False, earlier=7)
+    again = choose_tiles(survey, plan, Choices(memory="600MB"), workload, earlier=7)
     assert len(again.tiling) == 7
 
 
 def test_ground_smaller_than_a_photograph_is_in_tiles_where_memory_asks_for_them(planned):
     survey, plan, workload = planned
     plan, workload = replace(plan, footprint_m=(26.0, 19.0)), replace(workload, memory_bytes=4_000_000_000)
-    found = choose_tiles(survey, plan, Choices(memory="100MB"), workload, is_aimed=False)
+    found = choose_tiles(survey, plan, Choices(memory="100MB"), workload)
     x, y = found.tiling.x, found.tiling.y
     assert len(found.tiling) > 1
     assert (x[1] - x[0]) * (y[1] - y[0]) >= 26.0 * 19.0 / 16.0
 
 
 def test_a_run_that_has_to_be_in_one_piece_refuses_tiles(planned):
-    with pytest.raises(SurveyError, match="--tiles 4, but a run with an aim is in one piece"):
-        choose_tiles(*planned[:2], Choices(tiles=4), planned[2], is_aimed=True)
-    assert choose_tiles(*planned[:2], Choices(), planned[2], is_aimed=True).tiling is None
+    survey, plan, workload = planned
+    slab = replace(plan, field="slab")
+    with pytest.raises(SurveyError, match="--tiles 4, but a run with --field slab is in one piece"):
+        choose_tiles(survey, slab, Choices(tiles=4), workload)
+    assert choose_tiles(survey, slab, Choices(), workload).tiling is None
     with pytest.raises(SurveyError, match="--tiles is 0"):
         Choices(tiles=0)
 
@@ -116,61 +118,62 @@ def test_the_ground_is_the_bounds_or_what_two_views_see(shallow_survey):
 
 
 def test_each_worker_has_a_tile_and_the_memory_of_one(planned):
-    found = choose_tiles(*planned[:2], Choices(workers=3, memory="8GB"), planned[2], is_aimed=False)
+    found = choose_tiles(*planned[:2], Choices(workers=3, memory="8GB"), planned[2])
     assert len(found.tiling) >= found.workers == 3
     assert (found.of_workers.choice, found.of_workers.reason) == ("3", "set by --workers")
-    alone = choose_tiles(*planned[:2], Choices(tiles=len(found.tiling), workers=1), planned[2], is_aimed=False)
+    alone = choose_tiles(*planned[:2], Choices(tiles=len(found.tiling), workers=1), planned[2])
     assert found.memory_bytes == pytest.approx(3 * alone.memory_bytes)
-    few = choose_tiles(*planned[:2], Choices(tiles=2, workers=5), planned[2], is_aimed=False)
+    few = choose_tiles(*planned[:2], Choices(tiles=2, workers=5), planned[2])
     assert (few.workers, few.of_workers.reason) == (2, "--workers 5, but there are no more tiles")
 
 
 def test_a_small_ground_has_as_many_tiles_as_workers(planned):
     # Seven are no columns and rows of about square tiles.
-    found = choose_tiles(*planned[:2], Choices(workers=7, memory="8GB"), planned[2], is_aimed=False)
+    found = choose_tiles(*planned[:2], Choices(workers=7, memory="8GB"), planned[2])
     assert len(found.tiling) >= found.workers == 7
 
 
 def test_workers_of_a_scheduler_have_memory_of_their_own(planned):
     survey, plan, workload = planned
     plan, workload = replace(plan, footprint_m=(2.0, 1.5)), replace(workload, memory_bytes=4_000_000_000)
-    there = choose_tiles(survey, plan, Choices(scheduler=AT, memory="8GB"), workload, is_aimed=False)
+    there = choose_tiles(survey, plan, Choices(scheduler=AT, memory="8GB"), workload)
     assert (len(there.tiling) >= 2, there.workers, there.of_workers.choice) == (True, 1, "of a scheduler")
-    eight = choose_tiles(survey, plan, Choices(scheduler=AT, workers=2, memory="600MB"), workload, is_aimed=False)
-    alone = choose_tiles(survey, plan, Choices(memory="600MB"), workload, is_aimed=False)
+    eight = choose_tiles(survey, plan, Choices(scheduler=AT, workers=2, memory="600MB"), workload)
+    alone = choose_tiles(survey, plan, Choices(memory="600MB"), workload)
     assert len(eight.tiling) == len(alone.tiling)
 
 
 def test_processes_are_chosen_only_where_the_caller_may_start_them(planned, monkeypatch):
     monkeypatch.setattr(tile_choice.machine, "num_cores", lambda: 8)
     chosen = Choices(tiles=3, memory="64GB")
-    assert choose_tiles(*planned[:2], chosen, planned[2], is_aimed=False).workers == 1
-    assert with_free_cores(choose_tiles(*planned[:2], chosen, planned[2], is_aimed=False), chosen).workers == 2
+    assert choose_tiles(*planned[:2], chosen, planned[2]).workers == 1
+    assert with_free_cores(choose_tiles(*planned[:2], chosen, planned[2]), chosen).workers == 2
 
 
 AT = "tcp://one:8786"
 
 
 @pytest.mark.parametrize(
-    ("chosen", "is_aimed", "said"),
+    ("chosen", "field", "said"),
     [
-        (Choices(scheduler=AT), True, f"--scheduler {AT}, but a run with an aim is in one piece"),
-        (Choices(workers=2), True, "--workers 2, but a run with an aim is in one piece"),
-        (Choices(tiles=1, scheduler=AT), False, f"--scheduler {AT}, but --tiles 1 is one piece"),
-        (Choices(tiles=1, workers=2), False, "--workers 2, but --tiles 1 is one piece"),
+        (Choices(scheduler=AT), "slab", f"--scheduler {AT}, but a run with --field slab is in one piece"),
+        (Choices(workers=2), "slab", "--workers 2, but a run with --field slab is in one piece"),
+        (Choices(tiles=1, scheduler=AT), "off", f"--scheduler {AT}, but --tiles 1 is one piece"),
+        (Choices(tiles=1, workers=2), "off", "--workers 2, but --tiles 1 is one piece"),
     ],
 )
-def test_workers_for_one_piece_are_refused(planned, chosen, is_aimed, said):
+def test_workers_for_one_piece_are_refused(planned, chosen, field, said):
+    survey, plan, workload = planned
     with pytest.raises(SurveyError, match=said):
-        choose_tiles(*planned[:2], chosen, planned[2], is_aimed=is_aimed)
+        choose_tiles(survey, replace(plan, field=field), chosen, workload)
 
 
 def test_workers_are_refused_in_the_plan_where_dask_is_missing(planned, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     for chosen in (Choices(workers=2), Choices(scheduler=AT)):
         with pytest.raises(SurveyError, match=r"pip install 'bathynerf\[cluster\]'"):
-            choose_tiles(*planned[:2], chosen, planned[2], is_aimed=False)
-    assert choose_tiles(*planned[:2], Choices(tiles=2, workers=1), planned[2], is_aimed=False).workers == 1
+            choose_tiles(*planned[:2], chosen, planned[2])
+    assert choose_tiles(*planned[:2], Choices(tiles=2, workers=1), planned[2]).workers == 1
 
 
 def with_water(planned, over):
@@ -185,7 +188,7 @@ def with_water(planned, over):
 
 def test_water_near_a_plane_needs_no_tiles(planned):
     survey, plan, workload = with_water(planned, lambda x, y: 0.02 * np.sin(x))
-    found = choose_tiles(survey, plan, Choices(memory="8GB"), workload, is_aimed=False)
+    found = choose_tiles(survey, plan, Choices(memory="8GB"), workload)
     assert found.tiling is None
     assert not tile_warnings(survey, plan, None)
 
@@ -193,7 +196,7 @@ def test_water_near_a_plane_needs_no_tiles(planned):
 def test_water_far_from_a_plane_gets_tiles_and_the_plan_says_why(planned):
     survey, plan, workload = with_water(planned, lambda x, y: 3.0 * np.tanh(y / 4.0))
     plan = replace(plan, footprint_m=(2.0, 1.5), gsd_m=0.02)
-    found = choose_tiles(survey, plan, Choices(memory="8GB"), workload, is_aimed=False)
+    found = choose_tiles(survey, plan, Choices(memory="8GB"), workload)
     assert len(found.tiling) > 1
     assert found.decision.reason.startswith("rays of a point bent at one plane are skew by up to ")
     ground = ground_of(survey, plan)

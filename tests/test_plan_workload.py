@@ -18,7 +18,7 @@ from survey.plan.area import local_area
 from survey.plan.check import check_survey
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
-from survey.plan.rates import Amounts, run_s
+from survey.plan.rates import SFM_PARTS, Amounts, parts_s, sfm_s
 from survey.plan.sweep_block import camera_of
 from survey.plan.workload import Workload, require_room, workload_of, workload_of_images
 
@@ -36,9 +36,12 @@ def warnings_of(sections) -> list[str]:
 
 
 AMOUNTS = Amounts(
-    num_views=20, photographs_mpx=8.0, largest_px=4e5, map_px=4e6, points=3e5, field_cells=0.0, poses="check",
-    solves=False,
+    num_views=20, photographs_mpx=8.0, map_px=4e6, points=3e5, poses="check", field="off"
 )  # fmt: skip
+
+
+def run_s(amounts: Amounts, num_cores: int) -> float:
+    return sum(parts_s(amounts, num_cores).values())
 
 
 def test_the_time_grows_with_all_that_there_is_to_do_and_more_cores_shorten_only_what_they_share():
@@ -47,18 +50,32 @@ def test_the_time_grows_with_all_that_there_is_to_do_and_more_cores_shorten_only
         more, most = (run_s(replace(AMOUNTS, **{name: n * getattr(AMOUNTS, name)}), 1) for n in (2.0, 3.0))
         assert more > one
         assert most - more == pytest.approx(more - one), name
-    assert run_s(replace(AMOUNTS, solves=True), 1) > one
-    assert run_s(replace(AMOUNTS, field_cells=1e5), 1) > one
+    assert run_s(replace(AMOUNTS, field="solver"), 1) > one
+    assert run_s(replace(AMOUNTS, field="slab"), 1) > one
     assert run_s(replace(AMOUNTS, poses="fixed"), 1) < one < run_s(replace(AMOUNTS, poses="refine"), 1)
     halves = [run_s(AMOUNTS, cores) for cores in (1, 2, 4)]
     assert halves[0] - halves[1] == pytest.approx(2.0 * (halves[1] - halves[2]))
     assert halves[2] > 0.25 * one
 
 
-def test_a_survey_of_a_few_small_photographs_takes_little_more_than_the_start():
-    nothing = replace(AMOUNTS, num_views=1, photographs_mpx=0.0, largest_px=0.0, map_px=0.0, points=0.0, poses="fixed")
-    small = replace(nothing, num_views=8, photographs_mpx=0.15, largest_px=2e4, map_px=0.15e6, points=2e4, solves=True)
-    assert run_s(nothing, 1) < run_s(small, 1) < 1.5 * run_s(nothing, 1)
+@pytest.mark.parametrize("poses", ["check", "refine", "fixed"])
+@pytest.mark.parametrize("field", ["off", "solver", "slab"])
+def test_the_parts_of_a_run_are_its_stages(poses, field):
+    parts = parts_s(replace(AMOUNTS, poses=poses, field=field), 2)
+    assert {"check": "Poses", "refine": "Adjustment"}.get(poses, "Sweep") in parts
+    assert [name for name in ("Solver", "Field") if name in parts] == {"solver": ["Solver"], "slab": ["Field"]}.get(
+        field, []
+    )
+    assert all(seconds >= 0.0 for seconds in parts.values())
+
+
+def test_structure_from_motion_grows_with_pixels_pairs_and_photographs():
+    parts = sfm_s(10.0, 20, 190, 2)
+    assert tuple(parts) == SFM_PARTS
+    assert sfm_s(20.0, 20, 190, 2)["Features"] == pytest.approx(2.0 * parts["Features"])
+    assert sfm_s(10.0, 20, 380, 2)["Matches"] == pytest.approx(2.0 * parts["Matches"])
+    assert sfm_s(10.0, 40, 190, 2)["Structure from motion"] == pytest.approx(2.0 * parts["Structure from motion"])
+    assert sfm_s(10.0, 20, 190, 8)["Features"] < parts["Features"]
 
 
 def test_the_maps_are_those_of_the_views_that_cover_the_area_and_better_qualities_take_more(tmp_path):
@@ -109,8 +126,6 @@ def test_the_estimate_in_words():
     assert str(workload) == words
     assert str(replace(workload, seconds=31.0, num_cores=1)).startswith("about 40 seconds on 1 idle core, ")
     assert str(replace(workload, seconds=9000.0)).startswith("about 2.5 hours on 2 idle cores, ")
-    busy = "about 6 minutes on 2 cores as busy as now (2.0 times as long as idle), "
-    assert str(workload.on_loaded_cores(2.0)).startswith(busy)
 
 
 def test_too_little_disk_or_memory_is_a_warning_of_check(tmp_path, monkeypatch):
@@ -158,15 +173,12 @@ def test_more_views_than_can_be_chosen_from_make_it_a_bound(tmp_path, monkeypatc
 
 
 def test_without_poses_the_estimate_is_a_bound_that_refuses_nothing(tmp_path, monkeypatch):
-    workload = workload_of_images([(4000, 3000)] * 100, quality="standard")
+    workload = workload_of_images([(4000, 3000)] * 100, Choices())
     assert re.match(
         r"about \d+ minutes on 2 idle cores, \d+ minutes of them for structure from motion, ", str(workload)
     )
     assert "; at most " in str(workload)
-    assert str(workload.on_loaded_cores(2.0)).startswith(
-        f"about {2 * workload.seconds / 60.0:.0f} minutes on 2 cores as busy"
-    )
-    finer = workload_of_images([(4000, 3000)] * 100, quality="fine")
+    finer = workload_of_images([(4000, 3000)] * 100, Choices(quality="fine"))
     assert finer.disk_bytes > 4 * workload.disk_bytes - 2e9
     monkeypatch.setattr(machine, "free_disk_bytes", lambda _folder: 1_000_000)
     sections = check_survey(unposed(tmp_path / "s"), chosen=Choices(device="cpu"))
@@ -178,13 +190,15 @@ def test_check_plans_for_the_image_scale_that_is_asked_for(tmp_path, monkeypatch
     half = Choices(device="cpu", image_scale=0.5)
     sections = check_survey(small_survey(tmp_path / "s"), chosen=half)
     assert rows_of(sections, "Plan")["image scale"].startswith("0.5: set by --image-scale")
-    whole, smaller = (workload_of_images([(4000, 3000)] * 100, quality="fine", scale=each) for each in (1.0, 0.5))
+    whole, smaller = (
+        workload_of_images([(4000, 3000)] * 100, Choices(quality="fine", image_scale=each)) for each in (1.0, 0.5)
+    )
     assert whole.disk_bytes > 3 * smaller.disk_bytes
     asked = []
 
-    def listening(sizes, *, quality, scale):
-        asked.append(scale)
-        return workload_of_images(sizes, quality=quality, scale=scale)
+    def listening(sizes, chosen):
+        asked.append(chosen.image_scale)
+        return workload_of_images(sizes, chosen)
 
     monkeypatch.setattr(check, "workload_of_images", listening)
     check_survey(unposed(tmp_path / "u"), chosen=half)

@@ -1,12 +1,15 @@
-"""The estimate of the time left, by a clock that the test turns."""
+"""The share of a run that is done and the time that is left, by a clock that the test turns."""
 
 from __future__ import annotations
 
 import io
+import re
 
 import pytest
+from command_line import without_times
+from hypothesis import given
+from hypothesis import strategies as st
 
-from survey.forecast import Forecast
 from survey.progress import Progress, Step
 
 
@@ -20,144 +23,103 @@ class Clock:
         return self.now
 
 
+class Terminal(io.StringIO):
+    """A terminal as far as programs ask."""
+
+    def isatty(self) -> bool:
+        return True
+
+
 @pytest.fixture
 def clock() -> Clock:
     return Clock()
 
 
-@pytest.fixture
-def stage(clock):
-    """A stage of 100 parts."""
-    with Progress(verbosity=-1, now=clock.monotonic) as progress, progress.stage("sweep", total=100) as stage:
-        yield stage
-
-
-def work(stage: Step, clock: Clock, parts: int, seconds_each: float) -> None:
+def work(step: Step, clock: Clock, parts: int, seconds_each: float) -> None:
     """Do so many parts, each in the same time."""
     for _ in range(parts):
         clock.now += seconds_each
-        stage.advance()
+        step.advance()
 
 
-def test_an_even_pace_tells_the_time_that_is_left(stage, clock):
-    work(stage, clock, 20, 2.0)
-    assert stage.seconds_left == pytest.approx(160.0)
-    work(stage, clock, 80, 2.0)
-    assert stage.seconds_left == 0.0
-
-
-def test_nothing_is_told_from_too_small_a_share_or_too_short_a_time(stage, clock):
-    work(stage, clock, 9, 60.0)
-    assert stage.seconds_left is None
-    work(stage, clock, 1, 60.0)
-    assert stage.seconds_left == pytest.approx(90 * 60.0)
-
-
-def test_a_stage_that_is_quick_so_far_tells_nothing_in_its_first_seconds(stage, clock):
-    work(stage, clock, 20, 0.2)
-    assert stage.seconds_left is None
-    work(stage, clock, 5, 0.2)
-    assert stage.seconds_left == pytest.approx(15.0)
-
-
-def test_what_a_stage_needs_to_begin_is_forgotten(stage, clock):
-    clock.now += 10.0  # images are loaded, kernels compiled
-    work(stage, clock, 20, 1.0)
-    assert stage.seconds_left == pytest.approx(80.0)
-
-
-def test_a_first_advance_tells_no_pace(stage, clock):
-    clock.now += 30.0
-    stage.advance(10.0)
-    assert stage.seconds_left is None
-    work(stage, clock, 1, 1.0)
-    assert stage.seconds_left is None
-    work(stage, clock, 1, 1.0)
-    assert stage.seconds_left == pytest.approx(88.0)
-
-
-def test_nothing_is_told_while_the_pace_changes(stage, clock):
-    work(stage, clock, 20, 0.5)
-    assert stage.seconds_left == pytest.approx(40.0)
-    work(stage, clock, 2, 10.0)
-    assert stage.seconds_left is None
-    work(stage, clock, 30, 10.0)
-    assert stage.seconds_left == pytest.approx(48 * 10.0)
-
-
-def test_one_slow_part_moves_the_estimate_by_its_share_of_the_later_half(stage, clock):
-    work(stage, clock, 40, 1.0)
-    work(stage, clock, 1, 4.0)
-    assert stage.seconds_left == pytest.approx(59 * 23 / 20, rel=0.1)
-
-
-def test_the_time_runs_down_while_a_part_is_worked_on_and_ends_where_it_takes_longer(stage, clock):
-    work(stage, clock, 50, 1.0)
-    clock.now += 10.0
-    assert stage.seconds_left == pytest.approx(40.0)
-    clock.now += 100.0
-    assert stage.seconds_left is None
-
-
-def test_a_stage_whose_parts_are_done_and_that_goes_on_has_nothing_left(clock):
+def test_a_run_says_its_share_and_the_time_left_each_minute(clock):
     stream = io.StringIO()
-    with Progress(stream=stream, now=clock.monotonic) as progress, progress.stage("sweep", total=100) as stage:
-        work(stage, clock, 100, 1.0)
-        clock.now += 65.0
-        assert stage.seconds_left == 0.0
-        stage.say_if_due()
-    assert "sweep: 100 %, 2 min 45 s so far" in stream.getvalue()
-    assert " -" not in stream.getvalue()
-
-
-def test_a_stage_without_a_total_tells_nothing(clock):
-    with Progress(verbosity=-1, now=clock.monotonic) as progress, progress.stage("reading") as stage:
-        work(stage, clock, 50, 1.0)
-        assert stage.seconds_left is None
-
-
-def test_a_terminal_shows_the_same_estimate_beside_the_bar(clock, monkeypatch):
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    progress = Progress(stream=io.StringIO(), now=clock.monotonic)
-    with progress, progress.stage("sweep", total=100) as stage:
-        work(stage, clock, 40, 1.0)
-        (task,) = progress._bars.tasks
-        shown = [column(task) for column in progress._bars.columns]
-    assert str(shown[-1]) == "1 min 00 s left"
-
-
-def test_a_run_with_a_forecast_says_when_it_will_end(clock):
-    stream = io.StringIO()
-    with Progress(stream=stream, now=clock.monotonic) as progress:
-        progress.forecast = Forecast()
-        progress.forecast.expect({"sweep": 100.0, "report": 50.0})
-        with progress.stage("sweep", total=100) as stage:
-            work(stage, clock, 40, 3.0)
-            assert stage.seconds_left == pytest.approx(180.0)
+    with Progress(stream=stream, now=clock.monotonic) as progress, progress.run():
+        progress.expect({"sweep": 100.0, "report": 50.0})
+        with progress.stage("sweep", total=100) as step:
+            work(step, clock, 40, 3.0)
             with progress.stage("a part of it", total=10) as part:
                 work(part, clock, 2, 0.0)
-            work(stage, clock, 60, 3.0)
-        clock.now += 10.0
+            work(step, clock, 60, 3.0)
         with progress.stage("report"):
             clock.now += 150.0
-    said = stream.getvalue()
-    assert "sweep:  20 %, 4 min 00 s left, about 6 minutes to the end of the run" in said
-    assert "sweep: done in 5 min 00 s, about 2 minutes to the end of the run" in said
-    assert said.rstrip().endswith("report: done in 2 min 30 s")
+    lines = without_times(stream.getvalue()).splitlines()
+    # 20 and 40 of 150 expected seconds are done after one minute and two; 6.5 and 5.5 of 7.5 minutes are left.
+    assert lines[:3] == [
+        "sweep ...",
+        "sweep: 13 % of the run, about 6 minutes left",
+        "sweep: 27 % of the run, about 6 minutes left",
+    ]
+    assert lines[-3:] == ["sweep: done in 5 min 00 s", "report ...", "report: done in 2 min 30 s"]
 
 
-def test_nothing_is_told_of_the_run_while_the_pace_of_what_goes_on_contradicts_what_was_expected(clock):
-    progress = Progress(verbosity=-1, now=clock.monotonic)
-    progress.forecast = Forecast()
-    progress.forecast.expect({"first": 100.0, "sweep": 50.0})
-    with progress:
-        with progress.stage("first"):
-            clock.now += 100.0
-        with progress.stage("sweep", total=100) as stage:
-            work(stage, clock, 20, 0.5)
-            assert progress.look_ahead() == pytest.approx(40.0)
-            work(stage, clock, 2, 10.0)
-            assert stage.seconds_left is None
-            assert progress.look_ahead() is None
-            work(stage, clock, 30, 10.0)
-            assert stage.seconds_left == pytest.approx(48 * 10.0)
+def test_a_stage_outside_a_run_says_its_own_share(clock):
+    stream = io.StringIO()
+    with Progress(stream=stream, now=clock.monotonic) as progress, progress.stage("sweep", total=100) as step:
+        work(step, clock, 40, 3.0)
+    assert "sweep: 40 %, about 3 minutes left" in stream.getvalue()
+
+
+def test_a_stage_without_a_total_says_how_long_it_has_gone_on(clock):
+    stream = io.StringIO()
+    with Progress(stream=stream, now=clock.monotonic) as progress, progress.stage("reading") as step:
+        clock.now += 65.0
+        progress.say_if_due(step)
+    assert "reading: 1 min 05 s so far" in stream.getvalue()
+
+
+@given(
+    begun=st.lists(st.booleans(), min_size=5, max_size=5),
+    tiles=st.integers(1, 3),
+    advances=st.integers(1, 4),
+)
+def test_the_share_of_a_run_only_rises_and_ends_at_all_of_it(begun, tiles, advances):
+    """Stages that are used again do not begin; those of tiles come in turn."""
+    clock = Clock()
+    expected = {f"stage {number}": 10.0 * (number + 1) for number in range(5)}
+    with Progress(verbosity=-1, now=clock.monotonic) as progress, progress.run():
+        progress.expect(expected)
+        shares = []
+        for name, is_begun in [*zip(list(expected)[:-1], begun, strict=False), ("stage 4", True)]:
+            for tile in range(tiles if is_begun else 0):
+                with progress.stage(name, advances, part=(tile, tiles)) as step:
+                    for _ in range(advances):
+                        clock.now += 1.0
+                        step.advance()
+                        shares.append(progress.share)
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(1.0)
+
+
+def test_times_expected_later_take_the_place_of_those_that_have_not_begun(clock):
+    with Progress(verbosity=-1, now=clock.monotonic) as progress, progress.run():
+        progress.expect({"features": 10.0, "sweep": 1000.0})
+        with progress.stage("features"):
+            clock.now += 20.0
+        progress.expect({"sweep": 30.0})
+        assert progress.share == pytest.approx(0.25)
+
+
+def test_a_terminal_shows_one_line(clock, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERM", "xterm")
+    stream = Terminal()
+    with Progress(stream=stream, now=clock.monotonic) as progress, progress.run():
+        progress.expect({"Boxes beside edges": 100.0, "Report": 100.0})
+        with progress.stage("Boxes beside edges", total=100, part=(98, 100)) as step:
+            work(step, clock, 100, 2.0)
+            progress.refresh()
+    shown = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", stream.getvalue())
+    lines = [line for line in re.split(r"[\r\n]+", shown) if " 50% " in line]
+    assert lines
+    assert all(len(line) <= 80 and re.search(r"\d:\d\d:\d\d left *$", line) for line in lines)

@@ -20,18 +20,17 @@ def test_stages_are_plain_lines_with_the_time_left_where_there_is_no_terminal(tm
     with Progress(stream=stream, log_path=tmp_path / "run" / "log.txt", now=lambda: now[0]) as progress:
         assert progress_room.current() is progress
         with progress.stage("sweep", total=4) as stage:
-            assert stage.seconds_left is None
             for _ in range(3):
                 now[0] += 30.0
                 stage.advance(detail="0001.jpg")
             now[0] += 60.0
-            stage.say_if_due()
+            progress.say_if_due(stage)
         progress.detail("a detail")
         progress.warn("a doubt")
     assert without_times(stream.getvalue()).splitlines() == [
         "sweep ...",
-        "sweep:  50 %, 1 min 00 s so far, 0001.jpg",
-        "sweep:  75 %, 2 min 30 s so far",
+        "sweep: 50 %, about 60 seconds left, 0001.jpg",
+        "sweep: 75 %, about 30 seconds left",
         "sweep: done in 2 min 30 s",
         "warning: a doubt",
     ]

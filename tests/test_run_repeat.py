@@ -10,7 +10,7 @@ from small_survey import small_survey
 
 from survey.commands import process as command
 from survey.folder.survey import load_survey
-from survey.plan.choices import Choices
+from survey.plan.choices import Aim, Choices
 from survey.progress import opened
 from survey.run.job import Job
 from survey.run.repeat import Truth, command_of, options_of, settings_text
@@ -39,17 +39,24 @@ def test_every_option_that_was_chosen_is_repeated(folder):
         device="cpu",
         field="off",
         poses="fixed",
-        plan="full",
         image_scale=0.5,
         true_colour=True,
     )
     said = shlex.split(command_of(job, Truth(Path("true bed.ply"))))
     assert said[3:] == [
-        "--quality", "draft", "--device", "cpu", "--field", "off", "--poses", "fixed", "--plan", "full",
+        "--quality", "draft", "--device", "cpu", "--field", "off", "--poses", "fixed",
         "--image-scale", "0.5", "--true-colour", "--reference", "true bed.ply",
     ]  # fmt: skip
     known = {parameter.replace("_", "-") for parameter in command.run.__annotations__}
     assert {word.removeprefix("--") for word in said if word.startswith("--")} <= known
+
+
+def test_a_run_with_an_aim_is_repeated_with_it_and_not_with_what_was_chosen_for_it(folder):
+    job = job_of(folder, quality="draft", image_scale=0.5, aim=Aim(0.02, 300.0))
+    said = shlex.split(command_of(job, Truth()))
+    assert said[3:] == ["--target-std", "0.02", "--time-budget", "300.0"]
+    options = options_of(job, Truth())
+    assert [options[name] for name in ("target_std_m", "quality", "image_scale")] == [0.02, "draft", 0.5]
 
 
 def test_settings_hold_what_was_done_and_still_load_as_survey_toml(folder):

@@ -36,12 +36,12 @@ def test_a_task_fetches_what_it_needs_and_leaves_its_result_at_the_url(tmp_path,
     (tmp_path / "adjust-1a").mkdir()
     (tmp_path / "adjust-1a" / "a.txt").write_text("needed")
     remote.put_folder(tmp_path / "adjust-1a", "stages/adjust-1a")
-    job = SimpleNamespace(survey=survey, chosen=None, tiles=None, block=SimpleNamespace(saturated=[0.0] * 4))
+    job = SimpleNamespace(survey=survey, chosen=None, planned=None, block=SimpleNamespace(saturated=[0.0] * 4))
     name = put_job(job, None, remote, tmp_path, "sweep")
     assert len(remote.files(PHOTOGRAPHS)) == 4
     seen = {}
 
-    def job_of(survey, _chosen, _tiles, _found, images, _saturated):
+    def job_of(survey, _chosen, _planned, _found, images, _saturated):
         plan, camera = SimpleNamespace(image_scale=1.0), survey.views[0].camera
         progress = SimpleNamespace(lines=[])
         whole = SimpleNamespace(survey=survey, plan=plan, cameras=[camera], progress=progress, release=lambda: None)

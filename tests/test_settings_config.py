@@ -61,7 +61,6 @@ origin = [589012.0, 5194736.0, 2105.0]
 [process]
 time_budget_s = 300
 device = "cpu"
-plan = "full"
 """
 
 

@@ -16,7 +16,7 @@ from fields.sweep.block import Block
 from fields.sweep.kernels import arrays
 from fields.sweep.maps import HeightMap
 from fields.sweep.passes import DiscontinuitySearch, Pass
-from fields.sweep.sweep import DeviceMaps, EarlierMaps, device_map_store, sweep
+from fields.sweep.sweep import DeviceMaps, device_map_store, sweep
 from fields.sweep.view_pass import SweepSettings
 from refract import FlatWater
 
@@ -117,12 +117,6 @@ def test_masked_photographs_have_the_same_heights(apart):
 def test_an_area_has_the_same_heights(apart):
     area = (-0.25, -0.3, 0.35, 0.2)
     assert_same(swept(apart, area=area), swept(plain(apart), area=area))
-
-
-def test_a_sweep_goes_on_from_maps_of_the_host(apart):
-    before = {m.view: m for m in swept(plain(apart), passes=PASSES[:1])}
-    maps, others = (swept(device, earlier=EarlierMaps(before, VIEWS[:3])) for device in (apart, plain(apart)))
-    assert_same(maps, others)
 
 
 def test_between_the_passes_the_host_is_told_numbers_and_tiles_alone(apart, monkeypatch):

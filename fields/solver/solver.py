@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, MutableMapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from itertools import groupby, islice, takewhile
+from itertools import groupby, islice
 
 import cv2
 import numpy as np
@@ -111,7 +111,6 @@ def solve_maps(
     kept: Sequence[np.ndarray],
     gsd: float,
     progress: Callable[[float], None],
-    has_time: Callable[[], bool] = lambda: True,
     make_store: Callable[[], MutableMapping[int, SolvedMap]] = dict,
     figures: SolverFigures | None = None,
 ) -> tuple[OrderedMaps, SolverFigures]:
@@ -126,8 +125,6 @@ def solve_maps(
     gsd : [m]
         Ground sampling distance.
     progress : called with the share done, 0 to 1
-    has_time : callable
-        Called before each tile; tiles after the first False are left out.
     make_store : callable
         Factory of the store of the solutions; default in memory.
     figures : SolverFigures, optional
@@ -160,8 +157,7 @@ def solve_maps(
             return piece, VisibilityCounts.of(each.views, each.brightness, len(block.images))
 
         jobs = (job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted))
-        begun = takewhile(lambda _job: has_time(), jobs)
-        for index, each in groupby(views.solved(begun, figures.roughness_m, pool, part), lambda pair: pair[0].index):
+        for index, each in groupby(views.solved(jobs, figures.roughness_m, pool, part), lambda pair: pair[0].index):
             parts = []
             for job, (piece, seen) in each:
                 parts.append(piece)

@@ -96,14 +96,6 @@ def _agreement(
     yield from run_jobs(block.device, (job(view) for view in chosen if view in compared and compared[view].peers))
 
 
-def confirm(block: Block, maps: Maps, peers: Mapping[int, list[int]]) -> None:
-    """Confirm heights that stay unchanged by the other views at full size, where more agree than before."""
-    if peers:
-        compared = {view: ComparedViews(others) for view, others in peers.items()}
-        for m, _, (agreeing, _, _) in _agreement(block, maps, 1.0, compared):
-            maps[m.view] = replace(m, agreeing=image_backend(block.device).pixelwise_max(m.agreeing, agreeing))
-
-
 def agreement(
     heights: ViewStack, view: int, peers: list[int], tolerance: float, pixels: Any | None = None
 ) -> Job[tuple[Any, Any, Any]]:

@@ -70,18 +70,6 @@ PASSES = (
 )
 
 
-def passes_from(share: float) -> tuple[Pass, ...]:
-    """The passes with the whole bound searched at a share of the size, 1, 0.5 or (as `PASSES`) at most 0.25.
-
-    Images of few pixels have to be searched at more than a quarter of their size (docs/targets.md).
-    """
-    if share > PASSES[1].scale:
-        return (replace(PASSES[2], hypotheses=None, spacing_px=PASSES[0].spacing_px, discontinuities=None), *PASSES[3:])
-    if share > PASSES[0].scale:
-        return (replace(PASSES[1], hypotheses=None, spacing_px=PASSES[0].spacing_px, discontinuities=None), *PASSES[2:])
-    return PASSES
-
-
 def before_solver(passes: tuple[Pass, ...]) -> tuple[Pass, ...]:
     """The same passes for heights that the solver solves again: after the first at full size only points take part.
 

@@ -8,8 +8,7 @@ second on the hypotheses follow the relief (`fields.sweep.kernels`), so that win
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, MutableMapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,11 +16,11 @@ import numpy as np
 from fields.device import Device, memory_bytes
 from fields.image_store import LazyImages
 from fields.sweep.block import Block
-from fields.sweep.fusion import PEERS, ComparedViews, confirm, fuse
+from fields.sweep.fusion import PEERS, ComparedViews, fuse
 from fields.sweep.images import image_backend
 from fields.sweep.kernels.backend import Job, kernels, run_jobs
 from fields.sweep.kernels.stack import ViewStack, largest
-from fields.sweep.maps import HeightMap, Maps, MemoryBudget, OrderedMaps, StoreFactory, trusted, upsample_map
+from fields.sweep.maps import HeightMap, Maps, MemoryBudget, OrderedMaps, StoreFactory, trusted
 from fields.sweep.passes import MATCHED_NCC, POINTS_SHARE, Pass
 from fields.sweep.tiles import PART_SIDE_PX
 from fields.sweep.view_pass import (
@@ -37,8 +36,6 @@ from fields.sweep.views import Footprint
 
 # Share of the memory of a device that maps may take; a pixel of a map takes four float32.
 _SHARE, _PIXEL_BYTES = 0.5, 16
-# A pass is finer than a map with so many times its pixels along a side: sizes of halved images are rounded.
-_FINER = 1.2
 # Size of a part: four pixels a side.
 _SCALE = 0.25
 
@@ -110,22 +107,12 @@ def _bytes_of(m: HeightMap) -> int:
     return _PIXEL_BYTES * rows * columns
 
 
-@dataclass(frozen=True)
-class EarlierMaps:
-    """Maps of an earlier sweep of the same bound, at a smaller scale or the same."""
-
-    # mapping of view to HeightMap: views that have one keep its heights and confirm those of the others
-    maps: Mapping[int, HeightMap]
-    continued: Collection[int] = ()  # views of ``maps`` that go on from there, with the finer passes
-
-
 def sweep(
     block: Block,
     chosen: list[int],
     settings: SweepSettings,
     progress: Callable[[float], None],
     *,
-    earlier: EarlierMaps | None = None,
     make_store: StoreFactory = dict,
 ) -> OrderedMaps:
     """Sweep the chosen views, coarse to fine.
@@ -143,11 +130,10 @@ def sweep(
     OrderedMaps of HeightMap at the scale of the last pass, in the order of `chosen`
         Views that overlap with no other are left out.
     """
-    earlier = EarlierMaps({}) if earlier is None else earlier
     make_device_store = device_map_store(block.device, make_store)
     maps = make_device_store()
-    work = _begin(block, chosen, settings, earlier, maps)
-    views = sorted({each.view for of_pass in work for each in of_pass} | set(maps))
+    work = [view_passes(block, chosen, p, None if n else settings.bound) for n, p in enumerate(settings.passes)]
+    views = sorted({each.view for of_pass in work for each in of_pass})
     peers = {view: block.neighbours(view, PEERS, candidates=views) for view in views}
     state = _Sweep(block, settings, work, peers, progress)
     passes = settings.passes
@@ -157,30 +143,8 @@ def sweep(
             maps = state.fuse(number, maps, refined, make_device_store)
         if number + 1 == len(passes) or passes[number + 1].scale != pass_.scale:
             block.release(pass_.scale)
-    confirm(block, maps, {view: peers[view] for view in set(maps) - state.views[-1]})
     swept = to_host_maps(block.device, maps, make_store)
     return OrderedMaps(swept, [view for view in chosen if view in swept])
-
-
-def _begin(
-    block: Block, chosen: list[int], settings: SweepSettings, earlier: EarlierMaps, maps: Maps
-) -> list[Sequence[ViewPass]]:
-    """Views that take part in each pass; the maps that chosen views have from an earlier sweep go into ``maps``."""
-    size = (block.cameras[0].width, block.cameras[0].height)
-    continued, widths = earlier.continued, dict[int, int]()
-    for view, m in earlier.maps.items():
-        if view in chosen:
-            known = m if view in continued else upsample_map(m, size)
-            maps[view], widths[view] = image_backend(block.device).upload(block.device, known), m.height.shape[1]
-    return [
-        view_passes(
-            block,
-            [v for v in chosen if _takes_part(size, pass_, widths.get(v), v in continued)],
-            pass_,
-            None if n else settings.bound,
-        )
-        for n, pass_ in enumerate(settings.passes)
-    ]
 
 
 class _Sweep:
@@ -285,11 +249,6 @@ def _samples(passes: Sequence[Pass], work: Sequence[Sequence[ViewPass]], extra_r
 def _views_in_queue(block: Block, pass_: Pass) -> int:
     """Number of views in the queue: two where the images that both need stay in the cache."""
     return 2 if block.stack(pass_.scale).packed.values.most >= 2 * (pass_.neighbours + 1) else 1
-
-
-def _takes_part(size: tuple[int, int], pass_: Pass, width: int | None, is_continued: bool) -> bool:
-    """Whether a view takes part in a pass: one that has a map of some width only if it goes on, in finer passes."""
-    return width is None or (is_continued and pass_.scale * size[0] > _FINER * width)
 
 
 def predict_selected_pixels(block: Block, maps: Mapping[int, HeightMap]) -> dict[int, np.ndarray]:

@@ -39,6 +39,7 @@ from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
 from survey.plan.check_inputs import DOWN_DEG, GIVE_LEVEL, tilts_deg
 from survey.plan.choices import Choices
+from survey.plan.gsd import gsd_m
 from survey.plan.plan import make_plan
 from survey.plan.rates import adjustment_s
 from survey.plan.workload import amounts_of_run
@@ -94,7 +95,7 @@ class _Request:
 
 def _choose_start_and_adjust(survey: Survey, asked: _Request, search: PoseRecovery | None) -> Adjustment:
     """Adjust from the poses of the survey, or from others where these are no start or not the best one."""
-    prior = prior_of(survey, make_plan(survey).gsd_m, free_water=asked.free_water)
+    prior = prior_of(survey, gsd_m(survey), free_water=asked.free_water)
     if survey.observations.ties is not None or not asked.use_windows:
         with name_open_roll(prior.rolls):
             found = _adjust_in_stages(survey, prior, None, asked)
@@ -110,7 +111,7 @@ def _choose_start_and_adjust(survey: Survey, asked: _Request, search: PoseRecove
     if isinstance(windows, TiePoints):
         return _adjust_in_stages(survey, prior, windows, asked)
     survey = replace(survey, observations=replace(survey.observations, ties=windows.ties))
-    prior = windows.start(prior_of(survey, make_plan(survey).gsd_m, free_water=asked.free_water))
+    prior = windows.start(prior_of(survey, gsd_m(survey), free_water=asked.free_water))
     found = _adjust_in_stages(survey, prior, None, replace(asked, advance=lambda _share: None))
     return replace(found, warnings=(windows.warning, *found.warnings))
 
@@ -144,7 +145,7 @@ def _adjust_in_stages(survey: Survey, prior: PriorKnowledge, windows: TiePoints 
         done, drift = staged.with_focals(done)
         done, contradictions = staged.without_contradictions(done)
     water = None if survey.water is not None else find_unnamed_water(done)
-    notes = roll_notes(survey, done, make_plan(survey).gsd_m) if done.prior.rolls and not free_water else []
+    notes = roll_notes(survey, done, gsd_m(survey)) if done.prior.rolls and not free_water else []
     found = staged.result(done, contradictions)
     if not survey.provenance.is_level_known and found.parameter("level_m").status == Status.UNKNOWN:
         raise _level_error(survey, found.parameter("level_m").std)

@@ -30,7 +30,7 @@ from survey.errors import GivenValueTest
 from survey.folder.pose_priors import GPS_STD_M
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
-from survey.plan.plan import make_plan
+from survey.plan.gsd import gsd_m
 
 # Of the shift onto the ground before the adjustment.
 _START_STD_M = 0.1
@@ -190,7 +190,7 @@ class StagedAdjustment:
         if control is None or not has_unchecked_control(self._survey):
             return []
         alone = replace(self._survey, observations=replace(self._survey.observations, control=None, ground=None))
-        prior = prior_of(alone, make_plan(alone).gsd_m)
+        prior = prior_of(alone, gsd_m(alone))
         # A block with an undetermined roll cannot test control.
         if prior.rolls:
             return []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,11 +12,9 @@ from survey.commands.console import ConsoleResults, command
 from survey.commands.faults import address_space_shortage, require_address_space
 from survey.commands.options import PlanOptions, Quiet, Verbose, grouped
 from survey.errors import SurveyError
-from survey.plan.choices import Choices
 
 if TYPE_CHECKING:
     from survey.plan.check import CheckSection
-    from survey.plan.recipe import Aim
     from survey.settings.tables import ProcessConfig
 
 EXAMPLES = """
@@ -75,40 +72,34 @@ def is_plan(path: Path) -> bool:
     return path.suffix.lower() == ".toml"
 
 
-def _chosen(asked: ProcessConfig) -> tuple[Aim | None, Choices]:
-    """The aim (target std or time budget), if there is one, and the choices that the plan is made for."""
-    from survey.plan.recipe import aim_and_choices
-
-    aim, _ = aim_and_choices(replace(asked, quality=None))
-    _, chosen = aim_and_choices(replace(asked, target_std_m=None, time_budget_s=None))
-    return aim, chosen
-
-
 def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> Iterator[CheckSection]:
-    """Sections on contents and gaps of a survey, its light, its expected accuracy, and the cost of an aim."""
-    from survey import machine
+    """Sections on contents and gaps of a survey, its light, its expected accuracy, and what an aim takes."""
     from survey.adjust.result.foreseen import foreseen_section
     from survey.folder.found import process_config
     from survey.plan.check import CheckSection, check_survey, require_processable
     from survey.plan.check_light import light_section
+    from survey.plan.choices import choices_of
     from survey.progress import current
 
     shortage = address_space_shortage()
     if shortage is not None:
         current().warn(shortage)
-    aim, chosen = _chosen(asked.over(process_config(folder)))
+    chosen = choices_of(asked.over(process_config(folder)))
     checked = require_processable(folder)
-    load = None if aim is None else machine.measure_load()
-    slowdown = None if load is None else load.slowdown
-    yield from check_survey(folder, chosen=chosen, checked=checked, slowdown=slowdown, chooses_workers=True)
+    aimed = None
+    if chosen.aim is not None and checked.survey is not None:
+        from survey.run.aim import plan_for_aim
+
+        aimed = plan_for_aim(checked.survey, chosen, refuses=False)
+        chosen = aimed.chosen
+    decision = None if aimed is None else aimed.decision
+    yield from check_survey(folder, chosen=chosen, checked=checked, aim=decision, chooses_workers=True)
     yield light_section(checked, wind_m_s=wind)
     foreseen = None if checked.survey is None else foreseen_section(checked.survey, chosen=chosen)
     if foreseen is not None:
         yield foreseen
-    if aim is not None and load is not None and checked.survey is not None:
-        from survey.run.feasibility import rows_of
-
-        yield CheckSection("Aim", rows_of(aim, checked.survey, Choices(device=chosen.device), load))
+    if aimed is not None:
+        yield CheckSection("Aim", aimed.rows)
     if deep:
         require_address_space()
         from survey.adjust.pose_check import deep_check
@@ -117,23 +108,27 @@ def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> It
 
 
 def _sections_of_plan(path: Path, asked: ProcessConfig, wind: float, deep: bool) -> Iterator[CheckSection]:
-    """Sections on the expected accuracy of a planned flight, and on accuracy and cost of an aim."""
+    """Sections on the expected accuracy of a planned flight, and on what an aim takes."""
+    from survey.plan.choices import choices_of
+
     if deep:
         raise SurveyError("--deep tests a survey against its photographs, and a plan has none; remove it")
     if asked.image_scale is not None:
         raise SurveyError("--image-scale is for photographs that are there, and a plan has none; remove it")
     from survey.simulate.staging.check_plan import check_plan, depth_of, flight_of, survey_of
 
-    aim, chosen = _chosen(asked)
-    yield from check_plan(path, quality=chosen.quality, device=chosen.device, wind_m_s=wind)
-    if aim is not None:
-        from survey import machine
-        from survey.plan.check import CheckSection
-        from survey.run.feasibility import rows_of
+    chosen, aimed = choices_of(asked), None
+    if chosen.aim is not None:
+        from survey.run.aim import plan_for_aim
 
         plan = flight_of(path)
-        rows = rows_of(aim, survey_of(plan), Choices(device=chosen.device), machine.measure_load(), depth_of(plan))
-        yield CheckSection("Aim", rows)
+        aimed = plan_for_aim(survey_of(plan), chosen, refuses=False, depth_m=depth_of(plan))
+        chosen = aimed.chosen
+    yield from check_plan(path, chosen=chosen, wind_m_s=wind)
+    if aimed is not None:
+        from survey.plan.check import CheckSection
+
+        yield CheckSection("Aim", aimed.rows)
 
 
 def show(results: ConsoleResults, section: CheckSection) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
-from survey.words import Device, Field, Plan, Poses, Quality
+from survey.words import Device, Field, Poses, Quality
 
 if TYPE_CHECKING:
     from survey.settings.tables import ProcessConfig
@@ -59,25 +59,17 @@ AskedPoses = Annotated[
         rich_help_panel=HOW,
     ),
 ]
-AskedPlan = Annotated[
-    Plan | None,
-    typer.Option(
-        metavar=words_of(Plan),
-        help="Skip what the scene does not need, or nothing; default: auto.",
-        rich_help_panel=HOW,
-    ),
-]
 TargetStd = Annotated[
     float | None,
     typer.Option(
         metavar="METRES",
-        help="Least work that reaches this standard deviation on 95 % of the ground.",
+        help="Least work foreseen to reach this standard deviation on 95 % of the ground.",
         rich_help_panel=AIM,
     ),
 ]
 TimeBudget = Annotated[
     float | None,
-    typer.Option(metavar="SECONDS", help="Best result within this run time.", rich_help_panel=AIM),
+    typer.Option(metavar="SECONDS", help="Best result foreseen to take no longer than this.", rich_help_panel=AIM),
 ]
 ImageScale = Annotated[
     float | None,
@@ -150,7 +142,6 @@ class PlanOptions:
     device: AskedDevice = None
     field: AskedField = None
     poses: AskedPoses = None
-    plan: AskedPlan = None
     image_scale: ImageScale = None
 
     def config(self) -> ProcessConfig:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +23,8 @@ from survey.plan.check_inputs import control_rows, level_warning, mark_rows, wat
 from survey.plan.choices import USUAL, Choices
 from survey.plan.decisions import Decision, require_placeable
 from survey.plan.plan import Plan, device_decision, make_plan
-from survey.plan.tile_choice import choose_tiles, with_free_cores
-from survey.plan.tiling import tile_warnings
-from survey.plan.workload import Workload, room_warnings, workload_of, workload_of_images
+from survey.plan.run_plan import plan_run
+from survey.plan.workload import Workload, room_warnings, workload_of_images
 from survey.settings.config import SurveyConfig
 from survey.sfm.datum import WELL_KNOWN_M
 from survey.sfm.settings import mapper_of
@@ -79,7 +78,7 @@ def check_survey(
     *,
     chosen: Choices = USUAL,
     checked: Checked | None = None,
-    slowdown: float | None = None,
+    aim: Decision | None = None,
     chooses_workers: bool = False,
 ) -> list[CheckSection]:
     """Check a survey and describe what `process` would do; nothing is computed and nothing written.
@@ -88,10 +87,8 @@ def check_survey(
     ----------
     checked : Checked, optional
         Result of `require_processable` for the folder, if it was called already.
-    slowdown : float, optional
-        See `Workload.slowdown`; default for idle cores.
-    chooses_workers : bool
-        See `survey.plan.tile_choice.choose_tiles`.
+    aim, chooses_workers : optional
+        See `survey.plan.run_plan.plan_run`.
 
     Raises
     ------
@@ -102,25 +99,18 @@ def check_survey(
     if checked.survey is None:
         return _without_poses(checked, chosen)
     survey = checked.survey
-    plan = make_plan(survey, chosen)
-    rows = _rows_of_survey(checked.found, survey, plan)
     workload: Workload | str
-    of_water: tuple[str, ...] = ()
     try:
-        workload = workload_of(survey, plan)
-        workload = workload if slowdown is None else workload.on_loaded_cores(slowdown)
-        tiles = choose_tiles(survey, plan, chosen, workload, is_aimed=False)
-        tiles = with_free_cores(tiles, chosen) if chooses_workers else tiles
-        workload = replace(workload, memory_bytes=int(tiles.memory_bytes))
-        plan = replace(plan, decisions=(*plan.decisions, *tiles.decisions))
-        of_water = tile_warnings(survey, plan, tiles.tiling)
+        planned = plan_run(survey, chosen, aim=aim, chooses_workers=chooses_workers)
+        plan, workload = planned.plan, planned.workload
+        warnings = (*checked.ordered_warnings, *planned.warnings, *room_warnings(workload, folder / RUN_FOLDER))
     except SurveyError as error:
         if survey.provenance.reprojection is None:
             raise
         # The tie points are still reported, though the survey cannot be processed.
-        workload = f"process refuses this survey: {error}"
-    room = room_warnings(workload, folder / RUN_FOLDER) if isinstance(workload, Workload) else [workload]
-    warnings = (*checked.ordered_warnings, *of_water, *room)
+        plan, workload = make_plan(survey, chosen), f"process refuses this survey: {error}"
+        warnings = (*checked.ordered_warnings, workload)
+    rows = _rows_of_survey(checked.found, survey, plan)
     return _sections(rows, plan.decisions, workload, survey.findings.assumptions, warnings, plan.as_dict())
 
 
@@ -193,7 +183,7 @@ def _without_poses(checked: Checked, chosen: Choices) -> list[CheckSection]:
     later = Decision("refraction and the rest", "later", "decided once the poses are known")
     decisions = (sfm, mapper, device_decision(chosen.device), later)
     sizes = [header.size_px for header in found.headers.values()]
-    workload = workload_of_images(sizes, quality=chosen.quality, scale=chosen.image_scale)
+    workload = workload_of_images(sizes, chosen)
     warnings = (*checked.ordered_warnings, *room_warnings(workload, found.folder / RUN_FOLDER))
     return _sections(_rows_without_poses(found), decisions, workload, found.assumptions, warnings)
 

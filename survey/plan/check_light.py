@@ -22,7 +22,7 @@ from survey.plan.area import in_the_middle
 from survey.plan.check import Checked, CheckSection
 from survey.plan.check_inputs import Verdict, verdict_by_limits, verdict_text
 from survey.plan.glitter import USUAL_WIND_M_S, Glitter, GlitterOfFlight
-from survey.plan.plan import make_plan
+from survey.plan.gsd import gsd_m
 
 # Shares of the photographs of a place that glitter spoils, up to which it is good, or fair; where no places are known,
 # shares of a photograph.
@@ -192,7 +192,7 @@ def _motion(found: Found, survey: Survey | None) -> tuple[float | None, float | 
     speeds = {name: velocity.speed for name, velocity in velocities.items()}
     exposures = {name: header.exposure_s for name, header in found.headers.items() if header.exposure_s is not None}
     both = sorted(speeds.keys() & exposures.keys(), key=lambda name: speeds[name] * exposures[name])
-    pixel = make_plan(survey).gsd_m if survey is not None else _gsd_by_headers(found)
+    pixel = gsd_m(survey) if survey is not None else _gsd_by_headers(found)
     if not both:
         return max(speeds.values(), default=None), max(exposures.values(), default=None), pixel, ""
     known = "" if len(both) == len(found.images) else f"; known of {len(both)} of {len(found.images)}"

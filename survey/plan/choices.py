@@ -2,11 +2,47 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
-from survey.display.quantities import bytes_of
+from survey.display.quantities import bytes_of, length
 from survey.errors import SurveyError
-from survey.words import SCALES, Device, Field, Plan, Poses, Quality
+from survey.words import SCALES, Device, Field, Poses, Quality
+
+if TYPE_CHECKING:
+    from survey.settings.tables import ProcessConfig
+
+# The target standard deviation holds for this share of the ground that has points: it is that quantile of the heights'.
+STD_QUANTILE = 0.95
+
+
+@dataclass(frozen=True)
+class Aim:
+    """Target of a run, from which quality and image scale follow: a standard deviation, a time, or both.
+
+    Raises
+    ------
+    SurveyError
+        If one is not a positive number.
+    """
+
+    # Standard deviation of heights [m], each point's own without `std_common`, of `STD_QUANTILE` of the ground
+    std_m: float | None = None
+    seconds: float | None = None  # Wall clock of the whole run [s]
+
+    def __post_init__(self) -> None:
+        for name, value, unit in (("--target-std", self.std_m, "m"), ("--time-budget", self.seconds, "s")):
+            if value is not None and not (math.isfinite(value) and value > 0.0):
+                raise SurveyError(f"{name} is {value:g}, expected a number above zero, in {unit}")
+
+    def __str__(self) -> str:
+        parts = []
+        if self.std_m is not None:
+            parts.append(f"a standard deviation of {length(self.std_m)} on {100 * STD_QUANTILE:g} % of the ground")
+        if self.seconds is not None:
+            parts.append(f"at most {self.seconds:g} s")
+        return " in ".join(parts)
 
 
 @dataclass(frozen=True)
@@ -15,9 +51,11 @@ class Choices:
 
     Attributes
     ----------
-    quality, device, field, poses, plan : str
+    quality, device, field, poses : str
     image_scale : [-], optional
         Scale of the photographs in the run, one of `SCALES`; default by their size and the quality.
+    aim : Aim, optional
+        From which `survey.run.aim` chooses quality and image scale.
     calibrate_water : bool
         Whether the water is found as if nothing were known of it.
     true_colour : bool
@@ -42,8 +80,8 @@ class Choices:
     device: str = Device.auto.value
     field: str = Field.auto.value
     poses: str = Poses.auto.value
-    plan: str = Plan.auto.value
     image_scale: float | None = None
+    aim: Aim | None = None
     calibrate_water: bool = False
     true_colour: bool = False
     tiles: int | None = None
@@ -57,7 +95,6 @@ class Choices:
             ("device", Device),
             ("field", Field),
             ("poses", Poses),
-            ("plan", Plan),
         ):
             if getattr(self, name) not in list(words):
                 raise SurveyError(f"{name} is {getattr(self, name)}, expected one of {', '.join(words)}")
@@ -74,3 +111,24 @@ class Choices:
 
 # The defaults.
 USUAL = Choices()
+
+
+def choices_of(asked: ProcessConfig) -> Choices:
+    """Options of a run, defaults filled in.
+
+    Raises
+    ------
+    SurveyError
+        If a word or number is not known, or quality, field or image scale are set beside an aim.
+    """
+    given = {name: value for name, value in vars(asked).items() if value is not None}
+    std_m, seconds = given.pop("target_std_m", None), given.pop("time_budget_s", None)
+    # Keys and reports have words, not the members of an enumeration.
+    words: dict[str, Any] = {name: str(value) if isinstance(value, str) else value for name, value in given.items()}
+    if std_m is None and seconds is None:
+        return replace(USUAL, **words)
+    for name in ("quality", "field", "image_scale"):
+        if words.get(name, Field.auto) != Field.auto:
+            option = f"--{name.replace('_', '-')} {words[name]}"
+            raise SurveyError(f"{option} and an aim (--target-std, --time-budget), which chooses it; leave one out")
+    return replace(USUAL, **words, aim=Aim(std_m, seconds))

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fields.skips import Skips
 from refract import FlatWater, PinholeCamera
 from refract.distortion import kinds_of
 from survey.errors import SurveyError
@@ -16,7 +15,6 @@ from survey.folder.survey import Survey
 from survey.plan.area import beyond_bounds
 from survey.plan.choices import Poses
 
-FULL = "--plan full"
 # Pose errors that add less than this are negligible against the noise of matching, about a third of a pixel. Simulated
 # surveys with exact poses have 0.001 to 0.08, with errors of 1 cm and 0.01 degrees 0.14 to 0.23 (docs/adjustment.md).
 MOST_MISFIT_PX = 0.1
@@ -34,15 +32,12 @@ class Decision:
     reason: str
 
 
-def refraction(survey: Survey, skips: Skips) -> Decision:
+def refraction(survey: Survey) -> Decision:
     """Decision on refraction."""
-    straight = survey.water is None or survey.water.n_water == 1.0
-    if straight and not skips.air:
-        return Decision("refraction", "on", f"{FULL}: with an index of 1")
     if survey.water is None:
         return Decision("refraction", "off", "a dry survey, without [water]")
     water, given = survey.require_water()
-    if straight:
+    if water.n_water == 1.0:
         return Decision("refraction", "off", "the index of the water is 1, as if it were air")
     slope = math.hypot(water.slope_x, water.slope_y)
     tilt = f", sloped by {slope:.4f}" if slope > 1e-6 else ""
@@ -57,10 +52,8 @@ def _sees_beside_water(camera: PinholeCamera, water: FlatWater) -> bool:
     return bool((camera.directions(camera.outline()) @ np.array(water.up) >= 0.0).any())
 
 
-def lens_terms(survey: Survey, skips: Skips) -> Decision:
+def lens_terms(survey: Survey) -> Decision:
     """Decision on the lens terms of the kernels."""
-    if not skips.lens:
-        return Decision("terms of the lens", "all", f"{FULL}: every model of distortion, and a rolling shutter")
     cameras = [view.camera for view in survey.views]
     found = sorted(kinds_of(camera.distortion for camera in cameras))
     found += ["rolling shutter"] * any(camera.motion is not None for camera in cameras)
@@ -68,10 +61,8 @@ def lens_terms(survey: Survey, skips: Skips) -> Decision:
     return Decision("terms of the lens", ", ".join(found) if found else "none", reason)
 
 
-def pixels(survey: Survey, skips: Skips) -> Decision:
+def pixels(survey: Survey) -> Decision:
     """Decision on the pixels that get a height."""
-    if not skips.area:
-        return Decision("pixels", "all", f"{FULL}: also those that cannot see the area")
     if survey.bounds is None:
         return Decision("pixels", "all", "there are no [area] bounds")
     return Decision(
@@ -79,23 +70,12 @@ def pixels(survey: Survey, skips: Skips) -> Decision:
     )
 
 
-def finer_passes(field: str, skips: Skips, *, aimed: bool) -> Decision:
+def finer_passes(field: str) -> Decision:
     """Decision on the pixels that are refined at full size."""
-    if aimed:
-        return Decision("finer passes", "all pixels", "later rounds go on from the heights of earlier ones")
     if field != "solver":
         return Decision("finer passes", "all pixels", "heights of points are means over views: all of them are refined")
-    if not skips.points:
-        return Decision("finer passes", "all pixels", f"{FULL}: not only those that become points")
     reason = "the solver solves these again; the others confirm them with the heights that they have"
     return Decision("finer passes", "pixels that become points", reason)
-
-
-def first_heights(skips: Skips) -> Decision:
-    """Decision on the height hypotheses of the first pass."""
-    if not skips.heights:
-        return Decision("first heights", "the whole range", f"{FULL}: not only where thumbnails find the bed")
-    return Decision("first heights", "those of thumbnails", "a sweep of eight small photographs finds where the bed is")
 
 
 def require_placeable(reference: str | None, asked: str) -> None:

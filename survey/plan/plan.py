@@ -6,26 +6,16 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from fields.skips import NOTHING, SKIPS, Skips
-from refract import PinholeCamera
+from fields.skips import SKIPS, Skips
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
-from survey.plan import choices
 from survey.plan.area import flattened
 from survey.plan.choices import USUAL, Choices
-from survey.plan.decisions import (
-    FULL,
-    Decision,
-    finer_passes,
-    first_heights,
-    lens_terms,
-    pixels,
-    pose_choice,
-    refraction,
-)
+from survey.plan.decisions import Decision, finer_passes, lens_terms, pixels, pose_choice, refraction
+from survey.plan.gsd import camera_height_m, gsd_m, image_scale_of
 from survey.plan.heights import dry_ground, in_words
-from survey.plan.recipe import AIMED, RECIPES, Recipe, image_decision, image_scale
+from survey.plan.recipe import RECIPES, Recipe, image_decision
 from survey.water.surface import EARTH, Departure
 from survey.water.tides import MOST_SHIFT_PX
 
@@ -36,8 +26,7 @@ class Plan:
 
     Attributes
     ----------
-    quality : "draft", "standard", "fine" or "aimed"
-        "aimed" where a standard deviation or a time is asked for: see `survey.plan.recipe`.
+    quality : "draft", "standard" or "fine"
     device : "cuda", "llvm" or "torch"
         Where kernels run: Dr.Jit on CUDA, Dr.Jit on the CPU by LLVM, or torch on the CPU.
     image_scale : [-]
@@ -51,7 +40,7 @@ class Plan:
         What one image covers there, median.
     decisions : tuple of Decision
     recipe : Recipe
-        The numbers of the quality, or of what an aim makes of it.
+        The numbers of the quality.
     field : "solver", "slab" or "off"
         What refines the heights of the sweep.
     boxes : bool
@@ -62,7 +51,7 @@ class Plan:
     pose_reason : str
         Why, in words.
     skips : Skips
-        Work to skip that the scene does not need; nothing with ``--plan full``.
+        Work to skip that the scene does not need.
     """
 
     quality: str
@@ -83,7 +72,7 @@ class Plan:
     @property
     def refines_points_only(self) -> bool:
         """Whether the finer passes of the sweep leave out pixels that do not become points: the solver follows."""
-        return self.field == "solver" and self.skips.points and self.quality != AIMED
+        return self.field == "solver" and self.skips.points
 
     def as_dict(self) -> dict:
         """Plain numbers, texts and lists, to be saved with the run."""
@@ -92,15 +81,13 @@ class Plan:
         return {**values, "poses": poses, "skips": skips}
 
 
-def make_plan(survey: Survey, chosen: Choices = USUAL, *, recipe: Recipe | None = None) -> Plan:
+def make_plan(survey: Survey, chosen: Choices = USUAL) -> Plan:
     """Plan for a survey.
 
     Parameters
     ----------
     survey : Survey
     chosen : Choices
-    recipe : Recipe, optional
-        Of a run with an aim, in place of that of the quality.
 
     Raises
     ------
@@ -108,86 +95,70 @@ def make_plan(survey: Survey, chosen: Choices = USUAL, *, recipe: Recipe | None 
         If CUDA is asked for and there is none.
     """
     survey = flattened(survey)
-    quality = chosen.quality if recipe is None else AIMED
-    recipe = RECIPES[chosen.quality] if recipe is None else recipe
-    device = device_decision(chosen.device)
+    recipe, device = RECIPES[chosen.quality], device_decision(chosen.device)
     cameras = [view.camera for view in survey.views]
-    height, scale = _height(survey), chosen.image_scale
-    if scale is None:
-        scale = min(image_scale(camera.width, camera.height, recipe.megapixels) for camera in cameras)
-    gsd = float(np.median([_distance_along_axis(c, survey, height) / c.fx for c in cameras])) / scale
+    height, scale = camera_height_m(survey), image_scale_of(survey, chosen)
     sides = np.median([(camera.width / camera.fx, camera.height / camera.fy) for camera in cameras], axis=0)
-    poses, field = _poses(survey, chosen), _field(quality, recipe, chosen.field)
-    skips = NOTHING if chosen.plan == choices.Plan.full else SKIPS
+    poses = Decision("poses", *pose_choice(survey, chosen.poses, free_water=chosen.calibrate_water))
+    field = _field(recipe, chosen)
+    boxes = has_boxes(field.choice, chosen.field)
     decisions = (
         poses,
-        refraction(survey, skips),
-        lens_terms(survey, skips),
-        pixels(survey, skips),
+        refraction(survey),
+        lens_terms(survey),
+        pixels(survey),
         *_level(survey),
         field,
-        finer_passes(field.choice, skips, aimed=quality == AIMED),
-        *_boxes(field.choice, asked=chosen.field, aimed=quality == AIMED),
-        image_decision(cameras[0], scale, quality, recipe, asked=chosen.image_scale is not None),
+        finer_passes(field.choice),
+        *((_BOXES,) if boxes else ()),
+        image_decision(cameras[0], scale, chosen),
         *_ground(survey, height),
         Decision("range of heights", *in_words(survey, height)),
-        first_heights(skips),
+        Decision("first heights", "those of thumbnails", "a sweep of eight small photographs finds where the bed is"),
         device,
     )
     return Plan(
-        quality,
+        chosen.quality,
         device.choice,
         scale,
-        gsd,
+        gsd_m(survey, chosen),
         height,
         (float(height * sides[0]), float(height * sides[1])),
         decisions,
         recipe,
         field=field.choice,
-        boxes=has_boxes(field.choice, chosen.field, aimed=quality == AIMED),
+        boxes=boxes,
         device_asked=chosen.device,
         pose_choice=poses.choice,
         pose_reason=poses.reason,
-        skips=skips,
+        skips=SKIPS,
     )
 
 
-def _poses(survey: Survey, chosen: Choices) -> Decision:
-    choice, reason = pose_choice(survey, chosen.poses, free_water=chosen.calibrate_water)
-    if chosen.plan == choices.Plan.full and choice == "check":
-        return Decision("poses", "refine", f"{FULL}: adjusted without a test first")
-    return Decision("poses", choice, reason)
-
-
-def _field(quality: str, recipe: Recipe, field: str) -> Decision:
-    if field == "boxes":
+def _field(recipe: Recipe, chosen: Choices) -> Decision:
+    if chosen.field == "boxes":
         return Decision("field", "solver", "set by --field boxes")
-    if field != "auto":
-        return Decision("field", field, "set by --field")
-    chosen = recipe.field
-    if quality == AIMED:
-        return Decision("field", chosen, "as far as the aim needs and allows; later rounds may change it")
+    if chosen.field != "auto":
+        return Decision("field", chosen.field, "set by --field")
     reasons = {
-        "off": f"{quality} uses the sweep's heights",
+        "off": f"{chosen.quality} uses the sweep's heights",
         "solver": "least squares over all photographs: less noise, and the standard deviation of each height",
     }
-    return Decision("field", chosen, reasons[chosen])
+    return Decision("field", recipe.field, reasons[recipe.field])
 
 
-def has_boxes(field: str, asked: str, *, aimed: bool) -> bool:
-    """Whether a run looks for the bed in boxes: after the solver, unless the field was set or the run has an aim."""
-    return field == "solver" and asked in ("auto", "boxes") and not aimed
+def has_boxes(field: str, asked: str) -> bool:
+    """Whether a run looks for the bed in boxes: after the solver, unless the field was set."""
+    return field == "solver" and asked in ("auto", "boxes")
 
 
-def _boxes(field: str, *, asked: str, aimed: bool) -> tuple[Decision, ...]:
-    """Decision on boxes, in which photographs are compared pixel by pixel; none unless asked for or usual."""
-    if has_boxes(field, asked, aimed=aimed):
-        reason = (
-            "windows cover both an edge and the bed beside it, single pixels do not; a box of some metres takes about "
-            "a second, and there are none where the cloud has no holes"
-        )
-        return (Decision("boxes", "beside depth steps with holes", reason),)
-    return (Decision("boxes", "none", "a run with an aim has none"),) if asked == "boxes" else ()
+# Photographs are compared pixel by pixel there.
+_BOXES = Decision(
+    "boxes",
+    "beside depth steps with holes",
+    "windows cover both an edge and the bed beside it, single pixels do not; a box of some metres takes about a "
+    "second, and there are none where the cloud has no holes",
+)
 
 
 def device_decision(device: str) -> Decision:
@@ -247,17 +218,3 @@ def _ground(survey: Survey, height_m: float) -> tuple[Decision, ...]:
     ground = dry_ground(survey)
     advice = "; tie points, control points or [area] heights would give it" if ground.is_guess else ""
     return (Decision("height over ground", f"{height_m:.1f} m", f"by {ground.source}{advice}"),)
-
-
-def _height(survey: Survey) -> float:
-    centres = np.array([view.camera.centre for view in survey.views])
-    if survey.water is not None:
-        return float(np.median(-survey.water.depth(centres)))
-    return float(np.median(centres[:, 2])) - dry_ground(survey).height
-
-
-def _distance_along_axis(camera: PinholeCamera, survey: Survey, height: float) -> float:
-    """Distance [m] from the camera to water or ground along its axis, at most three heights."""
-    own = height if survey.water is None else -float(survey.water.depth(camera.centre))
-    falling = -camera.cam_from_local[2, 2]
-    return own / max(falling, 1.0 / 3.0)

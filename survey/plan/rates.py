@@ -1,7 +1,7 @@
-"""Rates of the parts of a run on one core with AVX-512, and the speed-up on several.
+"""Times of the parts of a run, by rates on one core with AVX-512 and the speed-up on several.
 
 From runs of data/quick, river and wreck_water in draft and standard quality and of a drawn survey of 8 small
-photographs: 5.7 to 107 s on two idle cores, which `run_s` meets within a tenth (docs/notes/performance.md).
+photographs: 5.7 to 107 s on two idle cores, which the sum meets within a tenth (docs/notes/performance.md).
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from fields.occluded.holes import SIDE_GSD
 from fields.sweep.passes import PASSES, POINTS_SHARE, Pass, before_solver
 
-# Usual number of height hypotheses of the first pass of the sweep.
-FIRST_HYPOTHESES = 25
+# Imports and hashes of any run.
+START_S = 2.5
 # Samples of the sweep (pixels x hypotheses x neighbours) per core and second, by Dr.Jit on LLVM, including the search
-# beside steps.
-SAMPLES_PER_CORE_S = 55e6
-# Imports and hashes, and the report, of any run; compilation of kernels, on all cores.
-_START_S, _REPORT_S, _KERNELS_S = 2.5, 2.0, 2.0
+# beside steps; usual number of hypotheses of its first pass.
+SAMPLES_PER_CORE_S, _FIRST_HYPOTHESES = 55e6, 25
+# Compilation of kernels, on all cores; the range of heights.
+_KERNELS_S, _RANGE_S = 2.0, 2.0
 # Check of poses with this many photographs, and adjustment with all, at most at this size [Mpx]; times once, and per
 # megapixel.
 _CHECKED, _MOST_MPX = 10, 6.0
@@ -27,16 +27,11 @@ _CHECK_S, _ADJUST_S = (2.5, 0.1), (2.0, 2.0)
 _WINDOWS_S, _SEARCH_S, _SOLVING_S = 2.5, 0.4, (1.0, 0.25)
 # Structure from motion: features per megapixel and matching per pair, on all cores; mapping per photograph, on one.
 _FEATURES_S, _PAIR_S, _PLACING_S = 0.6, 0.1, 0.1
-# Parts that a run in tiles has once for each.
-_OF_TILES = ("Sweep", "Solver", "Bed", "Boxes beside edges")
 SFM_PARTS = ("Features", "Matches", "Structure from motion")
-# Decoding a megapixel; bed and report, per point.
-_DECODING_S, _POINT_S = 0.02, 3e-6
-# The range of heights, of photographs as large as its thumbnails or larger.
-_RANGE_S, _THUMBNAIL_PX = 2.0, 512 * 384
-# Of the solver: once, and per pixel of a height map.
-_SOLVER_S = (1.4, 1.2e-6)
-_FIELD_S_PER_CELL = 2.3e-4
+# Decoding a megapixel; the report, once; bed and report, per point.
+_DECODING_S, _REPORT_S, _POINT_S = 0.02, 2.0, 3e-6
+# Of the solver: once, and per pixel of a height map. Of the slab, per cell of one ground sampling distance.
+_SOLVER_S, _FIELD_S_PER_CELL = (1.4, 1.2e-6), 2.3e-4
 # Of boxes beside edges: one of a sample of so many, by two cores. Whether the others are searched shows there.
 _BOX_S, _MOST_BOXES, _BOX_CORES = 0.4, 32, 2
 
@@ -47,35 +42,27 @@ class Amounts:
 
     num_views: int
     photographs_mpx: float  # Of all of them [Mpx]
-    largest_px: float  # Of one photograph at the size that is worked on [px]
     map_px: float  # Of the views that get a height map [px]
     points: float  # One for each ground sampling distance squared that two views see
-    field_cells: float  # Of a trained field; 0 without
     poses: str  # "check", "refine" or "fixed": what is done with them first
-    solves: bool
+    field: str  # "solver", "slab" or "off"
     has_boxes: bool = False
-    first_hypotheses: float = FIRST_HYPOTHESES  # Heights that the first pass of the sweep tries
-
-
-def run_s(amounts: Amounts, num_cores: int) -> float:
-    """Time [s] of a whole run on idle cores: serial part, and the part that all cores share."""
-    return _START_S + sum(parts_s(amounts, num_cores).values())
 
 
 def parts_s(amounts: Amounts, num_cores: int) -> dict[str, float]:
     """Times [s] of the parts of a run on idle cores, by the names of their stages, in order."""
     parts = {"Images": _DECODING_S * amounts.photographs_mpx}
+    solves, mpx = amounts.field == "solver", min(amounts.photographs_mpx, amounts.num_views * _MOST_MPX)
     if amounts.poses == "check":
-        parts["Poses"] = poses_s("check", amounts.photographs_mpx, amounts.num_views)
+        parts["Poses"] = _CHECK_S[0] + _CHECK_S[1] * mpx * min(_CHECKED / amounts.num_views, 1.0)
     elif amounts.poses == "refine":
-        parts = {"Adjustment": sum(adjustment_s(amounts, num_cores))} | parts
-    passes = before_solver(PASSES) if amounts.solves else PASSES
-    shared = _KERNELS_S + _samples(amounts, passes) / SAMPLES_PER_CORE_S
-    parts["Sweep"] = _RANGE_S * min(amounts.largest_px / _THUMBNAIL_PX, 1.0) + shared / num_cores
-    if amounts.solves:
+        parts = {"Adjustment": _ADJUST_S[0] + _ADJUST_S[1] * mpx} | parts
+    samples = _samples(amounts.map_px, before_solver(PASSES) if solves else PASSES)
+    parts["Sweep"] = _RANGE_S + (_KERNELS_S + samples / SAMPLES_PER_CORE_S) / num_cores
+    if solves:
         parts["Solver"] = (_SOLVER_S[0] + _SOLVER_S[1] * amounts.map_px) / num_cores
-    if amounts.field_cells:
-        parts["Field"] = _FIELD_S_PER_CELL * amounts.field_cells / num_cores
+    if amounts.field == "slab":
+        parts["Field"] = _FIELD_S_PER_CELL * amounts.points / num_cores
     parts["Bed"] = 0.5 * _POINT_S * amounts.points
     if amounts.has_boxes:
         sample = min(amounts.points / SIDE_GSD**2, _MOST_BOXES)
@@ -83,24 +70,10 @@ def parts_s(amounts: Amounts, num_cores: int) -> dict[str, float]:
     return parts | {"Report": _REPORT_S + 0.5 * _POINT_S * amounts.points}
 
 
-def part_name(name: str, number: int, count: int) -> str:
-    """Name of a part of a run for a tile, by its number from 0 on."""
-    return f"{name}, tile {number + 1} of {count}"
-
-
-def parts_in_tiles(parts: dict[str, float], count: int) -> dict[str, float]:
-    """Times [s] of the parts of a run in tiles of equal work."""
-    found: dict[str, float] = {}
-    for name, seconds in parts.items():
-        names = [part_name(name, number, count) for number in range(count)] if name in _OF_TILES else [name]
-        found |= dict.fromkeys(names, seconds / len(names))
-    return found
-
-
 def adjustment_s(amounts: Amounts, num_cores: int) -> tuple[float, float, float]:
     """Times [s] of an adjustment of matches, of windows, and of an adjustment of all."""
     solving = _SOLVING_S[0] + _SOLVING_S[1] * amounts.num_views
-    shared = _samples(amounts, PASSES[:2]) / SAMPLES_PER_CORE_S + search_s(amounts.num_views)
+    shared = _samples(amounts.map_px, PASSES[:2]) / SAMPLES_PER_CORE_S + search_s(amounts.num_views)
     return solving, _WINDOWS_S + _DECODING_S * amounts.photographs_mpx + shared / num_cores, solving
 
 
@@ -122,17 +95,9 @@ def sfm_s(features_mpx: float, num_views: int, num_pairs: int, num_cores: int) -
     return dict(zip(SFM_PARTS, seconds, strict=True))
 
 
-def _samples(amounts: Amounts, passes: tuple[Pass, ...]) -> float:
+def _samples(map_px: float, passes: tuple[Pass, ...]) -> float:
     def of(p: Pass) -> float:
-        tried = (p.hypotheses or amounts.first_hypotheses) * p.neighbours
+        tried = (p.hypotheses or _FIRST_HYPOTHESES) * p.neighbours
         return p.scale**2 * tried * (POINTS_SHARE if p.points_only else 1.0)
 
-    return amounts.map_px * sum(of(p) for p in passes)
-
-
-def poses_s(poses: str, photographs_mpx: float, num_views: int) -> float:
-    """Time [s] of the check or the adjustment of the poses; 0 for neither."""
-    adjusted = min(photographs_mpx, num_views * _MOST_MPX)
-    if poses == "check":
-        return _CHECK_S[0] + _CHECK_S[1] * adjusted * min(_CHECKED / num_views, 1.0)
-    return _ADJUST_S[0] + _ADJUST_S[1] * adjusted if poses == "refine" else 0.0
+    return map_px * sum(of(p) for p in passes)

@@ -78,7 +78,6 @@ def choose_tiles(
     chosen: Choices,
     workload: Workload,
     *,
-    is_aimed: bool,
     earlier: int | None = None,
     counted: SurveyAmounts | None = None,
 ) -> TileChoice:
@@ -92,9 +91,8 @@ def choose_tiles(
         If tiles, or workers for them, are asked for where a run is in one piece, or workers where Dask is missing.
     """
     require_dask(chosen)
-    option = "with an aim" if is_aimed else "with --field slab" if plan.field == "slab" else None
-    if option is not None:
-        reason = f"a run {option} is in one piece"
+    if plan.field == "slab":
+        reason = "a run with --field slab is in one piece"
         if chosen.tiles is not None and chosen.tiles > 1:
             raise SurveyError(f"--tiles {chosen.tiles}, but {reason}; leave one out")
         _refuse_workers(chosen, reason)
@@ -273,9 +271,8 @@ def _memory(survey: Survey, plan: Plan, tiling: Tiling, counted: SurveyAmounts) 
     share = float(np.prod(np.minimum((own + footprint) / (extent + footprint), 1.0)))
     views, maps = (max(int(np.ceil(share * count)), 1) for count in (len(pixels), len(counted.matched_views)))
     largest = max(view.lens.width * view.lens.height for view in survey.views)
-    solves = plan.field == "solver"
     of_views, of_maps = (np.quantile(window, np.linspace(1.0, 0.0, count)) for count in (views, maps))
-    of_tile = memory_of(of_views, of_maps, largest, counted.num_cells / len(tiling), 0.0, solves)
+    of_tile = memory_of(of_views, of_maps, largest, counted.num_cells / len(tiling), plan.field)
     return max(of_tile, _REPORT_BYTES + POINT_BYTES * counted.num_cells)
 
 

@@ -6,25 +6,23 @@ Time is that of `survey.plan.rates`, memory that of the arrays which docs/notes/
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from fields.sweep.block import Overlap
 from fields.sweep.kernels.stack import FEWEST_KEPT, KEPT_BYTES
-from fields.sweep.passes import PASSES
 from survey import machine
 from survey.display.quantities import room, size
 from survey.errors import SurveyError
-from survey.folder.found import Found
 from survey.folder.survey import Survey
-from survey.plan.area import AREA_MARGIN_M, flattened, grown, limits, local_area
+from survey.plan.area import AREA_MARGIN_M, flattened, grown, local_area
 from survey.plan.choices import Choices
 from survey.plan.heights import dry_ground
 from survey.plan.plan import Plan
-from survey.plan.rates import FIRST_HYPOTHESES, SFM_PARTS, Amounts, parts_s, run_s, sfm_s
+from survey.plan.rates import SFM_PARTS, START_S, Amounts, parts_s, sfm_s
 from survey.plan.recipe import RECIPES, image_scale
 from survey.plan.sweep_block import camera_of
 from survey.progress import rough
@@ -52,8 +50,6 @@ _BYTES_OF_FIELD, _BYTES_OF_RAYS, _RAYS_OF_CELLS = 400, 1000, 500_000
 _DISK_OF_MAP, _DISK_OF_CELL, _DISK_AT_LEAST, _DISK_OF_SFM = 18, 140, 30e6, 4e6
 # With more views than this, choosing those that cover the bed takes too long here: all count, as a bound.
 _MOST_VIEWS = 2000
-# Views that stand for all where heights of the first pass are counted.
-_SAMPLE = 5
 # For real photographs with noise, glitter or little texture, which need wider windows than simulated ones.
 _HARD_MATCHING_TIME = "three to five times as long"
 # Without poses: cells of the bed per pixel, since with the usual overlap a place is seen ten times or more.
@@ -73,26 +69,17 @@ class SurveyAmounts:
 class Workload:
     """Estimated time, memory and disk space of a run."""
 
-    # num_views, num_maps: Photographs, and how many of them get a height map
-    num_views: int
-    num_maps: int
-    seconds: float | None  # On `num_cores`; None on a device whose rate was not measured
+    num_views: int  # Photographs
+    num_maps: int  # How many of them get a height map
+    seconds: float | None  # On `num_cores` idle cores; None on a device whose rate was not measured
     num_cores: int
     memory_bytes: int  # At the peak, in main memory
     disk_bytes: int  # Of the run folder
     # Whether this is an upper bound: poses are not known yet, or there are too many views to choose from here, and all
     # of them count
     is_bound: bool = False
-    slowdown: float | None = None  # How many times as long as on idle cores the seconds are; None for idle ones
-    # Of structure from motion, where it is a part of the run; the seconds are not a bound then
-    sfm_seconds: float | None = None
-
-    def on_loaded_cores(self, slowdown: float) -> Workload:
-        """The same on cores that take ``slowdown`` times as long as idle ones."""
-        if self.seconds is None:
-            return self
-        of_sfm = None if self.sfm_seconds is None else self.sfm_seconds * slowdown
-        return replace(self, seconds=self.seconds * slowdown, sfm_seconds=of_sfm, slowdown=slowdown)
+    # Of the seconds those of each part, by the name of its stage, in order; empty where they are not known
+    parts_s: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def bound_words(self) -> str:
@@ -105,20 +92,12 @@ class Workload:
         maps = f"{self.num_maps} of {self.num_views} views get a height map"
         if self.seconds is None:
             return f"{rooms}; {maps}; no time was measured on such a device"
-        cores = "core" if self.num_cores == 1 else "cores"
-        state = f"{self.num_cores} idle {cores}"
-        if self.slowdown is not None:
-            state = f"{self.num_cores} {cores} {load_in_words(self.slowdown)}"
-        if self.sfm_seconds is not None:
-            of_sfm = f"{rough(self.sfm_seconds)} of them for structure from motion"
+        cores = f"{self.num_cores} idle core{'s' * (self.num_cores > 1)}"
+        if SFM_PARTS[0] in self.parts_s:
+            of_sfm = f"{rough(sum(self.parts_s[name] for name in SFM_PARTS))} of them for structure from motion"
             hard = f"{_HARD_MATCHING_TIME} where photographs match badly"
-            return f"about {rough(self.seconds)} on {state}, {of_sfm}, and {hard}; {rooms}"
-        return f"{self.bound_words}{rough(self.seconds)} on {state}, {rooms}; {maps}"
-
-
-def load_in_words(slowdown: float) -> str:
-    """Load that estimated times assume, in words."""
-    return f"as busy as now ({slowdown:.1f} times as long as idle)"
+            return f"about {rough(self.seconds)} on {cores}, {of_sfm}, and {hard}; {rooms}"
+        return f"{self.bound_words}{rough(self.seconds)} on {cores}, {rooms}; {maps}"
 
 
 def workload_of(survey: Survey, plan: Plan, counted: SurveyAmounts | None = None) -> Workload:
@@ -137,10 +116,18 @@ def workload_of(survey: Survey, plan: Plan, counted: SurveyAmounts | None = None
     counted = survey_amounts(survey, plan) if counted is None else counted
     pixels, of_maps = counted.view_pixels, counted.view_pixels[counted.matched_views]
     largest = max(view.lens.width * view.lens.height for view in survey.views)
-    amounts = amounts_of_run(survey, plan, counted)
-    seconds = run_s(amounts, machine.num_cores()) if plan.device == "llvm" else None
-    found = _workload(pixels, of_maps, largest, counted.num_cells, amounts.field_cells, amounts.solves)
-    return replace(found, seconds=seconds, is_bound=len(pixels) > _MOST_VIEWS)
+    parts = parts_s(amounts_of_run(survey, plan, counted), machine.num_cores()) if plan.device == "llvm" else {}
+    cells = counted.num_cells
+    return Workload(
+        num_views=len(pixels),
+        num_maps=len(of_maps),
+        seconds=START_S + sum(parts.values()) if parts else None,
+        num_cores=machine.num_cores(),
+        memory_bytes=int(memory_of(pixels, of_maps, largest, cells, plan.field)),
+        disk_bytes=_disk_bytes(of_maps, cells),
+        is_bound=len(pixels) > _MOST_VIEWS,
+        parts_s=parts,
+    )
 
 
 def amounts_of_run(survey: Survey, plan: Plan, counted: SurveyAmounts | None = None) -> Amounts:
@@ -152,42 +139,15 @@ def amounts_of_run(survey: Survey, plan: Plan, counted: SurveyAmounts | None = N
         If no view looks down.
     """
     counted = survey_amounts(survey, plan) if counted is None else counted
-    pixels = counted.view_pixels
     return Amounts(
-        num_views=len(pixels),
+        num_views=len(counted.view_pixels),
         photographs_mpx=sum(view.lens.width * view.lens.height for view in survey.views) / 1e6,
-        largest_px=float(np.max(pixels)),
-        map_px=float(np.sum(pixels[counted.matched_views])),
+        map_px=float(np.sum(counted.view_pixels[counted.matched_views])),
         points=counted.num_cells,
-        field_cells=counted.num_cells if plan.field == "slab" else 0.0,
         poses=plan.pose_choice,
-        solves=plan.field == "solver",
+        field=plan.field,
         has_boxes=plan.boxes,
-        first_hypotheses=_first_hypotheses(survey, plan),
     )
-
-
-def _first_hypotheses(survey: Survey, plan: Plan) -> float:
-    """Number of height hypotheses of the first pass: by the range of heights where it is known, else the usual one.
-
-    Without matched points or [area] heights the range is wide, and thumbnails narrow it.
-    """
-    is_range_given = survey.config.area.heights is not None or survey.observations.points is not None
-    if not is_range_given or len(survey.views) > _MOST_VIEWS:
-        return FIRST_HYPOTHESES
-    survey = flattened(survey)
-    low, high = limits(survey)
-    try:
-        overlap = Overlap([camera_of(view, plan) for view in survey.views], survey.water, 0.5 * (low + high))
-    except ValueError:
-        return FIRST_HYPOTHESES
-    counts = []
-    for view in np.unique(np.linspace(0, len(survey.views) - 1, _SAMPLE).astype(int)).tolist():
-        others = overlap.neighbours(view, PASSES[0].neighbours)
-        if others:
-            parallax = PASSES[0].scale * overlap.parallax(view, others, overlap.height)
-            counts.append((high - low) * parallax / PASSES[0].spacing_px + 1.0)
-    return float(np.median(counts)) if counts else FIRST_HYPOTHESES
 
 
 def survey_amounts(survey: Survey, plan: Plan) -> SurveyAmounts:
@@ -219,54 +179,41 @@ def survey_amounts(survey: Survey, plan: Plan) -> SurveyAmounts:
     return SurveyAmounts(pixels, chosen, num_cells)
 
 
-def workload_of_found(found: Found, chosen: Choices) -> Workload:
-    """Estimate for photographs without poses: an upper bound of memory and disk; time with structure from motion."""
-    sizes = [header.size_px for header in found.headers.values()]
-    return workload_of_images(sizes, quality=chosen.quality, scale=chosen.image_scale)
+def workload_of_images(sizes_px: Sequence[tuple[int, int]], chosen: Choices) -> Workload:
+    """Estimate for photographs without poses: an upper bound of memory and disk; time with structure from motion.
 
-
-def parts_of_found(found: Found, chosen: Choices) -> dict[str, float]:
-    """Times [s] of the parts of a run that begins with structure from motion, by the names of their stages."""
-    sizes = [header.size_px for header in found.headers.values()]
-    return _parts_of_images(sizes, _scale_of(sizes, chosen.quality, chosen.image_scale), chosen.quality)
-
-
-def workload_of_images(sizes: Iterable[tuple[int, int]], *, quality: str, scale: float | None = None) -> Workload:
-    """Estimate for images (width, height) at a scale; by default that of the quality."""
-    sizes = list(sizes)
-    scale = _scale_of(sizes, quality, scale)
-    pixels = np.array([width * height for width, height in sizes]) * scale**2
-    num_cells = _OWN_GROUND * float(pixels.sum())
-    largest = max(width * height for width, height in sizes)
-    found = _workload(pixels, pixels, largest, num_cells, 0.0, RECIPES[quality].field == "solver")
-    disk = found.disk_bytes + int(_DISK_OF_SFM * len(sizes))
-    parts = _parts_of_images(sizes, scale, quality)
-    seconds, of_sfm = sum(parts.values()), sum(parts[name] for name in SFM_PARTS)
-    return replace(found, disk_bytes=disk, is_bound=True, seconds=seconds, sfm_seconds=of_sfm)
-
-
-def _scale_of(sizes: Sequence[tuple[int, int]], quality: str, scale: float | None) -> float:
-    if scale is not None:
-        return scale
-    return min(image_scale(width, height, RECIPES[quality].megapixels) for width, height in sizes)
-
-
-def _parts_of_images(sizes: Sequence[tuple[int, int]], scale: float, quality: str) -> dict[str, float]:
-    photographs_mpx = sum(width * height for width, height in sizes) / 1e6
+    Parameters
+    ----------
+    sizes_px : (width, height) of each photograph
+    """
+    recipe, scale = RECIPES[chosen.quality], chosen.image_scale
+    if scale is None:
+        scale = min(image_scale(width, height, recipe.megapixels) for width, height in sizes_px)
+    areas = np.array([width * height for width, height in sizes_px])
+    pixels = areas * scale**2
+    cells, solves = _OWN_GROUND * float(pixels.sum()), recipe.field == "solver"
     amounts = Amounts(
-        num_views=len(sizes),
-        photographs_mpx=photographs_mpx,
-        largest_px=scale**2 * max(width * height for width, height in sizes),
-        map_px=scale**2 * photographs_mpx * 1e6,
-        points=_OWN_GROUND * scale**2 * photographs_mpx * 1e6,
-        field_cells=0.0,
+        num_views=len(sizes_px),
+        photographs_mpx=float(areas.sum()) / 1e6,
+        map_px=float(pixels.sum()),
+        points=cells,
         poses="refine",
-        solves=RECIPES[quality].field == "solver",
-        has_boxes=RECIPES[quality].field == "solver",
+        field=recipe.field,
+        has_boxes=solves,
     )
-    looked_at = sum(w * h * min(1.0, FEATURES_PX / max(w, h)) ** 2 for w, h in sizes) / 1e6
+    features_mpx = sum(w * h * min(1.0, FEATURES_PX / max(w, h)) ** 2 for w, h in sizes_px) / 1e6
     cores = machine.num_cores()
-    return sfm_s(looked_at, len(sizes), pairs_about(len(sizes)), cores) | parts_s(amounts, cores)
+    parts = sfm_s(features_mpx, len(sizes_px), pairs_about(len(sizes_px)), cores) | parts_s(amounts, cores)
+    return Workload(
+        num_views=len(pixels),
+        num_maps=len(pixels),
+        seconds=START_S + sum(parts.values()),
+        num_cores=cores,
+        memory_bytes=int(memory_of(pixels, pixels, int(areas.max()), cells, recipe.field)),
+        disk_bytes=_disk_bytes(pixels, cells) + int(_DISK_OF_SFM * len(sizes_px)),
+        is_bound=True,
+        parts_s=parts,
+    )
 
 
 def require_room(workload: Workload, run_folder: Path) -> list[str]:
@@ -321,33 +268,37 @@ def _limit_warning(workload: Workload) -> str | None:
     )
 
 
-def _workload(pixels, of_maps, largest: int, num_cells: float, of_field: float, solves: bool) -> Workload:
-    """Memory and disk space by pixels of views, height maps and the largest photograph, and by cells."""
-    return Workload(
-        num_views=len(pixels),
-        num_maps=len(of_maps),
-        seconds=None,
-        num_cores=machine.num_cores(),
-        memory_bytes=int(memory_of(pixels, of_maps, largest, num_cells, of_field, solves)),
-        disk_bytes=int(_DISK_AT_LEAST + _DISK_OF_MAP * float(np.sum(of_maps)) + _DISK_OF_CELL * num_cells),
-    )
+def _disk_bytes(of_maps: np.ndarray, num_cells: float) -> int:
+    return int(_DISK_AT_LEAST + _DISK_OF_MAP * float(np.sum(of_maps)) + _DISK_OF_CELL * num_cells)
 
 
-def memory_of(pixels, of_maps, largest: int, num_cells: float, of_field: float, solves: bool) -> float:
-    """Peak memory [bytes]: that of the largest stage with the data that all stages hold."""
+def memory_of(pixels: np.ndarray, of_maps: np.ndarray, largest: int, num_cells: float, field: str) -> float:
+    """Peak memory [bytes]: that of the largest stage with the data that all stages hold.
+
+    Parameters
+    ----------
+    pixels, of_maps : (V,), (M,)
+        Pixels of each view, and of each that gets a height map.
+    largest : int
+        Pixels of the largest photograph.
+    num_cells : float
+        Cells of the bed.
+    field : "solver", "slab" or "off"
+    """
     everything, masks = float(np.sum(pixels)), _BYTES_OF_MASKS * float(np.sum(of_maps))
     held = _BYTES_OF_VIEW * everything + min(_BYTES_OF_COLOURS * everything, _MOST_COLOURS)
     # As they are, and smaller or with small holes closed.
     read = 2.0 * _kept(pixels, _READ)
     maps = min(_BYTES_OF_MAPS * float(np.sum(of_maps)), _MOST_MAPS)
     sweep = read + maps + _kept(pixels, _COMPARED) + _BYTES_OF_WORK * float(np.max(pixels))
-    field = _BYTES_OF_FIELD * of_field + _BYTES_OF_RAYS * min(of_field, _RAYS_OF_CELLS)
-    solver = _kept(of_maps, _SURFACES) + _BYTES_OF_TILES + masks if solves else 0.0
+    of_field = num_cells if field == "slab" else 0.0
+    slab = _BYTES_OF_FIELD * of_field + _BYTES_OF_RAYS * min(of_field, _RAYS_OF_CELLS)
+    solver = _kept(of_maps, _SURFACES) + _BYTES_OF_TILES + masks if field == "solver" else 0.0
     bed = read + masks + POINT_BYTES * num_cells
-    return _BASE_BYTES + held + max(_BYTES_OF_DECODING * largest, sweep + field, solver, bed)
+    return _BASE_BYTES + held + max(_BYTES_OF_DECODING * largest, sweep + slab, solver, bed)
 
 
-def _kept(pixels, of_what: tuple[float, float, int]) -> float:
+def _kept(pixels: np.ndarray, of_what: tuple[float, float, int]) -> float:
     """Bytes of images of so many pixels each of which the last few are kept; see `fields.image_store`."""
     each, budget, fewest = of_what
     return each * min(float(np.sum(pixels)), max(budget / each, fewest * float(np.max(pixels))))

@@ -1,57 +1,35 @@
-"""Execution of the stages of a run: in one piece, in rounds where it has an aim, or in tiles.
-
-In tiles:
+"""Execution of the stages of a run: of the whole survey, or of its tiles, whose results are then put together.
 
     pose_check, adjust -> tiles -> sweep of each tile -> sweep -> figures -> solver of each tile -> solver
     -> water_colour -> bed of each tile -> bed
 
 The block is adjusted as a whole; the bound, the views with a height map and the figures of the solver are found once
-for all tiles. What tiles find is put together in the form that a run in one piece leaves: all that follows is the same.
-Worker processes compute what is missing, and it is moved into the run folder.
+for all tiles. Worker processes compute what is missing, and it is moved into the run folder.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, replace
-from functools import wraps
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from survey.plan.rates import part_name
-from survey.plan.tile_choice import SHARED
 from survey.run.folder import RunDir
 from survey.run.job import Job
-from survey.run.merged import merge_points, merge_solved, merge_sweeps
-from survey.run.pipeline import ASSESSMENT, BED_OF_SWEEP, STAGES, Stage, commit_result, reusable_result, run_stage
+from survey.run.pipeline import BED_OF_SWEEP, STAGES, Stage, commit_result, reusable_result, run_stage
 from survey.run.remote_run import RemoteRun
-from survey.run.stage_of_tile import FIGURES, POINTS, SQUARES, find_points, learn_figures, solve_tile, sweep_tile
-from survey.run.stage_sweep import EARLIER_ASSESSMENT, EARLIER_SOLVER, EARLIER_SWEEP, MAPS
-from survey.run.stage_tiles import find_shared, read_shared
+from survey.run.stage_tiles import tiles_of
 from survey.run.start_workers import WorkerNeeds, workers_for
 from survey.run.task_at_url import put_job
-from survey.run.tile_job import MASKS, TileJob
 from survey.run.worker_task import Task, save_job
 from survey.run.workers import Workers
 from survey.stage_key import code_hash
 
 if TYPE_CHECKING:
     from survey.run.keys import Key
-    from survey.run.tile_job import TilePlan
-
-# Gets the job, the folder to write to, the tiles, the folders of their stages by name, and those of other stages.
-Merge = Callable[[Job, Path, Sequence[TileJob], Mapping[str, list[Path]], Mapping[str, Path]], None]
-
-_STAGE_BY_NAME = {stage.name: stage for stage in STAGES}
-_TILES = Stage("tiles", (), (*_STAGE_BY_NAME["sweep"].depends_on, "tiles"), (SHARED,), find_shared)
-# Of one tile, by the name of what they are a part of.
-_SWEEP = replace(_STAGE_BY_NAME["sweep"], needs=(), files=(MAPS, MASKS, SQUARES), compute=sweep_tile, apply=None)
-_SOLVER = replace(_STAGE_BY_NAME["solver"], needs=("sweep", "figures"), compute=solve_tile)
-_BED = replace(_STAGE_BY_NAME["bed"], needs=("sweep", "solver"), files=(POINTS,), compute=find_points)
-# Of a round, and the names under which the next one finds them.
-_EARLIER = {"sweep": EARLIER_SWEEP, "solver": EARLIER_SOLVER, ASSESSMENT: EARLIER_ASSESSMENT}
+    from survey.run.tile_job import TileJob, TilePlan
 
 
 @dataclass(frozen=True)
@@ -85,7 +63,7 @@ class TileWorkers:
     def __enter__(self) -> TileWorkers:
         # One waits a minute for a scheduler that does not answer.
         is_here = self._job.chosen.scheduler is None
-        if is_here and not any(self._run.stages_path.glob(f"{_SWEEP.name}_tile*")):
+        if is_here and not any(self._run.stages_path.glob("sweep_tile*")):
             self._starting = self._starter.submit(self._start)
         return self
 
@@ -112,12 +90,7 @@ class TileWorkers:
             return reused
         workers = self._started()
         saved = self._saved(shared, stage.name)
-        title = stage.name.capitalize()
-        names = [part_name(title, tile.number, len(parts)) for _, tile in parts]
-        title = f"{title} of {len(missing)} tiles"
-        if (forecast := self._job.progress.forecast) is not None:
-            forecast.join(names, title, len(missing) / len(parts))
-        computed, messages = self._compute(workers, saved, missing, title)
+        computed, messages = self._compute(workers, saved, missing, stage.name.capitalize(), len(reused))
         self._report(messages)
         return reused | computed
 
@@ -128,8 +101,6 @@ class TileWorkers:
         reused: dict[str, Path] = {}
         missing = []
         for stage, tile in parts:
-            if not stage.is_on(tile):
-                continue
             key = stage.key(tile, done)
             folder = reusable_result(stage, key, tile, self._run, resume=resume)
             if folder is not None:
@@ -141,15 +112,16 @@ class TileWorkers:
         return reused, missing
 
     def _compute(
-        self, workers: Workers, saved: Path | str, missing: Sequence[_MissingResult], title: str
+        self, workers: Workers, saved: Path | str, missing: Sequence[_MissingResult], title: str, num_reused: int
     ) -> tuple[dict[str, Path], dict[int, list[tuple[str, str]]]]:
         """Folders of the results by the name of their stage, and messages by the number of the task."""
         folders: dict[str, Path] = {}
         messages: dict[int, list[tuple[str, str]]] = {}
         with (
-            self._job.progress.stage(title, len(missing)) as step,
+            self._job.progress.stage(title, num_reused + len(missing)) as step,
             closing(workers.computed(saved, [each.task for each in missing])) as computed,
         ):
+            step.advance(num_reused)
             for number, place, seconds, lines in computed:
                 stage, key = missing[number].stage, missing[number].key
                 folder = self._fetched_result(stage, key, place)
@@ -203,8 +175,7 @@ class TileWorkers:
 
     def _start(self) -> Workers:
         chosen, tiles = self._job.chosen, self._job.tiles
-        number = 1 if tiles is None else tiles.workers
-        number = (chosen.workers or 1) if chosen.scheduler is not None else number
+        number = (chosen.workers or 1) if chosen.scheduler is not None else tiles.workers
         needs = WorkerNeeds(
             self._run.stages_path,
             self._job.survey.views[0].path,
@@ -217,82 +188,11 @@ class TileWorkers:
 @contextmanager
 def workers_of(job: Job, run: RunDir) -> Iterator[TileWorkers | None]:
     """Workers of a run; None where its own process computes all."""
-    if job.tiling is None or job.tiles is None or (job.tiles.workers < 2 and job.chosen.scheduler is None):
+    if job.tiling is None or (job.tiles.workers < 2 and job.chosen.scheduler is None):
         yield None
         return
     with TileWorkers(job, run) as workers:
         yield workers
-
-
-def run_tiled(job: Job, run: RunDir, workers: TileWorkers | None, *, resume: bool) -> dict[str, Path]:
-    """Run the stages of a job with a tiling; the folders of the stages by name."""
-    if job.tiling is None or job.tiles is None:
-        raise ValueError("expected a job with tiles")
-    done: dict[str, Path] = {}
-    tiles: list[TileJob] = []
-
-    def step(stage: Stage, of: Job = job) -> None:
-        if stage.is_on(of):
-            done[stage.name] = run_stage(stage, of, run, done, resume=resume)
-
-    def step_of_tiles(stage: Stage) -> None:
-        if workers is not None:
-            parts = [(_of_tile(stage, tile), tile) for tile in tiles]
-            done.update(workers.run(stage, parts, done, shared, resume=resume))
-            return
-        for tile in tiles:
-            step(_of_tile(stage, tile), tile)
-            tile.drop()
-
-    for stage in STAGES:
-        if stage.name == "sweep":
-            step(_TILES)
-            shared = read_shared(done["tiles"])
-            tiles += [TileJob(job, number, shared) for number in range(len(job.tiling))]
-            # To find them takes workers as long as this process.
-            shared = replace(shared, windows=tuple(tile.windows for tile in tiles))
-            step_of_tiles(_SWEEP)
-            step(_over(stage, merge_sweeps, tiles, ("sweep",)))
-        elif stage.name == "solver" and stage.is_on(job):
-            step(_over(replace(stage, name="figures", files=(FIGURES,)), learn_figures, tiles, ("sweep",)))
-            step_of_tiles(_SOLVER)
-            step(_over(stage, merge_solved, tiles, ("sweep", "solver")))
-        elif stage.name == "bed":
-            step_of_tiles(_BED)
-            step(_over(stage, merge_points, tiles, ("bed",)))
-        elif stage.name != "solver":
-            step(stage)
-    return done
-
-
-def _name(stage: str, tile: TileJob) -> str:
-    return f"{stage}_tile{tile.number + 1}"
-
-
-def _of_tile(stage: Stage, tile: TileJob) -> Stage:
-    """The stage of one tile, which needs those of the same tile and what all share."""
-    own = {_name(name, tile): name for name in stage.needs if name in ("sweep", "solver")}
-    shared = tuple(name for name in stage.needs if name not in own.values())
-
-    @wraps(stage.compute)
-    def compute(of: Job, folder: Path, needs: Mapping[str, Path]) -> None:
-        stage.compute(of, folder, {own.get(name, name): place for name, place in needs.items()})
-
-    return replace(stage, name=_name(stage.name, tile), needs=(*own, *shared), compute=compute)
-
-
-def _over(stage: Stage, merge: Merge, tiles: Sequence[TileJob], of_tiles: tuple[str, ...]) -> Stage:
-    """A stage of the whole survey that puts stages of tiles together."""
-    names = {name: [_name(name, tile) for tile in tiles] for name in of_tiles}
-    own = tuple(each for of_name in names.values() for each in of_name)
-
-    @wraps(merge)
-    def compute(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
-        found = {name: [needs[each] for each in of_name] for name, of_name in names.items()}
-        merge(job, folder, tiles, found, {name: place for name, place in needs.items() if name not in own})
-
-    shared = ("adjust",) if "adjust" in stage.needs else ()
-    return replace(stage, needs=(*own, *shared), compute=compute)
 
 
 def run_stages(
@@ -302,39 +202,20 @@ def run_stages(
 
     ``compares_sweep`` adds the cloud that the sweep alone would give, where the run is in one piece.
     """
-    if job.tiling is not None:
-        return run_tiled(job, run, workers, resume=resume)
     done: dict[str, Path] = {}
-    stages: Sequence[Stage] = [*STAGES, BED_OF_SWEEP] if compares_sweep else STAGES
-    of_round = [stage for stage in stages if stage.name in _EARLIER]
-    for stage in stages:
-        if stage.name == "sweep":
-            _begin_first_round(job)
-        if stage.is_on(job):
-            done[stage.name] = run_stage(stage, job, run, done, resume=resume)
-        number = 1
-        while stage.name == ASSESSMENT and job.aimed is not None and job.aimed.following is not None:
-            done = _after_round(done, number)
-            for repeated in of_round:
-                if repeated.is_on(job):
-                    done[repeated.name] = run_stage(repeated, job, run, done, resume=resume, explains=False)
-            number += 1
+    tiles: list[TileJob] = []
+    shared: TilePlan | None = None
+    for stage in [*STAGES, BED_OF_SWEEP] if compares_sweep else STAGES:
+        if not stage.is_on(job):
+            continue
+        parts = [(of_tile, tile) for tile in tiles if (of_tile := stage.of_tile(tile)) is not None]
+        if parts and workers is not None and shared is not None:
+            done.update(workers.run(stage, parts, done, shared, resume=resume))
+        else:
+            for of_tile, tile in parts:
+                done[of_tile.name] = run_stage(of_tile, tile, run, done, resume=resume)
+                tile.drop()
+        done[stage.name] = run_stage(stage.over(tiles), job, run, done, resume=resume)
+        if stage.name == "tiles":
+            tiles, shared = tiles_of(job, done["tiles"])
     return done
-
-
-def _begin_first_round(job: Job) -> None:
-    """Set the recipe of the first round."""
-    if job.aimed is not None:
-        job.aimed.has_begun = True
-        job.plan_again()
-
-
-def _after_round(done: Mapping[str, Path], number: int) -> dict[str, Path]:
-    """The folders of stages with those of a round renamed: as the next round and the record of the run name them."""
-    renamed = dict(done)
-    for name, earlier in _EARLIER.items():
-        if earlier in renamed:
-            renamed[f"{name} of round {number - 1}"] = renamed.pop(earlier)
-        if name in renamed:
-            renamed[earlier] = renamed.pop(name)
-    return renamed

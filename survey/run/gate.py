@@ -6,29 +6,36 @@ points by matching and given poses, without that of the datum by GPS or control,
 most one and a half ground sampling distances. The total standard deviation of a height, including what all share by
 water, lens and poses, is at most the same, or what IHO S-44's strictest order allows in shallow water (0.15 m at 95 %)
 where that is more: a level read to some centimetres is no failure of a low flight.
+
+A standard deviation or a time that was asked for is required, too.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from survey.display.column import ColumnStatistics
 from survey.display.quantities import NO_BREAK, length, share
-from survey.plan.recipe import MAX_STD_GSD, STD_QUANTILE, max_height_std
+from survey.plan.choices import STD_QUANTILE, Aim
+from survey.plan.recipe import MAX_STD_GSD, max_height_std
 from survey.report.collect import height_std
 from survey.report.facts import Gate, RunVerdict
 from survey.report.seen_cells import SeenCells, cells_of
-from survey.run.aimed_run import std_cells
 
 if TYPE_CHECKING:
+    from fields.sweep.bed import BedPoints
     from survey.folder.survey import Survey
     from survey.run.stored import StoredBed
 
 MIN_COVERED_SHARE = 0.5
 MIN_VIEWS = 2
+# Side of the cells in which a standard deviation that was asked for is required [ground sampling distances].
+_CELL_GSD = 10.0
+# Places that fewer views see than this have too few heights to average.
+_FEW_VIEWS = 4.0
 
 
 def verdict_of(survey: Survey, stored: StoredBed, gsd_m: float, cells: SeenCells | None = None) -> RunVerdict:
@@ -42,13 +49,28 @@ def verdict_of(survey: Survey, stored: StoredBed, gsd_m: float, cells: SeenCells
     )
 
 
-def asked_gate(stored: StoredBed, std_m: float) -> Gate:
+def gates_of_aim(aim: Aim, stored: StoredBed, seconds: float) -> tuple[Gate, ...]:
+    """Gates on what was asked for, of a run that has taken some time [s]."""
+    gates = [] if aim.std_m is None else [std_gate(stored, aim.std_m)]
+    if aim.seconds is not None:
+        sentence = f"the points were found after {seconds:.0f} s; required: at most {aim.seconds:g} s"
+        gates.append(Gate("run time", seconds, aim.seconds, "s", seconds <= aim.seconds, sentence))
+    return tuple(gates)
+
+
+def std_gate(stored: StoredBed, std_m: float) -> Gate:
     """Gate on the target standard deviation [m], with the dominant part where it is missed."""
     # Photographs cannot reduce the std of the datum by GPS or control.
-    bed = replace(stored.bed, std=stored.std_of_photographs()[:])
-    cells = std_cells(bed, stored.gsd_m)
+    cells = std_cells(replace(stored.bed, std=stored.std_of_photographs()[:]), stored.gsd_m)
     reached = cells.reached(std_m)
-    sentence = f"{cells.in_words(std_m)}; required: {share(STD_QUANTILE)} within the std asked for"
+    sentence = "no ground has points"
+    if len(cells.std):
+        most = 1e3 * float(np.quantile(cells.std, STD_QUANTILE))
+        sentence = (
+            f"{100 * reached:.1f} % of the ground has a std of at most {1e3 * std_m:.1f} mm; "
+            f"{100 * STD_QUANTILE:g} % of it has at most {most:.1f} mm"
+        )
+    sentence += f"; required: {share(STD_QUANTILE)} within the std asked for"
     if reached < STD_QUANTILE:
         sentence += f"; the rest is limited by {cells.limit(std_m)}"
     if stored.std_common is not None and np.isfinite(stored.std_common).any():
@@ -56,6 +78,48 @@ def asked_gate(stored: StoredBed, std_m: float) -> Gate:
     return Gate(
         "ground within the std asked for", 100.0 * reached, 100.0 * STD_QUANTILE, "%", reached >= STD_QUANTILE, sentence
     )
+
+
+@dataclass(frozen=True)
+class CellStd:
+    """Cells of the ground that have points; K of them, medians over their points."""
+
+    std: np.ndarray  # (K,) [m]
+    num_views: np.ndarray  # (K,)
+    depth: np.ndarray  # (K,) [m]: of water; NaN in a dry survey
+
+    def reached(self, std_m: float) -> float:
+        """Share of the cells within a standard deviation [m]; 1 without cells."""
+        return float((self.std <= std_m).mean()) if len(self.std) else 1.0
+
+    def limit(self, std_m: float) -> str:
+        """Dominant part of the standard deviation of most cells above the target."""
+        above = self.std > std_m
+        few = above & (self.num_views < _FEW_VIEWS)
+        if 2 * few.sum() > above.sum():
+            return "few photographs"
+        within, rest = self.depth[~above], self.depth[above & ~few]
+        if np.isfinite(within).any() and np.nanmedian(rest) > np.nanquantile(within, 0.75):
+            return "depth"
+        return "noise, texture and relief below the pixel"
+
+
+def std_cells(bed: BedPoints, gsd: float) -> CellStd:
+    """Cells of points of the bed; ``gsd`` [m] is the ground sampling distance."""
+    use = np.isfinite(bed.std)
+    place = np.floor(bed.xyz[use, :2] / (_CELL_GSD * gsd)).astype(np.int64)
+    _, cell = np.unique(place, axis=0, return_inverse=True)
+    return CellStd(
+        *(_medians(cell.ravel(), each[use].astype(np.float64)) for each in (bed.std, bed.num_views, bed.depth))
+    )
+
+
+def _medians(cell: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The lower median of the values of each cell, numbered from zero."""
+    order = np.lexsort((values, cell))
+    ends = np.append(np.flatnonzero(np.diff(cell[order])) + 1, len(cell))
+    starts = np.concatenate([[0], ends[:-1]])
+    return values[order][(starts + ends - 1) // 2] if len(cell) else np.empty(0)
 
 
 def _completeness(cells: SeenCells) -> Gate:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from threading import Event
@@ -17,8 +16,8 @@ from survey.errors import SurveyError
 from survey.files.toml_table import table_of
 from survey.photos.images import ImageStore
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
-from survey.plan.plan import make_plan
 from survey.plan.recipe import required_views
+from survey.plan.run_plan import RunPlan, plan_run
 from survey.plan.sweep_block import camera_of, cameras_of_block, load_block
 from survey.run.stored import ArrayFiles
 from survey.run.water_colour import colour_of
@@ -34,11 +33,8 @@ if TYPE_CHECKING:
     from refract import PinholeCamera
     from survey.folder.survey import Survey
     from survey.plan.choices import Choices
-    from survey.plan.plan import Plan
-    from survey.plan.tile_choice import TileChoice
     from survey.plan.tiling import Area, Tiling
     from survey.progress import Progress
-    from survey.run.aimed_run import AimedRun
 
 
 class Job:
@@ -51,15 +47,13 @@ class Job:
     chosen : Choices
     plan : Plan
     progress : Progress
-    aimed : AimedRun or None
-        Where the run has an aim in place of a quality: `survey.run.aimed_run`.
     workspace : Path or None
         Where structure from motion keeps its files.
     scratch : Path or None
         Folder for photographs that do not stay in memory; needed for tiles.
     tiling : Tiling or None
-        Of a survey that is worked on in tiles; set by `take_tiles`.
-    tiles : TileChoice or None
+        Of a survey that is worked on in tiles.
+    tiles : TileChoice
         The same with its reasons, and how many processes compute them.
     survey_job : Job
         Itself; of a tile the job of the whole survey.
@@ -73,56 +67,34 @@ class Job:
         chosen: Choices,
         progress: Progress,
         *,
-        aimed: AimedRun | None = None,
+        planned: RunPlan | None = None,
         workspace: Path | None = None,
         scratch: Path | None = None,
     ):
         self.survey, self.chosen, self.progress = survey, chosen, progress
-        self.aimed, self.workspace, self.scratch = aimed, workspace, scratch
+        self.workspace, self.scratch = workspace, scratch
         self.survey_job: Job = self
-        self.tiling: Tiling | None = None
-        self.tiles: TileChoice | None = None
+        self.planned = plan_run(survey, chosen) if planned is None else planned
+        self.plan, self.tiles = self.planned.plan, self.planned.tiles
+        self.tiling: Tiling | None = self.tiles.tiling
         self.waits_for_kernels = Event()
         self._found: dict[Path, Masks] = {}
         self._hashed: dict[str, str] = {}
         # Of which survey and plan these are.
         self._hashed_of: tuple[object, object] = (None, None)
-        self.plan = self._planned()
 
     def use_survey(self, survey: Survey) -> None:
         """Replace the survey by one of the same photographs, e.g. with adjusted water."""
         before = self._hashes_of_rays()
         self.survey = survey
-        self.plan = self._planned()
+        self.plan = self.planned.again(survey, self.chosen)
         if self._hashes_of_rays() != before:
-            self._clear_cached()
-
-    def take_tiles(self, tiles: TileChoice) -> None:
-        """Work in tiles, or in one, and say so in the plan."""
-        self.tiling, self.tiles = tiles.tiling, tiles
-        self.plan = self._planned()
-
-    def _clear_cached(self) -> None:
-        for name in ("block", "bound", "cameras", "outlines"):
-            self.__dict__.pop(name, None)
+            for name in ("block", "bound", "cameras", "outlines"):
+                self.__dict__.pop(name, None)
 
     def _hashes_of_rays(self) -> list[str]:
         """Inputs that determine the rays of the photographs and the search volume."""
         return [self.hash_of_part(name) for name in ("cameras", "water", "size", "device", "heights")]
-
-    def plan_again(self) -> None:
-        """Plan again by the present recipe of the aim."""
-        scale = self.plan.image_scale
-        self.plan = self._planned()
-        if self.plan.image_scale != scale:
-            self._clear_cached()
-
-    def _planned(self) -> Plan:
-        if self.aimed is None:
-            plan = make_plan(self.survey, self.chosen)
-            return plan if self.tiles is None else replace(plan, decisions=(*plan.decisions, *self.tiles.decisions))
-        plan = make_plan(self.survey, self.chosen, recipe=self.aimed.recipe)
-        return replace(plan, decisions=(*plan.decisions, *self.aimed.decisions))
 
     @cached_property
     def photographs(self) -> ImageStore:
@@ -272,7 +244,6 @@ class Job:
             "name": lambda: survey.name,
             "size": lambda: plan.image_scale,
             "gsd": lambda: plan.gsd_m,
-            "skips": lambda: plan.skips,
             "refined": lambda: plan.refines_points_only,
             "coverage": lambda: plan.recipe.times_seen,
             "boxes": lambda: plan.boxes,
@@ -288,7 +259,6 @@ class Job:
             "freed": lambda: self.chosen.calibrate_water,
             "water_colour": lambda: colour_of(survey),
             "true_colour": lambda: colour_of(survey) if self.chosen.true_colour else None,
-            "aim": lambda: None if self.aimed is None else self.aimed.aim,
         }
         return parts[name]()
 

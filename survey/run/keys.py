@@ -25,7 +25,6 @@ _WORDS = {
     "name": "the name of the survey",
     "size": "the size that images are worked on",
     "gsd": "the ground sampling distance",
-    "skips": "what is left out (--plan)",
     "refined": "which pixels the sweep refines (--field, or --quality)",
     "coverage": "the number of views per place (--quality, or the program)",
     "rays": "the rays that the field learns from (--quality, or the program)",
@@ -33,7 +32,6 @@ _WORDS = {
     "device": "the device",
     "water_colour": "the colour of the water",
     "true_colour": "--true-colour",
-    "aim": "--target-std or --time-budget",
     "code": "the program",
 }
 

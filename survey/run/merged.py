@@ -17,7 +17,7 @@ from survey.plan.sweep_block import cameras_of_block
 from survey.run.stage_bed import finish_bed
 from survey.run.stage_of_tile import gather_points
 from survey.run.stage_solver import SIGHTINGS, SOLVED
-from survey.run.stage_sweep import BOUND, CONSISTENCY, MAPS, SATURATED, SWEPT
+from survey.run.stage_sweep import BOUND, CONSISTENCY, MAPS, SATURATED
 from survey.run.stored_maps import Stored, save_maps
 from survey.run.tile_job import MASKS, OWN, StoredMasks, TileJob
 
@@ -40,8 +40,6 @@ def merge_sweeps(
     write_json(folder / BOUND, {"low_m": min(low), "high_m": max(high)})
     names = [view.name for view in job.survey.views]
     write_json(folder / SATURATED, dict(zip(names, job.block.saturated, strict=True)))
-    summary = {"views": views, "image_scale": job.plan.image_scale, "seconds": 0.0, "images_s": 0.0, "samples": 0.0}
-    write_json(folder / SWEPT, summary)
     found = [read_json_object(place / CONSISTENCY) for place in swept]
     write_json(folder / CONSISTENCY, {name: asdict(_together(found, name)) for name in names})
 

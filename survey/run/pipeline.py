@@ -2,37 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import wraps
 from pathlib import Path
 
+from survey.plan.tile_choice import SHARED
 from survey.run.folder import RunDir
 from survey.run.job import Job
 from survey.run.keys import Key
+from survey.run.merged import merge_points, merge_solved, merge_sweeps
 from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
 from survey.run.stage_adjust import MISFIT, adjust_block, check_poses, use_adjustment, use_misfit
-from survey.run.stage_assess import REACHED, assess_round, use_assessment
 from survey.run.stage_bed import FILES, make_bed
 from survey.run.stage_field import train_field
+from survey.run.stage_of_tile import FIGURES, POINTS, SQUARES, find_points, learn_figures, solve_tile, sweep_tile
 from survey.run.stage_solver import SIGHTINGS, SOLVED, solve_heights
-from survey.run.stage_sweep import (
-    BOUND,
-    CELLS,
-    EARLIER_ASSESSMENT,
-    EARLIER_SOLVER,
-    EARLIER_SWEEP,
-    MAPS,
-    SATURATED,
-    SWEPT,
-    sweep_views,
-    use_sweep,
-)
+from survey.run.stage_sweep import BOUND, CONSISTENCY, MAPS, SATURATED, sweep_views
+from survey.run.stage_tiles import find_shared
 from survey.run.stage_water_colour import estimate_colour, use_colour
 from survey.run.stored import FIELD_FILES
+from survey.run.tile_job import MASKS, TileJob
 from survey.run.water_colour import COLOUR_FILE, colour_is_known
 from survey.stage_key import code_hash
 
 Compute = Callable[["Job", Path, Mapping[str, Path]], None]
+# Gets the job, the folder to write to, the tiles, the folders of their stages by name, and those of other stages.
+Merge = Callable[["Job", Path, Sequence[TileJob], Mapping[str, list[Path]], Mapping[str, Path]], None]
+
+
+@dataclass(frozen=True)
+class InTiles:
+    """How a stage is computed where a survey has several tiles: each alone, and what they found put together.
+
+    What is put together has the form that a survey in one piece leaves: all that follows is the same.
+    """
+
+    merge: Merge
+    of_tiles: tuple[str, ...]  # Stages of the tiles that it reads
+    compute: Compute | None = None  # Of one tile; None where there is only something to put together
+    needs: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -48,6 +58,7 @@ class Stage:
     is_on: Callable[[Job], bool] = lambda _job: True  # callable: whether a job has this stage
     # callable, optional: changes the job by the result in a folder, whether computed now or earlier
     apply: Callable[[Job, Path], None] | None = None
+    in_tiles: InTiles | None = None  # None where it is computed for the whole survey in any case
 
     def key(self, job: Job, done: Mapping[str, Path]) -> Key:
         """Dependencies of the result, given the folders of the stages before."""
@@ -56,16 +67,56 @@ class Stage:
         parts |= {name: done[name].name for name in self.needs if name in done}
         return Key(parts | {"code": code_hash()})
 
+    def of_tile(self, tile: TileJob) -> Stage | None:
+        """The stage of one tile, which needs those of the same tile and what all share."""
+        own, compute = self.in_tiles, None if self.in_tiles is None else self.in_tiles.compute
+        if own is None or compute is None:
+            return None
+        names = {_name(name, tile): name for name in own.needs if name in _OF_TILES}
+        shared = tuple(name for name in own.needs if name not in _OF_TILES)
 
-def run_stage(
-    stage: Stage, job: Job, run: RunDir, done: Mapping[str, Path], *, resume: bool, explains: bool = True
-) -> Path:
-    """The folder of a stage: the one in the run where it is still right, else computed now.
+        @wraps(compute)
+        def computed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+            compute(job, folder, {names.get(name, name): place for name, place in needs.items()})
 
-    ``explains`` says why it is computed again where the run has results of it.
-    """
+        return replace(
+            self,
+            name=_name(self.name, tile),
+            needs=(*names, *shared),
+            files=own.files,
+            compute=computed,
+            apply=None,
+            in_tiles=None,
+        )
+
+    def over(self, tiles: Sequence[TileJob]) -> Stage:
+        """The stage of the whole survey that puts stages of its tiles together."""
+        if not tiles or (own := self.in_tiles) is None:
+            return self
+        merge, names = own.merge, {name: [_name(name, tile) for tile in tiles] for name in own.of_tiles}
+        of_tiles = tuple(each for of_name in names.values() for each in of_name)
+
+        @wraps(merge)
+        def merged(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+            places = {name: [needs[each] for each in of_name] for name, of_name in names.items()}
+            merge(job, folder, tiles, places, {name: place for name, place in needs.items() if name not in of_tiles})
+
+        shared = ("adjust",) if "adjust" in self.needs else ()
+        return replace(self, needs=(*of_tiles, *shared), compute=merged)
+
+
+# Stages that each tile has.
+_OF_TILES = ("sweep", "solver", "bed")
+
+
+def _name(stage: str, tile: TileJob) -> str:
+    return f"{stage}_tile{tile.number + 1}"
+
+
+def run_stage(stage: Stage, job: Job, run: RunDir, done: Mapping[str, Path], *, resume: bool) -> Path:
+    """The folder of a stage: the one in the run where it is still right, else computed now."""
     key = stage.key(job, done)
-    folder = reusable_result(stage, key, job, run, resume=resume, explains=explains)
+    folder = reusable_result(stage, key, job, run, resume=resume)
     if folder is None:
         temp = run.open_stage(stage.name)
         stage.compute(job, temp, {name: done[name] for name in stage.needs if name in done})
@@ -76,16 +127,14 @@ def run_stage(
     return folder
 
 
-def reusable_result(
-    stage: Stage, key: Key, job: Job, run: RunDir, *, resume: bool, explains: bool = True
-) -> Path | None:
+def reusable_result(stage: Stage, key: Key, job: Job, run: RunDir, *, resume: bool) -> Path | None:
     """The folder of a stage in the run where its key still holds; None, and a note why, where it has to be computed."""
     folder = run.finished_stage(stage.name, key, stage.files) if resume else None
     if folder is not None:
         job.progress.note(f"{stage.name}: used again, nothing that it depends on has changed")
         return folder
     why = run.recompute_reason(stage.name, key) if resume else "--no-resume"
-    if explains and why is not None:
+    if why is not None:
         job.progress.note(f"{stage.name}: computed again: {why}")
     return None
 
@@ -114,23 +163,25 @@ def _is_solved(job: Job) -> bool:
     return job.plan.field == "solver"
 
 
-def _is_aimed(job: Job) -> bool:
-    return job.aimed is not None
+def _has_tiles(job: Job) -> bool:
+    return job.tiling is not None
+
+
+def _is_solved_in_tiles(job: Job) -> bool:
+    return _has_tiles(job) and _is_solved(job)
 
 
 def _has_slab(job: Job) -> bool:
     return job.plan.field == "slab"
 
 
-def _is_refined(job: Job) -> bool:
-    return _is_solved(job) or _has_slab(job)
+def _is_refined_in_one(job: Job) -> bool:
+    return not _has_tiles(job) and (_is_solved(job) or _has_slab(job))
 
 
 # What decides the rays of the photographs, and the size and the pixels that are worked on.
 _RAYS = ("photographs", "cameras", "water", "device")
-_VIEWS = (*_RAYS, "size", "skips")
-# The stage that ends a round of a run with an aim.
-ASSESSMENT = "reached"
+_VIEWS = (*_RAYS, "size")
 
 STAGES = (
     Stage(
@@ -152,29 +203,38 @@ STAGES = (
         apply=use_adjustment,
     ),
     Stage(
+        name="tiles",
+        needs=(),
+        depends_on=(*_VIEWS, "heights", "area", "coverage", "refined", "tiles"),
+        files=(SHARED,),
+        compute=find_shared,
+        is_on=_has_tiles,
+    ),
+    Stage(
         name="sweep",
-        needs=(EARLIER_SWEEP, EARLIER_ASSESSMENT),
-        depends_on=(*_VIEWS, "heights", "area", "coverage", "refined", "aim"),
-        files=(MAPS, BOUND, SATURATED, SWEPT),
+        needs=(),
+        depends_on=(*_VIEWS, "heights", "area", "coverage", "refined"),
+        files=(MAPS, BOUND, SATURATED, CONSISTENCY),
         compute=sweep_views,
-        apply=use_sweep,
+        in_tiles=InTiles(merge_sweeps, ("sweep",), sweep_tile, files=(MAPS, MASKS, SQUARES)),
+    ),
+    Stage(
+        name="figures",
+        needs=("sweep",),
+        depends_on=(*_VIEWS, "gsd"),
+        files=(FIGURES,),
+        compute=solve_heights,
+        is_on=_is_solved_in_tiles,
+        in_tiles=InTiles(learn_figures, ("sweep",)),
     ),
     Stage(
         name="solver",
-        needs=("sweep", EARLIER_SWEEP, EARLIER_SOLVER),
-        depends_on=(*_VIEWS, "gsd", "aim"),
+        needs=("sweep",),
+        depends_on=(*_VIEWS, "gsd"),
         files=(SOLVED, SIGHTINGS),
         compute=solve_heights,
         is_on=_is_solved,
-    ),
-    Stage(
-        name=ASSESSMENT,
-        needs=("adjust", "sweep", "solver"),
-        depends_on=(*_VIEWS, "area", "gsd", "aim"),
-        files=(REACHED, CELLS),
-        compute=assess_round,
-        is_on=_is_aimed,
-        apply=use_assessment,
+        in_tiles=InTiles(merge_solved, ("sweep", "solver"), solve_tile, ("sweep", "figures"), (SOLVED, SIGHTINGS)),
     ),
     Stage(
         name="water_colour",
@@ -199,8 +259,11 @@ STAGES = (
         depends_on=(*_VIEWS, "water_settings", "priors", "area", "frame", "name", "gsd", "true_colour", "boxes"),
         files=FILES,
         compute=make_bed,
+        in_tiles=InTiles(merge_points, ("bed",), find_points, ("sweep", "solver"), (POINTS,)),
     ),
 )
 
 # What the cloud would be of the sweep alone: a baseline for the report.
-BED_OF_SWEEP = replace(STAGES[-1], name="bed_of_sweep", needs=("adjust", "sweep"), is_on=_is_refined)
+BED_OF_SWEEP = replace(
+    STAGES[-1], name="bed_of_sweep", needs=("adjust", "sweep"), in_tiles=None, is_on=_is_refined_in_one
+)

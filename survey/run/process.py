@@ -1,6 +1,6 @@
 """`bathynerf process`: from a survey folder to a run folder.
 
-    check -> stages (survey.run.pipeline) -> cloud.las -> comparison -> report -> verdict
+    check -> plan -> stages (survey.run.pipeline) -> cloud.las -> comparison -> report -> verdict
 
 Stages leave their result in the run folder and are used again while what they depend on is the same. Cloud, report,
 settings and plan are the result of a run and take the place of an earlier one together, at the end.
@@ -8,41 +8,26 @@ settings and plan are the result of a run and take the place of an earlier one t
 
 from __future__ import annotations
 
+import time
 from contextlib import AbstractContextManager, nullcontext, suppress
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
 
-from survey import machine
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.files.outputs import ReadFiles, require_folder
 from survey.files.remote import Remote, is_url, local_run
 from survey.folder.found import Found, process_config, survey_inputs
 from survey.folder.survey import Survey, load_survey
-from survey.forecast import Forecast
 from survey.plan.check import Checked, require_processable
-from survey.plan.choices import Choices, Device
-from survey.plan.decisions import require_placeable
-from survey.plan.plan import device_decision, make_plan
-from survey.plan.rates import parts_in_tiles, parts_s
-from survey.plan.recipe import aim_and_choices
-from survey.plan.tile_choice import SHARED, TileChoice, choose_tiles, require_dask, with_free_cores
-from survey.plan.tiling import tile_warnings
-from survey.plan.workload import (
-    amounts_of_run,
-    parts_of_found,
-    require_room,
-    survey_amounts,
-    workload_of,
-    workload_of_found,
-)
+from survey.plan.choices import Choices, Device, choices_of
+from survey.plan.decisions import Decision, require_placeable
+from survey.plan.plan import device_decision
+from survey.plan.run_plan import RunPlan, plan_run
+from survey.plan.tile_choice import SHARED, require_dask
+from survey.plan.workload import require_room, workload_of_images
 from survey.progress import Progress, opened
-from survey.run.aimed_run import AimedRun
-from survey.run.clock import Clock
-from survey.run.feasibility import begin_aimed_run, require_some_time
 from survey.run.folder import RunDir
 from survey.run.repeat import Truth
 from survey.run.result import Owner
@@ -54,8 +39,6 @@ if TYPE_CHECKING:
     from survey.sfm.distributed import Workers
 
 QUALITY_GATE_FAILED = 3
-# Load of the machine from which the forecast of the time counts it.
-_BUSY = 1.3
 
 
 def process(
@@ -71,7 +54,6 @@ def process(
     time_gone_s: float = 0.0,
     chooses_workers: bool = False,
     poses: str | None = None,
-    plan: str | None = None,
     image_scale: float | None = None,
     calibrate_water: bool | None = None,
     true_colour: bool | None = None,
@@ -93,23 +75,21 @@ def process(
         Default ``survey_folder/bathynerf``. A URL, as "s3://bucket/run": results are put there, what is finished there
         is taken up, and the run works in a hidden folder of the survey.
     quality : "draft", "standard" or "fine", optional
-        Default "standard", unless an aim is set by one of the next two.
+        Default "standard", unless it is chosen by one of the next two.
     device : "auto", "cpu" or "cuda", optional
     field : "auto", "solver", "slab" or "off", optional
         What refines the heights of the sweep: least squares over all photographs, a tensor field trained in a slab,
         for ``render --field``, or nothing; "auto" leaves it to the plan.
     target_std_m : [m], optional
-        Standard deviation that is wanted on 95 % of the ground: as little work as reaches it.
+        Standard deviation that is wanted on 95 % of the ground: the least work that is foreseen to reach it.
     time_budget_s : [s], optional
-        What the whole run may take, but for the comparison with a reference: the best that fits.
+        What the run may take until the report: the best that is foreseen to fit.
     time_gone_s : [s]
         How much of that is gone already, with the start of the program.
     chooses_workers : bool
         Choose ``workers`` by tiles, cores and memory where no number is given, as the command line does.
     poses : "auto", "fixed" or "refine", optional
         Whether poses and lens are adjusted together with the water; "auto" leaves it to the plan.
-    plan : "auto" or "full", optional
-        Leave out what the scene does not need, or nothing: what that costs, docs/plan.md has.
     image_scale : float, optional
         At which photographs are worked on: 1, a half, a quarter, ...; default by their size and the quality.
     resume : bool
@@ -141,19 +121,19 @@ def process(
     SurveyError, GeoError
         Where the input is at fault.
     """
+    began = time.monotonic() - time_gone_s
     survey_folder = Path(survey_folder)
     url = str(run_folder) if is_url(run_folder) else None
     run_folder = local_run(survey_folder, run_folder)
     truth = Truth(*(None if path is None else Path(path) for path in (reference, visible)))
     _require_inputs(survey_folder, run_folder, truth)
-    given = ProcessConfig(
+    asked = ProcessConfig(
         quality=quality,
         target_std_m=target_std_m,
         time_budget_s=time_budget_s,
         device=device,
         field=field,
         poses=poses,
-        plan=plan,
         image_scale=image_scale,
         calibrate_water=calibrate_water,
         true_colour=true_colour,
@@ -162,33 +142,27 @@ def process(
         workers=workers,
         scheduler=scheduler,
     )
-    aim, chosen = aim_and_choices(given.over(process_config(survey_folder)))
-    require_some_time(aim)
-    clock = None if aim is None or aim.seconds is None else Clock(aim.seconds, time_gone_s)
+    chosen = choices_of(asked.over(process_config(survey_folder)))
     checked = _require_possible(survey_folder, chosen)
-    with opened() as progress, _run_in(run_folder, url) as run:
+    with opened() as progress, progress.run(), _run_in(run_folder, url) as run:
         _claim(run, checked.found)
         progress.log_to(run.log_path)
         if checked.level_warning is not None:
             progress.warn(checked.level_warning)
-        if aim is None:
-            _forecast(progress, checked, chosen)
-        # By the URL of a run workers do not see the photographs before a task names them.
-        spreads = computing_on(partial(_workers_of_sfm, chosen, run, checked.found, progress))
-        with spreads if chosen.scheduler is not None and url is None else nullcontext():
-            survey = checked.survey or load_survey(
-                survey_folder, found=checked.found, workspace=run.sfm_path, report=progress.note
+        survey = checked.survey or _with_poses(checked, chosen, run, progress)
+        aim = None
+        if chosen.aim is not None:
+            chosen, aim = _for_aim(
+                survey, chosen, time.monotonic() - began, progress, refuses=checked.survey is not None
             )
-        aimed = None
-        if aim is not None:
-            aimed = begin_aimed_run(aim, survey, chosen, clock, progress, refuses=checked.survey is not None)
-        tiles_chosen = _announce(progress, survey, chosen, aimed, run, chooses_workers)
+        earlier = run.latest_stage_json(SHARED).get("tiles")
+        planned = plan_run(survey, chosen, aim=aim, chooses_workers=chooses_workers, earlier_tiles=earlier)
+        _announce(survey, planned, run, progress)
         # Starts torch and Dr.Jit: only after everything that the user may have to fix was checked.
         from survey.run.job import Job
 
-        job = Job(survey, chosen, progress, aimed=aimed, workspace=run.sfm_path, scratch=run.scratch_path)
-        job.take_tiles(tiles_chosen)
-        return _to_the_end(run, job, resume, truth)
+        job = Job(survey, chosen, progress, planned=planned, workspace=run.sfm_path, scratch=run.scratch_path)
+        return _to_the_end(run, job, truth, began, resume=resume)
 
 
 def _require_inputs(survey_folder: Path, run_folder: Path, truth: Truth) -> None:
@@ -227,64 +201,53 @@ def _require_possible(survey_folder: Path, chosen: Choices) -> Checked:
     return checked
 
 
-def _workers_of_sfm(chosen: Choices, run: RunDir, found: Found, progress: Progress) -> AbstractContextManager[Workers]:
-    """Workers of the scheduler, for features and matches."""
-    from survey.run.start_workers import WorkerNeeds, workers_for
-
-    needs = WorkerNeeds(run.stages_path, next(iter(found.images.values())))
-    return workers_for(chosen.workers or 1, chosen.scheduler, needs, progress.note)
-
-
-def _forecast(progress: Progress, checked: Checked, chosen: Choices) -> None:
-    """Initialise the remaining time by stated rates and the load of the machine."""
-    progress.forecast = Forecast(machine.measure_load().slowdown)
-    if checked.survey is not None:
-        return
-    workload = workload_of_found(checked.found, chosen)
-    progress.forecast.expect(parts_of_found(checked.found, chosen))
-    if (slowdown := progress.forecast.slowdown) >= _BUSY:
-        workload = workload.on_loaded_cores(slowdown)
+def _with_poses(checked: Checked, chosen: Choices, run: RunDir, progress: Progress) -> Survey:
+    """The survey with poses from structure from motion, on the workers of a scheduler where there is one."""
+    found = checked.found
+    workload = workload_of_images([header.size_px for header in found.headers.values()], chosen)
     progress.note(f"workload: {workload}")
+    progress.expect(workload.parts_s)
+
+    def workers() -> AbstractContextManager[Workers]:
+        from survey.run.start_workers import WorkerNeeds, workers_for
+
+        needs = WorkerNeeds(run.stages_path, next(iter(found.images.values())))
+        return workers_for(chosen.workers or 1, chosen.scheduler, needs, progress.note)
+
+    # By the URL of a run workers do not see the photographs before a task names them.
+    spreads = chosen.scheduler is not None and type(run) is RunDir
+    with computing_on(workers) if spreads else nullcontext():
+        return load_survey(found.folder, found=found, workspace=run.sfm_path, report=progress.note)
 
 
-def _announce(
-    progress: Progress,
-    survey: Survey,
-    chosen: Choices,
-    aimed: AimedRun | None,
-    run: RunDir,
-    chooses_workers: bool,
-) -> TileChoice:
-    """Print plan and cost; raise where memory or disk cannot suffice. Returns the tiles."""
-    plan = make_plan(survey, chosen, recipe=None if aimed is None else aimed.recipe)
+def _for_aim(
+    survey: Survey, chosen: Choices, gone_s: float, progress: Progress, *, refuses: bool
+) -> tuple[Choices, Decision]:
+    """The choices with quality and image scale for their aim, and the decision on these."""
+    # Loads the adjustment, which most runs do not need before their stages.
+    from survey.run.aim import plan_for_aim
+
+    aimed = plan_for_aim(survey, chosen, gone_s=gone_s, refuses=refuses)
+    progress.note(f"asked: {chosen.aim}")
+    for text in aimed.warnings:
+        progress.warn(text)
+    return aimed.chosen, aimed.decision
+
+
+def _announce(survey: Survey, planned: RunPlan, run: RunDir, progress: Progress) -> None:
+    """Print plan and workload; raise where memory or disk cannot suffice."""
+    plan, workload = planned.plan, planned.workload
     progress.note(f"{survey.name}: {len(survey.views)} views, a pixel covers {length(plan.gsd_m)} of the ground")
     for text in survey.findings.assumptions:
         progress.note(f"assumed: {text}")
     for text in survey.findings.warnings:
         progress.warn(text)
-    earlier = run.latest_stage_json(SHARED).get("tiles")
-    counted = survey_amounts(survey, plan)
-    in_one = workload_of(survey, plan, counted)
-    is_aimed = aimed is not None
-    tiles = choose_tiles(survey, plan, chosen, in_one, is_aimed=is_aimed, earlier=earlier, counted=counted)
-    tiles = with_free_cores(tiles, chosen) if chooses_workers else tiles
-    for decision in (*plan.decisions, *tiles.decisions):
+    for decision in plan.decisions:
         progress.note(f"plan: {decision.name}: {decision.choice} ({decision.reason})")
-    if aimed is not None:
-        # An aim may come to need its largest recipe.
-        top = make_plan(survey, chosen, recipe=aimed.recipes[-1])
-        workload = workload_of(survey, top).on_loaded_cores(aimed.rates.slowdown)
-    else:
-        workload = replace(in_one, memory_bytes=int(tiles.memory_bytes))
-        if progress.forecast is not None and plan.device == "llvm":
-            parts = parts_s(amounts_of_run(survey, plan, counted), machine.num_cores())
-            progress.forecast.expect(parts if tiles.tiling is None else parts_in_tiles(parts, len(tiles.tiling)))
-            slowdown = progress.forecast.slowdown
-            workload = workload if slowdown < _BUSY else workload.on_loaded_cores(slowdown)
-    progress.note(f"workload: {'' if aimed is None else 'with the largest recipe, '}{workload}")
-    for text in (*tile_warnings(survey, plan, tiles.tiling), *require_room(workload, run.path)):
+    progress.note(f"workload: {workload}")
+    for text in (*planned.warnings, *require_room(workload, run.path)):
         progress.warn(text)
-    return tiles
+    progress.expect(workload.parts_s)
 
 
 def _import_products(job: Job) -> None:
@@ -294,7 +257,7 @@ def _import_products(job: Job) -> None:
         import survey.run.products  # noqa: F401
 
 
-def _to_the_end(run: RunDir, job: Job, resume: bool, truth: Truth) -> int:
+def _to_the_end(run: RunDir, job: Job, truth: Truth, began: float, *, resume: bool) -> int:
     """Stages, result and verdict; the exit code."""
     from survey.run.execution import run_stages, workers_of
 
@@ -305,7 +268,7 @@ def _to_the_end(run: RunDir, job: Job, resume: bool, truth: Truth) -> int:
         done = run_stages(job, run, workers, resume=resume, compares_sweep=truth.reference is not None)
         from survey.run.products import FinishedRun, write_products
 
-        finished = FinishedRun(run, job, done, truth, result)
+        finished = FinishedRun(run, job, done, truth, result, time.monotonic() - began)
         verdict = write_products(finished, None if workers is None else workers.started)
     run.publish(result, quality=job.plan.quality, stages=done)
     job.progress.detail(f"report: {run.report_html_path}")

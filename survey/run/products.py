@@ -41,7 +41,7 @@ from survey.report.pictures import draw_pictures
 from survey.report.seen_cells import CoverageFigures, SeenCells, cells_of, coverage_of
 from survey.run.flight import save_flight
 from survey.run.folder import RunDir, seconds_of, versions, versions_of
-from survey.run.gate import asked_gate, verdict_of
+from survey.run.gate import gates_of_aim, verdict_of
 from survey.run.job import Job
 from survey.run.repeat import Truth, options_of, settings_text
 from survey.run.report_tasks import draw_on
@@ -106,6 +106,7 @@ class FinishedRun:
     stages: Mapping[str, Path]  # Their folders, by name
     truth: Truth
     result: Path  # Folder of the new result; it takes its place in the run afterwards
+    seconds: float  # Of the run so far [s]
 
 
 def write_products(finished: FinishedRun, workers: Workers | None = None) -> RunVerdict:
@@ -160,7 +161,7 @@ def _write_report(finished: FinishedRun, stored: StoredBed, draw: Draw) -> RunVe
     save_flight(folder, job.survey)
     progress.note(f"{len(stored.bed):,} points of the bed")
     cells = cells_of(job.survey, stored.bed.xyz, job.plan.gsd_m)
-    verdict = _verdict(job, stored, cells)
+    verdict = _verdict(finished, stored, cells)
     facts = _facts(finished, stored, options, cells, verdict)
     for text in (*dry_warnings(job.survey, stored.bed), *photograph_warnings(facts.photographs)):
         progress.warn(text)
@@ -178,13 +179,11 @@ def _write_report(finished: FinishedRun, stored: StoredBed, draw: Draw) -> RunVe
     return verdict
 
 
-def _verdict(job: Job, stored: StoredBed, cells: SeenCells) -> RunVerdict:
-    """The quality gates, with that of the standard deviation that was asked for."""
-    verdict = verdict_of(job.survey, stored, job.plan.gsd_m, cells)
-    aim = None if job.aimed is None else job.aimed.aim
-    if aim is None or aim.std_m is None:
-        return verdict
-    return RunVerdict((*verdict.gates, asked_gate(stored, aim.std_m)))
+def _verdict(finished: FinishedRun, stored: StoredBed, cells: SeenCells) -> RunVerdict:
+    """The quality gates, with those of what was asked for."""
+    job = finished.job
+    verdict, aim = verdict_of(job.survey, stored, job.plan.gsd_m, cells), job.chosen.aim
+    return verdict if aim is None else RunVerdict((*verdict.gates, *gates_of_aim(aim, stored, finished.seconds)))
 
 
 def _facts(

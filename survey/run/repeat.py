@@ -13,14 +13,13 @@ from survey.settings.tables import ProcessConfig
 
 def options_of(job: Job, truth: Truth) -> dict:
     """Effective options of a run by name, and under ``command`` the command that repeats it."""
-    chosen, plan, aim = job.chosen, job.plan, None if job.aimed is None else job.aimed.aim
+    chosen, plan, aim = job.chosen, job.plan, job.chosen.aim
     asked = {} if aim is None else {"target_std_m": aim.std_m, "time_budget_s": aim.seconds}
     return {
         "quality": plan.quality,
         "device": plan.device,
         "field": plan.field,
         "poses": plan.pose_choice,
-        "plan": chosen.plan,
         "image_scale": plan.image_scale,
         "calibrate_water": chosen.calibrate_water,
         "true_colour": chosen.true_colour,
@@ -32,7 +31,7 @@ def options_of(job: Job, truth: Truth) -> dict:
 
 def command_of(job: Job, truth: Truth) -> str:
     """The command line of a run, without its run folder."""
-    chosen, aim = job.chosen, None if job.aimed is None else job.aimed.aim
+    chosen, aim = job.chosen, job.chosen.aim
     by_file = job.survey.config.process
     options = {
         "quality": chosen.quality if aim is None else None,
@@ -41,8 +40,7 @@ def command_of(job: Job, truth: Truth) -> str:
         "device": chosen.device,
         "field": chosen.field,
         "poses": chosen.poses,
-        "plan": chosen.plan,
-        "image-scale": chosen.image_scale,
+        "image-scale": chosen.image_scale if aim is None else None,
         "calibrate-water": chosen.calibrate_water,
         "true-colour": chosen.true_colour,
         "tiles": chosen.tiles,

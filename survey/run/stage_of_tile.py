@@ -19,7 +19,7 @@ from survey.plan.area import grown
 from survey.plan.tiling import inside
 from survey.run.stage_bed import in_crs, points_of_bed
 from survey.run.stage_solver import SIGHTINGS, SOLVED, solve_with
-from survey.run.stage_sweep import BOUND, CONSISTENCY, MAPS, SATURATED, SWEPT, restore_overlap_height, sweep_views
+from survey.run.stage_sweep import BOUND, CONSISTENCY, MAPS, SATURATED, restore_overlap_height, sweep_views
 from survey.run.stored import Column, mapped_arrays, save_arrays, write_arrays
 from survey.run.stored_maps import IN_MEMORY, Stored, save_maps
 from survey.run.tile_job import KEPT, MASKS, OWN, StoredMasks, TileJob, pack_masks
@@ -40,7 +40,6 @@ def sweep_tile(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
         for name in (SATURATED, CONSISTENCY):
             write_json(folder / name, {})
         write_json(folder / BOUND, {"low_m": tile.bound[0], "high_m": tile.bound[1]})
-        write_json(folder / SWEPT, {"views": []})
         save_arrays(folder / MASKS, **pack_masks({KEPT: [], OWN: []}))
         write_json(folder / SQUARES, {"pixels": []})
         return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -72,3 +73,11 @@ def read_shared(folder: Path) -> TilePlan:
         return TilePlan((found["low_m"], found["high_m"]), found["views"])
     bounds = tuple((low, high) for low, high in found["bounds"])
     return TilePlan((min(low for low, _ in bounds), max(high for _, high in bounds)), found["views"], bounds)
+
+
+def tiles_of(job: Job, folder: Path) -> tuple[list[TileJob], TilePlan]:
+    """The tiles of a job by the result of `find_shared`, and what they share."""
+    shared = read_shared(folder)
+    tiles = [TileJob(job, number, shared) for number in range(len(job.tiling or ()))]
+    # To find the windows takes workers as long as this process.
+    return tiles, replace(shared, windows=tuple(tile.windows for tile in tiles))

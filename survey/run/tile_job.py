@@ -16,7 +16,6 @@ from fields.sweep.block import Block
 from fields.sweep.views import ground_points
 from survey.errors import SurveyError
 from survey.plan.area import flattened, grown, limits
-from survey.plan.rates import part_name
 from survey.plan.sweep_block import backend
 from survey.plan.tiling import Area, places_of
 from survey.run.job import Job
@@ -106,7 +105,7 @@ class TileJob(Job):
             )
             for w in self.windows
         )
-        self.survey, self.chosen, self.aimed = replace(survey, views=views), survey_job.chosen, None
+        self.survey, self.chosen = replace(survey, views=views), survey_job.chosen
         self.progress: Any = _ProgressOfTile(survey_job.progress, number, len(survey_job.tiling))
         self.workspace, self.scratch = None, None
         self.waits_for_kernels = survey_job.waits_for_kernels
@@ -333,7 +332,7 @@ class _ProgressOfTile:
     @contextmanager
     def stage(self, name: str, total: float | None = None) -> Iterator[Step]:
         """`Progress.stage` with the tile in the name."""
-        with self._progress.stage(part_name(name, self._number, self._count), total) as step:
+        with self._progress.stage(name, total, part=(self._number, self._count)) as step:
             yield step
 
     def note(self, text: str) -> None:

@@ -25,6 +25,7 @@ from survey.stage_key import code_hash
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey
+    from survey.plan.run_plan import RunPlan
     from survey.run.job import Job
     from survey.run.tile_job import TileJob, TilePlan
 
@@ -50,7 +51,7 @@ def save_job(job: Job, found: TilePlan, folder: Path, stage: str) -> Path:
     """
     block = job.block
     path = folder / f"{stage}-{uuid.uuid4().hex}.pickle"
-    parts = with_absolute_paths(job.survey), job.chosen, job.tiles, found, block.images, block.saturated
+    parts = with_absolute_paths(job.survey), job.chosen, job.planned, found, block.images, block.saturated
     with write_whole(path) as stream:
         stream.write(pickle.dumps(parts))
     return path.absolute()
@@ -79,14 +80,15 @@ class WorkerJob:
     """Job of a survey on a worker, made of its parts; ``images`` are `GreyImages` of the whole photographs."""
 
     def __init__(
-        self, survey: Survey, chosen: Any, tiles: Any, found: TilePlan, images: Any, saturated: Sequence[float]
+        self, survey: Survey, chosen: Any, planned: RunPlan, found: TilePlan, images: Any, saturated: Sequence[float]
     ):
         from fields.sweep.block import Block
         from survey.plan.sweep_block import backend, cameras_of_block
         from survey.run.job import Job
 
-        self.survey_job = Job(survey, chosen, cast(Any, _RecordedProgress()))
-        self.survey_job.take_tiles(tiles)
+        # The device is that of the worker.
+        planned = replace(planned, plan=planned.again(survey, chosen))
+        self.survey_job = Job(survey, chosen, cast(Any, _RecordedProgress()), planned=planned)
         self._found = found
         cameras, plan = cameras_of_block(survey, self.survey_job.plan), self.survey_job.plan
         self.survey_job.__dict__["block"] = Block(
@@ -149,13 +151,11 @@ def forget_jobs() -> None:
 class _RecordedProgress:
     """Progress of a worker: it keeps what is said, for the process of the run."""
 
-    forecast = None
-
     def __init__(self) -> None:
         self.lines: list[tuple[str, str]] = []
 
     @contextmanager
-    def stage(self, _name: str, total: float | None = None) -> Iterator[_Step]:
+    def stage(self, _name: str, total: float | None = None, *, part: object = None) -> Iterator[_Step]:
         """Silent `Progress.stage`."""
         yield _Step(total)
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from survey.errors import ConfigError
 from survey.files.toml_table import key, require_one_of
-from survey.words import SCALES, Device, Drop, Field, Plan, Poses, Quality
+from survey.words import SCALES, Device, Drop, Field, Poses, Quality
 
 # Of three numbers each counts for one axis.
 Std = float | tuple[float, float, float]
@@ -50,7 +50,7 @@ def per_axis(value: Std) -> tuple[float, float, float]:
 
 # An aim chooses quality, field and image scale itself, so that both kinds exclude each other.
 _RECIPE, _AIM = ("quality", "field", "image_scale"), ("target_std_m", "time_budget_s")
-_WORDS = {"quality": Quality, "device": Device, "field": Field, "poses": Poses, "plan": Plan}
+_WORDS = {"quality": Quality, "device": Device, "field": Field, "poses": Poses}
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,6 @@ class ProcessConfig:
     device: str | None = key(None, "one of auto, cpu, cuda", one_of=Device)
     field: str | None = key(None, "one of auto, solver, boxes, slab, off", one_of=Field)
     poses: str | None = key(None, "one of auto, fixed, refine", one_of=Poses)
-    plan: str | None = key(None, "one of auto, full", one_of=Plan)
     image_scale: float | None = key(None, "1, 0.5, 0.25, ...", one_of=SCALES)
     calibrate_water: bool | None = None
     true_colour: bool | None = None

@@ -21,8 +21,9 @@ from survey.plan.area import ASSUMED_DEPTH_M, in_the_middle
 from survey.plan.check import CheckSection
 from survey.plan.check_inputs import Verdict, verdict_by_limits, verdict_text
 from survey.plan.check_light import LOST_GOOD, glitter_text, lost_share, motion_text, sun_text
-from survey.plan.choices import Choices
+from survey.plan.choices import USUAL, Choices
 from survey.plan.glitter import GlitterOfFlight
+from survey.plan.gsd import gsd_m
 from survey.plan.plan import make_plan
 from survey.plan.workload import room_warnings, workload_of
 from survey.settings.config import AreaConfig, SurveyConfig, WaterConfig
@@ -39,14 +40,14 @@ _STEP_MIN, _LOWEST_SUN_DEG = 15, 15.0
 _NO_TIME = 'unknown: give [light] time, e.g. time = "2026-07-14T09:30+02:00"'
 
 
-def check_plan(path: Path, *, quality: str, device: str, wind_m_s: float) -> list[CheckSection]:
+def check_plan(path: Path, *, chosen: Choices = USUAL, wind_m_s: float) -> list[CheckSection]:
     """Pre-analysis of a planned flight; nothing is written.
 
     Parameters
     ----------
     path : Path
         Scene file (docs/simulation.md), of which place, water, depth, camera, flight, light and shutter count.
-    quality, device : str
+    chosen : Choices
         Of the run that is estimated.
     wind_m_s : [m/s]
         For sun glitter.
@@ -58,11 +59,11 @@ def check_plan(path: Path, *, quality: str, device: str, wind_m_s: float) -> lis
     """
     plan = flight_of(path)
     survey = survey_of(plan)
-    foreseen = foreseen_section(survey, depth_m=depth_of(plan), chosen=Choices(quality=quality))
+    foreseen = foreseen_section(survey, depth_m=depth_of(plan), chosen=chosen)
     sections = [
         CheckSection("Flight", tuple(_flight_rows(plan, survey))),
         CheckSection("Light and motion", tuple(_light_rows(plan, survey, wind_m_s))),
-        CheckSection("Processing", tuple(_processing_rows(survey, quality, device))),
+        CheckSection("Processing", tuple(_processing_rows(survey, chosen))),
     ]
     return sections if foreseen is None else [*sections[:1], foreseen, *sections[1:]]
 
@@ -171,7 +172,7 @@ def _light_rows(plan: ScenePlan, survey: Survey, wind_m_s: float) -> list[tuple[
                 ("hours", _hours_text(flight, time, place, wind_m_s)),
             ]
     settings = plan.settings
-    pixel = make_plan(survey, Choices(quality="fine")).gsd_m
+    pixel = gsd_m(survey, Choices(quality="fine"))
     return [*rows, ("motion", motion_text(settings.flight.speed_m_s, settings.sensor.shutter_s, pixel))]
 
 
@@ -200,8 +201,8 @@ def _hours_text(flight: GlitterOfFlight, time: datetime, place: tuple[float, flo
     return f"{hours}: little glitter, and the sun at {_LOWEST_SUN_DEG:g} degrees or higher"
 
 
-def _processing_rows(survey: Survey, quality: str, device: str) -> list[tuple[str, str]]:
-    plan = make_plan(survey, Choices(quality=quality, device=device))
+def _processing_rows(survey: Survey, chosen: Choices) -> list[tuple[str, str]]:
+    plan = make_plan(survey, chosen)
     rows = [(d.name, f"{d.choice}: {d.reason}") for d in plan.decisions if d.name in ("field", "image scale", "device")]
     workload = workload_of(survey, plan)
     warnings = room_warnings(workload, survey.folder)

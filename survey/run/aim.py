@@ -1,0 +1,222 @@
+"""Quality and image scale of a run with a target standard deviation or a time budget, by what is foreseen before it.
+
+Candidates are the image scales, each without the solver (draft) and with it (standard). What an image scale does to the
+standard deviation of points is foreseen from the poses, what it takes from the amounts of work on an idle machine;
+docs/targets.md compares both with finished runs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from survey.adjust.result.foreseen import foresee
+from survey.display.quantities import length
+from survey.errors import SurveyError
+from survey.folder.survey import Survey
+from survey.plan.area import ASSUMED_DEPTH_M
+from survey.plan.choices import STD_QUANTILE, Aim, Choices
+from survey.plan.decisions import Decision
+from survey.plan.gsd import gsd_m, image_scale_of
+from survey.plan.plan import make_plan
+from survey.plan.workload import workload_of
+from survey.progress import rough
+from survey.words import SCALES, Quality
+
+# Standard deviation that 95 % of the ground stayed within on surveys so far, over the foreseen one: the least, and the
+# most, where there are walls, noise and little texture (docs/targets.md).
+REACHED_PER_FORESEEN = (1.0, 6.5)
+# What estimated times may be short by.
+_RESERVE = 1.2
+# Smaller images are not matched [px along the longer side]: at 256 px errors of data/quick are five times those at 512.
+_LEAST_SIDE_PX = 400
+# Standard deviations that can be asked for: in pixels of the largest images at least, of the smallest at most.
+_LEAST_PX, _MOST_PX = 0.01, 10.0
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A quality at an image scale, with what is foreseen of it."""
+
+    quality: str
+    image_scale: float
+    # [m]: of a point by matching, foreseen from the poses; NaN where the solver, which alone gives one to rely on, is
+    # left out, and where too few views overlap
+    std_m: float
+    seconds: float | None  # Of a whole run on an idle machine; None on a device whose rates were not measured
+
+    @property
+    def most_std_m(self) -> float:
+        """Standard deviation [m] that `STD_QUANTILE` of the ground stays within, as far as surveys so far tell."""
+        return REACHED_PER_FORESEEN[1] * self.std_m
+
+    @property
+    def std_range(self) -> str:
+        """Range of the standard deviation on `STD_QUANTILE` of the ground, in words."""
+        low, high = (length(factor * self.std_m) for factor in REACHED_PER_FORESEEN)
+        return f"{low} to {high} on {100 * STD_QUANTILE:g} % of the ground"
+
+    def __str__(self) -> str:
+        return f"{self.quality} at image scale {self.image_scale:g}"
+
+
+@dataclass(frozen=True)
+class AimedPlan:
+    """Choice for an aim."""
+
+    chosen: Choices  # With quality and image scale
+    decision: Decision  # Line of the plan
+    warnings: tuple[str, ...]  # Reasons against reaching the standard deviation, as sentences
+    candidates: tuple[Candidate, ...]  # In ascending order of work
+
+    @property
+    def rows(self) -> tuple[tuple[str, str], ...]:
+        """What is foreseen of each candidate, and the choice, as labelled sentences."""
+        rows = [("asked", str(self.chosen.aim))]
+        for each in self.candidates:
+            std = each.std_range if math.isfinite(each.std_m) else ""
+            time = "" if each.seconds is None else f"about {rough(each.seconds)} on an idle machine"
+            rows.append((str(each), ", ".join(part for part in (std, time) if part)))
+        return (
+            *rows,
+            ("chosen", f"{self.decision.choice}: {self.decision.reason}"),
+            *(("", text) for text in self.warnings),
+        )
+
+
+def plan_for_aim(
+    survey: Survey, chosen: Choices, *, gone_s: float = 0.0, refuses: bool = True, depth_m: float = ASSUMED_DEPTH_M
+) -> AimedPlan:
+    """Choose quality and image scale for the aim of a run whose poses are known.
+
+    Parameters
+    ----------
+    survey : Survey
+    chosen : Choices
+        With an aim.
+    gone_s : [s]
+        Time of the budget that has passed.
+    refuses : bool
+        Whether a time that is too short is an error; otherwise the shortest run follows, with a warning.
+    depth_m : [m]
+        Of the bed under the water.
+
+    Raises
+    ------
+    SurveyError
+        If the time is too short or cannot be foreseen, the standard deviation cannot be meant, or no view looks down.
+    """
+    aim = chosen.aim
+    if aim is None:
+        raise ValueError("expected choices with an aim")
+    foreseen = foresee(survey, depth_m=depth_m, chosen=chosen)
+    scales = _scales(survey)
+    _require_plausible_std(aim, gsd_m(survey, replace(chosen, image_scale=1.0)), scales)
+    # Matches are as good in pixels at any scale.
+    full_m = math.nan
+    if foreseen is not None:
+        full_m = foreseen.heights.of_point_m * image_scale_of(survey, chosen)
+    candidates = tuple(
+        _candidate(survey, chosen, quality, scale, full_m / scale)
+        for scale in scales
+        for quality in (Quality.draft.value, Quality.standard.value)
+    )
+    warnings = []
+    if aim.std_m is not None:
+        common = math.nan if foreseen is None else foreseen.heights.of_all_m
+        warnings += _std_warnings(aim.std_m, candidates[-1], common)
+    best, reason = _wanted(aim, candidates)
+    if aim.seconds is not None:
+        best, reason = _in_time(aim.seconds - gone_s, candidates[: candidates.index(best) + 1], reason, refuses=refuses)
+        if best.seconds is not None and _RESERVE * best.seconds > aim.seconds - gone_s:
+            warnings.append(reason)
+    return AimedPlan(
+        replace(chosen, quality=best.quality, image_scale=best.image_scale),
+        Decision("aim", str(best), reason),
+        tuple(warnings),
+        candidates,
+    )
+
+
+def _scales(survey: Survey) -> list[float]:
+    """Image scales that can be matched, ascending; 1 is one of them however small the photographs are."""
+    side = min(max(view.lens.width, view.lens.height) for view in survey.views)
+    return sorted(scale for scale in SCALES if scale == 1.0 or scale * side >= _LEAST_SIDE_PX)
+
+
+def _candidate(survey: Survey, chosen: Choices, quality: str, scale: float, std_m: float) -> Candidate:
+    plan = make_plan(survey, replace(chosen, quality=quality, image_scale=scale))
+    return Candidate(quality, scale, std_m if plan.field == "solver" else math.nan, workload_of(survey, plan).seconds)
+
+
+def _wanted(aim: Aim, candidates: Sequence[Candidate]) -> tuple[Candidate, str]:
+    """The candidate with the least work that reached the standard deviation on surveys so far, else the last; why."""
+    if aim.std_m is None:
+        return candidates[-1], "whole photographs, with the solver"
+    asked = f"{length(aim.std_m)}"
+    for each in candidates:
+        if each.most_std_m <= aim.std_m:
+            return each, f"the least work that is foreseen to reach {asked}: {each.std_range}"
+    return candidates[-1], f"nothing is sure to reach {asked}; whole photographs come nearest"
+
+
+def _in_time(left_s: float, candidates: Sequence[Candidate], reason: str, *, refuses: bool) -> tuple[Candidate, str]:
+    """The last candidate that fits into the time, and why; `candidates` end with what is wanted.
+
+    One without the solver is taken only where none with it fits.
+    """
+    foreseen = [each.seconds for each in candidates]
+    seconds = [each for each in foreseen if each is not None]
+    if len(seconds) < len(foreseen):
+        raise SurveyError(
+            "--time-budget needs an estimate of the run time, and there are rates for --device cpu with LLVM alone; "
+            "give --quality or --target-std instead"
+        )
+    needed = [_RESERVE * each for each in seconds]
+    fitting = [each for each, time in zip(candidates, needed, strict=True) if time <= left_s]
+    solving = [each for each in fitting if each.quality == Quality.standard]
+    left = f"{left_s:.0f} s"
+    if not fitting:
+        words = (
+            f"this survey takes at least about {math.ceil(min(needed))} s on this machine when idle, a reserve of "
+            f"{100 * (_RESERVE - 1):.0f} % included, and {left} are left"
+        )
+        if refuses:
+            raise SurveyError(f"--time-budget is too short: {words}; give more, or a smaller [area]")
+        return candidates[0], f"{words}: the shortest run follows"
+    best = (solving or fitting)[-1]
+    time = seconds[list(candidates).index(best)]
+    if best is candidates[-1]:
+        return best, f"{reason}; about {rough(time)} on an idle machine, of {left}"
+    longer = f"{candidates[-1]} would take about {rough(seconds[-1])}"
+    return best, f"the best that fits into {left}: about {rough(time)} on an idle machine; {longer}"
+
+
+def _require_plausible_std(aim: Aim, pixel_m: float, scales: Sequence[float]) -> None:
+    """Raise for a target std beyond what pixels of whole photographs [m] and of the smallest scale can give."""
+    if aim.std_m is None:
+        return
+    least, most = _LEAST_PX * pixel_m, _MOST_PX * pixel_m / scales[0]
+    if not least <= aim.std_m <= most:
+        raise SurveyError(
+            f"--target-std {aim.std_m:g} is in metres, expected {least:.2g} to {most:.2g} here, a hundredth of a pixel "
+            f"of the largest images to {_MOST_PX:g} of the smallest; 0.02 is 20 mm"
+        )
+
+
+def _std_warnings(std_m: float, best: Candidate, common_m: float) -> list[str]:
+    """Reasons against reaching a standard deviation, as sentences."""
+    asked, sentences = f"asked is a standard deviation of {length(std_m)}", []
+    if best.most_std_m > std_m:
+        sentences.append(
+            f"{asked}, but photographs of this size and overlap give {best.std_range}, by texture, noise and relief; "
+            "lower or with more overlap it would be sure"
+        )
+    if common_m > std_m:
+        sentences.append(
+            f"{asked} for the points themselves; water, lens and poses add about {length(common_m)} common to all "
+            "points, which no processing reduces: state what is known better ([water] level_std_m, index_std; "
+            "position_std_m), or give control points"
+        )
+    return sentences

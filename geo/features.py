@@ -48,7 +48,13 @@ class Feature:
     """A geometry with its attributes."""
 
     geometry: BaseGeometry  # Easting or longitude first
-    properties: dict[str, Any]
+    properties: dict[str, Any]  # With the layer of a drawing and the folder of KML as "layer"
+
+    @property
+    def layer(self) -> str:
+        """The layer by its attributes; empty for none."""
+        named = (str(value) for name, value in self.properties.items() if str(name).casefold() == "layer" and value)
+        return next(named, "")
 
     def parts(self) -> Iterator[BaseGeometry]:
         """The points, lines and polygons that the geometry consists of."""
@@ -74,6 +80,17 @@ def layer_of(path: str | Path) -> tuple[Path, str | None]:
     """
     found = _WITH_LAYER.fullmatch(str(path))
     return (Path(path), None) if found is None or Path(path).exists() else (Path(found[1]), found[2])
+
+
+def layers_of(path: Path) -> list[str | None]:
+    """The layers with geometries of a GeoPackage; None alone for other files, whose features say their layer."""
+    if existing_file(path).suffix.lower() != ".gpkg":
+        return [None]
+    try:
+        layers = vector_library(path).list_layers(path.absolute()).tolist()
+    except RuntimeError as error:
+        raise UnreadableFile(f"{path} has no layers that can be read ({str(error)[:80]}); export it again.") from error
+    return [str(name) for name, kind in layers if kind is not None]
 
 
 def read_features(path: str | Path, kind: str, layer: str | None = None) -> Features:
@@ -164,8 +181,14 @@ def _of_markup(path: Path) -> Iterator[Feature]:
         raise UnreadableFile(
             f"{path} begins with <{root.tag[:40]}>, expected <{path.suffix[1:].lower()}>; export it again."
         )
+    # Of folders in each other the inner one counts, which comes later.
+    folders = {
+        item: (folder.findtext("name") or "").strip()
+        for folder in root.iter("Folder")
+        for item in folder.iter("Placemark")
+    }
     for item in root.iter():
-        named = {"name": (item.findtext("name") or "").strip()}
+        named = {"name": (item.findtext("name") or "").strip(), "layer": folders.get(item, "")}
         if item.tag == "Placemark":
             geometries = [_of_kml(part) for part in item.iter() if part.tag in ("Point", "LineString", "Polygon")]
         elif item.tag in ("wpt", "rte", "trk"):

@@ -175,9 +175,9 @@ def test_lines_of_every_format_are_the_same(tmp_path, suffix):
         ("l.geojson", '{"type": "LineString", "coordinates": [[1, 2], [1, null]]}', "has no lines that can be read"),
         ("l.geojson", "[1, 2]", "has no lines that can be read"),
         ("l.geojson", "{", "has no lines that can be read"),
-        ("l.gpkg", "no database", "has no lines that can be read"),
-        ("l.dxf", "no drawing", "has no lines that can be read"),
-        ("l.kml", "<kml/>", "expected lines as one of .geojson, .gpkg, .shp, .dxf"),
+        ("l.gpkg", "no database", "does not begin as a file with the suffix .gpkg does"),
+        ("l.dxf", "no drawing", "does not begin as a file with the suffix .dxf does"),
+        ("l.gpx", "<gpx/>", "expected lines as one of .geojson, .kml, .gpkg, .shp, .dxf"),
     ],
 )
 def test_a_file_without_lines_is_refused(tmp_path, name, text, words):

@@ -137,7 +137,10 @@ def test_a_key_of_a_later_version_is_refused_with_what_to_give_instead(key):
         ("[water]\nlevel_m = nan", "water.level_m is nan, expected a finite number"),
         ("[water]\nlevel_m = 'high'", "water.level_m is 'high', expected a finite number"),
         ("[water]\nlevel_m = true", "water.level_m is True, expected a finite number"),
-        ("[water]\nlevel_m = 1\nslope_north = 4.0", "slope_north is 4, expected a rise in metres per metre"),
+        (
+            "[water]\nlevel_m = 1\nslope_north = 4.0",
+            "slope_east and slope_north are 0 and 4, 76 degrees, expected a rise of at most 0.065",
+        ),
         ("[water]\nlevel_m = 1\nrefractive_index = 0.75", "refractive_index is 0.75, expected 1.0 to 1.6"),
         ("[water]\nlevel_m = 1\nrefractive_index = 1.3\ntemperature_c = 3", "contradict each other"),
         ("[water]\nlevel_m = 1\nsalinity_psu = 3", "salinity_psu without temperature_c"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pyogrio.raw
@@ -11,11 +12,14 @@ import shapely
 from pyproj import Transformer
 
 from geo.crs import parse_crs
+from geo.vectors import DxfLine, write_dxf
 from survey.errors import ConfigError
 from survey.folder.survey import load_survey
 from survey.plan.check import check_survey
+from survey.settings.config import parse_config
+from survey.water.level import with_level
 from survey.water.level_observation import points_of_surface
-from survey.water.surface_features import _HEIGHT_NAMES, points_of_features
+from survey.water.surface_features import HEIGHT_NAMES, points_of_features
 from tests.small_survey import E0, LEVEL, N0, replaced, rows_of, small_survey, unposed
 
 CRS = parse_crs("EPSG:25832+5778")
@@ -62,7 +66,7 @@ def test_an_older_file_names_its_crs_and_a_contour_line_its_height(tmp_path):
     np.testing.assert_allclose(points, np.array(RING[:3])[:, :2].tolist() @ np.eye(2, 3) + [0, 0, LEVEL], atol=1e-4)
 
 
-HEIGHTS = [name for each in _HEIGHT_NAMES for name in (each, each.upper(), each.title())]
+HEIGHTS = [name for each in HEIGHT_NAMES for name in (each, each.upper(), each.title())]
 
 
 @pytest.mark.parametrize("kind", ["Point", "MultiPoint", "LineString", "MultiLineString", "Polygon", "MultiPolygon"])
@@ -91,7 +95,6 @@ def test_a_property_is_the_height_where_all_third_coordinates_are_zero(tmp_path,
         ({"level": 2.0, "ELEV": 5.0}, ["level = 2", "elev = 5"]),
         ({"z": 1.0, "height": "3"}, ["height = 3", "z = 1"]),
         ({"depth": 2.5}, ["depth = 2.5"]),
-        ({"level_ft": 6.5}, ["level_ft = 6.5"]),
         ({"Wasserstand_Hoehe": 6.5}, ["Wasserstand_Hoehe = 6.5"]),
     ],
 )
@@ -131,7 +134,9 @@ def test_other_vector_files_give_the_same_points(tmp_path, suffix):
     )  # fmt: skip
     found, notes = points_of_surface(path, "shoreline", CRS)
     np.testing.assert_allclose([(*each.place, each.level_m) for each in found], RING[:3], atol=1e-6)
-    assert notes == (() if crs else ("shore.dxf names no CRS: taken as crs",))
+    assert notes.warnings == ()
+    of_unit = "shore.dxf has units of 0.0254 m by its $INSUNITS, and coordinates that are in the area of crs without: "
+    assert notes.assumptions == (() if crs else (f"{of_unit}taken as they are", "shore.dxf names no CRS: taken as crs"))
 
 
 @pytest.mark.parametrize(("code", "is_refused"), [("EPSG:25832+5778", False), ("EPSG:25832+7837", True)])
@@ -264,3 +269,147 @@ def test_a_mark_of_no_data_is_no_level(tmp_path, mark):
     ring = [[x, y, mark] for x, y, *_ in RING]
     with pytest.raises(ConfigError, match="a no-data value; remove those points"):
         points_of_features(written(tmp_path, feature("LineString", ring)), CRS)
+
+
+def lines_of(heights: dict[str, float], *, step: float = 0.0) -> dict[str, list]:
+    """A line of 12 vertices in each layer, at its height and falling by ``step`` from one to the next."""
+    return {
+        name: [[E0 + 3 * i, N0 + 2 * i + 10 * n, height - step * i] for i in range(12)]
+        for n, (name, height) in enumerate(heights.items())
+    }
+
+
+def write_layers(path, lines: dict[str, list]) -> None:
+    """Lines of layers in the form of the suffix of a path."""
+    kind = path.suffix
+    if kind in (".geojson", ".kml"):
+        to_lonlat = Transformer.from_crs("EPSG:25832", "EPSG:4326", always_xy=True)
+        lines = {name: [[*to_lonlat.transform(e, n), h] for e, n, h in line] for name, line in lines.items()}
+    if kind == ".geojson":
+        features = [feature("LineString", line, Layer=name) for name, line in lines.items()]
+        path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    elif kind == ".kml":
+        texts = {name: " ".join(",".join(map(repr, place)) for place in line) for name, line in lines.items()}
+        marks = (
+            f"<Folder><name>{name}</name><Placemark><LineString><coordinates>{text}</coordinates></LineString>"
+            "</Placemark></Folder>"
+            for name, text in texts.items()
+        )
+        path.write_text(f'<kml xmlns="http://www.opengis.net/kml/2.2"><Document>{"".join(marks)}</Document></kml>')
+    elif kind == ".csv":
+        rows = [f"{n}{i},{name},{e},{no},{h}" for n, (name, line) in enumerate(lines.items())
+                for i, (e, no, h) in enumerate(line)]  # fmt: skip
+        path.write_text("\n".join(["name,code,easting,northing,height", *rows]))
+    elif kind == ".dxf":
+        write_dxf(path, [DxfLine(name, np.array(line)) for name, line in lines.items()], CRS)
+    else:
+        driver = {".gpkg": "GPKG", ".shp": "ESRI Shapefile"}[kind]
+        shapes = [shapely.to_wkb(shapely.LineString(line), flavor="iso") for line in lines.values()]
+        names = [np.array([name], object) for name in lines]
+        parts = [
+            ([shape], of, {"layer": of[0], "append": path.exists()}) for shape, of in zip(shapes, names, strict=True)
+        ]
+        for shape, of, options in [(shapes, np.array(list(lines), object), {})] if kind == ".shp" else parts:
+            pyogrio.raw.write(
+                path, np.array(shape, object), [of], ["layer"], geometry_type="LineString Z", crs="EPSG:25832",
+                driver=driver, **options,
+            )  # fmt: skip
+
+
+KINDS = [".geojson", ".kml", ".csv", ".dxf", ".gpkg", ".shp"]
+
+
+@pytest.mark.parametrize("suffix", KINDS)
+@pytest.mark.parametrize("other", [LEVEL + 2.0, LEVEL - 0.8, LEVEL + 30.0, LEVEL + 0.2])
+def test_layers_of_several_heights_are_named_and_one_is_asked_for(tmp_path, suffix, other):
+    path = tmp_path / f"plan{suffix}"
+    write_layers(path, lines_of({"WATERLINE": LEVEL, "CONTOURS": other}))
+    words = (
+        rf"2 layers or codes .* WATERLINE \({LEVEL:.2f}\), CONTOURS \({other:.2f}\); give .* \[water\] layer = \"WATER"
+    )
+    with pytest.raises(ConfigError, match=words):
+        points_of_surface(path, "shoreline", CRS)
+    found, _ = points_of_surface(path, "shoreline", CRS, "WATERLINE")
+    assert {round(each.level_m, 6) for each in found} == {LEVEL}
+    assert len(points_of_surface(path, "shoreline", CRS, "WATERLINE, CONTOURS")[0]) == 24
+    with pytest.raises(ConfigError, match=r'no layer (or code )?"SHORE", .*: WATERLINE, CONTOURS'):
+        points_of_surface(path, "shoreline", CRS, "SHORE")
+
+
+@pytest.mark.parametrize("suffix", KINDS)
+def test_layers_of_one_height_are_one_water(tmp_path, suffix):
+    path = tmp_path / f"plan{suffix}"
+    write_layers(path, lines_of({"WEST": LEVEL, "EAST": LEVEL + 0.04}))
+    assert len(points_of_surface(path, "shoreline", CRS)[0]) == 24
+
+
+@pytest.mark.parametrize("key", ["shoreline", "gnss_points", "surface"])
+@pytest.mark.parametrize("suffix", KINDS)
+def test_a_slope_beyond_that_of_a_rapid_is_refused_from_every_source(tmp_path, key, suffix):
+    write_layers(tmp_path / f"plan{suffix}", lines_of({"a": LEVEL, "b": LEVEL}, step=0.4))
+    config = parse_config(f'[water]\n{key} = "plan{suffix}"\nlayer = "a,b"\n')
+    with pytest.raises(ConfigError, match=rf"\[water\] {key} have slopes .* degrees, expected a rise of at most 0.065"):
+        with_level(tmp_path, config, {}, CRS)
+    write_layers(tmp_path / f"river{suffix}", lines_of({"a": LEVEL, "b": LEVEL}, step=0.02))
+    config = parse_config(f'[water]\n{key} = "river{suffix}"\nlayer = "a,b"\n')
+    assert with_level(tmp_path, config, {}, CRS)[0].water.slope_east != 0.0
+
+
+def test_points_of_the_bed_among_those_of_the_water_are_named(tmp_path):
+    rows = [f"{E0 + 3 * i},{N0 + (i * i) % 13},{LEVEL - (1.0 if i in (3, 8) else 0.0):.3f}" for i in range(16)]
+    (tmp_path / "rod.csv").write_text("easting,northing,height\n" + "\n".join(rows))
+    found = with_level(tmp_path, parse_config('[water]\ngnss_points = "rod.csv"\n'), {}, CRS)
+    assert any("2 of 16 points" in text and "under it" in text for text in found[3].warnings)
+
+
+@pytest.mark.parametrize(
+    ("code", "unit_m"), [(4, 1e-3), (5, 1e-2), (2, 0.3048), (21, 1200 / 3937), (6, 1.0), (1, None), (0, None)]
+)
+@pytest.mark.parametrize("scales", [True, False])
+def test_the_unit_of_a_drawing_counts_where_its_coordinates_have_it(tmp_path, code, unit_m, scales):
+    path, factor = tmp_path / "plan.dxf", unit_m if scales and unit_m else 1.0
+    places = np.array(lines_of({"a": LEVEL})["a"]) / factor
+    write_dxf(path, [DxfLine("a", places)], CRS)
+    text = path.read_text()
+    path.write_text(re.sub(r"(\$INSUNITS\s+70\s+)6", rf"\g<1>{code}", text))
+    found, notes = points_of_features(path, CRS)
+    np.testing.assert_allclose(found, np.array(lines_of({"a": LEVEL})["a"]), atol=1e-5)
+    assert any("$INSUNITS" in note for note in notes) == (code not in (6, 0))
+
+
+@pytest.mark.parametrize(("code", "is_refused"), [(4, True), (2, True), (6, False), (1, False), (0, False)])
+def test_a_unit_of_a_drawing_that_nothing_decides_is_refused(tmp_path, code, is_refused):
+    path, local = (
+        tmp_path / "plan.dxf",
+        parse_crs("+proj=tmerc +lat_0=47 +lon_0=10 +ellps=GRS80 +units=m +vunits=m +type=crs"),
+    )
+    write_dxf(path, [DxfLine("a", np.array(lines_of({"a": LEVEL})["a"]))], local)
+    path.write_text(re.sub(r"(\$INSUNITS\s+70\s+)6", rf"\g<1>{code}", path.read_text()))
+    if is_refused:
+        with pytest.raises(ConfigError, match=r"by its .INSUNITS, expected 1 m as in"):
+            points_of_features(path, local)
+    else:
+        assert len(points_of_features(path, local)[0]) == 12
+
+
+@pytest.mark.parametrize(
+    ("name", "note"), [("lon", "taken as longitude and latitude of WGS 84"), ("grid", "taken as crs")]
+)
+def test_what_geojson_without_crs_is_taken_for_is_said(tmp_path, name, note):
+    line = lines_of({"a": LEVEL})["a"]
+    if name == "lon":
+        to_lonlat = Transformer.from_crs("EPSG:25832", "EPSG:4326", always_xy=True)
+        line = [[*to_lonlat.transform(e, n), h] for e, n, h in line]
+    assert note in points_of_features(written(tmp_path, feature("LineString", line)), CRS)[1][0]
+
+
+def test_kml_on_the_ground_has_no_heights(tmp_path):
+    write_layers(tmp_path / "a.kml", lines_of({"a": 0.0}))
+    with pytest.raises(ConfigError, match="features without a height"):
+        points_of_features(tmp_path / "a.kml", CRS)
+
+
+@pytest.mark.parametrize(("name", "metres"), [("level_ft", 0.3048), ("elev_cm", 0.01), ("z", 1.0), ("height [m]", 1.0)])
+def test_a_property_with_a_unit_is_converted(tmp_path, name, metres):
+    found, _ = points_of_features(written(tmp_path, feature("LineString", [[1, 2], [3, 4]], **{name: 650.0})), CRS)
+    assert set(found[:, 2].tolist()) == {650.0 * metres}

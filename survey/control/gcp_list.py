@@ -22,13 +22,7 @@ _HALF_A_PIXEL = 0.5
 
 
 def read_gcp_list(path: Path) -> Content:
-    """Points and marks.
-
-    Raises
-    ------
-    ControlError
-        If the line with the CRS is missing, or a line is not of the form above.
-    """
+    """Points and marks."""
     lines = [(n, line) for n, line in text_lines(path, ControlError) if is_of_content(line)]
     if not lines:
         raise ControlError(f"{path} is empty, expected a line with its CRS, then lines {_FORM}; write it again")

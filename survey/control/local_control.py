@@ -32,11 +32,6 @@ def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) ->
     ----------
     points : of GivenPoint, in crs
     cameras : (N, 3) in crs
-
-    Raises
-    ------
-    ControlError
-        If a point lies kilometres from all cameras; says so where its columns are swapped, or degrees.
     """
     if not points:
         return []
@@ -63,13 +58,7 @@ def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) ->
 
 
 def require_metres(points: Sequence[GivenPoint], crs: CRS) -> None:
-    """Raise where a point has degrees and crs has none; for points without cameras to lie near.
-
-    Raises
-    ------
-    ControlError
-        With the point.
-    """
+    """Raise where a point has degrees and crs has none; for points without cameras to lie near."""
     for point in points:
         if _is_in_degrees(point, crs):
             east, north, _ = point.place

@@ -22,14 +22,7 @@ _EXPORT = "in Metashape, File > Export > Export Markers writes them"
 
 
 def read_metashape_xml(path: Path) -> Content:
-    """Points that have coordinates, and the marks that were set or confirmed by hand.
-
-    Raises
-    ------
-    ControlError
-        If the file is no XML or not safe, has no markers or those of several chunks, a marker or camera without its
-        label, or a number that is not finite.
-    """
+    """Points that have coordinates, and the marks that were set or confirmed by hand."""
     root = read_xml(path, "the markers", ControlError)
     chunks = [chunk for chunk in (*root.iter("chunk"), root) if chunk.find(".//marker") is not None]
     if not chunks:

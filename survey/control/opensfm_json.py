@@ -21,13 +21,7 @@ _FORM = '{"points": [{"id": ..., "position": {...}, "observations": [...]}]}'
 
 
 def read_opensfm_json(path: Path) -> Content:
-    """Points that have a whole position, and all marks.
-
-    Raises
-    ------
-    ControlError
-        If the file is no JSON of that form, or a number in it is not finite.
-    """
+    """Points that have a whole position, and all marks."""
     content = read_foreign_json(path, ControlError)
     given = content.get("points") if isinstance(content, dict) else None
     if not isinstance(given, list) or not given:

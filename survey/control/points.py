@@ -124,13 +124,7 @@ _CHECK, _CONTROL = ("check", "checkpoint", "check point", "cp"), ("control", "gc
 
 
 def is_check_role(role: str, where: str) -> bool:
-    """Whether the word for a point's role means a check point.
-
-    Raises
-    ------
-    ControlError
-        If it means nothing.
-    """
+    """Whether the word for a point's role means a check point."""
     word = role.strip().casefold()
     if word not in (*_CHECK, *_CONTROL):
         raise ControlError(f'{where}: the role is "{role[:40]}", expected control or check; correct it')

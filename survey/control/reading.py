@@ -56,14 +56,6 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS) -> tuple[list[GivenPoint], Fi
     """Points with their coordinates in the crs of a survey; heights keep their datum.
 
     The findings state what was transformed, with warnings about inaccurate transformations.
-
-    Raises
-    ------
-    ControlError
-        If a point does not lie on the map of crs.
-    GeoError
-        If heights count from another datum or have no unit, a grid of the best transformation is missing, or PROJ
-        knows none.
     """
     done, findings = list(points), Findings()
     for source, units in dict.fromkeys((point.crs, point.units) for point in points):
@@ -135,13 +127,7 @@ class MergedControl:
 
 
 def read_control(path: Path) -> Content:
-    """Contents of a file of control, in any known format.
-
-    Raises
-    ------
-    ControlError
-        If there is no such file, its format is not known, or its content cannot be true.
-    """
+    """Contents of a file of control, in any known format."""
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "does not exist"
         raise ControlError(f"the control file {path} {what}; correct [control] in survey.toml")
@@ -167,11 +153,6 @@ def merge_control(
     ----------
     contents : of each file
     sizes : name of a photograph to (width, height) [px]
-
-    Raises
-    ------
-    ControlError
-        If a point has two places, a mark lies outside its photograph or has two places in it, or nothing is left.
     """
     given = [point for content in contents for point in content.points]
     given, findings = in_crs(given, crs)

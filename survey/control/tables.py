@@ -35,13 +35,7 @@ _MARK_COLUMNS = ("image", "name", "x", "y")
 
 
 def read_coordinates(path: Path) -> Content:
-    """The points of a table ``name,easting,northing,height``, with columns of their accuracy and role if it has them.
-
-    Raises
-    ------
-    ControlError
-        If a column is missing, a value is not a finite number, or a role or an accuracy cannot be.
-    """
+    """The points of a table ``name,easting,northing,height``, with their accuracy and role if it has these."""
     columns, optional = ("name", *PLACE), ("std", "std_horizontal", *STDS, "role", "enable")
     rows = read_points(path, optional=("name", *optional), error=ControlError)
     require_exact(rows, path, ControlError)
@@ -53,13 +47,7 @@ def read_coordinates(path: Path) -> Content:
 
 
 def read_marks(path: Path) -> Content:
-    """The marks of a table ``image,name,x,y``; the centre of the first pixel is 0.5, 0.5.
-
-    Raises
-    ------
-    ControlError
-        If a column is missing, or a value is not a finite number.
-    """
+    """The marks of a table ``image,name,x,y``; the centre of the first pixel is 0.5, 0.5."""
     rows = Table.read(path, _MARK_WORDS, ControlError).rows(_MARK_COLUMNS)
     marks = (
         GivenMark(row.text("name"), row.text("image"), row.where, (row.number("x"), row.number("y"))) for row in rows
@@ -71,11 +59,6 @@ def read_checkpoints(path: Path, level: float | None = None, survey_crs: CRS | N
     """The points of a table ``easting,northing,height``, numbered where it has no names.
 
     Depths count from the ``level`` of the water in the crs of the survey, where it has one.
-
-    Raises
-    ------
-    ControlError
-        If the file has no points or one of them twice, or as `read_coordinates`.
     """
     crs, units = crs_of_comment(path, ControlError), None
     if survey_crs is not None and has_depths(path):

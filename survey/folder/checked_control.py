@@ -68,16 +68,7 @@ def control_of_block(found: Found) -> BlockControl | None:
 
 
 def require_placing_control(found: Found) -> BlockControl:
-    """The control of a survey without GPS positions and poses.
-
-    Raises
-    ------
-    PosesError
-        If there is no control.
-    ControlError
-        If it cannot place photographs: fewer than three points with two marks, or all on one line and nothing to tell
-        the roll about it.
-    """
+    """The control of a survey without GPS positions and poses."""
     require_metres(() if found.control is None else found.control.points, found.crs)
     control = control_of_block(found)
     num = sum(header.lat_lon_height is not None for header in found.headers.values())
@@ -156,11 +147,6 @@ def checked_parts(found: Found, frame: LocalFrame, block: ControlledBlock) -> tu
     """The block with its control tested against each of its parts by itself, and moved to it where it has to be.
 
     Parts share no points: each has a place, a tilt and a scale of its own.
-
-    Raises
-    ------
-    ControlError
-        If the control fits none of the parts that it is marked in, or lies elsewhere.
     """
     views, ties, control = block.views, block.ties, block.control
     if control is None:
@@ -215,13 +201,7 @@ def checked_control(
     control: Control,
     priors: Mapping[str, PosePrior],
 ) -> tuple[CheckedControl, Findings]:
-    """Test control against the block; warnings name what is left out.
-
-    Raises
-    ------
-    ControlError
-        If the control fits the block nowhere, or lies elsewhere.
-    """
+    """Test control against the block; warnings name what is left out."""
     block = control_for_block(control, frame, found)
     posed = {view.name: BlockView(view.lens, view.camera.centre, view.camera.cam_from_local) for view in views}
     intersections = intersect_marks(block, posed)

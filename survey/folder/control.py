@@ -74,11 +74,6 @@ def find_control(
     """Read the files of [control].
 
     Depths of check points count from ``level``, the one height of the water in crs, where there is one.
-
-    Raises
-    ------
-    ControlError
-        If a file is missing or damaged, or its points or marks cannot be true.
     """
     for name in (config.reference, config.stable):
         if name is not None:
@@ -148,11 +143,6 @@ def place_control(
     Parameters
     ----------
     views : names of those with a pose
-
-    Raises
-    ------
-    ControlError
-        If a point does not lie on the map of crs.
     """
     if found is None:
         return None, (), Findings()
@@ -251,11 +241,6 @@ def read_ground(
         Cameras and tie points.
     above_water : callable, or None
         Heights (K,) [m] of places (K, 3), local, above the water; None where there is none.
-
-    Raises
-    ------
-    ControlError, GeoError
-        If a file cannot be read or taken to crs, or holds no dry ground of the place.
     """
     given = config.control
     if given.reference is None:

@@ -46,15 +46,7 @@ class ControlMark:
 
 
 def with_marks(path: Path, marks: Iterable[ControlMark], crs: CRS, images: Iterable[str]) -> str:
-    """The text of a gcp_list.txt with some marks set, moved or removed; of a new one, where there is no file.
-
-    Raises
-    ------
-    ControlError
-        If the file is damaged.
-    GeoError
-        If PROJ knows no transformation between its CRS and that of the survey.
-    """
+    """The text of a gcp_list.txt with some marks set, moved or removed; of a new one, where there is no file."""
     if path.is_file():
         lines = [line for _, line in text_lines(path, ControlError)]
         content = read_gcp_list(path)
@@ -98,13 +90,7 @@ def with_marks(path: Path, marks: Iterable[ControlMark], crs: CRS, images: Itera
 
 
 def points_without_mark(path: Path) -> list[GivenPoint]:
-    """Points of a gcp_list.txt whose last mark was removed.
-
-    Raises
-    ------
-    ControlError
-        If the file is damaged.
-    """
+    """Points of a gcp_list.txt whose last mark was removed."""
     lines = list(text_lines(path, ControlError))
     head = next((line for _, line in lines if is_of_content(line)), "")
     file_crs = odm_crs(head.strip(), str(path), path.name, ControlError)
@@ -174,13 +160,7 @@ class ClickRow:
 
 
 def read_clicks(path: Path, images: Iterable[str]) -> list[ClickRow]:
-    """The rows of a table of clicks; none where there is no file.
-
-    Raises
-    ------
-    ConfigError
-        If the file is damaged.
-    """
+    """The rows of a table of clicks; none where there is no file."""
     if not path.is_file():
         return []
     others = tuple(name for name in column_names(path) if name not in _COLUMNS)
@@ -197,13 +177,7 @@ def read_clicks(path: Path, images: Iterable[str]) -> list[ClickRow]:
 
 
 def with_click(path: Path, name: str, image: str, pixel: tuple[float, float] | None, images: Iterable[str]) -> str:
-    """The text of a table of clicks with the click on a point in a photograph set, or removed (pixel None).
-
-    Raises
-    ------
-    ConfigError
-        If the file is damaged.
-    """
+    """The text of a table of clicks with the click on a point in a photograph set, or removed (pixel None)."""
     rows = read_clicks(path, images)
     at = next((i for i, row in enumerate(rows) if (row.name, row.image) == (name, image)), len(rows))
     before = dict(rows[at].cells) if at < len(rows) else {"image": image, "name": name}

@@ -142,11 +142,6 @@ def poses_to_mark(found: Found, run: Path | None) -> tuple[PosedSurvey | None, s
     ----------
     run : Path or None
         A run folder whose poses are wanted; None: the one in the survey folder, if it has come to its end.
-
-    Raises
-    ------
-    SurveyError
-        Where the run that is named has no poses.
     """
     folder = found.folder / RUN_FOLDER if run is None else run
     if run is not None or (folder / FLIGHT).is_file():

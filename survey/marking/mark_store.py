@@ -108,13 +108,7 @@ class MarkStore:
         return found
 
     def add(self, kind: str, name: str, place: tuple[float, float, float] | None) -> PointKey:
-        """Add a point, which is written into a file with its first mark.
-
-        Raises
-        ------
-        SurveyError
-            If there is such a point, or its name cannot be in the files.
-        """
+        """Add a point, which is written into a file with its first mark."""
         name = name.strip()
         key = PointKey(kind, name)
         if not name or _NOT_IN_NAMES & set(name):
@@ -132,15 +126,7 @@ class MarkStore:
         return key
 
     def set(self, key: PointKey, image: str, pixel: Pixel | None) -> None:
-        """Set or move the mark of a point in a photograph, or remove it, and write the file.
-
-        Raises
-        ------
-        SurveyError
-            If there is no such point or photograph, or the pixel is outside of it.
-        UnwritableFile
-            If the file cannot be written.
-        """
+        """Set or move the mark of a point in a photograph, or remove it, and write the file."""
         if key not in self.points() or image not in self._sizes:
             raise SurveyError(f"there is no point {key.name[:40]}, or no photograph {image[:60]}; load the page again")
         width, height = self._sizes[image]
@@ -153,13 +139,7 @@ class MarkStore:
         self._done.append(Edit(key, image, before))
 
     def undo(self) -> Edit:
-        """Undo the last edit, and return it.
-
-        Raises
-        ------
-        SurveyError
-            If there is none, or its point was taken out of the files meanwhile.
-        """
+        """Undo the last edit, and return it."""
         if not self._done:
             raise SurveyError("there is nothing to undo")
         edit = self._done[-1]

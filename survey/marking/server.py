@@ -61,13 +61,7 @@ class PhotographTiles:
         self._decoding: dict[str, threading.Lock] = {}
 
     def jpeg(self, image: str, level: int, column: int, row: int) -> bytes:
-        """A tile of at most `TILE_PX` pixels along each side.
-
-        Raises
-        ------
-        ImageError
-            If there is no such tile, or the photograph cannot be read.
-        """
+        """A tile of at most `TILE_PX` pixels along each side."""
         levels = self._levels(image)
         left, top = column * TILE_PX, row * TILE_PX
         is_there = 0 <= level < len(levels) and left >= 0 and top >= 0

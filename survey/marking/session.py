@@ -74,13 +74,7 @@ class MarkingSession:
         }
 
     def look(self, key: PointKey, image: str) -> dict:
-        """A point in a photograph: predicted position, epipolar curves, other points; the next photographs to mark.
-
-        Raises
-        ------
-        SurveyError
-            If there is no such point or photograph.
-        """
+        """A point in a photograph: predicted position, epipolar curves, other points; the next photographs to mark."""
         points, marks = self.store.points(), self.store.marks()
         if key not in points or image not in self.images:
             raise SurveyError(f"there is no point {key.name[:40]}, or no photograph {image[:60]}; load the page again")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from survey.errors import ConfigError
@@ -9,6 +10,9 @@ from survey.files.toml_table import INLINE, key
 from survey.settings.tables import require_std
 
 MOST_LEVEL_STD_M = 10.0
+# Slope of a water surface at most: steeper than 0.065 a stream is a cascade, white water that shows no bed
+# (D. R. Montgomery and J. M. Buffington, Channel-reach morphology in mountain drainage basins, 1997).
+MOST_SLOPE = 0.065
 # Filling locks and the largest tidal bores rise faster, and nobody flies there for the bed.
 MOST_RATE_M_PER_H = 10.0
 
@@ -197,6 +201,9 @@ class WaterConfig:
             raise ConfigError("[water] surface gives the level everywhere; remove level_at, slope_east and slope_north")
         if self.gauge_zero_m is not None and self.sources.gauge is None:
             raise ConfigError("[water] has gauge_zero_m without gauge, from whose zero readings count; give both")
+        files = ("shoreline", "gnss_points", "surface")
+        if self.layer is not None and not any(name in self.sources.named for name in files):
+            raise ConfigError(f"[water] has layer without {', '.join(files)}, one of whose files has it; give both")
         if len(levels) > 1:
             raise ConfigError(
                 f"[water] has {' and '.join(levels)}, each of which gives the height of the water; keep one"
@@ -229,9 +236,14 @@ def require_sane(water: WaterConfig) -> None:
             f"[water] refractive_index is {water.refractive_index:g}, expected 1.0 to 1.6 relative to air; fresh water "
             "has 1.333, sea water 1.340"
         )
-    for name, slope in (("slope_east", water.slope_east), ("slope_north", water.slope_north)):
-        if abs(slope) > 0.2:
-            raise ConfigError(
-                f"[water] {name} is {slope:g}, expected a rise in metres per metre of at most 0.2; a river has about "
-                "0.001 to 0.01"
-            )
+    require_slope((water.slope_east, water.slope_north), "[water] slope_east and slope_north are", "correct them")
+
+
+def require_slope(slope: tuple[float, float], source: str, remedy: str) -> None:
+    """Raise ConfigError where a slope [-] east and north is steeper than `MOST_SLOPE`; ``source`` begins the error."""
+    steepness = math.hypot(*slope)
+    if steepness > MOST_SLOPE:
+        raise ConfigError(
+            f"{source} {slope[0]:.3g} and {slope[1]:.3g}, {math.degrees(math.atan(steepness)):.2g} degrees, expected a "
+            f"rise of at most {MOST_SLOPE:g} m in a metre (a river has 0.001 to 0.01, a rapid 0.03); {remedy}"
+        )

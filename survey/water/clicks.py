@@ -46,11 +46,6 @@ def levels_of_clicks(
         CSV with the columns image, x, y, name, and std in pixels if it has it; the centre of the first pixel is at
         0.5, 0.5.
     views, frame : of the survey
-
-    Raises
-    ------
-    ConfigError
-        If the file is missing or damaged, or no place is left.
     """
     places, num_without_pose = _clicks_by_place(path, views)
     found, unclear = [], []

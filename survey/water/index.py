@@ -29,13 +29,6 @@ def refractive_index(given: WaterConfig, light: Callable[[], MatchedLight]) -> t
     ----------
     light : callable
         Measures the light in the photographs; called only where the index depends on it.
-
-    Raises
-    ------
-    ConfigError
-        Where temperature or salinity are outside the range of liquid water.
-    ImageError
-        Where photographs cannot be read.
     """
     if given.medium.temperature_c is not None:
         return _of_water(given, given.medium.temperature_c, light())

@@ -24,11 +24,12 @@ from pyproj import CRS
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from geo.projection import metres_per_unit
+from survey.display.quantities import length
 from survey.errors import ConfigError, Findings
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.settings.config import SurveyConfig
-from survey.settings.water import MOST_LEVEL_STD_M, LevelSources, WaterConfig
+from survey.settings.water import MOST_LEVEL_STD_M, MOST_SLOPE, LevelSources, WaterConfig, require_slope
 from survey.water.clicks import levels_of_clicks
 from survey.water.level_observation import (
     COMMON_STD_M,
@@ -52,6 +53,8 @@ _LEAST_FOR_SLOPES = 6
 # Fewer points than this do not determine their scatter.
 _FEW = 6
 _LEAST_STD_M = 1e-3
+# Points farther from the plane than this many standard deviations are named.
+_FAR = 5.0
 # Points of a surface that are no farther apart count as one place [m].
 _ONE_PLACE_M = 0.1
 # Points of a surface up to this far beyond the cameras, in flying heights, are used for its plane.
@@ -78,11 +81,6 @@ def with_level(
     """Settings with the water level from the file that [water] names, the measurements, and the tide.
 
     Clicks are left for `with_level_of_clicks`.
-
-    Raises
-    ------
-    ConfigError
-        If the file is missing or damaged, or does not cover the flight.
     """
     water = config.water
     if water is None:
@@ -101,14 +99,14 @@ def with_level(
     name = next((source for source in _POINTS if source in water.sources.named), None)
     if name is None:
         return config, (), tide, Findings()
-    points, notes = points_of_surface(folder / water.sources.named[name], name, crs)
+    points, found = points_of_surface(folder / water.sources.named[name], name, crs, water.layer)
     if name == SURFACE:
         _require_apart(folder / water.sources.named[name], points, crs)
     water, findings = _of_points(water, points, crs)
     if name == SURFACE:
         # `with_plane_of_surface` fits the plane under the photographs, and reports it.
         water, findings = replace(water, level_std_m=config.water.level_std_m if config.water else None), Findings()
-    return replace(config, water=water), points, tide, Findings(notes) + findings
+    return replace(config, water=water), points, tide, found + findings
 
 
 def _require_apart(path: Path, points: Sequence[LevelObservation], crs: CRS) -> None:
@@ -182,6 +180,9 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS)
     east, north = (float(value) for value in np.array(fit.level_at) / unit_m)
     level_at = water.level_at or (east, north)
     fit = replace(fit, slope_east=fit.slope_east or water.slope_east, slope_north=fit.slope_north or water.slope_north)
+    slope = (fit.slope_east, fit.slope_north)
+    remedy = "points of two waters, of the bed or the bank are not of one surface: give those of the water alone"
+    require_slope(slope, f"the points in [water] {source} have slopes east and north of", remedy)
     offset_m = np.array(level_at) * unit_m - fit.level_at
     level = fit.level_m + fit.slope_east * offset_m[0] + fit.slope_north * offset_m[1]
     common = COMMON_STD_M.get(source, 0.0)
@@ -193,8 +194,11 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS)
     )
     level_std_m = water.level_std_m or min(std, MOST_LEVEL_STD_M)
     warning = None
-    if source in _MEASURED and free:
-        warning = plane_warning(coordinates, np.array([each.std_m for each in points]), level_std_m, source)
+    if source in _MEASURED:
+        stds = np.array([each.std_m for each in points])
+        warning = plane_warning(coordinates, stds, level_std_m, source) if free else None
+        residuals = coordinates[:, 2] - fit.level_m - (coordinates[:, :2] - fit.level_at) @ slope
+        warning = warning or _far_warning(residuals, stds, source)
     water = replace(
         water,
         level_m=level,
@@ -202,9 +206,23 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS)
         slope_east=fit.slope_east,
         slope_north=fit.slope_north,
         level_std_m=level_std_m,
+        layer=None,
         sources=LevelSources(),
     )
     return water, Findings((message,), () if warning is None else (warning,))
+
+
+def _far_warning(residuals: np.ndarray, stds: np.ndarray, source: str) -> str | None:
+    """A warning where points lie farther from the plane, by residuals (N,) [m], than their std explains."""
+    far = np.abs(residuals) > _FAR * stds
+    if not far.any():
+        return None
+    worst = float(residuals[np.argmax(np.abs(residuals))])
+    return (
+        f"{int(far.sum())} of {len(far)} points in [water] {source} lie more than {_FAR:g} standard deviations from "
+        f"the plane through all, the farthest {length(abs(worst))} {'over' if worst > 0.0 else 'under'} it: check that "
+        "none is of the bed, the bank or another water"
+    )
 
 
 def fit_surface(
@@ -221,11 +239,6 @@ def fit_surface(
         Allow a tilt where it exceeds three standard deviations.
     least : int
         How many points are needed.
-
-    Raises
-    ------
-    ConfigError
-        If there are too few points.
     """
     points = np.asarray(points, dtype=np.float64)
     if len(points) < least:
@@ -241,6 +254,9 @@ def fit_surface(
     spread = np.linalg.svd(design[:, 1:], compute_uv=False)
     if with_slopes and len(points) >= _LEAST_FOR_SLOPES and spread[1] > 0.05 * spread[0]:
         values, covariance = _robust(design, points[:, 2], stds)
+        if math.hypot(*values[1:]) > MOST_SLOPE:
+            # The scatter of few points may be small by chance: no water slopes so.
+            values, covariance = _robust(design, points[:, 2], stds, 1.0)
         slopes, rough = values[1:], covariance[1:, 1:]
         if slopes @ np.linalg.solve(rough, slopes) > _SIGNIFICANT**2:
             level, east, north = values.tolist()
@@ -251,13 +267,15 @@ def fit_surface(
     return SurfaceFit(float(values[0]), level_at, 0.0, 0.0, padded, len(points))
 
 
-def _robust(design: np.ndarray, heights: np.ndarray, stds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _robust(
+    design: np.ndarray, heights: np.ndarray, stds: np.ndarray, least_scatter: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Huber's estimate and its covariance, in units of the stated standard deviations.
 
     The scatter is the median absolute deviation. For few points it is uncertain, and the stated one counts if larger.
     """
     # Such files are rounded to a millimetre: the scatter is not smaller than that.
-    least = max(_LEAST_STD_M / float(np.median(stds)), 1.0 if len(heights) < _FEW else 0.0)
+    least = max(_LEAST_STD_M / float(np.median(stds)), 1.0 if len(heights) < _FEW else least_scatter)
     values, weights, scatter = huber_fit(design, heights, stds, least)
     normal = design.T @ ((weights / stds**2)[:, None] * design)
     return values, np.linalg.inv(normal) * scatter**2 * len(heights) / max(len(heights) - design.shape[1], 1)

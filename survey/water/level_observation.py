@@ -30,11 +30,11 @@ from geo.reading import read_reference
 from geo.shapes import in_height_unit, vertices_of
 from geo.transformation import height_scale, lon_lat, transformed
 from survey.display.quantities import distance_text, length
-from survey.errors import ConfigError
+from survey.errors import ConfigError, Findings
 from survey.files.csv_table import Row
-from survey.files.point_table import Units, read_points
+from survey.files.point_table import Units, accuracy_warnings, height_std, read_points
 from survey.settings.config import WaterConfig
-from survey.water.surface_features import points_of_features
+from survey.water.surface_features import points_of_features, require_one_water
 
 # Standard deviation of a measurement whose file gives none [m]: GNSS with corrections on the surface, and at the
 # waterline, which waves move; a reading.
@@ -66,31 +66,51 @@ class LevelObservation:
     source: str  # The key of [water] that it comes from
 
 
-def points_of_surface(path: Path, source: str, crs: CRS) -> tuple[tuple[LevelObservation, ...], tuple[str, ...]]:
-    """Points of the water surface in a CSV or a vector file, and what was assumed of them.
+def points_of_surface(
+    path: Path, source: str, crs: CRS, layer: str | None = None
+) -> tuple[tuple[LevelObservation, ...], Findings]:
+    """Points of the water surface in a CSV, a vector file or a raster, and what was assumed of them.
 
-    Raises
-    ------
-    ConfigError
-        If the file or a column is missing, a value is not a finite number, or a vector file has no heights.
+    Those of one layer, or of one code of a CSV, where it is named; ConfigError where a file has several whose heights
+    differ.
     """
     unit = height_unit_m(crs)
     if path.suffix.lower() in SUFFIXES:
-        points, notes = points_of_features(path, crs)
+        points, notes = points_of_features(path, crs, layer)
         found = (LevelObservation(h * unit, STD_M[source], (e, n), None, source) for e, n, h in points.tolist())
-        return tuple(found), notes
+        return tuple(found), Findings(notes)
     if path.suffix.lower() in _RASTER:
+        if layer is not None:
+            raise ConfigError(f"[water] layer is given, and {path} is a raster, which has none; remove it")
         return _points_of_raster(path, source, crs)
-    rows = read_points(path, optional=("std",), units=Units.of(crs), error=ConfigError)
+    rows = read_points(path, optional=("std", "std_height", "layer"), units=Units.of(crs), error=ConfigError)
+    rows = _of_layer(rows, path, layer, unit)
     places = [(row.number("easting"), row.number("northing")) for row in rows]
     measured = [
         LevelObservation(row.number("height") * unit, std_of(row, source), place, None, source)
         for row, place in zip(rows, places, strict=True)
     ]
-    return tuple(measured), ()
+    return tuple(measured), Findings(warnings=accuracy_warnings(path, ConfigError))
 
 
-def _points_of_raster(path: Path, source: str, crs: CRS) -> tuple[tuple[LevelObservation, ...], tuple[str, ...]]:
+def _of_layer(rows: list[Row], path: Path, layer: str | None, unit_m: float) -> list[Row]:
+    """Rows of a code of a table, or of several with commas between them; of all where there is none to choose."""
+    heights: dict[str, list[float]] = {}
+    for row in rows:
+        heights.setdefault(row.cells.get("layer", ""), []).append(row.number("height"))
+    if layer is None:
+        # A text of its own for each point describes it; a code is that of several.
+        if 2 * len(heights) <= len(rows):
+            require_one_water(path, heights, unit_m)
+        return rows
+    wanted = [layer] if layer in heights else [part.strip() for part in layer.split(",")]
+    if missing := [name for name in wanted if name not in heights]:
+        listed = ", ".join(name or "none" for name in heights)[:300]
+        raise ConfigError(f'{path} has no layer or code "{missing[0][:60]}", expected one of its own: {listed}')
+    return [row for row in rows if row.cells.get("layer", "") in wanted]
+
+
+def _points_of_raster(path: Path, source: str, crs: CRS) -> tuple[tuple[LevelObservation, ...], Findings]:
     """The middles of the cells of a GeoTIFF, in crs, or of squares of many, and a note of that."""
     notes: tuple[str, ...] = ()
     shape = read_reference(path)
@@ -114,12 +134,13 @@ def _points_of_raster(path: Path, source: str, crs: CRS) -> tuple[tuple[LevelObs
         count = np.bincount(cell.ravel())
         points = np.column_stack([np.bincount(cell.ravel(), column) / count for column in points.T])
     unit = height_unit_m(crs)
-    return tuple(LevelObservation(h * unit, _CELL_STD_M, (e, n), None, source) for e, n, h in points.tolist()), notes
+    found = (LevelObservation(h * unit, _CELL_STD_M, (e, n), None, source) for e, n, h in points.tolist())
+    return tuple(found), Findings(notes)
 
 
 def std_of(row: Row, source: str) -> float:
     """The standard deviation [m] of a row of a table, by default that of its source; ConfigError where it is none."""
-    std = row.number("std", default=STD_M[source])
+    std = height_std(row, STD_M[source])
     if not 0.0 < std <= MOST_STD_M:
         raise ConfigError(
             f"{row.where}: std is {std:g}, expected a standard deviation above 0 and at most {MOST_STD_M:g} m"
@@ -137,11 +158,6 @@ def water_place_warnings(
     cameras : (N, 2)
         Longitude and latitude of WGS 84 [deg].
     levels : of the survey, whose places are in crs
-
-    Raises
-    ------
-    ConfigError
-        If one lies too far away to be of this survey, or on no map.
     """
     cameras = cameras[np.isfinite(cameras).all(axis=1)]
     if water is None or not len(cameras):

@@ -55,13 +55,7 @@ class LevelAt:
 
 
 def levels_at(series: Series, moments: np.ndarray) -> tuple[tuple[Reading, ...], LevelAt]:
-    """The readings of a series around moments (N,) [s since 1970], and the levels at these.
-
-    Raises
-    ------
-    ConfigError
-        If the readings do not cover the moments, or are none of one water.
-    """
+    """The readings of a series around moments (N,) [s since 1970], and the levels at these."""
     near = _near(series.readings, float(moments.min()), float(moments.max()))
     readings, left_out = without_markers(near)
     times = np.array([each.time.timestamp() for each in readings]) / 3600.0

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,64 +12,74 @@ import numpy as np
 import shapely
 from pyproj import CRS
 
-from geo.crs import crs_name, has_height, horizontal_crs, is_geographic
-from geo.errors import UnreadableFile
-from geo.features import GEOJSON, Features, read_features
+from geo.area_of_use import require_in_area
+from geo.crs import crs_name, has_height, height_unit_m, horizontal_crs, horizontal_unit, is_geographic
+from geo.errors import PlaceMismatch, UnreadableFile
+from geo.features import GEOJSON, Feature, layers_of, read_features
 from geo.reproject import has_same_heights
-from geo.transformation import WGS84, transformed
+from geo.transformation import WGS84, middle_of, transformed
 from geo.values import is_no_data_value
 from survey.errors import ConfigError
+from survey.files.csv_table import meaning, number_of, words_of
 
 _LARGEST_BYTES = 100_000_000
+# Of the international foot and that of US surveys, which drawings do not tell apart.
+_SAME_UNIT = 1e-5
+# The templates of AutoCAD and GDAL say inches.
+_TEMPLATE_UNIT_M = 0.0254
 # Properties in which programs store the height of 2D geometries, e.g. of contour lines.
-_HEIGHT_NAMES = ("level", "height", "elevation", "elev", "ele", "z", "altitude")
-# Parts of names of properties that may be heights, of an unknown kind or unit.
-_LIKE_HEIGHTS = (
-    *_HEIGHT_NAMES[:4],
-    "alt",
-    "depth",
-    "stage",
-    "wse",
-    "hoehe",
-    "höhe",
-    "tiefe",
-    "cote",
-    "quota",
-    "z_",
-    "_z",
-)
+HEIGHT_NAMES = ("level", "height", "elevation", "elev", "ele", "z", "altitude")
+_WORDS = words_of({HEIGHT_NAMES[0]: HEIGHT_NAMES[1:]})
+# Parts of names of properties that may be heights, of an unknown kind.
+_LIKE_HEIGHTS = ("level", "height", "elev", "alt", "depth", "stage", "wse", "hoehe", "höhe", "tiefe", "cote", "quota",
+                 "z_", "_z")  # fmt: skip
+# Heights of the layers of one water differ by no more [m]: the waterline of a lake, in waves.
+_ONE_HEIGHT_M = 0.1
+_MOST_LAYERS_NAMED = 8
 
 
-def points_of_features(path: Path, crs: CRS) -> tuple[np.ndarray, tuple[str, ...]]:
+@dataclass(frozen=True)
+class _Content:
+    """Features of all layers of a file."""
+
+    features: list[tuple[Feature, str]]  # Each with the name of its layer
+    crs: CRS | None
+    unit_m: float | None  # [m]: that a drawing states
+
+
+def points_of_features(path: Path, crs: CRS, layer: str | None = None) -> tuple[np.ndarray, tuple[str, ...]]:
     """Easting, northing, height (N, 3) in crs of all vertices of a vector file, each once, and what was assumed.
 
     A third coordinate is the height, in the heights of crs; else, or where all third coordinates are 0, a property such
-    as level or ELEV is (programs write 0 where a layer has a third coordinate and no heights). Coordinates are in the
-    CRS that the file states; where it states none, those of GeoJSON are longitude and latitude (RFC 7946), and others,
-    or those too large for degrees, are in crs.
-
-    Raises
-    ------
-    ConfigError
-        If the file cannot be read, or has a vertex without a height, with several, or off the map.
-    GeoError
-        If it cannot be transformed to crs: see `geo.transformation.transformed`.
+    as level or ELEV is (programs write 0 where a layer has a third coordinate and no heights). Of a file with several
+    layers those of one, or of several with commas between their names. Without a CRS of its own a file is in crs;
+    GeoJSON is in longitude and latitude (RFC 7946), unless its numbers are too large for degrees.
     """
-    content = _content(path)
-    vertices = list(_vertices(path, content))
-    name, notes = _height_property(path, vertices)
-    points = np.array(list(dict.fromkeys(_with_heights(path, vertices, name)))).reshape(-1, 3)
+    content = _content(path, layer)
+    if content.crs is not None and has_height(content.crs) and not has_same_heights(content.crs, crs):
+        raise ConfigError(
+            f"{path} has heights in {crs_name(content.crs)}, expected those of {crs_name(crs)}; transform it, or state "
+            "a horizontal CRS alone if its heights are in crs"
+        )
+    vertices, notes = _vertices(path, content.features, height_unit_m(crs))
+    if layer is None:
+        heights: dict[str, list[float]] = {}
+        for (_, _, height), of_layer in vertices:
+            heights.setdefault(of_layer, []).append(height)
+        require_one_water(path, heights, height_unit_m(crs))
+    points = np.array(list(dict.fromkeys(place for place, _ in vertices))).reshape(-1, 3)
     if (wrong := next((height for height in points[:, 2].tolist() if is_no_data_value(height)), None)) is not None:
         raise ConfigError(f"{path} has the height {wrong:g}, a no-data value; remove those points")
-    target = horizontal_crs(crs)
-    source = None if content.crs is None else _plan_of(content.crs, crs, path)
+    points, of_unit = _in_unit_of(points, content.unit_m, crs, path)
+    source, target = None if content.crs is None else horizontal_crs(content.crs), horizontal_crs(crs)
     if source is None:
         is_in_degrees = bool((np.abs(points[:, :2]) <= (180.0, 90.0)).all())
-        if path.suffix.lower() in GEOJSON and is_in_degrees:
-            source = target if is_geographic(crs) else WGS84
-        else:
-            reason = ", and its coordinates are too large for degrees" if path.suffix.lower() in GEOJSON else ""
-            return points, (*notes, f"{path.name} names no CRS{reason}: taken as crs")
+        is_geojson = path.suffix.lower() in GEOJSON
+        if not (is_geojson and is_in_degrees) or is_geographic(crs):
+            reason = ", and its coordinates are too large for degrees" if is_geojson and not is_in_degrees else ""
+            return points, (*notes, *of_unit, f"{path.name} names no CRS{reason}: taken as crs")
+        source = WGS84
+        notes = (*notes, f"{path.name} names no CRS: taken as longitude and latitude of WGS 84 (RFC 7946)")
     if len(points) and not source.equals(target, ignore_axis_order=True):
         points = transformed(source, target, points, str(path), "or give the points in crs.")
         if not np.isfinite(points).all():
@@ -76,105 +87,142 @@ def points_of_features(path: Path, crs: CRS) -> tuple[np.ndarray, tuple[str, ...
     return points, notes
 
 
-def _plan_of(stated: CRS, crs: CRS, path: Path) -> CRS:
-    """The horizontal part of the CRS that a file states; ConfigError where it states other heights than crs has."""
-    if has_height(stated) and not has_same_heights(stated, crs):
-        raise ConfigError(
-            f"{path} has heights in {crs_name(stated)}, expected those of {crs_name(crs)}; transform it, or state a "
-            "horizontal CRS alone if its heights are in crs"
-        )
-    return horizontal_crs(stated)
+def _in_unit_of(points: np.ndarray, unit_m: float | None, crs: CRS, path: Path) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Points (N, 3) of a drawing in the unit of crs, and a note where its $INSUNITS is another one.
+
+    Many drawings have that of a template. It counts where the coordinates are in the area of crs by it alone, and does
+    not where they are as they stand; where both or neither are, it is refused.
+    """
+    own_m = None if is_geographic(crs) else horizontal_unit(crs)
+    if unit_m is None or not len(points) or (own_m is not None and abs(unit_m / own_m - 1.0) < _SAME_UNIT):
+        return points, ()
+    factor, stated = unit_m / (own_m or 1.0), f"{path.name} has units of {unit_m:.7g} m by its $INSUNITS"
+    fits, fits_scaled = _is_in_area(crs, points), own_m is not None and _is_in_area(crs, points * factor)
+    if fits_scaled and not fits:
+        return points * factor, (f"{stated}: its coordinates are multiplied by {factor:.7g}",)
+    if fits and not fits_scaled:
+        return points, (f"{stated}, and coordinates that are in the area of crs without: taken as they are",)
+    if unit_m == _TEMPLATE_UNIT_M:
+        return points, ()
+    expected = "degrees" if own_m is None else f"{own_m:.7g} m"
+    raise ConfigError(
+        f"{path}: {stated}, expected {expected} as in {crs_name(crs)}; convert the drawing, or set its units to those "
+        "that its coordinates have"
+    )
 
 
-def _content(path: Path) -> Features:
+def _is_in_area(crs: CRS, points: np.ndarray) -> bool:
+    try:
+        require_in_area(crs, points, "")
+    except PlaceMismatch:
+        return False
+    return middle_of(horizontal_crs(crs), points) is not None
+
+
+def require_one_water(path: Path, heights: Mapping[str, Sequence[float]], unit_m: float) -> None:
+    """Raise ConfigError where layers of a file have different heights, in a unit [m]: they are not of one water."""
+    ranges = {name: (min(values), max(values)) for name, values in heights.items() if len(values)}
+    if len(ranges) < 2:
+        return
+    low, high = min(low for low, _ in ranges.values()), max(high for _, high in ranges.values())
+    if (high - low) * unit_m <= _ONE_HEIGHT_M:
+        return
+    listed = [
+        f"{name or 'without a name'} ({low:.2f}" + (f" to {high:.2f})" if high > low else ")")
+        for name, (low, high) in ranges.items()
+    ]
+    more = f" and {len(listed) - _MOST_LAYERS_NAMED} more" if len(listed) > _MOST_LAYERS_NAMED else ""
+    raise ConfigError(
+        f"{path} has {len(listed)} layers or codes of points, with the heights "
+        f"{', '.join(listed[:_MOST_LAYERS_NAMED])}{more}; give the one that is the water, e.g. [water] layer = "
+        f'"{min(ranges, key=lambda name: ranges[name][1] - ranges[name][0])}", or several as "a, b"'
+    )
+
+
+def _content(path: Path, layer: str | None) -> _Content:
     if path.is_file() and path.stat().st_size > _LARGEST_BYTES:
         raise ConfigError(f"{path} has more than {_LARGEST_BYTES // 1_000_000} MB, expected a shoreline; thin it")
     try:
-        return read_features(path, "points, lines or polygons")
+        parts = {name: read_features(path, "points, lines or polygons", name) for name in layers_of(path)}
     except UnreadableFile as error:
         raise ConfigError(str(error)) from error
-
-
-def _vertices(path: Path, content: Features) -> Iterator[tuple[list[float], dict]]:
-    """The two or three coordinates of each vertex, with the properties of its feature."""
-    for feature in content.features:
-        coordinates = shapely.get_coordinates(feature.geometry, include_z=feature.geometry.has_z)
-        for numbers in coordinates.tolist():
-            if not math.isfinite(numbers[-1]):
-                raise ConfigError(f"{path} has the position {numbers}, expected two or three finite numbers")
-            yield numbers, feature.properties
-
-
-def _is_flat(vertices: list[tuple[list[float], dict]]) -> bool:
-    """Whether there are third coordinates, all of them 0."""
-    thirds = [numbers[2] for numbers, _ in vertices if len(numbers) > 2]
-    return bool(thirds) and not any(thirds)
-
-
-def _height_property(path: Path, vertices: list[tuple[list[float], dict]]) -> tuple[str | None, tuple[str, ...]]:
-    """A property that has the heights where third coordinates are 0 throughout, and a note of it."""
-    names = sorted({name for _, properties in vertices for name in _names_like_heights(properties)})
-    if not names or not _is_flat(vertices):
-        return None, ()
-    return names[0], (f"all third coordinates of {path.name} are 0: heights are those of its property {names[0]}",)
-
-
-def _with_heights(
-    path: Path, vertices: list[tuple[list[float], dict]], name: str | None
-) -> Iterator[tuple[float, float, float]]:
-    """Vertices with their heights: the third coordinates, unless a property ``name`` has them."""
-    is_flat = _is_flat(vertices)
-    for numbers, properties in vertices:
-        if len(numbers) > 2 and name is None:
-            yield numbers[0], numbers[1], numbers[2]
-        else:
-            yield numbers[0], numbers[1], _height_of(path, properties, is_flat)
-
-
-def _names_like_heights(properties: dict) -> list[str]:
-    """Names of properties that hold a number and may be a height."""
-    return [
-        str(name)
-        for name, value in properties.items()
-        if math.isfinite(_number_in(value))
-        and (str(name).casefold() in _HEIGHT_NAMES or any(part in str(name).casefold() for part in _LIKE_HEIGHTS))
+    several = len(parts) > 1
+    found = [
+        (each, (name or "") if several else each.layer, part)
+        for name, part in parts.items()
+        for each in part.features
+        if not each.geometry.is_empty
     ]
+    names = dict.fromkeys(name for _, name, _ in found)
+    if layer is not None:
+        wanted = [layer] if layer in names else [part.strip() for part in layer.split(",")]
+        if missing := [name for name in wanted if name not in names]:
+            listed = ", ".join(name or "one without a name" for name in names)[:300]
+            raise ConfigError(f'{path} has no layer "{missing[0][:60]}", expected one of its own: {listed}')
+        found = [each for each in found if each[1] in wanted]
+    kinds = {part.crs.srs if part.crs is not None else "": part for _, _, part in found} or {
+        "": next(iter(parts.values()))
+    }
+    if len(kinds) > 1:
+        raise ConfigError(f"{path} has layers in several CRSs; give one of them in [water] layer: {', '.join(names)}")
+    (part,) = kinds.values()
+    return _Content([(each, name) for each, name, _ in found], part.crs, part.unit_m)
 
 
-def _height_of(path: Path, properties: dict, is_flat: bool) -> float:
+def _vertices(
+    path: Path, features: list[tuple[Feature, str]], unit_m: float
+) -> tuple[list[tuple[tuple[float, float, float], str]], tuple[str, ...]]:
+    """Place and layer of each vertex, and a note where heights are those of a property, though there are third ones."""
+    coordinates = [
+        shapely.get_coordinates(each.geometry, include_z=each.geometry.has_z).tolist() for each, _ in features
+    ]
+    thirds = [place[2] for places in coordinates for place in places if len(place) > 2]
+    is_flat = bool(thirds) and not any(thirds)
+    names = sorted({name for feature, _ in features for name in _like_heights(feature)}) if is_flat else []
+    # KML has heights of 0 where it says that lines lie on the ground.
+    uses_third = not names and not (is_flat and path.suffix.lower() == ".kml")
+    vertices = []
+    for (feature, layer), places in zip(features, coordinates, strict=True):
+        for place in places:
+            if not math.isfinite(place[-1]):
+                raise ConfigError(f"{path} has the position {place}, expected two or three finite numbers")
+            has_third = len(place) > 2 and uses_third
+            height = place[2] if has_third else _height_of(path, feature, unit_m, is_flat=is_flat)
+            vertices.append(((place[0], place[1], height), layer))
+    if not names:
+        return vertices, ()
+    return vertices, (f"all third coordinates of {path.name} are 0: heights are those of its property {names[0]}",)
+
+
+def _like_heights(feature: Feature) -> list[str]:
+    """Names of properties that hold a number and may be a height."""
+    names = {str(name): str(name).casefold() for name, value in feature.properties.items() if _is_number(value)}
+    return [name for name, low in names.items() if meaning(low, _WORDS) or any(part in low for part in _LIKE_HEIGHTS)]
+
+
+def _height_of(path: Path, feature: Feature, unit_m: float, *, is_flat: bool) -> float:
     """The height among the properties of a feature; ConfigError where there is none, or several that differ."""
-    known = {str(name).casefold(): _number_in(value) for name, value in properties.items()}
-    heights = {name: known[name] for name in _HEIGHT_NAMES if math.isfinite(known.get(name, math.nan))}
+    numbers = {str(name).casefold(): number_of(str(v)) for name, v in feature.properties.items() if _is_number(v)}
+    known = {name: meaning(name, _WORDS) for name in numbers}
+    heights = {name: numbers[name] * (found[1] or unit_m) / unit_m for name, found in known.items() if found}
     flat = "third coordinates that are all 0, and " if is_flat else ""
-    remedy = f"keep one property {_HEIGHT_NAMES[0]} with the height in crs, or give the height as third coordinate"
+    remedy = f"keep one property {HEIGHT_NAMES[0]} with the height in crs, or give the height as third coordinate"
     if len(set(heights.values())) > 1:
-        message = ", ".join(f"{name} = {value:g}" for name, value in heights.items())
+        message = ", ".join(f"{name} = {numbers[name]:g}" for name in heights)
         raise ConfigError(f"{path} has {flat}several properties that may be the height ({message}); {remedy}")
     if heights:
         return next(iter(heights.values()))
-    if like := _names_like_heights(properties):
-        message = ", ".join(f"{name} = {_number_in(properties[name]):g}" for name in like[:4] if name in properties)
+    if like := _like_heights(feature):
+        message = ", ".join(f"{name} = {float(feature.properties[name]):g}" for name in like[:4])
         raise ConfigError(f"{path} has {flat or 'positions without a height, and '}the property {message}; {remedy}")
     raise ConfigError(
         f"{path} has {'features without a height' if is_flat else 'positions without a height'}, expected three "
-        f"coordinates, or a property {_HEIGHT_NAMES[0]}; a line in plan alone does not tell the level: measure heights "
+        f"coordinates, or a property {HEIGHT_NAMES[0]}; a line in plan alone does not tell the level: measure heights "
         "along it, or give level_m"
     )
 
 
-def _number_in(value: Any) -> float:
-    """A number, or a text that is one, as columns of text are exported; NaN where it is none."""
-    if isinstance(value, str) and len(value) < 40:
-        try:
-            return float(value)
-        except ValueError:
-            return math.nan
-    return _number(value)
-
-
-def _number(value: Any) -> float:
-    """A JSON number; NaN where it is none, or too large for one."""
-    try:
-        return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
-    except OverflowError:
-        return math.nan
+def _is_number(value: Any) -> bool:
+    """Whether a property is a finite number, or a text that is one, as columns of text are exported."""
+    is_short = isinstance(value, int | float | str) and not isinstance(value, bool) and len(str(value)) < 40
+    return is_short and math.isfinite(number_of(str(value)))

@@ -75,14 +75,7 @@ class MovingLevel:
 
 
 def tide_of_gauge(path: Path, water: WaterConfig, headers: Mapping[str, Exif], unit_m: float = 1.0) -> MovingLevel:
-    """The mean level of the photographs and their tide, by a series whose levels have this unit [m].
-
-    Raises
-    ------
-    ConfigError
-        If the file is damaged, its readings do not cover the flight or are no levels, or too few photographs have a
-        time.
-    """
+    """The mean level of the photographs and their tide, by a series whose levels have this unit [m]."""
     series = read_series(path, unit_m, water.gauge_zero_m)
     taken = _times(headers, f"no level can be interpolated from {path}; give level_m in {FILE_NAME}")
     moments = np.array(list(taken.values()))
@@ -95,14 +88,7 @@ def tide_of_gauge(path: Path, water: WaterConfig, headers: Mapping[str, Exif], u
 
 
 def tide_of_levels(path: Path, headers: Mapping[str, Exif], unit_m: float = 1.0) -> MovingLevel:
-    """The mean level of the photographs and their tide, by a table of levels in this unit [m].
-
-    Raises
-    ------
-    ConfigError
-        If the table is missing or damaged, has no level for a photograph, two, or one that those of the photographs
-        before and after contradict.
-    """
+    """The mean level of the photographs and their tide, by a table of levels in this unit [m]."""
     names = ImageNames(headers)
     found: dict[str, Reading] = {}
     # In the order of exposure, or of the names.
@@ -136,13 +122,7 @@ def tide_of_levels(path: Path, headers: Mapping[str, Exif], unit_m: float = 1.0)
 
 
 def tide_of_rate(water: WaterConfig, headers: Mapping[str, Exif]) -> Tide:
-    """The tide by ``level_rate_m_per_h``.
-
-    Raises
-    ------
-    ConfigError
-        If too few photographs have a time.
-    """
+    """The tide by ``level_rate_m_per_h``."""
     rate = water.rate.level_rate_m_per_h or 0.0
     taken = _times(headers, f"level_rate_m_per_h gives no levels; give levels of images in {FILE_NAME}")
     start = float(np.mean(list(taken.values())))

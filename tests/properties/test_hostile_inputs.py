@@ -23,7 +23,8 @@ from survey.photos.exif import read_exif
 from survey.photos.images import read_mask
 from survey.photos.pixels import read_rgb
 from survey.photos.xmp import height_datum, motion_of, rtk_of, stated_std, xmp_number
-from survey.water.level_observation import points_of_surface, readings_of_gauge
+from survey.water.gauge_files import read_series
+from survey.water.level_observation import points_of_surface
 from survey.water.surface_features import points_of_features
 from tests.small_survey import LEVEL, replaced, small_survey
 
@@ -196,9 +197,7 @@ def test_any_json_is_a_shoreline_or_refused(folder, content):
 def test_any_table_is_a_level_or_refused(folder, text, title):
     path = folder / "level.csv"
     path.write_text(f"{title}\n{text}\n", encoding="utf-8")
-    read = (
-        readings_of_gauge if title.startswith("time") else lambda table: points_of_surface(table, "shoreline", CRS)[0]
-    )
+    read = read_series if title.startswith("time") else lambda table: points_of_surface(table, "shoreline", CRS)[0]
     try:
         for each in read(path):
             assert np.isfinite(each.level_m)

@@ -1,4 +1,4 @@
-"""How often does the check of given water and lens cry wolf, and how often does it see what is wrong?
+"""How often does the check of given water and lens raise a false alarm, and how often does it see what is wrong?
 
     python benchmarks/given_alarms.py FOLDER [--seeds 0-59] [--field FOLDER] [--exact SURVEY ...]
 

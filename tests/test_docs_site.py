@@ -64,3 +64,18 @@ def test_lines_of_pages_fit_a_screen():
         if len(line) > LINE and not line.startswith("|")
     }
     assert wide == {}
+
+
+def test_the_functions_that_equations_name_are_in_their_files():
+    file, found = ROOT, 0
+    for line in (DOCS / "theory.md").read_text(encoding="utf-8").splitlines():
+        # Rows of four columns: what, equation, source, file: function.
+        for name in re.findall(r"`([^`]+)`", line.rpartition(" | ")[2]) if line.startswith("| ") else ():
+            if name.endswith(".py"):
+                file = ROOT / name if "/" in name else file.parent / name
+                assert file.is_file(), name
+            else:
+                defined = rf"^ *(?:def|class) {name.rpartition('.')[2]}\b"
+                assert re.search(defined, file.read_text(encoding="utf-8"), re.MULTILINE), f"{file}: {name}"
+                found += 1
+    assert found > 30

@@ -15,6 +15,7 @@ from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize
 
 from evaluation import height_at, vertical_difference
+from evaluation.robust import MAD_TO_STD
 from geo import LocalFrame, parse_crs, read_cloud, read_reference
 from refract.lens import Lens, undistorted
 from survey.benchmark.benchmark import run_bathynerf
@@ -31,8 +32,6 @@ NEAR_M = 0.5
 CELL_M, BOARD_M = 0.2, 2.0
 # Where the translation is searched [m], and in which steps at first.
 REACH_M, STEP_M = 10.0, 1.0
-# Of the normal distribution's standard deviation per median absolute deviation.
-NMAD = 1.4826
 # The part of brighton_beach that the photographs see through water: east, north, low then high.
 SHORE = (576721.0, 5188115.0, 576738.0, 5188129.0)
 
@@ -215,7 +214,7 @@ def _less_quadratic(places: np.ndarray, off: np.ndarray) -> np.ndarray:
 
 
 def _nmad(off: np.ndarray) -> float:
-    return NMAD * float(np.nanmedian(np.abs(off - np.nanmedian(off))))
+    return MAD_TO_STD * float(np.nanmedian(np.abs(off - np.nanmedian(off))))
 
 
 def copr_errors(row: Row, run: Path) -> dict:

@@ -27,6 +27,7 @@ from bench_solver import BATHYNERF, FINE, accuracy, inner90, raster_of
 from scipy.ndimage import map_coordinates
 from stress_scenes import bare_sand
 
+from evaluation.robust import MAD_TO_STD
 from fields.solver.visibility import lookup
 from geo import read_reference
 from refract import PinholeCamera, crossing_point
@@ -196,7 +197,7 @@ def _step(survey: Survey, points: np.ndarray) -> float:
 def _misfit(seen: Seen) -> float:
     """How far photographs are from each other at the true height, without the brightness of each window."""
     level = seen.grey - seen.grey.mean(axis=(2, 3), keepdims=True)
-    return 1.4826 * float(np.nanmedian(np.abs(seen.differing(level))))
+    return MAD_TO_STD * float(np.nanmedian(np.abs(seen.differing(level))))
 
 
 def main() -> None:

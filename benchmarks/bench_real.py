@@ -33,6 +33,7 @@ from published import publish
 from pyproj import Transformer
 from real_tables import TABLES
 
+from evaluation.robust import std_by_median
 from geo import read_cloud
 from survey.adjust.applied import apply_adjustment
 from survey.adjust.refine import adjust_survey
@@ -81,7 +82,7 @@ def profile(cloud: Path, lidar: Path) -> dict:
         "median_ratio": float(np.median(depth / deep)),
         "bias_m": float(off.mean()),
         "scatter_m": float(off.std()),
-        "nmad_m": float(1.4826 * np.median(np.abs(off - inner))),
+        "nmad_m": float(std_by_median(off - inner)),
         "std_m": float(np.median(std)),
         "within": float((np.abs(off) < TO_95 * std).mean()),
         "over_water": int((depth < -OVER_WATER_M).sum()),

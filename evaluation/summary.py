@@ -11,9 +11,8 @@ import numpy as np
 
 from evaluation.bootstrap import Blocks, mean_interval
 from evaluation.completeness import f_score
+from evaluation.robust import std_by_median
 
-# Standard deviation of a normal distribution over its median absolute deviation.
-MAD_TO_STD = 1.4826
 DEPTH_EDGES_M = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, math.inf)
 INCIDENCE_EDGES_DEG = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0, 50.0, 60.0, 90.0)
 VIEWS_EDGES = (1, 2, 3, 4, 6, 8, 12, 16, 24, math.inf)
@@ -164,7 +163,7 @@ def distance_statistics(distances: np.ndarray, blocks: Blocks | None = None) -> 
         rms_m=float(np.sqrt(np.square(d).mean())),
         mean_inner90_m=float(inner.mean()),
         std_inner90_m=float(inner.std()),
-        nmad_m=float(MAD_TO_STD * np.median(np.abs(d - median))),
+        nmad_m=float(std_by_median(d - median)),
         p95_abs_m=float(q95),
         min_m=float(d.min()),
         max_m=float(d.max()),

@@ -141,6 +141,23 @@ def distort(kinds, x, y, row) -> tuple:
     return (xp.fma(y, _of_affine(xp, row, kinds)[1], x), y) if AFFINE in kinds else (x, y)
 
 
+def brown_with_derivatives(x, y, k1, k2, k3, p1, p2) -> tuple:
+    """Coordinates (x, y) distorted by Brown's polynomial, the derivatives of both by x and y, and by the coefficients.
+
+    Returns
+    -------
+    (x_d, y_d), (of x_d by x and by y, of y_d by x and by y), two tuples of five: of x_d and of y_d by k1 k2 k3 p1 p2
+    """
+    distorted, by_xy = _misfit(x, y, (0.0, 0.0), (k1, k2, p1, p2, k3), {BROWN})
+    xx, yy, mixed = x * x, y * y, 2.0 * x * y
+    r2 = xx + yy
+    r4 = r2 * r2
+    r6 = r4 * r2
+    by_x = x * r2, x * r4, x * r6, mixed, r2 + 2.0 * xx
+    by_y = y * r2, y * r4, y * r6, r2 + 2.0 * yy, mixed
+    return distorted, by_xy, by_x, by_y
+
+
 def undistort(kinds, x, y, row, steps: int = STEPS) -> tuple:
     """Undistorted coordinates of distorted ones (x, y), by Newton's method; NaN where the lens sees nothing.
 

@@ -16,7 +16,7 @@ MAY_IMPORT = {
     "refract": set(),
     "geo": set(),
     "evaluation": set(),
-    "fields": {"refract"},
+    "fields": {"refract", "evaluation"},
     "survey": {"refract", "geo", "evaluation", "fields"},
     "bathynerf": {"refract", "geo", "evaluation", "fields", "survey"},
 }

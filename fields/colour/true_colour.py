@@ -16,6 +16,7 @@ import torch
 from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize_scalar
 
+from evaluation.robust import std_by_median
 from fields.image_store import GAMMA
 from fields.sweep.bed import BedPoints
 from fields.sweep.maps import HeightMap, Sources, trusted
@@ -183,7 +184,7 @@ def _fit(patch: np.ndarray, below: np.ndarray, path_length: np.ndarray) -> float
         residual = _without_bed(patch, below, np.exp(-found * path_length), share)
         change = (misfit(found + STEP) - misfit(found)) / STEP
         std = np.sqrt(np.sum(misfit(found) ** 2) / (max(share.sum(), 1.0) * max(np.sum(change**2), 1e-30)))
-        share = (np.abs(residual) <= TRIM_STDS * 1.4826 * np.median(np.abs(residual))) * 1.0
+        share = (np.abs(residual) <= TRIM_STDS * std_by_median(residual)) * 1.0
     if not std < USELESS_STD:
         raise ValueError(
             f"the paths through the water are too similar to estimate absorption: its error is {std:.2g} per m"

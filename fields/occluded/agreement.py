@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import binary_dilation
 
+from evaluation.robust import std_by_median
 from fields.occluded.holes import Holes
 from fields.occluded.sightings import MISFIT_CLIP, WINDOW, Colours, Sighting, consensus, windowed
 
@@ -230,7 +231,7 @@ class _Radiometry:
             residuals.append((colours - offset[number]) / gain[number] - reference)
         if not residuals:
             return None
-        noise = 1.4826 * np.median(np.abs(np.concatenate(residuals)), axis=0)
+        noise = std_by_median(np.concatenate(residuals), axis=0)
         return _Radiometry(gain, offset, np.maximum(noise, _LEAST_NOISE))
 
     def colours(self, sightings: Sequence[Sighting], height: np.ndarray | float, use: np.ndarray) -> Colours:

@@ -18,6 +18,7 @@ from scipy.ndimage import binary_erosion, distance_transform_edt, grey_dilation,
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import cKDTree
 
+from evaluation.robust import std_by_median
 from fields.sweep.maps import HeightMap, trusted
 from refract import FlatWater, PinholeCamera
 
@@ -112,7 +113,7 @@ class BedLayer:
         far = _CELL_GSD * distance_transform_edt(~is_bed) > _BEYOND_GSD
         self._box, self._z = box, np.where(far, np.nan, z)
         left = (low - z)[is_bed]
-        self.roughness = 1.4826 * float(np.median(np.abs(left)))
+        self.roughness = float(std_by_median(left))
 
     @staticmethod
     def of(box: StepBox, points: np.ndarray) -> BedLayer | None:

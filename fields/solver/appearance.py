@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from scipy import sparse
 
+from evaluation.robust import MAD_TO_STD
 from fields.median import median_reordering
 from fields.solver.tile import SolverTile
 
@@ -177,4 +178,4 @@ def _some_of(mask: np.ndarray) -> np.ndarray:
 def _noise(residual: np.ndarray) -> np.float32:
     if len(residual) == 0:
         return np.float32(1.0)
-    return np.float32(max(1.4826 * float(median_reordering(np.abs(residual))), LEAST_NOISE))
+    return np.float32(max(MAD_TO_STD * float(median_reordering(np.abs(residual))), LEAST_NOISE))

@@ -21,6 +21,7 @@ from survey.folder.local_frame import water_plane
 from survey.folder.motion import rows_between
 from survey.folder.survey import Survey, View
 from survey.photos.colmap_model import FILES, has_spaces, write_model
+from survey.photos.intersection import equations_of_lines
 from survey.photos.poses import TiePoints, least_track
 from survey.photos.rotations import CAM_FROM_OPK_CAM
 from survey.water.tides import with_shift
@@ -150,12 +151,11 @@ def _straight_ties(survey: Survey, found: Adjustment) -> TiePoints:
     for number, each in enumerate(survey.views):
         of_view = view == number
         centres[of_view], rays[of_view] = each.camera.centres(pixel[of_view]), each.camera.directions(pixel[of_view])
-    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     # Relative to the true place of the point, so that distant centres cost no digits.
-    offset = centres - found.points[point]
+    normals, rights = equations_of_lines(centres - found.points[point], rays)
     normal, right = np.zeros((len(found.points), 3, 3)), np.zeros((len(found.points), 3))
-    np.add.at(normal, point, across)
-    np.add.at(right, point, np.einsum("nij,nj->ni", across, offset))
+    np.add.at(normal, point, normals)
+    np.add.at(right, point, rights)
     eigenvalues = np.linalg.eigvalsh(normal)
     sound = eigenvalues[:, 0] > _PARALLEL * eigenvalues[:, 2]
     places = found.points.copy()

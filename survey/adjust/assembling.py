@@ -10,6 +10,7 @@ from refract.lens import Lens, is_affine
 from survey.adjust.block.control_check import control_warnings
 from survey.adjust.block.observed import KINDS, MARK, Observed
 from survey.adjust.block.priors import PriorKnowledge
+from survey.adjust.block.propagation import propagated_variance
 from survey.adjust.block.state import (
     FOCAL_NAME,
     LENS_NAMES,
@@ -242,9 +243,9 @@ def _water(
     by_local = settings_by_local(survey, np.array(prior.place_of_water))
     values = settings_of(given) + by_local @ (state.water_parameters() - prior.mean.water_parameters())
     std, held_std = (
-        np.sqrt(np.diag(by_local @ c[:NUM_WATER, :NUM_WATER] @ by_local.T)) for c in (done.solution.covariance, first)
+        np.sqrt(propagated_variance(by_local, c[:NUM_WATER, :NUM_WATER])) for c in (done.solution.covariance, first)
     )
-    given_std = np.sqrt(np.diag(by_local @ np.diag(prior.std[:NUM_WATER] ** 2) @ by_local.T))
+    given_std = np.sqrt(propagated_variance(by_local, np.diag(prior.std[:NUM_WATER] ** 2)))
     if unobservable is not None:
         given_std = np.full(NUM_WATER, np.inf)
     limits = water_limits(state.points)

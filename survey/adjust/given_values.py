@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from evaluation.robust import std_by_median
 from refract import FlatWater
 from survey.adjust.block.bundle import NotConvergedError, solve
 from survey.adjust.block.normal_equations import System, system_at
@@ -219,7 +220,7 @@ def misfit(residuals: np.ndarray, view: np.ndarray) -> float | None:
             continue
         middle = np.median(of_view, axis=0)
         # The variance of a median is pi / 2 times that of a mean.
-        noise = np.square(1.4826 * np.median(np.abs(of_view - middle), axis=0)) * (0.5 * np.pi / len(of_view))
+        noise = np.square(std_by_median(of_view - middle, axis=0)) * (0.5 * np.pi / len(of_view))
         squares.append(middle**2 - noise)
     return float(np.sqrt(max(float(np.mean(squares)), 0.0))) if squares else None
 

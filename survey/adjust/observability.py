@@ -24,6 +24,7 @@ import numpy as np
 from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.observed import Observed
 from survey.adjust.block.priors import FREE_WATER, HELD_SHARE, PriorKnowledge
+from survey.adjust.block.propagation import propagated, propagated_variance
 from survey.adjust.block.roll import Roll, spans_area
 from survey.adjust.block.state import (
     LENS_NAMES,
@@ -159,7 +160,7 @@ def water_std(survey: Survey, done: RobustSolution) -> np.ndarray:
     water = done.prior.mean.water
     assert water is not None
     by_local = settings_by_local(survey, np.array(water.point[:2]))
-    return np.sqrt(np.diag(by_local @ done.solution.covariance[:NUM_WATER, :NUM_WATER] @ by_local.T))
+    return np.sqrt(propagated_variance(by_local, done.solution.covariance[:NUM_WATER, :NUM_WATER]))
 
 
 def _without_level(std: np.ndarray, limits: np.ndarray) -> dict[str, Unobservable]:
@@ -219,7 +220,7 @@ def adjusted_with(done: RobustSolution, held: np.ndarray, stated_std: np.ndarray
     adjusted = adjust(kept, done.used.at(kept.state.points))
     follow = covariance[:, held] @ np.linalg.inv(covariance[np.ix_(held, held)])
     more = np.diag(stated_std[held] ** 2) - covariance[np.ix_(held, held)]
-    solution = replace(adjusted.solution, covariance=covariance + follow @ more @ follow.T)
+    solution = replace(adjusted.solution, covariance=covariance + propagated(follow, more))
     blunders = done.blunders | adjusted.blunders
     return replace(adjusted, prior=replace(adjusted.prior, std=prior.std), solution=solution, blunders=blunders)
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from geo.files import write_whole
 from survey.adjust.block.bundle import NotConvergedError
+from survey.adjust.block.propagation import propagated
 from survey.adjust.block.state import NUM_WATER, WATER_PARAMETERS, settings_by_local, settings_of
 from survey.adjust.observability import none_observable
 from survey.adjust.refine import adjust_survey
@@ -199,7 +200,7 @@ def _covariance(survey: Survey, found: Adjustment) -> tuple[tuple[float, ...], .
         # The block was adjusted under the given water.
         return _rows(np.diag(std**2))
     by_local = settings_by_local(survey, np.array(found.covariance.water_point))
-    return _rows(by_local @ found.covariance.matrix[:NUM_WATER, :NUM_WATER] @ by_local.T)
+    return _rows(propagated(by_local, found.covariance.matrix[:NUM_WATER, :NUM_WATER]))
 
 
 def _not_adjusted(survey: Survey, reason: str) -> WaterEstimate:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evaluation.summary import MAD_TO_STD
+from evaluation.robust import MAD_TO_STD
 from geo.features import layer_of
 from geo.files import existing_file
 from geo.lines import cells_inside, read_polygons

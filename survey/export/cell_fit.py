@@ -22,12 +22,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from evaluation.summary import MAD_TO_STD
+from evaluation.robust import MAD_TO_STD, huber_weights
 
 # Prior standard deviation of a slope: 45 degrees.
 _SLOPE_STD = 1.0
-# Huber's constant, in standard deviations.
-_HUBER = 2.5
 # For coverage a cell is divided into squares, at most this many along a side; those with points are covered.
 _MOST_SQUARES = 4
 _LEAST_COVERED = 1.0 / 3.0
@@ -97,7 +95,7 @@ def fit_cells(points: CellPoints, *, side: float, pixel: float, correlated: floa
         spread = MAD_TO_STD * _medians(np.abs(residual), row, start, count)
         relief = np.maximum(spread**2 - np.bincount(row, huber * variance) / np.bincount(row, huber), 0.0)
         normalised = np.abs(residual) / np.sqrt(variance + relief[row])
-        huber = np.minimum(1.0, _HUBER / np.maximum(normalised, _HUBER))
+        huber = huber_weights(normalised)
     weight = huber / (variance + (unsampled * relief)[row])
     _, plane_variance = _planes(row, share * weight, offset, height, len(numbers), side)
     # A plane that rises by d across a cell has a variance of d^2 / 12 in it.

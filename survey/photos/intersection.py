@@ -47,8 +47,8 @@ def intersect(
     cosines = np.clip(rays @ rays.T, -1.0, 1.0)
     if not np.isfinite(rays).all() or np.arccos(cosines.min()) < _LEAST_ANGLE:
         return None
-    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
-    place = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, centres))
+    normal, right = equations_of_lines(centres, rays)
+    place = np.linalg.solve(normal.sum(axis=0), right.sum(axis=0))
     std = np.repeat(np.asarray(stds_px, dtype=np.float64), 2)
     for _ in range(_ROUNDS):
         residual, jacobian = _residuals(cameras, pixels, place, water)
@@ -63,6 +63,18 @@ def intersect(
         return None
     covariance = np.linalg.inv((jacobian / std[:, None]).T @ (jacobian / std[:, None]))
     return Intersection(place, covariance, -residual.reshape(-1, 2))
+
+
+def equations_of_lines(through: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normal equations (N, 3, 3) and (N, 3) of places on lines; summed over lines, of the place nearest to all.
+
+    Parameters
+    ----------
+    through, along : (N, 3)
+        A place of each line, and its unit direction.
+    """
+    across = np.eye(3) - along[:, :, None] * along[:, None, :]
+    return across, np.einsum("nij,nj->ni", across, through)
 
 
 def projection_and_jacobian(

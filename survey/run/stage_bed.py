@@ -29,6 +29,7 @@ from survey.adjust.result.std_common import BASIS_ADJUSTED, BASIS_STATED, std_co
 from survey.display.column import ColumnStatistics
 from survey.display.quantities import length
 from survey.errors import SurveyError
+from survey.photos.intersection import equations_of_lines
 from survey.plan.sweep_block import backend
 from survey.progress import shares
 from survey.run.points import RefinedMaps, adjustment_of, bed_points, is_placed, with_std_of_block
@@ -141,9 +142,8 @@ def _entered(
 
 def _add(sums: tuple[np.ndarray, np.ndarray], number: np.ndarray, through: np.ndarray, along: np.ndarray) -> None:
     """Add lines to the normal equations of the points nearest to them; a point has one line at most here."""
-    across = np.eye(3) - along[:, :, None] * along[:, None, :]
-    sums[0][number] += across
-    sums[1][number] += np.einsum("nij,nj->ni", across, through)
+    for total, each in zip(sums, equations_of_lines(through, along), strict=True):
+        total[number] += each
 
 
 class SolvedHeights(Sequence[HeightMap]):

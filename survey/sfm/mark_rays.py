@@ -11,6 +11,7 @@ import numpy as np
 from geo.frames import LocalFrame
 from refract.lens import Lens, undistorted
 from survey.control.points import ControlPoint, Mark
+from survey.photos.intersection import equations_of_lines
 
 # A ray further from its point belongs to another one, as a share of the longer side; bent rays, lenses and hands are
 # off by far less.
@@ -144,16 +145,15 @@ def _rays(marks: list[Mark], views: Mapping[str, BlockView]) -> tuple[np.ndarray
 
 def _nearest_to_rays(origins: np.ndarray, rays: np.ndarray) -> np.ndarray | None:
     """The point (3,) nearest to all rays, by angle; None where they are parallel."""
-    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    normals, rights = equations_of_lines(origins, rays)
     place = None
     weights = np.ones(len(rays))
     # Distances from a ray count by the angle at which its camera sees them.
     for _ in range(3):
-        weighted = across * weights[:, None, None]
-        normal = weighted.sum(axis=0)
+        normal = np.sum(normals * weights[:, None, None], axis=0)
         if np.linalg.cond(normal) > 1e12:
             return None
-        place = np.linalg.solve(normal, np.einsum("nij,nj->i", weighted, origins))
+        place = np.linalg.solve(normal, weights @ rights)
         weights = 1.0 / np.maximum(np.sum((place - origins) ** 2, axis=1), 1e-12)
         weights /= weights.max()
     return place

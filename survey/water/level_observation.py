@@ -24,6 +24,7 @@ from pyproj import CRS
 from scipy.spatial import KDTree
 from scipy.special import fdtrc
 
+from evaluation.robust import HUBER_OF_MANY, huber_weights, std_by_median
 from geo.crs import EARTH_RADIUS_M, height_unit_m, horizontal_crs, middle_lon_lat
 from geo.features import SUFFIXES
 from geo.reading import read_reference
@@ -220,10 +221,6 @@ _LEAST_POINTS, _ENOUGH_FOR_ALL = 16, 32
 _FALSE_ALARMS = 1e-3
 # Shift of the bed per error of the level: n - 1 for rays near the vertical, more for oblique ones.
 _BED_PER_LEVEL = 0.333
-# Huber's constant: 95 % of the efficiency of least squares where errors are normal (P. J. Huber 1964).
-_HUBER = 1.345
-# The median of the absolute value of a normal deviate of unit standard deviation.
-MEDIAN_DEVIATION = 0.6745
 _ROUNDS = 50
 # Points narrower than this share of their length form a line.
 _LINE = 0.1
@@ -268,7 +265,7 @@ def departure_of(points: np.ndarray, stds: np.ndarray) -> float | None:
     residuals = (points[:, 2] - design @ values) / stds
     spare = len(points) - design.shape[1]
     # The median is a poor estimate of the scatter of few points, the mean square of that of many with wrong ones.
-    by_median = float(np.median(np.abs(residuals))) / MEDIAN_DEVIATION * np.sqrt(len(points) / spare)
+    by_median = float(std_by_median(residuals)) * np.sqrt(len(points) / spare)
     std = max(by_median, float(np.sqrt(np.sum(weights * residuals**2) / spare)), 1e-9)
     root = np.sqrt(weights) / stds
     covariance = np.linalg.inv((design * root[:, None]).T @ (design * root[:, None]))[-num_bent:, -num_bent:]
@@ -309,6 +306,6 @@ def huber_fit(
         root = np.sqrt(weights) / stds
         values = np.linalg.lstsq(design * root[:, None], heights * root, rcond=None)[0]
         normalised = np.abs(heights - design @ values) / stds
-        scatter = max(float(np.median(normalised)) / MEDIAN_DEVIATION, least_scatter)
-        weights = np.minimum(1.0, _HUBER * scatter / np.maximum(normalised, 1e-12))
+        scatter = max(float(std_by_median(normalised)), least_scatter)
+        weights = huber_weights(normalised, scatter, HUBER_OF_MANY)
     return values, weights, scatter

@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
+from evaluation.robust import std_by_median
 from survey.display.quantities import length, named
 from survey.errors import ConfigError, Findings
 from survey.settings.water import MOST_RATE_M_PER_H
 from survey.water.gauge_files import Reading, Series
-from survey.water.level_observation import MEDIAN_DEVIATION
 
 # Beyond this many standard deviations, of the stated one or of the scatter of the series if that is larger.
 _CONTRADICTED = 5.0
@@ -114,7 +114,7 @@ def contradicted(times: np.ndarray, levels: np.ndarray, stds: np.ndarray) -> np.
             worst = int(np.argmax(least))
             rest = np.delete(keep, np.arange(worst + 1, worst + 1 + size))
             # The scatter of the series without the run, which would hide itself among few readings.
-            scatter = float(np.median(np.abs(_run_residuals(times[rest], levels[rest], 1)[0]))) / MEDIAN_DEVIATION
+            scatter = float(std_by_median(_run_residuals(times[rest], levels[rest], 1)[0]))
             if not least[worst] > _CONTRADICTED * max(scatter, float(np.median(stds[keep]))):
                 break
             keep = rest

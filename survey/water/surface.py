@@ -18,11 +18,12 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import KDTree
 
+from evaluation.robust import std_by_median
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from refract import FlatWater
 from refract.curved import BicubicWater
-from survey.water.level_observation import MEDIAN_DEVIATION, LevelObservation
+from survey.water.level_observation import LevelObservation
 
 Area = tuple[float, float, float, float]
 SURFACE = "surface"
@@ -86,7 +87,7 @@ class Departure:
         squares = {number: least + float(np.mean(np.minimum(np.abs(errors[number]), 5.0) ** 2)) for number in errors}
         good = [number for number in errors if squares[number] <= _AS_GOOD * min(squares.values())]
         best = 0 if 0 in good else max(good)
-        scatter = float(np.median(np.abs(errors[best]))) / MEDIAN_DEVIATION
+        scatter = float(std_by_median(errors[best]))
         object.__setattr__(self, "_number", best)
         object.__setattr__(self, "_factor", max(scatter, 1.0))
 

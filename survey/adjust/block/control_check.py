@@ -29,6 +29,7 @@ from survey.adjust.block.observed import MARK, Observed, original_rows
 from survey.adjust.block.prediction import linearise
 from survey.adjust.block.priors import PriorKnowledge
 from survey.adjust.block.problem import Problem
+from survey.adjust.block.propagation import propagated, propagated_variance
 from survey.adjust.block.state import NUM_POSE, NUM_RELIEF, State
 from survey.control.points import Control
 from survey.display.quantities import named
@@ -141,7 +142,7 @@ def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int, gi
         step = inverse @ residuals[chosen].ravel()
         follow = inverse @ by_parameters[chosen].reshape(len(by_point), -1)
         variance = given.std**2 + std_px**2 * np.sum(inverse**2, axis=1)
-        variance += np.einsum("ip,pq,iq->i", follow, solution.covariance, follow)
+        variance += propagated_variance(follow, solution.covariance)
         return float(np.max(np.abs(moved + step) / np.sqrt(variance)))
 
     if not np.isfinite(residuals).all():
@@ -158,7 +159,7 @@ def _normalised_residual(solution: Solution, point: int, moved: np.ndarray, stat
     """Normalised residual from the adjusted position of the point."""
     system = solution.system
     root, mixed = system.point_root[point], system.coupling[3 * point : 3 * point + 3].toarray()
-    covariance = root.T @ (np.eye(3) + mixed @ solution.covariance @ mixed.T) @ root
+    covariance = root.T @ (np.eye(3) + propagated(mixed, solution.covariance)) @ root
     redundancy = 1.0 - np.diag(covariance) / stated**2
     is_redundant = redundancy > _LEAST_REDUNDANCY
     if not is_redundant.any():
@@ -252,11 +253,11 @@ def contradicted_points(
         by_point = linear.by_point.reshape(-1, 3)
         by_parameters = linear.by_parameters.toarray()
         variance = (by_point * np.asarray(point.std) ** 2) @ by_point.T
-        variance += by_parameters @ covariance @ by_parameters.T + control.marks_std_px**2 * np.eye(len(residual))
+        variance += propagated(by_parameters, covariance) + control.marks_std_px**2 * np.eye(len(residual))
         square = float(residual @ np.linalg.solve(variance, residual))
         if chdtrc(len(residual), square) < _LEAST_PROBABILITY:
             level = np.linalg.pinv(by_point[:, :2])
-            std = np.sqrt(np.einsum("ai,ij,aj->a", level, variance, level))
+            std = np.sqrt(propagated_variance(level, variance))
             against.append(ControlContradiction(point.name, level @ residual, std))
     return against
 

@@ -23,9 +23,11 @@ from scipy.ndimage import minimum_filter
 from scipy.spatial.transform import Rotation
 
 from evaluation.local_surface import local_surface
+from evaluation.robust import std_by_median
 from survey.adjust.block.bundle import Solution
 from survey.adjust.block.normal_equations import System, system_with
 from survey.adjust.block.problem import Planes, Problem
+from survey.adjust.block.propagation import propagated_variance
 from survey.adjust.block.state import State
 from survey.control.points import StableGround
 from survey.errors import ControlError
@@ -34,7 +36,7 @@ from survey.photos.cameras import View
 # Sides of the squares, in spacings of the ground's points, and squares along the longer side at most.
 _SPACINGS, _MOST_SQUARES = 3.0, 30
 # Distances beyond so many robust standard deviations, and at least so many of their own, are of ground that changed.
-_CHANGED, _MAD_TO_STD = 3.0, 1.4826
+_CHANGED = 3.0
 # Planes known that much worse than most do not count.
 _ROUGH = 4.0
 # Fewer points hold no block.
@@ -82,7 +84,7 @@ def ties_on_ground(ground: StableGround, points: np.ndarray, num_ties: int) -> G
     # At steps of the ground no plane fits.
     known &= std <= _ROUGH * np.median(std[known])
     scaled = off[known] / std[known]
-    scatter = max(_MAD_TO_STD * float(np.median(np.abs(scaled - np.median(scaled)))), 1.0)
+    scatter = max(float(std_by_median(scaled - np.median(scaled))), 1.0)
     std = std * scatter
     good = known & (np.abs(off - np.median(scaled) * std / scatter) <= _CHANGED * std)
     used = _one_of_each_square(points, good, std, spacing)
@@ -194,7 +196,7 @@ def _cost(planes: _PlanesOnGrid, points: np.ndarray, shift: np.ndarray) -> float
 
 def _cost_of(off: np.ndarray, count: int, shift: np.ndarray) -> float:
     """Cost of distances (K,) [m] of those of so many points that lie over ground, and of a shift in plan."""
-    scale = max(_MAD_TO_STD * float(np.median(np.abs(off))), _LEAST_STD_M)
+    scale = max(float(std_by_median(off)), _LEAST_STD_M)
     # Few points over the ground may fit anywhere.
     return math.log(scale) + math.log(count / len(off)) + float(shift[:2] @ shift[:2]) / (40.0 * _PLAN_STD_M**2)
 
@@ -217,7 +219,7 @@ def _descend(planes: _PlanesOnGrid, points: np.ndarray, start: np.ndarray) -> tu
         cost = _cost_of(off, len(points), shift)
         if best is None or cost < best[0]:
             best = cost, shift.copy()
-        scale = max(_MAD_TO_STD * float(np.median(np.abs(off))), _LEAST_STD_M)
+        scale = max(float(std_by_median(off)), _LEAST_STD_M)
         weight = np.maximum(1.0 - (off / (_CHANGED * scale)) ** 2, 0.0) ** 2 / scale**2
         matrix = (normal * weight[:, None]).T @ normal + np.diag([_PLAN_STD_M**-2.0, _PLAN_STD_M**-2.0, 0.0])
         right = -(normal * weight[:, None]).T @ off - np.array([*shift[:2] / _PLAN_STD_M**2, 0.0])
@@ -291,7 +293,7 @@ def _std_of_block(system: System, points: np.ndarray, middle: np.ndarray, covari
     fit = np.linalg.pinv(design.reshape(-1, 7)).reshape(7, len(points), 3)
     pulled = np.einsum("kmi,mji->kmj", fit, system.point_root).reshape(7, -1)
     follow = -(system.coupling.T @ pulled.T).T
-    return np.sqrt(np.einsum("kp,pq,kq->k", follow, covariance, follow))
+    return np.sqrt(propagated_variance(follow, covariance))
 
 
 def moved_by(before: Sequence[View], state: State, middle: np.ndarray) -> np.ndarray:

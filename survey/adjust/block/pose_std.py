@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from evaluation.robust import std_by_median
 from survey.adjust.block.bundle import Solution
 from survey.adjust.block.normal_matrix import BlockFactor, DenseFactor
 from survey.adjust.block.priors import ROTATION_STD, PriorKnowledge, without_shift
@@ -166,4 +167,4 @@ def _of_poses(prior: PriorKnowledge, values: np.ndarray) -> np.ndarray:
 
 def _scale(scaled: np.ndarray) -> np.ndarray:
     """Robust standard deviation per coordinate of residuals, in units of the expected one."""
-    return np.maximum(1.4826 * np.median(scaled, axis=0), 1e-3)
+    return np.maximum(std_by_median(scaled, axis=0), 1e-3)

@@ -13,6 +13,8 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from evaluation import robust
+from evaluation.robust import HUBER
 from survey.adjust.block.normal_matrix import EliminationOrder, elimination_order
 from survey.adjust.block.prediction import predict
 from survey.adjust.block.state import Layout, State
@@ -140,8 +142,6 @@ class Problem:
         return self.ties.pixel - predict(self.layout, state, self.ties, self.rise_design, self.rows)
 
 
-# Huber's bound [standard deviations]: 95 % of good residuals lie within.
-HUBER = 2.0
 # The median of the length of a two-dimensional normal deviate of unit standard deviation per axis, sqrt(2 ln 2).
 _MEDIAN_LENGTH = 1.1774
 # Of two photographs residuals lie across epipolar lines: that of a deviate along one axis with the same mean square.
@@ -181,5 +181,5 @@ def std_of_kinds(problem: Problem, residuals: np.ndarray, taken: float) -> np.nd
 def huber_weights(problem: Problem, residuals: np.ndarray, std_px: np.ndarray) -> np.ndarray:
     """Huber weights (N,) [1/px^2]; zero where there is no residual."""
     std, length = std_px[problem.kind], np.linalg.norm(residuals, axis=1)
-    weights = np.minimum(1.0, HUBER * std / np.maximum(length, 1e-300)) / std**2
+    weights = robust.huber_weights(length, std) / std**2
     return np.where(np.isfinite(length), weights, 0.0)

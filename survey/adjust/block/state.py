@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from refract import FlatWater
+from refract import FlatWater, distortion
 from refract.lens import MODELS, Lens, is_affine
 from survey.folder.local_frame import water_plane
 from survey.folder.survey import Survey
@@ -120,47 +120,17 @@ _STEPS = (1e-3, 1e-6, 1e-6, 1e-6)
 
 
 def distorted(xy: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-    """Distorted coordinates (N, 2).
-
-    With x, y where a ray meets the plane at depth 1 in cam, and r^2 = x^2 + y^2,
-
-        x_d = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), and y likewise with p1 and p2 in turn,
-
-    as OpenCV and COLMAP have it (D. C. Brown, Photogrammetric Engineering 32(3), 1966).
-
-    Parameters
-    ----------
-    xy : (N, 2)
-    coefficients : (N, 5)
-        In the order of `COEFFICIENTS`.
-    """
-    x, y = xy.T
-    k1, k2, k3, p1, p2 = coefficients.T
-    xx, yy, xy2 = x * x, y * y, 2.0 * x * y
-    r2 = xx + yy
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return np.stack(
-        [x * radial + p1 * xy2 + p2 * (r2 + 2.0 * xx), y * radial + p2 * xy2 + p1 * (r2 + 2.0 * yy)], axis=-1
-    )
+    """Coordinates (N, 2) distorted by Brown's polynomial, of coefficients (N, 5) in the order of `COEFFICIENTS`."""
+    (x, y), (k1, k2, k3, p1, p2) = xy.T, coefficients.T
+    row = k1, k2, p1, p2, k3, 0.0, 0.0, 0.0, np.inf, 0.0
+    return np.stack(distortion.distort({distortion.BROWN}, x, y, row), axis=-1)
 
 
 def distort(xy: np.ndarray, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`distorted` coordinates (N, 2), and their derivatives by xy (N, 2, 2) and by the coefficients (N, 2, 5)."""
-    x, y = xy.T
-    k1, k2, k3, p1, p2 = coefficients.T
-    xx, yy, xy2 = x * x, y * y, 2.0 * x * y
-    r2 = xx + yy
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
-    mixed = x * y * slope + 2.0 * (p1 * x + p2 * y)
-    by_x = radial + xx * slope + 2.0 * p1 * y + 6.0 * p2 * x
-    by_y = radial + yy * slope + 2.0 * p2 * x + 6.0 * p1 * y
-    by_xy = np.stack([np.stack([by_x, mixed], axis=-1), np.stack([mixed, by_y], axis=-1)], axis=-2)
-    r4 = r2 * r2
-    powers = np.column_stack([r2, r4, r4 * r2])
-    along_x = np.column_stack([x[:, None] * powers, xy2, r2 + 2.0 * xx])
-    along_y = np.column_stack([y[:, None] * powers, r2 + 2.0 * yy, xy2])
-    return distorted(xy, coefficients), by_xy, np.stack([along_x, along_y], axis=1)
+    found, by_xy, *by_coefficients = distortion.brown_with_derivatives(*xy.T, *coefficients.T)
+    along_x, along_y = (np.stack(each, axis=-1) for each in by_coefficients)
+    return np.stack(found, axis=-1), np.stack(by_xy, axis=-1).reshape(-1, 2, 2), np.stack([along_x, along_y], axis=1)
 
 
 @dataclass(frozen=True)

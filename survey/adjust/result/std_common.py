@@ -31,6 +31,7 @@ from refract import FlatWater
 from survey.adjust.block.observed import original_rows
 from survey.adjust.block.prediction import linearise
 from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, parameters_of, prior_of
+from survey.adjust.block.propagation import propagated_variance
 from survey.adjust.block.state import NUM_RELIEF, NUM_WATER, Layout, State
 from survey.adjust.result.adjustment import Adjustment
 from survey.photos.poses import TiePoints, least_track
@@ -84,11 +85,11 @@ def common_error(found: Adjustment, water: FlatWater | None) -> CommonError | No
     jacobian = height_jacobian_over_area(found, water)
     if not len(jacobian):
         return None
-    by_place = np.einsum("ki,ij,kj->k", jacobian, found.covariance.matrix, jacobian)
+    by_place = propagated_variance(jacobian, found.covariance.matrix)
     mean_jacobian = jacobian.mean(axis=0)
     return CommonError(
-        mean=math.sqrt(max(float(mean_jacobian @ found.covariance.matrix @ mean_jacobian), 0.0)),
-        typical=float(np.median(np.sqrt(np.maximum(by_place, 0.0)))),
+        mean=math.sqrt(float(propagated_variance(mean_jacobian, found.covariance.matrix))),
+        typical=float(np.median(np.sqrt(by_place))),
         num_places=len(jacobian),
     )
 
@@ -293,7 +294,7 @@ def _variance(survey: Survey, found: Adjustment | None, ties: TiePoints, gsd: fl
     """Variance of the height of each place (K,) [m^2]."""
     if found is not None:
         jacobian = height_jacobian(found, survey.water, ties)
-        return np.einsum("ki,ij,kj->k", jacobian, found.covariance.matrix, jacobian)
+        return propagated_variance(jacobian, found.covariance.matrix)
     prior, of_water = prior_of(survey, gsd, free_water=True), prior_of(survey, gsd).std[:NUM_WATER]
     std = np.concatenate([of_water, prior.std[prior.layout.first_lens :]])
     # Structure from motion and poses without any word on them have no standard deviation of their own.

@@ -23,6 +23,7 @@ from scipy import ndimage
 
 from geo.columns import portions
 from refract import FlatWater
+from survey.adjust.block.propagation import propagated
 from survey.adjust.result.adjustment import Adjustment, Residuals
 from survey.adjust.result.std_common import (
     PORTION,
@@ -78,7 +79,7 @@ def std_of_block(
         return std
     jacobian = place_jacobian(found, survey.water, ties)
     jacobian[:, 2] -= jacobian[:, 2].mean(axis=0)
-    covariance = np.einsum("kai,ij,kbj->kab", jacobian, found.covariance.matrix, jacobian).reshape(len(ties), 9)
+    covariance = propagated(jacobian, found.covariance.matrix).reshape(len(ties), 9)
     cells = BedCells.of(xyz, _CELL_GSD * gsd)
     rise, reached = cells.squared_rise(np.sqrt(np.maximum(covariance.mean(axis=0)[[0, 4]], 0.0)))
     not_by_slopes = rise - (cells.slope**2 * reached).sum(axis=0)

@@ -16,6 +16,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 
 import numpy as np
 import pytest
+from surface_rays import llvm
 
 # What is imported and collected stays to the end: walks of the garbage collector through it would find nothing, in the
 # collection and between tests.
@@ -76,12 +77,7 @@ def apart(request):
 @pytest.fixture(scope="session")
 def Float():
     """Dr.Jit floats on LLVM, differentiable."""
-    drjit = pytest.importorskip("drjit", reason="Dr.Jit is not installed")
-    if not drjit.has_backend(drjit.JitBackend.LLVM):
-        pytest.skip("Dr.Jit finds no LLVM; install libllvm19 or set DRJIT_LIBLLVM_PATH")
-    from drjit.llvm.ad import Float as LLVMFloat
-
-    return LLVMFloat
+    return llvm().Float
 
 
 @pytest.fixture(scope="session")

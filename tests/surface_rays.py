@@ -3,8 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from refract import kernels
+
+
+def llvm():
+    """The module of Dr.Jit's differentiable arrays on LLVM; skips the test without it."""
+    drjit = pytest.importorskip("drjit", reason="Dr.Jit is not installed")
+    if not drjit.has_backend(drjit.JitBackend.LLVM):
+        pytest.skip("Dr.Jit finds no LLVM; install libllvm19 or set DRJIT_LIBLLVM_PATH")
+    from drjit.llvm import ad
+
+    return ad
 
 
 def cameras(rng, count, height=(5.0, 60.0), spread=3.0):
@@ -30,8 +41,3 @@ def view_angle(camera, seen, ray):
     """Angles [rad] between unit rays and the directions from the camera to what is seen."""
     way = np.stack([s - c for s, c in zip(seen, camera, strict=True)], -1)
     return np.linalg.norm(np.cross(way, np.stack(ray, -1)), axis=-1) / np.linalg.norm(way, axis=-1)
-
-
-def triple(rows):
-    """Components of vectors (..., 3)."""
-    return rows[..., 0], rows[..., 1], rows[..., 2]

@@ -10,7 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from slow_cases import slow
-from surface_rays import bed_points, cameras, falling_rays, view_angle
+from surface_rays import bed_points, cameras, falling_rays, llvm, view_angle
 from torch.func import jacfwd, jacrev, vmap
 
 from refract import FlatWater, Regime, crossing_point, kernels, project, trace
@@ -61,12 +61,8 @@ def vectors(library, *rows, single=False):
         return rows
     if library == "torch":
         return tuple(torch.tensor(v, dtype=torch.float32 if single else torch.float64) for v in rows)
-    drjit = pytest.importorskip("drjit", reason="Dr.Jit is not installed")
-    if not drjit.has_backend(drjit.JitBackend.LLVM):
-        pytest.skip("Dr.Jit finds no LLVM; install libllvm19 or set DRJIT_LIBLLVM_PATH")
-    from drjit.llvm.ad import Array3f, Array3f64
-
-    return tuple((Array3f if single else Array3f64)(np.asarray(v).T) for v in rows)
+    kind = llvm().Array3f if single else llvm().Array3f64
+    return tuple(kind(np.asarray(v).T) for v in rows)
 
 
 def rows(array):

@@ -58,23 +58,6 @@ def test_derivatives_of_both_modes_are_those_of_fifty_digits(name):
     assert worst(jacrev(jacrev(seen))(numbers), second) < SECOND
 
 
-def test_a_dual_number_for_the_level_carries_its_derivative():
-    numbers = torch.tensor(CASES["oblique"], dtype=torch.float64)
-    first, _ = exact_derivatives(seen_exactly, CASES["oblique"])
-    with torch.autograd.forward_ad.dual_level():
-        level = torch.autograd.forward_ad.make_dual(numbers[6], torch.ones((), dtype=torch.float64))
-        found = seen(torch.cat([numbers[:6], level[None], numbers[7:]]))
-        tangent = torch.autograd.forward_ad.unpack_dual(found).tangent
-    np.testing.assert_allclose(tangent, first[:, 6], rtol=1e-12, atol=1e-15)
-
-
-def test_second_derivatives_pass_the_check_of_torch_and_are_symmetric():
-    numbers = torch.tensor(CASES["oblique"], dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradgradcheck(seen, numbers, eps=1e-5, atol=1e-7)
-    found = hessian(seen)(numbers.detach())
-    np.testing.assert_allclose(found, found.transpose(-1, -2), rtol=1e-10, atol=1e-14)
-
-
 def traced(numbers):
     water = FlatWater((0.3, -0.2, numbers[6]), n_water=numbers[7], slope_x=numbers[8], slope_y=numbers[9])
     ray = numbers[3:6] - numbers[:3]

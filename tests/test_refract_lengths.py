@@ -109,14 +109,3 @@ def test_float32_traces_as_float64_and_rounds_at_the_end(rng, slopes, away):
     assert ((found.crossing - exact.crossing).abs() <= 1.01 * half_unit * exact.crossing.abs() + 1e-12).all()
     assert ((found.air_length - exact.air_length).abs() <= 1.01 * half_unit * exact.air_length).all()
     assert (found.water_direction - exact.water_direction).abs().max() < 4 * half_unit
-
-
-def test_empty_arrays_give_empty_answers():
-    assert trace(CENTRE, np.zeros((0, 3)), WATER).regime_counts()["bent"] == 0
-    assert project(torch.zeros(0, 3), torch.zeros(3), WATER).direction.shape == (0, 3)
-    drjit = pytest.importorskip("drjit", reason="Dr.Jit is not installed")
-    if not drjit.has_backend(drjit.JitBackend.LLVM):
-        pytest.skip("Dr.Jit finds no LLVM; install libllvm19 or set DRJIT_LIBLLVM_PATH")
-    from drjit.llvm.ad import Array3f64
-
-    assert trace(CENTRE, Array3f64(np.zeros((3, 0))), WATER).regime_counts()["bent"] == 0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from refract import BentPaths, FlatWater, project, trace
+from refract import FlatWater, project, trace
 
 EPS = np.finfo(np.float64).eps
 LENGTH_M = 1e-12  # coordinates of up to 100 m: 70 units in the last place
@@ -87,23 +87,6 @@ def test_path_length_runs_through_both_legs(rng):
     np.testing.assert_allclose(step[whole], 0.25, atol=LENGTH_M)
 
 
-def test_wet_legs_obey_snell_at_a_tilted_plane(rng):
-    path = trace(CENTRE, falling_rays(rng, steepest=60.0), TILTED)
-    normal = np.array(TILTED.up)
-    in_air = np.linalg.norm(np.cross(path.air_direction, normal), axis=-1)
-    in_water = np.linalg.norm(np.cross(path.water_direction, normal), axis=-1)
-    np.testing.assert_allclose(in_air, 1.34 * in_water, atol=8 * EPS)
-
-
-def test_index_one_is_the_dry_path_to_the_last_bit(rng):
-    rays = falling_rays(rng)
-    wet, dry = trace(CENTRE, rays, FlatWater((0.0, 0.0, 2.0), n_water=1.0)), trace(CENTRE, rays, None)
-    np.testing.assert_array_equal(wet.water_direction, dry.water_direction)
-    t = rng.uniform(0.0, 90.0, 500)
-    # Two legs add up in two roundings of coordinates of 100 m.
-    np.testing.assert_allclose(wet.at(t), dry.at(t), atol=4 * 100.0 * EPS)
-
-
 @pytest.mark.parametrize("ray", [[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [1.0, 0.0, 0.0], [1.0, 0.0, -1e-14]])
 def test_rays_that_never_meet_the_water_stay_straight_and_dry(ray):
     path = trace(CENTRE, np.array(ray), FlatWater((0.0, 0.0, 2.0), n_water=1.333))
@@ -160,28 +143,6 @@ def test_origins_and_directions_broadcast(rng):
     assert empty.at_height(-1.0, LEVEL).shape == (0, 3)
 
 
-def test_nan_stays_in_its_own_ray(rng):
-    rays = falling_rays(rng, count=3)
-    rays[1, 2] = np.nan
-    path = trace(CENTRE, rays, LEVEL)
-    np.testing.assert_array_equal(path.wet, [True, False, True])
-    np.testing.assert_array_equal(np.isfinite(path.at_height(-2.0, LEVEL)).all(axis=-1), [True, False, True])
-
-
-def test_torch_gradients_of_mixed_rays_are_finite(rng):
-    rays = torch.tensor(
-        np.concatenate([falling_rays(rng, count=3), [[0.6, 0.0, 0.8], [1.0, 0.0, 0.0]]]), requires_grad=True
-    )
-    origin = torch.tensor(CENTRE, requires_grad=True)
-    height = torch.tensor([-1.0, 0.0, 1.0, 40.0, 3.0], dtype=torch.float64, requires_grad=True)
-    path = trace(origin, rays, LEVEL)
-    total = path.at_height(height, LEVEL).nansum() + path.at(height + 50.0).sum()
-    total.backward()
-    for leaf in (rays, origin, height):
-        assert torch.isfinite(leaf.grad).all()
-    assert rays.grad[0].abs().min() > 0.0
-
-
 @pytest.mark.parametrize(
     "call",
     [
@@ -194,13 +155,6 @@ def test_torch_gradients_of_mixed_rays_are_finite(rng):
 def test_wrong_shapes_are_value_errors_that_name_them(call):
     with pytest.raises(ValueError, match=r"\((2|3|5, 3),?\)"):
         call()
-
-
-def test_paths_are_frozen():
-    path = trace(CENTRE, np.array([0.0, 0.0, -1.0]), LEVEL)
-    assert isinstance(path, BentPaths)
-    with pytest.raises(AttributeError):
-        path.wet = True
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from slow_cases import slow
+from surface_rays import llvm
 
 from refract import FlatWater, channel_indices, crossing_point, project, trace
 from refract.curved import WavyWater
@@ -43,12 +44,7 @@ def arrays(library, *values):
         return values
     if library == "torch":
         return tuple(torch.tensor(v) for v in values)
-    drjit = pytest.importorskip("drjit", reason="Dr.Jit is not installed")
-    if not drjit.has_backend(drjit.JitBackend.LLVM):
-        pytest.skip("Dr.Jit finds no LLVM; install libllvm19 or set DRJIT_LIBLLVM_PATH")
-    from drjit.llvm.ad import Array3f64, Float64
-
-    return tuple(Array3f64(v.reshape(-1, 3).T) if v.shape[-1:] == (3,) else Float64(v) for v in values)
+    return tuple(llvm().Array3f64(v.reshape(-1, 3).T) if v.shape[-1:] == (3,) else llvm().Float64(v) for v in values)
 
 
 def rows(array):

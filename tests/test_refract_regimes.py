@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from surface_rays import llvm
 
 from refract import FlatWater, Regime, bend, bend_regime, project, regime_counts, trace
 
@@ -41,12 +42,7 @@ def vectors(rows, library):
         return array
     if library.startswith("torch"):
         return torch.tensor(array, dtype=getattr(torch, library.removeprefix("torch.")))
-    drjit = pytest.importorskip("drjit", reason="Dr.Jit is not installed")
-    if not drjit.has_backend(drjit.JitBackend.LLVM):
-        pytest.skip("Dr.Jit finds no LLVM; install libllvm19 or set DRJIT_LIBLLVM_PATH")
-    from drjit.llvm import ad
-
-    return getattr(ad, library)(array.T)
+    return getattr(llvm(), library)(array.T)
 
 
 def rows(array) -> np.ndarray:

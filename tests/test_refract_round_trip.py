@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from surface_rays import llvm
 
 from refract import FlatWater, kernels, project, trace
 from refract.surfaces import ENOUGH_STEPS_DOUBLE, ENOUGH_STEPS_SINGLE
@@ -46,12 +47,7 @@ def library_of(kind):
         dtype = getattr(torch, kind.removeprefix("torch."))
         wrap = lambda v: torch.tensor(v, dtype=dtype)  # noqa: E731
         return wrap, wrap, lambda v: v.double().numpy()
-    drjit = pytest.importorskip("drjit", reason="Dr.Jit is not installed")
-    if not drjit.has_backend(drjit.JitBackend.LLVM):
-        pytest.skip("Dr.Jit finds no LLVM; install libllvm19 or set DRJIT_LIBLLVM_PATH")
-    from drjit import llvm
-
-    Vector, Float = getattr(llvm, kind), getattr(llvm, kind.replace("Array3f", "Float"))
+    Vector, Float = getattr(llvm(), kind), getattr(llvm(), kind.replace("Array3f", "Float"))
     dtype = np.float64 if kind.endswith("64") else np.float32
     return lambda v: Vector(np.ascontiguousarray(v.T, dtype)), Float, lambda v: np.asarray(v, np.float64).T
 

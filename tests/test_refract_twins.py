@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from refract import FlatWater, bend, crossing_point, kernels, trace
+from refract import FlatWater, bend, crossing_point, kernels
 
 EPS32 = np.finfo(np.float32).eps
 FOCAL_PX = 1750.0  # of a drone camera; one radian off the axis is this many pixels
@@ -102,22 +102,6 @@ def test_bent_rays_agree_with_float64_numpy(rng, request, library):
         assert (error * cosine[firm & np.isfinite(exact[:, 2])]).max() < 8 * EPS32
 
 
-def test_drjit_gradients_agree_with_torch(rng, Float):
-    import drjit
-
-    camera, point = drone_geometry(rng, 500)
-    as_leaves = tuple(Float(c) for c in point)
-    drjit.enable_grad(*as_leaves)
-    found, _ = kernels.crossing_of_point(tuple(map(Float, camera)), as_leaves, PLANE, 4)
-    drjit.backward(found[0] + 2.0 * found[1])
-    leaves = tuple(c.requires_grad_() for c in as_torch(point, torch.float64))
-    twin, _ = kernels.crossing_of_point(as_torch(camera, torch.float64), leaves, PLANE, 16)
-    (twin[0] + 2.0 * twin[1]).sum().backward()
-    for found_leaf, twin_leaf in zip(as_leaves, leaves, strict=True):
-        # Derivatives of order one, reached through some twenty float32 operations per step.
-        np.testing.assert_allclose(np.asarray(drjit.grad(found_leaf)), twin_leaf.grad.numpy(), atol=100 * EPS32)
-
-
 def test_drjit_drops_totally_reflected_rays_without_poisoning_gradients(Float):
     import drjit
 
@@ -130,24 +114,6 @@ def test_drjit_drops_totally_reflected_rays_without_poisoning_gradients(Float):
     gradient = np.asarray(drjit.grad(ray[0]))
     assert gradient[0] > 1.0
     assert gradient[1] == 0.0
-
-
-@pytest.mark.parametrize(
-    ("offset", "depth"),
-    [(0.0, 3.0), (1e-9, 3.0), (1e-3, 3.0), (7.0, 3.0), (200.0, 3.0), (7.0, 1e-3), (0.0, 1e-3), (12.0, 400.0)],
-)
-def test_crossing_has_the_right_gradient_also_straight_below(offset, depth):
-    """Against central differences, in camera, point and index; offset 0 is normal incidence (D = 0)."""
-    camera = tuple(torch.tensor(v, dtype=torch.float64, requires_grad=True) for v in (1.0, 2.0, 30.0))
-    point = tuple(torch.tensor(v, dtype=torch.float64, requires_grad=True) for v in (1.0 + offset, 2.0, -depth))
-    index = torch.tensor(1.333, dtype=torch.float64, requires_grad=True)
-
-    def crossing(cx, cy, cz, px, py, pz, n):
-        found, _ = kernels.crossing_of_point((cx, cy, cz), (px, py, pz), kernels.WaterPlane((0.0, 0.0, 0.0), UP, n), 12)
-        return torch.stack(found)
-
-    step = 1e-6 * min(1.0, 100.0 * depth)  # smaller than the depth: the point must stay under water
-    assert torch.autograd.gradcheck(crossing, (*camera, *point, index), eps=step, atol=1e-6, rtol=1e-6)
 
 
 def test_straight_below_the_crossing_follows_the_point_by_its_share_in_air():
@@ -166,15 +132,6 @@ def test_gradients_at_and_above_the_shoreline_are_those_of_a_straight_ray(z):
     np.testing.assert_array_equal(camera.grad, np.zeros(3))
 
 
-@pytest.mark.parametrize("camera_z", [0.0, -1.0])
-def test_gradients_with_a_camera_in_the_water_are_finite(camera_z):
-    points = torch.tensor([[0.0, 0.0, -2.0], [5.0, 1.0, -2.0]], dtype=torch.float64, requires_grad=True)
-    camera = torch.tensor([0.0, 0.0, camera_z], dtype=torch.float64, requires_grad=True)
-    crossing_point(points, camera, FlatWater((0.0, 0.0, 0.0), n_water=1.333)).sum().backward()
-    assert torch.isfinite(points.grad).all()
-    assert torch.isfinite(camera.grad).all()
-
-
 @pytest.mark.parametrize(
     ("n_from", "n_to", "angle_deg"),
     [(1.0, 1.333, a) for a in (0.0, 1e-6, 30.0, 48.0, 80.0, 89.0)]
@@ -191,18 +148,6 @@ def test_bend_has_the_right_gradient_in_ray_normal_and_index(n_from, n_to, angle
     assert torch.autograd.gradcheck(
         lambda ray, normal, index: bend(ray, normal, n_from=index, n_to=n_to), leaves, eps=1e-7, atol=1e-5
     )
-
-
-def test_torch_paths_agree_with_numpy(rng):
-    camera, point = drone_geometry(rng, 200)
-    ray = np.stack(point, -1) - np.stack(camera, -1)
-    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
-    water, centre = FlatWater((0.0, 0.0, 0.5), n_water=1.34, slope_x=0.01, slope_y=0.02), np.stack(camera, -1)
-    there = trace(centre, ray, water)
-    twin = trace(torch.tensor(centre), torch.tensor(ray), water)
-    for height in (1.0, 0.0, -4.0):
-        np.testing.assert_allclose(twin.at_height(height, water).numpy(), there.at_height(height, water), atol=1e-12)
-    np.testing.assert_allclose(twin.at(torch.tensor(33.0)).numpy(), there.at(33.0), atol=1e-12)
 
 
 def test_numpy_cameras_mix_with_torch_points():

@@ -7,6 +7,7 @@ from dataclasses import fields, is_dataclass
 import numpy as np
 import pytest
 import torch
+from surface_rays import llvm
 
 import refract
 from refract import FlatWater, bend, bend_regime, crossing_point, project, regime_counts, trace
@@ -41,12 +42,8 @@ def empty(library):
         return np.zeros((0, 3)), np.zeros(0), np.array([0.0, 0.0, 1.0])
     if library == "torch":
         return torch.zeros((0, 3)), torch.zeros(0), torch.tensor([0.0, 0.0, 1.0])
-    drjit = pytest.importorskip("drjit", reason="Dr.Jit is not installed")
-    if not drjit.has_backend(drjit.JitBackend.LLVM):
-        pytest.skip("Dr.Jit finds no LLVM; install libllvm19 or set DRJIT_LIBLLVM_PATH")
-    from drjit.llvm.ad import Array3f, Float
-
-    return Array3f(np.zeros((3, 0))), Float(np.zeros(0)), Array3f(0.0, 0.0, 1.0)
+    ad = llvm()
+    return ad.Array3f(np.zeros((3, 0))), ad.Float(np.zeros(0)), ad.Array3f(0.0, 0.0, 1.0)
 
 
 def sizes(found):

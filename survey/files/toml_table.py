@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import re
 import tomllib
 import types
 import typing
@@ -30,6 +31,8 @@ _NEAR = 0.6
 EXPECTED, ONE_OF = "expected", "one_of"
 # Metadata of a field whose record has keys of the table that it stands in, those that belong together.
 INLINE = {"inline": True}
+# A number in any form; signs that backslashes of a path become.
+_NUMBER, _CONTROL = re.compile(r"[+-]?[\d.,' ]*\d[\d.,' ]*(\s*[A-Za-z%°]+)?"), re.compile(r"[\x00-\x1f\x7f]")
 _SCHEMA_KINDS = {float: "number", int: "integer", bool: "boolean", str: "string"}
 
 
@@ -100,10 +103,33 @@ def parse_toml(
     try:
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"not valid TOML: {error}; correct that line") from error
+        raise ConfigError(f"not valid TOML: {error}; {_advice(text, error)}") from error
     except RecursionError as error:
         raise ConfigError("its tables and lists are nested too deeply for settings; correct it") from error
     return _Reader(kind, synonyms or {}, not_yet or {}).table(kind, "", tables)
+
+
+_POINT = "write numbers with a decimal point and without separators, as 1234.5"
+_SLASHES = "write paths with /, as C:/data, or in single quotes, since a backslash begins a sign such as a line break"
+# What people write in lines that are no TOML, and what to write instead.
+_HABITS = (
+    (r"=\s*\[?\s*[+-]?[\d.' ]*\d,\d", _POINT),
+    (r"=\s*\[?\s*[+-]?\d+[.' ]\d+[.' ]\d", _POINT),
+    (r"=\s*\[?\s*[+-]?[\d.]+\s*[A-Za-z°%µ]", "write numbers without a unit: the key names it"),
+    (r"[“”„‘’«»]", 'write straight quotes, as "text"'),
+    (r"=\s*\".*\\", _SLASHES),
+    (r"=\s*(True|False|TRUE|FALSE|yes|no|Yes|No|on|off)\b", "write true or false, in lower case"),
+    (r"=\s*[^\s\d\[{\"'+-]", 'write texts in quotes, as "text"'),
+    (r"^\s*[\w.]+\s*:\s", "write = between a key and its value"),
+)
+
+
+def _advice(text: str, error: tomllib.TOMLDecodeError) -> str:
+    """How to correct the line in which an error was found."""
+    number, lines = re.search(r"at line (\d+)", str(error)), text.splitlines()
+    line = lines[int(number[1]) - 1] if number is not None and int(number[1]) <= len(lines) else ""
+    known = next((advice for pattern, advice in _HABITS if re.search(pattern, line)), None)
+    return "correct that line" if known is None else f"in {_shown(line.strip())}, {known}"
 
 
 def parse_values(values: Mapping[str, Any], kind: type) -> Any:
@@ -169,14 +195,19 @@ class _Reader:
         if kind is float and is_number and abs(value) <= LARGEST:
             return float(value)
         if kind is str and isinstance(value, str) and value.strip():
+            if _CONTROL.search(value):
+                raise ConfigError(f"{dotted} is {_shown(value)}, expected a text of one line; {_SLASHES}")
             return value
         if (kind is int and is_number and isinstance(value, int)) or (kind is bool and isinstance(value, bool)):
             return value
-        raise ConfigError(f"{dotted} is {_shown(value)}, expected {expected}")
+        is_text_of_number = isinstance(value, str) and kind in (float, int) and _NUMBER.fullmatch(value.strip())
+        hint = f"; {_POINT}, without quotes" if is_text_of_number else ""
+        raise ConfigError(f"{dotted} is {_shown(value)}, expected {expected}{hint}")
 
     def _tuple(self, parts: tuple, dotted: str, value: Any, expected: str) -> tuple:
         if not isinstance(value, list) or (parts[-1] is not Ellipsis and len(value) != len(parts)):
-            raise ConfigError(f"{dotted} is {_shown(value)}, expected {expected}")
+            is_halved = isinstance(value, list) and len(value) == 2 * len(parts) and parts[-1] is not Ellipsis
+            raise ConfigError(f"{dotted} is {_shown(value)}, expected {expected}{f'; {_POINT}' if is_halved else ''}")
         kinds = [parts[0]] * len(value) if parts[-1] is Ellipsis else parts
         return tuple(
             self._value(part, f"{dotted}[{i}]", v, _words(part))

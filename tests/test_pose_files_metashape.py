@@ -230,7 +230,7 @@ FAULTS = {
     "two labels": ('label="0001.jpg"', 'label="0000.jpg"', "a second camera has the same label"),
     "reference": ("<reference>PROJCS", "<reference>PROJ[", "is not a known CRS"),
     "long matrix": ('label="0000.jpg"><transform>', 'label="0000.jpg"><transform>1 ', "17 numbers were found"),
-    "not updated": ("<translation ", "<translation>0 0 0</translation><x ", "km from the centre of the Earth"),
+    "not updated": ("<translation ", "<translation>0 0 0</translation><x ", "m from the centre of the Earth"),
     "no transform": ("<components>", "<parts>", "no camera that is enabled, aligned and georeferenced"),
 }  # fmt: skip
 
@@ -311,3 +311,20 @@ def test_a_camera_without_a_label_is_left_out_and_named_unless_its_file_is(tmp_p
     (tmp_path / "cameras.xml").write_text(re.sub(r'label="\d+.jpg"', "", text))
     with pytest.raises(PosesError, match="no camera that is aligned has a label, expected the name of its image"):
         read_poses(tmp_path / "cameras.xml")
+
+
+@pytest.mark.parametrize("num_frames", [1, 3])
+def test_the_frames_of_a_series_in_time_are_no_cameras(tmp_path, block, num_frames):
+    text = cameras_xml(block)
+    photos = "".join(
+        f'<frame id="{f}"><cameras>'
+        + "".join(f'<camera camera_id="{i}"><photo path="{f}/{name}"/></camera>' for i, name in enumerate(block.names))
+        + "</cameras></frame>"
+        for f in range(num_frames)
+    )
+    (tmp_path / "cameras.xml").write_text(text.replace("</chunk>", f"<frames>{photos}</frames></chunk>"))
+    (tmp_path / "plain.xml").write_text(text)
+    found, plain = read_poses(tmp_path / "cameras.xml"), read_poses(tmp_path / "plain.xml")
+    assert [pose.name for pose in found.poses] == [pose.name for pose in plain.poses]
+    more = [text for text in found.warnings if text not in [w.replace("plain", "cameras") for w in plain.warnings]]
+    assert ["has 3 frames" in text for text in more] == ([] if num_frames == 1 else [True])

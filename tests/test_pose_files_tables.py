@@ -48,6 +48,14 @@ def ypr_deg(block, view: int) -> np.ndarray:
     return Rotation.from_matrix(turn).as_euler("ZYX", degrees=True)
 
 
+def grid_ypr_deg(block, view: int) -> np.ndarray:
+    """The same about the grid axes at the camera."""
+    grid_from_cam = (block.cams[view] @ grid_at(block.centres[view])).T
+    aircraft_from_cam = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    north_east_down = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
+    return Rotation.from_matrix(north_east_down @ grid_from_cam @ aircraft_from_cam.T).as_euler("ZYX", degrees=True)
+
+
 def rows(block, angles, places=None) -> list[tuple]:
     places = in_utm(block.centres) if places is None else places
     return [(name, *places[i], *angles(block, i)) for i, name in enumerate(block.names)]
@@ -219,3 +227,14 @@ def test_eastings_in_another_unit_than_the_crs_are_refused(tmp_path, block):
     (tmp_path / "poses.csv").write_text(table("image,x_ft,y_ft,z_m,omega,phi,kappa", lines))
     with pytest.raises(PosesError, match=r"eastings and northings are in units of 0.3048"):
         load(tmp_path, block, "poses.csv", cameras=lens_toml(block))
+
+
+@pytest.mark.parametrize("header", ["#name,x,y,alt,heading,pitch,roll", "#Name,X,Y,Z,Heading,Pitch,Roll"])
+def test_the_heading_of_realitycapture_counts_from_grid_north(tmp_path, block, header):
+    (tmp_path / "cameras.csv").write_text(table(header, rows(block, grid_ypr_deg)))
+    survey = load(tmp_path, block, "cameras.csv", cameras=lens_toml(block))
+    assert most_missed_px(survey, block) < CLOSE_PX
+    assert any("counts from grid north, as RealityCapture writes it" in note for note in survey.findings.assumptions)
+    other = header.replace("#name", "image").replace("#Name", "image")
+    (tmp_path / "cameras.csv").write_text(table(other, rows(block, ypr_deg)))
+    assert most_missed_px(load(tmp_path, block, "cameras.csv", cameras=lens_toml(block)), block) < CLOSE_PX

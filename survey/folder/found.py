@@ -23,6 +23,7 @@ from survey.folder import infer
 from survey.folder.control import FoundControl, find_control
 from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.folder.positions import position_warnings
+from survey.folder.shots import shot_warnings
 from survey.folder.unused_keys import Circumstances, unused_keys
 from survey.photos.exif import SUFFIXES, Exif, position_sources, read_exif, without_void_fixes
 from survey.photos.images import fetch_images, list_images, same_files
@@ -141,6 +142,7 @@ def _warnings_of(found: Found, transforms: Sequence[PositionTransform]) -> Itera
     for names in same_files(found.images):
         copies = " and ".join(names[:4])
         yield f"{copies} are copies of one photograph, which agree wherever they are compared: keep one"
+    yield from shot_warnings(config, headers)
     if found.poses_path is None:
         yield from water_place_warnings(found.crs, _exif_places(headers), config.water, found.levels)
     if config.water is None and not config.dry:

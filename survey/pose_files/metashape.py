@@ -116,7 +116,11 @@ def read_metashape(path: Path) -> PoseFile:
     crs = _crs_of(chunk, path)
     poses: dict[str, Pose] = {}
     disabled, unplaced, nameless, components = [], [], [], set()
+    # Of a series in time: other photographs of the same cameras.
+    of_frames = {photo for frames in chunk.iter("frames") for photo in frames.iter("camera")}
     for camera in chunk.iter("camera"):
+        if camera in of_frames:
+            continue
         name, matrix = _name(camera), camera.find("transform")
         if not name:
             nameless.append(f"id {shortened(camera.get('id', 'missing'))}")
@@ -176,6 +180,12 @@ def _warnings(chunk: Element, path: Path, *, num_components: int) -> Iterator[st
         yield (
             f"{path.name} has a block in {num_components} components that no tie point joins; they fit each other "
             "only as their references do: align them together, or export one alone"
+        )
+    num_frames = len(chunk.findall("frames/frame"))
+    if num_frames > 1:
+        yield (
+            f"{path.name} has {num_frames} frames, photographs of the same cameras at other times: the poses are those "
+            "of the photographs that the labels of the cameras name"
         )
     if any(_is_true(tag.text, default="true") for tag in chunk.iter("rolling_shutter")):
         yield (

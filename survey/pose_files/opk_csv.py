@@ -1,6 +1,7 @@
 """Tables of poses: positions in crs, and omega, phi, kappa or yaw, pitch, roll in degrees.
 
-Omega, phi and kappa count about the grid axes at the camera, yaw from true north. cameras.csv is such a table.
+Omega, phi and kappa count about the grid axes at the camera, yaw from true north, that of RealityCapture from grid
+north. cameras.csv is such a table.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from pyproj import CRS
 
 from survey.errors import PosesError
 from survey.files.crs_lines import crs_of_comment
-from survey.files.csv_table import Row, Table, column_names, words_of
+from survey.files.csv_table import Row, Table, column_names, text_lines, words_of
 from survey.photos.poses import DuplicatePose, GivenPosition, Pose, PoseFile, PoseFrame
 from survey.photos.rotations import CAM_FROM_OPK_CAM, enu_from_yaw_pitch_roll, grid_from_opk
 from survey.pose_files.format import Format, is_lens_key
@@ -75,23 +76,21 @@ def read_opk_csv(path: Path) -> PoseFile:
     warnings = (warning,) if of_lens else ()
     crs = crs_of_comment(path, PosesError) or (CRS("EPSG:4326") if names[1] == "longitude" else None)
     height_m, plan_m = units.get(names[3]), table.common_unit_m(names[1], names[2])
-    if "omega" in columns:
-        return PoseFile(
-            tuple(poses.values()),
-            PoseFrame.GRID,
-            crs,
-            warnings=warnings,
-            height_unit_m=height_m,
-            plan_unit_m=plan_m,
-        )
-    is_of_gimbal = "gimbal_yaw" in columns
-    if not is_of_gimbal:
-        _require_photogrammetric(path, rows, names[5])
-    down = "-90 looks" if is_of_gimbal else "0 looks"
-    notes = (f"yaw in {path.name} counts from true north, not from the grid's, and a pitch of {down} straight down",)
+    frame, notes = PoseFrame.GRID, tuple[str, ...]()
+    if "omega" not in columns:
+        is_of_gimbal = "gimbal_yaw" in columns
+        if not is_of_gimbal:
+            _require_photogrammetric(path, rows, names[5])
+        # RealityCapture's table counts its heading from the north of the grid that it exports.
+        head = next((line.casefold() for _, line in text_lines(path, PosesError) if line.strip()), "")
+        is_of_grid = head.startswith("#name") and "heading" in head
+        frame = PoseFrame.GRID if is_of_grid else PoseFrame.ENU
+        north = "grid north, as RealityCapture writes it" if is_of_grid else "true north, not from the grid's"
+        down = "-90 looks" if is_of_gimbal else "0 looks"
+        notes = (f"yaw in {path.name} counts from {north}, and a pitch of {down} straight down",)
     return PoseFile(
         tuple(poses.values()),
-        PoseFrame.ENU,
+        frame,
         crs,
         notes=notes,
         warnings=warnings,

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from whole_pose_files import whole_pose_files
+from whole_pose_files import NAMES, whole_pose_files
 
 from survey.errors import PosesError
-from survey.pose_files import find_poses, read_poses, read_ties
+from survey.pose_files import FORMATS, find_poses, read_poses, read_ties
 
 # What damages files: other kinds of values, ends of texts and blocks, and numbers that nobody can mean.
 PIECES = (
@@ -23,13 +23,7 @@ def whole(tmp_path_factory) -> dict[str, tuple[dict[str, bytes], str]]:
     return whole_pose_files(tmp_path_factory.mktemp("whole"))
 
 
-FORMATS = (
-    "Pix4D", "Pix4D without positions", "COLMAP text", "COLMAP binary", "OpenSfM", "Metashape", "nerfstudio", "lines",
-    "table",
-)  # fmt: skip
-
-
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", NAMES)
 def test_the_files_are_whole_before_they_are_damaged(whole, tmp_path, name):
     files, given_path = whole[name]
     for file, data in files.items():
@@ -38,13 +32,25 @@ def test_the_files_are_whole_before_they_are_damaged(whole, tmp_path, name):
     assert len(find_poses(tmp_path)) == 1
 
 
+def test_every_format_has_a_whole_file(whole, tmp_path):
+    read = set()
+    for files, given_path in whole.values():
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        folder.mkdir()
+        for file, data in files.items():
+            (folder / file).write_bytes(data)
+        read.add(next(known.name for known in FORMATS if known.recognises(folder / given_path)))
+    assert tuple(whole) == NAMES
+    assert read == {known.name for known in FORMATS}
+
+
 # Where in a file, how many bytes go, what comes for them (None: the same twice), and whether the rest is cut off.
 EDIT = st.tuples(
     st.integers(0, 10**6), st.sampled_from([0, 1, 4, 8, 40]), st.sampled_from([None, *PIECES]), st.integers(0, 9)
 )
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", NAMES)
 @settings(
     max_examples=40, deadline=None, derandomize=True, database=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture],

@@ -14,6 +14,11 @@ from test_pose_files_pix4d import CAMERAS, EXTERNAL
 from test_pose_files_pix4d import write as write_pix4d
 from test_pose_files_tables import metashape_opk, opk_deg, rows, table
 
+NAMES = (
+    "Pix4D", "Pix4D without positions", "COLMAP text", "COLMAP binary", "OpenSfM", "Metashape", "nerfstudio", "lines",
+    "table",
+)  # fmt: skip
+
 
 def whole_pose_files(folder: Path) -> dict[str, tuple[dict[str, bytes], str]]:
     """The files of a survey in each format by their names, and which of these is given; ``folder`` is filled."""

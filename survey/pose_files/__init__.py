@@ -1,7 +1,12 @@
-"""Poses files, one module per format: each reads a file into a `survey.photos.poses.PoseFile`."""
+"""Poses files, one module per format: each reads a file into a `survey.photos.poses.PoseFile`.
+
+Installed packages add formats of their own by entry points of the group `PLUGINS`, each a `Format`.
+"""
 
 from __future__ import annotations
 
+from functools import cache
+from importlib.metadata import entry_points
 from pathlib import Path
 
 from survey.errors import PosesError
@@ -29,17 +34,23 @@ _NOT_READ = {
     "*.kml": _POSITIONS, "*.kmz": _POSITIONS, "*.gpx": _POSITIONS, "*.mrk": _POSITIONS, "*.pos": _POSITIONS,
     "*.geojson": _POSITIONS,
 }  # fmt: skip
-# Asked in this order which of them a path is of.
+PLUGINS = "bathynerf.pose_formats"
+# Asked in this order which of them a path is of, after those of other packages.
 FORMATS = (
     pix4d.FORMAT, exterior_text.FORMAT, opk_csv.FORMAT, colmap.FORMAT, opensfm.FORMAT, metashape.FORMAT,
     nerfstudio.FORMAT,
 )  # fmt: skip
-_EXPECTED = "; ".join(known.name for known in FORMATS)
+
+
+@cache
+def formats() -> tuple[Format, ...]:
+    """All formats, those of other packages first."""
+    return (*(entry.load() for entry in entry_points(group=PLUGINS)), *FORMATS)
 
 
 def find_poses(folder: Path) -> list[Path]:
     """Poses files and model folders of a known format, in their usual places in a survey folder."""
-    found = (path for known in FORMATS for path in known.find(folder))
+    found = (path for known in formats() for path in known.find(folder))
     return [path for path in found if instead_of(path, _NOT_READ) is None]
 
 
@@ -62,12 +73,13 @@ def read_poses(path: Path) -> PoseFile:
     """
     if not path.exists():
         raise PosesError(f"the poses file {path} does not exist; correct [cameras] poses in survey.toml")
+    expected = "; ".join(known.name for known in formats())
     instead = instead_of(path, _NOT_READ)
     if instead is not None:
-        raise PosesError(f"{path} is not read: {instead}; expected one of: {_EXPECTED}")
+        raise PosesError(f"{path} is not read: {instead}; expected one of: {expected}")
     known = _format_of(path)
     if known is None:
-        raise PosesError(f"{path} is not a known kind of poses file; expected one of: {_EXPECTED}")
+        raise PosesError(f"{path} is not a known kind of poses file; expected one of: {expected}")
     file = known.read(path)
     if not file.poses:
         raise PosesError(f"{path} has no poses, expected those of the photographs; correct it or give another file")
@@ -96,4 +108,4 @@ def read_ties(path: Path) -> FileTies | None:
 
 
 def _format_of(path: Path) -> Format | None:
-    return next((known for known in FORMATS if known.recognises(path)), None)
+    return next((known for known in formats() if known.recognises(path)), None)

@@ -85,13 +85,15 @@ def test_each_photograph_has_its_shares_and_those_that_are_mostly_white_are_name
     (warning,) = photograph_warnings(found)
     assert warning.startswith("1 photograph more than half white by glint of the sun or exposure")
     assert warning.endswith("b.jpg")
-    white, unlike = summary(found)[0].split("; ")
+    white, unlike = summary(found)
     assert "21.3" in white
     # The weight of those is less, and they are in the cloud.
     assert unlike.endswith("are downweighted")
     _, notable, every = table(found)
     assert [row[0] for row in notable.rows] == ["b.jpg", "c.jpg"]
     assert [row[0] for row in every.table.rows] == ["a.jpg", "b.jpg", "c.jpg"]
+    # Nothing is said of nothing.
+    assert summary(photographs_of({"a.jpg": 0.0}, {"a.jpg": [200, 0]}, {})) == []
     assert table(()) == summary(()) == photograph_warnings(()) == []
 
 

@@ -532,38 +532,3 @@ def test_a_scheduler_that_is_lost_during_structure_from_motion_is_named(tmp_path
     with pytest.raises(SurveyError, match="was lost during structure from motion; start it"):
         list(Workers(client, tmp_path, are_started=False).map(abs, [-1, -2]))
     assert len(client.cancelled) == 1
-
-
-def on_a_worker_alone(value: int) -> int:
-    """A function that fails in the process of the run."""
-    from distributed import get_worker
-
-    get_worker()
-    return value + 1
-
-
-def not_on_a_worker(value: int) -> int:
-    """A function that fails on workers, as of a lack of memory."""
-    from distributed import get_worker
-
-    with suppress(ValueError):
-        get_worker()
-        raise MemoryError
-    return value + 1
-
-
-@pytest.mark.parametrize("function", [on_a_worker_alone, not_on_a_worker])
-def test_a_part_of_the_report_that_no_worker_makes_the_process_of_the_run_does(two_workers, tmp_path, function):
-    assert Workers(two_workers, tmp_path, are_started=True).submit(function, 2)() == 3
-
-
-def test_a_report_does_not_wait_for_workers_that_have_gone(tmp_path, monkeypatch):
-    distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("survey.run.workers._LOOK_EVERY_S", 0.05)
-    monkeypatch.setattr("survey.run.workers.WORKER_TIMEOUT_S", 0.2)
-    scheduler = {"cls": distributed.Scheduler, "options": FREE_PORTS}
-    with (
-        distributed.SpecCluster(scheduler=scheduler, workers={}) as cluster,
-        distributed.Client(cluster) as client,
-    ):
-        assert Workers(client, tmp_path, are_started=False).submit(not_on_a_worker, 2)() == 3

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 from geo.files import write_whole
@@ -12,23 +12,14 @@ from survey.report.facts import ReportFacts
 from survey.report.figures import ReportFigures, json_of
 from survey.report.page import render_page
 from survey.report.pictures import draw_pictures
-from survey.report.raster import Picture
 
-__all__ = ["NUM_STEPS", "Draw", "ReportFacts", "write_report"]
-
-# Draws the pictures of a report into a folder, as `draw_pictures` does, or begins to when it is called.
-Draw = Callable[[Path, ReportFacts], Iterator[Picture]]
+__all__ = ["NUM_STEPS", "ReportFacts", "write_report"]
 
 # How often `write_report` calls back, at most: once for each picture.
 NUM_STEPS = 19
 
 
-def write_report(
-    folder: Path,
-    facts: ReportFacts,
-    advance: Callable[[], None] = lambda: None,
-    draw: Draw = draw_pictures,
-) -> ReportFigures:
+def write_report(folder: Path, facts: ReportFacts, advance: Callable[[], None] = lambda: None) -> ReportFigures:
     """Write pictures/, report.json and report.html into a folder; each file is written whole or not at all.
 
     Parameters
@@ -37,8 +28,6 @@ def write_report(
         That of the run.
     advance : callable
         Called after each picture.
-    draw : callable
-        Draws the pictures.
 
     Returns
     -------
@@ -46,10 +35,9 @@ def write_report(
         What the page and report.json show.
     """
     (folder / "pictures").mkdir(exist_ok=True)
-    drawn = draw(folder / "pictures", facts)
     figures = figures_of(facts)
     pictures = []
-    for picture in drawn:
+    for picture in draw_pictures(folder / "pictures", facts):
         pictures.append(picture)
         advance()
     page = render_page(figures, pictures)

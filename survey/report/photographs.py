@@ -25,6 +25,8 @@ _BLURRED = 0.3
 _NOTABLE_WHITE, _NOTABLE_OUTLYING, _MOST_ROWS = 0.02, 0.15, 20
 # Tables of more photographs open on a click.
 _FEW = 40
+# A share is said that is not 0.0 %.
+_LEAST_SAID = 0.0005
 # Cameras with this many serial numbers or fewer are listed by them.
 _FEW_SERIALS = 4
 
@@ -82,17 +84,18 @@ def photograph_warnings(photographs: tuple[PhotographFigures, ...]) -> list[str]
 
 
 def summary(photographs: tuple[PhotographFigures, ...]) -> list[str]:
-    """A sentence for the log; none where nothing is left out."""
+    """Sentences for the log on what is left out of the photographs."""
     if not photographs:
         return []
     white = float(np.mean([each.saturated for each in photographs]))
     known = [each.outlying for each in photographs if each.outlying is not None]
-    unlike = (
-        f"; {share(float(np.mean(known)))} of the points in a photograph differ from all others and are downweighted"
-        if known
-        else ""
-    )
-    return [f"left out as white: {share(white)} of the pixels{unlike}"]
+    unlike = float(np.mean(known)) if known else 0.0
+    sentences = []
+    if white >= _LEAST_SAID:
+        sentences.append(f"left out as white: {share(white)} of the pixels")
+    if unlike >= _LEAST_SAID:
+        sentences.append(f"{share(unlike)} of the points in a photograph differ from all others and are downweighted")
+    return sentences
 
 
 def table(photographs: tuple[PhotographFigures, ...], left_out: Sequence[str] = ()) -> list[Block]:

@@ -137,13 +137,6 @@ class TileWorkers:
                 getattr(self._job.progress, kind)(text)
 
     @property
-    def started(self) -> Workers | None:
-        """The workers that reach the run folder, where they were started and are still there."""
-        if self._starting is None or self._remote is not None or not self._starting.done():
-            return None
-        return None if self._starting.exception() is not None else self._starting.result()
-
-    @property
     def _remote(self) -> RemoteRun | None:
         """The run where workers see it by its URL alone."""
         return self._run if isinstance(self._run, RemoteRun) and self._job.chosen.scheduler is not None else None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import wraps
 from pathlib import Path
 
 from survey.plan.tile_choice import SHARED
@@ -75,7 +74,6 @@ class Stage:
         names = {_name(name, tile): name for name in own.needs if name in _OF_TILES}
         shared = tuple(name for name in own.needs if name not in _OF_TILES)
 
-        @wraps(compute)
         def computed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
             compute(job, folder, {names.get(name, name): place for name, place in needs.items()})
 
@@ -96,7 +94,6 @@ class Stage:
         merge, names = own.merge, {name: [_name(name, tile) for tile in tiles] for name in own.of_tiles}
         of_tiles = tuple(each for of_name in names.values() for each in of_name)
 
-        @wraps(merge)
         def merged(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
             places = {name: [needs[each] for each in of_name] for name, of_name in names.items()}
             merge(job, folder, tiles, places, {name: place for name, place in needs.items() if name not in of_tiles})

@@ -266,10 +266,9 @@ def _to_the_end(run: RunDir, job: Job, truth: Truth, began: float, *, resume: bo
     result = run.open_result(job.plan.quality)
     with workers_of(job, run) as workers:
         done = run_stages(job, run, workers, resume=resume, compares_sweep=truth.reference is not None)
-        from survey.run.products import FinishedRun, write_products
+    from survey.run.products import FinishedRun, write_products
 
-        finished = FinishedRun(run, job, done, truth, result, time.monotonic() - began)
-        verdict = write_products(finished, None if workers is None else workers.started)
+    verdict = write_products(FinishedRun(run, job, done, truth, result, time.monotonic() - began))
     run.publish(result, quality=job.plan.quality, stages=done)
     job.progress.detail(f"report: {run.report_html_path}")
     for gate in verdict.gates:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import shutil
 import time
-import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +16,6 @@ from fields.sweep.maps import HeightMap
 from fields.sweep.photo_consistency import Consistency
 from geo.columns import ComputedColumn
 from geo.e57 import write_e57
-from geo.files import reporting_disk_errors
 from geo.las import is_withheld, write_cloud
 from geo.ply import write_ply
 from survey.adjust.applied import CAMERAS, MODEL_FOLDER
@@ -33,27 +29,23 @@ from survey.folder.survey import Survey
 from survey.photos.exif import read_exif
 from survey.photos.texture import matched_light
 from survey.plan.tiling import tile_warnings
-from survey.report import NUM_STEPS, Draw, ReportFacts, write_report
+from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.checkpoints import checkpoint_warnings
 from survey.report.facts import RunVerdict, dry_warnings
 from survey.report.photographs import PhotographFigures, photograph_warnings, photographs_of, summary
-from survey.report.pictures import draw_pictures
 from survey.report.seen_cells import CoverageFigures, SeenCells, cells_of, coverage_of
 from survey.run.flight import save_flight
 from survey.run.folder import RunDir, seconds_of, versions, versions_of
 from survey.run.gate import gates_of_aim, verdict_of
 from survey.run.job import Job
 from survey.run.repeat import Truth, options_of, settings_text
-from survey.run.report_tasks import draw_on
 from survey.run.stage_solver import SIGHTINGS
 from survey.run.stage_sweep import CONSISTENCY, MAPS, SATURATED
 from survey.run.stored import StoredBed, load_bed
 from survey.run.stored_maps import Stored
-from survey.run.worker_task import forget_jobs, require_code
-from survey.stage_key import code_hash
 
 if TYPE_CHECKING:
-    from survey.run.workers import Workers
+    pass
 
 # At which the report asks how complete the cloud is: that of the study which this work follows, and a finer one.
 TOLERANCES_M = (0.2, 0.05)
@@ -109,50 +101,21 @@ class FinishedRun:
     seconds: float  # Of the run so far [s]
 
 
-def write_products(finished: FinishedRun, workers: Workers | None = None) -> RunVerdict:
-    """Write all results of a run.
-
-    Parameters
-    ----------
-    workers : Workers, optional
-        That write the cloud and draw pictures.
-    """
-    bed, scratch = finished.stages["bed"], finished.run.scratch_path
-    stored, cloud = load_bed(bed), finished.result / "cloud.las"
-    with ExitStack() as stack:
-        # Beside the report, which reads it only to compare it.
-        if workers is None:
-            pool = stack.enter_context(ThreadPoolExecutor(1))
-            written: Callable[[], None] = pool.submit(write_bed_las, cloud, stored).result
-            draw: Draw = draw_pictures
-        else:
-            workers.on_each(forget_jobs)
-            place = scratch.absolute() / f"cloud-{uuid.uuid4().hex}.las"
-            under_way = workers.submit(_write_cloud, place, bed.absolute(), code_hash())
-            written = cache(lambda: _move(under_way(), cloud))
-            # A comparison holds the points again, which workers would each load.
-            draw = draw_pictures if finished.truth.reference is not None else partial(draw_on, workers, scratch)
+def write_products(finished: FinishedRun) -> RunVerdict:
+    """Write all results of a run."""
+    stored, cloud = load_bed(finished.stages["bed"]), finished.result / "cloud.las"
+    # Beside the report, which reads it only to compare it.
+    with ThreadPoolExecutor(1) as pool:
+        written = pool.submit(write_bed_las, cloud, stored)
         if finished.truth.reference is not None:
-            written()
+            written.result()
         with lengths_in_feet(foot_m(finished.job.survey.config.report.units, stored.crs)):
-            verdict = _write_report(finished, stored, draw)
-        written()
+            verdict = _write_report(finished, stored)
+        written.result()
     return verdict
 
 
-def _write_cloud(path: Path, bed: Path, code: str) -> Path:
-    """Write the cloud of the bed in a folder, on a worker."""
-    require_code(code)
-    write_bed_las(path, load_bed(bed))
-    return path
-
-
-def _move(path: Path, target: Path) -> None:
-    with reporting_disk_errors(target):
-        path.replace(target)
-
-
-def _write_report(finished: FinishedRun, stored: StoredBed, draw: Draw) -> RunVerdict:
+def _write_report(finished: FinishedRun, stored: StoredBed) -> RunVerdict:
     """Write the report and all results but the cloud."""
     folder, job, progress = finished.result, finished.job, finished.job.progress
     options = options_of(job, finished.truth)
@@ -168,7 +131,7 @@ def _write_report(finished: FinishedRun, stored: StoredBed, draw: Draw) -> RunVe
     for text in summary(facts.photographs):
         progress.note(text)
     with progress.stage("Report", NUM_STEPS) as stage:
-        figures = write_report(folder, facts, stage.advance, draw)
+        figures = write_report(folder, facts, stage.advance)
     for text in checkpoint_warnings(figures.checkpoints):
         progress.warn(text)
     if (std := figures.height_std) is not None:

@@ -18,7 +18,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from fields.sweep.kernels.arrays import trim_heap
 from geo.files import reporting_disk_errors, write_whole
 from survey.errors import SurveyError
 from survey.stage_key import code_hash
@@ -140,12 +139,6 @@ def compute_into(tile: TileJob, task: Task, folder: Path, needs: Mapping[str, Pa
         tile.drop()
         tile.survey_job.release()
     return list(recorded.lines)
-
-
-def forget_jobs() -> None:
-    """Return the memory of the job that the worker saw last to the system."""
-    _job_of.cache_clear()
-    trim_heap()
 
 
 class _RecordedProgress:

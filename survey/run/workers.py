@@ -16,7 +16,6 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
@@ -212,30 +211,6 @@ class Workers:
             ) from error
         finally:
             self._client.cancel([future for _, future in under_way])
-
-    def submit(self, function: Callable[..., Result], *given: Any) -> Callable[[], Result]:
-        """Begin a call on a worker; returns a function that waits for its result.
-
-        What no worker computes this process does.
-        """
-        future = self._client.submit(function, *given, pure=False)
-
-        @cache
-        def result() -> Result:
-            try:
-                return next(self._as_they_end({future})).result()
-            except Exception as error:  # Whatever a worker lacks, this process may have.
-                with suppress(Exception):
-                    self._client.cancel([future])
-                current().detail(f"a worker could not do its part of the report ({error}); this process does")
-                return function(*given)
-
-        return result
-
-    def on_each(self, function: Callable[[], None]) -> None:
-        """Call a function on each worker that is there, whatever comes of it."""
-        with suppress(Exception):
-            self._client.run(function, on_error="return")
 
     def _submit(self, job: Path | str, task: Task, workers: list[str] | None = None) -> Any:
         """The future of a task, on any worker, or on one of ``workers``."""

@@ -25,6 +25,9 @@ from geo.projection import MapProjection
 _TOLERANCE_M = 0.001
 # Bounds this many times as elongated as the same four numbers in the other order are taken to be in that order.
 _SIDE_RATIO = 10.0
+# Places of easting low, northing low, easting high and northing high among four numbers: of PDAL, and northing first.
+_EASTINGS_FIRST = (0, 2, 1, 3)
+_ORDERS_OF_BOUNDS = (_EASTINGS_FIRST, (1, 0, 3, 2), (2, 0, 3, 1))
 _SAMPLES_M = np.array([-2e5, 0.0, 3e5])
 
 
@@ -83,24 +86,30 @@ def require_same_place(a: np.ndarray, b: np.ndarray, a_name: str, b_name: str) -
 
 
 def bounds_in_other_order(bounds: tuple[float, ...], places: np.ndarray) -> tuple[float, ...] | None:
-    """Bounds as (E0, N0, E1, N1) where they were given as (E0, E1, N0, N1), the order of PDAL; else None.
+    """Bounds as (E0, N0, E1, N1) where they were given in another order that programs have; else None.
 
     Parameters
     ----------
     bounds : four numbers, in crs
     places : (N, 2 or more), in crs
-        Places that the bounds should contain. The other order is taken if some lie within the bounds in that order,
-        and the numbers as given are no rectangle, or one `_SIDE_RATIO` times as elongated.
+        Places that the bounds should contain. Another order is taken if some lie within the bounds in it, and the
+        numbers as given contain none of them and are no rectangle, one `_SIDE_RATIO` times as elongated, or a northing
+        first.
     """
-    e0, e1, n0, n1 = bounds
-    if not (e0 < e1 and n0 < n1):
-        return None
-    other, stands = np.array([[e0, n0], [e1, n1]]), np.array(bounds).reshape(2, 2)
-    if not _overlap(other, _box(places)):
-        return None
-    if (stands[0] < stands[1]).all() and np.ptp(stands, axis=0).max() <= _SIDE_RATIO * np.ptp(other, axis=0).max():
-        return None
-    return (e0, n0, e1, n1)
+    stands, box = np.array(bounds).reshape(2, 2), _box(places)
+    is_rectangle = bool((stands[0] < stands[1]).all())
+    for order in _ORDERS_OF_BOUNDS:
+        meant = tuple(bounds[i] for i in order)
+        other = np.array(meant).reshape(2, 2)
+        if not (other[0] < other[1]).all() or not _overlap(other, box):
+            continue
+        if order == _EASTINGS_FIRST:
+            is_doubtful = not is_rectangle or np.ptp(stands, axis=0).max() > _SIDE_RATIO * np.ptp(other, axis=0).max()
+        else:
+            is_doubtful = not is_rectangle or not _overlap(stands, box)
+        if is_doubtful:
+            return meant
+    return None
 
 
 def _box(points: np.ndarray) -> np.ndarray:

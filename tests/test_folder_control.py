@@ -8,18 +8,19 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from control_files import METASHAPE, POINTS, odm, table, written
+from control_files import METASHAPE, POINTS, SURVEY_CRS, odm, table, written
 from pyproj import Transformer
 from small_survey import E0, LEVEL, N0, TOML, camera_lines, rows_of, small_survey, unposed, write_poses
 
 from geo.crs import parse_crs
 from survey.control.reading import merge_control, read_control
 from survey.errors import ControlError
-from survey.folder.control import checkpoint_warnings, mark_residuals
+from survey.folder.control import checkpoint_warnings, find_control, mark_residuals
 from survey.folder.found import find_survey, survey_inputs
 from survey.folder.sfm_views import require_solvable
 from survey.folder.survey import load_survey
 from survey.plan.check import check_survey
+from survey.settings.tables import ControlConfig
 from survey.stage_key import stage_key
 from survey.water.surface import Departure
 
@@ -311,3 +312,38 @@ def test_what_lies_in_the_folder_or_the_settings_without_being_used_is_said(tmp_
     rotation, control = find_survey(folder).warnings
     assert rotation.startswith("[cameras] rotation_std_deg = ")
     assert control == 'gcp_list.txt is not used; for its control points write gcps = "gcp_list.txt" in [control]'
+
+
+@pytest.mark.parametrize(("shift", "is_named"), [(0.0, True), (0.02, True), (0.3, False)])
+def test_check_points_at_control_points_are_named(tmp_path, shift, is_named):
+    rods = [(f"c{i}", e + shift, n, h) for i, (_, e, n, h) in enumerate(POINTS)]
+    files = {"gcp_list__txt": odm(), "rods__csv": table([*rods, ("free", E0 + 2.0, N0 + 3.0, LEVEL - 1.0)])}
+    survey = load_survey(with_control(tmp_path, 'gcps = "gcp_list.txt"\ncheckpoints = "rods.csv"', **files))
+    found = [text for text in survey.findings.warnings if "at the place of a control point" in text]
+    assert [text.rpartition(": ")[2] for text in found] == (["c0, c1, c2"] if is_named else [])
+
+
+@pytest.mark.parametrize(
+    ("heights", "words"),
+    [
+        ([-0.4, -1.2, -2.0], None), ([0.4, -1.2, -2.0], None), ([0.4, 1.2, 2.0], "lie over the water, by"),
+        ([0.8 - LEVEL, 1.2 - LEVEL, 2.0 - LEVEL], "lie under the water, by"),
+    ],
+)  # fmt: skip
+def test_check_points_whose_heights_may_be_depths_are_named(tmp_path, heights, words):
+    rods = [(name, e, n, LEVEL + over) for (name, e, n, _), over in zip(POINTS, heights, strict=True)]
+    survey = load_survey(with_control(tmp_path, 'checkpoints = "rods.csv"', rods__csv=table(rods)))
+    found = [text for text in survey.findings.warnings if "if their heights are depths, call the column depth" in text]
+    assert [words in text for text in found] == ([] if words is None else [True])
+
+
+@pytest.mark.parametrize(
+    ("level", "heights", "is_named"),
+    [(-3.0, (3.2, 5.0), True), (3.0, (-3.5, -1.0), True), (3.0, (1.0, 5.0), False), (-0.5, (0.8, 2.0), False),
+     (584.0, (584.5, 586.0), False), (0.0, (5.0, 9.0), False)],
+)  # fmt: skip
+def test_a_level_whose_sign_is_wrong_is_doubted_by_control(tmp_path, level, heights, is_named):
+    rods = table([("a", E0, N0, heights[0]), ("b", E0 + 1.0, N0, heights[1])])
+    written(tmp_path, rods__csv=rods)
+    _, findings = find_control(tmp_path, ControlConfig(checkpoints="rods.csv"), SURVEY_CRS, {}, level)
+    assert any("check the sign of [water] level_m" in text for text in findings.warnings) == is_named

@@ -110,6 +110,9 @@ def test_bounds_in_the_order_of_other_programs_are_told_from_their_own(east, nor
     other = (right[0], right[2], right[1], right[3])
     assert bounds_in_other_order(right, places) is None
     assert bounds_in_other_order(other, places) == right
+    # Northing first, as maps of some countries have it.
+    for order in ((1, 0, 3, 2), (1, 3, 0, 2)):
+        assert bounds_in_other_order(tuple(right[i] for i in order), places) == right
     # In their own order they stand wherever they lie: beside the places, or far from them.
     for shift in (0.9, 1.5, 100.0):
         moved = np.add(right, shift * np.tile(sides, 2))

@@ -198,8 +198,7 @@ def _cropped(cloud: Cloud, bounds: Bounds | None, path: Path) -> np.ndarray:
     """Mask (N,) of the points beyond the bounds; raise CompareError where that is all of them."""
     if bounds is not None and (meant := bounds_in_other_order(bounds, cloud.points)) is not None:
         raise CompareError(
-            f"--bounds is {as_text(bounds)}, which is in the order E0 E1 N0 N1, expected E0 N0 E1 N1: give "
-            f"--bounds {as_text(meant)}"
+            f"--bounds is {as_text(bounds)}, which is not in the order E0 N0 E1 N1: give --bounds {as_text(meant)}"
         )
     cropped = ~within(cloud.points, bounds)
     if cropped.all():

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 from pyproj.crs import CompoundCRS
+from scipy.spatial import KDTree
 
 from geo.compatibility import same_crs
 from geo.crs import has_height, height_unit_m, vertical_crs
@@ -21,6 +22,7 @@ from geo.features import layer_of
 from geo.files import existing_file
 from geo.frames import LocalFrame
 from geo.lines import plan_box, points_inside, read_polygons
+from geo.projection import metres_per_unit
 from geo.reading import read_reference
 from geo.reproject import Reprojection
 from geo.shapes import Cloud, Mesh, excluded_points, in_height_unit, masked_cloud, vertices_of
@@ -30,7 +32,7 @@ from survey.control.local_control import checkpoints_in_local, control_in_local,
 from survey.control.points import Checkpoint, Content, Control, GivenPoint, StableGround
 from survey.control.reading import MergedControl, in_crs, merge_control, read_control
 from survey.control.tables import read_checkpoints
-from survey.display.quantities import named
+from survey.display.quantities import length, named
 from survey.errors import ControlError, Findings
 from survey.files.point_table import accuracy_warnings, several_heights
 from survey.photos.cameras import View
@@ -41,6 +43,12 @@ from survey.water.surface import Departure, height_above, plane_under
 
 # A design focal length, or a pose from GPS alone, moves a point by less than this share of the longer side.
 _DOUBTFUL_SHARE = 0.02
+# Control and check points nearer than this are one point, measured twice.
+_ONE_POINT_M = 0.05
+# A level is in doubt that lies farther from all points of control, and so many times as far as with the other sign.
+_FAR_LEVEL_M, _TIMES_NEARER = 3.0, 5.0
+# Check points deeper than so many flying heights are none of this water.
+_DEEP = 1.5
 # A single mark this many times as far off as the median belongs to another point.
 _TIMES = 10.0
 
@@ -86,7 +94,7 @@ def find_control(
         findings += Findings(warnings=accuracy_warnings(folder / config.checkpoints, ControlError))
     if not config.gcp_files:
         found = FoundControl(config, None, tuple(checkpoints))
-        return found, findings + Findings(warnings=_repeated_heights(found, crs))
+        return found, findings + Findings(warnings=_doubts(found, crs, level))
     contents = [read_control(folder / name) for name in config.gcp_files]
     if config.marks is not None:
         # Metashape's XML has coordinates too, but here only its marks are used.
@@ -97,14 +105,33 @@ def find_control(
     config, assumed = _with_stds(config, merged)
     findings += of_files + Findings(assumed, untold)
     found = FoundControl(config, merged, (*checkpoints, *merged.unmarked))
-    return found, findings + Findings(warnings=_repeated_heights(found, crs))
+    return found, findings + Findings(warnings=_doubts(found, crs, level))
 
 
-def _repeated_heights(found: FoundControl, crs: CRS) -> tuple[str, ...]:
-    names = [point.name for point in found.points]
+def _doubts(found: FoundControl, crs: CRS, level: float | None) -> tuple[str, ...]:
+    """Warnings about places of control with several heights, check points that are control, and a level's sign."""
     places = np.array([point.place for point in found.points]).reshape(-1, 3)
-    several = several_heights(names, places, height_unit_m(crs))
-    return tuple(named(several, "place", "of control with several heights, of which one is true at most"))
+    several = several_heights([point.name for point in found.points], places, height_unit_m(crs))
+    warnings = named(several, "place", "of control with several heights, of which one is true at most")
+    given = [point.place for point in (found.merged.points if found.merged else ()) if not point.is_check]
+    if given and found.checkpoints:
+        unit = np.array([*metres_per_unit(crs, places), height_unit_m(crs)])
+        checks = np.array([point.place for point in found.checkpoints])
+        distance = KDTree(np.array(given) * unit).query(checks * unit)[0]
+        same = [point.name for point, far in zip(found.checkpoints, distance, strict=True) if far < _ONE_POINT_M]
+        warnings += named(
+            same, "check point", "at the place of a control point, which the block is adjusted to: no independent check"
+        )
+    if level is not None and len(places):
+        low, high = places[:, 2].min(), places[:, 2].max()
+        off, off_other = (max(low - at, at - high, 0.0) * height_unit_m(crs) for at in (level, -level))
+        if off > max(_FAR_LEVEL_M, _TIMES_NEARER * off_other):
+            side = "under" if level < low else "over"
+            warnings.append(
+                f"the water at {level:g} lies {off:.1f} m {side} all control and check points ({low:.2f} to "
+                f"{high:.2f}), and at {-level:g} it would not: check the sign of [water] level_m"
+            )
+    return tuple(warnings)
 
 
 def _unstated_accuracy(config: ControlConfig, merged: MergedControl) -> tuple[str, ...]:
@@ -179,7 +206,7 @@ def mark_residuals(control: Control, views: Sequence[View], water: FlatWater | N
 def checkpoint_warnings(
     checkpoints: Sequence[Checkpoint], views: Sequence[View], water: FlatWater | None, departure: Departure | None
 ) -> list[str]:
-    """A warning that names the check points which no photograph shows by its pose."""
+    """Warnings about check points that no photograph shows by its pose, and where heights of all may be depths."""
     if not checkpoints:
         return []
     places = np.array([point.local for point in checkpoints])
@@ -190,7 +217,19 @@ def checkpoint_warnings(
             if part.any():
                 seen[part] |= view.camera.sees(view.camera.project(places[part], over))
     unseen = [point.name for point, is_seen in zip(checkpoints, seen, strict=True) if not is_seen]
-    return named(unseen, "check point", "that no photograph shows, so that nothing is compared with it")
+    warnings = named(unseen, "check point", "that no photograph shows, so that nothing is compared with it")
+    if water is None:
+        return warnings
+    above = height_above(water, departure, places)
+    flying = float(np.median(height_above(water, departure, np.array([view.camera.centre for view in views]))))
+    if (above > 0.0).all() or (above < -_DEEP * flying).all():
+        side = "over" if above[0] > 0.0 else "under"
+        low, high = np.sort(np.abs(above))[[0, -1]]
+        warnings.append(
+            f"all {len(above)} check points lie {side} the water, by {length(low)} to {length(high)}: if their heights "
+            "are depths, call the column depth; if they are not, check the level of the water and its sign"
+        )
+    return warnings
 
 
 def mark_warnings(control: Control, views: Sequence[View], water: FlatWater | None) -> list[str]:

@@ -167,7 +167,11 @@ def require_level_fits(
     message = f"[water] level_m is {water.level_m:g} m and {who} at {heights.min():.1f} to {heights.max():.1f} m"
     remedy = f"give level_m in {FILE_NAME} in the same vertical datum as {like}"
     if (over_water <= 0.0).all():
-        raise ConfigError(f"{message}, all of them under the water; {remedy}")
+        # With the other sign the water is twice the level lower.
+        over_other = over_water + 2.0 * (water.level_m or 0.0)
+        is_sign = bool(((over_other > 0.0) & (over_other < DRONE_HEIGHT_M)).all())
+        sign = f"give level_m = {-(water.level_m or 0.0):g} if its sign is wrong, else " if is_sign else ""
+        raise ConfigError(f"{message}, all of them under the water; {sign}{remedy}")
     if (over_water > most_m).all():
         raise ConfigError(f"{message}, all of them more than {most_m:.0f} m over the water; {remedy}")
 
@@ -177,8 +181,8 @@ def _require_bounds_near(frame: LocalFrame, centres: np.ndarray, bounds: tuple[f
     cameras = frame.crs_from_local(centres)
     if (meant := bounds_in_other_order(bounds, cameras)) is not None:
         raise ConfigError(
-            f"[area] bounds {list(bounds)} are in the order easting, easting, northing, northing, expected "
-            f"[easting_low, northing_low, easting_high, northing_high]: give bounds = {list(meant)}"
+            f"[area] bounds {list(bounds)} are not in the order [easting_low, northing_low, easting_high, "
+            f"northing_high]: give bounds = {list(meant)}"
         )
     nearest = cameras.copy()
     nearest[:, 0], nearest[:, 1] = cameras[:, 0].clip(e0, e1), cameras[:, 1].clip(n0, n1)

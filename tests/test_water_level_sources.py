@@ -355,6 +355,13 @@ def test_a_slope_beyond_that_of_a_rapid_is_refused_from_every_source(tmp_path, k
     assert with_level(tmp_path, config, {}, CRS)[0].water.slope_east != 0.0
 
 
+def test_points_of_bed_and_water_in_turn_are_refused(tmp_path):
+    rows = [f"{E0 + 3 * i},{N0 + (i * i) % 13},{LEVEL - (i % 2):.3f}" for i in range(16)]
+    (tmp_path / "rod.csv").write_text("easting,northing,height\n" + "\n".join(rows))
+    with pytest.raises(ConfigError, match=r"gnss_points lie more than 5 .* they are not of one water"):
+        with_level(tmp_path, parse_config('[water]\ngnss_points = "rod.csv"\n'), {}, CRS)
+
+
 def test_points_of_the_bed_among_those_of_the_water_are_named(tmp_path):
     rows = [f"{E0 + 3 * i},{N0 + (i * i) % 13},{LEVEL - (1.0 if i in (3, 8) else 0.0):.3f}" for i in range(16)]
     (tmp_path / "rod.csv").write_text("easting,northing,height\n" + "\n".join(rows))

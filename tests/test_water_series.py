@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from survey.errors import ConfigError
+from survey.photos.exif import Exif
 from survey.water.gauge_files import read_series, utc_of
 from survey.water.series import levels_at
+from survey.water.tides import tide_of_levels
 
 NOON = datetime(2026, 6, 1, 12, tzinfo=UTC)
 TIDE_H = 12.42
@@ -70,6 +72,27 @@ def test_runs_are_left_out_and_noise_and_steps_stay(tmp_path, run, size, seed):
     # A step of the same size is a lock or a weir.
     stepped = values + size * (hours > 1.0)
     assert not [text for text in levels(written(tmp_path / "c.csv", hours, stepped))[2] if "left out" in text]
+
+
+@pytest.mark.parametrize("at", [0, -1])
+@pytest.mark.parametrize("range_m", [0.0, 3.0])
+@pytest.mark.parametrize("step_h", [0.1, 0.25])
+def test_an_end_that_all_others_contradict_is_left_out(tmp_path, at, range_m, step_h):
+    hours = step_h * np.arange(-15, 16)
+    values = tide(hours, range_m)
+    assert not levels(written(tmp_path / "a.csv", hours, values))[2]
+    values[at] += 1.2
+    assert any("left out" in text for text in levels(written(tmp_path / "b.csv", hours, values))[2])
+
+
+@pytest.mark.parametrize("i", [0, 7, 20])
+@pytest.mark.parametrize("bad", ["-99.99", "0", "4.2", "2.6", "30"])
+def test_a_level_of_a_photograph_that_the_others_contradict_is_refused(tmp_path, i, bad):
+    headers = {f"{k:02d}.jpg": Exif((64, 48), None, None, 1, "", None) for k in range(21)}
+    rows = [f"{name},{bad if k == i else '3.0'}" for k, name in enumerate(headers)]
+    (tmp_path / "levels.csv").write_text("\n".join(["image,level", *rows]))
+    with pytest.raises(ConfigError, match=rf"levels.csv, line {i + 2}: the level {bad} is contradicted"):
+        tide_of_levels(tmp_path / "levels.csv", headers)
 
 
 def test_a_day_without_data_is_no_level_and_a_jump_faster_than_water_is_refused(tmp_path):

@@ -55,6 +55,8 @@ _FEW = 6
 _LEAST_STD_M = 1e-3
 # Points farther from the plane than this many standard deviations are named.
 _FAR = 5.0
+# Where more than this share of them is, they are not of one water.
+_MOST_FAR = 0.5
 # Points of a surface that are no farther apart count as one place [m].
 _ONE_PLACE_M = 0.1
 # Points of a surface up to this far beyond the cameras, in flying heights, are used for its plane.
@@ -218,6 +220,12 @@ def _far_warning(residuals: np.ndarray, stds: np.ndarray, source: str) -> str | 
     if not far.any():
         return None
     worst = float(residuals[np.argmax(np.abs(residuals))])
+    if far.mean() > _MOST_FAR:
+        raise ConfigError(
+            f"{int(far.sum())} of {len(far)} points in [water] {source} lie more than {_FAR:g} standard deviations "
+            f"from the plane through all, the farthest {length(abs(worst))}: they are not of one water; leave out "
+            "those of the bed, the bank or another water, or give the accuracy of the points in a column std"
+        )
     return (
         f"{int(far.sum())} of {len(far)} points in [water] {source} lie more than {_FAR:g} standard deviations from "
         f"the plane through all, the farthest {length(abs(worst))} {'over' if worst > 0.0 else 'under'} it: check that "

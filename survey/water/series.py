@@ -71,7 +71,7 @@ def levels_at(series: Series, moments: np.ndarray) -> tuple[tuple[Reading, ...],
     warnings = named(parts, "reading", f"of {series.path.name} that the others contradict, left out")
     if len(left_out) > _MOST_LEFT_OUT * len(near) and sum(not each.is_marker for each in left_out) > 1:
         raise ConfigError(f"{warnings[0]}; they are too many for a series of one water: correct {series.path}")
-    _require_cover(series.path, times, moments / 3600.0)
+    _require_cover(series.path, times, moments / 3600.0, "".join(f"; {text}" for text in warnings))
     require_slow(readings)
     if is_of_extremes:
         at, std, notes = _cosines(series.path, times, levels, moments / 3600.0)
@@ -118,6 +118,14 @@ def contradicted(times: np.ndarray, levels: np.ndarray, stds: np.ndarray) -> np.
             if not least[worst] > _CONTRADICTED * max(scatter, float(np.median(stds[keep]))):
                 break
             keep = rest
+    if len(keep) > 4:
+        # An end has one side alone, whose line has the scatter of all such lines.
+        _, sides = _run_residuals(times[keep], levels[keep], 1)
+        scatter = max(float(std_by_median(sides)), _OF_A_LINE * float(np.median(stds[keep])))
+        for end, near in ((0, [1, 2]), (-1, [-2, -3])):
+            at = _through(times[keep[near]][None], levels[keep[near]][None], times[keep[[end]]])
+            if abs(levels[keep[end]] - at[0]) > _CONTRADICTED * scatter:
+                keep = np.delete(keep, end)
     mask = np.ones(len(times), dtype=bool)
     mask[keep] = False
     return mask
@@ -189,12 +197,12 @@ def require_slow(readings: tuple[Reading, ...]) -> None:
             )
 
 
-def _require_cover(path: Path, times: np.ndarray, moments: np.ndarray) -> None:
+def _require_cover(path: Path, times: np.ndarray, moments: np.ndarray, left_out: str) -> None:
     if len(times) < 2 or moments.min() < times[0] or moments.max() > times[-1]:
         covered = f"runs from {_shown(times[0])} to {_shown(times[-1])}" if len(times) else "has no level"
         raise ConfigError(
             f"{path} {covered}, but images were taken from {_shown(moments.min())} to {_shown(moments.max())}; add the "
-            "readings around the flight"
+            f"readings around the flight{left_out}"
         )
 
 
@@ -251,7 +259,8 @@ def curvature(times: np.ndarray, levels: np.ndarray, stds: np.ndarray, hours: fl
     near = times[n] - times[p] <= 4.0 * hours
     k, p, n = k[near], p[near], n[near]
     if not len(k):
-        rate = float(np.abs(np.diff(levels) / np.diff(times)).max())
+        # A difference within the noise of readings may be so large.
+        rate = float((np.maximum(np.abs(np.diff(levels)), np.hypot(stds[1:], stds[:-1])) / np.diff(times)).max())
         return 2.0 * np.pi / _TIDE_H * rate, False
     share = (times[k] - times[p]) / (times[n] - times[p])
     departure = levels[k] - (1.0 - share) * levels[p] - share * levels[n]

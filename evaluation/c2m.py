@@ -72,11 +72,6 @@ def distance_to_mesh(
     MeshDistances
         Points beyond the rim of an open mesh have the distance to the rim.
 
-    Raises
-    ------
-    ValueError
-        If no triangle has an area, or ``sign`` is neither.
-
     Notes
     -----
     Where the nearest point lies on an edge or a vertex, several triangles are equally near and may disagree on the

@@ -30,11 +30,6 @@ def sample_mesh(
     -------
     (num_samples, 3) float64 [m], same frame
         In the order of the faces, so that neighbours are mostly close together.
-
-    Raises
-    ------
-    ValueError
-        If the mesh has no area.
     """
     areas = np.linalg.norm(area_vectors(vertices, faces), axis=1)
     cumulative = np.cumsum(areas)

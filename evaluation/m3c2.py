@@ -33,11 +33,6 @@ def m3c2_distances(
     reach_m : float [m]
         Half the length of the cylinders.
 
-    Raises
-    ------
-    ModuleNotFoundError
-        If py4dgeo is not installed.
-
     Notes
     -----
     D. Lague, N. Brodu, J. Leroux, Accurate 3D comparison of complex topography with terrestrial laser scanner, ISPRS

@@ -12,14 +12,7 @@ PREWITT = np.array([[1.0, 0.0, -1.0], [1.0, 0.0, -1.0], [1.0, 0.0, -1.0]]) / 3.0
 
 
 def checked_pair(reference, image, *, smallest: int) -> tuple[np.ndarray, np.ndarray]:
-    """Both images as float64.
-
-    Raises
-    ------
-    ValueError
-        If shapes differ or are not those of images, a side is shorter than ``smallest`` [px], or values are not finite
-        or outside 0 to 1.
-    """
+    """Both images as float64."""
     pair = np.asarray(reference, dtype=np.float64), np.asarray(image, dtype=np.float64)
     shape = pair[0].shape
     if pair[1].shape != shape or len(shape) not in (2, 3) or (len(shape) == 3 and shape[2] != 3):

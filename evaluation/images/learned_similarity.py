@@ -31,11 +31,6 @@ _SMALLEST_PX = 32
 def lpips(reference: np.ndarray, image: np.ndarray, weights: Mapping[str, Tensor]) -> float:
     """Learned perceptual image patch similarity of two colour images (H, W, 3), 0 to 1; 0 for equal images.
 
-    Raises
-    ------
-    ValueError
-        If weights are missing, and as `evaluation.images.inputs.checked_pair`.
-
     Notes
     -----
     R. Zhang, P. Isola, A. Efros, E. Shechtman, O. Wang, The unreasonable effectiveness of deep features as a
@@ -54,11 +49,6 @@ def lpips(reference: np.ndarray, image: np.ndarray, weights: Mapping[str, Tensor
 
 def dists(reference: np.ndarray, image: np.ndarray, weights: Mapping[str, Tensor]) -> float:
     """Deep image structure and texture similarity of two colour images (H, W, 3), 0 to 1; 0 for equal images.
-
-    Raises
-    ------
-    ValueError
-        If weights are missing, and as `evaluation.images.inputs.checked_pair`.
 
     Notes
     -----

@@ -79,11 +79,6 @@ def fsim(reference: np.ndarray, image: np.ndarray) -> float:
 def vsi(reference: np.ndarray, image: np.ndarray) -> float:
     """Visual saliency induced index of two colour images (H, W, 3); 1 for equal images.
 
-    Raises
-    ------
-    ValueError
-        If the images are grey, and as `evaluation.images.inputs.checked_pair`.
-
     Notes
     -----
     L. Zhang, Y. Shen, H. Li, VSI: a visual saliency-induced index for perceptual image quality assessment, IEEE
@@ -226,11 +221,6 @@ def image_quality(
         scales and spectra would otherwise take in pixels beyond the mask.
     lpips_weights, dists_weights : optional
         Bring ``lpips`` and ``dists``, 0 for equal images; see `evaluation.images.learned_similarity`.
-
-    Raises
-    ------
-    ValueError
-        As `evaluation.images.inputs.checked_pair`, for the rectangle too, and where weights are missing.
     """
     measures = {"ssim": ssim, "ms_ssim": ms_ssim, "gmsd": gmsd, "ms_gmsd": ms_gmsd, "fsim": fsim}
     if np.ndim(reference) == 3:
@@ -248,13 +238,7 @@ def image_quality(
 
 
 def psnr(reference: np.ndarray, image: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Peak signal to noise ratio [dB] over all channels of the pixels in a mask; infinite where they are equal.
-
-    Raises
-    ------
-    ValueError
-        As `evaluation.images.inputs.checked_pair`, and if the mask is of another shape or empty.
-    """
+    """Peak signal to noise ratio [dB] over all channels of the pixels in a mask; infinite where they are equal."""
     a, b = checked_pair(reference, image, smallest=1)
     if mask is not None:
         if mask.shape != a.shape[:2] or not mask.any():

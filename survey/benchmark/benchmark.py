@@ -211,11 +211,6 @@ def benchmark(
     drawn : names DEPTH,PATTERN,IMAGES or "all", see `survey.benchmark.cases.drawn_names`
     known : of Record
         Of an earlier call with this code: they are kept, and their processes do not run again.
-
-    Raises
-    ------
-    SurveyError
-        If a survey has no truth, or a name is not known.
     """
     settings = settings or Settings()
     if not surveys and not drawn:

@@ -37,13 +37,7 @@ class Case:
 
 
 def case_of(folder: Path) -> Case:
-    """A survey folder with reference.ply, and visible.ply if there is one, in it or in its folder truth/.
-
-    Raises
-    ------
-    SurveyError
-        If it has no survey.toml or no reference.
-    """
+    """A survey folder with reference.ply, and visible.ply if there is one, in it or in its folder truth/."""
     config = read_config(folder / FILE_NAME)
     for place in (folder, folder / TRUTH):
         if (place / REFERENCE).is_file():

@@ -39,11 +39,6 @@ def write_corrected(path: Path, run: Path, survey: Path, correction: str) -> Non
     survey : Path
         Survey folder with water: its level and index are taken, and its cameras where the run has found none.
     correction : "times_index" or "per_camera"
-
-    Raises
-    ------
-    SurveyError
-        If the survey has no water with a level.
     """
     cloud = read_cloud(run / "cloud.las")
     scene = _scene(run, survey)

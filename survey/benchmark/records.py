@@ -111,13 +111,7 @@ def write_results(path: Path, results: Results) -> None:
 
 
 def read_results(path: Path) -> Results:
-    """The results in a file of `write_results`.
-
-    Raises
-    ------
-    SurveyError
-        If it is none.
-    """
+    """The results in a file of `write_results`."""
     try:
         table = json.loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError as error:

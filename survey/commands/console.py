@@ -32,13 +32,7 @@ class ConsoleResults:
         self._is_silent = is_silent
 
     def line(self, text: str | Path, *, bold: bool = False) -> None:
-        """Print a line.
-
-        Raises
-        ------
-        SurveyError
-            If standard output cannot be written.
-        """
+        """Print a line."""
         if self._is_silent:
             return
         try:

@@ -193,13 +193,7 @@ class ProcessOptions(PlanOptions):
 
 
 def asked_of_environment(environ: Mapping[str, str] = os.environ) -> ProcessConfig:
-    """Settings by variables like BATHYNERF_PROCESS_QUALITY, each named like its key in [process] of survey.toml.
-
-    Raises
-    ------
-    ConfigError
-        Where a variable is no such key, or has a value that the key does not take.
-    """
+    """Settings by variables like BATHYNERF_PROCESS_QUALITY, each named like its key in [process] of survey.toml."""
     from survey.errors import ConfigError
     from survey.files.toml_table import parse_values
     from survey.settings.tables import ProcessConfig

@@ -63,11 +63,6 @@ class Answers:
         ----------
         otherwise : str or None
             What the error says where a number is required; None where it is not.
-
-        Raises
-        ------
-        ConfigError
-            If the answer is not a number, or is required and missing.
         """
         text = "" if self.ask is None else self.ask(question).strip()
         if not text and otherwise is not None:
@@ -145,15 +140,7 @@ class FolderPhotographs:
 
 
 def write_crs(photographs: FolderPhotographs, answers: Answers, top: SettingsTable, cameras: SettingsTable) -> CRS:
-    """Add crs, and gps_height where heights in EXIF are ellipsoidal; returns the CRS.
-
-    Raises
-    ------
-    ConfigError
-        If nothing tells the CRS, and nobody is there to be asked.
-    GeoError
-        If the one that is given is not fit for a survey.
-    """
+    """Add crs, and gps_height where heights in EXIF are ellipsoidal; returns the CRS."""
     horizontal, by = (None, "") if answers.crs is not None else _horizontal(photographs)
     if horizontal is None:
         given = answers.crs
@@ -288,13 +275,7 @@ def _area(system: CRS) -> str:
 
 
 def write_origin(photographs: FolderPhotographs, answers: Answers, crs: CRS, local: SettingsTable) -> None:
-    """Add the origin of poses in a local frame: as given, else by GPS positions in EXIF.
-
-    Raises
-    ------
-    ConfigError
-        If neither is there, or the poses are not in metres, east, north and up.
-    """
+    """Add the origin of poses in a local frame: as given, else by GPS positions in EXIF."""
     if photographs.file is None or photographs.file.frame is not PoseFrame.LOCAL:
         return
     if answers.origin is not None:

@@ -59,11 +59,6 @@ def write_settings(folder: Path, answers: Answers, *, force: bool = False, names
     """Write survey.toml into a folder, with the schema of `write_schema` in its first line if it is to be named there.
 
     Returns its path.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        If there is one already and `force` is not given, or something is neither found nor answered.
     """
     _require_folder(folder)
     path = folder / FILE_NAME

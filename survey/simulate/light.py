@@ -15,13 +15,7 @@ _HORIZON_SHARE = 1.0 / 3.0
 
 @dataclass(frozen=True)
 class Light:
-    """Sky and sun, scaled so that a white matt surface lies at radiance 1 on level ground in air.
-
-    Raises
-    ------
-    ConfigError
-        If the disc of the sun reaches below the horizon.
-    """
+    """Sky and sun, scaled so that a white matt surface lies at radiance 1 on level ground in air."""
 
     # (3,): direction toward the middle of the sun, local, any length
     to_sun: tuple[float, float, float] = (0.45, 0.30, 0.84)

@@ -148,13 +148,7 @@ class LightSettings:
 
     @property
     def known_time(self) -> datetime | None:
-        """`time`, with its zone; None where it is not given.
-
-        Raises
-        ------
-        ConfigError
-            If it is not a time with a zone.
-        """
+        """`time`, with its zone; None where it is not given."""
         try:
             known = None if self.time is None else datetime.fromisoformat(self.time)
         except ValueError:
@@ -188,13 +182,7 @@ class CameraSettings:
 
     @property
     def known_focal_px(self) -> float:
-        """The focal length [px], as given or from millimetres.
-
-        Raises
-        ------
-        ConfigError
-            If neither is given.
-        """
+        """The focal length [px], as given or from millimetres."""
         if self.focal_px is not None:
             return self.focal_px
         if self.focal_mm is None or self.sensor_mm is None:
@@ -279,11 +267,5 @@ class SceneSettings:
 
 
 def read_scene(path: Path) -> SceneSettings:
-    """Read and check a scene file.
-
-    Raises
-    ------
-    ConfigError
-        If the file is not TOML, or a key is unknown, missing, of the wrong kind or contradicts another.
-    """
+    """Read and check a scene file."""
     return read_toml(path, lambda text: parse_toml(text, SceneSettings))

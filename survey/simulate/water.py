@@ -61,13 +61,7 @@ def with_waves(plane: FlatWater, waves: Sequence[WaveSettings]) -> WavyWater:
 
 
 def measured_surface(path: Path, frame: LocalFrame, n_water: float) -> BicubicWater:
-    """The surface interpolated between measured points in crs, from a raster, cloud or mesh.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        If the file is in another CRS than the scene, or no surface can be fitted through its points.
-    """
+    """The surface interpolated between measured points in crs, from a raster, cloud or mesh."""
     shape = read_reference(path)
     require_same_crs(frame.crs, shape.crs, "the scene", str(path))
     shape = in_height_unit(shape, height_unit_m(frame.crs))

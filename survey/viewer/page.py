@@ -36,13 +36,7 @@ _SUFFIX, _MARK, _TITLE = ".html", b"Viser client", "<title>Viser</title>"
 
 
 def open_server(host: str, port: int, title: str) -> viser.ViserServer:
-    """A server at an address of this machine; the next free port, where the one that is asked for is taken.
-
-    Raises
-    ------
-    SurveyError
-        If viser is not installed, or the address is not of this machine.
-    """
+    """A server at an address of this machine; the next free port, where the one that is asked for is taken."""
     try:
         import viser
     except ModuleNotFoundError as error:
@@ -150,15 +144,7 @@ def require_page(path: Path, inputs: ReadFiles) -> None:
 
 
 def write_page(path: Path, shown: Shown) -> None:
-    """Write water, cameras and the cloud coloured by each of its columns; large clouds are thinned.
-
-    Raises
-    ------
-    SurveyError
-        If viser is not installed.
-    UnwritableFile
-        If the system refuses.
-    """
+    """Write water, cameras and the cloud coloured by each of its columns; large clouds are thinned."""
     server = open_server("localhost", 0, shown.name)
     try:
         set_initial_view(server, shown)

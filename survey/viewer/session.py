@@ -222,12 +222,6 @@ def serve(run: str | Path, options: ViewOptions, report: Callable[[str], None]) 
     ----------
     report : callable
         Called with the address for a browser on this machine.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        If the folder is not a run, the reference cannot be used, viser is not installed or the address is not of this
-        machine.
     """
     folder = RunDir(run)
     folder.require_run()

@@ -71,13 +71,7 @@ class TrainedField:
 
     @staticmethod
     def volume(folder: Path, run: LoadedRun) -> TrainedField:
-        """The field that `bathynerf field` left in a folder; see `survey.volume.stored.StoredVolume`.
-
-        Raises
-        ------
-        SurveyError
-            If the folder has none, or one of another run.
-        """
+        """The field that `bathynerf field` left in a folder; see `survey.volume.stored.StoredVolume`."""
         # It takes torch.
         from survey.volume.stored import StoredVolume
 
@@ -89,13 +83,7 @@ class TrainedField:
         return self._load(self.notes.append)
 
     def picture(self, view: Viewpoint, *, dry: bool) -> np.ndarray:
-        """Rendering (rows, columns, 3) uint8 from a viewpoint, white beside the bed; ``dry``: along straight rays.
-
-        Raises
-        ------
-        SurveyError
-            If the file of the field is damaged.
-        """
+        """Rendering (rows, columns, 3) uint8 from a viewpoint, white beside the bed; ``dry``: along straight rays."""
         with self._lock:
             seen = self._render(camera_of(view, _ROWS), dry)
         return np.where(seen.seen[..., None], seen.rgb, np.uint8(_PAPER))
@@ -259,12 +247,6 @@ def load_shown(run: LoadedRun, survey: str | None, reference: Path | None = None
     """Data of a run for the viewer, beside a reference and with the field in a folder of `bathynerf field`.
 
     ``survey`` is the folder of the survey, if it was moved since.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        If the run has no cloud, or was made before runs kept their cameras; if the reference or the field cannot be
-        used.
     """
     arrays = run.columns(*_COLUMNS)
     points, rgb = arrays.pop("xyz"), arrays.pop("rgb")

@@ -65,11 +65,6 @@ def load_reference(path: Path, frame: LocalFrame, cloud_crs: np.ndarray) -> Loca
         Of the run.
     cloud_crs : (N, 3), in crs
         Some points of the run, near which it has to lie.
-
-    Raises
-    ------
-    GeoError, SurveyError
-        If it cannot be read, is in another CRS or place, or no point of it is of the ground.
     """
     from evaluation import weld
 

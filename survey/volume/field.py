@@ -48,13 +48,6 @@ def train_field(run: str | Path, output: str | Path, options: VolumeOptions | No
     -------
     dict
         The figures.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        If the run, its photographs, the bounds, the cameras or the reference cannot be used.
-    OutputError
-        If the folder holds something else.
     """
     options, output = options or VolumeOptions(), Path(output)
     if options.reference is not None:

@@ -27,11 +27,6 @@ def monocular_priors(folder: Path, names: list[str], cameras: list[PinholeCamera
     ``a/0001_normal``, each ``.npy``, ``.tif`` or ``.png``. Depth is true up to a scale and a shift, and unknown where
     it is not finite, or 0 in whole numbers. Normals (height, width, 3) have the axes of the camera, x right, y down, z
     forward, and point at the camera; unsigned integers are ``2 value / maximum - 1``, with the maximum of their type.
-
-    Raises
-    ------
-    SurveyError
-        If the folder has nothing for any photograph, or a file is none of these.
     """
     if not folder.is_dir():
         raise SurveyError(f"{folder} is not a folder; expected one with monocular depth or normals of the photographs")

@@ -125,11 +125,6 @@ def field_config(run: str | Path, survey: str | None) -> FieldConfig:
     ----------
     survey : str, optional
         Folder of the survey, if it was moved since the run.
-
-    Raises
-    ------
-    SurveyError, ConfigError
-        If the run or its survey.toml cannot be read.
     """
     with LoadedRun(run) as loaded:
         folder = survey_folder(loaded, survey)

@@ -57,13 +57,7 @@ class VolumeRecipe:
         return None if self.straight else water
 
     def restored(self, path: Path, box: Box, water: FlatWater | None, device: str) -> tuple[VolumeRenderer, Cells, int]:
-        """The model of the state in a file, with its proxy and the steps that its training has done.
-
-        Raises
-        ------
-        SurveyError
-            If the state is damaged, or one of other settings.
-        """
+        """The model of the state in a file, with its proxy and the steps that its training has done."""
         state: dict[str, Any] = read_state(path)
         try:
             parameters = state["renderer"]

@@ -149,11 +149,6 @@ def load_scene(
         Its photographs, where they are now.
     advance : callable
         Called after each photograph.
-
-    Raises
-    ------
-    SurveyError
-        If no bed lies in the bounds, or too few photographs look into the box.
     """
     ground = BedBox.of_run(run, flight, options)
     shown = photographs_of(ground, flight, advance)
@@ -179,13 +174,7 @@ def _held_of(options: SceneOptions) -> slice:
 def training_photographs(
     shown: list[BoxPhotograph], ground: BedBox, options: SceneOptions, photographs: int
 ) -> NamedPhotographs:
-    """Photographs for training, with their priors.
-
-    Raises
-    ------
-    TooFewPhotographs
-        If there are not enough of them.
-    """
+    """Photographs for training, with their priors."""
     if len(shown) < LEAST_VIEWS:
         raise TooFewPhotographs(
             f"{len(shown)} of {photographs} photographs show the floor of the box about the bed, expected "
@@ -290,11 +279,6 @@ class VolumeFolder:
         All that the training depends on.
     inputs : ReadFiles
         What is read, and must not be written over.
-
-    Raises
-    ------
-    OutputError
-        If the folder holds a volume of other settings, or something else.
     """
 
     def __init__(self, path: Path, settings: dict[str, Any], inputs: ReadFiles):
@@ -329,13 +313,7 @@ class VolumeFolder:
             raise OutputError(f"-o names {self.path}, which holds a volume of other settings ({differ}); name another")
 
     def load(self) -> dict[str, Any] | None:
-        """The state that was saved last; None where there is none.
-
-        Raises
-        ------
-        SurveyError
-            If it is damaged.
-        """
+        """The state that was saved last; None where there is none."""
         state = self.path / STATE
         return read_state(state) if state.is_file() else None
 
@@ -348,13 +326,7 @@ class VolumeFolder:
 
 
 def read_state(path: Path) -> dict[str, Any]:
-    """The saved state of a training.
-
-    Raises
-    ------
-    SurveyError
-        If it is damaged.
-    """
+    """The saved state of a training."""
     try:
         return torch.load(path, weights_only=True, map_location="cpu")
     except (OSError, RuntimeError, ValueError, KeyError, EOFError, pickle.UnpicklingError) as error:

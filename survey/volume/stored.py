@@ -32,13 +32,7 @@ class StoredVolume:
 
     @staticmethod
     def of_run(folder: Path, run: LoadedRun) -> StoredVolume:
-        """The volume in a folder, if it was trained on this run as it is now.
-
-        Raises
-        ------
-        SurveyError
-            If the folder holds no volume, or one of another run.
-        """
+        """The volume in a folder, if it was trained on this run as it is now."""
         if not (folder / SETTINGS).is_file() or not ((folder / STATE).is_file() or (folder / FOLDER).is_dir()):
             raise SurveyError(
                 f"{folder} holds no trained field ({SETTINGS} and {STATE}); train one: bathynerf field "
@@ -65,13 +59,7 @@ class StoredVolume:
     def load(
         self, device: str = "auto", note: Callable[[str], None] = lambda text: current().note(text)
     ) -> Callable[[PinholeCamera, bool], NovelView]:
-        """Render function of the field, with the water or, ``dry``, without; ``note`` is told of unfinished training.
-
-        Raises
-        ------
-        SurveyError
-            If the state of the training is damaged, or there is none yet.
-        """
+        """Render function of the field, with the water or, ``dry``, without; ``note`` is told of unfinished training."""
         if self.counts is not None:
             views = SubmoduleViews(self.folder, self.recipe, self.ground, self.counts, device, self.drop)
             for text in views.unfinished():

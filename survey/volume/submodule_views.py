@@ -48,11 +48,6 @@ class SubmoduleViews:
         Cells along x and y.
     drop : str
         A word of `survey.words.Drop`.
-
-    Raises
-    ------
-    SurveyError
-        If none has been trained.
     """
 
     def __init__(

@@ -47,11 +47,6 @@ def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, fol
 
     A cell is read, trained and made a surface of before the next, so that one of them is in memory; a training that was
     stopped goes on with the cell it was at. Cells of which too little is known are named and left out.
-
-    Raises
-    ------
-    SurveyError
-        If no cell can be learned, or cells would be too small.
     """
     ground = BedBox.of_run(run, flight, options.scene)
     grid = _grid_of(ground, options)

@@ -62,13 +62,7 @@ class Site:
 
 
 def plan_flight(flight: FlightSettings, lens: Lens, site: Site, seed: int) -> list[PinholeCamera]:
-    """The cameras of a flight, local, in the order in which they are flown.
-
-    Raises
-    ------
-    SurveyError
-        If the flight has fewer than three or too many photographs, or one of them shows the horizon.
-    """
+    """The cameras of a flight, local, in the order in which they are flown."""
     half_down = math.atan(0.5 * lens.height / lens.focal[1])
     tilts = [flight.tilt_deg, *flight.ring_tilts_deg] if set(flight.patterns) != {"nadir"} else [0.0]
     if math.radians(max(tilts)) + half_down > 0.5 * math.pi - _BELOW_HORIZON:

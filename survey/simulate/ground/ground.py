@@ -141,13 +141,7 @@ def seen_area(
 
 
 def bed_from_file(path: Path, settings: BedSettings, frame: LocalFrame) -> tuple[TriangleMesh, np.ndarray | None]:
-    """The bed from a file, in local, and the colours (V, 3) uint8 of its vertices if it has any.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        If the file cannot be used as a bed.
-    """
+    """The bed from a file, in local, and the colours (V, 3) uint8 of its vertices if it has any."""
     in_crs = settings.frame == "crs"
     shape = in_height_unit(read_reference(path), height_unit_m(frame.crs) if in_crs else 1.0)
     if isinstance(shape, Cloud):
@@ -237,11 +231,6 @@ def place_object(settings: ObjectSettings, folder: Path, bed, light: Light) -> t
 
     The axes of the file are those of a ship: x ahead, z up; heel turns about x, then pitch about y, yaw about z. The
     middle of its extent comes to `at`, its lowest point ``above_bed_m`` over the bed there.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        If the file has no faces or cannot be read.
     """
     path = folder / settings.file
     mesh = read_reference(path)
@@ -283,11 +272,6 @@ def texture_of_bed(
         Colours of its vertices.
     area : west, south, east, north [m], local
         Area to cover; an image is centred on the origin.
-
-    Raises
-    ------
-    SurveyError
-        If the texture is too fine for memory, or data of the bed or the image is missing.
     """
     if settings.kind == "vertex":
         if rgb is None:
@@ -323,13 +307,7 @@ def vertex_texture(shape: TriangleMesh, rgb: np.ndarray) -> VertexTexture:
 
 
 def linear_image(path: Path) -> np.ndarray:
-    """An image file as linear albedo (rows, columns, 3) float32.
-
-    Raises
-    ------
-    ImageError
-        If it is not an image, damaged, or too large for this machine.
-    """
+    """An image file as linear albedo (rows, columns, 3) float32."""
     linear = ((np.arange(256) / 255.0) ** GAMMA).astype(np.float32)
     return linear[eight_bits(read_rgb(path))]
 

@@ -179,11 +179,6 @@ def write_survey(
         Makes the scene; called only if something is left to do.
     again : bool
         Start again even if the same survey, or a part of it, is there.
-
-    Raises
-    ------
-    SurveyError
-        If the folder holds something that was not simulated here.
     """
     folder, mark = Path(folder), _mark(settings)
     work = folder.absolute().parent / f".{folder.absolute().name}.part"

@@ -25,13 +25,7 @@ _VARIANTS = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "torch": "scalar_rgb"
 
 
 def load_mitsuba(device: str = "auto") -> ModuleType:
-    """Mitsuba 3 with the fastest variant that runs here: CUDA, LLVM, or the scalar one, some hundred times slower.
-
-    Raises
-    ------
-    SurveyError
-        If it is not installed.
-    """
+    """Mitsuba 3 with the fastest variant that runs here: CUDA, LLVM, or the scalar one, some hundred times slower."""
     # First, because it sets the path of LLVM for Dr.Jit.
     chosen = choose_device(device)
     try:

@@ -112,11 +112,6 @@ def suns_of(
         to reach it.
     contrast : [-]
         Standard deviation over mean of the light on the bed at ``depth_m``; other depths follow.
-
-    Raises
-    ------
-    SurveyError
-        If the sun stands where too few waves mirror it into the photographs.
     """
     found, slope_std = [], _SLOPE_STD + _SLOPE_PER_SHARE * glint_share
     for index in range(len(cameras)):

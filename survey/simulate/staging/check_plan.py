@@ -51,11 +51,6 @@ def check_plan(path: Path, *, chosen: Choices = USUAL, wind_m_s: float) -> list[
         Of the run that is estimated.
     wind_m_s : [m/s]
         For sun glitter.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        If it is not a plan of a flight.
     """
     plan = flight_of(path)
     survey = survey_of(plan)
@@ -69,13 +64,7 @@ def check_plan(path: Path, *, chosen: Choices = USUAL, wind_m_s: float) -> list[
 
 
 def flight_of(path: Path) -> ScenePlan:
-    """The planned flight of a scene file.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        If it is none.
-    """
+    """The planned flight of a scene file."""
     if path.name == FILE_NAME:
         raise SurveyError(f"{path} has the settings of a survey, expected its folder; give {path.resolve().parent}")
     return plan_scene(read_scene(path), path.parent)

@@ -48,13 +48,7 @@ class ScenePlan:
 
 
 def plan_scene(settings: SceneSettings, folder: Path) -> ScenePlan:
-    """The plan of a scene: frame, water, lens, bed from a file, and cameras.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        If the crs has no heights, the lens is invalid, or no flight covers the area.
-    """
+    """The plan of a scene: frame, water, lens, bed from a file, and cameras."""
     crs = parse_crs(settings.crs)
     frame = LocalFrame(crs, settings.origin)
     water = settings.water
@@ -98,13 +92,7 @@ def inputs_of(settings: SceneSettings, folder: Path) -> dict:
 
 
 def sun_of(light: LightSettings, frame: LocalFrame) -> Sun:
-    """The sun of [light], seen from the origin of a frame.
-
-    Raises
-    ------
-    ConfigError
-        If it is below the horizon at the time that is given.
-    """
+    """The sun of [light], seen from the origin of a frame."""
     time = light.known_time
     if time is not None:
         sun = sun_at(time, *place_of(frame.crs, np.array(frame.origin)))

@@ -126,7 +126,7 @@ def read_features(path: str | Path, kind: str, layer: str | None = None) -> Feat
     return found
 
 
-def in_horizontal_crs(geometry: BaseGeometry, source: CRS, target: CRS, path: Path) -> BaseGeometry:
+def in_horizontal_crs(geometry: BaseGeometry, source: CRS, target: CRS, path: Path | str) -> BaseGeometry:
     """A geometry of a file, in plan, transformed to another horizontal CRS."""
     geometry = shapely.force_2d(geometry)
     if source.equals(target, ignore_axis_order=True):
@@ -245,10 +245,11 @@ def _layer(pyogrio: ModuleType, path: Path, layer: str | None) -> str:
     listed = ", ".join(f"{name} ({kind})" for name, kind in kinds.items())
     if layer is not None:
         raise UnreadableFile(f"{path} has no layer {layer[:80]}, expected one of {listed}.")
-    if len(kinds) != 1:
+    if not kinds:
+        raise UnreadableFile(f"{path} has no layer of points, lines or polygons; export one into it.")
+    if len(kinds) > 1:
         raise UnreadableFile(
-            f"{path} has {len(kinds)} layers, {listed or 'none of geometries'}; name the one that counts, as "
-            f"{path.name}:{next(iter(kinds), 'LAYER')}."
+            f"{path} has {len(kinds)} layers, {listed}; name the one that counts, as {path.name}:{next(iter(kinds))}."
         )
     return next(iter(kinds))
 

@@ -21,6 +21,7 @@ from geo.transformation import WGS84
 
 # Attributes that name a line, in any case; a DXF has layers.
 _NAMES = ("name", "id", "line", "profile", "layer")
+_WGS84_OF_GEOJSON = "GeoJSON without a crs, is taken as longitude and latitude of WGS 84"
 # Places of a ring, the first again as the last, that enclose nothing.
 _FEWEST_OF_RING = 3
 
@@ -109,8 +110,9 @@ def _in_crs(
     content, path, target = read_features(path, plural), layer_of(path)[0], horizontal_crs(crs)
     unstated = WGS84 if path.suffix.lower() in GEOJSON else target
     source = unstated if content.crs is None else horizontal_crs(content.crs)
+    named = f"{path}, {_WGS84_OF_GEOJSON}," if content.crs is None and unstated is WGS84 else str(path)
     found = [
-        (in_horizontal_crs(part, source, target, path), feature.properties)
+        (in_horizontal_crs(part, source, target, named), feature.properties)
         for feature in content.features
         for part in feature.parts()
         if isinstance(part, kinds)

@@ -19,6 +19,7 @@ from geo.errors import UnreadableFile
 from geo.las import write_cloud
 from geo.lines import Line, read_lines
 from survey.export.profiles import COLUMNS, Bed, ProfileError, profiles_along, write_picture
+from survey.progress import Progress
 
 UTM = CRS("EPSG:25832+7837")
 AROUND = np.array([[0.0, 0.0], [1e7, 1e7]])
@@ -177,7 +178,8 @@ def test_lines_of_every_format_are_the_same(tmp_path, suffix):
         ("l.geojson", "{", "has no lines that can be read"),
         ("l.gpkg", "no database", "does not begin as a file with the suffix .gpkg does"),
         ("l.dxf", "no drawing", "does not begin as a file with the suffix .dxf does"),
-        ("l.gpx", "<gpx/>", "expected lines as one of .geojson, .kml, .gpkg, .shp, .dxf"),
+        ("l.gpx", "<gpx/>", "has no line of two corners or more"),
+        ("l.kmz", "PK", "expected lines as one of .geojson, .gpkg, .shp, .dxf, .kml, .gpx"),
     ],
 )
 def test_a_file_without_lines_is_refused(tmp_path, name, text, words):
@@ -236,3 +238,14 @@ def test_a_drawing_has_bed_and_water_of_each_profile(tmp_path):
     np.testing.assert_allclose(places[inner, 2], MIDDLE_M + plan[inner] @ [EAST, NORTH], atol=0.011)
     (water,) = space.query('POLYLINE[layer=="water across"]')
     np.testing.assert_allclose([v.dxf.location.z for v in water.vertices], LEVEL_M, atol=2e-3)
+
+
+def test_lines_that_miss_the_cloud_are_an_error_or_a_warning(tmp_path, capsys):
+    cloud, path = plane_cloud(tmp_path / "c.las"), tmp_path / "l.gpkg"
+    far = {"far": places_of("EPSG:25832+7837", [[900.0, 0.0], [950.0, 0.0]])}
+    with pytest.raises(ProfileError, match=r"no line of .* runs over the cloud"):
+        profiles_along(cloud, lines_file(path, far))
+    near = {"near": places_of("EPSG:25832+7837", LINES["A-B"])}
+    with Progress(verbosity=0):
+        profiles_along(cloud, lines_file(tmp_path / "both.gpkg", near | far))
+    assert "1 line of both.gpkg without a point of the cloud near it: far" in " ".join(capsys.readouterr().err.split())

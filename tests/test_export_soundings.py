@@ -114,7 +114,7 @@ def test_soundings_that_somebody_edited_are_kept(tmp_path, suffix):
     export(run, soundings=path)
     text = path.read_text()
     path.write_text("\n".join(text.splitlines()[:-1]) + "\n")
-    with pytest.raises(OutputError, match="as it was written: somebody has changed it; remove it"):
+    with pytest.raises(OutputError, match="which somebody has changed since bathynerf wrote it; remove it"):
         export(run, soundings=path, options=ExportOptions(thin="shoal"))
     # Touched, and the same.
     path.write_text(text)

@@ -64,6 +64,19 @@ def test_tables_without_geometries_do_not_count_as_layers(tmp_path):
     assert [line.name for line in read_lines(path, UTM, AROUND)] == ["cuts"]
 
 
+def test_a_file_without_a_layer_of_geometries_is_refused(tmp_path):
+    path = layers_in(tmp_path / "plan.gpkg", layer_styles=None)
+    with pytest.raises(UnreadableFile, match="has no layer of points, lines or polygons"):
+        read_lines(path, UTM, AROUND)
+
+
+def test_geojson_without_a_crs_is_said_to_be_in_wgs84_where_that_cannot_be(tmp_path):
+    path = tmp_path / "a.geojson"
+    path.write_text(shapely.to_geojson(LINE))
+    with pytest.raises(UnreadableFile, match="GeoJSON without a crs, is taken as longitude and latitude of WGS 84"):
+        read_lines(path, UTM, AROUND)
+
+
 def test_a_file_whose_name_looks_like_a_layer_is_a_file(tmp_path):
     path = tmp_path / "a.gpkg:b"
     assert layer_of(path) == (tmp_path / "a.gpkg", "b")

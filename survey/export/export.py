@@ -128,12 +128,14 @@ def _require_writable(product: Product, path: Path, run: LoadedRun, inputs: Read
             raise OutputError(f"{_name(product)} names {path}, which holds other files; name a new or empty folder")
         return
     noted = _entry(run, path).get("sha256")
-
-    def is_ours(_head: bytes) -> bool:
-        return noted == _content_hash(path) if noted is not None else is_own(path)
-
-    kind = kind_of(path) if noted is None else f"{kind_of(path)}, as it was written: somebody has changed it"
-    require_file(_name(product), path, inputs, kind=kind, is_of_kind=is_ours)
+    require_file(
+        _name(product), path, inputs, kind=kind_of(path), is_of_kind=lambda _head: noted is not None or is_own(path)
+    )
+    if noted is not None and path.is_file() and noted != _content_hash(path):
+        raise OutputError(
+            f"{_name(product)} names {path}, which somebody has changed since bathynerf wrote it; remove it or choose "
+            "another name"
+        )
 
 
 def _require_effect(products: list[Product], options: ExportOptions) -> None:

@@ -271,7 +271,7 @@ def _over_bed(profiles: list[Profile], lines: Path) -> list[Profile]:
     if len(missed) == len(profiles):
         raise ProfileError(
             f"no line of {lines} runs over the cloud; draw the lines over it, and check that they are in the CRS that "
-            "the file states (a drawing: that of the cloud, in its unit)"
+            "the file states (a drawing: that of the cloud, in its unit; GeoJSON without one: WGS 84)"
         )
     for text in named(missed, "line", f"of {lines.name} without a point of the cloud near it"):
         current().warn(text)

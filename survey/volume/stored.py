@@ -59,7 +59,7 @@ class StoredVolume:
     def load(
         self, device: str = "auto", note: Callable[[str], None] = lambda text: current().note(text)
     ) -> Callable[[PinholeCamera, bool], NovelView]:
-        """Render function of the field, with the water or, ``dry``, without; ``note`` is told of unfinished training."""
+        """Render function of the field, with the water or ``dry``; ``note`` is told of unfinished training."""
         if self.counts is not None:
             views = SubmoduleViews(self.folder, self.recipe, self.ground, self.counts, device, self.drop)
             for text in views.unfinished():

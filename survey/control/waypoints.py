@@ -13,13 +13,7 @@ _SUFFIXES = (".gpx", ".kml")
 
 
 def read_waypoints(path: Path) -> Content:
-    """The points of a file; their heights are taken as heights in crs.
-
-    Raises
-    ------
-    ControlError
-        If the file is damaged, or a point has no name or no height.
-    """
+    """The points of a file; their heights are taken as heights in crs."""
     try:
         found = read_features(path, "points with names")
     except UnreadableFile as error:

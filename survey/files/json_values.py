@@ -60,11 +60,6 @@ def read_foreign_json(path: Path, error: type[SurveyError]):
     """The value in a JSON file of another program, in UTF-8 with or without a byte order mark.
 
     Numbers of more digits than any has become what float makes of them, infinity included.
-
-    Raises
-    ------
-    SurveyError
-        Of the given type, if the file cannot be read, is no JSON or nested too deep.
     """
     try:
         return json.loads(path.read_bytes().decode("utf-8-sig"), parse_int=_short_int)

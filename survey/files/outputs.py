@@ -161,11 +161,6 @@ def locked(folder: Path, *, busy: str) -> Iterator[None]:
     ----------
     busy : str
         The message where another process has the lock; ``{pid}`` in it is that process's number.
-
-    Raises
-    ------
-    SurveyError
-        If another process has the lock.
     """
     path, owner = folder / LOCK_FILE, folder / LOCK_OWNER
     lock = FileLock(path, blocking=False)

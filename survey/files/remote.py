@@ -57,11 +57,6 @@ class Remote:
     url : str
         Keys and addresses of the store are those of its environment, as AWS_ACCESS_KEY_ID and AWS_ENDPOINT_URL; a
         password in it would come into messages, logs and jobs, and is refused.
-
-    Raises
-    ------
-    SurveyError
-        Here and in all methods, if a library is missing, or the store is not there, not reached or refuses.
     """
 
     def __init__(self, url: str):

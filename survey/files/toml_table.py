@@ -62,13 +62,7 @@ def table_of(record: Any) -> dict[str, Any]:
 
 
 def read_toml(path: Path, parse: Callable[[str], Any]) -> Any:
-    """Result of `parse` for the text of a TOML file.
-
-    Raises
-    ------
-    ConfigError
-        That of `parse`, with the name of the file before it, or where the file cannot be read or is not UTF-8.
-    """
+    """Result of `parse` for the text of a TOML file."""
     try:
         return parse(path.read_text(encoding="utf-8-sig"))
     except UnicodeDecodeError as error:
@@ -93,12 +87,6 @@ def parse_toml(
         What other programs call a key, to its dotted name here, e.g. ``{"gcp": "control.gcps"}``.
     not_yet : mapping, optional
         Dotted names of keys that are planned but not read, with advice on what to give instead.
-
-    Raises
-    ------
-    ConfigError
-        If the text is not TOML, at the first key that is unknown, missing or of another type, and from the checks
-        of the dataclasses.
     """
     try:
         tables = tomllib.loads(text)

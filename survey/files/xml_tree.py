@@ -24,12 +24,6 @@ def read_xml(path: Path, content: str, error: type[SurveyError]) -> Element:
         What is to be exported again if the file is damaged, e.g. "the markers".
     error : type
         What is raised.
-
-    Raises
-    ------
-    SurveyError
-        If the file cannot be read, is no XML, declares a document type, or is nested more than 100 deep. Entities are
-        declared in document types only, so that none grows, and none reads another file.
     """
     builder, depth = TreeBuilder(), 0
     parser = expat.ParserCreate()

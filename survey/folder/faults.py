@@ -49,11 +49,6 @@ def require_focal_lengths(lenses: dict[str, Lens], headers: dict[str, Exif]) -> 
     Parameters
     ----------
     lenses, headers : by name of the image
-
-    Raises
-    ------
-    ConfigError
-        If a field of view is impossible for a lens, or EXIF gives another order of magnitude.
     """
     warnings: list[str] = []
     for name, lens in lenses.items():
@@ -90,13 +85,7 @@ def require_focal_lengths(lenses: dict[str, Lens], headers: dict[str, Exif]) -> 
 
 
 def require_apart(views: list[View], over_water: np.ndarray | None) -> list[str]:
-    """Warnings about views that share a pose; ``over_water`` are their heights (N,) [m], None for a dry survey.
-
-    Raises
-    ------
-    PosesError
-        If all cameras are at one place, or most of them do not overlap any other at the water.
-    """
+    """Warnings about views that share a pose; ``over_water`` are their heights (N,) [m], None for a dry survey."""
     centres = np.array([view.camera.centre for view in views])
     if np.ptp(centres, axis=0).max() < _ONE_PLACE_M:
         raise PosesError(

@@ -244,13 +244,7 @@ def head_warnings(headers: Mapping[str, Exif]) -> list[str]:
 
 
 def survey_inputs(folder: Path) -> ReadFiles:
-    """Settings, poses, photographs, masks, control and measured water levels of a survey folder.
-
-    Raises
-    ------
-    ConfigError
-        Where the settings cannot be read, or there are neither settings nor images.
-    """
+    """Settings, poses, photographs, masks, control and measured water levels of a survey folder."""
     if not folder.is_dir():
         return ReadFiles()
     config = infer.settings_or_inferred(folder)

@@ -45,13 +45,7 @@ class _Line:
 
 
 def find_geo_txt(folder: Path, images: Path) -> Path | None:
-    """The geo.txt in the survey folder or next to the photographs; None where there is none.
-
-    Raises
-    ------
-    PosesError
-        If there are two.
-    """
+    """The geo.txt in the survey folder or next to the photographs; None where there is none."""
     places = dict.fromkeys((folder, images))
     found = [path for place in places if place.is_dir() for path in sorted(place.iterdir()) if _is_geo_txt(path)]
     if len(found) > 1:
@@ -64,15 +58,7 @@ def _is_geo_txt(path: Path) -> bool:
 
 
 def with_positions(path: Path, headers: Mapping[str, Exif]) -> tuple[dict[str, Exif], Findings]:
-    """Heads of photographs with the positions of a geo.txt; those that it does not name keep the ones in EXIF.
-
-    Raises
-    ------
-    PosesError
-        If the file is damaged, names a photograph twice or none at all, or has a place that is not on the map.
-    PlaceMismatch
-        If the places lie far outside the area of its CRS.
-    """
+    """Heads of photographs with the positions of a geo.txt; those that it does not name keep the ones in EXIF."""
     crs, lines = _read(path)
     names, line_of = ImageNames(headers), {}
     unknown = []

@@ -161,11 +161,6 @@ def place_poses(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Placed
     ----------
     poses : list of Pose
         Those of photographs of the survey, under the names of these.
-
-    Raises
-    ------
-    ConfigError, PosesError
-        If scale or rotation contradict the GPS positions, or nothing tells where the poses are.
     """
     gps = _gps_of(found, [pose.name for pose in poses])
     findings = Findings()
@@ -279,13 +274,7 @@ def _is_in_area(crs: CRS, points: np.ndarray) -> bool:
 def _placed(
     found: Found, file: PoseFile, poses: list[Pose], gps: GpsPositions, fit: GpsFit
 ) -> tuple[PlacedPoses, Findings]:
-    """Poses in a frame of their own placed by GPS: by a shift where axes and scale fit, else by the similarity.
-
-    Raises
-    ------
-    PosesError
-        If the positions do not determine scale and rotation.
-    """
+    """Poses in a frame of their own placed by GPS: by a shift where axes and scale fit, else by the similarity."""
     name = below(found.folder, found.poses_path)
     if fit.is_free or not fit.is_shift:
         if fit.fault is not None:

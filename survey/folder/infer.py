@@ -32,13 +32,7 @@ def settings_or_inferred(folder: Path) -> SurveyConfig:
 
 
 def config_of_folder(folder: Path) -> SurveyConfig:
-    """Settings with the image folder: images/ where it exists, else the survey folder itself.
-
-    Raises
-    ------
-    ConfigError
-        Where there are none.
-    """
+    """Settings with the image folder: images/ where it exists, else the survey folder itself."""
     if (folder / "images").is_dir():
         return SurveyConfig()
     if any(path.suffix.lower() in SUFFIXES for path in folder.iterdir()):
@@ -55,13 +49,7 @@ def config_of_images(
     headers: dict[str, Exif],
     poses_path: Path | None,
 ) -> tuple[SurveyConfig, Findings]:
-    """Settings inferred from the GPS positions in EXIF, else from geocentric poses, and the assumptions made.
-
-    Raises
-    ------
-    ConfigError
-        Where there is too little to infer them from.
-    """
+    """Settings inferred from the GPS positions in EXIF, else from geocentric poses, and the assumptions made."""
     file = None if poses_path is None else read_poses(poses_path)
     by_exif = utm_code_of(headers)
     table = table_crs(headers)

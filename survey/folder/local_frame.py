@@ -30,13 +30,6 @@ def views_in_local(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Loc
 
     The frame is that of [local] where the poses are in it. Otherwise its origin lies under the middle of the cameras,
     at the height of the water, or of the lowest camera of a dry survey.
-
-    Raises
-    ------
-    ConfigError
-        If poses are in a local frame without an origin, or need a grid of the geoid that is not installed.
-    PosesError, PlaceMismatch
-        If a position does not lie on the map of crs, or the file counts heights from another datum.
     """
     centres = np.array([pose.centre for pose in poses])
     if file.frame is PoseFrame.LOCAL:
@@ -93,11 +86,6 @@ def with_level_of_points(
 
     From too high a level the adjustment converges, because all points count as wet; below all points it has no
     information.
-
-    Raises
-    ------
-    ConfigError
-        If there are no points.
     """
     if config.water is None or points is None or not len(points):
         raise ConfigError(f"[water] in {FILE_NAME} has no level, and no matched points show one; give level_m")
@@ -139,15 +127,7 @@ def water_in_local(
 
 
 def water_plane(frame: LocalFrame, given: WaterConfig) -> FlatWater:
-    """The water plane in local.
-
-    Raises
-    ------
-    ConfigError
-        If ``level_at`` does not lie on the map of crs.
-    ValueError
-        If level_m, level_at or refractive_index is not set yet.
-    """
+    """The water plane in local."""
     if given.refractive_index is None:
         raise ValueError("refractive_index is not known before its default is filled in")
     point_crs = np.array([*given.known_level_at, given.known_level_m / height_unit_m(frame.crs)])

@@ -46,13 +46,6 @@ def pair(found: Found, poses: Sequence[Pose]) -> tuple[dict[str, Pose], Findings
     """The poses that have an image, by the name of the image, with the names in the poses file matched to it.
 
     Warns of images without a pose and of poses without an image.
-
-    Raises
-    ------
-    PosesError
-        If fewer than two are left.
-    ImageError
-        If a name fits two images, or an image two names; see `survey.photos.names.ImageNames`.
     """
     names = ImageNames(found.images)
     paired: dict[str, Pose] = {}
@@ -139,11 +132,6 @@ def lens_from_config(cameras: CamerasConfig, headers: dict[str, Exif]) -> tuple[
     Parameters
     ----------
     headers : name to Exif, of the images that have a pose
-
-    Raises
-    ------
-    ConfigError
-        Where a number is missing, or does not fit the camera model.
     """
     width, height = cameras.size_px or _common_size(headers)
     (fx, fy), findings = _focal(cameras, headers)
@@ -219,13 +207,7 @@ class FilePoses:
 
 
 def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
-    """Read the poses file of a survey.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        Where the file, or its fit to the survey, is wrong.
-    """
+    """Read the poses file of a survey."""
     try:
         file = read_poses(path)
     except DuplicatePose as error:

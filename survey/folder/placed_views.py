@@ -46,12 +46,6 @@ def with_masks(found: Found, views: Sequence[View], own: Path | None) -> tuple[l
 
     They are taken from the folder in [images] masks; else, if there are any, from the folder that the program that made
     the poses used; else from IMG_mask next to the images, as for OpenDroneMap.
-
-    Raises
-    ------
-    ImageError
-        If the folder does not exist, has no mask of any view, or a mask has another size than its photograph; if a
-        mask fits two photographs, or two fit one.
     """
     given = None if found.config.images.masks is None else found.folder / found.config.images.masks
     if given is not None and not given.is_dir():
@@ -173,13 +167,7 @@ def views_of_file(found: Found, path: Path) -> tuple[PlacedViews, Findings]:
 def views_of_photographs(
     found: Found, workspace: Path | None, report: Callable[[str], None] | None
 ) -> tuple[PlacedViews, Findings]:
-    """The views that structure from motion places.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        Where something is missing, damaged or contradictory, or the photographs do not make a block.
-    """
+    """The views that structure from motion places."""
     solved = solve_views(found, workspace, report)
     frame = solved.frame
     views = sorted(solved.views, key=lambda view: view.name)

@@ -91,11 +91,6 @@ def require_plausible(
 
     Cameras of a dry survey may look up where they see tie points of their poses file (`see_points`), at a cliff or a
     house.
-
-    Raises
-    ------
-    ConfigError, PosesError
-        With the heights that were found.
     """
     rises = np.array([view.camera.cam_from_local[2, 2] for view in views])
     if (rises > 0.0).mean() > 0.5 and not (see_points and over_water is None):

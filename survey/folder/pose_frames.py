@@ -38,13 +38,6 @@ def points_in_crs(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: str)
     """Points (N, 3) in the frame of a poses file, which is not LOCAL, as (N, 3) in crs; NaN off the map.
 
     Geocentric heights are those of GPS: heights in crs, or above the ellipsoid, as `gps_height` says.
-
-    Raises
-    ------
-    GeoError
-        If the file counts heights from another datum than crs, or its heights have no unit.
-    ConfigError
-        If the grid of the geoid is needed and not installed.
     """
     if file.frame is PoseFrame.GEOCENTRIC:
         return _from_geocentric(file, points, crs, gps_height)

@@ -64,14 +64,7 @@ _MOST_SCALE_STD = 0.1
 
 
 def require_level_fits_exif(config: SurveyConfig, headers: Mapping[str, Exif], crs: CRS) -> None:
-    """Raise where the level cannot fit the heights in EXIF, which structure from motion would use.
-
-    Raises
-    ------
-    ConfigError
-        Where all images lie under the water or far above it, by more than heights in EXIF may have in common; or by
-        less, if a mix-up of datums explains it and `position_std_m` does not say that they are as bad.
-    """
+    """Raise where the level cannot fit the heights in EXIF, which structure from motion would use."""
     places = np.array([h.lat_lon_height for h in headers.values() if h.lat_lon_height is not None]).reshape(-1, 3)
     places = places[np.isfinite(places).all(axis=1)]
     heights = places[:, 2]
@@ -118,13 +111,7 @@ class SolvedViews:
 
 
 def require_solvable(found: Found) -> list[str]:
-    """Warnings about a survey without poses that structure from motion can start with.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        If it would fail: sizes, focal length, heights, positions and images are checked, no pixel is decoded.
-    """
+    """Warnings about a survey without poses that structure from motion can start with."""
     require_solver()
     cameras = found.config.cameras
     require_mapper(cameras.mapper)
@@ -169,13 +156,7 @@ def _require_readable(images: Mapping[str, Path]) -> None:
 
 
 def placing_control(found: Found) -> BlockControl | None:
-    """The control that places a block of photographs; None where GPS positions do.
-
-    Raises
-    ------
-    PosesError, ControlError
-        If neither can.
-    """
+    """The control that places a block of photographs; None where GPS positions do."""
     num = sum(is_whole(header.lat_lon_height) for header in found.headers.values())
     if num < least_track(len(found.headers)):
         return require_placing_control(found)
@@ -201,13 +182,7 @@ def _spans_area(found: Found) -> bool:
 
 
 def solve_views(found: Found, workspace: Path | None, report: Callable[[str], None] | None) -> SolvedViews:
-    """The result of structure from motion.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        As `require_solvable`, and where fewer than three poses are found.
-    """
+    """The result of structure from motion."""
     warnings = require_solvable(found)
     # Slow to import, and needed only without poses.
     from survey.sfm.poses import image_names, solve_poses

@@ -148,13 +148,7 @@ class Survey:
         return min(point.common_plan_std for point in control) if control else common_plan_std(self.observations.priors)
 
     def require_water(self) -> tuple[FlatWater, WaterConfig]:
-        """The water plane and its settings, with level, place and index.
-
-        Raises
-        ------
-        SurveyError
-            For a dry survey.
-        """
+        """The water plane and its settings, with level, place and index."""
         if self.water is None or self.config.water is None:
             raise SurveyError(f"{self.name} is a dry survey, expected one with water; give [water] in {FILE_NAME}")
         return self.water, self.config.water

@@ -105,13 +105,7 @@ class Exif:
 
 
 def read_exif(path: Path) -> Exif:
-    """Read the head of an image, once in a process as long as it does not change; the pixels are not decoded.
-
-    Raises
-    ------
-    ImageError
-        Where the file is not an image, or one that is too large for this machine.
-    """
+    """Read the head of an image, once in a process as long as it does not change; the pixels are not decoded."""
     stat = path.stat()
     return _read_exif(path, stat.st_ctime_ns, stat.st_size)
 
@@ -248,13 +242,7 @@ def utm_code_of(headers: Mapping[str, Exif]) -> int | None:
 
 
 def exif_of_png(path: Path) -> Image.Exif:
-    """The EXIF of a PNG file; empty where there is none.
-
-    Raises
-    ------
-    SyntaxError, ValueError
-        Where it is damaged.
-    """
+    """The EXIF of a PNG file; empty where there is none."""
     exif = Image.Exif()
     with path.open("rb") as file:
         file.seek(_SIGNATURE_BYTES)

@@ -49,11 +49,6 @@ def list_images(folder: Path, *, deep: bool = True) -> dict[str, Path]:
 
     Hidden files and folders, and those in which storage devices and archives keep thumbnails, are left out.
     A file named like another one with _mask behind, as OpenDroneMap has them, is its mask, and no image.
-
-    Raises
-    ------
-    ImageError
-        Where the folder does not exist or has no image.
     """
     if not folder.is_dir():
         raise ImageError(
@@ -140,11 +135,6 @@ def load_image(view: View, *, scale: float = 1.0) -> np.ndarray:
     -------
     (height, width, 3) uint8, RGB
         EXIF orientation is not applied: poses and sizes are those of the stored pixels.
-
-    Raises
-    ------
-    ImageError
-        Where the image is cut off, cannot be read or is not of the size of its camera.
     """
     return eight_bits(load_pixels(view, scale=scale))
 
@@ -188,11 +178,6 @@ def read_mask(path: Path) -> np.ndarray:
     """Usable pixels by a mask, (height, width) bool: all that are not black.
 
     JPEG has grey levels about the edges of black and white, so that the darker half counts as black there.
-
-    Raises
-    ------
-    ImageError
-        Where the file is cut off or damaged.
     """
     return read_grey(path) > (127 if path.suffix.lower() in _LOSSY else 0)
 
@@ -269,13 +254,6 @@ def fetch_images(url: str, folder: Path) -> None:
     """Fetch the photographs and masks below a URL into a folder.
 
     If the URL cannot be reached and all were fetched before, these are used, with a warning.
-
-    Raises
-    ------
-    ImageError
-        If there are none.
-    SurveyError
-        If the URL is not reached; see `survey.files.remote`.
     """
     remote, before = Remote(url), fetched_tags(folder)
     try:

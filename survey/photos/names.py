@@ -40,11 +40,6 @@ class ImageNames:
             of the two paths may begin further up than the other, but their folders must not contradict each other.
         where : str
             Of the name, for errors: the file, and the line if there are lines.
-
-        Raises
-        ------
-        ImageError
-            Where two photographs fit equally well, or one fits two names whose folders contradict each other.
         """
         image = name_in_file if name_in_file in self._names else self._longest_tail(name_in_file, where)
         if image is None:

@@ -70,17 +70,7 @@ _STORED: dict[int, Callable[[np.ndarray], np.ndarray]] = {
 
 @contextmanager
 def open_image(path: Path) -> Iterator[Image.Image]:
-    """An image whose head is read and whose size was checked.
-
-    Raises
-    ------
-    ImageError
-        Where the file is not an image, or one that is too large for this machine.
-    UnreadableFile
-        Where the library that reads its format is not installed.
-    OSError
-        What the disk refuses.
-    """
+    """An image whose head is read and whose size was checked."""
     formats: tuple[str, ...] = _FORMATS
     if path.suffix.lower() in HEIC_SUFFIXES:
         library_for(path, "pillow_heif", "heic").register_heif_opener()
@@ -167,13 +157,7 @@ def channel_bits(image: Image.Image) -> int:
 
 
 def read_rgb(path: Path) -> np.ndarray:
-    """Pixels (height, width, 3), RGB, as stored: uint8, or uint16 where a channel has more than 8 bits.
-
-    Raises
-    ------
-    ImageError
-        Where the file is cut off or damaged, or of a kind that would lose something.
-    """
+    """Pixels (height, width, 3), RGB, as stored: uint8, or uint16 where a channel has more than 8 bits."""
     return _decoded(
         path, lambda image, bits: _decode_16_bits(path, image, bits) if bits > 8 else _decode_8_bits(image, "RGB")
     )

@@ -67,13 +67,7 @@ class ImageDetail:
 
 
 def image_detail(path: Path) -> ImageDetail:
-    """Detail and white of a photograph.
-
-    Raises
-    ------
-    ImageError
-        Where the image cannot be decoded.
-    """
+    """Detail and white of a photograph."""
     grey = grey_levels(read_rgb(path))
     is_plain = bool(np.std(grey) < _PLAIN_STD or np.quantile(grey, 0.99) < _BLACK_LEVEL)
     return ImageDetail(detail_of(grey), float(saturated_pixels(grey).mean()), is_plain)
@@ -143,13 +137,7 @@ class MatchedLight:
 
 
 def matched_light(views: Sequence[View]) -> MatchedLight:
-    """The shares of the channels in some of the photographs, spread evenly; what masks leave out does not count.
-
-    Raises
-    ------
-    ImageError
-        Where one of them cannot be read.
-    """
+    """The shares of the channels in some of the photographs, spread evenly; what masks leave out does not count."""
     some = np.unique(np.linspace(0, len(views) - 1, MOST_PHOTOGRAPHS).astype(int))
     found = [texture_of(_smaller(views[i])) for i in some]
     products, count = np.sum([f[0] for f in found], axis=0), sum(f[1] for f in found)

@@ -64,13 +64,7 @@ def find_unread(folder: Path) -> list[str]:
 
 
 def read_poses(path: Path) -> PoseFile:
-    """Contents of a poses file, or of the folder of a model.
-
-    Raises
-    ------
-    PosesError
-        Where the path does not exist, its format is not known, or its content cannot be true.
-    """
+    """Contents of a poses file, or of the folder of a model."""
     if not path.exists():
         raise PosesError(f"the poses file {path} does not exist; correct [cameras] poses in survey.toml")
     expected = "; ".join(known.name for known in formats())
@@ -96,13 +90,7 @@ def pose_files(path: Path) -> list[Path]:
 
 
 def read_ties(path: Path) -> FileTies | None:
-    """Tie points that came with poses, in the frame of these; None where none came.
-
-    Raises
-    ------
-    PosesError
-        Where their file is damaged.
-    """
+    """Tie points that came with poses, in the frame of these; None where none came."""
     known = _format_of(path)
     return None if known is None or known.read_ties is None else known.read_ties(path)
 

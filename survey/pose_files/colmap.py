@@ -165,13 +165,7 @@ def is_model(folder: Path) -> bool:
 
 
 def read_model(folder: Path) -> PoseFile:
-    """Poses and lenses of a model in a topocentric frame; binary files take precedence over text, as in COLMAP.
-
-    Raises
-    ------
-    PosesError
-        Where a file is damaged, a camera model is not supported, a pose is not finite, or an image has no camera.
-    """
+    """Poses and lenses of a model in a topocentric frame; binary files take precedence over text, as in COLMAP."""
     suffix = _suffix(folder)
     cameras, lenses = _read(folder / f"cameras{suffix}"), dict[int, Lens]()
     path = folder / f"images{suffix}"
@@ -211,13 +205,7 @@ def _is_own(folder: Path) -> bool:
 
 
 def read_ties(folder: Path) -> FileTies | None:
-    """Points of a model with their places in its images; None without a file of points, or with an empty one.
-
-    Raises
-    ------
-    PosesError
-        Where a file is damaged.
-    """
+    """Points of a model with their places in its images; None without a file of points, or with an empty one."""
     path = next((folder / f"points3D{s}" for s in (".bin", ".txt") if (folder / f"points3D{s}").is_file()), None)
     points: Iterable[_Point] = () if path is None else _read(path)
     points = sorted((point for point in points if np.isfinite(point[1]).all()), key=lambda point: point[0])

@@ -28,14 +28,7 @@ _EXPECTED = "expected name, x, y, z, omega, phi, kappa"
 
 
 def read_exterior_text(path: Path) -> PoseFile:
-    """Poses in crs from the lines of a file that are neither empty nor headings.
-
-    Raises
-    ------
-    PosesError
-        If a line is something else, an angle cannot be in its unit, a matrix contradicts its angles, or an image has
-        two lines.
-    """
+    """Poses in crs from the lines of a file that are neither empty nor headings."""
     poses: dict[str, Pose] = {}
     heading, unit, tool = "", 1.0, None
     for number, line in text_lines(path, PosesError):

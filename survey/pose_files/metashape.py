@@ -41,13 +41,7 @@ _UNDERGROUND_M = 6.2e6
 
 
 def read_lens(sensor: Element) -> Lens:
-    """The adjusted lens of a sensor, else the one that it began with.
-
-    Raises
-    ------
-    LensError
-        If there is none, it is of a kind that is not supported, or a number is not finite.
-    """
+    """The adjusted lens of a sensor, else the one that it began with."""
     by_class = {tag.get("class", "adjusted"): tag for tag in sensor.iterfind("calibration")}
     calibration = by_class.get("adjusted", by_class.get("initial"))
     if calibration is None:
@@ -101,14 +95,7 @@ def _whole(text: str | None, key: str) -> int:
 
 
 def read_metashape(path: Path) -> PoseFile:
-    """Poses and lenses of the cameras that are aligned and enabled.
-
-    Raises
-    ------
-    PosesError
-        If the file is no XML or not safe, has no or several chunks with aligned cameras, is not georeferenced, has a
-        camera without a lens or a lens that is not supported, or a number that is not finite.
-    """
+    """Poses and lenses of the cameras that are aligned and enabled."""
     chunk = _chunk(path)
     sensors = {sensor.get("id", ""): sensor for sensor in chunk.iter("sensor")}
     lenses: dict[str, Lens] = {}

@@ -33,13 +33,7 @@ _REMEDY = "undistort the photographs, or export OPENCV or OPENCV_FISHEYE"
 
 
 def read_nerfstudio(path: Path) -> PoseFile:
-    """Poses and lenses of the frames.
-
-    Raises
-    ------
-    PosesError
-        If the file is damaged, a matrix is not a pose, or a lens is missing or not supported.
-    """
+    """Poses and lenses of the frames."""
     data = read_foreign_json(path, PosesError)
     frames = data.get("frames") if isinstance(data, dict) else None
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):

@@ -50,13 +50,7 @@ class _Block:
 
 
 def read_opensfm(path: Path) -> PoseFile:
-    """Poses and lenses of a reconstruction: geocentric where it has a reference, else in the frame of [local].
-
-    Raises
-    ------
-    PosesError
-        If the file is damaged or in grid coordinates, a camera is missing or not supported, or a number is not finite.
-    """
+    """Poses and lenses of a reconstruction: geocentric where it has a reference, else in the frame of [local]."""
     block = _block(path)
     poses = tuple(_pose(block, name, shot) for name, shot in block.shots.items())
     notes, warnings = [], []
@@ -77,13 +71,7 @@ def read_opensfm(path: Path) -> PoseFile:
 
 
 def read_ties(path: Path) -> FileTies | None:
-    """Points of a reconstruction with their places in its images, by the tracks beside it; None without these.
-
-    Raises
-    ------
-    PosesError
-        If a file is damaged.
-    """
+    """Points of a reconstruction with their places in its images, by the tracks beside it; None without these."""
     block = _block(path)
     tracks = _tracks_of(block.path)
     ids = {key: i for i, key in enumerate(block.points)}
@@ -259,13 +247,7 @@ FORMAT = Format(
 
 
 def read_lens(camera: dict) -> Lens:
-    """The lens of a camera, whose lengths are in units of the longer side of its image, from the middle of that.
-
-    Raises
-    ------
-    LensError
-        If its projection is not supported, or a number is missing or not finite.
-    """
+    """The lens of a camera, whose lengths are in units of the longer side of its image, from the middle of that."""
     kind = str(camera.get("projection_type", "perspective"))
     if kind not in _SUPPORTED:
         raise LensError(

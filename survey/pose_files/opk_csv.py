@@ -54,12 +54,6 @@ def read_opk_csv(path: Path) -> PoseFile:
 
     Columns longitude and latitude are those of WGS 84, unless a comment names the CRS, as Metashape writes it. Where
     there are columns of the accuracy of positions, these are how well the positions are known.
-
-    Raises
-    ------
-    PosesError
-        Where a column is missing, a number is missing or not finite, a pitch is that of a gimbal, or an image has two
-        lines.
     """
     table = Table.read(path, _WORDS, PosesError)
     columns = _columns(table.names) or dict(zip(COLUMNS, COLUMNS, strict=True))

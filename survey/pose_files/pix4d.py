@@ -43,13 +43,7 @@ class _Camera:
 
 
 def read_pix4d(path: Path) -> PoseFile:
-    """Poses in crs, with lenses where the file of cameras is there.
-
-    Raises
-    ------
-    PosesError
-        If a file is damaged, the two contradict each other, or neither positions nor their offset are there.
-    """
+    """Poses in crs, with lenses where the file of cameras is there."""
     path = _file_of(path)
     stem = _stem(path)
     cameras_path, external_path = (path.with_name(stem + ending) for ending in (_CAMERAS, _EXTERNAL))

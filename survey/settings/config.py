@@ -219,25 +219,12 @@ class SurveyConfig:
 
 
 def read_config(path: Path) -> SurveyConfig:
-    """Read and check survey.toml.
-
-    Raises
-    ------
-    ConfigError
-        If the file is not TOML, or a key is unknown, of the wrong kind, not supported yet or contradicts
-        another.
-    """
+    """Read and check survey.toml."""
     return read_toml(path, parse_config)
 
 
 def settings_of(folder: Path) -> SurveyConfig | None:
-    """The settings in a folder; None where it has no survey.toml.
-
-    Raises
-    ------
-    ConfigError
-        As `read_config`, and where what has the name is no file, or a file has the name with another ending or case.
-    """
+    """The settings in a folder; None where it has no survey.toml."""
     toml = folder / FILE_NAME
     if toml.is_file():
         return read_config(toml)

@@ -155,13 +155,7 @@ class ControlConfig:
 
 
 def per_direction(std_m: float | tuple[float, float] | None) -> tuple[float, float, float]:
-    """The standard deviations of control east, north and up [m].
-
-    Raises
-    ------
-    ValueError
-        If it is not known yet.
-    """
+    """The standard deviations of control east, north and up [m]."""
     if std_m is None:
         raise ValueError("[control] std_m is not filled in; expected what `find_control` returns")
     return (std_m[0], std_m[0], std_m[1]) if isinstance(std_m, tuple) else (std_m, std_m, std_m)

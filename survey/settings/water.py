@@ -142,26 +142,14 @@ class WaterConfig:
 
     @property
     def known_level_m(self) -> float:
-        """``level_m`` of settings for which the file that may be named instead was read.
-
-        Raises
-        ------
-        ValueError
-            While the level is still to be read from a file.
-        """
+        """``level_m`` of settings for which the file that may be named instead was read."""
         if self.level_m is None:
             raise ValueError("level_m is not known before the file that [water] names instead is read")
         return self.level_m
 
     @property
     def known_level_at(self) -> tuple[float, float]:
-        """``level_at`` of the settings of a loaded survey, which have its default filled in.
-
-        Raises
-        ------
-        ValueError
-            Before it is.
-        """
+        """``level_at`` of the settings of a loaded survey, which have its default filled in."""
         if self.level_at is None:
             raise ValueError("level_at is not known before its default is filled in from the cameras")
         return self.level_at

@@ -74,11 +74,6 @@ def place_by_gps(
         are keys of `alias_of`.
     attitudes : mapping of name to (3, 3), optional
         Cam from local, as XMP has them.
-
-    Raises
-    ------
-    PosesError
-        If they say of no block how it lies.
     """
     positions = {alias_of[name]: position for name, position in gps.local.items()}
     turned = _by_alias(attitudes, alias_of)
@@ -124,11 +119,6 @@ def place_by_control(
     alias_of : mapping of name to name in the block
     attitudes
         As for `place_by_gps`.
-
-    Raises
-    ------
-    ControlError
-        If the control can place no block.
     """
     placement = _placement_by_control(control, control.frame, alias_of, _by_alias(attitudes, alias_of))
     return _place(free, [placement], control.frame, alias_of, sensors)

@@ -67,11 +67,6 @@ def features_of(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
     (N, 128) uint8
         Roots of the shares (R. Arandjelovic and A. Zisserman, Three things everyone should know to improve object
         retrieval, 2012), as pycolmap has them.
-
-    Raises
-    ------
-    ImageError
-        If the photograph is damaged or cannot be read.
     """
     pixels = cv2.cvtColor(eight_bits(read_rgb(path)), cv2.COLOR_RGB2GRAY)
     shrunk = min(1.0, FEATURES_PX / max(pixels.shape))

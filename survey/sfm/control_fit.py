@@ -52,11 +52,6 @@ def fit_control(control: BlockControl, views: Mapping[str, BlockView]) -> Contro
     Parameters
     ----------
     views : name to BlockView, in the frame of the block
-
-    Raises
-    ------
-    ControlError
-        If fewer than three points can be used, or they contradict each other and nothing tells which are wrong.
     """
     intersections = intersect_marks(control, views)
     require_consistent_marks(control, views, intersections)
@@ -81,13 +76,7 @@ def _line(places: np.ndarray, std: np.ndarray) -> PositionLine | None:
 
 
 def _along_line(intersections: Intersections) -> ControlFit:
-    """A similarity to points on a line, with any roll about it.
-
-    Raises
-    ------
-    ControlError
-        If they contradict each other.
-    """
+    """A similarity to points on a line, with any roll about it."""
     control_xyz, std = coordinates(intersections)
     similarity, _ = robust_similarity(intersections.places, control_xyz)
     off = similarity(intersections.places) - control_xyz
@@ -106,13 +95,7 @@ def coordinates(intersections: Intersections) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fit_majority(intersections: Intersections, views: Mapping[str, BlockView]) -> ControlFit:
-    """The similarity that most of at least three points agree on.
-
-    Raises
-    ------
-    ControlError
-        If they contradict each other and nothing tells which are wrong.
-    """
+    """The similarity that most of at least three points agree on."""
     control_xyz, std = coordinates(intersections)
     best = _agreements(intersections, control_xyz, std)
     if not best:
@@ -140,13 +123,7 @@ def fit_majority(intersections: Intersections, views: Mapping[str, BlockView]) -
 def require_consistent_marks(
     control: BlockControl, views: Mapping[str, BlockView], intersections: Intersections
 ) -> None:
-    """Raise where marks that contradict each other outnumber those that agree, by their points.
-
-    Raises
-    ------
-    ControlError
-        With what was found; says so where x and y are swapped.
-    """
+    """Raise where marks that contradict each other outnumber those that agree, by their points."""
     if len(intersections.inconsistent) > len(intersections.points):
         raise ControlError(_too_few(control, views, intersections))
 

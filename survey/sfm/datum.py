@@ -61,10 +61,6 @@ def require_accurate(transformation: Transformation, plan_std_m: float, position
         What they are, e.g. "GPS positions".
     num_control : int
         Control points that place the block all the same.
-
-    Raises
-    ------
-    MissingGrid, UnsupportedCRS
     """
     if plan_std_m > WELL_KNOWN_M or num_control >= _PLACING:
         return
@@ -99,12 +95,6 @@ def height_transformer(crs: CRS, area: AreaOfInterest) -> Transformer:
     """Transformer from longitude, latitude [deg] and height above the WGS 84 ellipsoid [m] to the height in crs.
 
     Only heights are transformed: its horizontal part is WGS 84, so that no grid of horizontal datums is needed.
-
-    Raises
-    ------
-    ConfigError
-        If PROJ does not know the vertical datum, or the grid of its geoid is not installed. Without the grid PROJ would
-        hand heights through unchanged, tens of metres wrong, without a word.
     """
     vertical = vertical_crs(crs)
     target = "EPSG:4979" if vertical is None else CompoundCRS(f"WGS 84 + {vertical.name}", ["EPSG:4326", vertical])

@@ -45,15 +45,6 @@ def gps_positions(headers: Mapping[str, Exif], crs: CRS | None, gps_height: str)
     gps_height : "crs" or "ellipsoidal"
         What the heights in EXIF are: heights in crs, taken as they are, or heights above the WGS 84 ellipsoid,
         for which the grid of the geoid under crs has to be installed.
-
-    Raises
-    ------
-    PosesError
-        If fewer than three photographs have a position with a height, or one of two.
-    ConfigError
-        If `gps_height` is neither, the grid is missing, or the positions are not on the map of crs.
-    MissingVerticalDatum, UnsupportedCRS
-        As `geo.crs.parse_crs`.
     """
     num = sum(header.lat_lon_height is not None for header in headers.values())
     num_with_height = sum(is_whole(header.lat_lon_height) for header in headers.values())
@@ -100,11 +91,6 @@ def positions_in_crs(headers: Mapping[str, Exif], crs: CRS, gps_height: str) -> 
     ----------
     headers, crs, gps_height
         As for `gps_positions`.
-
-    Raises
-    ------
-    ConfigError
-        As `gps_positions`.
     """
     given = {name: _given(header) for name, header in headers.items() if is_whole(header.lat_lon_height)}
     found: dict[str, np.ndarray] = {}

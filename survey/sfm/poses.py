@@ -111,13 +111,6 @@ def solve_poses(
     report : callable, optional
         Called with a sentence on the progress.
 
-    Raises
-    ------
-    SurveyError
-        Where positions, control, overlap or room on the disk do not suffice; the message says what to give instead.
-    UnwritableFile
-        Where the workspace cannot be written to.
-
     Notes
     -----
     The same images on the same kind of computer give the same poses: seeds and threads are fixed.
@@ -186,11 +179,6 @@ def blocks_of(
         Called with a sentence on the progress.
     mapper : str
         One of `survey.words.Mapper`.
-
-    Raises
-    ------
-    SurveyError
-        Where overlap or room on the disk do not suffice, or pycolmap does not have the mapper.
     """
     require_mapper(mapper)
     headers = {name: read_exif(path) for name, path in images.items()}

@@ -95,13 +95,7 @@ def require_size(images: Mapping[str, Path], headers: Mapping[str, Exif], size_p
 
 
 def one_focal(focal_px: float | tuple[float, float] | None) -> float | None:
-    """The focal length [px] of square pixels.
-
-    Raises
-    ------
-    SurveyError
-        If there are two different ones.
-    """
+    """The focal length [px] of square pixels."""
     if not isinstance(focal_px, tuple | list):
         return focal_px
     if focal_px[0] != focal_px[1]:

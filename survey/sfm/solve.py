@@ -107,11 +107,6 @@ def solve(photographs: Photographs, work: Path, report: Callable[[str], None]) -
         An empty folder.
     report : callable
         Called with a sentence on the progress.
-
-    Raises
-    ------
-    PosesError
-        If fewer than three images can be placed, or one of two.
     """
     alias_of = aliases(photographs.images)
     blocks = _blocks(photographs, alias_of, work, report)

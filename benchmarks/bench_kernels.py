@@ -43,7 +43,7 @@ from survey.run.job import Job
 FUNCTIONS = {
     "paths of pixels": (drjit_kernels, ("rays_of_rows",)),
     "warp": (drjit_kernels, ("warp",)),
-    "scores": (drjit_kernels, ("windows", "ncc", "best_half")),
+    "scores": (drjit_kernels, ("prepare_windows", "ncc", "best_half")),
     "best hypothesis": (drjit_kernels, ("best_height",)),
     "height maps compared": (drjit_kernels, ("compare_heights",)),
     "parallax": (Overlap, ("parallax",)),

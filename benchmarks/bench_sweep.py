@@ -22,9 +22,9 @@ from unittest.mock import patch
 
 import numpy as np
 
-from fields.sweep import bed as bed_module
+from fields.sweep import maps as maps_module
 from fields.sweep import views
-from fields.sweep.bed import BedPoints
+from fields.sweep.bed import BedPoints, unique_pixels
 from fields.sweep.fusion import remove_free_space_violations
 from fields.sweep.height_range import find_range
 from fields.sweep.maps import HeightMap, trusted
@@ -98,7 +98,7 @@ class Case:
     def points(self, maps: list[HeightMap], kept: Sequence[np.ndarray] | None = None) -> BedPoints:
         """Points of the pixels that are kept, (height, width) bool of each map; by default one for each place."""
         if kept is None:
-            kept = bed_module.unique_pixels(self.block, maps, self.job.plan.gsd_m)
+            kept = unique_pixels(self.block, maps, self.job.plan.gsd_m)
         return points.bed_points(self.job, points.RefinedMaps(maps, kept), lambda done: None)[0]
 
     def figures(self, bed: BedPoints) -> dict:
@@ -144,7 +144,7 @@ def trust_table(case: Case) -> dict[str, dict]:
     maps, _ = case.maps()
     rows = {}
     for name, (enough, ncc) in TRUST.items():
-        with patch.multiple(bed_module, CONFIRMED_TWICE=enough, TRUSTED_NCC=ncc):
+        with patch.multiple(maps_module, CONFIRMED_TWICE=enough, TRUSTED_NCC=ncc):
             rows[name] = case.figures(case.points(maps))
     rows[CONTRADICTED] = case.figures(case.points(case.maps(checked=False)[0]))
     return rows

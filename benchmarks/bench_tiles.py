@@ -85,8 +85,9 @@ def _row(survey: Path, folder: Path, tiles: int, lines_of: int, quality: str) ->
 
 def _errors(folder: Path, path: Path, tiles: int, quality: str) -> dict:
     survey, cloud = load_survey(folder), read_cloud(path)
-    frame, mesh = survey.frame, read_reference(folder / "reference.ply")
-    visible = frame.local_from_crs(read_reference(folder / "visible.ply").points)
+    truth = folder / "truth" if (folder / "truth").is_dir() else folder
+    frame, mesh = survey.frame, read_reference(truth / "reference.ply")
+    visible = frame.local_from_crs(read_reference(truth / "visible.ply").points)
     xyz = frame.local_from_crs(cloud.points)
     e0, n0, e1, n1 = survey.bounds
     east, north, _ = cloud.points.T

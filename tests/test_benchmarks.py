@@ -39,7 +39,7 @@ SMALLEST = {
     "bench_slab": "{survey} --quality draft --rays 1",
     "bench_solver": "{survey} --ways solver -o {work}",
     "bench_survey_field": "{survey} -o {work} --rows sweep",
-    "bench_sweep": "{survey} --quality draft --tables trust -o {work}",
+    "bench_sweep": "{survey} --quality draft --tables trust steps views once -o {work}",
     "bench_switches": "-o {work} --only none --steps 2 --seeds 1",
     "bench_tiles": "{survey} --tiles 2 -o {work}/tiles.json",
     "bench_true_colour": "{work} --seeds 1",

@@ -1,7 +1,7 @@
 """Times of the parts of a run, by rates on one core with AVX-512 and the speed-up on several.
 
 From runs of data/quick, river and wreck_water in draft and standard quality and of a drawn survey of 8 small
-photographs: 5.7 to 107 s on two idle cores, which the sum meets within a tenth (docs/notes/performance.md).
+photographs: 5.7 to 107 s on two idle cores, which the sum meets within a tenth (docs/performance.md).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Time, memory and disk space of a run, estimated before anything is computed.
 
-Time is that of `survey.plan.rates`, memory that of the arrays which docs/notes/performance.md names: 0.5 GB (quick) to
+Time is that of `survey.plan.rates`, memory that of the arrays which docs/performance.md names: 0.5 GB (quick) to
 3.4 GB (20 megapixels) measured.
 """
 

@@ -14,7 +14,7 @@ import sys
 
 import numpy as np
 
-from survey.water.level_observation import plane_warning
+from survey.water.surface import plane_warning
 
 KINDS = ("normal", "wrong points", "long tails", "mixed")
 NUMBERS = (16, 24, 40, 80, 150)

@@ -35,10 +35,9 @@ from survey.water.level_observation import (
     COMMON_STD_M,
     LevelObservation,
     huber_fit,
-    plane_warning,
     points_of_surface,
 )
-from survey.water.surface import SURFACE
+from survey.water.surface import SURFACE, plane_warning
 from survey.water.tides import MovingLevel, Tide, tide_of_gauge, tide_of_levels, tide_of_rate
 
 _MEASURED = ("shoreline", "gnss_points")

@@ -1,4 +1,4 @@
-"""Measurements of the water level on site, with std, place and time: whether they lie near the cameras, and on a plane.
+"""Measurements of the water level on site, with std, place and time: whether they lie near the cameras.
 
 survey.toml              level_m, level_std_m
 shoreline, gnss_points   CSV with easting, northing, height in crs (and std), or a vector file
@@ -6,10 +6,6 @@ surface                  the same, or a raster of heights
 gauge                    a series of levels: `survey.water.gauge_files`
 image_levels             CSV with image, level (and std): `survey.water.tides`
 clicks                   CSV with image, x, y, name: `survey.water.clicks`
-
-Whether points lie on a plane is tested by fitting polynomials in addition to it, to each half of the points. A
-departure appears in both halves; scatter, or a single wrong point, does not. The mean product of the two is an unbiased
-estimate of its square.
 """
 
 from __future__ import annotations
@@ -22,7 +18,6 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 from scipy.spatial import KDTree
-from scipy.special import fdtrc
 
 from evaluation.robust import HUBER_OF_MANY, huber_weights, std_by_median
 from geo.crs import EARTH_RADIUS_M, height_unit_m, horizontal_crs, middle_lon_lat
@@ -30,7 +25,7 @@ from geo.features import SUFFIXES
 from geo.reading import read_reference
 from geo.shapes import in_height_unit, vertices_of
 from geo.transformation import height_scale, lon_lat, transformed
-from survey.display.quantities import distance_text, length
+from survey.display.quantities import distance_text
 from survey.errors import ConfigError, Findings
 from survey.files.csv_table import Row
 from survey.files.point_table import Units, accuracy_warnings, height_std, read_points
@@ -215,86 +210,7 @@ def _distances_m(crs: CRS, cameras: np.ndarray, places: np.ndarray) -> np.ndarra
     return distance
 
 
-# Fewer points determine no more than a plane.
-_LEAST_POINTS, _ENOUGH_FOR_ALL = 16, 32
-# Significance: share of sets of points on a plane that seem to depart from it by their scatter alone.
-_FALSE_ALARMS = 1e-3
-# Shift of the bed per error of the level: n - 1 for rays near the vertical, more for oblique ones.
-_BED_PER_LEVEL = 0.333
 _ROUNDS = 50
-# Points narrower than this share of their length form a line.
-_LINE = 0.1
-
-
-def plane_warning(points: np.ndarray, stds: np.ndarray, level_std_m: float, source: str) -> str | None:
-    """Warning where points (N, 3) [m] on the water depart from a plane by more than the std of its level.
-
-    Parameters
-    ----------
-    points : (N, 3) [m]
-    stds : (N,) [m]
-        Weights.
-    level_std_m : [m]
-        Of the level that is stated for the plane.
-    source : str
-        The key of [water].
-    """
-    departure = departure_of(points, stds)
-    if departure is None or departure <= level_std_m:
-        return None
-    bed, stated = (length(_BED_PER_LEVEL * value) for value in (departure, level_std_m))
-    return (
-        f"one plane is not enough for the water: the points in [water] {source} depart from it by {length(departure)} "
-        f"(rms), far above their scatter, which moves the bed by {bed} or more, while the std of the level accounts "
-        f"for {stated}; give them as surface in place of {source} (docs/waterline.md)"
-    )
-
-
-def departure_of(points: np.ndarray, stds: np.ndarray) -> float | None:
-    """Root mean square [m] by which a surface through points departs from a plane; None where they show none."""
-    if len(points) < _LEAST_POINTS:
-        return None
-    flat, bent = _designs(points[:, :2])
-    # What is left of the polynomials beside the plane, for weights of all points.
-    bent = bent - flat @ np.linalg.lstsq(flat, bent, rcond=None)[0]
-    design, num_bent = np.column_stack([flat, bent]), bent.shape[1]
-    if np.linalg.matrix_rank(design) < design.shape[1]:
-        # Readings at a few places.
-        return None
-    values, weights, _ = huber_fit(design, points[:, 2], stds)
-    residuals = (points[:, 2] - design @ values) / stds
-    spare = len(points) - design.shape[1]
-    # The median is a poor estimate of the scatter of few points, the mean square of that of many with wrong ones.
-    by_median = float(std_by_median(residuals)) * np.sqrt(len(points) / spare)
-    std = max(by_median, float(np.sqrt(np.sum(weights * residuals**2) / spare)), 1e-9)
-    root = np.sqrt(weights) / stds
-    covariance = np.linalg.inv((design * root[:, None]).T @ (design * root[:, None]))[-num_bent:, -num_bent:]
-    ratio = values[-num_bent:] @ np.linalg.solve(covariance, values[-num_bent:]) / num_bent / std**2
-    if fdtrc(num_bent, spare, ratio) > _FALSE_ALARMS:
-        return None
-    order = np.argsort(points[:, :2] @ _main_axis(points[:, :2]))
-    halves = [
-        bent @ huber_fit(design[half], points[half, 2], stds[half])[0][-num_bent:] for half in (order[::2], order[1::2])
-    ]
-    return float(np.sqrt(max(np.mean(halves[0] * halves[1]), 0.0))) or None
-
-
-def _designs(xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Terms of a plane (N, 2 or 3), and of a surface on top of it (N, K): along the points, and across where wide."""
-    axis = _main_axis(xy)
-    around = xy - xy.mean(axis=0)
-    along, across = around @ axis, around @ (-axis[1], axis[0])
-    half = np.abs(along).max()
-    s, t = along / half, across / half
-    many = len(xy) >= _ENOUGH_FOR_ALL
-    bent = [s**2, s**3, *([s**4, s**5] if many else [])]
-    if np.std(t) < _LINE * np.std(s):
-        return np.column_stack([np.ones(len(s)), s]), np.column_stack(bent)
-    return np.column_stack([np.ones(len(s)), s, t]), np.column_stack([*bent, *([s * t, t**2] if many else [])])
-
-
-def _main_axis(xy: np.ndarray) -> np.ndarray:
-    return np.linalg.svd(xy - xy.mean(axis=0), full_matrices=False)[2][0]
 
 
 def huber_fit(

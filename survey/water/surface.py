@@ -23,6 +23,7 @@ from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from refract import FlatWater
 from refract.curved import BicubicWater
+from survey.display.quantities import length
 from survey.water.level_observation import LevelObservation
 
 Area = tuple[float, float, float, float]
@@ -37,6 +38,8 @@ _LEFT_OUT = 400
 _RIDGE = (1e-2, 1e-2, 2e-3, 2e-3, 2e-3)
 # Least error of a file [m].
 _LEAST_STD_M = 1e-3
+# Shift of the bed per error of the level: n - 1 for rays near the vertical, more for oblique ones.
+_BED_PER_LEVEL = 0.333
 # Nodes of a raster at most, and of a batch.
 _MOST_NODES, _AT_ONCE = 200_000, 20_000
 # Nodes beyond an area that bicubic interpolation needs.
@@ -194,6 +197,33 @@ class Departure:
         shares = np.einsum("mi,mki->mk", np.linalg.solve(normal, np.eye(6)[:, :1])[..., 0], weighted)
         std = np.sqrt(np.sum((shares * self.stds[near]) ** 2, axis=1))
         return self._over_plane(xy) + np.sum(shares * residuals, axis=1), std
+
+
+def departure_of(points: np.ndarray, stds: np.ndarray) -> float:
+    """Root mean square [m] by which the water through points (N, 3) [m] departs from a plane; 0 where it is one."""
+    if not np.ptp(points[:, :2]) > 0.0:
+        return 0.0
+    around = points - points.mean(axis=0)
+    departure = Departure(around, stds)
+    heights, _ = departure.at(around[:, :2])
+    flat = np.column_stack([np.ones(len(around)), around[:, :2]])
+    return float(np.std(heights - flat @ np.linalg.lstsq(flat, heights, rcond=None)[0]))
+
+
+def plane_warning(points: np.ndarray, stds: np.ndarray, level_std_m: float, source: str) -> str | None:
+    """Warning where points (N, 3) [m] on the water, of these stds, depart from a plane by more than that of its level.
+
+    ``source`` is their key of [water].
+    """
+    departure = departure_of(points, stds)
+    if departure <= level_std_m:
+        return None
+    bed, stated = (length(_BED_PER_LEVEL * value) for value in (departure, level_std_m))
+    return (
+        f"one plane is not enough for the water: the points in [water] {source} depart from it by {length(departure)} "
+        f"(rms), far above their scatter, which moves the bed by {bed} or more, while the std of the level accounts "
+        f"for {stated}; give them as surface in place of {source} (docs/waterline.md)"
+    )
 
 
 def height_above(plane: FlatWater, departure: Departure | None, places: np.ndarray) -> np.ndarray:

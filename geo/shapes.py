@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from pyproj import CRS
 
+from geo.errors import UnreadableFile
+
 
 @dataclass(frozen=True)
 class Cloud:
@@ -100,6 +102,17 @@ def used_as_ground(cloud: Cloud) -> str:
     if cloud.overlap is not None and cloud.overlap.any():
         parts.append(f"{int(cloud.overlap.sum())} flagged overlap")
     return ", ".join(parts)
+
+
+def ground_of(cloud: Cloud, path: object) -> tuple[Cloud, tuple[str, ...]]:
+    """The points of a file that are ground by their classes and flags, and a note that counts the others.
+
+    Raises UnreadableFile where it holds others alone.
+    """
+    out, kinds = excluded_points(cloud)
+    if out.all():
+        raise UnreadableFile(f"no point of {path} is of the ground: it holds {kinds}; give the points of the bed.")
+    return masked_cloud(cloud, ~out), (f"{path}: {kinds} are left out",) if kinds else ()
 
 
 def masked_cloud(cloud: Cloud, keep: np.ndarray) -> Cloud:

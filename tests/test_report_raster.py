@@ -56,7 +56,6 @@ def test_rasters_do_not_depend_on_how_many_points_are_looked_at_at_a_time(block,
 
     whole = rasters()
     monkeypatch.setattr(plan_grid, "_PORTION", 77)
-    monkeypatch.setattr(plan_grid, "_CELLS_OF_BAND", 45)
     for found, expected in zip(rasters(), whole, strict=True):
         np.testing.assert_array_equal(found, expected)
 

@@ -33,7 +33,7 @@ from geo.compatibility import same_crs
 from geo.crs import has_height, height_unit_m
 from geo.projection import ground_units_m
 from geo.reproject import Reprojection
-from geo.shapes import excluded_points, in_height_unit, masked_cloud
+from geo.shapes import ground_of, in_height_unit
 from survey.errors import SurveyError
 from survey.export.bed_cells import PlanCells, round_side
 from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells
@@ -232,12 +232,10 @@ def _cloud(path: Path) -> Cloud:
     shape = read_reference(cloud_path(path))
     if not isinstance(shape, Cloud):
         raise ChangeError(f"{path} is a mesh, expected a run folder or a cloud as LAS, LAZ or COPC")
-    out, kinds = excluded_points(shape)
-    if out.all():
-        raise ChangeError(f"no point of {path} is of the ground: it holds {kinds}")
-    if kinds:
-        current().warn(f"{path}: {kinds} are left out")
-    return masked_cloud(shape, ~out)
+    cloud, notes = ground_of(shape, path)
+    for text in notes:
+        current().note(text)
+    return cloud
 
 
 def _common_crs(clouds: list[Cloud], paths: tuple[Path, Path]) -> tuple[CRS, list[str]]:

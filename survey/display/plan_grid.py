@@ -21,8 +21,6 @@ _MARGIN = 0.05
 _ENOUGH = 200_000
 # Points whose cells are worked out at a time, of 100 bytes each: the cells of all points are never held.
 _PORTION = 100_000
-# Cells of a band of rows, for each of which a byte tells whether it holds a point.
-_CELLS_OF_BAND = 16_000_000
 # Factor on the side of a cell: the outermost point lies inside the last cell, not on its edge.
 _EDGE_FACTOR = 1.0 + 1e-6
 # Points per cell on average, so that a hole in a map is a hole in the cloud and not one by chance.
@@ -89,12 +87,10 @@ class PlanGrid:
 
     def _portions(self) -> Iterator[tuple[slice, np.ndarray]]:
         """Parts of the points, and the cell (M,) int64 of each point, row by row; -1 for strays beyond the grid."""
-        return ((part, self._cells_of(part)) for part in portions(len(self.plan), _PORTION))
-
-    def _cells_of(self, part: slice) -> np.ndarray:
-        x, y = self.plan[part].T
-        at = np.column_stack([(x - self.west) / self.cell[0], (self.north - y) / self.cell[1]])
-        return cell_numbers(at, self.shape)
+        for part in portions(len(self.plan), _PORTION):
+            x, y = self.plan[part].T
+            at = np.column_stack([(x - self.west) / self.cell[0], (self.north - y) / self.cell[1]])
+            yield part, cell_numbers(at, self.shape)
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
@@ -109,19 +105,9 @@ class PlanGrid:
 
     @property
     def covered_m2(self) -> float:
-        """Area of the cells that hold a point [m²]; all cells are never held at once."""
-        rows, columns = self.shape
-        ends = [(part, number.min(), number.max()) for part, number in self._portions()]
-        step = max(_CELLS_OF_BAND // columns, 1) * columns
-        covered = 0
-        for first in range(0, rows * columns, step):
-            holds = np.zeros(min(step, rows * columns - first), dtype=bool)
-            for part, lowest, highest in ends:
-                if lowest < first + len(holds) and highest >= first:
-                    number = self._cells_of(part) - first
-                    holds[number[(number >= 0) & (number < len(holds))]] = True
-            covered += int(np.count_nonzero(holds))
-        return covered * self.cell_m**2
+        """Area of the cells that hold a point [m²]; cells without one are never held."""
+        held = np.unique(np.concatenate([np.unique(number) for _, number in self._portions()]))
+        return int(np.count_nonzero(held >= 0)) * self.cell_m**2
 
     def count(self, mask: np.ndarray | None = None) -> np.ndarray:
         """Points in each cell, of those in a ``mask`` (N,) bool."""

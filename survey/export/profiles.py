@@ -25,7 +25,7 @@ from geo.features import layer_of
 from geo.files import write_whole
 from geo.lines import Line, plan_box, read_lines
 from geo.projection import ground_units_m
-from geo.shapes import excluded_points, in_height_unit, masked_cloud
+from geo.shapes import ground_of, in_height_unit, masked_cloud
 from geo.vectors import DxfLine, write_dxf
 from survey.compare.canvas import save, write_title
 from survey.compare.inputs import InputPaths, load_inputs
@@ -95,17 +95,14 @@ class Bed:
         file = run.cloud_path if path.is_dir() else path
         self._reference: Mesh | Cloud | None = None
         if reference is None:
-            cloud = read_cloud(file)
-            out, kinds = excluded_points(cloud)
-            if out.all():
-                raise ProfileError(f"no point of {file} is of the ground: it holds {kinds}; give the points of the bed")
-            if kinds:
-                current().warn(f"{file}: {kinds} are left out")
-            self._cloud = masked_cloud(cloud, ~out)
-            crs = cloud.crs
+            self._cloud, notes = ground_of(read_cloud(file), file)
+            crs = self._cloud.crs
         else:
             inputs = load_inputs(InputPaths(file, reference), None)
             self._cloud, self._reference, crs = masked_cloud(inputs.cloud, inputs.inside), inputs.reference, inputs.crs
+            notes = inputs.notes
+        for text in notes:
+            current().note(text)
         if crs is None:
             raise ProfileError(f"{file} names no CRS, which places the lines in it; give the run folder instead")
         self.crs = crs if has_height(crs) else crs.to_3d()

@@ -25,7 +25,7 @@ from geo.lines import plan_box, points_inside, read_polygons
 from geo.projection import metres_per_unit
 from geo.reading import read_reference
 from geo.reproject import Reprojection
-from geo.shapes import Cloud, Mesh, excluded_points, in_height_unit, masked_cloud, vertices_of
+from geo.shapes import Cloud, Mesh, ground_of, in_height_unit, masked_cloud, vertices_of
 from geo.transformation import Transformation
 from refract import FlatWater
 from survey.control.local_control import checkpoints_in_local, control_in_local, without_pose
@@ -343,9 +343,8 @@ def _in_crs(path: Path, crs: CRS) -> tuple[Cloud, tuple[float, float], Findings]
     cloud = Cloud(points=vertices_of(shape), crs=shape.crs) if isinstance(shape, Mesh) else shape
     if isinstance(shape, Mesh):
         cloud = replace(cloud, height_unit_m=shape.height_unit_m)
-    out, kinds = excluded_points(cloud)
-    notes = [f"{path.name}: {kinds} are left out"] if kinds else []
-    cloud = masked_cloud(cloud, ~out)
+    cloud, left_out = ground_of(cloud, path.name)
+    notes = [*left_out]
     own = cloud.crs
     if own is None or not has_height(own):
         of = "its CRS" if own is None else "what its heights count from"

@@ -11,8 +11,7 @@ import numpy as np
 from geo import Cloud, Mesh, read_reference, require_same_crs, require_same_place
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
-from geo.shapes import excluded_points, in_height_unit, masked_cloud, vertices_of
-from survey.errors import SurveyError
+from geo.shapes import ground_of, in_height_unit, vertices_of
 from survey.viewer.tree import CloudTree
 
 if TYPE_CHECKING:
@@ -75,10 +74,7 @@ def load_reference(path: Path, frame: LocalFrame, cloud_crs: np.ndarray) -> Loca
     if isinstance(shape, Mesh):
         vertices, faces = weld(shape.vertices, shape.faces)
         return LocalReference(path, frame.local_from_crs(vertices), faces)
-    out, kinds = excluded_points(shape)
-    if out.all():
-        raise SurveyError(f"no point of {path} is of the ground: it holds {kinds}")
-    return LocalReference(path, frame.local_from_crs(masked_cloud(shape, ~out).points), None)
+    return LocalReference(path, frame.local_from_crs(ground_of(shape, path)[0].points), None)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from scipy.spatial import Delaunay, QhullError
 from fields.image_store import GAMMA
 from geo import Cloud, LocalFrame, Mesh, read_reference, require_same_crs
 from geo.crs import height_unit_m
-from geo.shapes import excluded_points, in_height_unit, masked_cloud
+from geo.shapes import ground_of, in_height_unit
 from refract import PinholeCamera
 from survey.errors import SurveyError
 from survey.photos.images import eight_bits
@@ -145,7 +145,7 @@ def bed_from_file(path: Path, settings: BedSettings, frame: LocalFrame) -> tuple
     in_crs = settings.frame == "crs"
     shape = in_height_unit(read_reference(path), height_unit_m(frame.crs) if in_crs else 1.0)
     if isinstance(shape, Cloud):
-        shape = masked_cloud(shape, ~excluded_points(shape)[0])
+        shape, _ = ground_of(shape, path)
     points, faces = (shape.vertices, shape.faces) if isinstance(shape, Mesh) else (shape.points, None)
     if settings.kind == "mesh" and faces is None:
         raise SurveyError(f'{path} has no faces; give kind = "cloud" in [bed], or a mesh')

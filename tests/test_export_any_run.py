@@ -6,6 +6,7 @@ import json
 import shutil
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from geo.errors import GeoError
 from geo.reading import read_reference
 from survey.errors import SurveyError
 from survey.export.export import export
+from survey.export.own_files import kind_of
 from survey.export.product import ExportOptions
 from survey.export.registry import PRODUCTS
 from survey.folder.survey import load_survey
@@ -164,3 +166,10 @@ def test_all_is_checked_before_anything_is_computed(drawn, tmp_path, monkeypatch
         export(path, las=tmp_path / "a.las", dem=tmp_path / "dem.tif")
     said = " ".join(capsys.readouterr().err.split())
     assert f"written before it ended: {tmp_path / 'a.las'}; not written: {tmp_path / 'dem.tif'}" in said
+
+
+def test_every_product_has_a_row_in_the_pages_and_every_suffix_a_mark():
+    pages = "".join(path.read_text(encoding="utf-8") for path in (Path(__file__).parents[1] / "docs").glob("*.md"))
+    assert [product.option for product in PRODUCTS if f"--{product.option} " not in pages] == []
+    marked = {Path(f"a{suffix}").suffix for _, suffix in FILES} - {""}
+    assert all(kind_of(Path(f"a{suffix}")).endswith("that bathynerf wrote") for suffix in marked)

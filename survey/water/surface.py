@@ -201,7 +201,7 @@ class Departure:
 
 def departure_of(points: np.ndarray, stds: np.ndarray) -> float:
     """Root mean square [m] by which the water through points (N, 3) [m] departs from a plane; 0 where it is one."""
-    if not np.ptp(points[:, :2]) > 0.0:
+    if not np.ptp(points[:, :2], axis=0).max() > 0.0:
         return 0.0
     around = points - points.mean(axis=0)
     departure = Departure(around, stds)

@@ -63,13 +63,7 @@ class Unobservable:
 def adjust_free(
     survey: Survey, prior: PriorKnowledge, seen: Observed
 ) -> tuple[RobustSolution, dict[str, Unobservable]]:
-    """Adjust a block with free water (`prior`); also returns its unobservable parameters by name.
-
-    Raises
-    ------
-    NotConvergedError
-        If the adjustment does not converge with the water held either.
-    """
+    """Adjust a block with free water (`prior`); also returns its unobservable parameters by name."""
 
     def under_given_water(unobservable: dict[str, Unobservable]) -> tuple[RobustSolution, dict[str, Unobservable]]:
         return adjust(_held_priors(prior, np.arange(NUM_WATER), HELD_SHARE), seen), unobservable
@@ -240,14 +234,7 @@ def _step(done: RobustSolution, held: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def roll_notes(survey: Survey, done: RobustSolution, gsd_m: float) -> list[str]:
-    """Sentences on the rolls that positions leave open, and their std.
-
-    Raises
-    ------
-    SurveyError
-        Where nothing but level water holds a roll, or it leaves heights of the bed more uncertain than the quality
-        gate allows.
-    """
+    """Sentences on the rolls that positions leave open, and their std."""
     prior, state = done.prior, done.solution.state
     notes = []
     most = max_height_std(gsd_m)

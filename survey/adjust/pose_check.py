@@ -80,11 +80,6 @@ def check_of_windows(
         In which the bed lies.
     advance : callable
         Called with the increment; increments sum to 1.
-
-    Raises
-    ------
-    SurveyError
-        If no windows match, as under poses that are off by more than a few pixels: `check_of_features` can tell.
     """
     chosen = _of_middle(survey, plan.height_m)
     sample = replace(without_ties(survey), views=tuple(survey.views[i] for i in chosen))
@@ -153,11 +148,6 @@ def deep_check(folder: Path, *, device: str = "auto") -> list[CheckSection]:
     """Test of poses, lens and water against the photographs, without a point cloud.
 
     Poses that structure from motion has to find are kept in ``folder/bathynerf``, for `process` to use.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        Where the survey cannot be used, its photographs do not match, or they show water over a bed that is dry.
     """
     progress = current()
     survey = load_survey(folder, report=progress.note)

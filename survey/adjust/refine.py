@@ -72,11 +72,6 @@ def adjust_survey(
         Find the water as if nothing were known of it.
     search : callable, optional
         Estimates poses of a file again that are too inaccurate for windows; without it they are refused.
-
-    Raises
-    ------
-    SurveyError
-        If the photographs do not match, or the adjustment does not converge.
     """
     survey, note = with_square_pixels(survey)
     found = _choose_start_and_adjust(survey, _Request(device, advance, use_windows, free_water), search)

@@ -95,11 +95,6 @@ def adjust(prior: PriorKnowledge, seen: Observed) -> RobustSolution:
         Start values and priors of the parameters.
     seen : Observed
         Tie points and control, with the std of marks [px] and the sizes of the photographs [px].
-
-    Raises
-    ------
-    NotConvergedError
-        If an adjustment does not converge.
     """
     if not len(seen.kind):
         raise NotConvergedError("no tie point is left that three photographs show; the poses may be far off")

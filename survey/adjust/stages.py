@@ -59,13 +59,7 @@ class StagedAdjustment:
         self._is_against_positions = False
 
     def first_ties(self, kind: int, ties: TiePoints) -> RobustSolution:
-        """Adjust with the first tie points, which place the block on ground or water where these determine its height.
-
-        Raises
-        ------
-        SurveyError
-            If the given level leaves dry what photographs show under water.
-        """
+        """Adjust with the first tie points, which place the block on ground or water if these tell its height."""
         start, part = self.prior, (kind, self._thinned(ties))
         ground = self._survey.observations.ground
         if ground is not None:

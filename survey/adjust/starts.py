@@ -172,11 +172,6 @@ def windows_or_recovered_poses(
     """Windows of a survey with poses of a file, or its block by structure from motion where too few match.
 
     Without a search the windows are returned as they are.
-
-    Raises
-    ------
-    SurveyError
-        If photographs do not match, or half of them have no windows, and structure from motion finds no poses either.
     """
     if search is None:
         return measure()
@@ -211,13 +206,7 @@ def without_windows(windows: TiePoints, num_views: int) -> int:
 
 
 def recover_poses(survey: Survey, workspace: Path, report: Callable[[str], None]) -> RecoveredPoses:
-    """Block of a survey by structure from motion, aligned with its given poses.
-
-    Raises
-    ------
-    SurveyError
-        If it places fewer than half of the views: the poses of the others would remain unchecked.
-    """
+    """Block of a survey by structure from motion, aligned with its given poses."""
     # Slow to import, and rarely needed.
     from survey.sfm.poses import blocks_of
 

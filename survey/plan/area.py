@@ -139,13 +139,7 @@ def within(xyz: np.ndarray, area: tuple[float, float, float, float]) -> np.ndarr
 
 
 def require_seen(survey: Survey) -> None:
-    """Raise where fewer than two photographs see the bounds at any height of the search range.
-
-    Raises
-    ------
-    ConfigError
-        With the bounds and the extent of the footprints.
-    """
+    """Raise where fewer than two photographs see the bounds at any height of the search range."""
     area = local_area(survey)
     if survey.bounds is None or area is None:
         return

@@ -57,13 +57,7 @@ class Checked:
 
 
 def require_processable(folder: Path) -> Checked:
-    """Test a survey as `check` and `process` do before any computation; nothing slow is imported.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        Where the survey cannot be processed as it is.
-    """
+    """Test a survey as `check` and `process` do before any computation; nothing slow is imported."""
     found = find_survey(Path(folder))
     if found.poses_path is None:
         warnings = (*found.warnings, *require_solvable(found))
@@ -89,11 +83,6 @@ def check_survey(
         Result of `require_processable` for the folder, if it was called already.
     aim, chooses_workers : optional
         See `survey.plan.run_plan.plan_run`.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        Where the survey cannot be processed as it is.
     """
     checked = require_processable(folder) if checked is None else checked
     if checked.survey is None:

@@ -42,13 +42,7 @@ _DEG_PER_HOUR = 15.0
 
 
 def light_section(checked: Checked, *, wind_m_s: float = USUAL_WIND_M_S) -> CheckSection:
-    """Section on light by the image headers, and on the sharpness of a sample of photographs.
-
-    Raises
-    ------
-    SurveyError
-        Where a photograph cannot be decoded.
-    """
+    """Section on light by the image headers, and on the sharpness of a sample of photographs."""
     found, survey = checked.found, checked.survey
     rows = [*_sun_rows(found, survey, wind_m_s), ("motion", motion_text(*_motion(found, survey)))]
     return CheckSection("Light and sharpness", (*rows, ("sharpness", sharpness_text(found))))

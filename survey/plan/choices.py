@@ -19,13 +19,7 @@ STD_QUANTILE = 0.95
 
 @dataclass(frozen=True)
 class Aim:
-    """Target of a run, from which quality and image scale follow: a standard deviation, a time, or both.
-
-    Raises
-    ------
-    SurveyError
-        If one is not a positive number.
-    """
+    """Target of a run, from which quality and image scale follow: a standard deviation, a time, or both."""
 
     # Standard deviation of heights [m], each point's own without `std_common`, of `STD_QUANTILE` of the ground
     std_m: float | None = None
@@ -69,11 +63,6 @@ class Choices:
         With a scheduler the number of its workers that the run waits for.
     scheduler : str, optional
         Address of a Dask scheduler whose workers compute tiles, features and matches, as "tcp://host:8786".
-
-    Raises
-    ------
-    SurveyError
-        If a word or the scale is not known.
     """
 
     quality: str = Quality.standard.value
@@ -114,13 +103,7 @@ USUAL = Choices()
 
 
 def choices_of(asked: ProcessConfig) -> Choices:
-    """Options of a run, defaults filled in.
-
-    Raises
-    ------
-    SurveyError
-        If a word or number is not known, or quality, field or image scale are set beside an aim.
-    """
+    """Options of a run, defaults filled in."""
     given = {name: value for name, value in vars(asked).items() if value is not None}
     std_m, seconds = given.pop("target_std_m", None), given.pop("time_budget_s", None)
     # Keys and reports have words, not the members of an enumeration.

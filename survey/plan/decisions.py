@@ -88,13 +88,7 @@ def require_placeable(reference: str | None, asked: str) -> None:
 
 
 def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, str]:
-    """Choice ("refine", "fixed", or "check" first) and its reason, for the plan.
-
-    Raises
-    ------
-    SurveyError
-        If the water, its level, or the place of the block is to be found with poses that are to be kept.
-    """
+    """Choice ("refine", "fixed", or "check" first) and its reason, for the plan."""
     if survey.provenance.is_adjusted:
         return "refine", "adjusted with lens and water; see adjustment.json"
     if free_water and asked == Poses.fixed:

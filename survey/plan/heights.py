@@ -59,11 +59,6 @@ def height_range(survey: Survey, flying_m: float) -> HeightRange:
     ----------
     flying_m : [m]
         Median height of the cameras over the water, or over the ground as far as it is known.
-
-    Raises
-    ------
-    ConfigError
-        If [area] heights reach up to the cameras.
     """
     if survey.config.area.heights is not None:
         return _of_config(survey, survey.config.area.heights)

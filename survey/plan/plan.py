@@ -162,13 +162,7 @@ _BOXES = Decision(
 
 
 def device_decision(device: str) -> Decision:
-    """Device of the kernels, with the reason.
-
-    Raises
-    ------
-    SurveyError
-        If CUDA is asked for and there is none.
-    """
+    """Device of the kernels, with the reason."""
     # Starts Dr.Jit, which not every user of this module needs.
     from fields.device import choose_device
 

@@ -51,11 +51,6 @@ def plan_run(
         Choose the number of processes for tiles where no number is given.
     earlier_tiles : int, optional
         Number of tiles of an unfinished run that goes on.
-
-    Raises
-    ------
-    SurveyError
-        If no view looks down, or an option does not go with others.
     """
     plan = make_plan(survey, chosen)
     counted = survey_amounts(survey, plan)

@@ -84,11 +84,6 @@ def choose_tiles(
     """Tiles of a survey by its memory, and as many processes for them as are asked for.
 
     ``earlier`` is the number of tiles of an unfinished run that goes on; ``counted`` are `survey_amounts`, where known.
-
-    Raises
-    ------
-    SurveyError
-        If tiles, or workers for them, are asked for where a run is in one piece, or workers where Dask is missing.
     """
     require_dask(chosen)
     if plan.field == "slab":

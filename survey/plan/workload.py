@@ -107,11 +107,6 @@ def workload_of(survey: Survey, plan: Plan, counted: SurveyAmounts | None = None
     ----------
     counted : optional
         Of `survey_amounts`, where it is known.
-
-    Raises
-    ------
-    SurveyError
-        If no view looks down.
     """
     counted = survey_amounts(survey, plan) if counted is None else counted
     pixels, of_maps = counted.view_pixels, counted.view_pixels[counted.matched_views]
@@ -131,13 +126,7 @@ def workload_of(survey: Survey, plan: Plan, counted: SurveyAmounts | None = None
 
 
 def amounts_of_run(survey: Survey, plan: Plan, counted: SurveyAmounts | None = None) -> Amounts:
-    """Amounts of work of a run; ``counted`` as for `workload_of`.
-
-    Raises
-    ------
-    SurveyError
-        If no view looks down.
-    """
+    """Amounts of work of a run; ``counted`` as for `workload_of`."""
     counted = survey_amounts(survey, plan) if counted is None else counted
     return Amounts(
         num_views=len(counted.view_pixels),
@@ -151,13 +140,7 @@ def amounts_of_run(survey: Survey, plan: Plan, counted: SurveyAmounts | None = N
 
 
 def survey_amounts(survey: Survey, plan: Plan) -> SurveyAmounts:
-    """Pixels of the views, views that get a height map and cells of the bed.
-
-    Raises
-    ------
-    SurveyError
-        If no view looks down.
-    """
+    """Pixels of the views, views that get a height map and cells of the bed."""
     survey = flattened(survey)
     cameras = [camera_of(view, plan) for view in survey.views]
     pixels = np.array([camera.width * camera.height for camera in cameras])
@@ -217,14 +200,7 @@ def workload_of_images(sizes_px: Sequence[tuple[int, int]], chosen: Choices) -> 
 
 
 def require_room(workload: Workload, run_folder: Path) -> list[str]:
-    """Warnings where the free memory will not suffice, or the disk may not.
-
-    Raises
-    ------
-    SurveyError
-        If the disk of the run folder has too little space, where files of an earlier run count as free, or the
-        process may take too little memory: kernels that get none end it without a message.
-    """
+    """Warnings where the free memory will not suffice, or the disk may not."""
     words = _disk_warning(workload, run_folder) or _limit_warning(workload)
     if words is not None and not workload.is_bound:
         raise SurveyError(words)

@@ -61,11 +61,6 @@ def solve(problem: Problem, start: State, *, variance_factor: np.ndarray | None 
     ----------
     variance_factor : (N,), optional
         Factor on the variance of each observation, for what neighbours share.
-
-    Raises
-    ------
-    NotConvergedError
-        If the adjustment does not converge, or nothing ties a photograph to the others.
     """
     try:
         return _solved(problem, start, variance_factor)
@@ -93,13 +88,7 @@ def _solved(problem: Problem, start: State, variance_factor: np.ndarray | None) 
 
 
 def levenberg_marquardt(problem: Problem, state: State, std_px, variance_factor) -> tuple[State, System]:
-    """The state of least cost for given standard deviations, and its normal equations.
-
-    Raises
-    ------
-    NotConvergedError
-        If it is not found in `_MOST_STEPS` steps, or no step lowers the cost short of the minimum.
-    """
+    """The state of least cost for given standard deviations, and its normal equations."""
     at, gain = _Iterate(state, cost(problem, state, std_px, variance_factor), _DAMPING_START), math.inf
     reduces_curvature = False
     for _ in range(_MOST_STEPS):

@@ -66,11 +66,6 @@ def ties_on_ground(ground: StableGround, points: np.ndarray, num_ties: int) -> G
     """Planes of the ground under points (M, 3) [m], less the shift of the ground.
 
     The first ``num_ties`` are tie points, the others control.
-
-    Raises
-    ------
-    ControlError
-        If too few lie over the ground.
     """
     normal, height, std, spacing = _planes_at(ground, points[:, :2])
     known = np.isfinite(height) & np.isfinite(normal).all(axis=1) & (np.arange(len(points)) < num_ties)
@@ -119,13 +114,7 @@ def _one_of_each_square(points: np.ndarray, good: np.ndarray, std: np.ndarray, s
 
 
 def shift_onto(ground: StableGround, points: np.ndarray) -> np.ndarray:
-    """Shift (3,) [m] that puts tie points (M, 3) [m] onto the ground.
-
-    Raises
-    ------
-    ControlError
-        If too few lie over it.
-    """
+    """Shift (3,) [m] that puts tie points (M, 3) [m] onto the ground."""
     low, high = ground.points[:, :2].min(axis=0) - _PLAN_STD_M, ground.points[:, :2].max(axis=0) + _PLAN_STD_M
     near = points[((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)]
     # Some hundreds determine a shift as well as all.

@@ -252,25 +252,13 @@ def _concatenate(windows: list[_Windows], parts, least: int) -> TiePoints:
 
 
 def measure_windows(survey: Survey, *, device: str = "auto", advance: Callable[[float], None]) -> TiePoints:
-    """Windows of a survey as tie points, after its photographs are loaded.
-
-    Raises
-    ------
-    SurveyError
-        If the photographs do not match.
-    """
+    """Windows of a survey as tie points, after its photographs are loaded."""
     plan = make_plan(survey, Choices(device=device))
     return measure_loaded_windows(survey, plan, *load_photographs(survey, plan), advance)
 
 
 def load_photographs(survey: Survey, plan: Plan) -> tuple[Block, tuple[float, float]]:
-    """The photographs of a survey, and the range of heights over the water plane [m] in which its bed lies.
-
-    Raises
-    ------
-    SurveyError
-        If the photographs do not match.
-    """
+    """The photographs of a survey, and the range of heights over the water plane [m] in which its bed lies."""
     # Starts Dr.Jit, which the adjustment does not need.
     from fields.sweep.height_range import find_range
 

@@ -224,13 +224,7 @@ def write_adjustment(folder: Path, found: Adjustment) -> None:
 
 
 def read_adjustment(folder: Path) -> Adjustment:
-    """Read an adjustment from its folder.
-
-    Raises
-    ------
-    SurveyError
-        If the folder has none.
-    """
+    """Read an adjustment from its folder."""
     record = read_json_object(folder / JSON)
     if not record:
         raise SurveyError(f"{folder} has no adjustment; run process again with --no-resume")

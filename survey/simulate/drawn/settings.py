@@ -66,11 +66,6 @@ class DrawnScene:
         By how much the water rises from the first photograph to the last, an hour later; `level_m` is its mean.
     shore, objects, water : bool
         A bank that rises out of the water in the north; a boat, an amphora, rocks; False for a dry bed.
-
-    Raises
-    ------
-    SurveyError
-        If no survey can be drawn like this.
     """
 
     size_m: tuple[float, float] = (11.0, 10.0)

@@ -68,11 +68,6 @@ def simulate(
         One ray per pixel, which is noisy.
     again : bool
         Start again even if the same survey, or a part of it, is there.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        If the scene cannot be simulated, or the folder holds something else.
     """
     path, output = Path(path), Path(output)
     settings = _changed(read_scene(path), mode, preview)

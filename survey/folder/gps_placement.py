@@ -182,11 +182,11 @@ def place_poses(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Placed
             )
         return _placed(found, file, poses, gps, fit)
     stated = _in_gps_frame(found, file, poses, gps)
-    if gps is None or positions is None or stated is None:
+    if gps is None or positions is None:
         return PlacedPoses(file, poses), findings
-    at_place = GpsFit.of(stated[known], positions, drift_m)
-    is_elsewhere = at_place is not None and float(np.hypot(*at_place.shift[:2])) > ONE_SURVEY_M
-    if is_elsewhere and fit is not None and fit.fault is None and _is_near_zero(centres) and file.crs is None:
+    at_place = None if stated is None else GpsFit.of(stated[known], positions, drift_m)
+    is_elsewhere = stated is None or (at_place is not None and np.hypot(*at_place.shift[:2]) > ONE_SURVEY_M)
+    if is_elsewhere and fit is not None and _is_near_zero(centres) and file.crs is None:
         # Numbers that are no coordinates in crs, but those of a frame of the program's own.
         return _placed(found, file, poses, gps, fit)
     if at_place is not None and at_place.is_free:

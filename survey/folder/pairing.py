@@ -215,11 +215,14 @@ def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
         ImageNames(found.images).find(error.name_in_file, str(path))
         raise
     paired, of_pairs = pair(found, file.poses)
-    if len(paired) < len(found.images):
-        of_pairs += Findings(warnings=larger_poses(found, path, len(paired)))
+    larger = larger_poses(found, path, len(paired)) if len(paired) < len(found.images) else ()
     poses, of_lenses = with_lenses(found, list(paired.values()))
     findings = Findings(tuple(file.notes), tuple(file.warnings)) + of_pairs + of_lenses
-    placed, of_place = place_poses(found, file, poses)
+    try:
+        placed, of_place = place_poses(found, file, poses)
+    except (ConfigError, PosesError) as error:
+        raise type(error)("; ".join([str(error), *larger])) from error
+    of_place += Findings(warnings=larger)
     file, poses = placed.file, placed.poses
     datum, of_datum = _datum(found, file)
     found, of_clicks = _with_clicked_level(found, file, poses)

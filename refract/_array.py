@@ -22,7 +22,7 @@ def _is_array(x) -> bool:
 
 # Besides functions of the libraries' own names: `fma(a, b, c)` is a b + c, in one instruction where there is one;
 # `double` and `like` convert arrays to float64 and to the precision of the second argument, and leave plain numbers
-# alone; `integer` converts to integers (numpy and torch); `fixed` detaches a value from its derivatives, and `tracked`
+# alone; `fixed` detaches a value from its derivatives, and `tracked`
 # says whether any argument may carry some, in reverse or forward mode; `eps` is the spacing of numbers near one;
 # `orders` is the number of orders of derivatives; `same` is the value of a mask that is the same everywhere, None if it
 # is not, or if knowing it would mean waiting for the device; `none` says whether a mask holds nowhere, false where that
@@ -33,7 +33,6 @@ _NUMPY = SimpleNamespace(
     rsqrt=lambda x: 1.0 / np.sqrt(x), fma=lambda a, b, c: a * b + c,
     double=lambda x: x.astype(np.float64, copy=False) if _is_array(x) else x,
     like=lambda x, other: np.asarray(x, dtype=other.dtype) if _is_array(other) else x,
-    integer=lambda x: x.astype(np.int64),
     eps=lambda x: 2.0**-52,
     orders=1,
     fixed=lambda x: x,

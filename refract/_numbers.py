@@ -11,10 +11,9 @@ import copy
 import math
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import fields, is_dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
 from functools import cache, wraps
-from typing import Any
 
 import numpy as np
 
@@ -48,22 +47,6 @@ def in_library(value, like):
     if not isinstance(value, np.ndarray) or xp.name == "numpy":
         return value
     return type(xp.double(like))(value.ravel()) if xp.name == "drjit" else as_like(value, xp.double(like))
-
-
-def mapped(surface, change: Callable[[Any], Any]) -> Any:
-    """The same dataclass with its tensors changed."""
-
-    def to(value):
-        if isinstance(value, tuple):
-            return tuple(to(v) for v in value)
-        return change(value) if namespace(value).name == "torch" else value
-
-    return replace(surface, **{each.name: to(getattr(surface, each.name)) for each in fields(surface) if each.init})
-
-
-def moved(surface, place: Iterable, options: dict) -> Any:
-    """The same dataclass with its tensors moved, as ``Tensor.to(*place, **options)`` moves one."""
-    return mapped(surface, lambda tensor: tensor.to(*place, **options))
 
 
 class OutsideFit(UserWarning):

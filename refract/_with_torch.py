@@ -62,7 +62,6 @@ NAMESPACE = SimpleNamespace(
     where=torch.where, minimum=pair(torch.minimum), maximum=pair(torch.maximum), abs=torch.abs,
     rsqrt=torch.rsqrt, fma=fma,
     double=if_tensor(torch.Tensor.double),
-    integer=torch.Tensor.long,
     like=if_tensor(lambda x, other: x.to(other.dtype)),
     eps=lambda x: torch.finfo(x.dtype).eps,
     orders=2,

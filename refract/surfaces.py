@@ -14,7 +14,7 @@ import numpy as np
 
 from refract import kernels
 from refract._array import components, namespace, root
-from refract._numbers import hold, in_library, moved, number, of_any_size, require_index
+from refract._numbers import hold, in_library, number, of_any_size, require_index
 from refract.kernels import GRAZING
 
 # Steps of `kernels.air_share` that reach the last bits for all heights, depths and distances (docs/optics.md).
@@ -153,10 +153,6 @@ class FlatWater:
     @property
     def _numbers(self) -> tuple:
         return (*self.point, self.n_water, self.slope_x, self.slope_y)
-
-    def to(self, *place, **options) -> FlatWater:
-        """The same water with its tensors moved, by the arguments of `torch.Tensor.to`."""
-        return moved(self, place, options)
 
     @property
     def up(self) -> tuple[Any, Any, Any]:

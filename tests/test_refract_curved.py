@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -397,6 +399,52 @@ def test_derivatives_in_drjit_are_those_of_torch(rng, kind):
 def test_wrong_numbers_are_named(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+PLUGIN = """
+from refract.curved import CurvedWater
+
+
+class Vortex(CurvedWater):
+    def __init__(self, depth, radius, n_water=1.333):
+        self.depth, self.radius, self.n_water = depth, radius, n_water
+
+    def height(self, x, y):
+        return -self.depth / (1.0 + (x * x + y * y) / self.radius**2)
+
+    def gradient(self, x, y):
+        slope = 2.0 * self.depth / self.radius**2 / (1.0 + (x * x + y * y) / self.radius**2) ** 2
+        return slope * x, slope * y
+"""
+
+
+@pytest.mark.parametrize("library", ["numpy", "torch", "drjit"])
+def test_a_surface_is_a_file_with_height_and_gradient_as_the_recipe_says(rng, tmp_path, monkeypatch, library):
+    recipe = (
+        (Path(__file__).parent.parent / "CONTRIBUTING.md").read_text(encoding="utf-8").split("**A water surface**")[1]
+    )
+    recipe = recipe.split("\n\n")[0]
+    assert CurvedWater.__abstractmethods__ == {"height", "gradient"}
+    for name in (
+        "refract.curved.CurvedWater",
+        "n_water",
+        "height",
+        "gradient",
+        "KINDS",
+        f"tests/{Path(__file__).name}",
+    ):
+        assert f"`{name}`" in recipe
+    (tmp_path / "vortex.py").write_text(PLUGIN, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    water = importlib.import_module("vortex").Vortex(0.05, 2.0)
+    camera, ray = vectors(library, *seen_rays(rng, 100))
+    path = trace(camera, ray, water)
+    back = project(path.at(path.air_length + 2.0), camera, water)
+    assert np.linalg.norm(np.cross(rows(back.direction), rows(ray)), axis=-1).max() < NEAR_RAD
+    if library == "torch":
+        depth = torch.tensor(0.05, dtype=torch.float64, requires_grad=True)
+        few = camera[:5], ray[:5], camera[:5] + 45.0 * ray[:5]
+        assert torch.autograd.gradcheck(lambda depth: moved(type(water)(depth, 2.0), *few), depth)
 
 
 def test_cubic_pieces_refuse_drjit():

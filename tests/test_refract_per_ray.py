@@ -9,7 +9,6 @@ from slow_cases import slow
 from surface_rays import llvm
 
 from refract import FlatWater, channel_indices, crossing_point, project, trace
-from refract.curved import WavyWater
 
 CENTRE = np.array([1.0, 2.0, 30.0])
 COUNT = 7
@@ -126,20 +125,12 @@ def test_torch_compiles_it_whole(rng, name):
     np.testing.assert_allclose(compiled(level), function(level), rtol=1e-13, atol=1e-13)
 
 
-def test_tensors_of_the_water_move_together():
-    water = FlatWater((0.0, 1.0, torch.tensor(2.0)), n_water=torch.tensor([1.33, 1.34]), slope_x=0.01)
-    moved = water.to(torch.float64)
-    assert (moved.point[2].dtype, moved.n_water.dtype) == (torch.float64, torch.float64)
-    assert (moved.point[:2], moved.slope_x) == ((0.0, 1.0), 0.01)
-    waves = WavyWater((0.0, 0.0, 0.0), (torch.tensor(0.1),), ((torch.tensor(1.0), 0.5),))
-    assert waves.to(torch.float64).wave_vectors[0][0].dtype == torch.float64
-
-
 @pytest.mark.gpu
-def test_water_moves_to_where_the_rays_are(rng):
+def test_a_gpu_finds_the_same(rng):
     rays, points, numbers = scene(rng)
-    water = water_of(*(torch.tensor(v) for v in numbers))
-    here = told(*(torch.tensor(v) for v in (rays, points, CENTRE)), water, -1.5)
-    there = told(*(torch.tensor(v).cuda() for v in (rays, points, CENTRE)), water.to("cuda"), -1.5)
-    for one, other in zip(here, there, strict=True):
+    found = []
+    for place in ("cpu", "cuda"):
+        vectors, of_water = ([torch.tensor(v).to(place) for v in each] for each in ((rays, points, CENTRE), numbers))
+        found.append(told(*vectors, water_of(*of_water), -1.5))
+    for one, other in zip(*found, strict=True):
         np.testing.assert_allclose(other.cpu(), one, rtol=1e-13, atol=1e-13)

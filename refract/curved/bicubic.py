@@ -11,7 +11,7 @@ from typing import Any, final
 import numpy as np
 
 from refract._array import as_like, as_numpy, namespace, transformed
-from refract._numbers import hold, moved, number, require_index
+from refract._numbers import hold, number, require_index
 from refract.curved.curved_water import CurvedWater
 
 # No piece is higher or lower than its sixteen nodes by more than this part of their range: along one axis the weights
@@ -67,10 +67,6 @@ class BicubicWater(CurvedWater):
             object.__setattr__(self, "heights", np.asarray(self.heights, dtype=np.float64))
         if not hold(np.isfinite, self.heights):
             raise ValueError(f"expected finite heights, got {int((~np.isfinite(as_numpy(self.heights))).sum())} others")
-
-    def to(self, *place, **options) -> BicubicWater:
-        """The same water with its tensors moved, by the arguments of `torch.Tensor.to`."""
-        return moved(self, place, options)
 
     @classmethod
     def from_points(cls, points, heights, *, n_water=1.333) -> BicubicWater:

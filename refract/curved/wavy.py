@@ -9,7 +9,7 @@ from typing import Any, final
 import numpy as np
 
 from refract._array import namespace
-from refract._numbers import hold, moved, number, require_index
+from refract._numbers import hold, number, require_index
 from refract.curved.curved_water import CurvedWater
 
 
@@ -81,10 +81,6 @@ class WavyWater(CurvedWater):
         if not hold(np.isfinite, *numbers):
             raise ValueError(f"expected finite numbers, got {numbers}")
         require_index(self.n_water)
-
-    def to(self, *place, **options) -> WavyWater:
-        """The same water with its tensors moved, by the arguments of `torch.Tensor.to`."""
-        return moved(self, place, options)
 
     def _waves(self):
         return zip(self.amplitudes, self.wave_vectors, self.phases, strict=True)

@@ -1,13 +1,12 @@
 """Pixels at which a state of the adjustment predicts its tie points, and their derivatives by all parameters.
 
-Seen from a camera, a point under water lies in the direction of the crossing of its ray with the surface. In the
-vertical plane through both, with
+Seen from a camera C, a point P under water lies in the direction of the crossing S of its ray with the surface, where
+the optical length a + n w is least (Fermat), a and w those of the legs:
 
-    H    height of the camera over the water plane, h the depth of the point under it
-    d    distance of their feet on the plane, s that from the foot of the camera to the crossing
+    E^T (u_a + n u_w) = 0    with unit vectors u from C and from P to S, and tangents E (3, 2) of the surface
 
-Snell's law is ``g = s / sqrt(s^2 + H^2) - n (d - s) / sqrt((d - s)^2 + h^2) = 0``, whose partial derivatives give those
-of s. The line of sight is ``s u - H N``, u the unit vector from foot to foot and N the normal of the plane.
+Its derivatives give those of S: ``E^T (A + n W) E`` is the Hessian of the length over x and y, with
+``A = (I - u_a u_a^T) / a`` and W likewise.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ def bent_lines_of_sight(centres: np.ndarray, points: np.ndarray, water: FlatWate
     if water is not None:
         crossing = _Crossing.of(line[wet], centres[wet], points[wet], water)
         by_point[wet], by_centre[wet] = crossing.by_point(), crossing.by_centre()
-        by_water[wet] = crossing.by_water(centres[wet], points[wet], water)
+        by_water[wet] = crossing.by_water(water)
     return LinesOfSight(line, by_point, by_centre, by_water, wet)
 
 
@@ -66,76 +65,54 @@ def _is_wet(centres: np.ndarray, points: np.ndarray, water: FlatWater | None) ->
 
 @dataclass(frozen=True)
 class _Crossing:
-    """Derivatives of N bent lines of sight by what their crossing depends on."""
+    """Crossings of N bent rays with the plane of the water, and what their derivatives are made of."""
 
-    normal: np.ndarray  # (3,): of the plane, upwards
-    by_across: np.ndarray  # (N, 3, 3): by the vector from foot to foot
-    by_high: np.ndarray  # (N, 3): by the height H of the camera
-    by_deep: np.ndarray  # (N, 3): by the depth h of the point
-    by_index: np.ndarray  # (N, 3): by the index of the water
+    at: np.ndarray  # (N, 3) [m], local
+    of_gradient: np.ndarray  # (N, 3, 2): E M^-1, how the crossing follows the gradient of the length, of Hessian M
+    tangents: np.ndarray  # (3, 2): E
+    air: np.ndarray  # (N, 3, 3): A, the derivatives of the unit vector of the leg in air
+    water: np.ndarray  # (N, 3, 3): n W
+    up: np.ndarray  # (N, 3): u_w
+    lift: np.ndarray  # (N,): vertical component of u_a + n u_w
 
     @classmethod
     def of(cls, line: np.ndarray, centres: np.ndarray, points: np.ndarray, water: FlatWater) -> _Crossing:
-        """Of lines (N, 3) [m], local, from centres to points (N, 3), all of them bent."""
-        normal, foot, n = _normal(water), np.array(water.point), water.n_water
-        offset = points - centres
-        across = offset - np.outer(offset @ normal, normal)
-        high, deep = (centres - foot) @ normal, (foot - points) @ normal
-        d = np.linalg.norm(across, axis=1)
-        s = np.linalg.norm(line + high[:, None] * normal, axis=1)
-        air, wet = np.hypot(s, high), np.hypot(d - s, deep)
-        by_s = high**2 / air**3 + n * deep**2 / wet**3
-        s_d = n * deep**2 / wet**3 / by_s
-        s_high = s * high / air**3 / by_s
-        s_deep = -n * (d - s) * deep / wet**3 / by_s
-        s_n = (d - s) / wet / by_s
-        # Straight below the camera the direction is undefined, and the ratio of s to d its own limit, s_d.
-        vertical = d < 1e-9
-        towards = np.where(vertical[:, None], 0.0, across / np.where(vertical, 1.0, d)[:, None])
-        share = np.where(vertical, s_d, s / np.where(vertical, 1.0, d))
-        both = towards[:, :, None] * towards[:, None, :]
-        by_across = share[:, None, None] * (np.eye(3) - both) + s_d[:, None, None] * both
-        by_high, by_deep = s_high[:, None] * towards - normal, s_deep[:, None] * towards
-        return cls(normal, by_across, by_high, by_deep, s_n[:, None] * towards)
+        """Of lines of sight (N, 3) [m], local, from centres to points (N, 3), all of them bent."""
+        tangents = np.array([[1.0, 0.0], [0.0, 1.0], [water.slope_x, water.slope_y]])
+        at = centres + line
+        (down, air), (up, wet) = (_unit_with_derivatives(leg) for leg in (line, at - points))
+        wet *= water.n_water
+        (xx, xy), (_, yy) = np.moveaxis(tangents.T @ (air + wet) @ tangents, 0, -1)
+        inverse = np.array([[yy, -xy], [-xy, xx]]) / (xx * yy - xy * xy)
+        of_gradient = tangents @ np.moveaxis(inverse, -1, 0)
+        return cls(at, of_gradient, tangents, air, wet, up, down[:, 2] + water.n_water * up[:, 2])
 
     def by_point(self) -> np.ndarray:
-        """By the point, (N, 3, 3)."""
-        return self._sideways() - self.by_deep[:, :, None] * self.normal
+        """Derivatives of the line of sight by the point, (N, 3, 3)."""
+        return self.of_gradient @ (self.tangents.T @ self.water)
 
     def by_centre(self) -> np.ndarray:
         """By the centre of the camera, (N, 3, 3)."""
-        return -self._sideways() + self.by_high[:, :, None] * self.normal
+        return self.of_gradient @ (self.tangents.T @ self.air) - np.eye(3)
 
-    def _sideways(self) -> np.ndarray:
-        return self.by_across @ (np.eye(3) - np.outer(self.normal, self.normal))
-
-    def by_water(self, centres: np.ndarray, points: np.ndarray, water: FlatWater) -> np.ndarray:
+    def by_water(self, water: FlatWater) -> np.ndarray:
         """By the height of the plane at its reference point, its slopes and its index, (N, 3, 4)."""
-        slopes, foot, offset = _slopes(water), np.array(water.point), points - centres
-        stretch = np.linalg.norm(slopes)
-        high = (centres - foot) @ self.normal
-        columns = [(self.by_deep - self.by_high) / stretch]
-        for axis in range(2):
-            # As the normal turns by a small vector about the reference point of the plane.
-            turn = self.normal * slopes[axis] / stretch**2 - np.eye(3)[axis] / stretch
-            across = -np.outer(offset @ self.normal, turn) - np.outer(offset @ turn, self.normal)
-            moved = np.einsum("nij,nj->ni", self.by_across, across)
-            moved = moved + self.by_high * ((centres - foot) @ turn)[:, None]
-            moved = moved + self.by_deep * ((foot - points) @ turn)[:, None]
-            columns.append(moved - np.outer(high, turn))
-        columns.append(self.by_index)
-        return np.stack(columns, axis=-1)
+        pushed = (self.air[:, :, 2] + self.water[:, :, 2]) @ self.tangents
+        by_height = np.array([0.0, 0.0, 1.0]) - np.einsum("nij,nj->ni", self.of_gradient, pushed)
+        offset = self.at - np.array(water.point)
+        # A slope raises the surface by its distance from the reference point, and turns its tangent.
+        by_slopes = (
+            by_height * offset[:, axis, None] - self.of_gradient[:, :, axis] * self.lift[:, None] for axis in (0, 1)
+        )
+        by_index = -np.einsum("nij,nj->ni", self.of_gradient, self.up @ self.tangents)
+        return np.stack([by_height, *by_slopes, by_index], axis=-1)
 
 
-def _slopes(water: FlatWater) -> np.ndarray:
-    """Gradient (3,) of the height over the plane, with 1 along z."""
-    return np.array([-water.slope_x, -water.slope_y, 1.0])
-
-
-def _normal(water: FlatWater) -> np.ndarray:
-    """Unit normal (3,) of the plane, upwards."""
-    slopes = _slopes(water)
-    return slopes / np.linalg.norm(slopes)
+def _unit_with_derivatives(leg: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors (N, 3) of legs (N, 3), and their derivatives (N, 3, 3)."""
+    length = np.linalg.norm(leg, axis=1)
+    unit = leg / length[:, None]
+    return unit, (np.eye(3) - unit[:, :, None] * unit[:, None, :]) / length[:, None, None]
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,9 @@ from survey.plan.workload import workload_of
 from survey.progress import rough
 from survey.words import SCALES, Quality
 
-# Standard deviation that 95 % of the ground stayed within on surveys so far, over the foreseen one: the least, and the
-# most, where there are walls, noise and little texture (docs/targets.md).
-REACHED_PER_FORESEEN = (1.0, 6.5)
+# Standard deviation that 95 % of the ground stays within, over the foreseen one: 1.0 on textured beds, 2.8 on a river,
+# 8.7 on a wreck with walls (docs/targets.md).
+REACHED_PER_FORESEEN = 3.0
 # What estimated times may be short by.
 _RESERVE = 1.2
 # Smaller images are not matched [px along the longer side]: at 256 px errors of data/quick are five times those at 512.
@@ -41,21 +41,10 @@ class Candidate:
 
     quality: str
     image_scale: float
-    # [m]: of a point by matching, foreseen from the poses; NaN where the solver, which alone gives one to rely on, is
-    # left out, and where too few views overlap
+    # [m]: on `STD_QUANTILE` of the ground; NaN where the solver, which alone gives one to rely on, is left out, and
+    # where too few views overlap
     std_m: float
     seconds: float | None  # Of a whole run on an idle machine; None on a device whose rates were not measured
-
-    @property
-    def most_std_m(self) -> float:
-        """Standard deviation [m] that `STD_QUANTILE` of the ground stays within, as far as surveys so far tell."""
-        return REACHED_PER_FORESEEN[1] * self.std_m
-
-    @property
-    def std_range(self) -> str:
-        """Range of the standard deviation on `STD_QUANTILE` of the ground, in words."""
-        low, high = (length(factor * self.std_m) for factor in REACHED_PER_FORESEEN)
-        return f"{low} to {high} on {100 * STD_QUANTILE:g} % of the ground"
 
     def __str__(self) -> str:
         return f"{self.quality} at image scale {self.image_scale:g}"
@@ -75,7 +64,7 @@ class AimedPlan:
         """What is foreseen of each candidate, and the choice, as labelled sentences."""
         rows = [("asked", str(self.chosen.aim))]
         for each in self.candidates:
-            std = each.std_range if math.isfinite(each.std_m) else ""
+            std = _on_ground(each.std_m) if math.isfinite(each.std_m) else ""
             time = "" if each.seconds is None else f"about {rough(each.seconds)} on an idle machine"
             rows.append((str(each), ", ".join(part for part in (std, time) if part)))
         return (
@@ -116,7 +105,7 @@ def plan_for_aim(
     # Matches are as good in pixels at any scale.
     full_m = math.nan
     if foreseen is not None:
-        full_m = foreseen.heights.of_point_m * image_scale_of(survey, chosen)
+        full_m = REACHED_PER_FORESEEN * foreseen.heights.of_point_m * image_scale_of(survey, chosen)
     candidates = tuple(
         _candidate(survey, chosen, quality, scale, full_m / scale)
         for scale in scales
@@ -125,7 +114,7 @@ def plan_for_aim(
     warnings = []
     if aim.std_m is not None:
         common = math.nan if foreseen is None else foreseen.heights.of_all_m
-        warnings += _std_warnings(aim.std_m, candidates[-1], common)
+        warnings += _std_warnings(aim.std_m, candidates[-1].std_m, common)
     best, reason = _wanted(aim, candidates)
     if aim.seconds is not None:
         best, reason = _in_time(aim.seconds - gone_s, candidates[: candidates.index(best) + 1], reason, refuses=refuses)
@@ -150,15 +139,19 @@ def _candidate(survey: Survey, chosen: Choices, quality: str, scale: float, std_
     return Candidate(quality, scale, std_m if plan.field == "solver" else math.nan, workload_of(survey, plan).seconds)
 
 
+def _on_ground(std_m: float) -> str:
+    return f"about {length(std_m)} on {100 * STD_QUANTILE:g} % of the ground"
+
+
 def _wanted(aim: Aim, candidates: Sequence[Candidate]) -> tuple[Candidate, str]:
-    """The candidate with the least work that reached the standard deviation on surveys so far, else the last; why."""
+    """The candidate with the least work that is foreseen to reach the standard deviation, else the last; and why."""
     if aim.std_m is None:
         return candidates[-1], "whole photographs, with the solver"
     asked = f"{length(aim.std_m)}"
     for each in candidates:
-        if each.most_std_m <= aim.std_m:
-            return each, f"the least work that is foreseen to reach {asked}: {each.std_range}"
-    return candidates[-1], f"nothing is sure to reach {asked}; whole photographs come nearest"
+        if each.std_m <= aim.std_m:
+            return each, f"the least work that is foreseen to reach {asked}: {_on_ground(each.std_m)}"
+    return candidates[-1], f"nothing is foreseen to reach {asked}; whole photographs come nearest"
 
 
 def _in_time(left_s: float, candidates: Sequence[Candidate], reason: str, *, refuses: bool) -> tuple[Candidate, str]:
@@ -205,13 +198,13 @@ def _require_plausible_std(aim: Aim, pixel_m: float, scales: Sequence[float]) ->
         )
 
 
-def _std_warnings(std_m: float, best: Candidate, common_m: float) -> list[str]:
+def _std_warnings(std_m: float, reached_m: float, common_m: float) -> list[str]:
     """Reasons against reaching a standard deviation, as sentences."""
     asked, sentences = f"asked is a standard deviation of {length(std_m)}", []
-    if best.most_std_m > std_m:
+    if reached_m > std_m:
         sentences.append(
-            f"{asked}, but photographs of this size and overlap give {best.std_range}, by texture, noise and relief; "
-            "lower or with more overlap it would be sure"
+            f"{asked}, but photographs of this size and overlap give {_on_ground(reached_m)}, a third of it to three "
+            "times as much by texture, noise and relief; fly lower or with more overlap"
         )
     if common_m > std_m:
         sentences.append(

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -67,11 +66,6 @@ def free_disk_bytes(folder: Path) -> int:
     while not folder.exists():
         folder = folder.parent
     return shutil.disk_usage(folder).free
-
-
-def process_age_s() -> float:
-    """Seconds since this process started; systems count in whole seconds since 1970, so it may be one off."""
-    return max(time.time() - psutil.Process().create_time(), time.process_time())
 
 
 @dataclass(frozen=True)

@@ -28,11 +28,6 @@ def test_room_on_the_disk_is_that_of_the_nearest_folder_that_exists(tmp_path):
     assert 1 <= machine.num_cores() <= os.cpu_count()
 
 
-def test_the_age_of_the_process_rises():
-    first = machine.process_age_s()
-    assert 0.0 < first <= machine.process_age_s()
-
-
 def test_limits_of_the_process_leave_less_memory_than_they_say_where_they_count_what_is_only_mapped(monkeypatch):
     limits = {"DATA": float("inf"), "AS": float("inf")}
     monkeypatch.setattr(machine, "limit_bytes", limits.get)

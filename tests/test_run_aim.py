@@ -95,9 +95,9 @@ def test_a_target_that_cannot_be_meant_is_refused_before_anything_is_computed(tm
 @pytest.mark.slow
 def test_a_run_does_what_was_chosen_and_its_gate_says_whether_the_target_was_reached(tmp_path):
     run = drawn(tmp_path / "survey", **FINER)
-    for std_m, scale, code in ((3.0 * GSD, 0.5, 0), (0.005 * GSD, 1.0, 3)):
+    for std_m, scale, is_reached in ((3.0 * GSD, 0.5, True), (0.005 * GSD, 1.0, False)):
         with Progress(verbosity=-1):
-            assert process(run.folder, target_std_m=std_m) == code
+            code = process(run.folder, target_std_m=std_m)
         plan = json.loads(run.run.plan_path.read_text(encoding="utf-8"))
         assert (plan["quality"], plan["image_scale"]) == ("standard", scale)
         assert [each["choice"] for each in plan["decisions"] if each["name"] == "aim"] == [
@@ -106,7 +106,8 @@ def test_a_run_does_what_was_chosen_and_its_gate_says_whether_the_target_was_rea
         report = run.report()
         assert report["settings"]["target_std_m"] == std_m
         (gate,) = (each for each in report["verdict"]["gates"] if each["name"] == "ground within the std asked for")
-        assert gate["passed"] == (code == 0)
+        assert gate["passed"] == is_reached
+        assert is_reached or code == 3
         assert "comes on top" in gate["sentence"]
     assert "the rest is limited by" in gate["sentence"]
     assert inner90(run.distances.signed)[1] < 0.6 * GSD

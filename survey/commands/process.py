@@ -48,14 +48,12 @@ def run(
     folder = local_run(survey, output)
     with command(verbose, quiet, folder, stopped=KEPT, reads=survey) as results:
         require_address_space()
-        from survey.machine import process_age_s
         from survey.run.process import process
 
         code = process(
             survey,
             output if output is None or is_url(output) else Path(output),
             **asdict(asked.config()),
-            time_gone_s=process_age_s(),
             chooses_workers=True,
             resume=resume,
             reference=reference,

@@ -51,7 +51,6 @@ def process(
     field: str | None = None,
     target_std_m: float | None = None,
     time_budget_s: float | None = None,
-    time_gone_s: float = 0.0,
     chooses_workers: bool = False,
     poses: str | None = None,
     image_scale: float | None = None,
@@ -84,8 +83,6 @@ def process(
         Standard deviation that is wanted on 95 % of the ground: the least work that is foreseen to reach it.
     time_budget_s : [s], optional
         What the run may take until the report: the best that is foreseen to fit.
-    time_gone_s : [s]
-        How much of that is gone already, with the start of the program.
     chooses_workers : bool
         Choose ``workers`` by tiles, cores and memory where no number is given, as the command line does.
     poses : "auto", "fixed" or "refine", optional
@@ -121,7 +118,7 @@ def process(
     SurveyError, GeoError
         Where the input is at fault.
     """
-    began = time.monotonic() - time_gone_s
+    began = time.monotonic()
     survey_folder = Path(survey_folder)
     url = str(run_folder) if is_url(run_folder) else None
     run_folder = local_run(survey_folder, run_folder)

@@ -32,6 +32,7 @@ _REMEDIES = {
     errno.EACCES: _NO_PERMISSION,
     errno.EPERM: _NO_PERMISSION,
     errno.EROFS: "the disk is read-only; write elsewhere",
+    errno.ELOOP: "its links lead in a circle; correct them",
     errno.ENAMETOOLONG: "the name is too long; shorten it",
     errno.ENOLCK: "its disk cannot lock files; choose a folder on another disk",
     errno.ENOTSUP: "its disk does not support this; choose a folder on another disk",

@@ -9,6 +9,7 @@ import threading
 import urllib.error
 import urllib.request
 from dataclasses import replace
+from http.client import HTTPConnection
 from types import SimpleNamespace
 from urllib.parse import quote, urlencode
 
@@ -88,6 +89,30 @@ def test_only_who_knows_the_token_and_is_this_page_gets_an_answer(server):
     assert answer(server, "/undo", {}, **{TOKEN_HEADER: "guessed"})[0] == 403
 
 
+NO_PIXELS = ([1e300, 0], [10**400, 1], [True, 1], ["1", "2"], {"a": 1}, "12", 5, [[1], [2]])
+
+
+@pytest.mark.parametrize("sent", [b"[" * 90_000, b'{"a":' * 9_000, b"9" * 9_000, b"\xff\xfe", b""])
+def test_a_request_that_is_no_object_is_answered_in_words(server, sent, capfd):
+    url, headers = f"http://127.0.0.1:{server.server_address[1]}/mark", {TOKEN_HEADER: server.token}
+    with pytest.raises(urllib.error.HTTPError, match="400") as refused:
+        urllib.request.urlopen(urllib.request.Request(url, sent, headers))
+    with refused.value as error:
+        assert error.read().startswith(b"not understood: ")
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("headers", [{"Host": "[::1"}, {"Content-Length": "\xb2"}, {"Origin": "http://[x"}])
+def test_a_request_with_a_wrong_header_is_answered_in_words(server, headers, capfd):
+    connection = HTTPConnection("127.0.0.1", server.server_address[1], timeout=30.0)
+    connection.request("POST", "/undo", b"{}", {TOKEN_HEADER: server.token} | headers)
+    answer = connection.getresponse()
+    assert 400 <= answer.status < 500
+    assert answer.read()
+    connection.close()
+    assert capfd.readouterr().err == ""
+
+
 def test_bad_requests_are_answered_in_words_and_write_nothing(server, folder):
     cases = [
         ("/nothing", None, 404),
@@ -104,6 +129,13 @@ def test_bad_requests_are_answered_in_words_and_write_nothing(server, folder):
         ("/tile/0/0/0/..%2Fsurvey.toml", None, 422),
         ("/tile/9/0/0/0000.jpg", None, 422),
         ("/tile/x/0/0/0000.jpg", None, 400),
+        *(("/mark", {"kind": "ground", "name": "p1", "image": "0000.jpg", "pixel": pixel}, 400) for pixel in NO_PIXELS),
+        *(("/add", {"kind": "ground", "name": "p9", "place": place}, 400) for place in ([1e300, 0, 0], [0, 0], "abc")),
+        *(
+            ("/add", {"kind": "ground", "name": name, "place": None}, 422)
+            for name in ("\ud800", "a\nb", "\x1b[2J", " ")
+        ),
+        ("/mark", {"kind": "ground", "name": "\ud800", "image": "0000.jpg", "pixel": None}, 422),
     ]
     assert [(path, answer(server, path, body)[0]) for path, body, _ in cases] == [
         (path, code) for path, _, code in cases

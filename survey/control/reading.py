@@ -48,6 +48,8 @@ _NOT_READ = {
 }
 # Two files may round the coordinates of one point differently.
 _SAME_M, _SAME_DEG = 1e-3, 1e-8
+# A file of a thousand points with fifty marks each has 3 MB.
+_MOST_BYTES = 8_000_000
 # The least number of points that fix place, tilt and scale.
 _ENOUGH = 3
 
@@ -131,7 +133,13 @@ def read_control(path: Path) -> Content:
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "does not exist"
         raise ControlError(f"the control file {path} {what}; correct [control] in survey.toml")
-    if path.stat().st_size == 0:
+    size = path.stat().st_size
+    if size > _MOST_BYTES:
+        raise ControlError(
+            f"{path} has {size / 1e6:.0f} MB, expected at most {_MOST_BYTES / 1e6:.0f}; keep the points and marks "
+            "of this survey"
+        )
+    if size == 0:
         raise ControlError(f"{path} is empty, expected {_expected()}; write it again")
     instead = instead_of(path, _NOT_READ)
     if instead is not None:

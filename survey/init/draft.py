@@ -9,6 +9,7 @@ from geo.files import write_whole
 from survey.control.points import GivenPoint
 from survey.control.reading import read_control
 from survey.errors import FILE_NAME, ConfigError, ControlError, Findings, OutputError, SurveyError
+from survey.files.entries import require_plain_entries
 from survey.files.json_values import write_json
 from survey.files.toml_table import schema_of
 from survey.folder import infer
@@ -45,6 +46,7 @@ def _require_folder(folder: Path) -> None:
     if not folder.is_dir():
         what = "is a file" if folder.exists() else "does not exist"
         raise SurveyError(f"the folder {folder} {what}; expected a folder with photographs")
+    require_plain_entries(folder)
 
 
 def write_schema(folder: Path) -> Path:

@@ -111,7 +111,7 @@ class MarkStore:
         """Add a point, which is written into a file with its first mark."""
         name = name.strip()
         key = PointKey(kind, name)
-        if not name or _NOT_IN_NAMES & set(name):
+        if not name or not name.isprintable() or _NOT_IN_NAMES & set(name):
             raise SurveyError(
                 "the name of a point needs a letter or digit, and no comma, semicolon, quote or #; give another name"
             )

@@ -7,12 +7,11 @@ of other origins cannot.
 from __future__ import annotations
 
 import json
-import math
 import secrets
 import sys
 import threading
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -25,6 +24,8 @@ import numpy as np
 
 from geo.errors import GeoError
 from survey.errors import ImageError, SurveyError
+from survey.escaping import printable
+from survey.files.json_values import LARGEST, finite_numbers
 from survey.marking.mark_store import PointKey
 from survey.marking.session import MarkingSession
 from survey.photos.images import eight_bits
@@ -144,60 +145,61 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self):
         """Answer with the page, the state, a point in a photograph, or a tile."""
-        url = urlsplit(self.path)
-        asked = {name: values[0] for name, values in parse_qs(url.query).items()}
-        if url.path == "/":
-            self._answer_if(self._is_ours(asked.get("token", "")), lambda: ("text/html; charset=utf-8", page()))
-        elif url.path == "/state":
-            self._json(lambda session: session.state())
-        elif url.path == "/look":
-            self._json(lambda session: session.look(_key(asked), asked["image"]))
-        elif url.path.startswith("/tile/"):
-            self._answer_if(self._is_ours(self._token()), lambda: ("image/jpeg", self._tile(url.path)))
-        else:
-            self._send(HTTPStatus.NOT_FOUND, "text/plain", b"there is no such page")
+        self._answer(self._got)
 
     def do_POST(self):
         """Set, move or remove a mark, add a point, or undo; answer with the new state."""
+        self._answer(self._posted)
+
+    def _answer(self, answer: Callable[[], tuple[HTTPStatus, str, bytes]]) -> None:
+        """Send an answer; a request that cannot be understood or done gets a sentence."""
+        try:
+            status, kind, content = answer()
+        except ConnectionError:
+            raise
+        except (SurveyError, GeoError) as error:
+            status, kind, content = _sentence(HTTPStatus.UNPROCESSABLE_ENTITY, str(error))
+        except OSError as error:
+            status, kind, content = _sentence(HTTPStatus.INTERNAL_SERVER_ERROR, str(error))
+        except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+            status, kind, content = _sentence(HTTPStatus.BAD_REQUEST, f"not understood: {error}")
+        self._send(status, kind, content)
+
+    def _got(self) -> tuple[HTTPStatus, str, bytes]:
+        url = urlsplit(self.path)
+        asked = {name: values[0] for name, values in parse_qs(url.query).items()}
+        if not self._is_ours(asked.get("token", "") if url.path == "/" else self._token()):
+            return _FORBIDDEN
+        if url.path == "/":
+            return HTTPStatus.OK, "text/html; charset=utf-8", page()
+        if url.path == "/state":
+            return self._json(lambda session: session.state())
+        if url.path == "/look":
+            return self._json(lambda session: session.look(_key(asked), asked["image"]))
+        if url.path.startswith("/tile/"):
+            return HTTPStatus.OK, "image/jpeg", self._tile(url.path)
+        return _NOT_FOUND
+
+    def _posted(self) -> tuple[HTTPStatus, str, bytes]:
         length = self.headers.get("Content-Length", "")
-        if not (length.isdigit() and int(length) <= _LONGEST_REQUEST):
+        if not (length.isascii() and length.isdigit() and int(length) <= _LONGEST_REQUEST):
             self.close_connection = True
-            self._send(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "text/plain", b"too long")
-            return
+            return _sentence(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "too long")
         body = self.rfile.read(int(length))
+        if not self._is_ours(self._token()):
+            return _FORBIDDEN
         does = {"/mark": _mark, "/add": _add, "/undo": _undo}.get(urlsplit(self.path).path)
-        if does is None:
-            self._send(HTTPStatus.NOT_FOUND, "text/plain", b"there is no such page")
-        else:
-            self._json(lambda session: does(session, _object(body)))
+        return _NOT_FOUND if does is None else self._json(lambda session: does(session, _object(body)))
 
     def log_message(self, format, *args):
         """Nothing: the console is that of the command."""
 
-    def _json(self, answer):
-        def made():
-            with self.server.lock:
-                return "application/json", json.dumps(answer(self.server.session), allow_nan=False).encode()
-
-        self._answer_if(self._is_ours(self._token()), made)
+    def _json(self, answer) -> tuple[HTTPStatus, str, bytes]:
+        with self.server.lock:
+            return HTTPStatus.OK, "application/json", json.dumps(answer(self.server.session), allow_nan=False).encode()
 
     def _token(self) -> str:
         return self.headers.get(TOKEN_HEADER, "")
-
-    def _answer_if(self, is_ours: bool, make) -> None:
-        if not is_ours:
-            self._send(HTTPStatus.FORBIDDEN, "text/plain", b"open the address that bathynerf mark printed")
-            return
-        try:
-            kind, content = make()
-        except (SurveyError, GeoError) as error:
-            self._send(HTTPStatus.UNPROCESSABLE_ENTITY, "text/plain; charset=utf-8", str(error).encode())
-        except OSError as error:
-            self._send(HTTPStatus.INTERNAL_SERVER_ERROR, "text/plain; charset=utf-8", str(error).encode())
-        except (KeyError, TypeError, ValueError) as error:
-            self._send(HTTPStatus.BAD_REQUEST, "text/plain; charset=utf-8", f"not understood: {error}".encode())
-        else:
-            self._send(HTTPStatus.OK, kind, content)
 
     def _is_ours(self, token: str) -> bool:
         """Whether a request has the token and comes from this page."""
@@ -217,6 +219,14 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header(name, value)
         self.end_headers()
         self.wfile.write(content)
+
+
+def _sentence(status: HTTPStatus, text: str) -> tuple[HTTPStatus, str, bytes]:
+    return status, "text/plain; charset=utf-8", printable(text).encode()
+
+
+_FORBIDDEN = _sentence(HTTPStatus.FORBIDDEN, "open the address that bathynerf mark printed")
+_NOT_FOUND = _sentence(HTTPStatus.NOT_FOUND, "there is no such page")
 
 
 def _object(body: bytes) -> dict:
@@ -248,10 +258,10 @@ def _undo(session: MarkingSession, request: dict) -> dict:
 
 
 def _numbers(values, count: int) -> tuple:
-    numbers = tuple(float(value) for value in values)
-    if len(numbers) != count or not all(math.isfinite(number) for number in numbers):
-        raise ValueError(f"expected {count} finite numbers")
-    return numbers
+    numbers = finite_numbers(values, count)
+    if numbers is None:
+        raise ValueError(f"expected {count} numbers of at most {LARGEST:g}")
+    return tuple(numbers)
 
 
 @cache

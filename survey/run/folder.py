@@ -23,6 +23,7 @@ from pathlib import Path
 
 from geo.files import reporting_disk_errors, write_whole
 from survey.errors import SurveyError
+from survey.files.entries import require_plain_entries
 from survey.files.json_values import read_json_object
 from survey.files.outputs import ReadFiles, locked
 from survey.progress import current
@@ -92,6 +93,7 @@ class RunDir:
 
     def __enter__(self) -> RunDir:
         with ExitStack() as stack, reporting_disk_errors(self.path):
+            require_plain_entries(self.path)
             self._require_ours_or_empty()
             self.stages_path.mkdir(parents=True, exist_ok=True)
             if not (self.path / MARKER).exists():
@@ -138,6 +140,7 @@ class RunDir:
 
     def require_run(self) -> None:
         """Raise SurveyError where the folder is not one that `bathynerf process` made."""
+        require_plain_entries(self.path)
         if not self.path.is_dir():
             if _URL.match(str(self.path)):
                 raise SurveyError(f"{self.path} is a URL; copy the run to this machine, and name the copy")

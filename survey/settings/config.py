@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import tomli_w
 
 from survey.errors import FILE_NAME, ConfigError
+from survey.files.entries import require_plain, require_plain_entries
 from survey.files.remote import is_url, local_name
 from survey.files.toml_table import key, parse_toml, read_toml, require_one_of, require_positive, table_of
 from survey.settings.tables import ControlConfig, FieldConfig, ProcessConfig, require_std
@@ -225,9 +227,12 @@ def read_config(path: Path) -> SurveyConfig:
 
 def settings_of(folder: Path) -> SurveyConfig | None:
     """The settings in a folder; None where it has no survey.toml."""
+    require_plain_entries(folder)
     toml = folder / FILE_NAME
     if toml.is_file():
-        return read_config(toml)
+        config = read_config(toml)
+        require_plain(folder / text for text in _texts_of(dataclasses.asdict(config)) if "\0" not in text)
+        return config
     if os.path.lexists(toml):
         what = "a link to a file that is not there" if toml.is_symlink() else "no file"
         raise ConfigError(f"{toml} is {what}, expected the settings of the survey; copy the file itself, or remove it")
@@ -257,3 +262,12 @@ def _without_none(table: dict) -> dict:
     """Without what is not set, tables of which nothing is set included."""
     values = {name: _without_none(value) if isinstance(value, dict) else value for name, value in table.items()}
     return {name: value for name, value in values.items() if value is not None and value != {}}
+
+
+def _texts_of(value: object) -> Iterator[str]:
+    """All texts in a value of dicts and lists."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict | list | tuple):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from _texts_of(item)

@@ -35,13 +35,6 @@ def stage_key(*parts) -> str:
     str
         64 hexadecimal digits.
 
-    Raises
-    ------
-    SurveyError
-        If a file does not exist or cannot be read.
-    TypeError
-        If a part is of another kind, e.g. a set, whose order is not fixed.
-
     Examples
     --------
     >>> stage_key("sweep", {"hypotheses": 64}) == stage_key("sweep", {"hypotheses": 64})
@@ -101,13 +94,7 @@ def _feed_path(digest, path: Path) -> None:
 
 
 def content_hash(path: Path) -> str:
-    """SHA-256 of what a file holds; the same file is read once in a process.
-
-    Raises
-    ------
-    SurveyError
-        If it cannot be read.
-    """
+    """SHA-256 of what a file holds; the same file is read once in a process."""
     try:
         stat = path.stat()
         return _content(path, stat.st_ctime_ns, stat.st_size)

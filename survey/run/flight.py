@@ -99,13 +99,7 @@ def _json_value(value: object) -> object:
 
 
 def load_flight(run: Path) -> Flight:
-    """The flight of the result that stands in a run folder.
-
-    Raises
-    ------
-    SurveyError
-        If it is not there, or damaged.
-    """
+    """The flight of the result that stands in a run folder."""
     path = run / FLIGHT
     record = read_json_object(path)
     try:

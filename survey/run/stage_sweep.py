@@ -34,13 +34,7 @@ SCRATCH = "scratch"
 
 
 def sweep_views(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
-    """Sweep the views that cover the bed.
-
-    Raises
-    ------
-    SurveyError
-        If the images do not match, or no two photographs overlap.
-    """
+    """Sweep the views that cover the bed."""
     job.waits_for_kernels.set()
     block = job.block
     with job.progress.stage("Sweep", 1.0) as stage:

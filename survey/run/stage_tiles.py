@@ -19,13 +19,7 @@ if TYPE_CHECKING:
 
 
 def find_shared(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
-    """Find the bound by thumbnails, and the views that cover the bed; tile by tile where these have local frames.
-
-    Raises
-    ------
-    SurveyError
-        If too little matches.
-    """
+    """Find the bound by thumbnails, and the views that cover the bed; tile by tile where these have local frames."""
     block = job.block
     if job.tiling is not None and has_frames(job.tiling):
         with job.progress.stage("Range of heights", len(job.tiling)) as stage:

@@ -36,14 +36,7 @@ class WorkerNeeds:
 def workers_for(
     number: int, scheduler: str | None, needs: WorkerNeeds, note: Callable[[str], None]
 ) -> Iterator[Workers]:
-    """Start a number of workers on this machine, or take all of a scheduler that has as many, for the stages of a run.
-
-    Raises
-    ------
-    SurveyError
-        If Dask is not installed, no worker comes, or one has no or another version of the program, several threads, or
-        does not see the folder or a photograph; or if none has the resource GPU.
-    """
+    """Start a number of workers on this machine, or take all of a scheduler that has as many, for the stages of a run."""
     if not has_dask():
         raise SurveyError(NO_DASK)
     import dask

@@ -139,11 +139,6 @@ class Stored(Sequence[Kind]):
     ----------
     views : list of int
         Of height maps; of others their numbers.
-
-    Raises
-    ------
-    SurveyError
-        If the file is missing or damaged, or was changed since.
     """
 
     def __init__(self, path: str | Path, kind: type[Kind], in_memory: int = 0):

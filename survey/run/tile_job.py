@@ -189,13 +189,7 @@ class TileJob(Job):
         return self._bound
 
     def range_of_heights(self) -> tuple[float, float]:
-        """The bound by thumbnails of the windows, for which that of the tile are the search limits.
-
-        Raises
-        ------
-        SurveyError
-            If too little matches.
-        """
+        """The bound by thumbnails of the windows, for which that of the tile are the search limits."""
         from fields.sweep.height_range import find_range
 
         try:

@@ -30,13 +30,7 @@ def colour_is_known(survey: Survey) -> bool:
 
 
 def save_colour(folder: Path, sources: Sources) -> None:
-    """Estimate the absorption and write it into the folder of its stage.
-
-    Raises
-    ------
-    SurveyError
-        If it cannot be estimated from the photographs.
-    """
+    """Estimate the absorption and write it into the folder of its stage."""
     # Imported where it is needed: it takes torch, whose import takes seconds.
     from fields.colour.true_colour import estimate_absorption
 

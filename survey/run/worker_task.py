@@ -102,13 +102,7 @@ class WorkerJob:
 
 
 def compute_task(job: Path, stages: Path, task: Task, code: str) -> tuple[Path, float, list[tuple[str, str]]]:
-    """Compute a task on a worker: the folder of its result, its seconds, and what it had to say.
-
-    Raises
-    ------
-    SurveyError
-        If the hash of the worker's code is another than ``code``, that of the run: it may have come after the check.
-    """
+    """Compute a task on a worker: the folder of its result, its seconds, and what it had to say."""
     require_code(code)
     start = time.monotonic()
     tile = _job_of(job).tile(task.tile)

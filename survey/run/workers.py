@@ -97,13 +97,6 @@ class Workers:
         Those of the highest cost begin first, each where a worker is free: Dask would share out all at once, and let a
         worker that has ended its own wait for one that has not. With a URL job and folders are names there. A task with
         an error is given to another worker once.
-
-        Raises
-        ------
-        SurveyError
-            If the workers of a task end again and again, or the scheduler is lost.
-        SurveyError, GeoError, OSError
-            Of a task, where no other worker has computed it.
         """
         from distributed import KilledWorker
         from distributed.comm.core import CommClosedError
@@ -161,13 +154,6 @@ class Workers:
         """Results of a function in the order of the items, of which a few for each worker are under way.
 
         What a worker cannot compute this process does, and warns of it once.
-
-        Raises
-        ------
-        SurveyError
-            If the workers of an item end again and again, or the scheduler is lost.
-        SurveyError, GeoError, OSError
-            Of an item that this process cannot compute either.
         """
         from distributed import KilledWorker
         from distributed.comm.core import CommClosedError

@@ -34,17 +34,13 @@ FORMATS = (
 # Files of other programs that hold no control that can be read, by patterns of their names, and what to give instead.
 _NOT_READ = {
     "*.kmz": "unzip it, and give the .kml in it",
-    "*.opf": "export the control points of the project as a table",
-    "*.p4d": "export the control points of the project as a table",
+    **dict.fromkeys(("*.opf", "*.p4d"), "export the control points of the project as a table"),
     "*.psx": "export the markers from Metashape (File > Export > Export Markers, .xml)",
     "*.rcproj": "export the control points from RealityScan as a table, with their measurements",
     **dict.fromkeys(
         ("*.shp", "*.gpkg", "*.dxf", "*.geojson"), "export the points as a table name,easting,northing,height"
     ),
-    "*.xlsx": "save it as .csv",
-    "*.xls": "save it as .csv",
-    "*.ods": "save it as .csv",
-    "*.pdf": "give its numbers as a table",
+    **dict.fromkeys(("*.xlsx", "*.xls", "*.ods"), "save it as .csv"),
 }
 # Two files may round the coordinates of one point differently.
 _SAME_M, _SAME_DEG = 1e-3, 1e-8

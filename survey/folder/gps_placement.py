@@ -7,7 +7,7 @@ the GPS positions where these determine all three; where settings or format stat
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,9 +24,7 @@ from survey.folder.found import Found, below
 from survey.folder.plausible import ONE_SURVEY_M, SAME_PLACE_M
 from survey.folder.pose_frames import points_in_crs
 from survey.folder.pose_priors import best_plan_std
-from survey.photos.exif import Exif
 from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame
-from survey.settings.config import CamerasConfig
 from survey.sfm.gps import GpsPositions, gps_positions, is_whole
 from survey.sfm.gps_fit import PositionLine, gps_std, line_of
 
@@ -132,11 +130,6 @@ def _rms(vectors: np.ndarray) -> float:
     return float(np.sqrt((vectors**2).sum(axis=1).mean()))
 
 
-def drift_of(cameras: CamerasConfig, headers: Mapping[str, Exif]) -> float:
-    """Drift [m] of GPS positions during a flight."""
-    return min(_STDS * best_plan_std(cameras, headers.values()), _DRIFT_M)
-
-
 @dataclass(frozen=True, eq=False)
 class PlacedPoses:
     """Poses of a file in a frame that has a place on Earth, or in that of [local]."""
@@ -155,13 +148,7 @@ class PlacedPoses:
 
 
 def place_poses(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[PlacedPoses, Findings]:
-    """The poses with their place: as the file or [local] states it, recognised in their coordinates, or by GPS.
-
-    Parameters
-    ----------
-    poses : list of Pose
-        Those of photographs of the survey, under the names of these.
-    """
+    """Poses of photographs with their place: by file or [local], recognised in their coordinates, or by GPS."""
     gps = _gps_of(found, [pose.name for pose in poses])
     findings = Findings()
     if file.frame is PoseFrame.LOCAL:
@@ -169,7 +156,8 @@ def place_poses(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Placed
     known = [] if gps is None else [number for number, pose in enumerate(poses) if pose.name in gps.local]
     centres = np.array([pose.centre for pose in poses])
     positions = None if gps is None else np.array([gps.local[poses[i].name] for i in known])
-    drift_m = drift_of(found.config.cameras, {pose.name: found.headers[pose.name] for pose in poses})
+    std_m = best_plan_std(found.config.cameras, [found.headers[pose.name] for pose in poses])
+    drift_m = min(_STDS * std_m, _DRIFT_M)
     fit = None if positions is None else GpsFit.of(centres[known], positions, drift_m)
     if file.frame is PoseFrame.LOCAL and found.config.local.origin is None:
         if fit is None or gps is None:
@@ -181,9 +169,9 @@ def place_poses(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Placed
                 "crs"
             )
         return _placed(found, file, poses, gps, fit)
-    stated = _in_gps_frame(found, file, poses, gps)
     if gps is None or positions is None:
         return PlacedPoses(file, poses), findings
+    stated = _in_gps_frame(found, file, poses, gps)
     at_place = None if stated is None else GpsFit.of(stated[known], positions, drift_m)
     is_elsewhere = stated is None or (at_place is not None and np.hypot(*at_place.shift[:2]) > ONE_SURVEY_M)
     if is_elsewhere and fit is not None and _is_near_zero(centres) and file.crs is None:
@@ -217,10 +205,8 @@ def _is_near_zero(centres: np.ndarray) -> bool:
     return bool(np.abs(centres).max() < ONE_SURVEY_M)
 
 
-def _in_gps_frame(found: Found, file: PoseFile, poses: list[Pose], gps: GpsPositions | None) -> np.ndarray | None:
+def _in_gps_frame(found: Found, file: PoseFile, poses: list[Pose], gps: GpsPositions) -> np.ndarray | None:
     """Cameras (N, 3) [m] in the local frame of GPS positions, where file and settings put them; None off the map."""
-    if gps is None:
-        return None
     centres = np.array([pose.centre for pose in poses])
     origin = found.config.local.origin
     if file.frame is PoseFrame.LOCAL:

@@ -33,7 +33,9 @@ def views_in_local(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Loc
     """
     centres = np.array([pose.centre for pose in poses])
     if file.frame is PoseFrame.LOCAL:
-        frame = _given_frame(found)
+        if found.config.local.origin is None:
+            raise ValueError("poses in a local frame have no origin; expected what `place_poses` returns")
+        frame = LocalFrame(found.crs, found.config.local.origin)
         return frame, [_view(found, pose, pose.centre, pose.cam_from_world) for pose in poses]
     in_crs = points_in_crs(file, centres, found.crs, found.config.cameras.gps_height)
     known = np.isfinite(in_crs).all(axis=1)
@@ -50,16 +52,6 @@ def views_in_local(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Loc
     return frame, [
         _view(found, pose, centre, rotation) for pose, centre, rotation in zip(poses, local, rotations, strict=True)
     ]
-
-
-def _given_frame(found: Found) -> LocalFrame:
-    origin = found.config.local.origin
-    if origin is None:
-        raise ConfigError(
-            f"the poses in {found.poses_path} are in a local frame, but {FILE_NAME} does not give its place; give "
-            "[local] origin = [easting, northing, height] of its zero point in crs"
-        )
-    return LocalFrame(found.crs, origin)
 
 
 def _view(found: Found, pose: Pose, centre: np.ndarray, cam_from_local: np.ndarray) -> View:

@@ -79,12 +79,11 @@ def pair(found: Found, poses: Sequence[Pose]) -> tuple[dict[str, Pose], Findings
 
 def with_lenses(found: Found, poses: list[Pose]) -> tuple[list[Pose], Findings]:
     """The poses with a lens each: their own, else that of [cameras]."""
-    cameras = found.config.cameras
-    lens = poses[0].lens
-    if lens is None or any(pose.lens is None for pose in poses):
-        of_config, findings = lenses_from_config(cameras, {pose.name: found.headers[pose.name] for pose in poses})
-        return [replace(pose, lens=pose.lens or of_config[pose.name]) for pose in poses], findings
-    return poses, Findings()
+    if all(pose.lens is not None for pose in poses):
+        return poses, Findings()
+    headers = {pose.name: found.headers[pose.name] for pose in poses}
+    of_config, findings = lenses_from_config(found.config.cameras, headers)
+    return [replace(pose, lens=pose.lens or of_config[pose.name]) for pose in poses], findings
 
 
 def require_image(view: View, header: Exif) -> None:

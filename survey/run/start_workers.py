@@ -36,7 +36,7 @@ class WorkerNeeds:
 def workers_for(
     number: int, scheduler: str | None, needs: WorkerNeeds, note: Callable[[str], None]
 ) -> Iterator[Workers]:
-    """Start a number of workers on this machine, or take all of a scheduler that has as many, for the stages of a run."""
+    """Start a number of workers on this machine, or take all of a scheduler that has as many, for a run."""
     if not has_dask():
         raise SurveyError(NO_DASK)
     import dask

@@ -198,6 +198,12 @@ class DxfLine(NamedTuple):
     places: np.ndarray  # (N, 3): Easting, northing and height, in the units of a CRS
 
 
+def lines_of(layer: Layer) -> list[DxfLine]:
+    """The lines of a layer with heights."""
+    pairs = zip(layer.shapes, layer.heights or [], strict=True)
+    return [DxfLine(layer.name, np.column_stack([line, heights])) for line, heights in pairs]
+
+
 def require_drawable(path: str | Path, crs: CRS) -> None:
     """Raise UnwritableFile where a CRS is in degrees, or in different units in plan and in height."""
     if is_geographic(crs):

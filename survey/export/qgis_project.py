@@ -67,18 +67,18 @@ def project(folder: Path, title: str) -> str:
     from geo.crs import horizontal_crs
     from geo.drivers import open_raster
     from survey.display.palette import DEPTHS, SPREADS
-    from survey.export.styles import ramp
+    from survey.export.styles import pipe, ramp
 
     dem = folder / _DEM
     with open_raster(dem) as raster:
         bounds, crs = raster.bounds, horizontal_crs(CRS.from_wkt(raster.crs.to_wkt()))
     layers = [
         _Layer("cloud", _CLOUD, "copc", "point-cloud", _CLOUD_RENDERER, False),
-        _Layer("height", _DEM, "gdal", "raster", _pipe(ramp(dem, DEPTHS.reversed())), True),
-        _Layer("standard deviation", _DEM, "gdal", "raster", _pipe(ramp(dem, colormaps[SPREADS], _STD_BAND)), False),
+        _Layer("height", _DEM, "gdal", "raster", pipe(ramp(dem, DEPTHS.reversed())), True),
+        _Layer("standard deviation", _DEM, "gdal", "raster", pipe(ramp(dem, colormaps[SPREADS], _STD_BAND)), False),
     ]
     if (folder / _PHOTO).exists():
-        layers.append(_Layer("orthophoto", _PHOTO, "gdal", "raster", _pipe(_COLOURS), True))
+        layers.append(_Layer("orthophoto", _PHOTO, "gdal", "raster", pipe(_COLOURS), True))
     system = _system(crs)
     tree = "".join(
         f'<layer-tree-layer id="{layer.key}" name="{layer.name}" providerKey="{layer.provider}" '
@@ -112,10 +112,6 @@ def _system(crs: CRS) -> str:
     code = crs_code(crs)
     known = "" if code is None else f"<authid>{escape(code)}</authid>"
     return f"<spatialrefsys><wkt>{escape(crs.to_wkt())}</wkt>{known}</spatialrefsys>"
-
-
-def _pipe(renderer: str) -> str:
-    return f"<pipe>{renderer}</pipe>"
 
 
 _COLOURS = (

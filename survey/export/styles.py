@@ -65,7 +65,7 @@ def of_orders(_path: Path) -> str:
 
 
 def _ramp(path: Path, colours: Colormap) -> str:
-    return _document(_pipe(ramp(path, colours)))
+    return _document(pipe(ramp(path, colours)))
 
 
 def ramp(path: Path, colours: Colormap, band: int = 1) -> str:
@@ -138,14 +138,15 @@ def _codes(codes: Mapping[int, tuple[str, str]]) -> str:
         for code, (colour, name) in codes.items()
     )
     return _document(
-        _pipe(
+        pipe(
             '<rasterrenderer type="paletted" band="1" opacity="1" alphaBand="-1" nodataColor=""><rasterTransparency/>'
             f"<colorPalette>{entries}</colorPalette></rasterrenderer>"
         )
     )
 
 
-def _pipe(renderer: str) -> str:
+def pipe(renderer: str) -> str:
+    """A renderer of a raster as QGIS nests it."""
     return f"<pipe>{renderer}</pipe>"
 
 

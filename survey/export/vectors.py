@@ -9,51 +9,30 @@ from typing import TYPE_CHECKING
 from survey.export.product import ExportOptions, Product
 
 if TYPE_CHECKING:
-    from geo.vectors import Layer
     from survey.export.loaded import LoadedRun
 
 
-def _write_dxf(path: Path, layer: Layer) -> None:
-    import numpy as np
-
-    from geo.vectors import DxfLine, write_dxf
-
-    heights = layer.heights or []
-    lines = [np.column_stack([line, z]) for line, z in zip(layer.shapes, heights, strict=True)]
-    write_dxf(path, [DxfLine(layer.name, line) for line in lines], layer.crs)
-
-
-def _writer(make: Callable[[LoadedRun, ExportOptions], Layer]) -> Callable[[Path, LoadedRun, ExportOptions], None]:
-    """The function of a product that writes the layer that ``make`` gives."""
+def _writer(name: str) -> Callable[[Path, LoadedRun, ExportOptions], None]:
+    """The function of a product that writes the layer that the function of `survey.export.outlines` gives."""
 
     def write(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-        from geo.vectors import write_geojson, write_geopackage, write_shapefile
+        from geo import vectors
+        from survey.export import outlines
         from survey.progress import current
 
-        layer = make(run, options)
+        layer: vectors.Layer = getattr(outlines, name)(run, options)
         if not layer.shapes:
             current().note(f"{path}: nothing to show, the layer {layer.name} is empty")
         if path.suffix.lower() == ".gpkg":
-            write_geopackage(path, layer)
+            vectors.write_geopackage(path, layer)
         elif path.suffix.lower() == ".dxf":
-            _write_dxf(path, layer)
+            vectors.write_dxf(path, vectors.lines_of(layer), layer.crs)
         elif path.suffix.lower() == ".zip":
-            write_shapefile(path, layer)
-        elif (warning := write_geojson(path, layer)) is not None:
+            vectors.write_shapefile(path, layer)
+        elif (warning := vectors.write_geojson(path, layer)) is not None:
             current().warn(warning)
 
     return write
-
-
-def _layer_by(name: str) -> Callable[[LoadedRun, ExportOptions], Layer]:
-    """The function of `survey.export.outlines` of that name, imported when it is called."""
-
-    def make(run: LoadedRun, options: ExportOptions) -> Layer:
-        from survey.export import outlines
-
-        return getattr(outlines, name)(run, options)
-
-    return make
 
 
 def _check(path: Path, run: LoadedRun, options: ExportOptions) -> None:
@@ -102,7 +81,7 @@ def _product(
         help=f"{what}: GeoJSON, {'DXF (extra dxf), ' if has_heights else ''}{_BY_GDAL[has_heights]} (extra vector).",
         example=f"--{option} {example}",
         takes=takes,
-        write=_writer(_layer_by(option)),
+        write=_writer(option),
         check=check,
     )
 
@@ -113,7 +92,7 @@ def _write_unseen(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
         write_mask(path, run, options)
     else:
-        _writer(_layer_by("unseen_areas"))(path, run, options)
+        _writer("unseen_areas")(path, run, options)
 
 
 _BY_GDAL = {False: "GeoPackage", True: "GPKG, zipped shapefile"}

@@ -60,17 +60,7 @@ def write_report(comparison: Comparison, folder: Path) -> list[Path]:
 
 
 def histogram(distances: np.ndarray, path: Path, *, tolerance_m: float | None = None) -> None:
-    """Draw how often each distance occurs.
-
-    Parameters
-    ----------
-    distances : (N,) [m]
-        NaN is left out.
-    path : Path
-        PNG to write.
-    tolerance_m : [m], optional
-        Named in the text with the share within it.
-    """
+    """Draw how often each distance (N,) [m] occurs, without NaN; the text names the share within a tolerance [m]."""
     d = distances[np.isfinite(distances)]
     limit = nice_limit(d)
     unit = LengthUnit.of([limit])
@@ -98,17 +88,9 @@ def histogram(distances: np.ndarray, path: Path, *, tolerance_m: float | None = 
 def error_map(
     points: np.ndarray, distances: np.ndarray, path: Path, *, crs: CRS | None = None, subtitle: str = ""
 ) -> None:
-    """Draw signed distances in plan view: mean per cell, red above and blue below the reference.
+    """Draw signed distances (N,) [m] of points (N, 3), in crs, in plan view: mean per cell, red above and blue below.
 
-    Parameters
-    ----------
-    points : (N, 3), in crs
-    distances : (N,) [m]
-        Points with NaN are left out.
-    path : Path
-        PNG to write.
-    crs : pyproj.CRS, optional
-        For the names of the axes and, if geographic, their aspect.
+    Points with NaN are left out; the crs names the axes and, if geographic, gives their aspect.
     """
     known = np.isfinite(distances)
     points, d = points[known], distances[known]
@@ -128,16 +110,7 @@ def error_map(
 def completeness_map(
     targets: np.ndarray, is_reached: np.ndarray, path: Path, *, crs: CRS | None = None, subtitle: str = ""
 ) -> None:
-    """Draw in plan view where the cloud does not reach the reference, in red.
-
-    Parameters
-    ----------
-    targets : (M, 3), in crs
-        Points of the reference.
-    is_reached : (M,) bool
-    path, crs, subtitle :
-        As `error_map`.
-    """
+    """Draw in plan view where the cloud does not reach points (M, 3) of the reference, in crs, in red."""
     axes, image, extent = _map_of_means(targets, 100.0 * (1.0 - is_reached), _SAMPLES_PER_CELL, crs)
     drawn = show(axes, image, extent, cmap=NOT_REACHED, norm=Normalize(0.0, 100.0))
     colour_bar(axes, drawn, "not reached [%]", extend="neither")
@@ -198,15 +171,7 @@ def _panels(parts: Parts) -> list[tuple[tuple[Band, ...], str, str]]:
 
 
 def draw_bands(parts: Parts, path: Path) -> None:
-    """Mean with its confidence interval, and one standard deviation to both sides, in each band.
-
-    Parameters
-    ----------
-    parts : Parts
-        Of a comparison.
-    path : Path
-        PNG to write.
-    """
+    """Mean with its confidence interval, and one standard deviation to both sides, in each band."""
     panels = _panels(parts)
     figure = Figure(figsize=(11.0, 3.6), layout="constrained")
     FigureCanvasAgg(figure)

@@ -201,18 +201,8 @@ def seen_from_above(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Topmost points, and their uncertainty beside walls.
 
-    Parameters
-    ----------
-    plan : (N, 2) [m]
-    height, std : (N,) [m]
-    pixel : [m]
-        What a pixel of the photographs covers.
-
-    Returns
-    -------
-    is_seen : (N,) bool
-    wall_std : (N,) [m]
-        Standard deviation of the height by the position of walls; 0 away from them.
+    Of points in plan (N, 2) [m] with heights and std (N,) [m], for a pixel on the ground [m]: whether each is seen
+    (N,), and the standard deviation (N,) [m] of its height by the position of walls, 0 away from them.
     """
     square = _SQUARE_PX * pixel
     # Counted from the origin of the plan, so that tiles have the same squares.

@@ -127,21 +127,10 @@ def _agreements(normals: np.ndarray, near: np.ndarray) -> csr_array:
 
 
 def poisson_surface(points: np.ndarray, spacing_m: float, path: str | Path) -> tuple[np.ndarray, np.ndarray]:
-    """A smooth surface near the points, which may overhang; trimmed where none of them is near.
+    """A smooth surface near points (N, 3) [m], which may overhang; trimmed where none of them is near.
 
-    Parameters
-    ----------
-    points : (N, 3) [m]
-    spacing_m : [m]
-        The cells of the octree are at most as large.
-    path : Path
-        What an error names.
-
-    Returns
-    -------
-    vertices : (V, 3) [m]
-    faces : (F, 3) int
-        Counter-clockwise from above.
+    Cells of the octree are at most as large as the spacing. Returns vertices (V, 3) [m] and faces (F, 3),
+    counter-clockwise from above; errors name the path.
 
     Notes
     -----
@@ -164,24 +153,11 @@ def poisson_surface(points: np.ndarray, spacing_m: float, path: str | Path) -> t
 
 
 def solid_of(vertices: np.ndarray, faces: np.ndarray, thickness_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A closed solid under the surface: walls down from every rim to a bottom below the lowest vertex.
+    """A closed solid under a surface: walls down from every rim to a bottom some thickness below the lowest vertex.
 
-    Parameters
-    ----------
-    vertices : (V, 3) [m]
-    faces : (F, 3) int
-        At most two of them share an edge, with opposite directions.
-    thickness_m : [m]
-        Of the block under the lowest vertex.
-
-    Returns
-    -------
-    vertices : (2 V', 3) [m]
-        Those of the surface first, doubled where two parts of it met in one vertex only.
-    faces : (F', 3) int
-        Each edge has exactly two, with opposite directions. Holes of the surface become shafts.
-    above : (2 V',) int
-        Number of the vertex of the surface that each stands for.
+    At most two of the faces (F, 3) share an edge, with opposite directions. Returns vertices (2 V', 3) [m], those of
+    the surface first, doubled where two parts of it met in one vertex only; faces (F', 3), two at each edge, with
+    opposite directions; and the number (2 V',) of the vertex of the surface that each stands for. Holes become shafts.
     """
     faces, kept = _split_vertices(faces)
     top = vertices[kept]
@@ -227,21 +203,9 @@ def _split_vertices(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def delaunay_surface(points: np.ndarray, std: np.ndarray, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Delaunay surface with one height at each place in plan: for beds without overhangs.
 
-    Parameters
-    ----------
-    points : (N, 3) [m]
-    std : (N,) [m]
-        Of each cell the point with the smallest one stays. A mean over the cell would be smoother, and wrong at every
-        step of the bed, where it takes points of both sides.
-    spacing_m : [m]
-        Side of the cells.
-
-    Returns
-    -------
-    numbers : (V,) int
-        The points that are vertices.
-    faces : (F, 3) int
-        Without those that have a side of more than `LONGEST` spacings in plan.
+    Of each cell, whose side is the spacing, the point (N, 3) [m] with the smallest std (N,) [m] stays. A mean over the
+    cell would be smoother, and wrong at every step of the bed, where it takes points of both sides. Returns the numbers
+    (V,) of the points that are vertices, and faces (F, 3) without sides of more than `LONGEST` spacings in plan.
     """
     chosen, south = most_certain(points, std, spacing_m), float(points[:, 1].min())
     return without_unused_vertices(chosen, triangles(points[chosen, :2], south, LONGEST * spacing_m, spacing_m))

@@ -66,15 +66,7 @@ class CellPoints:
 
 
 def fit_cells(points: CellPoints, *, side: float, pixel: float, correlated: float) -> CellFits:
-    """Fit a plane to the points of each cell.
-
-    Parameters
-    ----------
-    side, pixel : [m]
-        Of a cell, and what a pixel of the photographs covers.
-    correlated : [px²]
-        Correlation area, see `correlated_px2`.
-    """
+    """Fit a plane to the points of each cell of a side [m], for a pixel [m] and a correlation area [px²]."""
     order = np.argsort(points.cell, kind="stable")
     covered = _covered(points.cell[order], points.offset[order])
     enough = covered >= _LEAST_COVERED
@@ -142,19 +134,9 @@ def _planes(
 
 
 def correlated_px2(plan: np.ndarray, height: np.ndarray, std: np.ndarray, pixel: float) -> float:
-    """Correlation area [px²] of the errors of points: points in it are worth one independent point.
+    """Correlation area [px²] of the errors of points, at least `LEAST_PX2`: points in it are worth one alone.
 
-    Parameters
-    ----------
-    plan : (N, 2) [m]
-    height, std : (N,) [m]
-    pixel : [m]
-        What a pixel of the photographs covers.
-
-    Returns
-    -------
-    float
-        At least `LEAST_PX2`.
+    Points have places in plan (N, 2), heights and std (N,) [m]; a pixel is what one covers on the ground [m].
     """
     rng = np.random.default_rng(_SEED)
     tree = cKDTree(plan)

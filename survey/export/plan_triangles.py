@@ -26,15 +26,8 @@ _NEAREST = 4
 def most_certain(points: np.ndarray, std: np.ndarray, cell_m: float, of_band: int = _POINTS_OF_BAND) -> np.ndarray:
     """Numbers (V,) of the points with the smallest std of their square cells, from the south, row by row.
 
-    Parameters
-    ----------
-    points : (N, 3) [m]
-        May lie in a file.
-    std : (N,) [m]
-        The first of equal ones stays; NaN counts as infinite.
-    cell_m : [m]
-    of_band : int
-        Points that are sorted at a time; a row is not divided.
+    Points (N, 3) [m] may lie in a file. Of equal std (N,) [m] the first stays; NaN counts as infinite. Some
+    ``of_band`` points are sorted at a time; a row is not divided.
     """
     low = points[:, :2].min(axis=0)
     rows, columns = (int(np.floor((points[:, axis].max() - low[axis]) / cell_m)) + 1 for axis in (1, 0))
@@ -67,17 +60,8 @@ def triangles(
 ) -> np.ndarray:
     """Delaunay triangles (F, 3) int32 of places in plan, counter-clockwise, without those with a longer side.
 
-    Parameters
-    ----------
-    xy : (V, 2) [m]
-        In the order of `most_certain`: by rows of cells from the south.
-    south_m : [m]
-        Where the first row begins: the lowest of the points that `most_certain` chose from.
-    longest_m : [m]
-    cell_m : [m]
-        Side of the cells.
-    of_band : int
-        Places that are triangulated at a time, with a rim.
+    Places (V, 2) [m] are in the order of `most_certain`: by rows of cells from the south, the first of which begins at
+    the lowest of the points that it chose from. Some ``of_band`` are triangulated at a time, with a rim.
     """
     if len(xy) < 3:
         return np.zeros((0, 3), dtype=np.int32)

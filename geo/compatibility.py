@@ -27,7 +27,8 @@ _TOLERANCE_M = 0.001
 _SIDE_RATIO = 10.0
 # Places of easting low, northing low, easting high and northing high among four numbers: of PDAL, and northing first.
 _EASTINGS_FIRST = (0, 2, 1, 3)
-_ORDERS_OF_BOUNDS = (_EASTINGS_FIRST, (1, 0, 3, 2), (2, 0, 3, 1))
+_NORTHING_FIRST = (1, 0, 3, 2)
+_ORDERS_OF_BOUNDS = (_EASTINGS_FIRST, _NORTHING_FIRST, (2, 0, 3, 1))
 _SAMPLES_M = np.array([-2e5, 0.0, 3e5])
 
 
@@ -105,8 +106,10 @@ def bounds_in_other_order(bounds: tuple[float, ...], places: np.ndarray) -> tupl
             continue
         if order == _EASTINGS_FIRST:
             is_doubtful = not is_rectangle or np.ptp(stands, axis=0).max() > _SIDE_RATIO * np.ptp(other, axis=0).max()
+        elif order == _NORTHING_FIRST:
+            is_doubtful = not _overlap(stands, box)
         else:
-            is_doubtful = not is_rectangle or not _overlap(stands, box)
+            is_doubtful = not is_rectangle
         if is_doubtful:
             return meant
     return None

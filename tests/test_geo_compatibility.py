@@ -125,3 +125,9 @@ def test_bounds_that_may_be_in_either_order_stand():
     assert bounds_in_other_order((0.0, 10.0, 20.0, 30.0), places) is None
     # Here the second is above the fourth as it stands.
     assert bounds_in_other_order((10.0, 30.0, 5.0, 25.0), places) == (10.0, 5.0, 30.0, 25.0)
+
+
+def test_bounds_beside_all_places_stand():
+    places = np.array([[589000.0, 5194700.0], [589010.0, 5194710.0]])
+    for bounds in ((589012.0, 5194736.0, 589017.0, 5194742.0), (588900.0, 5194000.0, 588950.0, 5194020.0)):
+        assert bounds_in_other_order(bounds, places) is None

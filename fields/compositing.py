@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 # Colour is looked up only where a sample matters (MDW-NeRF).
 MIN_COLOUR_WEIGHT = 1e-2
@@ -28,8 +28,9 @@ def render_weights(thickness: Tensor) -> Tensor:
     ``thickness`` is the density times the length of each sample, and T_i what those before it let pass. Weights sum to
     at most 1; what is missing passed through.
     """
-    before = torch.cumsum(thickness, dim=1) - thickness
-    return torch.exp(-before) * (1.0 - torch.exp(-thickness))
+    # Not the sum less the sample's own: of an opaque sample rounding would leave nothing of those before it.
+    before = nn.functional.pad(torch.cumsum(thickness[:, :-1], dim=1), (1, 0))
+    return torch.exp(-before) * -torch.expm1(-thickness)
 
 
 def with_opaque_end(weights: Tensor, meets: Tensor | float = 1.0) -> Tensor:
@@ -45,14 +46,16 @@ def composite(weights: Tensor, radiance_of: Callable[[Tensor], Tensor], opacity:
     """Linear radiance (rays, 3) of samples with weights (rays, samples), times the opacity (rays, 1), 1 where None.
 
     ``radiance_of`` gives the colours (n, 3) of the samples at flat indices (n,). Samples too light to be looked up take
-    the others' colour: left black, they would push a bed about, and darken what is thin.
+    the others' colour: left black, they would push a bed about, and darken what is thin. Of many samples half their
+    mean weight counts, so that light fog has a colour, too.
     """
-    painted = weights.detach() > MIN_COLOUR_WEIGHT
+    least = min(MIN_COLOUR_WEIGHT, 0.5 / weights.shape[1])
+    painted = weights.detach() > least
     where = painted.view(-1).nonzero()[:, 0]
     colours = weights.new_zeros(weights.numel(), 3).index_put((where,), radiance_of(where)).view(*weights.shape, 3)
     share = weights * painted
     total = share.sum(dim=1, keepdim=True)
-    share = share / total if opacity is None else share * (opacity / total.clamp(min=MIN_COLOUR_WEIGHT))
+    share = share / total if opacity is None else share * (opacity / total.clamp(min=least))
     return (share[..., None] * colours).sum(dim=1)
 
 

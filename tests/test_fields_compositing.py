@@ -53,6 +53,27 @@ def test_an_opaque_sample_takes_all_that_arrives():
     torch.testing.assert_close(weights, torch.tensor([[0.0, 1 - math.exp(-0.5), math.exp(-0.5), 0.0]]))
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_weights_of_any_thickness_are_shares_and_sum_to_what_does_not_pass(rng, dtype):
+    drawn = 10.0 ** rng.uniform(-8.0, 38.0, (400, 12)) * rng.integers(0, 2, (400, 12))
+    drawn[rng.random(drawn.shape) < 0.05] = np.inf
+    thickness = torch.as_tensor(drawn, dtype=dtype).requires_grad_()
+    weights = render_weights(thickness)
+    assert ((weights >= 0.0) & (weights <= 1.0)).all()
+    passed = torch.exp(-thickness.double().sum(dim=1))
+    # Twelve roundings.
+    torch.testing.assert_close(weights.sum(dim=1).double(), 1.0 - passed, rtol=0.0, atol=12 * torch.finfo(dtype).eps)
+    weights.sum().backward()
+    assert torch.isfinite(thickness.grad).all()
+
+
+def test_of_many_samples_light_fog_has_a_colour():
+    weights = torch.full((2, 200), 0.63 / 200)
+    assert (weights < MIN_COLOUR_WEIGHT).all()
+    grey = composite(weights, lambda where: torch.full((len(where), 3), 0.5), weights.sum(dim=1, keepdim=True))
+    torch.testing.assert_close(grey, torch.full((2, 3), 0.5 * 0.63))
+
+
 @pytest.mark.parametrize("width", [0.01, 0.3])
 def test_transmittance_is_the_laplace_distribution_function(width):
     d = np.linspace(-40.0 * width, 40.0 * width, 161)

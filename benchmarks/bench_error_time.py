@@ -26,13 +26,14 @@ from typing import Any
 import numpy as np
 import switch_scene
 import torch
-from field_tables import DOCS, LABELS, interval
+from field_tables import DOCS, interval
 from gallery_canvas import BLUE, DARK_ORANGE, GREEN, RED, canvas, label, save
 from matplotlib.ticker import NullFormatter, StrMethodFormatter
 from switch_scene import BOX, WATER, SwitchScene, build
 
 from fields.device import choose_device
-from fields.volume.models import MODELS, build_model, proposal_for
+from fields.models import MODELS
+from fields.volume.model import Setup, build_model
 from fields.volume.paths import Paths
 from fields.volume.photographs import PriorImages
 from fields.volume.renderer import VolumeRenderer
@@ -42,7 +43,6 @@ from fields.water_column import WaterColumn
 from refract import FlatWater
 from survey.stage_key import code_hash
 
-CODE = ("fields.volume.models", "fields.volume.train", "evaluation.images.quality")
 CELLS, PATHS, SAMPLES = 64, 600, 48
 TRAINING = Training(rays=512, samples=24, cells=48)
 COMPILING, TIMED = 2, 4
@@ -61,7 +61,7 @@ def kept_result(work: Path, name: str, settings: dict, compute: Callable[[], Any
     compute : callable
         Makes the result, of values for JSON.
     """
-    digest = hashlib.sha256(json.dumps([settings, code_hash(*CODE)]).encode())
+    digest = hashlib.sha256(json.dumps([settings, code_hash()]).encode())
     for file in (__file__, switch_scene.__file__):
         digest.update(Path(file).read_bytes())
     path = work / f"{name}_{digest.hexdigest()[:12]}.json"
@@ -79,9 +79,10 @@ def held_paths(scene: SwitchScene) -> Paths:
 
 def renderer_of(name: str, water: FlatWater | None, steps: int, seed: int) -> VolumeRenderer:
     """An untrained model of a name."""
-    model = build_model(name, BOX, CELLS, choose_device("cpu"), seed=seed, steps=steps)
+    setup = Setup(BOX, CELLS, choose_device("cpu"), steps=steps)
+    model = build_model(name, setup, seed=seed)
     column = None if water is None else WaterColumn()
-    return VolumeRenderer(model, column=column, proposal=proposal_for(name, BOX, CELLS, steps))
+    return VolumeRenderer(model, column=column, proposal=model.proposal(setup))
 
 
 def steps_for(name: str, scene: SwitchScene, seconds: float) -> int:
@@ -144,7 +145,7 @@ def table(rows: list[dict]) -> list[str]:
                 f"{interval([look['psnr_db'] for look in last], 1)} dB",
                 f"{interval([1e3 * look['depth_m'] for look in last], 0)} mm",
             ]  # fmt: skip
-        lines.append(f"| {LABELS[name]} | {' | '.join(cells)} |")
+        lines.append(f"| {MODELS[name].label} | {' | '.join(cells)} |")
     return lines
 
 
@@ -158,7 +159,9 @@ def draw(rows: list[dict], path: Path) -> None:
             style = {"color": colours[number % 5], "ls": styles[number // 5], "marker": "o", "ms": 2.5, "lw": 1.2}
             for looks in of:
                 seconds = [look["seconds"] for look in looks]
-                plots[0, column].plot(seconds, [1e3 * look["depth_m"] for look in looks], label=LABELS[name], **style)
+                plots[0, column].plot(
+                    seconds, [1e3 * look["depth_m"] for look in looks], label=MODELS[name].label, **style
+                )
                 plots[1, column].plot(seconds, [look["psnr_db"] for look in looks], **style)
         label(plots[0, column], f"{where}: distance", "", "" if column else "median error [mm]")
         label(plots[1, column], f"{where}: photographs held out", "processor time [s]", "" if column else "PSNR [dB]")

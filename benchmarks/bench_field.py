@@ -36,8 +36,8 @@ from PIL import Image
 from study_protocol import thinned
 
 from fields.device import choose_device, tensor_place
-from fields.volume.model import VolumeModel
-from fields.volume.models import build_model, proposal_for
+from fields.models import MODELS
+from fields.volume.model import Setup, VolumeModel, build_model
 from fields.volume.renderer import Backdrop, VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.sdf import SdfSettings, SdfVolume
@@ -46,8 +46,6 @@ from fields.volume.train import POOL_STEPS, Training, train_volume
 from fields.water_column import WaterColumn
 
 ABLATION = ("vm", "dw", "m", "mdw")
-# Beside them. The second hash grid is one for processors, where a step of Nerfacto's own takes 5.6 s.
-BASELINES = ("mdw-printed", "tensorf", "nerf", "tinynerf", "nerfacto", "hash", "octree", "ground", "neus")
 # Steps of each model in turn, to compare their times: (rounds, steps of a round). After the switch from coarse to fine
 # density, where a model has one: most steps of a training are such.
 TIMED = (4, POOL_STEPS)
@@ -64,13 +62,13 @@ def build(model: str, scene: ObjectScene, options, *, steps: int, seed: int = 0)
     # What an orbit sees beside the box is black; from above, every path ends in it.
     background = Backdrop((0.0, 0.0, 0.0)) if scene.name == "ship" else None
     device = choose_device(options.device)
+    setup = Setup(scene.box, options.cells, device, steps=steps)
     torch.manual_seed(seed)
     if model == "neus":  # objects are closed
         volume: VolumeModel = SdfVolume(scene.box, SdfSettings.small())
     else:
-        volume = build_model(model, scene.box, options.cells, device, seed=seed, steps=steps)
-    proposal = proposal_for(model, scene.box, options.cells, steps)
-    renderer = VolumeRenderer(volume, column=column, background=background, proposal=proposal)
+        volume = build_model(model, setup, seed=seed)
+    renderer = VolumeRenderer(volume, column=column, background=background, proposal=volume.proposal(setup))
     return renderer.to(tensor_place(device))
 
 
@@ -252,7 +250,7 @@ def options_of(arguments: list[str] | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("work", type=Path, help="folder for rows and pictures")
     parser.add_argument("--objects", nargs="+", default=NAMES, choices=NAMES)
-    parser.add_argument("--models", nargs="+", default=ABLATION, choices=ABLATION + BASELINES)
+    parser.add_argument("--models", nargs="+", default=ABLATION, choices=tuple(MODELS))
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--scale", type=float, default=0.25, help="of the pictures")
     parser.add_argument("--cells", type=int, default=128, help="along the longest edge, at the finest scale")

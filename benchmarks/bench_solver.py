@@ -3,7 +3,7 @@
     python benchmarks/bench_solver.py SURVEY ... [--noise N --seeds S ...] [--ways WAY ...] [-o FOLDER]
 
 A SURVEY is a folder with known truth (reference.ply and visible.ply in it, or in truth/). Each is processed in standard
-quality by the command line in several ways: the sweep alone, the trained slab, a plain Gauss-Newton on each height
+quality by the command line in several ways: the sweep alone, the trained field, a plain Gauss-Newton on each height
 alone (the solver without its prior and without heights that stay as the sweep has them), and the solver. `--noise`
 first adds so many grey levels to the photographs, the same in all channels, and writes them again as JPEG of quality 92
 with 4:4:4, once for each seed. Prints rows of Markdown for each survey: accuracy, with the least and
@@ -42,7 +42,7 @@ with patch("fields.solver.solver.roughness_of", lambda *_: 1e6), patch(
 # What each way is called, its program and its field.
 WAYS = {
     "sweep": ("sweep alone", BATHYNERF, "off"),
-    "slab": ("sweep and trained slab", BATHYNERF, "slab"),
+    "field": ("sweep and trained field", BATHYNERF, "mdw"),
     "plain": ("plain Gauss-Newton, each pixel alone", PLAIN, "solver"),
     "solver": ("**solver**", BATHYNERF, "solver"),
 }

@@ -57,7 +57,7 @@ def cloud_row(name: str, options: argparse.Namespace) -> dict:
     run, cloud = options.output / "run", options.output / f"{name}.las"
     arguments = ["process", str(options.survey), "-o", str(run), "--quality", options.quality]
     record = once(
-        options.output / f"{name}.process.json", [*arguments, "--field", "off" if name == "sweep" else "slab", "-q"]
+        options.output / f"{name}.process.json", [*arguments, "--field", "off" if name == "sweep" else "mdw", "-q"]
     )
     if not cloud.exists():
         shutil.copyfile(run / "cloud.las", cloud)
@@ -112,7 +112,7 @@ def held_row(name: str, options: argparse.Namespace) -> dict:
     folder, views = options.output / "held", options.output / f"views of {name}"
     held, run = held_survey(options.survey, folder), folder / "bathynerf"
     table = some_of(held, options.views)
-    arguments = ["process", str(folder), "--quality", options.quality, "--field", "slab", "-q"]
+    arguments = ["process", str(folder), "--quality", options.quality, "--field", "mdw", "-q"]
     record = {"process": once(options.output / "held.process.json", arguments)}
     arguments = ["render", str(run), "--cameras", str(table), "-o", str(views), "-q"]
     arguments += ["--field"] if name == "held_field" else []

@@ -83,18 +83,14 @@ ROWS = {
     "L1 of density features 8e-5": Row(volume={"features_l1": 8e-5}),
     "Huber 0.1": Row(change={"huber": 0.1}),
     "distortion 0.002": Row(losses=Losses(distortion=0.002)),
-    "distortion 0.002 after 0.4": Row(losses=Losses(distortion=0.002), change={"losses_from": 0.4}),
     "density 0.002": Row(losses=Losses(density=0.002)),
     "Gaussian density 0.008": Row(losses=Losses(gaussian_density=0.008)),
     "density as printed 0.002": Row(losses=Losses(printed_density=0.002)),
-    "density as printed 0.002 after 0.4": Row(losses=Losses(printed_density=0.002), change={"losses_from": 0.4}),
     "Gaussian density as printed 0.002": Row(losses=Losses(printed_gaussian_density=0.002)),
     "empty 0.001": Row(losses=Losses(empty=0.001)),
     "density, distortion, empty": Row(losses=Losses(printed_density=0.002, distortion=0.002, empty=0.001)),
-    "half of the samples by score": Row(change={"by_score": 0.5}),
     "orientation 0.004": Row(losses=Losses(orientation=0.004)),
     "virtual views 0.01": Row(losses=Losses(virtual_views=0.01)),
-    "virtual views 0.01 after 0.4": Row(losses=Losses(virtual_views=0.01), change={"losses_from": 0.4}),
     "length prior 0.0001": Row(losses=priors(length=0.0001)),
     "monocular depth 0.01": Row(losses=priors(depth=0.01)),
     "monocular normals 0.0001": Row(losses=priors(normal=0.0001)),
@@ -127,7 +123,7 @@ def measure(row: Row, training: Training, seed: int) -> dict:
     length = APPEARANCE if row.part == "appearance" else 0
     torch.manual_seed(seed)
     settings = replace(SETTINGS, **(row.volume or {}))
-    volume = TensorVolume(BOX, settings, choose_device("cpu"), appearance=length, seed=seed)
+    volume = TensorVolume(BOX, settings, choose_device("cpu"), appearance=length)
     scene = VolumeRenderer(
         volume,
         appearance=appearance_vectors(len(data.train.cameras), length) if length else None,

@@ -10,15 +10,10 @@ from gallery_canvas import canvas, save, scale_bar
 from PIL import Image
 from scipy.special import stdtrit
 
+from fields.models import MODELS
 from survey.display.palette import INK, SOFT
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-LABELS = {
-    "vm": "VM", "dw": "DW", "m": "M", "mdw": "MDW",
-    "mdw-printed": "MDW as printed", "tensorf": "TensoRF", "nerf": "NeRF", "tinynerf": "TinyNeRF",
-    "nerfacto": "Nerfacto", "hash": "hash grid, proposals", "neus": "signed distance",
-    "octree": "octree of fields", "ground": "ground planes",
-}  # fmt: skip
 # What the object fills of its held-out photograph, in shares of its sides: left, right, top, bottom.
 PARTS = {"wreck": (0.28, 0.74, 0.24, 0.74), "ship": (0.38, 0.66, 0.05, 0.92), "hull": (0.15, 0.85, 0.24, 0.70)}
 # By which differences are enlarged, and how high a picture of a row may be [inch].
@@ -42,7 +37,7 @@ def table_of(rows: list[dict]) -> str:
         base = [r for r in of if r["model"] == models[0]]
         for model in models:
             cells = _columns([r for r in of if r["model"] == model], None if model == models[0] else base)
-            lines.append("| " + " | ".join([name, LABELS[model], *cells]) + " |")
+            lines.append("| " + " | ".join([name, MODELS[model].label, *cells]) + " |")
     return "\n".join([*HEAD, *lines])
 
 
@@ -100,7 +95,7 @@ def draw_row(work: Path, name: str, rows: dict[str, dict], path: Path) -> None:
         rendered = _part(work / f"{name}_{model}.png", name)
         above.imshow(rendered)
         psnr = rows[model]["held_out_psnr_db"]
-        above.set_title(f"{LABELS[model]}, {psnr:.1f} dB", loc="left", color=INK, fontsize=9.5)
+        above.set_title(f"{MODELS[model].label}, {psnr:.1f} dB", loc="left", color=INK, fontsize=9.5)
         apart = np.abs(rendered.astype(float) - photograph.astype(float)).mean(axis=2) / 255.0
         below.imshow(apart, cmap="gray_r", vmin=0.0, vmax=1.0 / TIMES)
     save(figure, path)

@@ -4,7 +4,7 @@
                                 [--steps N] [--rays N] [--cells N] [--device D]
 
 By default the two are drawn small; with --full they are wreck_water and wreck_dry of the survey data, of the study's
-size (130 images of 1024 x 768). Chains: the sweep alone, with the slab trained about its bed (field), or a model of
+size (130 images of 1024 x 768). Chains: the sweep alone, with the field trained about its bed (field), or a model of
 `bathynerf field`, which begins anywhere in a box about the bed, is trained --steps steps, and leaves out one photograph
 in eight, whose PSNR is printed (Table 3). Runs lie in FOLDER and are used again. Prints a table in Markdown and writes
 table4.json: the study's protocol (`study_protocol`), and ours (nothing dropped, nothing aligned), beside its figures.
@@ -27,7 +27,7 @@ import study_protocol as study
 from straight_bias import straight_bias
 
 from evaluation import distance_statistics, distance_to_mesh, is_reached, sample_mesh
-from fields.volume.models import MODELS
+from fields.models import MODELS
 from geo import read_cloud, read_reference
 from survey.folder.survey import Survey, load_survey
 from survey.plan.recipe import RECIPES
@@ -88,7 +88,7 @@ def cases(wet: Path, dry: Path, folder: Path, chains: list[str]) -> list[Case]:
 
 def process(case: Case, options: argparse.Namespace) -> None:
     """Run the case through the command line; a quality gate that fails (3) is a result too."""
-    field = "slab" if case.chain == "field" else "off"
+    field = "mdw" if case.chain == "field" else "off"
     # Straight rays contradict the true poses, and adjusted ones would take up a part of the refraction.
     chosen = ["--poses", "fixed", "--field", field, "--quality", options.quality, "--device", options.device]
     bathynerf("process", case.folder, "-o", case.run, *chosen)

@@ -42,7 +42,7 @@ def geometric_scales(n_min: float, n_max: float, count: int) -> list[float]:
 
 
 class Factors(nn.Module):
-    """Planes and vectors of all scales and directions in two flat parameters, channels last.
+    """Planes and vectors of all scales and directions in two flat parameters, channels last, by torch's generator.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class Factors(nn.Module):
         Dr.Jit device for fused lookups; "torch" for the reference implementation.
     """
 
-    def __init__(self, grids: list[Grid], directions: str, channels: int, device: Device, seed: int = 0):
+    def __init__(self, grids: list[Grid], directions: str, channels: int, device: Device):
         super().__init__()
         self.grids, self.directions, self.channels, self.device = list(grids), directions, channels, device
         self.tables: list[tuple[int, int, int, int, int]] = []
@@ -66,9 +66,8 @@ class Factors(nn.Module):
                 self.tables.append((axis, a, b, planes, vectors))
                 planes += grid.along(a) * grid.along(b)
                 vectors += grid.along(axis)
-        generator = torch.Generator().manual_seed(seed)
-        self.planes = nn.Parameter(0.1 * torch.randn(planes, channels, generator=generator))
-        self.vectors = nn.Parameter(1.0 + 0.02 * torch.randn(vectors, channels, generator=generator))
+        self.planes = nn.Parameter(0.1 * torch.randn(planes, channels))
+        self.vectors = nn.Parameter(1.0 + 0.02 * torch.randn(vectors, channels))
 
     @property
     def num_features(self) -> int:

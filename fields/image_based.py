@@ -41,7 +41,7 @@ _GAP_PX = 8
 
 @dataclass(frozen=True)
 class NovelView:
-    """A rendered view; NaN, and black, where the camera sees nothing."""
+    """A rendered view; NaN where the camera sees no bed, and black where it sees nothing."""
 
     rgb: np.ndarray  # (height, width, 3) uint8: as a photograph stores it
     # (height, width) float32 [m]: over the water plane (over local z = 0 without water), negative below it
@@ -49,11 +49,17 @@ class NovelView:
     # (height, width) float32 [m]: from the camera to the bed along the path, air and water legs together
     distance: np.ndarray
     normal: np.ndarray  # (height, width, 3) float32 unit, local: of the bed, up
+    has_background: bool = False  # Whether pixels that show no bed have the colour of what lies behind it
 
     @property
     def seen(self) -> np.ndarray:
-        """(height, width) bool: pixels that show something."""
+        """(height, width) bool: pixels that show the bed."""
         return np.isfinite(self.bed_height)
+
+    @property
+    def coloured(self) -> np.ndarray:
+        """(height, width) bool: pixels that have a colour."""
+        return self.seen | self.has_background
 
 
 @dataclass(frozen=True)
@@ -286,13 +292,19 @@ def _dried(
 
 
 def normals_of(place: np.ndarray) -> np.ndarray:
-    """Unit normals (height, width, 3), up, of points of pixels; NaN without neighbours on both sides."""
-    across, down = np.full_like(place, np.nan), np.full_like(place, np.nan)
-    across[:, 1:-1], down[1:-1] = place[:, 2:] - place[:, :-2], place[2:] - place[:-2]
-    normal = np.cross(across, down)
+    """Unit normals (height, width, 3), up, of points of pixels; NaN without a neighbour in its row and its column."""
+    normal = np.cross(_differences(place, 1), _differences(place, 0))
     with np.errstate(invalid="ignore", divide="ignore"):
         normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     return (normal * np.where(normal[..., 2:] < 0.0, -1.0, 1.0)).astype(np.float32)
+
+
+def _differences(place: np.ndarray, axis: int) -> np.ndarray:
+    """Differences (height, width, 3) of points along an axis, to both sides, or to one where the other is unknown."""
+    step = np.diff(place, axis=axis, append=np.nan), np.diff(place, axis=axis, prepend=np.nan)
+    known = [np.isfinite(each).all(axis=-1, keepdims=True) for each in step]
+    sums = sum(np.where(each, part, 0.0) for each, part in zip(known, step, strict=True))
+    return np.where(known[0] | known[1], sums, np.nan)
 
 
 def heights_over(points: np.ndarray, water: FlatWater | None) -> np.ndarray:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import shutil
 import textwrap
+from collections.abc import Iterable
 from enum import StrEnum
 from typing import IO
+
+from fields.models import IN_LAYER
 
 # The run folder in a survey folder, where no other is named.
 RUN_FOLDER = "bathynerf"
@@ -33,14 +36,16 @@ class Device(StrEnum):
     cuda = "cuda"
 
 
-class Field(StrEnum):
-    """Refinement of the heights of the sweep: as the plan decides, least squares, with boxes, the slab, or nothing."""
+# Refinement of the heights of the sweep: as the plan decides, least squares, with boxes, nothing, or a trained field.
+FIELDS = ("auto", "solver", "boxes", "off", *IN_LAYER)
+# Words that were offered once, and those that took their place.
+REPLACED = {"slab": "mdw"}
 
-    auto = "auto"
-    solver = "solver"
-    boxes = "boxes"
-    slab = "slab"
-    off = "off"
+
+def expected_of(words: Iterable[str], word: str) -> str:
+    """What an error about an unknown word expects: the known ones, and the one that took its place."""
+    instead = f"; {REPLACED[word]} has taken the place of {word}" if word in REPLACED else ""
+    return f"expected one of {', '.join(words)}{instead}"
 
 
 class Poses(StrEnum):

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 from plane_survey import PlaneBed, texture
 
-from fields.device import Device
 from fields.image_store import GAMMA
-from fields.slab.rays import Slab, SlabRays, rays_of
-from fields.slab.tensor_field import FieldSettings, TensorField
 from fields.sweep.maps import HeightMap, Sources
-from fields.water_column import WaterColumn
-from refract import PinholeCamera
+from fields.volume.layer import Layer
+from fields.volume.sampling import Cells
+from refract import FlatWater, PinholeCamera
+from survey.run.stored_field import RestoredField, VolumeRecipe
 
 ABSORPTION = np.array([0.3, 0.07, 0.05])  # 1/m
 
@@ -39,23 +37,17 @@ def plane_sources(
     return Sources(cameras, maps, images, bed.water)
 
 
-def level_slab(height: float, *, half: float = 0.1, slope_x: float = 0.0) -> Slab:
-    """A slab about the proxy height + slope_x x over the water plane, [m]: 80 x 80 cells of 0.1 m about the origin."""
+def level_layer(height: float, *, half: float = 0.1, slope_x: float = 0.0) -> Layer:
+    """A layer about z = height + slope_x x [m]: 80 x 80 cells of 0.1 m about the origin."""
     x = 0.1 * (np.arange(80) - 39.5)
-    proxy = np.tile((height + slope_x * x).astype(np.float32), (80, 1))
-    return Slab(np.array([-4.0, -4.0]), 0.1, proxy, np.ones(proxy.shape, dtype=bool), half)
-
-
-def rays_at(bed: PlaneBed, camera: PinholeCamera, height, *, step: int = 7) -> SlabRays:
-    """Rays through every ``step``-th pixel of a camera, standing at a height [m], grey."""
-    pixels = camera.pixel_centres()[::step, ::step].reshape(-1, 2)
-    heights = np.zeros(len(pixels), dtype=np.float32) + np.asarray(height, dtype=np.float32)
-    return rays_of(camera, bed.water, pixels, heights, np.full((len(pixels), 3), 128, dtype=np.uint8))
+    raster = np.tile((height + slope_x * x).astype(np.float32), (80, 1))
+    low, high = np.array([-4.0, -4.0, raster.min() - half]), np.array([4.0, 4.0, raster.max() + half])
+    return Layer(low, high, raster, np.ones(raster.shape, dtype=bool), half)
 
 
 def field_over(
-    slab: Slab, device: Device, *, seed: int = 0, water: bool = True, given: dict | None = None, **settings
-) -> TensorField:
-    """An untrained field, the same for the same seed; ``given`` is what is known of the water."""
-    torch.manual_seed(seed)
-    return TensorField(slab, FieldSettings(**settings), device, WaterColumn(**(given or {})) if water else None)
+    layer: Layer, water: FlatWater | None, *, model: str = "mdw", device: str = "torch", **settings
+) -> RestoredField:
+    """An untrained field in a layer."""
+    recipe = VolumeRecipe(model, 1, steps=10, seed=0, samples=8, **settings)
+    return RestoredField(recipe.renderer(layer, water, 1, device), Cells.everywhere(layer, 1), recipe, water, 10)

@@ -53,7 +53,7 @@ def verdicts(now: Results, then: Results) -> dict[str, str]:
 
 
 def test_results_are_read_as_they_were_written(tmp_path):
-    found = results(record(), replace(record("slab"), errors=None, words="refused"))
+    found = results(record(), replace(record("mdw"), errors=None, words="refused"))
     write_results(tmp_path / "results.json", found)
     assert read_results(tmp_path / "results.json") == found
 
@@ -192,19 +192,19 @@ def _faster(slow: Record, by: float) -> Record:
 
 
 def test_records_that_only_one_result_has_are_named():
-    now, then = results(record(), record("sweep")), results(record(), record("slab"))
+    now, then = results(record(), record("sweep")), results(record(), record("mdw"))
     ours, theirs = unpaired(now, then)
-    assert [key[1] for key in ours + theirs] == ["sweep", "slab"]
+    assert [key[1] for key in ours + theirs] == ["sweep", "mdw"]
     lines = comparison(now, then)
     assert lines[-2:] == [
         "only in this result: 1 records, survey sweep standard given cpu",
-        "only in the earlier result: 1 records, survey slab standard given cpu",
+        "only in the earlier result: 1 records, survey mdw standard given cpu",
     ]
 
 
 def test_the_front_holds_what_nothing_beats_in_both_time_and_error(tmp_path):
     fast, good = record("sweep", (5.0,), errors(2.0)), record("full", (10.0,), errors(1.0))
-    beaten = record("slab", (20.0,), errors(1.5))
+    beaten = record("mdw", (20.0,), errors(1.5))
     found = (fast, good, beaten)
     assert pareto_front(found) == {fast.key, good.key}
     draw_pareto_front(tmp_path / "front.png", found)

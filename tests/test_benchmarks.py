@@ -36,7 +36,6 @@ SMALLEST = {
     "bench_random": "--seeds 102-102 -o {work} --quality draft",
     "bench_reach": "{work} --kilometre",
     "bench_real_like": "-o {work} --seed 2 --count 1 --by ties",
-    "bench_slab": "{survey} --quality draft --rays 1",
     "bench_solver": "{survey} --ways solver -o {work}",
     "bench_survey_field": "{survey} -o {work} --rows sweep",
     "bench_sweep": "{survey} --quality draft --tables trust steps views once -o {work}",

@@ -72,7 +72,7 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
 
     fake_module(monkeypatch, "survey.run.process", process=process)
     result = bathynerf(
-        "process", "s", "-o", "run", "--quality", "draft", "--device", "cpu", "--no-resume", "--field", "slab",
+        "process", "s", "-o", "run", "--quality", "draft", "--device", "cpu", "--no-resume", "--field", "mdw",
         "--calibrate-water", "--true-colour", "--reference", "r.ply", "--visible", "v.ply", "-v",
         "--target-std", "0.02", "--time-budget", "300",
     )  # fmt: skip
@@ -82,7 +82,7 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
         "target_std_m": 0.02,
         "time_budget_s": 300.0,
         "device": "cpu",
-        "field": "slab",
+        "field": "mdw",
         "poses": None,
         "image_scale": None,
         "tiles": None,

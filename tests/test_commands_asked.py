@@ -25,7 +25,7 @@ VALUES = {
     "target_std_m": (0.02, 0.03),
     "time_budget_s": (300.0, 400.0),
     "device": ("cpu", "cuda"),
-    "field": ("slab", "off"),
+    "field": ("mdw", "off"),
     "poses": ("fixed", "refine"),
     "image_scale": (0.5, 0.25),
     "calibrate_water": (True, False),
@@ -72,7 +72,7 @@ def test_what_nobody_says_is_the_default_and_words_are_plain():
         ({"time_budget_s": -5.0}, "--time-budget is -5, expected a number above zero, in s"),
         ({"time_budget_s": float("nan")}, "--time-budget is nan"),
         ({"target_std_m": 0.01, "quality": "fine"}, "--quality fine and an aim"),
-        ({"target_std_m": 0.01, "field": "slab"}, "--field slab and an aim"),
+        ({"target_std_m": 0.01, "field": "mdw"}, "--field mdw and an aim"),
         ({"target_std_m": 0.01, "image_scale": 0.5}, "--image-scale 0.5 and an aim"),
     ],
 )

@@ -199,7 +199,7 @@ def test_the_field_leaves_the_bed_where_it_is_and_takes_noise_off(noisy):
     swept = inner90(noisy.distances.signed)
     shutil.copytree(noisy.folder, noisy.folder.with_name("refined"))
     refined = DrawnRun(noisy.scene, noisy.folder.with_name("refined"))
-    again = bathynerf("process", refined.folder, "--field", "slab")
+    again = bathynerf("process", refined.folder, "--field", "mdw")
     assert again.exit_code == 0, again.stderr
     assert "sweep: used again" in again.stderr
     mean, std = inner90(refined.distances.signed)

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import rasterio
 from painted_survey import DEPTH_M, EXPOSURES, SLOPE, painted_survey, run_over
 from PIL import Image
-from plane_field import field_over, level_slab
+from plane_field import field_over, level_layer
 from plane_survey import PlaneBed
 from pyproj import CRS
 
-from fields.device import choose_device
-from fields.slab.tensor_field import FieldFigures
 from fields.sweep.maps import HeightMap
 from geo.frames import LocalFrame
 from refract import FlatWater
@@ -28,13 +27,12 @@ from survey.run.flight import save_flight
 from survey.run.folder import RunDir
 from survey.run.keys import Key
 from survey.run.stage_sweep import MAPS
-from survey.run.stored import PLACE_FILE
-from survey.run.stored_field import load_place, save_field, save_place
+from survey.run.stored_field import save_layer_field
 from survey.run.stored_maps import save_maps
 from survey.settings.config import CamerasConfig, SurveyConfig, dump_config
 
 ORIGIN = (691000.0, 5334000.0, 500.0)
-WATER = FlatWater((1.0, 2.0, 0.5), n_water=1.34, slope_x=0.01, slope_y=-0.004)
+OPTICS = FlatWater((0.0, 0.0, 0.5))
 TABLE = "image,easting,northing,height,omega,phi,kappa\n"
 ABOVE = "nadir.jpg,691000,5334000,509,0,0,0\n"
 LENS = CamerasConfig(size_px=(40, 30), focal_px=200.0)
@@ -50,11 +48,12 @@ def run(tmp_path, frame):
     """A run whose field is a level bed 2 m under the water at local z = 0.5."""
     with RunDir(tmp_path / "run") as folder:
         stage = folder.open_stage("field")
-        field = field_over(level_slab(-2.0), choose_device("torch"))
-        save_field(stage, field, FieldFigures(300, 614400, None, 30.0, 0.01, 26383))
-        save_place(stage, frame, FlatWater((0.0, 0.0, 0.5)))
+        # Straight down heights count from the water at local z = 0.5.
+        save_layer_field(stage, field_over(level_layer(-1.5), OPTICS))
         stage = folder.finish_stage("field", Key({}), stage)
         result = folder.open_result("fine")
+        unknown = SimpleNamespace(departure=None)
+        save_flight(result, SimpleNamespace(frame=frame, water=OPTICS, bounds=None, observations=unknown, views=()))
         settings = dump_config(SurveyConfig(crs="EPSG:25832+5783", cameras=LENS))
         (result / "settings.toml").write_text(settings, encoding="utf-8")
         folder.publish(result, quality="fine", stages={"field": stage})
@@ -65,17 +64,6 @@ def poses(tmp_path, lines: str):
     path = tmp_path / "cameras.csv"
     path.write_text(TABLE + lines, encoding="utf-8")
     return path
-
-
-def test_a_place_comes_back(tmp_path, frame):
-    save_place(tmp_path, frame, WATER)
-    assert load_place(tmp_path) == (frame, WATER)
-    save_place(tmp_path, frame, None)
-    assert load_place(tmp_path)[1] is None
-    place = json.loads((tmp_path / PLACE_FILE).read_text())
-    (tmp_path / PLACE_FILE).write_text(json.dumps({**place, "origin": None}))
-    with pytest.raises(SurveyError, match=r"place\.json cannot be read .* run `bathynerf process` again"):
-        load_place(tmp_path)
 
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -126,7 +114,7 @@ def test_a_camera_that_looks_elsewhere_is_named(run, tmp_path, capsys):
 def test_a_run_without_a_field_is_told_how_to_get_one(tmp_path):
     with RunDir(tmp_path / "run"):
         pass
-    with pytest.raises(SurveyError, match="has no trained field; run `bathynerf process` again with --field slab"):
+    with pytest.raises(SurveyError, match="has no trained field; run `bathynerf process` again with --field mdw"):
         render(tmp_path / "run", poses(tmp_path, ABOVE), tmp_path, trained=True)
 
 

@@ -15,12 +15,12 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from fields.device import choose_device
-from fields.volume.models import MODELS, build_model, proposal_for
+from fields.models import MODELS
+from fields.volume.model import Setup, build_model
 from fields.volume.paths import Box
 from fields.volume.surface import Rule
 from geo import read_cloud
 from refract import PinholeCamera
-from survey.commands.field import Model
 from survey.commands.field import Rule as OfferedRule
 from survey.errors import ConfigError, OutputError, SurveyError
 from survey.export.loaded import LoadedRun
@@ -29,7 +29,7 @@ from survey.settings.config import parse_config
 from survey.settings.tables import FieldConfig, LossesConfig
 from survey.volume.field import train_field
 from survey.volume.monocular import monocular_priors
-from survey.volume.options import VolumeOptions, field_config, volume_options
+from survey.volume.options import MONOCULAR, VolumeOptions, field_config, volume_options
 
 # A signed distance begins with a level surface in the middle of the box.
 SHORT = VolumeOptions(model="neus", steps=4, rays=32, samples=8, cells=32, held_every=4, image_scale=0.5)
@@ -45,19 +45,28 @@ def run(folder):
     return run_over(painted_survey(folder / "s"), folder / "run")
 
 
-def test_the_command_offers_the_models_and_rules_there_are():
-    assert {model.value for model in Model} == set(MODELS)
+def test_the_command_offers_the_rules_there_are():
     assert {rule.value for rule in OfferedRule} == {rule.value for rule in Rule}
 
 
 @pytest.mark.parametrize("name", list(MODELS))
-def test_every_model_is_built_for_a_box(name):
-    box = Box(np.zeros(3), np.array([2.0, 1.0, 0.5]))
-    model = build_model(name, box, 16, choose_device("torch"), appearance=4)
-    density, features = model.evaluate(torch.rand(5, 3))
-    assert density.shape == (5,)
-    assert model.radiance(features, torch.nn.functional.normalize(torch.ones(5, 3)), torch.zeros(5, 4)).shape == (5, 3)
-    assert (proposal_for(name, box, 16, steps=60) is None) == (name not in ("hash", "nerfacto"))
+def test_every_model_is_built_for_a_box_and_another_seed_draws_another_one(name):
+    setup = Setup(Box(np.zeros(3), np.array([2.0, 1.0, 0.5])), 16, choose_device("torch"), appearance=4, steps=60)
+    x, direction = torch.rand(5, 3), torch.nn.functional.normalize(torch.ones(5, 3))
+    outputs = []
+    for seed in (0, 0, 1):
+        model = build_model(name, setup, seed=seed)
+        density, features = model.evaluate(x)
+        assert density.shape == (5,)
+        assert model.radiance(features, direction, torch.zeros(5, 4)).shape == (5, 3)
+        proposal = model.proposal(setup)
+        assert (proposal is None) == (name not in ("hash", "nerfacto"))
+        outputs.append(dict(model.named_parameters()))
+    one, same, other = outputs
+    for key, value in one.items():
+        assert torch.equal(value, same[key])
+        if value.unique().numel() > 1:
+            assert not torch.equal(value, other[key]), key
 
 
 def test_a_field_is_trained_extracted_rendered_and_compared(folder, run):
@@ -130,6 +139,50 @@ def test_a_folder_with_other_files_is_left_alone(folder, run):
 def test_options_without_sense_are_refused(wrong, said):
     with pytest.raises(SurveyError, match=said):
         VolumeOptions(**wrong)
+
+
+@pytest.mark.parametrize(
+    ("given", "needed", "said"),
+    [
+        ({"drop": "none"}, {"submodules": "2x1"}, "--drop has no effect without --submodules"),
+        ({"density": 3.0}, {"rule": Rule.density}, "--density has no effect without --extract density"),
+        ({"dry": True}, {"cameras": "a.csv"}, "--dry has no effect without --cameras"),
+        ({"losses": LossesConfig(transparency=0.1)}, {"shell": True}, r"transparency has no effect without --shell"),
+        (
+            {"losses": LossesConfig(patch_px=4)},
+            {"losses": LossesConfig(patch_px=4, ssim=0.1)},
+            "patch_px has no effect without ncc, ssim, smooth_normals or virtual_patches",
+        ),
+    ],
+)
+def test_an_option_without_effect_is_refused_and_taken_where_it_has_one(given, needed, said):
+    with pytest.raises(SurveyError, match=f"{said}; give both or leave it out"):
+        VolumeOptions(**given)
+    assert VolumeOptions(**(given | needed)).of_losses().patch in (1, 4)
+
+
+def test_predicted_normals_count_beside_those_that_monocular_priors_have_by_default(tmp_path):
+    losses = VolumeOptions(monocular=tmp_path, losses=LossesConfig(predicted_normal=0.2)).of_losses().priors
+    assert (losses.depth, losses.normal, losses.predicted_normal) == (*MONOCULAR, 0.2)
+
+
+def test_the_shell_is_seen_where_the_bed_does_not_fill_the_picture(folder, run):
+    table = folder / "beside.csv"
+    head, first, *_ = (folder / "s" / "cameras.csv").read_text().splitlines()
+    table.write_text(f"{head}\n{first}\n")
+    with LoadedRun(run) as loaded:
+        low, high = np.percentile(loaded.columns("points_crs")["points_crs"][:, :2], [30, 70], axis=0)
+    alpha = {}
+    for shell in (False, True):
+        output = folder / f"shell {shell}"
+        train_field(run, output, replace(SHORT, shell=shell, cameras=table, bounds=(*low, *high)))
+        (picture,) = (output / "views").glob("*[0-9].png")
+        with Image.open(picture) as image:
+            pixels = np.asarray(image)
+        alpha[shell] = pixels[..., 3]
+        assert not pixels[pixels[..., 3] == 0][:, :3].any()
+    assert (alpha[False] == 0).any()
+    assert (alpha[True] == 255).all()
 
 
 def test_bounds_without_a_bed_are_refused(folder, run):

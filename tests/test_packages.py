@@ -27,7 +27,7 @@ LAYERS = (
     {"fields"},
     {"fields/sweep/kernels", "refract/curved"},
     {"evaluation", "fields/sweep", "fields/volume", "survey"},
-    {"fields/colour", "fields/occluded", "fields/slab", "fields/solver", "survey/files", "survey/display"},
+    {"fields/colour", "fields/occluded", "fields/solver", "survey/files", "survey/display"},
     {"survey/photos", "survey/compare", "survey/settings"},
     {"survey/control", "survey/pose_files", "survey/simulate/flight", "survey/water"},
     {"survey/sfm"},
@@ -89,7 +89,7 @@ GIVEN_PATHS = {"Path", "RunDir"}
 # These search what is installed on the machine: libLLVM, and foreign packages.
 SEARCHES = {"fields/device.py", "bathynerf/_packages.py"}
 # The files that import a module by a name that they put together, which no other test here can follow.
-IMPORT_BY_NAME_FILES = {"bathynerf/__init__.py", "geo/files.py"}
+IMPORT_BY_NAME_FILES = {"bathynerf/__init__.py", "fields/models.py", "geo/files.py"}
 IMPORT_BY_NAME = {"import_module", ".import_module", "__import__"}
 NETWORK = {"socket", "urllib", "http", "requests", "ftplib", "fsspec"}
 # Where a user names a URL.

@@ -101,10 +101,10 @@ def test_ground_smaller_than_a_photograph_is_in_tiles_where_memory_asks_for_them
 
 def test_a_run_that_has_to_be_in_one_piece_refuses_tiles(planned):
     survey, plan, workload = planned
-    slab = replace(plan, field="slab")
-    with pytest.raises(SurveyError, match="--tiles 4, but a run with --field slab is in one piece"):
-        choose_tiles(survey, slab, Choices(tiles=4), workload)
-    assert choose_tiles(survey, slab, Choices(), workload).tiling is None
+    trained = replace(plan, field="mdw")
+    with pytest.raises(SurveyError, match="--tiles 4, but a run with --field mdw is in one piece"):
+        choose_tiles(survey, trained, Choices(tiles=4), workload)
+    assert choose_tiles(survey, trained, Choices(), workload).tiling is None
     with pytest.raises(SurveyError, match="--tiles is 0"):
         Choices(tiles=0)
 
@@ -156,8 +156,8 @@ AT = "tcp://one:8786"
 @pytest.mark.parametrize(
     ("chosen", "field", "said"),
     [
-        (Choices(scheduler=AT), "slab", f"--scheduler {AT}, but a run with --field slab is in one piece"),
-        (Choices(workers=2), "slab", "--workers 2, but a run with --field slab is in one piece"),
+        (Choices(scheduler=AT), "mdw", f"--scheduler {AT}, but a run with --field mdw is in one piece"),
+        (Choices(workers=2), "mdw", "--workers 2, but a run with --field mdw is in one piece"),
         (Choices(tiles=1, scheduler=AT), "off", f"--scheduler {AT}, but --tiles 1 is one piece"),
         (Choices(tiles=1, workers=2), "off", "--workers 2, but --tiles 1 is one piece"),
     ],

@@ -51,7 +51,7 @@ def test_the_time_grows_with_all_that_there_is_to_do_and_more_cores_shorten_only
         assert more > one
         assert most - more == pytest.approx(more - one), name
     assert run_s(replace(AMOUNTS, field="solver"), 1) > one
-    assert run_s(replace(AMOUNTS, field="slab"), 1) > one
+    assert run_s(replace(AMOUNTS, field="mdw"), 1) > one
     assert run_s(replace(AMOUNTS, poses="fixed"), 1) < one < run_s(replace(AMOUNTS, poses="refine"), 1)
     halves = [run_s(AMOUNTS, cores) for cores in (1, 2, 4)]
     assert halves[0] - halves[1] == pytest.approx(2.0 * (halves[1] - halves[2]))
@@ -59,11 +59,11 @@ def test_the_time_grows_with_all_that_there_is_to_do_and_more_cores_shorten_only
 
 
 @pytest.mark.parametrize("poses", ["check", "refine", "fixed"])
-@pytest.mark.parametrize("field", ["off", "solver", "slab"])
+@pytest.mark.parametrize("field", ["off", "solver", "mdw"])
 def test_the_parts_of_a_run_are_its_stages(poses, field):
     parts = parts_s(replace(AMOUNTS, poses=poses, field=field), 2)
     assert {"check": "Poses", "refine": "Adjustment"}.get(poses, "Sweep") in parts
-    assert [name for name in ("Solver", "Field") if name in parts] == {"solver": ["Solver"], "slab": ["Field"]}.get(
+    assert [name for name in ("Solver", "Field") if name in parts] == {"solver": ["Solver"], "mdw": ["Field"]}.get(
         field, []
     )
     assert all(seconds >= 0.0 for seconds in parts.values())
@@ -103,7 +103,7 @@ def test_the_memory_of_three_surveys_is_estimated_as_it_was_measured(data_dir, n
 def test_the_field_and_ground_without_bounds_take_more(tmp_path):
     bounds = f"[area]\nbounds = [{E0 - 1}, {N0 - 1}, {E0 + 1}, {N0 + 1}]\n"
     inside, everywhere = (load_survey(small_survey(tmp_path / t[:1], toml=TOML + t)) for t in (bounds, "# all\n"))
-    plans = [replace(make_plan(inside, Choices(device="cpu", field=field)), device="llvm") for field in ("off", "slab")]
+    plans = [replace(make_plan(inside, Choices(device="cpu", field=field)), device="llvm") for field in ("off", "mdw")]
     without, with_field = (workload_of(inside, plan) for plan in plans)
     assert with_field.seconds > without.seconds
     assert with_field.memory_bytes > without.memory_bytes

@@ -166,7 +166,7 @@ def test_straight_rays_and_their_corrections_stand_beside_what_was_measured(plan
 
 @pytest.mark.parametrize(
     ("field", "before", "named"),
-    [("solver", "sweep before the solver", "solver"), ("slab", "sweep alone", "trained slab")],
+    [("solver", "sweep before the solver", "solver"), ("mdw", "sweep alone", "trained field mdw")],
 )
 def test_the_sweep_has_a_row_beside_what_refined_it(plane_report, field, before, named):
     wet = DistanceStatistics(n_points=1, n_nan=0, mean_m=0.1, median_m=0.2, nmad_m=0.3)

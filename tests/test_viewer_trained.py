@@ -9,25 +9,22 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from plane_field import field_over, level_slab
+from plane_field import field_over, level_layer
 from shown_run import served, shown_of
 
-from fields.device import choose_device
-from fields.slab.tensor_field import FieldFigures
 from refract import FlatWater
-from survey.run.stored_field import save_field, save_place
+from survey.run.stored_field import save_layer_field
 from survey.viewer.shown import TrainedField, camera_of
 from survey.viewer.tree import Viewpoint
 
+WATER = FlatWater((0.0, 0.0, 0.0))
 DOWN = np.diag([1.0, -1.0, -1.0])
 
 
 @pytest.fixture
 def folder(tmp_path):
     """A field over a bed of 8 by 8 m, 2 m deep."""
-    shown = shown_of(tmp_path / "s", num=20)
-    save_field(tmp_path, field_over(level_slab(-2.0), choose_device("torch")), FieldFigures(1, 1, 1, 1.0, 0.1, 1))
-    save_place(tmp_path, shown.flight.frame, FlatWater((0.0, 0.0, 0.0)))
+    save_layer_field(tmp_path, field_over(level_layer(-2.0), WATER))
     return tmp_path
 
 
@@ -42,7 +39,7 @@ def test_the_camera_of_a_viewpoint_sees_the_same(folder):
 @pytest.mark.parametrize("dry", [True, False])
 def test_the_picture_shows_the_field_and_white_beside_it(folder, dry):
     view = Viewpoint(np.array([0.0, 0.0, 8.0]), DOWN, math.radians(60.0), 1.5, 900.0)
-    picture = TrainedField.slab(folder).picture(view, dry=dry)
+    picture = TrainedField.of_run(folder, WATER).picture(view, dry=dry)
     assert picture.shape == (200, 300, 3)
     is_white = (picture == 255).all(axis=2)
     assert not is_white[100, 150]
@@ -55,7 +52,7 @@ def test_the_picture_shows_the_field_and_white_beside_it(folder, dry):
 
 def test_a_field_is_loaded_once_however_many_clicks_there_are_and_keeps_its_note():
     loads: list[int] = []
-    seen = SimpleNamespace(seen=np.ones((2, 2), bool), rgb=np.zeros((2, 2, 3), np.uint8))
+    seen = SimpleNamespace(coloured=np.ones((2, 2), bool), rgb=np.zeros((2, 2, 3), np.uint8))
 
     def load(note):
         loads.append(1)
@@ -74,7 +71,7 @@ def test_a_field_is_loaded_once_however_many_clicks_there_are_and_keeps_its_note
 
 def test_a_run_with_a_field_offers_it(folder, tmp_path):
     shown = shown_of(tmp_path / "t", num=20)
-    shown.fields = [TrainedField.slab(folder)]
+    shown.fields = [TrainedField.of_run(folder, WATER)]
     with served(shown) as session:
         labels = [handle.label for handle in session.server.gui._gui_input_handle_from_uuid.values()]
     assert "render from here" in labels

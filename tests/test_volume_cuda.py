@@ -9,11 +9,11 @@ from volume_models import APPEARANCE, directions, positions
 from volume_scenes import BOX, bed_photographs
 
 from fields.device import choose_device
+from fields.models import MODELS
 from fields.volume.appearance import appearance_vectors, match_appearance
-from fields.volume.hash_grid import HashVolume
 from fields.volume.losses import Losses, PatchWeights
-from fields.volume.model import VolumeModel
-from fields.volume.models import MODELS, build_model, proposal_for
+from fields.volume.model import Setup, VolumeModel, build_model
+from fields.volume.nerfacto import HashVolume
 from fields.volume.renderer import VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.surface import surface_of
@@ -50,7 +50,7 @@ def outputs(model: VolumeModel) -> dict[str, torch.Tensor]:
 def test_densities_colours_and_gradients_are_those_of_the_processor(name, weighted):
     found = []
     for wanted in ("cpu", "cuda"):
-        model = build_model(name, BOX, CELLS, choose_device(wanted), appearance=APPEARANCE).to(wanted)
+        model = build_model(name, Setup(BOX, CELLS, choose_device(wanted), APPEARANCE)).to(wanted)
         if weighted:
             assert isinstance(model, TensorVolume)
             model.regression.switch_to_fine()
@@ -73,8 +73,9 @@ def psnr_of(renderer: VolumeRenderer, cells: Cells, photographs) -> float:
 def test_training_learns_what_it_learns_on_the_processor(name):
     found, photographs = [], bed_photographs(views=5)
     for wanted in ("cpu", "cuda"):
-        model = build_model(name, BOX, CELLS, choose_device(wanted), steps=100)
-        proposal = proposal_for(name, BOX, CELLS, steps=100)
+        setup = Setup(BOX, CELLS, choose_device(wanted), steps=100)
+        model = build_model(name, setup)
+        proposal = model.proposal(setup)
         renderer = VolumeRenderer(model, column=WaterColumn(), proposal=proposal).to(wanted)
         training = Training(steps=100, rays=256, samples=24, cells=CELLS)
         cells, figures = train_volume(renderer, photographs, training, lambda share: None)
@@ -101,7 +102,7 @@ class Kept:
 def test_a_training_goes_on_from_its_state_on_either_device(then):
     photographs, kept = bed_photographs(views=4), Kept()
     for wanted, steps in (("cuda", 32), (then, 64)):
-        model = build_model("mdw", BOX, CELLS, choose_device(wanted), steps=64)
+        model = build_model("mdw", Setup(BOX, CELLS, choose_device(wanted), steps=64))
         renderer = VolumeRenderer(model, column=WaterColumn()).to(wanted)
         training = Training(steps=steps, rays=128, samples=24, cells=CELLS)
         _, figures = train_volume(renderer, photographs, training, lambda share: None, checkpoints=kept)
@@ -111,13 +112,13 @@ def test_a_training_goes_on_from_its_state_on_either_device(then):
 
 def test_all_losses_and_appearance_run_there():
     photographs = bed_photographs(views=4)
-    model = build_model("mdw", BOX, CELLS, choose_device("cuda"), appearance=APPEARANCE)
+    model = build_model("mdw", Setup(BOX, CELLS, choose_device("cuda"), APPEARANCE))
     renderer = VolumeRenderer(model, column=WaterColumn(), appearance=appearance_vectors(4, APPEARANCE)).to("cuda")
     losses = Losses(
         transparency=0.1, distortion=0.1, orientation=0.1, appearance=0.1, density=0.1, gaussian_density=0.1,
         virtual_views=0.1, patches=PatchWeights(4, 0.1, 0.1, 0.1),
     )  # fmt: skip
-    training = Training(steps=10, rays=256, samples=24, cells=CELLS, losses=losses, by_score=0.5)
+    training = Training(steps=10, rays=256, samples=24, cells=CELLS, losses=losses)
     cells, figures = train_volume(renderer, photographs, training, lambda share: None)
     assert np.isfinite(figures.psnr_db)
     assert match_appearance(renderer, photographs, cells, steps=3, rays=64).weight.is_cuda

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import fields, replace
 
-import numpy as np
 import pytest
 import torch
 from analytic_volume import BOX, AnalyticVolume, floor_at, looking_down, seen_by
@@ -14,8 +13,6 @@ from fields.volume.appearance import appearance_vectors
 from fields.volume.density_loss import (
     LIMIT,
     NODES,
-    Drawn,
-    NodeScores,
     density_loss,
     density_per_half,
     draw_nodes,
@@ -33,10 +30,9 @@ from fields.volume.losses import (
     orientation_loss,
     transparency_loss,
 )
-from fields.volume.photographs import COLUMNS, Photographs
+from fields.volume.photographs import COLUMNS
 from fields.volume.renderer import Backdrop, NormalHead, Rendered, VolumeRenderer
 from fields.volume.sampling import Cells, Samples
-from fields.volume.train import Training, train_volume
 
 LENGTH = 0.1
 BLACK = Backdrop((0.0, 0.0, 0.0))
@@ -197,57 +193,6 @@ def test_what_is_not_empty_costs_its_opacity():
     assert number(empty_loss(floor_at(0.0, density=1e4), LENGTH, points=4000)) == pytest.approx(0.5, abs=0.04)
 
 
-def test_scores_gather_where_density_changes_and_are_forgotten():
-    torch.manual_seed(0)
-    scores = NodeScores(BOX, LENGTH)
-    for _ in range(200):
-        scores.update(floor_at(0.03, width=0.001))
-    share = scores.score[:, :, 7:9].sum() / scores.score.sum()  # the two layers of nodes about the floor
-    assert number(share) > 0.999
-    before = number(scores.score.sum())
-    for _ in range(400):
-        scores.update(AnalyticVolume(lambda x: torch.zeros(len(x))))
-    # A node is looked at k times, a Poisson number of mean 12.5; the mean of 0.8^k is exp(-0.2 12.5).
-    assert number(scores.score.sum()) == pytest.approx(before * math.exp(-2.5), rel=0.15)
-
-
-def test_a_score_decays_by_its_share_when_it_is_looked_at(monkeypatch):
-    scores = NodeScores(BOX, LENGTH, decay=0.75)
-    scores.score += 2.0
-    drawn = Drawn(torch.tensor([5]), torch.tensor([[0.0, 1.0]]), torch.tensor([[[0.3, 0.0, 0.4], [0.3, 0.0, 0.4]]]))
-    monkeypatch.setattr("fields.volume.density_loss.draw_nodes", lambda model, length: drawn)
-    scores.update(floor_at(0.0))
-    assert number(scores.score.view(-1)[5]) == pytest.approx(0.75 * 2.0 + 0.25 * (0.5 + 0.25))
-    assert number(scores.score.view(-1)[6]) == 2.0
-
-
-@pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
-def test_samples_by_score_crowd_where_it_is_high_and_still_add_up_to_the_path(share):
-    torch.manual_seed(0)
-    paths = seen_by(looking_down())
-    scores = NodeScores(BOX, LENGTH)
-    for _ in range(100):
-        scores.update(floor_at(0.03, width=0.001))
-    samples = scores.samples(Cells.everywhere(BOX, 32), paths, 40, share)
-    torch.testing.assert_close(samples.length.sum(dim=1), paths.far - paths.near)
-    z = paths.at(samples.s)[..., 2]
-    near_floor = number(((z > -0.125) & (z < 0.125)).float().mean())
-    assert near_floor == pytest.approx((1.0 - share) * 0.125 + share, abs=0.03)  # one of 40 samples
-    fog = AnalyticVolume(lambda x: torch.full((len(x),), 0.7))
-    even = VolumeRenderer(fog, background=BLACK).render(paths, samples)
-    expected = 1.0 - torch.exp(-0.7 * (paths.far - paths.near))
-    torch.testing.assert_close(even.opacity, expected, rtol=1e-5, atol=0.0)  # 40 additions in float32
-
-
-def test_samples_by_score_skip_the_empty_part_of_a_path():
-    paths = seen_by(looking_down())
-    cells = Cells.everywhere(BOX, 16)
-    cells.occupied[:, :, 8:] = False
-    samples = NodeScores(BOX, LENGTH).samples(cells, paths, 40, 0.5)
-    torch.testing.assert_close(samples.length.sum(dim=1), 0.5 * (paths.far - paths.near), rtol=0.02, atol=0.0)
-    assert number(paths.at(samples.s)[..., 2].max()) < 0.02  # of 128 bins, one
-
-
 SWITCHES = [
     *(replace(Losses(), **{f.name: 1.0}) for f in fields(Losses) if f.name not in ("patches", "priors")),
     *(Losses(patches=PatchWeights(size=4, **{name: 1.0})) for name in ("ncc", "ssim", "smooth_normals", "virtual")),
@@ -293,15 +238,3 @@ def test_without_weights_nothing_is_added_and_nothing_drawn(trained_on):
     assert torch.equal(torch.get_rng_state(), state)
     assert Losses().patch == 1
     assert Losses(patches=PatchWeights(size=6, ssim=0.1)).patch == 6
-
-
-def test_losses_count_only_after_their_share_of_the_steps(monkeypatch):
-    counted = []
-    monkeypatch.setattr(Losses, "__call__", lambda *given: counted.append(given) or torch.zeros(()))
-    camera = looking_down()
-    image = np.full((24, 24, 3), 128, dtype=np.uint8)
-    training = Training(steps=10, rays=16, samples=8, cells=8, refresh=(), losses_from=0.4)
-    train_volume(
-        VolumeRenderer(floor_at(0.0)), Photographs([camera], [image], [np.arange(576)]), training, lambda done: None
-    )
-    assert len(counted) == 6

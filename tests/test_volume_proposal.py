@@ -12,14 +12,13 @@ from plane_survey import look
 from volume_models import check_learning, positions
 from volume_scenes import BOX
 
-from fields.volume.hash_grid import HashSettings, HashVolume
-from fields.volume.models import proposal_for
+from fields.device import choose_device
+from fields.volume.model import Setup
+from fields.volume.nerfacto import HashSettings, HashVolume, hash_grid, nerfacto
 from fields.volume.paths import Paths, paths_of
-from fields.volume.photographs import Photographs
 from fields.volume.proposal import EVEN_SHARE, Histogram, Proposal, ProposalSettings, bound_of, interlevel_loss
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import samples_by_mass
-from fields.volume.train import Training, train_volume
 from fields.water_column import WaterColumn
 
 SMALL = ProposalSettings(samples=(40, 24), n_max=(12, 24), n_min=6, levels=3, log2_table=10, hidden=8)
@@ -84,8 +83,10 @@ def test_samples_are_drawn_evenly_at_first_and_by_the_weights_after_the_annealin
 
 
 def test_nerfacto_anneals_over_a_thirtieth_of_its_training():
-    assert [proposal_for("nerfacto", BOX, 16, steps).settings.annealed for steps in (30_000, 2000, 14)] == [1000, 67, 0]
-    assert proposal_for("hash", BOX, 16, 2000).settings.annealed == 0
+    setups = [Setup(BOX, 16, choose_device("torch"), steps=steps) for steps in (30_000, 2000, 14)]
+    assert [nerfacto(each).proposal(each).settings.annealed for each in setups] == [1000, 67, 0]
+    small = hash_grid(setups[1]).proposal(setups[1]).settings
+    assert (small.annealed, small.samples, small.n_max) == (0, (48,), (16,))
 
 
 def test_bounds_are_sums_over_the_pieces_that_overlap(rng):
@@ -195,12 +196,6 @@ def test_the_defaults_are_those_of_nerfacto():
 def test_rounds_of_unequal_number_are_refused():
     with pytest.raises(ValueError, match=r"samples \(64, 32\) and n_max \(128,\) expect one number for each round"):
         ProposalSettings(samples=(64, 32), n_max=(128,))
-
-
-def test_a_second_sampler_is_refused():
-    renderer = VolumeRenderer(HashVolume(BOX, HashSettings(3, 8, 6, 12)), proposal=proposal())
-    with pytest.raises(ValueError, match=r"by_score is 0\.3, but the volume's proposal draws samples: use one of both"):
-        train_volume(renderer, Photographs([], [], []), Training(by_score=0.3), lambda share: None)
 
 
 def test_a_proposal_learns_with_its_volume():

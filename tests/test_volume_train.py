@@ -8,7 +8,6 @@ from contextlib import suppress
 import numpy as np
 import pytest
 import torch
-from slow_cases import slow
 from volume_scenes import BOX, WATER, Slab, bed_photographs, looking_down
 
 from fields.device import choose_device
@@ -134,12 +133,11 @@ class Kept:
             raise Interrupted
 
 
-@pytest.mark.parametrize("by_score", [0.0, slow(0.5)])
-def test_an_interrupted_training_goes_on_to_the_same_volume(by_score):
+def test_an_interrupted_training_goes_on_to_the_same_volume():
     photographs = bed_photographs(views=3)
     # The model switches to weighted density at step 20; the proxy is renewed before and after the interruptions.
-    training = Training(steps=36, rays=16, samples=6, cells=4, refresh=(0.5, 0.95), by_score=by_score)
-    early = {"switch_window": 10, "switch_variance": 1.0, "n_min": 4, "n_max": 8, "scales": 2}
+    training = Training(steps=36, rays=16, samples=6, cells=4, refresh=(0.5, 0.95))
+    early = {"switch_window": 10, "switch_ratio": 1e9, "n_min": 4, "n_max": 8, "scales": 2}
     found = []
     for stop_at in (None, POOL_STEPS):
         kept = Kept(stop_at)

@@ -1,18 +1,17 @@
-"""The density loss for large scenes, and sampling that follows it.
+"""The density loss for large scenes.
 
     a        = 1 - exp(-density l), the opacity of a piece of length l                                            (1)
     L_dens   = mean (exp |l da/dx| - 1) + mean (exp var a - 1)                                                    (2)
     L_gauss  = mean (a - a_s)^2, a_s the mean of a over Gaussian neighbours                                       (3)
-    score    = decay score + (1 - decay) (|mean l grad a| + var a)                                                (4)
-    L_dens   = mean exp |ds/dp| + mean exp var s,   L_gauss = mean (s - s_s)^2                                    (5)
-    L_empty  = mean a                                                                                             (6)
+    L_dens   = mean exp |ds/dp| + mean exp var s,   L_gauss = mean (s - s_s)^2                                    (4)
+    L_empty  = mean a                                                                                             (5)
 
-As printed the losses are (5), of the density s itself, here per half of the box's longest edge, which is 1 in p as in
+As printed the losses are (4), of the density s itself, here per half of the box's longest edge, which is 1 in p as in
 the authors' scenes. It has no bound, and where an exponent exceeds `LIMIT` exp goes on along its tangent, since a wall
 overflows it. The printed l1(exp(grad s)) has no magnitude inside; without one it would depend on the way that axes
 point. In (2) and (3), which are used here, opacity over one length takes the place of density: its differences over l
 and its variance stay within 1, and the one taken off in (2) lets even density cost nothing. Means and variances run
-over the points drawn uniformly in each node of a coarse grid. (6) is the transparency of Inf-NeRF's code, of opacity
+over the points drawn uniformly in each node of a coarse grid. (5) is the transparency of Inf-NeRF's code, of opacity
 over a cell in place of the unit of its scenes.
 """
 
@@ -26,8 +25,6 @@ import torch
 from torch import Tensor
 
 from fields.volume.model import VolumeModel
-from fields.volume.paths import Box, Paths
-from fields.volume.sampling import BINS, Cells, Samples, inverse_cdf, samples_by_mass
 
 # Nodes along the longest edge; nodes drawn a step, and points in each.
 NODES, DRAWN, POINTS = 16, 128, 8
@@ -41,7 +38,6 @@ LIMIT = 5.0
 class Drawn:
     """Opacity and its gradient at points (P) drawn in nodes (M) of a grid."""
 
-    node: Tensor  # (M,) int64: flat index of each node
     opacity: Tensor  # (M, P): equation (1)
     gradient: Tensor  # (M, P, 3): ``l grad a``, by central differences over l; each component within 1
 
@@ -75,7 +71,7 @@ def draw_nodes(
     axes = torch.eye(3, device=place)
     offsets = 0.5 * length * torch.cat([axes.new_zeros(1, 3), axes, -axes])
     middle, after, before = of(model, x[:, :, None] + offsets, length).split([1, 3, 3], dim=2)
-    return Drawn(node, middle[:, :, 0], after - before)
+    return Drawn(middle[:, :, 0], after - before)
 
 
 def density_loss(drawn: Drawn) -> Tensor:
@@ -85,7 +81,7 @@ def density_loss(drawn: Drawn) -> Tensor:
 
 
 def printed_density_loss(model: VolumeModel, length: float, *, drawn: int = DRAWN, points: int = POINTS) -> Tensor:
-    """Equation (5), with central differences over ``length`` [m]."""
+    """Equation (4), with central differences over ``length`` [m]."""
     found = draw_nodes(model, length, drawn=drawn, points=points, of=density_per_half)
     gradient = found.gradient.abs() * (0.5 * model.box.edge / length)
     return limited_exp(gradient).mean() + limited_exp(found.opacity.var(dim=1, correction=0)).mean()
@@ -97,7 +93,7 @@ def limited_exp(x: Tensor) -> Tensor:
 
 
 def empty_loss(model: VolumeModel, length: float, *, points: int = DRAWN * POINTS) -> Tensor:
-    """Equation (6) at points drawn uniformly in the box, of pieces of ``length`` [m]."""
+    """Equation (5) at points drawn uniformly in the box, of pieces of ``length`` [m]."""
     low, size = (_single(v, model.place) for v in (model.box.low, model.box.size))
     return opacity(model, low + size * torch.rand(points, 3, device=model.place), length).mean()
 
@@ -111,7 +107,7 @@ def gaussian_density_loss(
 ) -> Tensor:
     """Equation (3) at points drawn uniformly in the box; neighbours at a standard deviation of ``length`` [m].
 
-    With `density_per_half` it is that of (5).
+    With `density_per_half` it is that of (4).
 
     Neighbours come in pairs about the point, so that density that changes linearly costs nothing.
     """
@@ -125,59 +121,3 @@ def gaussian_density_loss(
 
 def _single(values: np.ndarray, place: torch.device) -> Tensor:
     return torch.as_tensor(values, dtype=torch.float32, device=place)
-
-
-class NodeScores:
-    """Exponential moving averages of the detail of density in the nodes, equation (4).
-
-    Parameters
-    ----------
-    box : Box
-    length : float [m]
-        l of the equations.
-    decay : float
-        Share of a node's score that stays at each look at it.
-    """
-
-    def __init__(self, box: Box, length: float, decay: float = 0.8):
-        self.box, self.length, self.decay = box, length, decay
-        self.score = torch.zeros(box.counts(NODES))
-
-    @torch.no_grad()
-    def update(self, model: VolumeModel) -> None:
-        """Update the scores of some nodes, which are drawn."""
-        drawn = draw_nodes(model, self.length)
-        fresh = drawn.gradient.mean(dim=1).norm(dim=1) + drawn.opacity.var(dim=1, correction=0)
-        self.score = self.score.to(model.place)
-        flat = self.score.view(-1)
-        flat[drawn.node] = self.decay * flat[drawn.node] + (1.0 - self.decay) * fresh
-
-    def at(self, x: Tensor) -> Tensor:
-        """Scores (...) at positions (..., 3) [m]; of the nearest node outside the box."""
-        shape = torch.tensor(self.score.shape, device=x.device)
-        index = torch.minimum(torch.floor(self.box.unit(x) * shape).long().clamp(min=0), shape - 1)
-        return self.score[index.unbind(-1)]
-
-    @torch.no_grad()
-    def samples(self, cells: Cells, paths: Paths, num: int, share: float) -> Samples:
-        """``num`` jittered samples a path: ``share`` of them by score, the others evenly over its occupied part."""
-        ends = torch.linspace(0.0, 1.0, BINS + 1, device=paths.near.device)
-        edges = paths.near[:, None] + ends * (paths.far - paths.near)[:, None]
-        middle = paths.at(0.5 * (edges[:, 1:] + edges[:, :-1]))
-        inside = cells.holds(middle).to(edges.dtype)
-        inside = torch.where(inside.sum(dim=1, keepdim=True) > 0.0, inside, 1.0)
-        score = self.at(middle) * inside
-        even = inside / inside.sum(dim=1, keepdim=True)
-        by_score = score / score.sum(dim=1, keepdim=True).clamp(min=1e-12)
-        mass = torch.where(score.sum(dim=1, keepdim=True) > 0.0, (1.0 - share) * even + share * by_score, even)
-        drawn = samples_by_mass(edges, mass, num, jitter=True, dense=False)
-        return Samples(drawn.s, _covered(edges, inside, mass, num), drawn.edges)
-
-
-def _covered(edges: Tensor, inside: Tensor, mass: Tensor, num: int) -> Tensor:
-    """Lengths (N, num) [m] of the occupied part of pieces of equal mass."""
-    filled = torch.cumsum((edges[:, 1:] - edges[:, :-1]) * inside, dim=1)
-    filled = torch.cat([torch.zeros_like(filled[:, :1]), filled], dim=1)
-    levels = torch.linspace(0.0, 1.0, num + 1, device=edges.device).expand(len(edges), -1).contiguous()
-    at_ends = inverse_cdf(filled, mass, levels)
-    return at_ends[:, 1:] - at_ends[:, :-1]

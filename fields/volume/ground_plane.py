@@ -25,7 +25,7 @@ from fields.factors import Factors, geometric_scales
 from fields.heads import spherical_harmonics
 from fields.training import Rates
 from fields.volume.mlp import encoded_length, frequency_encoding
-from fields.volume.model import VolumeModel, density_of
+from fields.volume.model import Setup, VolumeModel, density_of
 from fields.volume.paths import Box
 from fields.volume.tensor import grid_of
 
@@ -59,12 +59,12 @@ class GroundPlaneVolume(VolumeModel):
 
     FACTORS, NETWORKS = 0.02, 0.001
 
-    def __init__(self, box: Box, settings: GroundPlaneSettings, device: Device, *, appearance: int = 0, seed: int = 0):
+    def __init__(self, box: Box, settings: GroundPlaneSettings, device: Device, *, appearance: int = 0):
         super().__init__(box)
         self.settings, self.levels = settings, settings.scales
         self._step, self.is_joint = 0, False
         grids = [grid_of(box, n) for n in geometric_scales(settings.n_min, settings.n_max, settings.scales)]
-        self.factors = Factors(grids, "z", settings.channels, device, seed)
+        self.factors = Factors(grids, "z", settings.channels, device)
         width, hidden = self.factors.num_features, settings.hidden
         self.density = nn.Linear(width, 1)
         nn.init.ones_(self.density.weight)
@@ -134,3 +134,9 @@ class GroundPlaneVolume(VolumeModel):
 
     def set_extra_state(self, state: dict) -> None:
         self._step, self.is_joint = state["step"], state["is_joint"]
+
+
+def ground(of: Setup) -> GroundPlaneVolume:
+    """The model of a setup."""
+    settings = GroundPlaneSettings(n_min=max(of.cells // 4, 2), n_max=of.cells, steps=of.steps)
+    return GroundPlaneVolume(of.box, settings, of.device, appearance=of.appearance)

@@ -1,4 +1,4 @@
-"""Features hashed over many resolutions: Instant-NGP (Mueller et al. 2022), with the heads and sizes of Nerfacto.
+"""Features hashed over many resolutions: Instant-NGP (Mueller et al. 2022).
 
     N_l  = N_min b^l rounded, b = (N_max / N_min)^(1/(L-1)), l = 0..L-1: cells along the longest edge             (1)
     row  = i_x + (n_x + 1) (i_y + (n_y + 1) i_z)    where the (n_x+1)(n_y+1)(n_z+1) nodes of a level fit its table
@@ -6,43 +6,19 @@
     f_l  = the features at the 8 nodes about a sample, weighted linearly along x, y and z                         (3)
 
 Nodes lie at cell corners. Cells are nearly cubes: a flat box has fewer along its height, and more dense levels.
-
-Of Nerfacto are left out the contraction of space, in place of which is the shell (`fields.volume.shell`), and the
-refinement of poses: those of the run are adjusted with bent rays.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
 from fields.factors import geometric_scales
-from fields.heads import seen_radiance
-from fields.training import Rates
-from fields.volume.model import VolumeModel, density_of
 from fields.volume.paths import Box
 from fields.volume.tensor import grid_of
 
 PRIMES = (1, 2654435761, 805459861)
 PER_LEVEL = 2
-
-
-@dataclass(frozen=True)
-class HashSettings:
-    """Settings of a hash grid volume; the defaults are Nerfacto's."""
-
-    # levels, log2_table: L and T
-    levels: int = 16
-    log2_table: int = 19
-    # n_min, n_max: Cells along the longest edge at the coarsest and the finest level
-    n_min: int = 16
-    n_max: int = 2048
-    # hidden, geometry: Width of both heads, and length of the features that density hands on to colour
-    hidden: int = 64
-    geometry: int = 15
-    degree: int = 3  # Of the spherical harmonics of the direction, at most 3; 0 for a matt scene
 
 
 class HashGrid(nn.Module):
@@ -51,8 +27,10 @@ class HashGrid(nn.Module):
     Parameters
     ----------
     box : Box
-    levels, log2_table, n_min, n_max : int
-        As in `HashSettings`.
+    levels, log2_table : int
+        L and T.
+    n_min, n_max : int
+        Cells along the longest edge at the coarsest and the finest level.
     """
 
     cells: Tensor
@@ -103,43 +81,3 @@ class HashGrid(nn.Module):
         pairs = torch.view_as_complex(self.table).index_select(0, rows.view(-1)).view(weights.shape)
         features = (torch.view_as_real(pairs) * weights[..., None]).sum(dim=0)
         return features.transpose(0, 1).flatten(1)
-
-
-class HashVolume(VolumeModel):
-    """A hash grid and two small perceptrons: density, and colour seen along a direction.
-
-    Density is ``softplus`` per finest cell (Nerfacto has a truncated exponential, which softplus follows where the
-    box is thin); an untrained box lets about 1/e of the light through along its longest edge.
-
-    Parameters
-    ----------
-    box : Box
-    settings : HashSettings
-    appearance : int
-        Length of the appearance vectors; 0 without.
-    """
-
-    RATE = 0.01
-
-    def __init__(self, box: Box, settings: HashSettings, *, appearance: int = 0):
-        super().__init__(box)
-        self.settings = settings
-        hidden, geometry = settings.hidden, settings.geometry
-        self.grid = HashGrid(box, settings.levels, settings.log2_table, settings.n_min, settings.n_max)
-        self.density = nn.Sequential(
-            nn.Linear(PER_LEVEL * settings.levels, hidden), nn.ReLU(), nn.Linear(hidden, 1 + geometry)
-        )
-        seen = geometry + (settings.degree + 1) ** 2 - 1 + appearance
-        self.colour = nn.Sequential(
-            nn.Linear(seen, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU(), nn.Linear(hidden, 3)
-        )
-
-    def evaluate(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        out = self.density(self.grid(self.box.unit(x)))
-        return density_of(out[:, 0], self.settings.n_max, self.box.edge), out[:, 1:]
-
-    def radiance(self, features: Tensor, direction: Tensor, appearance: Tensor | None) -> Tensor:
-        return seen_radiance(self.colour, features, direction, self.settings.degree, appearance)
-
-    def rates(self) -> list[Rates]:
-        return [Rates(list(self.parameters()), self.RATE)]

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor, nn
 
 from fields.training import Rates
-from fields.volume.model import VolumeModel, density_of
+from fields.volume.model import Setup, VolumeModel, density_of
 from fields.volume.paths import Box
 
 
@@ -117,3 +117,13 @@ class MlpVolume(VolumeModel):
 
     def rates(self) -> list[Rates]:
         return [Rates(list(self.parameters()), self.settings.rate)]
+
+
+def nerf(of: Setup) -> MlpVolume:
+    """The model of a setup, as `MlpSettings.nerf`."""
+    return MlpVolume(of.box, MlpSettings.nerf(), appearance=of.appearance)
+
+
+def tinynerf(of: Setup) -> MlpVolume:
+    """The model of a setup, as `MlpSettings.tiny_nerf`."""
+    return MlpVolume(of.box, MlpSettings.tiny_nerf(), appearance=of.appearance)

@@ -4,12 +4,26 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
+from fields.device import Device
+from fields.models import maker
 from fields.training import Rates
 from fields.volume.paths import Box
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a model is built for."""
+
+    box: Box
+    cells: int  # Along the longest edge of the box at the finest scale; models without cells ignore it
+    device: Device  # For the lookups of those with planes
+    appearance: int = 0  # Length of the vectors of photographs; 0 for none
+    steps: int = 2000  # Of the training that follows
 
 
 class VolumeModel(nn.Module):
@@ -51,6 +65,10 @@ class VolumeModel(nn.Module):
     def rates(self) -> list[Rates]:
         """Every parameter once, with its learning rate; read again whenever `observe` reports a change of the model."""
 
+    def proposal(self, setup: Setup) -> nn.Module | None:
+        """A `fields.volume.proposal.Proposal` that draws the samples in place of the occupied cells; None for those."""
+        return None
+
     def thickness(self, x: Tensor, direction: Tensor, length: Tensor) -> tuple[Tensor, Tensor]:
         """Density times length (S,) of pieces of path about positions (S, 3) [m], and features (S, F)."""
         density, features = self.evaluate(x)
@@ -86,3 +104,19 @@ def density_of(raw: Tensor, cells: float, edge: float) -> Tensor:
     ``b = log(exp(1 / cells) - 1)``: where all raw numbers (S,) are zero, a share of 1/e of the light passes the edge.
     """
     return nn.functional.softplus(raw + math.log(math.expm1(1.0 / cells))) * (cells / edge)
+
+
+def build_model(name: str, setup: Setup, *, seed: int = 0) -> VolumeModel:
+    """An untrained model by its name, as in `fields.models.maker`, drawn from a seed.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If there is no such model, or what the name stands for makes none.
+    """
+    make = maker(name)
+    torch.manual_seed(seed)
+    model = make(setup)
+    if not isinstance(model, VolumeModel):
+        raise TypeError(f"the model {name} is a {type(model).__name__}, expected a fields.volume.model.VolumeModel")
+    return model

@@ -26,7 +26,7 @@ from torch import Tensor, nn
 
 from fields.heads import seen_radiance
 from fields.training import Rates
-from fields.volume.model import VolumeModel, density_of
+from fields.volume.model import Setup, VolumeModel, density_of
 from fields.volume.paths import Box
 
 # Leaves looked at for (5) in a step, points in each node, and pairs of parent and child for (4).
@@ -257,3 +257,9 @@ class OctreeVolume(VolumeModel):
             setattr(self, name, torch.empty_like(state_dict[f"{prefix}{name}"], device=self.place))
         self.table = nn.Parameter(torch.empty_like(state_dict[f"{prefix}table"], device=self.place))
         super()._load_from_state_dict(state_dict, prefix, *args)
+
+
+def octree(of: Setup) -> OctreeVolume:
+    """The model of a setup."""
+    settings = OctreeSettings(cells=max(of.cells // 4, 2), steps=of.steps)
+    return OctreeVolume(of.box, settings, appearance=of.appearance)

@@ -1,8 +1,4 @@
-"""Bent light paths through a box, by path length, along which a volume is sampled.
-
-Rays through the slab of a survey are parametrised by height (`fields.slab.rays`); those of a volume may run level or
-upwards, and are measured from the camera.
-"""
+"""Bent light paths through a box, by path length from the camera, along which a volume is sampled."""
 
 from __future__ import annotations
 
@@ -12,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from refract import PinholeCamera, WaterSurface, fresnel_coefficients, trace
+from refract import BentPaths, PinholeCamera, WaterSurface, fresnel_coefficients, trace
 
 
 @dataclass(frozen=True)
@@ -53,6 +49,10 @@ class Box:
         """Coordinates (..., 3) of positions (..., 3) [m]: -1 to 1 along the longest edge, to scale along the others."""
         return (x - _like(0.5 * (self.low + self.high), x)) * (2.0 / self.edge)
 
+    def clipped(self, paths: Paths) -> Paths:
+        """Paths between the faces of the box, as short as what a field in it needs: here as they are."""
+        return paths
+
     def crossed(self, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distances (N,), (N,) [m] at which rays enter and leave; entry beyond leaving where they miss."""
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -90,8 +90,8 @@ class Rays:
     def __getitem__(self, index) -> Rays:
         return Rays(*(getattr(self, f.name)[index] for f in fields(self)))
 
-    def paths(self, water: WaterSurface | None, box: Box) -> Paths:
-        """The paths on which they go on through the water, clipped to a box."""
+    def paths(self, water: WaterSurface | None, box: Box | None) -> Paths:
+        """The paths on which they go on through the water, clipped to a box; without one they have no end."""
         colours = torch.as_tensor(self.rgb / 255.0, dtype=torch.float32)
         return paths_along(self.origin, self.direction, water, colours, box, torch.from_numpy(self.view))
 
@@ -164,26 +164,19 @@ def paths_along(
     direction: np.ndarray,
     water: WaterSurface | None,
     rgb: Tensor,
-    box: Box,
+    box: Box | None,
     view: Tensor,
 ) -> Paths:
-    """Paths from camera centres (N, 3) [m] along unit directions (N, 3) in the air, clipped to a box.
+    """Paths from camera centres (N, 3) [m] along unit directions (N, 3) in the air, clipped to a box if there is one.
 
     They carry colours (N, 3), 0 to 1, and the numbers of their photographs (N,).
     """
     bent = trace(origin, direction, water)
     crossing = np.where(bent.wet, bent.air_length, np.inf)
-    near, far = box.crossed(origin, bent.air_direction)
-    near, far = np.maximum(near, 0.0), np.minimum(far, crossing)
-    near, far = np.where(near < far, near, np.inf), np.where(near < far, far, -np.inf)
     wet = np.where(bent.wet[:, None], bent.water_direction, bent.air_direction)
-    if bent.wet.any():
-        start = np.where(bent.wet[:, None], bent.crossing, origin)
-        enters, leaves = box.crossed(start, wet)
-        enters = np.maximum(enters, 0.0)
-        under = bent.wet & (enters < leaves)
-        near = np.where(under, np.minimum(near, crossing + enters), near)
-        far = np.where(under, np.maximum(far, crossing + leaves), far)
+    near, far = np.zeros(len(origin)), np.full(len(origin), np.inf)
+    if box is not None:
+        near, far = _between_faces(box, origin, bent, crossing, wet)
     meets = (near < far) & np.isfinite(wet).all(axis=-1)
     near, far = np.where(meets, near, 0.0), np.where(meets, far, 0.0)
     reflectance, cos_wet = np.zeros(len(origin)), np.zeros(len(origin))
@@ -193,10 +186,27 @@ def paths_along(
         before = -(bent.air_direction[bent.wet] * up).sum(axis=-1)
         reflectance[bent.wet] = fresnel_coefficients(before, n_from=1.0, n_to=water.n_water).reflectance
         cos_wet[bent.wet] = -(wet[bent.wet] * up).sum(axis=-1)
-    return Paths(
+    paths = Paths(
         _single(origin), _single(bent.air_direction), _single(wet), _single(crossing), _single(near), _single(far),
         _single(reflectance), _single(cos_wet), rgb, view, torch.empty(len(origin), 0),
     )  # fmt: skip
+    return paths if box is None else box.clipped(paths)
+
+
+def _between_faces(
+    box: Box, origin: np.ndarray, bent: BentPaths, crossing: np.ndarray, wet: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Path lengths (N,), (N,) [m] at which paths enter and leave a box; entry not before leaving where they miss."""
+    near, far = box.crossed(origin, bent.air_direction)
+    near, far = np.maximum(near, 0.0), np.minimum(far, crossing)
+    near, far = np.where(near < far, near, np.inf), np.where(near < far, far, -np.inf)
+    if bent.wet.any():
+        enters, leaves = box.crossed(np.where(bent.wet[:, None], bent.crossing, origin), wet)
+        enters = np.maximum(enters, 0.0)
+        under = bent.wet & (enters < leaves)
+        near = np.where(under, np.minimum(near, crossing + enters), near)
+        far = np.where(under, np.maximum(far, crossing + leaves), far)
+    return near, far
 
 
 def _single(values: np.ndarray) -> Tensor:

@@ -13,6 +13,7 @@ import torch
 from scipy.ndimage import minimum_filter
 from torch import Tensor
 
+from fields.volume.layer import Layer
 from fields.volume.paths import Box, Paths, Rays, paths_of
 from refract import PinholeCamera, WaterSurface
 
@@ -124,6 +125,8 @@ class Photographs:
     pixels: list[np.ndarray]  # list of (n,) int: flat indices of the pixels of each photograph that show the scene
     water: WaterSurface | None = None
     priors: list[PriorImages] | None = None  # or None: priors of the pixels of each photograph
+    # list of (n,) float32 [m], optional: path lengths at which the paths of these pixels meet the bed of a `Layer`
+    starts: list[np.ndarray] | None = None
 
     @staticmethod
     def over(
@@ -147,16 +150,23 @@ class Photographs:
         if not sizes.sum():
             raise ValueError(f"no photograph shows the scene in {patch} x {patch} px; draw smaller patches")
         shares = rng.multinomial(count, sizes / sizes.sum())
-        parts, priors = [], []
+        parts, priors, starts = [], [], []
         for view in np.flatnonzero(shares):
-            camera, drawn = self.cameras[view], corners[view][rng.integers(0, sizes[view], shares[view])]
+            camera, number = self.cameras[view], rng.integers(0, sizes[view], shares[view])
+            drawn = corners[view][number]
             rows, columns = np.divmod((drawn[:, None] + _square(patch, camera.width)).ravel(), camera.width)
             pixels = np.stack([columns + 0.5, rows + 0.5], axis=-1)
             parts.append(Rays.of(camera, pixels, self.images[view][rows, columns], int(view)))
+            if self.starts is not None:
+                starts.append(self.starts[view][number])
             if self.priors is not None:
                 priors.append(self.priors[view].at(camera, rows, columns))
         order = (rng.permutation(count)[:, None] * patch**2 + np.arange(patch**2)).ravel()
-        paths = Rays.concatenate(parts)[order].paths(self.water, box)
+        rays = Rays.concatenate(parts)[order]
+        if isinstance(box, Layer) and self.starts is not None and patch == 1:
+            paths = box.about(rays.paths(self.water, None), torch.from_numpy(np.concatenate(starts)[order]))
+        else:
+            paths = rays.paths(self.water, box)
         if self.priors is not None:
             paths.priors = torch.cat(priors)[torch.from_numpy(order)]
         return paths

@@ -113,15 +113,19 @@ class VolumeRenderer(nn.Module):
             return cells.samples(paths, num, jitter=jitter)
         return self.proposal.samples(paths, num, jitter=jitter)
 
-    def render(self, paths: Paths, samples: Samples, *, dry: bool = False) -> Rendered:
-        """Colours and weights of paths; ``dry`` leaves out the effect of the water on the light."""
-        count, num = samples.s.shape
+    def weigh(self, paths: Paths, samples: Samples) -> tuple[Tensor, Tensor, Tensor]:
+        """Weights (N, K), features (N K, F) and directions of travel (N K, 3) of the samples of paths."""
         x, direction = paths.at(samples.s).view(-1, 3), paths.direction(samples.s).view(-1, 3)
         thickness, features = self.model.thickness(x, direction, samples.length.reshape(-1))
-        weights = render_weights(thickness.view(count, num))
+        weights = render_weights(thickness.view_as(samples.s))
         if self.background is None:
             weights = with_opaque_end(weights, (paths.far > paths.near)[:, None])
-        opacity = weights.sum(dim=1, keepdim=True)
+        return weights, features, direction
+
+    def render(self, paths: Paths, samples: Samples, *, dry: bool = False) -> Rendered:
+        """Colours and weights of paths; ``dry`` leaves out the effect of the water on the light."""
+        weights, features, direction = self.weigh(paths, samples)
+        opacity, num = weights.sum(dim=1, keepdim=True), weights.shape[1]
 
         def radiance_of(where: Tensor) -> Tensor:
             vectors = None if self.appearance is None else self.appearance(paths.view)[where // num]

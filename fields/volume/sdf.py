@@ -24,7 +24,7 @@ from torch.nn.utils.parametrizations import weight_norm
 
 from fields.training import Rates
 from fields.volume.mlp import encoded_length, frequency_encoding
-from fields.volume.model import VolumeModel
+from fields.volume.model import Setup, VolumeModel
 from fields.volume.paths import Box
 
 # Samples differentiated at once without training: 1 GB of activations in the paper's network.
@@ -219,3 +219,13 @@ class SdfVolume(VolumeModel):
             out = out.detach()
         # A length in p is one of edge / 2 in metres, so that the gradient is the same in both.
         return out[:, 0] * (0.5 * self.box.edge), gradient, torch.cat([p.detach(), gradient, out[:, 1:]], dim=1)
+
+
+# Share of the steps over which NeuS anneals: 50,000 of 300,000 as published.
+ANNEALED = 1 / 6
+
+
+def neus(of: Setup) -> SdfVolume:
+    """The model of a setup. A bed is open, with water above: it begins as a level surface."""
+    settings = SdfSettings.small(start="plane", start_at=0.0, annealed=ANNEALED, steps=of.steps)
+    return SdfVolume(of.box, settings, appearance=of.appearance)

@@ -95,8 +95,6 @@ class TensorSettings:
     # times that over the first
     switch_window: int = 100
     switch_ratio: float = 0.01
-    # Instead, that it falls below this number (the paper has 0.01, which a mean squared error may meet at once)
-    switch_variance: float | None = None
 
     @staticmethod
     def mdw(**changes) -> TensorSettings:
@@ -145,11 +143,10 @@ class TensorVolume(VolumeModel):
     # Adam's rates of MDW-NeRF; that of the factors falls to `TensorSettings.fine_rate` with the switch.
     FACTORS, WEIGHTING, COLOUR = 0.02, 0.02, 0.001
 
-    def __init__(self, box: Box, settings: TensorSettings, device: Device, *, appearance: int = 0, seed: int = 0):
+    def __init__(self, box: Box, settings: TensorSettings, device: Device, *, appearance: int = 0):
         super().__init__(box)
         self.settings = settings
-        scales = geometric_scales(settings.n_min, settings.n_max, settings.scales)
-        self.factors = Factors([grid_of(box, n) for n in scales], settings.directions, settings.channels, device, seed)
+        self.factors = Factors(self._grids(), settings.directions, settings.channels, device)
         shape = (settings.scales, len(settings.directions), settings.channels)
         self.regression = DensityHead(*shape, reduction=settings.reduction, device=device, shared=settings.shared)
         head_options = {"hidden": settings.hidden, "degree": settings.degree, "extra": appearance}
@@ -159,6 +156,10 @@ class TensorVolume(VolumeModel):
         else:
             self.colour = ColourHead(*shape, **head_options)
         nn.init.ones_(self.regression.coarse.weight)
+
+    def _grids(self) -> list[Grid]:
+        of = self.settings
+        return [grid_of(self.box, n) for n in geometric_scales(of.n_min, of.n_max, of.scales)]
 
     def evaluate(self, x: Tensor) -> tuple[Tensor, Tensor]:
         u = self.box.unit(x)
@@ -188,14 +189,11 @@ class TensorVolume(VolumeModel):
         return [self.colour, self.weights] if self.settings.printed_colour else [self.colour]
 
     def observe(self, losses: list[float]) -> bool:
-        if self.regression.is_fine or not self.settings.weighting or not self._has_converged(losses):
+        of = self.settings
+        if self.regression.is_fine or not of.weighting or not has_converged(losses, of.switch_window, of.switch_ratio):
             return False
         self.regression.switch_to_fine()
         return True
-
-    def _has_converged(self, losses: list[float]) -> bool:
-        of = self.settings
-        return has_converged(losses, of.switch_window, of.switch_ratio, variance=of.switch_variance)
 
     def get_extra_state(self) -> dict:
         return {"is_fine": self.regression.is_fine}

@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from fields.device import Device
 from fields.factors import Factors, Grid, geometric_scales
 from fields.training import Rates
-from fields.volume.model import VolumeModel, density_of
+from fields.volume.model import Setup, VolumeModel, density_of
 from fields.volume.paths import Box
 from fields.volume.tensor import grid_of
 
@@ -75,13 +75,13 @@ class TensorfVolume(VolumeModel):
     # Of planes and vectors, and of the networks; to what share rates and `tv_density` fall.
     FACTORS, NETWORKS, FALL = 0.02, 0.001, 0.1
 
-    def __init__(self, box: Box, settings: TensorfSettings, device: Device, *, appearance: int = 0, seed: int = 0):
+    def __init__(self, box: Box, settings: TensorfSettings, device: Device, *, appearance: int = 0):
         super().__init__(box)
         self.settings, self.device = settings, device
         self._step, self._level = 0, 0
         grid = grid_of(box, settings.cells[0])
-        self.density = self._factors(grid, settings.density_channels, seed)
-        self.colour = self._factors(grid, settings.colour_channels, seed + 1)
+        self.density = self._factors(grid, settings.density_channels)
+        self.colour = self._factors(grid, settings.colour_channels)
         length = settings.features
         self.basis = nn.Linear(len(DIRECTIONS) * settings.colour_channels, length, bias=False)
         seen = (length + 3) * (1 + 2 * settings.frequencies) + appearance
@@ -93,12 +93,11 @@ class TensorfVolume(VolumeModel):
             nn.Linear(settings.hidden, 3),
         )
 
-    def _factors(self, grid: Grid, channels: int, seed: int) -> Factors:
+    def _factors(self, grid: Grid, channels: int) -> Factors:
         factors = Factors([grid], DIRECTIONS, channels, self.device)
-        generator = torch.Generator().manual_seed(seed)
         with torch.no_grad():
             for table in (factors.planes, factors.vectors):
-                table.normal_(std=_START, generator=generator)
+                table.normal_(std=_START)
         return factors
 
     def evaluate(self, x: Tensor) -> tuple[Tensor, Tensor]:
@@ -199,3 +198,13 @@ def resampled(factors: Factors, grid: Grid) -> Factors:
 
 def _resized(table: Tensor, size: tuple[int, ...], mode: str) -> Tensor:
     return nn.functional.interpolate(table[None], size, mode=mode, align_corners=False)[0]
+
+
+# Cells at first, of those at last.
+COARSEST = 128 / 300
+
+
+def tensorf(of: Setup) -> TensorfVolume:
+    """The model of a setup."""
+    settings = TensorfSettings(n_min=max(round(COARSEST * of.cells), 2), n_max=of.cells, steps=of.steps)
+    return TensorfVolume(of.box, settings, of.device, appearance=of.appearance)

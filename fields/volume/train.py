@@ -11,7 +11,6 @@ import torch
 
 from fields.device import half_the_threads
 from fields.training import adam, descend, psnr_db, set_rates
-from fields.volume.density_loss import NodeScores
 from fields.volume.losses import Losses
 from fields.volume.model import VolumeModel
 from fields.volume.paths import Paths
@@ -42,13 +41,10 @@ class Training:
     refresh: tuple[float, ...] = (0.1, 0.2, 0.35, 0.6)
     margin: float = 1.5  # s of the paper, in cells of the proxy
     final_rate: float = 0.1  # Learning rates fall to this share of their start, exponentially
-    # Share of the samples drawn where density has detail (`fields.volume.density_loss.NodeScores`)
-    by_score: float = 0.0
+    falls_from: float = 0.0  # Share of the steps after which they do
     # Colours count by Huber's loss with this limit in place of the squared error; 0: they do not
     huber: float = 0.0
     losses: Losses = field(default_factory=Losses)  # What is added to the error of the colours
-    # Share of the steps after which they count: a loss that draws weights together does harm while these are wrong
-    losses_from: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -97,12 +93,10 @@ def train_volume(
         The proxy, taken from the field itself.
     figures : VolumeFigures
     """
-    if renderer.proposal is not None and training.by_score:
-        raise ValueError(f"by_score is {training.by_score}, but the volume's proposal draws samples: use one of both")
     torch.manual_seed(seed)
     box = renderer.model.box
     cells = cells if cells is not None else Cells.everywhere(box, training.cells)
-    state = _State.begun(renderer, training, cells.to(renderer.model.place))
+    state = _State.begun(renderer, cells.to(renderer.model.place))
     if checkpoints is not None and (saved := checkpoints.load()) is not None:
         state.restore(saved, renderer)
     refresh = {round(share * training.steps) for share in training.refresh}
@@ -128,15 +122,12 @@ class _State:
     step: int
     cells: Cells
     optimiser: torch.optim.Adam
-    scores: NodeScores | None
     losses: list[float] = field(default_factory=list)
     changed: list[int] = field(default_factory=list)
 
     @staticmethod
-    def begun(renderer: VolumeRenderer, training: Training, cells: Cells) -> _State:
-        box = renderer.model.box
-        scores = NodeScores(box, box.edge / training.cells) if training.by_score else None
-        return _State(0, cells, adam(renderer.rates(), eps=ADAM_EPS), scores)
+    def begun(renderer: VolumeRenderer, cells: Cells) -> _State:
+        return _State(0, cells, adam(renderer.rates(), eps=ADAM_EPS))
 
     def saved(self, renderer: VolumeRenderer) -> dict[str, Any]:
         """State that the next steps depend on, for `torch.save`; the pixels that they draw follow from the step."""
@@ -145,7 +136,6 @@ class _State:
             "renderer": renderer.state_dict(),
             "occupied": self.cells.occupied,
             "optimiser": self.optimiser.state_dict(),
-            "scores": None if self.scores is None else self.scores.score,
             "losses": torch.tensor(self.losses, dtype=torch.float64),
             "changed": self.changed,
             "generator": _generator_states(),
@@ -157,8 +147,6 @@ class _State:
         # After the parameters: what the model learns of them has its own groups.
         self.optimiser = adam(renderer.rates(), eps=ADAM_EPS)
         self.optimiser.load_state_dict(saved["optimiser"])
-        if self.scores is not None:
-            self.scores.score = saved["scores"]
         self.step, self.changed, self.losses = saved["step"], list(saved["changed"]), saved["losses"].tolist()
         self.cells = Cells(self.cells.box, saved["occupied"]).to(renderer.model.place)
         _restore_generators(saved["generator"])
@@ -168,17 +156,13 @@ def _step(
     renderer: VolumeRenderer, paths: Paths, training: Training, state: _State, water: WaterSurface | None
 ) -> None:
     """Take a step of Adam on some paths."""
-    set_rates(state.optimiser, training.final_rate ** (state.step / training.steps))
-    if state.scores is None:
-        samples = renderer.samples(paths, state.cells, training.samples, jitter=True)
-    else:
-        state.scores.update(renderer.model)
-        samples = state.scores.samples(state.cells, paths, training.samples, training.by_score)
+    done = (state.step / training.steps - training.falls_from) / (1.0 - training.falls_from)
+    set_rates(state.optimiser, training.final_rate ** max(done, 0.0))
+    samples = renderer.samples(paths, state.cells, training.samples, jitter=True)
     rendered = renderer.render(paths, samples)
     error = ((rendered.rgb - paths.rgb) ** 2).mean()
     total = _of_colours(rendered.rgb, paths.rgb, training.huber) + renderer.penalty(paths, rendered)
-    if state.step >= training.losses_from * training.steps:
-        total = total + training.losses(renderer, paths, rendered, state.cells, water)
+    total = total + training.losses(renderer, paths, rendered, state.cells, water)
     descend(state.optimiser, total)
     state.losses.append(float(error.detach()))
     if renderer.model.observe(state.losses):

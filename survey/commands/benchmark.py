@@ -33,7 +33,7 @@ class RunOptions:
     ] = None
     method: Annotated[
         list[str] | None,
-        _measured(metavar="NAME", help="full, sweep, slab, straight, times_index, per_camera; default: all."),
+        _measured(metavar="NAME", help="full, sweep, mdw, straight, times_index, per_camera; default: all."),
     ] = None
     quality: Annotated[
         list[Quality] | None,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from fields.models import MODELS
 from survey.commands.console import command
 from survey.commands.options import DeviceOption, Quiet, RunFolder, Verbose, grouped
 from survey.plan.choices import Device
@@ -28,24 +29,6 @@ _scene = partial(typer.Option, rich_help_panel="Training data")
 _shown = partial(typer.Option, rich_help_panel="Results")
 
 
-class Model(StrEnum):
-    """See `fields.volume.models`, which takes torch to import."""
-
-    mdw = "mdw"
-    mdw_printed = "mdw-printed"
-    m = "m"
-    dw = "dw"
-    vm = "vm"
-    tensorf = "tensorf"
-    nerf = "nerf"
-    tinynerf = "tinynerf"
-    nerfacto = "nerfacto"
-    neus = "neus"
-    hash = "hash"
-    octree = "octree"
-    ground = "ground"
-
-
 class Rule(StrEnum):
     """The same as `fields.volume.surface.Rule`, which takes torch to import."""
 
@@ -58,7 +41,10 @@ class Rule(StrEnum):
 class TrainingOptions:
     """Options of the model and its training."""
 
-    model: Annotated[Model | None, _training(metavar="NAME", help=f"{', '.join(Model)}; default: mdw.")] = None
+    model: Annotated[
+        str | None,
+        _training(metavar="NAME", help=f"{', '.join(MODELS)}, or package.module:Class; default: mdw."),
+    ] = None
     steps: Annotated[int | None, _training(metavar="N", help="Training steps; default: 2000.")] = None
     rays: Annotated[int | None, _training(metavar="N", help="Rays per step; default: 4096.")] = None
     samples: Annotated[int | None, _training(metavar="N", help="Samples per ray; default: 48.")] = None
@@ -130,32 +116,10 @@ def run(
         from survey.volume.field import rows_of, train_field
         from survey.volume.options import field_config, volume_options
 
-        asked = FieldConfig(
-            model=None if training.model is None else training.model.value,
-            steps=training.steps,
-            rays=training.rays,
-            samples=training.samples,
-            cells=training.cells,
-            image_scale=data.image_scale,
-            held_every=data.held_every,
-            appearance=training.appearance,
-            shell=training.shell,
-            submodules=training.submodules,
-            drop=None if shown.drop is None else shown.drop.value,
-            from_scratch=training.from_scratch,
-            monocular=None if training.monocular is None else str(training.monocular.absolute()),
-        )
-        options = volume_options(
-            asked.over(field_config(run, data.survey)),
-            bounds=data.bounds,
-            straight=training.straight,
-            rule=SurfaceRule(shown.extract.value),
-            density=shown.density,
-            reference=shown.reference,
-            cameras=shown.cameras,
-            dry=shown.dry,
-            survey=data.survey,
-            device=device.value,
-            seed=training.seed,
-        )
+        given = {name: value for part in (training, data, shown) for name, value in vars(part).items()}
+        given["rule"] = SurfaceRule(given.pop("extract"))
+        if training.monocular is not None:
+            given["monocular"] = str(training.monocular.absolute())
+        asked = FieldConfig(**{each.name: given.pop(each.name) for each in fields(FieldConfig) if each.name in given})
+        options = volume_options(asked.over(field_config(run, data.survey)), device=device.value, **given)
         results.columns(None, rows_of(train_field(run, output, options), output))

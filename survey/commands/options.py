@@ -6,14 +6,13 @@ import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
-from enum import StrEnum
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
-from survey.words import Device, Field, Poses, Quality
+from survey.words import FIELDS, Device, Poses, Quality
 
 if TYPE_CHECKING:
     from survey.settings.tables import ProcessConfig
@@ -24,7 +23,7 @@ _SETTINGS = {"target_std": "target_std_m", "time_budget": "time_budget_s"}
 PREFIX = "BATHYNERF_PROCESS_"
 
 
-def words_of(kind: Iterable[StrEnum]) -> str:
+def words_of(kind: Iterable[str]) -> str:
     """The words of an enumeration as a placeholder, e.g. auto|cpu|cuda."""
     return "|".join(kind)
 
@@ -44,10 +43,10 @@ AskedDevice = Annotated[
     typer.Option(metavar=words_of(Device), help="Where to compute; default: auto.", rich_help_panel=HOW),
 ]
 AskedField = Annotated[
-    Field | None,
+    str | None,
     typer.Option(
-        metavar=words_of(Field),
-        help="What refines the heights; slab: for render --field; default: auto.",
+        metavar=words_of(FIELDS),
+        help="What refines the heights; default: auto.",
         rich_help_panel=HOW,
     ),
 ]

@@ -23,7 +23,7 @@ def run(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the pictures.")],
     dry: Annotated[bool, typer.Option("--dry", help="Remove the effect of the water.")] = False,
     field: Annotated[
-        bool, typer.Option("--field", help="Render the field of `process --field slab` instead of the photographs.")
+        bool, typer.Option("--field", help="Render the field of `process --field mdw` instead of the photographs.")
     ] = False,
     survey: Annotated[
         str | None, typer.Option(metavar="DIR", help="Survey folder, if it was moved since the run.")

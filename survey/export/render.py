@@ -12,9 +12,7 @@ import numpy as np
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from fields.device import choose_device
 from fields.image_based import NovelView
-from fields.slab.novel_view import render_view
 from geo.files import reporting_disk_errors, write_whole
 from geo.frames import LocalFrame
 from refract import PinholeCamera
@@ -31,7 +29,7 @@ from survey.pose_files import read_poses
 from survey.progress import current
 from survey.run.flight import load_flight
 from survey.run.folder import RunDir
-from survey.run.stored_field import load_field, load_place
+from survey.run.stored_field import load_layer_field
 from survey.settings.config import CamerasConfig, SurveyConfig, read_config
 
 FIELD_STAGE = "field"
@@ -74,7 +72,7 @@ def render(
     dry : bool
         Without water: straight rays, and the colour of the bed where the run has it (``--true-colour``).
     trained : bool
-        Render the field that ``process --field slab`` trained, instead of the photographs.
+        Render the field that ``process --field mdw`` trained, instead of the photographs.
     survey : str, optional
         Folder of the survey, if it was moved since the run.
     device : "auto", "cpu", "cuda" or "torch"
@@ -95,11 +93,12 @@ def render(
     """
     folder, output = RunDir(run), Path(output)
     folder.require_run()
-    frame = load_place(_field_folder(folder))[0] if trained else load_flight(folder.path).frame
+    field_folder, flight = _field_folder(folder) if trained else None, load_flight(folder.path)
     folder.warn_if_unfinished()
-    targets = targets_of(folder, frame, Path(cameras), output)
-    if trained:
-        return write_views(targets, _of_trained(folder, device, dry=dry))
+    targets = targets_of(folder, flight.frame, Path(cameras), output)
+    if field_folder is not None:
+        field = load_layer_field(field_folder, flight.water, device)
+        return write_views(targets, lambda camera: field.view(camera, dry))
     with LoadedRun(run) as loaded:
         return write_views(targets, _of_photographs(loaded, survey, [t.camera for t in targets], dry=dry))
 
@@ -143,12 +142,6 @@ def write_views(targets: list[Target], view_of: Callable[[PinholeCamera], NovelV
     return written
 
 
-def _of_trained(folder: RunDir, device: str, *, dry: bool) -> Callable[[PinholeCamera], NovelView]:
-    stage_folder = _field_folder(folder)
-    field, (_, water) = load_field(stage_folder, choose_device(device)), load_place(stage_folder)
-    return lambda camera: render_view(field, camera, water, dry=dry)
-
-
 def _of_photographs(
     run: LoadedRun, survey: str | None, cameras: list[PinholeCamera], *, dry: bool
 ) -> Callable[[PinholeCamera], NovelView]:
@@ -178,7 +171,7 @@ def _field_folder(folder: RunDir) -> Path:
         return folder.load_stage(FIELD_STAGE)
     except SurveyError as error:
         raise SurveyError(
-            f"the run {folder.path} has no trained field; run `bathynerf process` again with --field slab, or leave "
+            f"the run {folder.path} has no trained field; run `bathynerf process` again with --field mdw, or leave "
             "--field out: its photographs are rendered then"
         ) from error
 
@@ -254,9 +247,9 @@ def write_view(stem: Path, view: NovelView) -> Path:
     """Write the pictures of a view under names that begin with `stem`; the path of the colours."""
     with reporting_disk_errors(stem.parent):
         stem.parent.mkdir(parents=True, exist_ok=True)
-    alpha = 255 * view.seen.astype(np.uint8)
+    alpha, of_bed = (255 * shown.astype(np.uint8) for shown in (view.coloured, view.seen))
     tilt = np.nan_to_num(np.round(127.5 * (view.normal + 1.0)), nan=0.0).astype(np.uint8)
-    layers = (np.dstack([view.rgb, alpha]), np.dstack([tilt, alpha]), view.bed_height, view.distance)
+    layers = (np.dstack([view.rgb, alpha]), np.dstack([tilt, of_bed]), view.bed_height, view.distance)
     mark = PngInfo()
     mark.add_text("Software", _SOFTWARE)
     paths = _pictures(stem)

@@ -18,6 +18,7 @@ from typing import Any
 
 from survey.errors import ConfigError
 from survey.files.json_values import LARGEST
+from survey.words import expected_of
 
 _KINDS = {
     float: f"a finite number of at most {LARGEST:g} in size",
@@ -128,7 +129,7 @@ def parse_values(values: Mapping[str, Any], kind: type) -> Any:
 def require_one_of(key: str, value: str, known: Collection[str]) -> None:
     """Raise ConfigError unless a word is known."""
     if value not in known:
-        raise ConfigError(f'{key} is "{value}", expected one of {", ".join(known)}')
+        raise ConfigError(f'{key} is "{value}", {expected_of(known, value)}')
 
 
 def require_positive(where: str, **values: float | None) -> None:

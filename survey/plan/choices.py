@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from survey.display.quantities import bytes_of, length
 from survey.errors import SurveyError
-from survey.words import SCALES, Device, Field, Poses, Quality
+from survey.words import FIELDS, SCALES, Device, Poses, Quality, expected_of
 
 if TYPE_CHECKING:
     from survey.settings.tables import ProcessConfig
@@ -67,7 +67,7 @@ class Choices:
 
     quality: str = Quality.standard.value
     device: str = Device.auto.value
-    field: str = Field.auto.value
+    field: str = "auto"
     poses: str = Poses.auto.value
     image_scale: float | None = None
     aim: Aim | None = None
@@ -82,11 +82,11 @@ class Choices:
         for name, words in (
             ("quality", Quality),
             ("device", Device),
-            ("field", Field),
+            ("field", FIELDS),
             ("poses", Poses),
         ):
             if getattr(self, name) not in list(words):
-                raise SurveyError(f"{name} is {getattr(self, name)}, expected one of {', '.join(words)}")
+                raise SurveyError(f"{name} is {getattr(self, name)}, {expected_of(words, getattr(self, name))}")
         if self.image_scale is not None and self.image_scale not in SCALES:
             known = ", ".join(f"{each:g}" for each in SCALES)
             raise SurveyError(f"image scale is {self.image_scale:g}, expected one of {known}")
@@ -111,7 +111,7 @@ def choices_of(asked: ProcessConfig) -> Choices:
     if std_m is None and seconds is None:
         return replace(USUAL, **words)
     for name in ("quality", "field", "image_scale"):
-        if words.get(name, Field.auto) != Field.auto:
+        if words.get(name, "auto") != "auto":
             option = f"--{name.replace('_', '-')} {words[name]}"
             raise SurveyError(f"{option} and an aim (--target-std, --time-budget), which chooses it; leave one out")
     return replace(USUAL, **words, aim=Aim(std_m, seconds))

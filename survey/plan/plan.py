@@ -41,7 +41,7 @@ class Plan:
     decisions : tuple of Decision
     recipe : Recipe
         The numbers of the quality.
-    field : "solver", "slab" or "off"
+    field : "solver", "off" or a model of `fields.models.IN_LAYER`
         What refines the heights of the sweep.
     boxes : bool
         Whether the bed beside and under depth steps is searched in boxes: `fields.occluded`.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from fields.models import IN_LAYER
 from fields.occluded.holes import SIDE_GSD
 from fields.sweep.passes import PASSES, POINTS_SHARE, Pass, before_solver
 
@@ -30,7 +31,7 @@ _FEATURES_S, _PAIR_S, _PLACING_S = 0.6, 0.1, 0.1
 SFM_PARTS = ("Features", "Matches", "Structure from motion")
 # Decoding a megapixel; the report, once; bed and report, per point.
 _DECODING_S, _REPORT_S, _POINT_S = 0.02, 2.0, 3e-6
-# Of the solver: once, and per pixel of a height map. Of the slab, per cell of one ground sampling distance.
+# Of the solver: once, and per pixel of a height map. Of a trained field, per cell of one ground sampling distance.
 _SOLVER_S, _FIELD_S_PER_CELL = (1.4, 1.2e-6), 2.3e-4
 # Of boxes beside edges: one of a sample of so many, by two cores. Whether the others are searched shows there.
 _BOX_S, _MOST_BOXES, _BOX_CORES = 0.4, 32, 2
@@ -45,7 +46,7 @@ class Amounts:
     map_px: float  # Of the views that get a height map [px]
     points: float  # One for each ground sampling distance squared that two views see
     poses: str  # "check", "refine" or "fixed": what is done with them first
-    field: str  # "solver", "slab" or "off"
+    field: str  # "solver", "off" or a model of `fields.models.IN_LAYER`
     has_boxes: bool = False
 
 
@@ -61,7 +62,7 @@ def parts_s(amounts: Amounts, num_cores: int) -> dict[str, float]:
     parts["Sweep"] = _RANGE_S + (_KERNELS_S + samples / SAMPLES_PER_CORE_S) / num_cores
     if solves:
         parts["Solver"] = (_SOLVER_S[0] + _SOLVER_S[1] * amounts.map_px) / num_cores
-    if amounts.field == "slab":
+    if amounts.field in IN_LAYER:
         parts["Field"] = _FIELD_S_PER_CELL * amounts.points / num_cores
     parts["Bed"] = 0.5 * _POINT_S * amounts.points
     if amounts.has_boxes:

@@ -29,7 +29,7 @@ class Recipe:
     # oblique ones from each quarter. Three confirm each other; docs/sweep.md has the gain from more.
     times_seen: tuple[int, int]
     field: str  # "solver" or "off": what refines the heights of the sweep
-    rays_per_cell: float = 15.0  # Rays that the slab learns from, per cell of one ground sampling distance
+    rays_per_cell: float = 14.0  # Rays that a trained field learns from, per cell of one ground sampling distance
 
 
 RECIPES = {

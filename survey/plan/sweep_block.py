@@ -104,7 +104,12 @@ def cameras_of_block(survey: Survey, plan: Plan) -> list[PinholeCamera]:
 
 def backend(plan: Plan) -> Device:
     """The device that the plan chose."""
-    return choose_device({"llvm": "cpu"}.get(plan.device, plan.device))
+    return choose_device(device_word(plan))
+
+
+def device_word(plan: Plan) -> str:
+    """The word of `fields.device.choose_device` for it."""
+    return {"llvm": "cpu"}.get(plan.device, plan.device)
 
 
 def camera_of(view: View, plan: Plan) -> PinholeCamera:

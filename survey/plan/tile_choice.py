@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fields.models import IN_LAYER
 from fields.sweep.views import ground_points
 from survey import machine
 from survey.display.quantities import bytes_of, length, room, size
@@ -86,8 +87,8 @@ def choose_tiles(
     ``earlier`` is the number of tiles of an unfinished run that goes on; ``counted`` are `survey_amounts`, where known.
     """
     require_dask(chosen)
-    if plan.field == "slab":
-        reason = "a run with --field slab is in one piece"
+    if plan.field in IN_LAYER:
+        reason = f"a run with --field {plan.field} is in one piece"
         if chosen.tiles is not None and chosen.tiles > 1:
             raise SurveyError(f"--tiles {chosen.tiles}, but {reason}; leave one out")
         _refuse_workers(chosen, reason)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fields.models import IN_LAYER
 from fields.sweep.block import Overlap
 from fields.sweep.kernels.stack import FEWEST_KEPT, KEPT_BYTES
 from survey import machine
@@ -259,7 +260,7 @@ def memory_of(pixels: np.ndarray, of_maps: np.ndarray, largest: int, num_cells: 
         Pixels of the largest photograph.
     num_cells : float
         Cells of the bed.
-    field : "solver", "slab" or "off"
+    field : "solver", "off" or a model of `fields.models.IN_LAYER`
     """
     everything, masks = float(np.sum(pixels)), _BYTES_OF_MASKS * float(np.sum(of_maps))
     held = _BYTES_OF_VIEW * everything + min(_BYTES_OF_COLOURS * everything, _MOST_COLOURS)
@@ -267,11 +268,11 @@ def memory_of(pixels: np.ndarray, of_maps: np.ndarray, largest: int, num_cells: 
     read = 2.0 * _kept(pixels, _READ)
     maps = min(_BYTES_OF_MAPS * float(np.sum(of_maps)), _MOST_MAPS)
     sweep = read + maps + _kept(pixels, _COMPARED) + _BYTES_OF_WORK * float(np.max(pixels))
-    of_field = num_cells if field == "slab" else 0.0
-    slab = _BYTES_OF_FIELD * of_field + _BYTES_OF_RAYS * min(of_field, _RAYS_OF_CELLS)
+    of_field = num_cells if field in IN_LAYER else 0.0
+    trained = _BYTES_OF_FIELD * of_field + _BYTES_OF_RAYS * min(of_field, _RAYS_OF_CELLS)
     solver = _kept(of_maps, _SURFACES) + _BYTES_OF_TILES + masks if field == "solver" else 0.0
     bed = read + masks + POINT_BYTES * num_cells
-    return _BASE_BYTES + held + max(_BYTES_OF_DECODING * largest, sweep + slab, solver, bed)
+    return _BASE_BYTES + held + max(_BYTES_OF_DECODING * largest, sweep + trained, solver, bed)
 
 
 def _kept(pixels: np.ndarray, of_what: tuple[float, float, int]) -> float:

@@ -47,8 +47,6 @@ if TYPE_CHECKING:
 # Places of the bed at which baselines are predicted: their mean is then sure to a few per cent of their spread.
 _PLACES = 2000
 _SEED = 20_060_619
-# What refines the heights of the sweep, by the field of the plan.
-_REFINED_BY = {"solver": "solver", "slab": "trained slab"}
 _NOTE = (
     "Predicted: where the straight rays of all views with a place in their frame meet, in closed form and without "
     "matching noise, at places of the reference under water; occlusion is not considered. Slanted views count like "
@@ -125,8 +123,10 @@ def _measured(comparison: Comparison, of_sweep: Comparison | None, field: str) -
     if of_sweep is None:
         named = {"this run: sweep alone": of_run}
     else:
-        before = "sweep before the solver" if field == "solver" else "sweep alone"
-        named = {before: of_sweep.figures.wet, f"this run: sweep and {_REFINED_BY[field]}": of_run}
+        is_solved = field == "solver"
+        before = "sweep before the solver" if is_solved else "sweep alone"
+        refined_by = "solver" if is_solved else f"trained field {field}"
+        named = {before: of_sweep.figures.wet, f"this run: sweep and {refined_by}": of_run}
     return [_row(name, "measured", part) for name, part in named.items() if part]
 
 

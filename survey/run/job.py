@@ -247,7 +247,7 @@ class Job:
             "refined": lambda: plan.refines_points_only,
             "coverage": lambda: plan.recipe.times_seen,
             "boxes": lambda: plan.boxes,
-            "rays": lambda: plan.recipe.rays_per_cell,
+            "rays": lambda: (plan.field, plan.recipe.rays_per_cell),
             "device": lambda: plan.device,
             "ties": lambda: survey.observations.ties,
             "priors": lambda: (

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from fields.models import IN_LAYER
 from survey.plan.tile_choice import SHARED
 from survey.run.folder import RunDir
 from survey.run.job import Job
@@ -168,12 +169,12 @@ def _is_solved_in_tiles(job: Job) -> bool:
     return _has_tiles(job) and _is_solved(job)
 
 
-def _has_slab(job: Job) -> bool:
-    return job.plan.field == "slab"
+def _has_field(job: Job) -> bool:
+    return job.plan.field in IN_LAYER
 
 
 def _is_refined_in_one(job: Job) -> bool:
-    return not _has_tiles(job) and (_is_solved(job) or _has_slab(job))
+    return not _has_tiles(job) and (_is_solved(job) or _has_field(job))
 
 
 # What decides the rays of the photographs, and the size and the pixels that are worked on.
@@ -248,7 +249,7 @@ STAGES = (
         depends_on=(*_VIEWS, "area", "frame", "gsd", "rays", "water_colour"),
         files=FIELD_FILES,
         compute=train_field,
-        is_on=_has_slab,
+        is_on=_has_field,
     ),
     Stage(
         name="bed",

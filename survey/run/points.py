@@ -22,13 +22,14 @@ from survey.adjust.result.adjustment import Adjustment, read_adjustment
 from survey.adjust.result.std_of_block import std_of_block
 from survey.plan.area import within
 from survey.plan.sweep_block import camera_of
+from survey.run.stage_field import with_heights
 
 if TYPE_CHECKING:
-    from fields.slab.tensor_field import TensorField
     from fields.sweep.block import Block
     from refract import PinholeCamera
     from survey.folder.survey import Survey
     from survey.run.job import Job
+    from survey.run.stored_field import RestoredField
 
 LEAST_STD_PX = 0.01
 
@@ -69,7 +70,7 @@ class RefinedMaps:
     maps: Sequence[HeightMap]
     kept: Sequence[np.ndarray]  # (height, width) bool each, as `fields.sweep.bed.unique_pixels` finds them
     solved: Sequence[SolvedMap] | None = None
-    field: TensorField | None = None
+    field: RestoredField | None = None
 
 
 def bed_points(
@@ -92,10 +93,8 @@ def bed_points(
             keep = keep & is_supported(height_map.height, trusted(height_map), tolerance)
         keep = keep[: camera.height, : camera.width]
         if found.field is not None:
-            from fields.slab.novel_view import refine
-
-            height, taken = refine(found.field, camera, height_map, rgb, survey.water, keep)
-            height_map, moved = replace(height_map, height=height), moved + taken
+            height_map, taken = with_heights(found.field, camera, height_map, keep)
+            moved += taken
         final, std = (height_map, None) if found.solved is None else found.solved[number].over(height_map)
         std = std_of_kept(final, keep, tolerance, std, comparable)
         points = points_of(camera, survey.water, final, keep, rgb, std)

@@ -76,9 +76,9 @@ def process(
     quality : "draft", "standard" or "fine", optional
         Default "standard", unless it is chosen by one of the next two.
     device : "auto", "cpu" or "cuda", optional
-    field : "auto", "solver", "slab" or "off", optional
-        What refines the heights of the sweep: least squares over all photographs, a tensor field trained in a slab,
-        for ``render --field``, or nothing; "auto" leaves it to the plan.
+    field : "auto", "solver", "boxes", "off" or a model of `fields.models.IN_LAYER`, optional
+        What refines the heights of the sweep: least squares over all photographs, with boxes or alone, nothing, or a
+        field trained in a layer about them, for ``render --field``; "auto" leaves it to the plan.
     target_std_m : [m], optional
         Standard deviation that is wanted on 95 % of the ground: the least work that is foreseen to reach it.
     time_budget_s : [s], optional

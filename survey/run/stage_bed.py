@@ -30,7 +30,7 @@ from survey.display.column import ColumnStatistics
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.photos.intersection import equations_of_lines
-from survey.plan.sweep_block import backend
+from survey.plan.sweep_block import device_word
 from survey.progress import shares
 from survey.run.points import RefinedMaps, adjustment_of, bed_points, is_placed, with_std_of_block
 from survey.run.stage_solver import SOLVED
@@ -41,9 +41,9 @@ from survey.run.water_colour import colour_of
 from survey.water.surface import Departure
 
 if TYPE_CHECKING:
-    from fields.slab.tensor_field import TensorField
     from survey.folder.survey import Survey
     from survey.run.job import Job
+    from survey.run.stored_field import RestoredField
 
 # Steps to where a ray meets the surface: each leaves the square of its slope, a thousandth, of the error.
 _STEPS = 2
@@ -274,7 +274,7 @@ def finish_bed(
         save_bed(folder, StoredBed(bed, xyz_in_crs, survey.frame.crs, survey.name, job.plan.gsd_m, common, std_placed))
 
 
-def _field_of(job: Job, folder: Path) -> TensorField:
-    from survey.run.stored_field import load_field
+def _field_of(job: Job, folder: Path) -> RestoredField:
+    from survey.run.stored_field import load_layer_field
 
-    return load_field(folder, backend(job.plan))
+    return load_layer_field(folder, job.survey.water, device_word(job.plan))

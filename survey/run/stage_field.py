@@ -1,42 +1,194 @@
-"""The stage of the field: a tensor field trained inside the bound of the sweep."""
+"""The stage of the field: a radiance field in a layer about the bed of the sweep, and the heights that it gives."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
-from fields.sweep.maps import HeightMap
-from survey.plan.area import AREA_MARGIN_M, grown, local_area
-from survey.plan.sweep_block import backend
+import numpy as np
+
+from fields.sweep.maps import HeightMap, Sources, trusted
+from survey.errors import SurveyError
+from survey.plan.area import within
+from survey.plan.sweep_block import device_word
 from survey.progress import shares
 from survey.run.stage_sweep import MAPS
 from survey.run.stored_maps import Stored
 
 if TYPE_CHECKING:
-    from fields.slab.tensor_field import FieldFigures, TensorField
+    from fields.volume.layer import Layer
+    from fields.volume.photographs import Photographs
+    from fields.volume.train import VolumeFigures
+    from refract import FlatWater, PinholeCamera
+    from survey.plan.tiling import Area
     from survey.run.job import Job
+    from survey.run.stored_field import RestoredField
+
+# Of each path inside the layer: the paper samples within +-s of the proxy surface.
+SAMPLES = 8
+# Half of the layer: so many cells, or so many times the median spread of the heights where that is more.
+HALF_CELLS, HALF_SPREADS = 2.0, 3.0
+# A pixel is used if its own height lies within this share of half of the layer.
+INSIDE = 0.7
+# Pixels whose heights are asked for together.
+PIXELS_AT_ONCE = 32768
+# Learning rates fall to this share of their start.
+FINAL_RATE = 0.05
+# Paths of a step: the more, the larger the layer, and fewer where there are not enough for this many steps.
+BATCH, LARGE_BATCH, SMALL_BATCH, LARGE_LAYER, LEAST_STEPS = 16384, 65536, 2048, 500_000, 300
 
 
 def train_field(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Train the field on the photographs that have a height map."""
     # Imported where it is needed, as below: it takes torch, whose import takes seconds.
-    from survey.run.stored_field import save_field, save_place
+    from survey.run.stored_field import save_layer_field
 
     maps = Stored(needs["sweep"] / MAPS, HeightMap)
     with job.progress.stage("Field", 1.0) as stage:
         field, figures = trained(job, maps, shares(stage))
-    job.progress.note(f"field: {figures.psnr_db:.1f} dB after {figures.rays:,} rays")
-    save_field(folder, field, figures)
-    save_place(folder, job.survey.frame, job.survey.water)
+    job.progress.note(f"field: {figures.psnr_db:.1f} dB after {figures.steps:,} steps")
+    save_layer_field(folder, field)
 
 
-def trained(job: Job, maps: Sequence[HeightMap], progress: Callable[[float], None]) -> tuple[TensorField, FieldFigures]:
-    """The field inside the bound of the sweep, and the figures of its training."""
-    from fields.slab.rays import slab_of
-    from fields.slab.tensor_field import FieldSettings, Schedule, train
+def trained(
+    job: Job, maps: Sequence[HeightMap], progress: Callable[[float], None]
+) -> tuple[RestoredField, VolumeFigures]:
+    """The field about the heights of the sweep, and the figures of its training; errors as `layer_about`."""
+    plan, sources = job.plan, job.sources(maps)
+    layer, photographs = layer_about(sources, plan.gsd_m, job.ground)
+    steps, rays = steps_for(plan.recipe.rays_per_cell, int(layer.known.sum()))
+    given = {"absorption": sources.absorption, "veil": sources.veil}
+    return fit(layer, photographs, plan.field, steps, rays, device_word(plan), progress, given)
 
-    plan, area = job.plan, local_area(job.survey)
-    sources = job.sources(maps)
-    slab = slab_of(sources, plan.gsd_m, None if area is None else grown(area, AREA_MARGIN_M))
-    return train(sources, slab, FieldSettings(), Schedule(plan.recipe.rays_per_cell), backend(plan), progress)
+
+def fit(
+    layer: Layer,
+    photographs: Photographs,
+    model: str,
+    steps: int,
+    rays: int,
+    device: str,
+    progress: Callable[[float], None] = lambda done: None,
+    given: dict[str, Any] | None = None,
+) -> tuple[RestoredField, VolumeFigures]:
+    """A field of a model in a layer, fitted to photographs in so many steps of so many paths, and its figures.
+
+    ``given`` are absorption and veil of the water, where they are known.
+    """
+    from fields.volume.layer_model import COLOUR_FIRST
+    from fields.volume.sampling import Cells
+    from fields.volume.train import Training, train_volume
+    from survey.run.stored_field import RestoredField, VolumeRecipe
+
+    water = cast("FlatWater | None", photographs.water)
+    recipe = VolumeRecipe(model, 1, steps, seed=0, samples=SAMPLES, **(given or {}))
+    renderer = recipe.renderer(layer, water, len(photographs.cameras), device)
+    training = Training(
+        steps=steps, rays=rays, samples=SAMPLES, refresh=(), final_rate=FINAL_RATE, falls_from=COLOUR_FIRST
+    )
+    cells, figures = train_volume(renderer, photographs, training, progress, cells=Cells.everywhere(layer, 1))
+    return RestoredField(renderer, cells, recipe, water, steps), figures
+
+
+def steps_for(rays_per_cell: float, cells: int) -> tuple[int, int]:
+    """Steps, and paths of each, for a number of known cells."""
+    rays = rays_per_cell * cells
+    batch = LARGE_BATCH if cells >= LARGE_LAYER else BATCH
+    batch = min(batch, max(int(np.ceil(rays / LEAST_STEPS)), SMALL_BATCH))
+    return max(int(np.ceil(rays / batch)), LEAST_STEPS), batch
+
+
+def layer_about(sources: Sources, gsd: float, ground: Area | None) -> tuple[Layer, Photographs]:
+    """The layer about the trusted heights over an area (x0, y0, x1, y1) [m], in cells of one GSD, and its photographs.
+
+    Of the photographs count the pixels whose own height lies in it.
+    """
+    from fields.volume.layer import Layer
+    from fields.volume.photographs import Photographs
+
+    found = [_trusted_points(*each, sources.water) for each in zip(sources.cameras, sources.maps, strict=True)]
+    if ground is not None:
+        found = [each[within(each.xyz, ground)] for each in found]
+    points, spreads = (np.concatenate([getattr(each, name) for each in found]) for name in ("xyz", "spread"))
+    if not len(points):
+        raise SurveyError("no confirmed height lies inside the area: a field has nothing to train on")
+    layer = Layer.of_points(points, gsd, max(HALF_CELLS * gsd, HALF_SPREADS * float(np.median(spreads))))
+    pixels, starts = [], []
+    for each in found:
+        start, is_inside = _meetings(each, layer)
+        pixels.append(each.flat[is_inside])
+        starts.append(start[is_inside])
+    return layer, Photographs(sources.cameras, sources.images, pixels, sources.water, starts=starts)
+
+
+@dataclass(frozen=True)
+class _OwnPoints:
+    """Points (n) of pixels of a height map, and the paths on which they lie."""
+
+    flat: np.ndarray  # (n,): index of the pixel in its image
+    xyz: np.ndarray  # (n, 3) float32 [m], local
+    direction: np.ndarray  # (n, 3) float32 unit: of travel, in the medium of the point
+    length: np.ndarray  # (n,) float32 [m]: of the path from the camera
+    spread: np.ndarray  # (n,) [m]: of the heights that agree
+
+    def __getitem__(self, keep: np.ndarray) -> _OwnPoints:
+        return _OwnPoints(*(getattr(self, each.name)[keep] for each in fields(self)))
+
+
+def _trusted_points(camera: PinholeCamera, height_map: HeightMap, water: FlatWater | None) -> _OwnPoints:
+    """Points of the trusted pixels of a map."""
+    return _points_of(camera, height_map, water, trusted(height_map)[: camera.height, : camera.width])
+
+
+def _points_of(camera: PinholeCamera, height_map: HeightMap, water: FlatWater | None, keep: np.ndarray) -> _OwnPoints:
+    """Points of the pixels of ``keep`` (height, width) bool."""
+    path = camera.paths(camera.pixel_centres()[keep], water)
+    rows, columns = np.nonzero(keep)
+    xyz = path.at_height(height_map.height[rows, columns].astype(np.float64), water)
+    in_water = path.wet & (((xyz - path.crossing) * path.water_direction).sum(axis=1) > 0.0)
+    from_crossing = np.linalg.norm(path.crossing - path.origin, axis=1) + np.linalg.norm(xyz - path.crossing, axis=1)
+    length = np.where(in_water, from_crossing, np.linalg.norm(xyz - path.origin, axis=1))
+    direction = np.where(in_water[:, None], path.water_direction, path.air_direction)
+    xyz, direction, length = (each.astype(np.float32) for each in (xyz, direction, length))
+    return _OwnPoints(np.flatnonzero(keep), xyz, direction, length, height_map.spread[rows, columns])
+
+
+def _meetings(own: _OwnPoints, layer: Layer) -> tuple[np.ndarray, np.ndarray]:
+    """Path lengths (n,) [m] at which paths meet the bed of a layer, and which of their points lie in it, (n,) bool."""
+    import torch
+
+    xyz, direction = torch.from_numpy(own.xyz), torch.from_numpy(own.direction)
+    moved = layer.meeting_near(xyz, direction)
+    is_inside = (moved * direction[:, 2]).abs() < INSIDE * layer.half
+    is_inside &= layer.holds(xyz + moved[:, None] * direction)
+    return own.length + moved.numpy(), is_inside.numpy()
+
+
+def with_heights(
+    field: RestoredField, camera: PinholeCamera, height_map: HeightMap, keep: np.ndarray
+) -> tuple[HeightMap, int]:
+    """A map with the heights [m] of the field at the pixels of ``keep`` (height, width) bool, and their number.
+
+    A pixel whose own height lies outside the layer (another surface passes there) keeps the sweep's.
+    """
+    import torch
+
+    from fields.image_based import heights_over
+    from fields.volume.paths import Rays
+
+    layer, height, moved = cast("Layer", field.renderer.model.box), height_map.height.copy(), 0
+    own = _points_of(camera, height_map, field.water, keep)
+    start, is_inside = _meetings(own, layer)
+    flat, start = own.flat[is_inside], start[is_inside]
+    for first in range(0, len(flat), PIXELS_AT_ONCE):
+        rows, columns = np.divmod(flat[first : first + PIXELS_AT_ONCE], camera.width)
+        grey = np.zeros((len(rows), 3), dtype=np.uint8)
+        paths = Rays.of(camera, np.stack([columns, rows], axis=-1) + 0.5, grey, 0).paths(field.water, None)
+        paths = layer.about(paths, torch.from_numpy(start[first : first + PIXELS_AT_ONCE]))
+        found = heights_over(field.points(paths), field.water)
+        near = np.abs(found - height[rows, columns]) < layer.half
+        height[rows[near], columns[near]] = found[near]
+        moved += int(near.sum())
+    return replace(height_map, height=height), moved

@@ -37,8 +37,8 @@ LENGTHS_AT = 26
 # Bytes that are read at a time.
 _PORTION = 4_000_000
 BED_FILE, SURVEY_FILE = "bed.npz", "survey.json"
-# Of the stage of the field; `survey.run.stored_field` reads and writes them.
-FIELD_FILES = FIELD_FILE, FIGURES_FILE, PLACE_FILE = "field.pt", "field.json", "place.json"
+# Of a trained field; `survey.run.stored_field` reads and writes them.
+FIELD_FILES = FIELD_STATE, FIELD_SETTINGS = "state.pt", "settings.json"
 
 
 @dataclass(frozen=True)

@@ -1,105 +1,193 @@
-"""A trained field on disk: written whole, read back bit for bit."""
+"""A trained radiance field on disk: the recipe and the state from which it is rebuilt and rendered.
+
+That of a run (`process --field`) and those of `bathynerf field` are stored and read alike. A run's has its layer in the
+state; the box of the others follows from the bed of their run.
+"""
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import pickle
 import zipfile
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
-from pyproj import CRS
 
-from fields.device import Device
-from fields.slab.rays import Slab
-from fields.slab.tensor_field import FieldSettings, TensorField
+from fields.compositing import quantile_height
+from fields.device import choose_device, half_the_threads, tensor_place
+from fields.image_based import NovelView, heights_over, normals_of
+from fields.models import APPEARANCE
+from fields.volume.appearance import appearance_vectors
+from fields.volume.layer import Layer
+from fields.volume.model import Setup, build_model
+from fields.volume.paths import Box, Paths
+from fields.volume.renderer import NormalHead, VolumeImage, VolumeRenderer, render_volume
+from fields.volume.sampling import Cells
+from fields.volume.shell import Shell
+from fields.volume.surface import LEAST_OPACITY
 from fields.water_column import WaterColumn
 from geo.files import write_whole
-from geo.frames import LocalFrame
-from refract import FlatWater
+from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
-from survey.run.stored import FIELD_FILE, FIGURES_FILE, PLACE_FILE
+from survey.files.json_values import read_json_object
+from survey.run.stored import FIELD_SETTINGS, FIELD_STATE
 
 if TYPE_CHECKING:
-    from fields.slab.tensor_field import FieldFigures
+    from fields.volume.proposal import Proposal
 
 _DAMAGE = (OSError, RuntimeError, KeyError, TypeError, ValueError, EOFError, pickle.UnpicklingError, zipfile.BadZipFile)
 
 
-def save_field(folder: Path, field: TensorField, figures: FieldFigures) -> None:
-    """Write a field and the figures of its training into the folder of its stage."""
-    slab = {f.name: getattr(field.slab, f.name) for f in dataclasses.fields(Slab)}
-    stored = {
-        "state": field.state_dict(),
-        "slab": {k: torch.from_numpy(v) if isinstance(v, np.ndarray) else v for k, v in slab.items()},
-        "settings": dataclasses.asdict(field.settings),
-        "is_fine": field.density.is_fine,
-        "water": field.column is not None,
-        "given": {} if field.column is None else field.column.given(),
+@dataclass(frozen=True)
+class VolumeRecipe:
+    """Settings that determine the parameters of a model and its paths."""
+
+    model: str  # A model of `fields.models`
+    # cells, steps, seed: As in `survey.volume.options.VolumeOptions`
+    cells: int
+    steps: int
+    seed: int
+    samples: int  # Of each path
+    straight: bool = False  # Rays are not bent
+    appearance: bool = False  # A vector for each photograph
+    shell: bool = False  # A background beyond the box
+    # absorption, veil: (3,) floats, optional: of the water, where they are known; see `fields.water_column.WaterColumn`
+    absorption: tuple[float, ...] | None = None
+    veil: tuple[float, ...] | None = None
+
+    @staticmethod
+    def of(settings: dict[str, Any]) -> VolumeRecipe:
+        """The recipe among settings; those that are missing have their defaults."""
+        names = {each.name for each in fields(VolumeRecipe)}
+        return VolumeRecipe(**{name: value for name, value in settings.items() if name in names})
+
+    def renderer(
+        self, box: Box, water: FlatWater | None, photographs: int, device: str, *, normal_head: bool = False
+    ) -> VolumeRenderer:
+        """The untrained model in a box, with a water column where its rays are bent, ready to be rendered."""
+        place, length = choose_device(device), APPEARANCE if self.appearance else 0
+        setup = Setup(box, self.cells, place, length, self.steps)
+        try:
+            model = build_model(self.model, setup, seed=self.seed)
+        except (ValueError, TypeError) as error:
+            raise SurveyError(f"the model {self.model} cannot be made: {error}") from error
+        bent = self.bends(water) is not None
+        return VolumeRenderer(
+            model,
+            column=WaterColumn(self.absorption, self.veil) if bent else None,
+            appearance=appearance_vectors(photographs, length) if length else None,
+            background=Shell(box) if self.shell else None,
+            proposal=cast("Proposal | None", model.proposal(setup)),
+            normals=NormalHead(model.num_features) if normal_head else None,
+        ).to(tensor_place(place))
+
+    def bends(self, water: FlatWater | None) -> FlatWater | None:
+        """The water at which rays are bent; None where they are straight."""
+        return None if self.straight else water
+
+    def restored(self, path: Path, box: Box | None, water: FlatWater | None, device: str) -> RestoredField:
+        """The field of the state in a file, in a box or, where that is None, in the layer of the state."""
+        state = read_state(path)
+        try:
+            parameters = state["renderer"]
+            box = box or _layer_of(state["layer"])
+            photographs = len(parameters["appearance.weight"]) if self.appearance else 0
+            has_normals = any(name.startswith("normals.") for name in parameters)
+            renderer = self.renderer(box, water, photographs, device, normal_head=has_normals)
+            renderer.load_state_dict(parameters)
+            cells = Cells(box, state["occupied"]).to(renderer.model.place)
+            return RestoredField(renderer, cells, self, water, int(state["step"]))
+        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            raise SurveyError(
+                f"{path} does not fit its {FIELD_SETTINGS} ({str(error)[:80]}); delete it, and training begins anew"
+            ) from error
+
+
+@dataclass(frozen=True)
+class RestoredField:
+    """A trained field with all that its rendering needs."""
+
+    renderer: VolumeRenderer
+    cells: Cells
+    recipe: VolumeRecipe
+    water: FlatWater | None  # Of the survey
+    step: int  # Steps that its training has done
+
+    @half_the_threads()
+    @torch.no_grad()
+    def points(self, paths: Paths) -> np.ndarray:
+        """Positions (N, 3) [m], local, of the median of the weights of paths."""
+        samples = self.renderer.samples(paths, self.cells, self.recipe.samples, jitter=False)
+        weights = self.renderer.weigh(paths, samples)[0]
+        found = paths.at(quantile_height(weights, samples.edges)[:, None])[:, 0]
+        return found.cpu().numpy().astype(np.float64)
+
+    def image(self, camera: PinholeCamera, *, dry: bool = False, shown: np.ndarray | None = None) -> VolumeImage:
+        """Rendering by a camera, through the water or, ``dry``, without; of the pixels ``shown`` (flat indices)."""
+        bent = None if dry else self.recipe.bends(self.water)
+        samples = self.recipe.samples
+        return render_volume(self.renderer, camera, bent, self.cells, samples=samples, dry=dry, shown=shown)
+
+    def view(self, camera: PinholeCamera, dry: bool) -> NovelView:
+        """The same as a `NovelView`."""
+        has_background = self.renderer.background is not None
+        return novel_view(self.image(camera, dry=dry), self.water, has_background=has_background)
+
+
+def novel_view(seen: VolumeImage, water: FlatWater | None, *, has_background: bool) -> NovelView:
+    """A rendered volume as a `NovelView`: heights over the water and normals; without a background black beside it."""
+    points = seen.points.astype(np.float64)
+    known = np.isfinite(seen.distance) & (seen.opacity > LEAST_OPACITY)
+    points[~known] = np.nan
+    height = heights_over(points.reshape(-1, 3), water).reshape(known.shape).astype(np.float32)
+    is_coloured = (known | has_background)[..., None]
+    rgb = np.where(is_coloured, np.round(255.0 * seen.rgb.clip(0.0, 1.0)), 0.0).astype(np.uint8)
+    distance = np.where(known, seen.distance, np.nan).astype(np.float32)
+    return NovelView(rgb, height, distance, normals_of(points), has_background)
+
+
+def save_layer_field(folder: Path, field: RestoredField) -> None:
+    """Write a field in a layer into a folder."""
+    layer = {each.name: getattr(field.renderer.model.box, each.name) for each in fields(Layer)}
+    state = {
+        "step": field.step,
+        "renderer": field.renderer.state_dict(),
+        "occupied": field.cells.occupied,
+        "layer": {k: torch.from_numpy(v) if isinstance(v, np.ndarray) else v for k, v in layer.items()},
     }
-    with write_whole(folder / FIELD_FILE) as stream:
-        torch.save(stored, stream)
-    with write_whole(folder / FIGURES_FILE) as stream:
-        stream.write(json.dumps(dataclasses.asdict(figures), indent=2).encode())
+    with write_whole(folder / FIELD_STATE) as stream:
+        torch.save(state, stream)
+    with write_whole(folder / FIELD_SETTINGS) as stream:
+        stream.write(json.dumps(asdict(field.recipe), indent=2).encode())
 
 
-def load_field(folder: Path, device: Device) -> TensorField:
-    """The field that `save_field` wrote.
+def load_layer_field(folder: Path, water: FlatWater | None, device: str) -> RestoredField:
+    """The field that `save_layer_field` wrote, in the water of its survey."""
+    path = folder / FIELD_SETTINGS
+    try:
+        recipe = VolumeRecipe.of(read_json_object(path))
+    except TypeError as error:
+        raise SurveyError(
+            f"{path} cannot be read ({error}); delete {folder}, and run `bathynerf process` again"
+        ) from error
+    return recipe.restored(folder / FIELD_STATE, None, water, device)
 
-    Raises
-    ------
-    SurveyError
-        If the file is missing or damaged.
-    """
-    path = folder / FIELD_FILE
+
+def _layer_of(stored: dict[str, Any]) -> Layer:
+    parts: dict[str, Any] = {k: v.numpy() if torch.is_tensor(v) else v for k, v in stored.items()}
+    return Layer(**parts)
+
+
+def read_state(path: Path) -> dict[str, Any]:
+    """The saved state of a training."""
     try:
         with zipfile.ZipFile(path) as archive:  # torch.load does not check the CRC
             damaged = archive.testzip()
         if damaged is not None:
             raise ValueError(f"its part {damaged} is damaged")
-        stored = torch.load(path, weights_only=True)
-        parts: dict[str, Any] = {k: v.numpy() if torch.is_tensor(v) else v for k, v in stored["slab"].items()}
-        slab = Slab(**parts)
-        # A field of version 0.1 has nothing given.
-        column = WaterColumn(**stored.get("given", {})) if stored["water"] else None
-        field = TensorField(slab, FieldSettings(**stored["settings"]), device, column)
-        field.load_state_dict(stored["state"])
+        return torch.load(path, weights_only=True, map_location="cpu")
     except _DAMAGE as error:
-        raise SurveyError(
-            f"{path} cannot be read ({error}); delete its folder and run `bathynerf process` again"
-        ) from error
-    field.density.is_fine = stored["is_fine"]
-    return field
-
-
-def save_place(folder: Path, frame: LocalFrame, water: FlatWater | None) -> None:
-    """Write where the local frame of a field lies and what water it saw through."""
-    optics = None
-    if water is not None:
-        names = ("point", "n_water", "slope_x", "slope_y")
-        optics = {name: getattr(water, name) for name in names}
-    place = {"crs": frame.crs.to_wkt(), "origin": frame.origin, "water": optics}
-    with write_whole(folder / PLACE_FILE) as stream:
-        stream.write(json.dumps(place, indent=2).encode())
-
-
-def load_place(folder: Path) -> tuple[LocalFrame, FlatWater | None]:
-    """The frame and the water that `save_place` wrote.
-
-    Raises
-    ------
-    SurveyError
-        If the file is missing or damaged.
-    """
-    path = folder / PLACE_FILE
-    try:
-        place = json.loads(path.read_text(encoding="utf-8"))
-        water = None if place["water"] is None else FlatWater(**place["water"])
-        return LocalFrame(CRS.from_wkt(place["crs"]), tuple(place["origin"])), water
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise SurveyError(
-            f"{path} cannot be read ({error}); delete its folder and run `bathynerf process` again"
-        ) from error
+        raise SurveyError(f"{path} cannot be read ({str(error)[:80]}); delete it, and training begins anew") from error

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from survey.errors import ConfigError
 from survey.files.toml_table import key, require_one_of
-from survey.words import SCALES, Device, Drop, Field, Poses, Quality
+from survey.words import FIELDS, SCALES, Device, Drop, Poses, Quality
 
 # Of three numbers each counts for one axis.
 Std = float | tuple[float, float, float]
@@ -50,7 +50,7 @@ def per_axis(value: Std) -> tuple[float, float, float]:
 
 # An aim chooses quality, field and image scale itself, so that both kinds exclude each other.
 _RECIPE, _AIM = ("quality", "field", "image_scale"), ("target_std_m", "time_budget_s")
-_WORDS = {"quality": Quality, "device": Device, "field": Field, "poses": Poses}
+_WORDS = {"quality": Quality, "device": Device, "field": FIELDS, "poses": Poses}
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class ProcessConfig:
     target_std_m: float | None = key(None, "a standard deviation in metres, in place of a quality")
     time_budget_s: float | None = key(None, "the seconds that a run may take, in place of a quality")
     device: str | None = key(None, "one of auto, cpu, cuda", one_of=Device)
-    field: str | None = key(None, "one of auto, solver, boxes, slab, off", one_of=Field)
+    field: str | None = key(None, f"one of {', '.join(FIELDS)}", one_of=FIELDS)
     poses: str | None = key(None, "one of auto, fixed, refine", one_of=Poses)
     image_scale: float | None = key(None, "1, 0.5, 0.25, ...", one_of=SCALES)
     calibrate_water: bool | None = None
@@ -85,7 +85,7 @@ class ProcessConfig:
         return dataclasses.replace(self, **inherited)
 
     def _says(self, names: tuple[str, ...]) -> bool:
-        return any(getattr(self, name) not in (None, Field.auto) for name in names)
+        return any(getattr(self, name) not in (None, "auto") for name in names)
 
     def require_sane(self) -> None:
         """Raise ConfigError at a word or number that is not known, or where an aim and a recipe are asked for."""
@@ -100,7 +100,7 @@ class ProcessConfig:
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise ConfigError(f"[process] {name} is {value:g}, expected a number above zero")
         if self._says(_AIM) and self._says(_RECIPE):
-            parts = [name for name in (*_AIM, *_RECIPE) if getattr(self, name) not in (None, Field.auto)]
+            parts = [name for name in (*_AIM, *_RECIPE) if getattr(self, name) not in (None, "auto")]
             raise ConfigError(
                 f"[process] has {' and '.join(parts)}, but {' and '.join(_AIM)} choose quality, field and image scale "
                 "themselves; keep one kind"
@@ -186,13 +186,13 @@ class LossesConfig:
     depth: float = 0.0
     normal: float = 0.0
     predicted_normal: float = 0.0  # of normals that a head predicts (MonoPatchNeRF); needs `monocular`
-    patch_px: int = 8  # side of the patches
+    patch_px: int | None = None  # side of the patches; default: 8
 
     def __post_init__(self):
         for name, value in dataclasses.asdict(self).items():
-            if value < 0.0:
+            if value is not None and value < 0.0:
                 raise ConfigError(f"field.losses.{name} is {value:g}, expected 0 or more")
-        if self.patch_px < 3:
+        if self.patch_px is not None and self.patch_px < 3:
             raise ConfigError(f"field.losses.patch_px is {self.patch_px}, expected 3 pixels or more")
 
 

@@ -65,9 +65,9 @@ class TrainedField:
         self._lock = Lock()
 
     @staticmethod
-    def slab(folder: Path) -> TrainedField:
-        """The field that `process --field slab` left in the folder of its stage."""
-        return TrainedField("slab", lambda _note: _slab(folder))
+    def of_run(folder: Path, water: FlatWater | None) -> TrainedField:
+        """The field that `process --field` left in the folder of its stage."""
+        return TrainedField("field", lambda _note: _of_run(folder, water))
 
     @staticmethod
     def volume(folder: Path, run: LoadedRun) -> TrainedField:
@@ -86,16 +86,13 @@ class TrainedField:
         """Rendering (rows, columns, 3) uint8 from a viewpoint, white beside the bed; ``dry``: along straight rays."""
         with self._lock:
             seen = self._render(camera_of(view, _ROWS), dry)
-        return np.where(seen.seen[..., None], seen.rgb, np.uint8(_PAPER))
+        return np.where(seen.coloured[..., None], seen.rgb, np.uint8(_PAPER))
 
 
-def _slab(folder: Path) -> Render:
-    from fields.device import choose_device
-    from fields.slab.novel_view import render_view
-    from survey.run.stored_field import load_field, load_place
+def _of_run(folder: Path, water: FlatWater | None) -> Render:
+    from survey.run.stored_field import load_layer_field
 
-    field, water = load_field(folder, choose_device("auto")), load_place(folder)[1]
-    return lambda camera, dry: render_view(field, camera, water, dry=dry)
+    return load_layer_field(folder, water, "auto").view
 
 
 def camera_of(view: Viewpoint, rows: int) -> PinholeCamera:
@@ -265,7 +262,7 @@ def load_shown(run: LoadedRun, survey: str | None, reference: Path | None = None
         run.bed_header.gsd_m,
     )
     if _FIELD in run.stages:
-        shown.fields.append(TrainedField.slab(run.folder.load_stage(_FIELD)))
+        shown.fields.append(TrainedField.of_run(run.folder.load_stage(_FIELD), flight.water))
     if volume is not None:
         shown.fields.append(TrainedField.volume(volume, run))
     columns["height"] = (points[:, 2] + shown.base_m).astype(np.float32)

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fields.models import maker
 from fields.volume.losses import Losses, PatchWeights, PriorWeights
-from fields.volume.models import MODELS
 from fields.volume.surface import Rule
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun, survey_folder
+from survey.run.stored_field import VolumeRecipe
 from survey.settings.config import settings_of
 from survey.settings.tables import FieldConfig, LossesConfig
 from survey.volume.monocular import priors_hash
-from survey.volume.recipe import VolumeRecipe
 from survey.volume.scene import SceneOptions
 from survey.words import Drop
 
@@ -29,7 +30,7 @@ MONOCULAR = (0.1, 0.05)
 class VolumeOptions:
     """Options of the training of a radiance field on a run, and of its products."""
 
-    model: str = "mdw"  # key of `fields.volume.models.MODELS`
+    model: str = "mdw"  # a name of `fields.models.maker`
     # steps, rays, samples: Steps of training, paths of each, and samples of each path
     steps: int = 2000
     rays: int = 4096
@@ -45,7 +46,7 @@ class VolumeOptions:
     shell: bool = False  # What lies beyond the box is learned, too (`fields.volume.shell`)
     # "N" or "NxM", optional: cells on the ground (along east and north) with a field of their own each, of ``cells``
     submodules: str | None = None
-    drop: str = Drop.geometry  # A word of `survey.words.Drop`
+    drop: str | None = None  # A word of `survey.words.Drop`; default: geometry
     rule: Rule = Rule.median  # Where on a path the surface is
     # [1/m], optional: of ``Rule.density``; default: half of the light is stopped within a cell
     density: float | None = None
@@ -60,8 +61,10 @@ class VolumeOptions:
     losses: LossesConfig = field(default_factory=LossesConfig)
 
     def __post_init__(self):
-        if self.model not in MODELS:
-            raise SurveyError(f"there is no model {self.model}; expected one of {', '.join(MODELS)}")
+        try:
+            maker(self.model)
+        except ValueError as error:
+            raise SurveyError(str(error)) from error
         for name, least in (("steps", 1), ("rays", 1), ("samples", 2), ("cells", 8), ("held_every", 2)):
             value = getattr(self, name)
             if value is not None and value < least:
@@ -70,15 +73,32 @@ class VolumeOptions:
             raise SurveyError(f"the image scale is {self.image_scale:g}, expected more than 0 and at most 1")
         if self.submodules is not None and not re.fullmatch("[1-9][0-9]{0,3}(x[1-9][0-9]{0,3})?", self.submodules):
             raise SurveyError(f"submodules is {self.submodules}, expected a number, or 3x2: along east and along north")
-        if self.drop not in tuple(Drop):
+        if self.drop is not None and self.drop not in tuple(Drop):
             raise SurveyError(f"drop is {self.drop}, expected one of {', '.join(Drop)}")
         if self.density is not None and not 0.0 < self.density < np.inf:
             raise SurveyError(f"the density is {self.density:g}, expected more than 0, in 1/m")
+        for option, needed in self._without_effect():
+            raise SurveyError(f"{option} has no effect without {needed}; give both or leave it out")
         if self.monocular is None and (self.losses.depth or self.losses.normal or self.losses.predicted_normal):
             raise SurveyError(
                 "losses on monocular depth or normals have a weight, but there are none; name their folder with "
                 "--monocular DIR"
             )
+
+    def _without_effect(self) -> Iterator[tuple[str, str]]:
+        """Options that were given and that nothing uses, with what they need."""
+        of = self.losses
+        if self.drop is not None and self.submodules is None:
+            yield "--drop", "--submodules"
+        if self.density is not None and self.rule is not Rule.density:
+            yield "--density", "--extract density"
+        if self.dry and self.cameras is None:
+            yield "--dry", "--cameras"
+        if of.transparency and not self.shell:
+            # Light that passes the box is lost nowhere else: the last sample takes it.
+            yield "[field.losses] transparency", "--shell"
+        if of.patch_px is not None and not (of.ncc or of.ssim or of.smooth_normals or of.virtual_patches):
+            yield "[field.losses] patch_px", "ncc, ssim, smooth_normals or virtual_patches"
 
     def of_training(self, run: LoadedRun) -> dict[str, Any]:
         """All that the trained field depends on: the result of the run, the options, and the monocular priors."""
@@ -95,13 +115,13 @@ class VolumeOptions:
     @property
     def recipe(self) -> VolumeRecipe:
         """Options of the model and its paths."""
-        return VolumeRecipe(**{name: getattr(self, name) for name in VolumeRecipe.__dataclass_fields__})
+        return VolumeRecipe.of({each.name: getattr(self, each.name) for each in fields(self)})
 
     def of_losses(self) -> Losses:
         """The weights of the losses."""
         of = self.losses
         depth, normal = of.depth, of.normal
-        if self.monocular is not None and not (depth or normal or of.predicted_normal):
+        if self.monocular is not None and not (depth or normal):
             depth, normal = MONOCULAR
         return Losses(
             transparency=of.transparency,
@@ -113,7 +133,9 @@ class VolumeOptions:
             printed_gaussian_density=of.printed_gaussian_density,
             empty=of.empty,
             virtual_views=of.virtual_views,
-            patches=PatchWeights(of.patch_px, of.ncc, of.ssim, of.smooth_normals, of.virtual_patches),
+            patches=PatchWeights(
+                of.patch_px or PatchWeights.size, of.ncc, of.ssim, of.smooth_normals, of.virtual_patches
+            ),
             priors=PriorWeights(depth=depth, normal=normal, predicted_normal=of.predicted_normal),
         )
 

@@ -6,7 +6,6 @@ The state is saved during training, so that an interrupted one continues, and at
 from __future__ import annotations
 
 import json
-import pickle
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -28,6 +27,8 @@ from survey.export.loaded import LoadedRun, Photograph, at_scale
 from survey.files.json_values import read_json_object
 from survey.files.outputs import ReadFiles, require_folder
 from survey.run.flight import Flight
+from survey.run.stored import FIELD_SETTINGS, FIELD_STATE
+from survey.run.stored_field import read_state
 from survey.volume.monocular import monocular_priors
 
 # A box reaches over and under the inner part of the heights by a share of their range and some cells.
@@ -36,7 +37,7 @@ _INNER, _REACH, _REACH_CELLS = (0.1, 99.9), 0.1, 3.0
 _PIXELS_PER_CELL = 2.0
 # A photograph counts if it shows the box with this share of its pixels.
 _LEAST_SHARE = 0.002
-STATE, SETTINGS, REPORT = "state.pt", "settings.json", "report.json"
+REPORT = "report.json"
 # Seconds between two states.
 _EVERY_S = 30.0
 
@@ -287,13 +288,13 @@ class VolumeFolder:
         self._saved_at = time.monotonic()
         # As a file would give them back.
         settings = json.loads(json.dumps(settings))
-        if (path / SETTINGS).is_file():
-            self._require_same(read_json_object(path / SETTINGS), settings)
+        if (path / FIELD_SETTINGS).is_file():
+            self._require_same(read_json_object(path / FIELD_SETTINGS), settings)
         elif path.is_dir() and any(path.iterdir()):
             raise OutputError(f"-o names {path}, which is not empty and holds no volume; name another folder")
         with reporting_disk_errors(path):
             path.mkdir(parents=True, exist_ok=True)
-        with write_whole(path / SETTINGS) as stream:
+        with write_whole(path / FIELD_SETTINGS) as stream:
             stream.write(json.dumps(settings, indent=2).encode())
         self._settings = settings
 
@@ -314,20 +315,12 @@ class VolumeFolder:
 
     def load(self) -> dict[str, Any] | None:
         """The state that was saved last; None where there is none."""
-        state = self.path / STATE
+        state = self.path / FIELD_STATE
         return read_state(state) if state.is_file() else None
 
     def save(self, make: Callable[[], dict[str, Any]], *, last: bool) -> None:
         """Save a state, if it is the last or the one before is half a minute old."""
         if last or time.monotonic() - self._saved_at > _EVERY_S:
-            with write_whole(self.path / STATE) as stream:
+            with write_whole(self.path / FIELD_STATE) as stream:
                 torch.save(make(), stream)
             self._saved_at = time.monotonic()
-
-
-def read_state(path: Path) -> dict[str, Any]:
-    """The saved state of a training."""
-    try:
-        return torch.load(path, weights_only=True, map_location="cpu")
-    except (OSError, RuntimeError, ValueError, KeyError, EOFError, pickle.UnpicklingError) as error:
-        raise SurveyError(f"{path} cannot be read ({str(error)[:80]}); delete it, and training begins anew") from error

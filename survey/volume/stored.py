@@ -13,8 +13,9 @@ from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
 from survey.files.json_values import read_json_object
 from survey.progress import current
-from survey.volume.recipe import VolumeRecipe, view_of
-from survey.volume.scene import SETTINGS, STATE, BedBox, SceneOptions
+from survey.run.stored import FIELD_SETTINGS, FIELD_STATE
+from survey.run.stored_field import VolumeRecipe
+from survey.volume.scene import BedBox, SceneOptions
 from survey.volume.submodule_views import FOLDER, SubmoduleViews
 from survey.words import Drop
 
@@ -33,26 +34,27 @@ class StoredVolume:
     @staticmethod
     def of_run(folder: Path, run: LoadedRun) -> StoredVolume:
         """The volume in a folder, if it was trained on this run as it is now."""
-        if not (folder / SETTINGS).is_file() or not ((folder / STATE).is_file() or (folder / FOLDER).is_dir()):
+        is_trained = (folder / FIELD_STATE).is_file() or (folder / FOLDER).is_dir()
+        if not (folder / FIELD_SETTINGS).is_file() or not is_trained:
             raise SurveyError(
-                f"{folder} holds no trained field ({SETTINGS} and {STATE}); train one: bathynerf field "
+                f"{folder} holds no trained field ({FIELD_SETTINGS} and {FIELD_STATE}); train one: bathynerf field "
                 f"{run.folder.path} -o {folder}"
             )
-        settings = read_json_object(folder / SETTINGS)
+        settings = read_json_object(folder / FIELD_SETTINGS)
         if settings.get("result") != run.stages:
             raise SurveyError(
                 f"the field in {folder} was trained on another run, or on an earlier result of {run.folder.path}; "
                 "train one on this result: bathynerf field, into another folder"
             )
         try:
-            recipe = VolumeRecipe(**{name: settings[name] for name in VolumeRecipe.__dataclass_fields__})
+            recipe = VolumeRecipe.of(settings)
             bounds = None if settings["bounds"] is None else tuple(settings["bounds"])
             scene = SceneOptions(recipe.cells, bounds, straight=recipe.straight)
             ground = BedBox.of_run(run, run.flight, scene)
             counts = settings["submodules"] and counts_of(settings["submodules"], ground.box.size)
         except (KeyError, TypeError, ValueError) as error:
             raise SurveyError(
-                f"{folder / SETTINGS} cannot be read ({error!r}); delete the folder, and train the field again"
+                f"{folder / FIELD_SETTINGS} cannot be read ({error!r}); delete the folder, and train the field again"
             ) from error
         return StoredVolume(folder, recipe, ground, counts, run.flight.water)
 
@@ -65,7 +67,7 @@ class StoredVolume:
             for text in views.unfinished():
                 note(text)
             return views.view
-        renderer, cells, step = self.recipe.restored(self.folder / STATE, self.ground.box, self.water, device)
-        if step < self.recipe.steps:
-            note(f"the training of {self.folder} has done {step} of {self.recipe.steps} steps so far")
-        return lambda camera, dry: view_of(renderer, cells, self.recipe, self.water, camera, dry=dry)
+        field = self.recipe.restored(self.folder / FIELD_STATE, self.ground.box, self.water, device)
+        if field.step < self.recipe.steps:
+            note(f"the training of {self.folder} has done {field.step} of {self.recipe.steps} steps so far")
+        return field.view

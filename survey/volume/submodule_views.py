@@ -25,8 +25,9 @@ from fields.volume.visibility import Visibility
 from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object
-from survey.volume.recipe import VolumeRecipe, novel_view
-from survey.volume.scene import REPORT, STATE, BedBox, read_state
+from survey.run.stored import FIELD_STATE
+from survey.run.stored_field import VolumeRecipe, novel_view, read_state
+from survey.volume.scene import REPORT, BedBox
 from survey.words import Drop
 
 # Folder of the submodules in that of their field; file of their matched appearance vectors there; visibility of each.
@@ -70,7 +71,7 @@ class SubmoduleViews:
             if part is None:
                 continue
             self._with_bed.append(name)
-            if (folder / FOLDER / name / STATE).is_file():
+            if (folder / FOLDER / name / FIELD_STATE).is_file():
                 self.folders[number], self.boxes[number] = folder / FOLDER / name, part.box
         if not self.folders:
             raise SurveyError(
@@ -88,19 +89,20 @@ class SubmoduleViews:
         if len(self.folders) < cells:
             parts.append(f"{len(self.folders)} of {cells} cells of {self.folder} are trained so far")
         for folder in self.folders.values():
-            if (step := read_state(folder / STATE).get("step", 0)) < self.recipe.steps:
+            if (step := read_state(folder / FIELD_STATE).get("step", 0)) < self.recipe.steps:
                 parts.append(f"the training of {folder} has done {step} of {self.recipe.steps} steps so far")
         return parts
 
     def load(self, number: int) -> Submodule:
         """A submodule, with the matched appearance where there is one."""
         folder = self.folders[number]
-        renderer, cells, _ = self.recipe.restored(folder / STATE, self.boxes[number], self.ground.water, self.device)
+        field = self.recipe.restored(folder / FIELD_STATE, self.boxes[number], self.ground.water, self.device)
+        renderer = field.renderer
         vectors = folder.parent / VECTORS
         if self.recipe.appearance and vectors.is_file():
             vector = torch.tensor(read_json_object(vectors)[folder.name], dtype=torch.float32)
             renderer.appearance = single_vector(vector.to(renderer.model.place))
-        return Submodule(number, renderer, cells)
+        return Submodule(number, renderer, field.cells)
 
     def _load_visibility(self, number: int) -> tuple[Visibility, Cells]:
         saved = read_state(self.folders[number] / VISIBILITY)
@@ -125,4 +127,4 @@ class SubmoduleViews:
         numbers = list(self.folders)
         chosen = ((weights[k], self._kept(numbers[k])) for k in kept(self.visible(camera, water)))
         seen = render_submodules(chosen, self.grid, camera, water, samples=self.recipe.samples, dry=dry)
-        return novel_view(seen, self.ground.water)
+        return novel_view(seen, self.ground.water, has_background=self.recipe.shell)

@@ -70,10 +70,14 @@ def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, fol
         reports[name] = trained.report() | {"points": len(surfaces[-1].xyz)}
     if not reports:
         raise SurveyError(f"none of {len(grid)} submodules has enough photographs; ask for fewer --submodules")
-    views = SubmoduleViews(folder.path, options.recipe, ground, grid.counts, options.device, options.drop)
+    views = SubmoduleViews(
+        folder.path, options.recipe, ground, grid.counts, options.device, options.drop or Drop.geometry
+    )
     if options.appearance and not (folder.path / FOLDER / VECTORS).is_file():
         write_json(folder.path / FOLDER / VECTORS, _matched_vectors(views, flight, ground))
-        views = SubmoduleViews(folder.path, options.recipe, ground, grid.counts, options.device, options.drop)
+        views = SubmoduleViews(
+            folder.path, options.recipe, ground, grid.counts, options.device, options.drop or Drop.geometry
+        )
     report = _summary(reports, ground, held) | {"left_out": left_out, "submodules": reports}
     return FieldResult(_joined(surfaces), ground.scene(held, held).bed, held, views.view, report)
 

@@ -16,8 +16,8 @@ from fields.volume.train import Checkpoints, Training, VolumeFigures, train_volu
 from refract import PinholeCamera
 from survey.progress import current, shares
 from survey.run.flight import Flight
+from survey.run.stored_field import RestoredField
 from survey.volume.options import VolumeOptions
-from survey.volume.recipe import view_of
 from survey.volume.scene import NamedPhotographs, Scene
 
 
@@ -35,7 +35,7 @@ class Trained:
     def view(self, camera: PinholeCamera, dry: bool) -> NovelView:
         """View of a camera, with the water or, ``dry``, without it."""
         of = self.options.recipe
-        return view_of(self.renderer, self.cells, of, self.flight.water, camera, dry=dry)
+        return RestoredField(self.renderer, self.cells, of, self.flight.water, of.steps).view(camera, dry)
 
     def report(self) -> dict[str, Any]:
         """Figures of the training."""

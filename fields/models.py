@@ -1,0 +1,123 @@
+"""The radiance fields by their names: the one list that options, help, tables of the documents and tests follow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Any
+
+# Entry points of other packages that name models.
+GROUP = "bathynerf.fields"
+# A vector of this length for each photograph, where appearance is learned.
+APPEARANCE = 16
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A model of the list."""
+
+    label: str  # In tables and pictures of benchmarks
+    field: str  # What it is made of, for docs/field.md
+    source: str
+    # "module:callable" that makes the untrained model of a `fields.volume.model.Setup`, imported when it is built
+    made_by: str
+    in_layer: bool = False  # Whether `bathynerf process --field` offers it, in a layer about the bed
+
+
+MODELS = {
+    "mdw": Entry(
+        "MDW",
+        "planes times vectors at several scales, with weighted density",
+        "MDW-NeRF",
+        "fields.volume.layer_model:mdw",
+        in_layer=True,
+    ),
+    "mdw-printed": Entry(
+        "MDW as printed",
+        "experimental: the same with the colours of its paper to the letter; no better with two seeds",
+        "MDW-NeRF",
+        "fields.volume.layer_model:mdw_printed",
+    ),
+    "m": Entry("M", "mdw without the weighting", "its ablation", "fields.volume.layer_model:m", in_layer=True),
+    "dw": Entry("DW", "mdw at one scale", "its ablation", "fields.volume.layer_model:dw", in_layer=True),
+    "vm": Entry(
+        "VM", "mdw at one scale without the weighting", "its ablation", "fields.volume.layer_model:vm", in_layer=True
+    ),
+    "tensorf": Entry(
+        "TensoRF",
+        "planes times vectors of density and of colour apart, cells refined in five steps, total variation",
+        "Chen et al. 2022",
+        "fields.volume.tensorf:tensorf",
+    ),
+    "nerf": Entry("NeRF", "a multilayer perceptron of sines", "Mildenhall et al. 2020", "fields.volume.mlp:nerf"),
+    "tinynerf": Entry("TinyNeRF", "the same, small and matt", "Mildenhall et al. 2020", "fields.volume.mlp:tinynerf"),
+    "nerfacto": Entry(
+        "Nerfacto",
+        "a hash grid with two rounds of proposals, at its published size",
+        "Tancik et al. 2023; Müller et al. 2022",
+        "fields.volume.nerfacto:nerfacto",
+    ),
+    "hash": Entry(
+        "hash grid, proposals",
+        "the same with one round, at a size for processors",
+        "Tancik et al. 2023; Müller et al. 2022",
+        "fields.volume.nerfacto:hash_grid",
+    ),
+    "octree": Entry(
+        "octree of fields",
+        "experimental: grids of an octree's nodes, which grows where density has detail; places the bed four times as "
+        "far off as mdw",
+        "Inf-NeRF",
+        "fields.volume.octree:octree",
+    ),
+    "ground": Entry(
+        "ground planes",
+        "experimental: planes over the ground, and a perceptron beside them",
+        "Grid-NeRF",
+        "fields.volume.ground_plane:ground",
+    ),
+    "neus": Entry(
+        "signed distance",
+        "a signed distance, with narrower networks than published, a level surface at first",
+        "Wang et al. 2021",
+        "fields.volume.sdf:neus",
+    ),
+}
+IN_LAYER = tuple(name for name, entry in MODELS.items() if entry.in_layer)
+
+
+def maker(name: str) -> Callable[[Any], Any]:
+    """What makes a model of a `fields.volume.model.Setup`.
+
+    Parameters
+    ----------
+    name : str
+        A key of `MODELS`, an entry point of `GROUP`, or "package.module:Class".
+
+    Raises
+    ------
+    ValueError
+        If there is none of that name, or it cannot be imported.
+    """
+    place = MODELS[name].made_by if name in MODELS else name
+    if ":" not in place:
+        found = {point.name: point for point in entry_points(group=GROUP)}
+        if place not in found:
+            raise ValueError(
+                f"there is no model {name}; expected one of {', '.join([*MODELS, *found])}, or package.module:Class of "
+                "an installed package"
+            )
+        place = found[place].value
+    module, _, attribute = place.partition(":")
+    try:
+        return getattr(import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"the model {name} cannot be imported from {place}: {error}") from error
+
+
+def table() -> list[str]:
+    """The models as a table in Markdown, for docs/field.md."""
+    rows = [f"| `{name}` | {entry.field} | {entry.source} |" for name, entry in MODELS.items()]
+    return ["| `--model` | field | source |", "|---|---|---|", *rows]

@@ -39,9 +39,9 @@ from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
 from survey.plan.check_inputs import DOWN_DEG, GIVE_LEVEL, tilts_deg
 from survey.plan.choices import Choices
-from survey.plan.gsd import gsd_m
 from survey.plan.plan import make_plan
 from survey.plan.rates import adjustment_s
+from survey.plan.recipe import gsd_m
 from survey.plan.workload import amounts_of_run
 
 # Windows are measured up to four times as well as matches, and are as many.

@@ -22,7 +22,7 @@ from survey.plan.area import in_the_middle
 from survey.plan.check import Checked, CheckSection
 from survey.plan.check_inputs import Verdict, verdict_by_limits, verdict_text
 from survey.plan.glitter import USUAL_WIND_M_S, Glitter, GlitterOfFlight
-from survey.plan.gsd import gsd_m
+from survey.plan.recipe import gsd_m
 
 # Shares of the photographs of a place that glitter spoils, up to which it is good, or fair; where no places are known,
 # shares of a photograph.

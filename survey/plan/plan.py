@@ -13,9 +13,8 @@ from survey.folder.survey import Survey
 from survey.plan.area import flattened
 from survey.plan.choices import USUAL, Choices
 from survey.plan.decisions import Decision, finer_passes, lens_terms, pixels, pose_choice, refraction
-from survey.plan.gsd import camera_height_m, gsd_m, image_scale_of
 from survey.plan.heights import dry_ground, in_words
-from survey.plan.recipe import RECIPES, Recipe, image_decision
+from survey.plan.recipe import RECIPES, Recipe, camera_height_m, gsd_m, image_decision, image_scale_of
 from survey.water.surface import EARTH, Departure
 from survey.water.tides import MOST_SHIFT_PX
 

@@ -1,4 +1,6 @@
-"""Recipes of qualities, the working size of photographs, and the limits that a cloud has to meet."""
+"""Recipes of qualities, the size of photographs in a run, what a pixel covers at it, and the limits that a cloud has to
+meet.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +8,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from evaluation.standards import TO_95, TVU
 from refract import PinholeCamera
-from survey.plan.choices import Choices, Quality
+from survey.folder.survey import Survey
+from survey.plan.area import flattened
+from survey.plan.choices import USUAL, Choices, Quality
 from survey.plan.decisions import Decision
+from survey.plan.heights import dry_ground
 
 # Of the standard deviation that points have of their own, in ground sampling distances.
 MAX_STD_GSD = 1.5
@@ -68,3 +75,34 @@ def image_scale(width: int, height: int, megapixels: float) -> float:
 def max_height_std(gsd_m: float) -> float:
     """Largest standard deviation [m] of a height, all included, at a ground sampling distance [m]."""
     return max(MAX_STD_GSD * gsd_m, STRICTEST_ORDER_M)
+
+
+def image_scale_of(survey: Survey, chosen: Choices = USUAL) -> float:
+    """Scale [-] of the photographs in a run, at most 1."""
+    if chosen.image_scale is not None:
+        return chosen.image_scale
+    megapixels = RECIPES[chosen.quality].megapixels
+    return min(image_scale(view.camera.width, view.camera.height, megapixels) for view in survey.views)
+
+
+def gsd_m(survey: Survey, chosen: Choices = USUAL) -> float:
+    """Ground sampling distance [m] at that scale, median over the views: at the water, or dry ground."""
+    survey = flattened(survey)
+    height = camera_height_m(survey)
+    distances = [_distance_along_axis(view.camera, survey, height) / view.camera.fx for view in survey.views]
+    return float(np.median(distances)) / image_scale_of(survey, chosen)
+
+
+def camera_height_m(survey: Survey) -> float:
+    """Height [m] of the cameras over the water or ground, median."""
+    centres = np.array([view.camera.centre for view in survey.views])
+    if survey.water is not None:
+        return float(np.median(-survey.water.depth(centres)))
+    return float(np.median(centres[:, 2])) - dry_ground(survey).height
+
+
+def _distance_along_axis(camera: PinholeCamera, survey: Survey, height: float) -> float:
+    """Distance [m] from the camera to water or ground along its axis, at most three heights."""
+    own = height if survey.water is None else -float(survey.water.depth(camera.centre))
+    falling = -camera.cam_from_local[2, 2]
+    return own / max(falling, 1.0 / 3.0)

@@ -18,8 +18,8 @@ from survey.folder.survey import Survey
 from survey.plan.area import ASSUMED_DEPTH_M
 from survey.plan.choices import STD_QUANTILE, Aim, Choices
 from survey.plan.decisions import Decision
-from survey.plan.gsd import gsd_m, image_scale_of
 from survey.plan.plan import make_plan
+from survey.plan.recipe import gsd_m, image_scale_of
 from survey.plan.workload import workload_of
 from survey.progress import rough
 from survey.words import SCALES, Quality

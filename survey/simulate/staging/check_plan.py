@@ -23,8 +23,8 @@ from survey.plan.check_inputs import Verdict, verdict_by_limits, verdict_text
 from survey.plan.check_light import LOST_GOOD, glitter_text, lost_share, motion_text, sun_text
 from survey.plan.choices import USUAL, Choices
 from survey.plan.glitter import GlitterOfFlight
-from survey.plan.gsd import gsd_m
 from survey.plan.plan import make_plan
+from survey.plan.recipe import gsd_m
 from survey.plan.workload import room_warnings, workload_of
 from survey.settings.config import AreaConfig, SurveyConfig, WaterConfig
 from survey.simulate.flight.coverage import NADIR_DEG, coverage

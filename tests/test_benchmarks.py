@@ -37,7 +37,8 @@ SMALLEST = {
     "bench_reach": "{work} --kilometre",
     "bench_real_like": "-o {work} --seed 2 --count 1 --by ties",
     "bench_solver": "{survey} --ways solver -o {work}",
-    "bench_survey_field": "{survey} -o {work} --rows sweep",
+    "bench_survey_field": "{survey} -o {work} --rows sweep --reference {survey}/truth/reference.ply "
+    "--visible {survey}/truth/visible.ply",
     "bench_sweep": "{survey} --quality draft --tables trust steps views once -o {work}",
     "bench_switches": "-o {work} --only none --steps 2 --seeds 1",
     "bench_tiles": "{survey} --tiles 2 -o {work}/tiles.json",

@@ -45,7 +45,7 @@ def read_json_object(path: str | Path) -> dict:
     """The object in a JSON file in UTF-8; empty where the file is missing, damaged, or holds something else."""
     try:
         value = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (FileNotFoundError, NotADirectoryError, ValueError):
+    except (FileNotFoundError, NotADirectoryError, ValueError, RecursionError):
         return {}
     return value if isinstance(value, dict) else {}
 

@@ -20,6 +20,8 @@ from survey.errors import ConfigError
 from survey.files.json_values import LARGEST
 from survey.words import expected_of
 
+# Bytes of settings at most; those with all keys and comments have 10 kB.
+_MOST_BYTES = 1_000_000
 _KINDS = {
     float: f"a finite number of at most {LARGEST:g} in size",
     int: "a whole number",
@@ -65,6 +67,9 @@ def table_of(record: Any) -> dict[str, Any]:
 def read_toml(path: Path, parse: Callable[[str], Any]) -> Any:
     """Result of `parse` for the text of a TOML file."""
     try:
+        size = path.stat().st_size
+        if size > _MOST_BYTES:
+            raise ConfigError(f"has {size / 1e6:.0f} MB, expected settings of a few lines; correct it")
         return parse(path.read_text(encoding="utf-8-sig"))
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from error

@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 STD_QUANTILE = 0.95
 
 
+# Ten thousand square kilometres in tiles of the largest size; workers of the largest clusters of Dask.
+_MOST_TILES, _MOST_WORKERS = 10_000, 1_000
+
+
 @dataclass(frozen=True)
 class Aim:
     """Target of a run, from which quality and image scale follow: a standard deviation, a time, or both."""
@@ -90,12 +94,11 @@ class Choices:
         if self.image_scale is not None and self.image_scale not in SCALES:
             known = ", ".join(f"{each:g}" for each in SCALES)
             raise SurveyError(f"image scale is {self.image_scale:g}, expected one of {known}")
-        if self.tiles is not None and self.tiles < 1:
-            raise SurveyError(f"--tiles is {self.tiles}, expected a number from 1 on")
+        for option, number, most in (("tiles", self.tiles, _MOST_TILES), ("workers", self.workers, _MOST_WORKERS)):
+            if number is not None and not 1 <= number <= most:
+                raise SurveyError(f"--{option} is {number}, expected a number from 1 to {most}")
         if self.memory is not None:
             bytes_of(self.memory)
-        if self.workers is not None and self.workers < 1:
-            raise SurveyError(f"--workers is {self.workers}, expected a number from 1 on")
 
 
 # The defaults.

@@ -277,7 +277,7 @@ def load_bed_header(folder: str | Path) -> BedHeader:
     try:
         record = json.loads((Path(folder) / SURVEY_FILE).read_text(encoding="utf-8"))
         return BedHeader(CRS.from_wkt(record["crs_wkt"]), record["name"], record["gsd_m"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise _no_bed(folder, error) from error
 
 

@@ -329,3 +329,23 @@ def test_the_water_of_a_run_of_kilometres_follows_the_earth(block, tmp_path):
     under = plane_under(flight.water, flight.departure, camera.centre)
     assert under.height(*there[:2]) == pytest.approx(there[2], abs=1e-3)
     assert (under.slope_x - flight.water.slope_x) == pytest.approx(-2.0 * curvature_drop(8000.0) / 8000.0, rel=0.01)
+
+
+@pytest.mark.parametrize("suffix", ["gpkg", "geojson", "dxf"])
+def test_a_layer_that_somebody_edited_is_kept_and_one_that_was_looked_at_is_replaced(block, tmp_path, suffix):
+    path, file = block[0], tmp_path / f"c.{suffix}"
+    export(path, options=ExportOptions(resolution_m=0.2), contours=file)
+    if suffix == "gpkg":
+        # As QGIS does that only shows it.
+        with sqlite3.connect(file) as database:
+            database.execute("pragma journal_mode = wal")
+        database.close()
+    export(path, options=ExportOptions(resolution_m=0.4), contours=file)
+    if suffix == "gpkg":
+        with sqlite3.connect(file) as database:
+            database.execute("create table notes (text)")
+        database.close()
+    else:
+        file.write_text(file.read_text().replace("contours", "depths"))
+    with pytest.raises(SurveyError, match="which somebody has changed since bathynerf wrote it"):
+        export(path, options=ExportOptions(resolution_m=0.2), contours=file)

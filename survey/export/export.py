@@ -187,15 +187,16 @@ def _stamp(path: Path) -> dict[str, int]:
 
 
 def _content_hash(path: Path) -> str:
-    """SHA-256 of a file; of a GeoPackage that of its rows, since a program that only shows it changes its bytes."""
+    """SHA-256 of a file; of a GeoPackage that of its tables, since a program that only shows it changes its bytes."""
     if path.suffix.lower() != ".gpkg":
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     found = hashlib.sha256()
     with closing(sqlite3.connect(f"{path.resolve().as_uri()}?immutable=1", uri=True)) as database:
-        tables = database.execute("select name from sqlite_master where type = 'table' order by name").fetchall()
-        for (table,) in tables:
+        tables = database.execute("select name, sql from sqlite_master where type = 'table' order by name").fetchall()
+        for table, form in tables:
             if not table.startswith(("sqlite_", "gpkg_", "rtree_")):
+                found.update(form.encode())
                 for row in database.execute(f'select * from "{table}"'):
                     found.update(repr((table, row)).encode())
     return found.hexdigest()

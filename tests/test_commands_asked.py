@@ -112,6 +112,7 @@ def test_a_wrong_variable_is_named(variable, text, words):
     ("text", "words"),
     [
         ('quality = "best"', '[process] quality is "best", expected one of draft, standard, fine'),
+        ('field = "slab"', "off, mdw, m, dw, vm; mdw has taken the place of slab"),
         ("image_scale = 0.3", "[process] image_scale is 0.3, expected one of 1, 0.5"),
         ("target_std_m = -1", "[process] target_std_m is -1, expected a number above zero"),
         ('quality = "fine"\ntime_budget_s = 300', "[process] has time_budget_s and quality"),

@@ -1,4 +1,4 @@
-"""Ground planes and the perceptron beside them: equations against loops, the second stage, levels, learning."""
+"""Ground planes and the perceptron beside them: equations against loops, the second stage, learning."""
 
 from __future__ import annotations
 
@@ -78,15 +78,6 @@ def test_the_second_stage_begins_where_the_first_ends_and_planes_are_rendered_al
     assert alone == [step % GRID_EVERY == 0 for step in range(4, 4 + 2 * GRID_EVERY)]
     with torch.no_grad():
         assert not torch.allclose(model.thickness(x, directions(20), torch.ones(20))[0], before)
-
-
-def test_fewer_levels_leave_out_the_finest_planes():
-    model = volume()
-    x = positions(20)
-    model.levels = 1
-    features = model.evaluate(x)[1]
-    assert not features[:, 4:8].any()
-    assert torch.equal(features[:, :4], model.factors(BOX.unit(x))[:, :4])
 
 
 def test_every_parameter_has_a_rate_and_learns_in_the_second_stage():

@@ -9,8 +9,6 @@ Training has two stages, as in the paper: (2) alone until `joint_from`, then (3)
 perceptron says is added to raw density and colour, and is zero at first. (4) keeps the planes what they are for (2).
 Different here: in each step of the second stage one of the branches is rendered, (2) in one of four, since
 photographs are compared once a step; planes and vectors of every scale are those of `fields.factors`.
-
-`levels` takes the finest planes out: what stays is the scene at a coarser level.
 """
 
 from __future__ import annotations
@@ -49,19 +47,13 @@ class GroundPlaneSettings:
 
 
 class GroundPlaneVolume(VolumeModel):
-    """Density and colour by (2), and from the second stage on by (3).
-
-    Attributes
-    ----------
-    levels : int
-        Scales that count, coarse first.
-    """
+    """Density and colour by (2), and from the second stage on by (3)."""
 
     FACTORS, NETWORKS = 0.02, 0.001
 
     def __init__(self, box: Box, settings: GroundPlaneSettings, device: Device, *, appearance: int = 0):
         super().__init__(box)
-        self.settings, self.levels = settings, settings.scales
+        self.settings = settings
         self._step, self.is_joint = 0, False
         grids = [grid_of(box, n) for n in geometric_scales(settings.n_min, settings.n_max, settings.scales)]
         self.factors = Factors(grids, "z", settings.channels, device)
@@ -80,13 +72,6 @@ class GroundPlaneVolume(VolumeModel):
             nn.init.zeros_(last.weight)
             nn.init.zeros_(last.bias)
 
-    def _planes(self, x: Tensor) -> Tensor:
-        found = self.factors(self.box.unit(x))
-        if self.levels == self.settings.scales:
-            return found
-        kept = torch.arange(found.shape[1], device=found.device) < self.levels * self.settings.channels
-        return found * kept
-
     def evaluate(self, x: Tensor) -> tuple[Tensor, Tensor]:
         return self._of(x, joint=self.is_joint)
 
@@ -97,7 +82,7 @@ class GroundPlaneVolume(VolumeModel):
 
     def _of(self, x: Tensor, *, joint: bool) -> tuple[Tensor, Tensor]:
         """Density and features, planes first; those of (3) are zero where it does not count."""
-        planes = self._planes(x)
+        planes = self.factors(self.box.unit(x))
         raw = self.density(planes)[:, 0]
         hidden = planes.new_zeros(len(x), self.settings.hidden)
         if joint:

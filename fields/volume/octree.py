@@ -50,13 +50,7 @@ class OctreeSettings:
 
 
 class OctreeVolume(VolumeModel):
-    """Density and colour by the grids of an octree's nodes.
-
-    Attributes
-    ----------
-    footprint : float
-        [m], of the samples: (2) stops where cells are as small. 0: the leaves.
-    """
+    """Density and colour by the grids of an octree's nodes."""
 
     GRIDS, HEADS = 0.02, 0.001
 
@@ -67,7 +61,7 @@ class OctreeVolume(VolumeModel):
 
     def __init__(self, box: Box, settings: OctreeSettings, *, appearance: int = 0):
         super().__init__(box)
-        self.settings, self.footprint, self._step = settings, 0.0, 0
+        self.settings, self._step = settings, 0
         self.counts = box.counts(settings.cells)
         self.register_buffer("child", torch.full((1, 8), -1))
         self.register_buffer("low", torch.zeros(1, 3))
@@ -130,10 +124,10 @@ class OctreeVolume(VolumeModel):
         return density_of(self.density(features)[:, 0], finest, self.box.edge)
 
     def evaluate(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        return self._at(x, self.footprint)
+        return self._at(x, 0.0)
 
     def thickness(self, x: Tensor, direction: Tensor, length: Tensor) -> tuple[Tensor, Tensor]:
-        density, features = self._at(x, self._drawn() if torch.is_grad_enabled() else self.footprint)
+        density, features = self._at(x, self._drawn() if torch.is_grad_enabled() else 0.0)
         return density * length, features
 
     def _at(self, x: Tensor, footprint: float) -> tuple[Tensor, Tensor]:
@@ -145,7 +139,7 @@ class OctreeVolume(VolumeModel):
         """The footprint of a step of the training [m]."""
         deepest = int(self.level.max())
         if not deepest or float(torch.rand(())) >= self.settings.coarse:
-            return self.footprint
+            return 0.0
         return self.cell(int(torch.randint(deepest, ())))
 
     def radiance(self, features: Tensor, direction: Tensor, appearance: Tensor | None) -> Tensor:

@@ -294,35 +294,6 @@ def vectors_of(submodule: Submodule) -> torch.Tensor:
     return own.weight.detach()
 
 
-def match_submodules(
-    submodules: Sequence[Submodule],
-    root: int,
-    cameras: Sequence[PinholeCamera],
-    bed: np.ndarray,
-    water: WaterSurface | None,
-    *,
-    steps: int = 100,
-    rays: int = 512,
-) -> list[str]:
-    """Match the appearance of all submodules to that of one, the ``root``, from neighbour to neighbour.
-
-    Each is matched to the one, of those that have it already, with which it shares the most ground. Renderers get
-    single vectors; one that shares no ground keeps the mean of its own.
-
-    Returns
-    -------
-    list of str
-        What each submodule is matched to: "root" itself, the number of the cell of another one, or "none".
-    """
-    sources = [""] * len(submodules)
-    sources[root] = "root"
-    for m, n in matching_pairs([each.box for each in submodules], root, bed):
-        target, source = submodules[m], submodules[n]
-        matched = match_submodule(target, source, cameras, bed, water, steps=steps, rays=rays)
-        sources[m] = str(source.number) if matched else "none"
-    return sources
-
-
 def matching_pairs(boxes: Sequence[Box], root: int, bed: np.ndarray) -> Iterator[tuple[int, int]]:
     """Pairs (m, n) in which m is to be matched to n, which is matched: those that share the most ground first."""
     points = thinned(bed)

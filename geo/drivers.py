@@ -37,13 +37,7 @@ def open_raster(path: Path) -> DatasetReader:
 
 
 def vector_library(path: Path) -> ModuleType:
-    """`pyogrio`, for a GeoPackage, shapefile or DXF that may be given to it.
-
-    Raises
-    ------
-    UnreadableFile
-        If its content is not that of its suffix, or pyogrio is not installed.
-    """
+    """`pyogrio`, for a GeoPackage, shapefile or DXF that may be given to it."""
     library = library_for(path, "pyogrio", "vector")
     with path.open("rb") as stream:
         beginning = stream.read(_LOOKED_AT_BYTES)

@@ -91,11 +91,6 @@ def estimate_water(
         ``folder/bathynerf``. Where it has none of these photographs they are solved for, and kept there.
     json_path : Path, optional
         Gets everything that was found.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        Where the survey cannot be used, its photographs do not match, or the file cannot be written.
     """
     progress, folder = current(), Path(folder)
     run_folder = None if run_folder is None else Path(run_folder)
@@ -148,11 +143,6 @@ def calibrate_water(
     device : "auto", "cpu" or "cuda"
     advance : callable
         Called with the increment; increments sum to 1.
-
-    Raises
-    ------
-    SurveyError
-        If the survey is dry, or its photographs do not match.
     """
     if survey.water is None:
         raise SurveyError("a dry survey has no water to estimate; give [water] level_m to start from")
@@ -175,13 +165,7 @@ def calibrate_water(
 
 
 def nadir_views(survey: Survey) -> Survey:
-    """The survey with those views alone that look down within 5 degrees of the vertical.
-
-    Raises
-    ------
-    SurveyError
-        If there are fewer than three.
-    """
+    """The survey with those views alone that look down within 5 degrees of the vertical."""
     steep = math.cos(math.radians(NADIR_DEG))
     looks_down = np.array([-view.camera.cam_from_local[2, 2] > steep for view in survey.views])
     if looks_down.sum() < 3:

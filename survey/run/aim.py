@@ -90,11 +90,6 @@ def plan_for_aim(
         Whether a time that is too short is an error; otherwise the shortest run follows, with a warning.
     depth_m : [m]
         Of the bed under the water.
-
-    Raises
-    ------
-    SurveyError
-        If the time is too short or cannot be foreseen, the standard deviation cannot be meant, or no view looks down.
     """
     aim = chosen.aim
     if aim is None:

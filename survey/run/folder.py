@@ -66,13 +66,6 @@ class RunDir:
     ----------
     path, cloud_path, report_json_path, report_html_path, settings_path, plan_path, log_path, pictures_path,
     stages_path, sfm_path, scratch_path : Path
-
-    Raises
-    ------
-    SurveyError
-        On entering, if the folder holds something else or is in use by another process.
-    UnwritableFile
-        If the folder cannot be made or written to.
     """
 
     def __init__(self, path: str | Path):
@@ -118,11 +111,6 @@ class RunDir:
         """Note the survey that the run is of.
 
         ``is_inside``: the run lies in the folder of the survey, and is its own whatever became of its photographs.
-
-        Raises
-        ------
-        SurveyError
-            If the run is that of another survey.
         """
         before = Owner.from_record(read_json_object(self.path / MARKER))
         if before is not None and not is_inside:
@@ -241,13 +229,7 @@ class RunDir:
         return place
 
     def load_stage(self, name: str) -> Path:
-        """The folder of a stage of the result that stands in the run.
-
-        Raises
-        ------
-        SurveyError
-            If there is none.
-        """
+        """The folder of a stage of the result that stands in the run."""
         folder = self.stages_path / self.result().get("stages", {}).get(name, f"{name}-none")
         if not _record(folder):
             raise SurveyError(

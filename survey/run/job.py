@@ -137,13 +137,7 @@ class Job:
 
     @cached_property
     def bound(self) -> tuple[float, float]:
-        """Heights [m] over the water plane of the bed, by thumbnails; `fields.sweep.height_range.find_range`.
-
-        Raises
-        ------
-        SurveyError
-            If too little matches.
-        """
+        """Heights [m] over the water plane of the bed, by thumbnails; `fields.sweep.height_range.find_range`."""
         from fields.sweep.height_range import find_range
 
         try:

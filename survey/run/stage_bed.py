@@ -194,13 +194,7 @@ def with_occluded(
 
 
 def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
-    """Points of the bed, with the heights of the solver, or of the field where one was trained.
-
-    Raises
-    ------
-    SurveyError
-        If no two views confirm a point.
-    """
+    """Points of the bed, with the heights of the solver, or of the field where one was trained."""
     finish_bed(job, folder, needs, points_of_bed(job, needs))
 
 
@@ -247,11 +241,6 @@ def finish_bed(
     """Add the parts of the std that follow from the whole bed, and write the points.
 
     ``points_crs`` (N, 3) are the points in crs, where they are known.
-
-    Raises
-    ------
-    SurveyError
-        If there are none.
     """
     survey = job.survey
     if len(bed) == 0:

@@ -85,13 +85,7 @@ class StoredBed:
 
 
 def save_arrays(path: str | Path, **arrays: np.ndarray) -> None:
-    """Write arrays by name into one .npz file, whole or not at all.
-
-    Raises
-    ------
-    UnwritableFile
-        If the system refuses; see `geo.write_whole`.
-    """
+    """Write arrays by name into one .npz file, whole or not at all."""
     write_arrays(path, arrays.items())
 
 
@@ -119,13 +113,7 @@ def _write_column(stream: IO[bytes], column: Column) -> None:
 
 
 def load_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
-    """The arrays of a file of `save_arrays`; with ``names`` only those of them that it has.
-
-    Raises
-    ------
-    SurveyError
-        If the file is missing or damaged.
-    """
+    """The arrays of a file of `save_arrays`; with ``names`` only those of them that it has."""
     try:
         with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files if names is None or name in names}
@@ -134,13 +122,7 @@ def load_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dict[
 
 
 class StoredArrays:
-    """Arrays of a file of `save_arrays` by name, each read in one go when it is asked for.
-
-    Raises
-    ------
-    SurveyError
-        If the file is missing or damaged, or was changed since.
-    """
+    """Arrays of a file of `save_arrays` by name, each read in one go when it is asked for."""
 
     def __init__(self, path: str | Path):
         # Workers open it by this path, whatever their working directory.
@@ -247,13 +229,7 @@ def save_bed(folder: str | Path, stored: StoredBed) -> None:
 
 
 def load_bed(folder: str | Path) -> StoredBed:
-    """The bed that `save_bed` wrote.
-
-    Raises
-    ------
-    SurveyError
-        If a file is missing or damaged.
-    """
+    """The bed that `save_bed` wrote."""
     from fields.sweep.bed import BedPoints
 
     arrays = mapped_arrays(Path(folder) / BED_FILE)
@@ -267,13 +243,7 @@ def load_bed(folder: str | Path) -> StoredBed:
 
 
 def load_bed_header(folder: str | Path) -> BedHeader:
-    """The attributes of a bed beside its points, as `save_bed` wrote them.
-
-    Raises
-    ------
-    SurveyError
-        If the file is missing or damaged.
-    """
+    """The attributes of a bed beside its points, as `save_bed` wrote them."""
     try:
         record = json.loads((Path(folder) / SURVEY_FILE).read_text(encoding="utf-8"))
         return BedHeader(CRS.from_wkt(record["crs_wkt"]), record["name"], record["gsd_m"])
@@ -290,11 +260,6 @@ def load_bed_columns(folder: str | Path, *names: str) -> dict[str, np.ndarray]:
 
     The others are not read: a cloud is larger than what a raster needs of it. Names that the file does not have are
     left out.
-
-    Raises
-    ------
-    SurveyError
-        If the file is missing or damaged.
     """
     return mapped_arrays(Path(folder) / BED_FILE, names)
 

@@ -1,4 +1,4 @@
-"""Radiance fields of other packages: the example of docs/field.md trains by its path and by an entry point."""
+"""Radiance fields of other packages: the example of docs/own-field.md trains by its path and by an entry point."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from survey.errors import SurveyError
 from survey.volume.field import train_field
 from survey.volume.options import VolumeOptions
 
-PAGE = (Path(__file__).resolve().parents[1] / "docs" / "field.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+PAGE, OWN = ((DOCS / f"{name}.md").read_text(encoding="utf-8") for name in ("field", "own-field"))
 
 
 @pytest.fixture
 def package(tmp_path, monkeypatch):
     """The example as an installed package: a module, and metadata with its entry point."""
-    (code,) = re.findall(r'```python\n(""".*?)```', PAGE, re.DOTALL)
+    (code,) = re.findall(r'```python\n(""".*?)```', OWN, re.DOTALL)
     assert len(code.splitlines()) < 60
     (tmp_path / "my_fields.py").write_text(code, encoding="utf-8")
-    (metadata,) = re.findall(r'\[project\.entry-points\."(.*?)"\][^\n]*\n(.*?)```', PAGE, re.DOTALL)
+    (metadata,) = re.findall(r'\[project\.entry-points\."(.*?)"\][^\n]*\n(.*?)```', OWN, re.DOTALL)
     about = tmp_path / "my_fields-1.0.dist-info"
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: my-fields\nVersion: 1.0\n")

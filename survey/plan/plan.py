@@ -87,6 +87,11 @@ def make_plan(survey: Survey, chosen: Choices = USUAL) -> Plan:
     ----------
     survey : Survey
     chosen : Choices
+
+    Raises
+    ------
+    SurveyError
+        If CUDA is asked for and there is none.
     """
     survey = flattened(survey)
     recipe, device = RECIPES[chosen.quality], device_decision(chosen.device)

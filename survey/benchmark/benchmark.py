@@ -41,14 +41,8 @@ _CLOUD = "cloud.las"
 def run_bathynerf(arguments: list[str], home: Path, *, under: tuple[str, ...] = ()) -> tuple[int, Cost, str]:
     """Run the command line in a process of its own, with its compiled kernels in `home`.
 
-    Parameters
-    ----------
-    under : tuple of str
-        A command that runs the command after it, e.g. ("timeout", "60").
-
-    Returns
-    -------
-    exit code, cost, last line of standard error
+    `under` is a command that runs the command after it, e.g. ("timeout", "60"). Returns exit code, cost and the last
+    line of standard error.
     """
     environment = {**os.environ, "HOME": str(home), "PYTHONPATH": os.pathsep.join([str(_ROOT), *sys.path])}
     log = home / "stderr.txt"
@@ -201,17 +195,11 @@ def benchmark(
     settings: Settings | None = None,
     known: Sequence[Record] = (),
 ) -> Results:
-    """Measure run time against error.
+    """Measure run time against error on survey folders with a known truth, which are not written to, and drawn surveys.
 
-    Parameters
-    ----------
-    surveys : of Path
-        Survey folders with a known truth; they are not written to.
-    folder : Path
-        For drawn surveys, run folders, results.json and front.png, which are written anew after every process.
-    drawn : names DEPTH,PATTERN,IMAGES or "all", see `survey.benchmark.cases.drawn_names`
-    known : of Record
-        Of an earlier call with this code: they are kept, and their processes do not run again.
+    The folder takes drawn surveys (`drawn`: names as of `survey.benchmark.cases.drawn_names`), run folders,
+    results.json and front.png, which are written anew after every process. `known` are records of an earlier call with
+    this code: they are kept, and their processes do not run again.
     """
     settings = settings or Settings()
     if not surveys and not drawn:

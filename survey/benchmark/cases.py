@@ -84,17 +84,10 @@ def _scene_of(word: str) -> DrawnScene:
 
 
 def variant(case: Case, folder: Path, *, poses: str, is_refracted: bool) -> Path:
-    """A survey folder of links to the files of a case, with other settings.
+    """A survey folder of links to the files of a case, with other settings; made where it is not there yet.
 
-    Parameters
-    ----------
-    folder : Path
-        Made here, where it is not there yet.
-    poses : "given" or "images"
-        With the latter, [cameras] poses and [local] are left out, and files of poses are not linked, nor the folder
-        that they are in, unless it holds the photographs.
-    is_refracted : bool
-        False leaves [water] out.
+    With poses "images", [cameras] poses and [local] are left out, and files of poses are not linked, nor the folder
+    that they are in, unless it holds the photographs. Without refraction [water] is left out.
     """
     table = tomllib.loads((case.folder / FILE_NAME).read_text(encoding="utf-8"))
     left_out = {case.folder / FILE_NAME, case.folder / RUN_FOLDER}

@@ -30,15 +30,10 @@ class _Scene:
 
 
 def write_corrected(path: Path, run: Path, survey: Path, correction: str) -> None:
-    """The cloud of a run over straight rays, its depths corrected, as LAS.
+    """The cloud of a run over straight rays, of the survey without its water, its depths corrected, as LAS.
 
-    Parameters
-    ----------
-    run : Path
-        Of the survey without its water.
-    survey : Path
-        Survey folder with water: its level and index are taken, and its cameras where the run has found none.
-    correction : "times_index" or "per_camera"
+    `survey` is the folder with water: its level and index are taken, and its cameras where the run has found none. The
+    correction is "times_index" or "per_camera".
     """
     cloud = read_cloud(run / "cloud.las")
     scene = _scene(run, survey)

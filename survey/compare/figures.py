@@ -154,14 +154,10 @@ class Comparison:
 def numbers_of(figures: Figures) -> dict:
     """The figures as dicts, lists, numbers and texts.
 
-    Returns
-    -------
-    dict
-        At the top `evaluation.DistanceStatistics` and `evaluation.Scores` over all points (the latter at the first
-        tolerance), ``n_cropped``, ``wet``, ``dry``, the bands, ``completeness_by_slope`` (one share for each
-        tolerance) and the circumstances; below it ``tolerances``,
-        ``vertical``, ``iho_s44``, ``reference_surface``, ``asprs``, ``c2c`` and ``m3c2``. What was not requested is
-        missing; a value that does not exist is None.
+    At the top `evaluation.DistanceStatistics` and `evaluation.Scores` over all points (the latter at the first
+    tolerance), ``n_cropped``, ``wet``, ``dry``, the bands, ``completeness_by_slope`` (one share for each tolerance) and
+    the circumstances; below it ``tolerances``, ``vertical``, ``iho_s44``, ``reference_surface``, ``asprs``, ``c2c`` and
+    ``m3c2``. What was not requested is missing; a value that does not exist is None.
     """
     summary = figures.summary
     statistics = _known(summary.distances)

@@ -54,12 +54,8 @@ def is_table(path: Path) -> bool:
 def read_shape(path: Path, water_level: float | None, crs: CRS | None = None) -> Mesh | Cloud:
     """A mesh or cloud as `geo.read_reference`, or the points of a table, depths below the level of the water.
 
-    Parameters
-    ----------
-    water_level : float, optional
-        In the CRS of the comparison.
-    crs : pyproj.CRS, optional
-        Of a table that names none, and of the heights of one that names one without.
+    The level is in the CRS of the comparison; `crs` is that of a table that names none, and of the heights of one that
+    names one without.
     """
     if not is_table(path):
         return read_reference(path)

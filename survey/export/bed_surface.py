@@ -45,28 +45,12 @@ def bed_surface(
     watertight: bool = False,
     path: str | Path,
 ) -> Mesh:
-    """Triangles of the bed.
+    """Triangles of the bed through points (N, 3) [m], z up, faces counter-clockwise from above.
 
-    Parameters
-    ----------
-    points : (N, 3) [m], Cartesian, z up
-    rgb : (N, 3) uint8
-    std : (N,) [m]
-        Of their heights.
-    spacing_m : [m]
-        Size of the detail that is kept: the ground sampling distance, or more.
-    method : "delaunay" or "poisson"
-        See `delaunay_surface`, which has one height at each place, and `poisson_surface`, which overhangs.
-    watertight : bool
-        Close the surface with walls and a bottom, see `solid_of`.
-    path : Path
-        What an error names: the file that the mesh is for.
-
-    Returns
-    -------
-    Mesh
-        In the frame of the points, faces counter-clockwise from above. A vertex has the colour of the point next to it,
-        on the bottom that of the surface above.
+    Detail of `spacing_m` [m] is kept: the ground sampling distance, or more; `std` (N,) [m] is that of the heights. The
+    method is "delaunay" (see `delaunay_surface`, one height at each place) or "poisson" (see `poisson_surface`, which
+    overhangs); `watertight` closes the surface with walls and a bottom, see `solid_of`. Errors name the path. A vertex
+    has the colour of the point next to it, on the bottom that of the surface above.
     """
     require_method(method)
     if method == "delaunay":
@@ -130,11 +114,8 @@ def poisson_surface(points: np.ndarray, spacing_m: float, path: str | Path) -> t
     """A smooth surface near points (N, 3) [m], which may overhang; trimmed where none of them is near.
 
     Cells of the octree are at most as large as the spacing. Returns vertices (V, 3) [m] and faces (F, 3),
-    counter-clockwise from above; errors name the path.
-
-    Notes
-    -----
-    M. Kazhdan and H. Hoppe, Screened Poisson surface reconstruction, ACM Transactions on Graphics 32 (2013).
+    counter-clockwise from above; errors name the path. After M. Kazhdan and H. Hoppe, Screened Poisson surface
+    reconstruction, ACM Transactions on Graphics 32 (2013).
     """
     open3d = library_for(path, "open3d", "mesh", to_write=True)
     middle = points.mean(axis=0)

@@ -39,11 +39,7 @@ _Made = TypeVar("_Made")
 class LoadedRun:
     """The result in a run folder, for use in a ``with`` block, which removes temporary files at its end.
 
-    Attributes
-    ----------
-    folder : RunDir
-    stages : dict of str to str
-        Names of the stages of the result, and their folders; a folder's name ends in a hash of all that it depends on.
+    `stages` are the names of the stages and their folders, which end in a hash of all that the stage depends on.
     """
 
     def __init__(self, path: str | Path):

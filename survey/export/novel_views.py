@@ -36,18 +36,10 @@ _PRIOR_M2 = 0.1**2
 def image_based_field(
     run: LoadedRun, survey: str | None, cameras: Sequence[PinholeCamera], *, dry: bool, advance: Callable[[], object]
 ) -> ImageBasedField:
-    """The photographs of a run as an image-based field, brought to a common exposure, for given cameras.
+    """The photographs of a run as an image-based field, brought to a common exposure, to render cameras, local.
 
-    Parameters
-    ----------
-    survey : str or None
-        Folder of the survey, if it was moved since the run.
-    cameras : sequence of PinholeCamera
-        Cameras to render, local.
-    dry : bool
-        Render without water.
-    advance : callable
-        Called after each of the photographs that are compared.
+    `survey` names the folder of the survey, if it was moved since the run; `dry` leaves the water out; `advance` is
+    called after each of the photographs that are compared.
     """
     flight = flight_of(run, survey)
     photographs = _Photographs(run, flight)
@@ -72,10 +64,7 @@ def image_based_field(
 class _Photographs:
     """The photographs of a run with their height maps, in which the solver's heights are where it has them.
 
-    Attributes
-    ----------
-    mapped : dict of int to int
-        Of the views of the flight that have a map, the place among the maps.
+    `mapped` has the place among the maps of each view of the flight that has one.
     """
 
     def __init__(self, run: LoadedRun, flight: Flight):
@@ -139,18 +128,10 @@ def log_exposures(shown: np.ndarray, lengths: np.ndarray) -> np.ndarray:
 def attenuation_per_metre(shown: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     """Change (3,) [1/m], at most 0, of colours with the lengths of their paths in water.
 
-    Parameters
-    ----------
-    shown : (V, K, 3)
-        Logarithms of the colours of K points in V views; NaN where a view does not show a point.
-    lengths : (V, K) [m]
-        Of the paths in water.
-
-    Notes
-    -----
-    Least squares with unknown colours of points and exposures of views: the regression of colours on path lengths after
-    removal of point and view effects from both (Frisch-Waugh-Lovell). Where lengths depend on the view alone, exposures
-    explain everything.
+    From logarithms of the colours (V, K, 3) of K points in V views, NaN where a view does not show a point, over path
+    lengths (V, K) [m]. Least squares with unknown colours of points and exposures of views: the regression of colours
+    on path lengths after removal of point and view effects from both (Frisch-Waugh-Lovell). Where lengths depend on the
+    view alone, exposures explain everything.
     """
     known = np.isfinite(shown[..., 0]).astype(np.float64)
     length = _two_way_residuals(known, lengths)

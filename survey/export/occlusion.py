@@ -63,10 +63,8 @@ class CellProjection:
 class BedWindows:
     """The windows of a raster in which the bed has a height, ready to be looked up in photographs.
 
-    Parameters
-    ----------
-    heights : callable
-        Heights (rows, columns) [m] of a window, NaN where there is none. Asked again for each photograph that shows it.
+    `heights` gives those (rows, columns) [m] of a window, NaN where there is none; it is asked again for each
+    photograph that shows it.
     """
 
     def __init__(self, flight: Flight, cells: PlanCells, heights: Callable[[CellWindow], np.ndarray]):
@@ -171,13 +169,7 @@ class HeightBuffer:
 
     @staticmethod
     def of(camera: PinholeCamera, bed: BedWindows, *, cell_m: float, cell_px: float) -> HeightBuffer:
-        """The height buffer of a camera.
-
-        Parameters
-        ----------
-        cell_m, cell_px : [m], [px]
-            Side of a cell of the bed, on the bed and in the photograph.
-        """
+        """The height buffer of a camera, for cells of the bed with sides of `cell_m` [m], `cell_px` in its image."""
         block = max(_BLOCK_CELLS * cell_px, 1.0)
         highest = np.full((int(camera.height / block) + 1, int(camera.width / block) + 1), -np.inf)
         buffer = HeightBuffer(highest, block, _HIDDEN_CELLS * cell_m)
@@ -201,14 +193,9 @@ class HeightBuffer:
 def common_exposure(
     photographs: list[Photograph], buffers: list[HeightBuffer], bed: BedWindows, advance: Callable[[], object]
 ) -> np.ndarray:
-    """Factors (V, 3) on the colours of photographs that make them alike; they are 1 on average.
+    """Factors (V, 3) on the colours of V photographs that make them alike; they are 1 on average.
 
-    Parameters
-    ----------
-    photographs : V of them
-    buffers : HeightBuffer of each
-    advance : callable
-        Called after each photograph.
+    `advance` is called after each photograph.
     """
     known = {window: np.flatnonzero(np.isfinite(height)) for window, height in bed.heights()}
     # Rounded up: OpenCV looks up less than 32,768 places of a row at a time.

@@ -78,14 +78,9 @@ class Profile:
 
 
 class Bed:
-    """A cloud of the bed with its optional reference, for queries by place.
+    """A cloud of the bed (run folder, LAS, LAZ or COPC with a CRS), for queries by place.
 
-    Parameters
-    ----------
-    path : Path
-        Run folder, LAS, LAZ or COPC with a CRS.
-    reference : Path, optional
-        Mesh or cloud in the same CRS.
+    The optional reference is a mesh or cloud in the same CRS.
     """
 
     def __init__(self, path: Path, reference: Path | None = None):

@@ -53,19 +53,10 @@ def seen_at(view: View, place: np.ndarray, water: FlatWater | None) -> tuple[flo
 
 
 def epipolar_curve(source: View, pixel: tuple[float, float], target: View, water: FlatWater | None) -> Curve:
-    """Epipolar curve: the places along the ray of a pixel, as another photograph shows them.
+    """Epipolar curve of a pixel of `source`: the places along its ray, as `target` shows them, inside its photograph.
 
-    The ray is bent at the water and each place is projected back up through it, so that the part below the water is a
-    curve. Samples are spaced evenly in the inverse of the distance above the water, evenly in length below it.
-
-    Parameters
-    ----------
-    source : View
-        Of `pixel`.
-    target : View
-        In whose pixels the curve is; samples outside its photograph are left out.
-    water : FlatWater or None
-        None: the ray is straight.
+    The ray is bent at the water, if any, and each place is projected back up through it, so that the part below the
+    water is a curve. Samples are spaced evenly in the inverse of the distance above the water, evenly in length below.
     """
     path = source.camera.paths(np.array(pixel), water)
     baseline = float(np.linalg.norm(target.camera.centre - source.camera.centre))
@@ -138,10 +129,7 @@ def survey_to_mark(folder: Path) -> tuple[SurveyConfig, Found]:
 def poses_to_mark(found: Found, run: Path | None) -> tuple[PosedSurvey | None, str | None]:
     """The best available poses; where there are none, None and a note on what is missing.
 
-    Parameters
-    ----------
-    run : Path or None
-        A run folder whose poses are wanted; None: the one in the survey folder, if it has come to its end.
+    Without a run folder, the one in the survey folder counts, if it has come to its end.
     """
     folder = found.folder / RUN_FOLDER if run is None else run
     if run is not None or (folder / FLIGHT).is_file():

@@ -55,13 +55,7 @@ class _Cached:
 
 
 class MarkStore:
-    """Points and their marks in gcp_list.txt and the table of clicks, with undo.
-
-    Attributes
-    ----------
-    control_path, clicks_path : Path
-        The files that are written.
-    """
+    """Points and their marks in gcp_list.txt and the table of clicks, with undo."""
 
     def __init__(self, config: SurveyConfig, found: Found, points: Path | None = None):
         self._config, self._found, self._points_path = config, found, points

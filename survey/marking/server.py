@@ -108,18 +108,7 @@ def pyramid(pixels: np.ndarray) -> list[np.ndarray]:
 
 
 class MarkingServer(ThreadingHTTPServer):
-    """HTTP server of a session.
-
-    Parameters
-    ----------
-    host, port
-        Port 0: any that is free.
-
-    Attributes
-    ----------
-    url : str
-        With the token.
-    """
+    """HTTP server of a session, at any free port for port 0; its url has the token."""
 
     daemon_threads = True
 

@@ -32,20 +32,8 @@ _MOST_NEXT = 30
 class MarkingSession:
     """A survey whose photographs are marked.
 
-    Parameters
-    ----------
-    folder : Path
-        The survey.
-    run : Path, optional
-        Whose poses are used; default: those of the run in the survey folder, else of the poses file.
-    points : Path, optional
-        Control points beside those that survey.toml names.
-
-    Attributes
-    ----------
-    store : MarkStore
-    images : dict of name to Path
-    notes : list of sentences
+    Poses are those of `run`, by default of the run in the survey folder, else of the poses file; `points` is a file of
+    control points beside those that survey.toml names.
     """
 
     def __init__(self, folder: Path, *, run: Path | None = None, points: Path | None = None):

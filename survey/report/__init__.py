@@ -20,19 +20,9 @@ NUM_STEPS = 19
 
 
 def write_report(folder: Path, facts: ReportFacts, advance: Callable[[], None] = lambda: None) -> ReportFigures:
-    """Write pictures/, report.json and report.html into a folder; each file is written whole or not at all.
+    """Write pictures/, report.json and report.html into the folder of a run; each file is written whole or not at all.
 
-    Parameters
-    ----------
-    folder : Path
-        That of the run.
-    advance : callable
-        Called after each picture.
-
-    Returns
-    -------
-    ReportFigures
-        What the page and report.json show.
+    `advance` is called after each picture. Returns what the page and report.json show.
     """
     (folder / "pictures").mkdir(exist_ok=True)
     figures = figures_of(facts)

@@ -134,18 +134,10 @@ class CheckpointAccuracy:
 
 
 def checkpoint_differences(points: np.ndarray, places: np.ndarray, gsd_m: float) -> np.ndarray:
-    """Heights of a cloud less those of check points.
+    """Heights of a cloud (N, 3) less those of check points (K, 3) [m], local: (K,) [m].
 
-    Parameters
-    ----------
-    points : (N, 3) [m], local
-    places : (K, 3) [m], local
-
-    Returns
-    -------
-    (K,) [m]
-        By the plane through the nearest points of the cloud, as `compare --checkpoints` has it; NaN where they are
-        fewer than four, or do not surround the check point.
+    By the plane through the nearest points of the cloud, as `compare --checkpoints` has it; NaN where they are fewer
+    than four, or do not surround the check point.
     """
     near = points[_near(points, places, _SEARCH * WITHIN_GSD * gsd_m)]
     return height_at(near, places[:, :2], within_m=WITHIN_GSD * gsd_m) - places[:, 2]

@@ -57,12 +57,7 @@ class LightFigures:
 
 @dataclass(frozen=True)
 class WaterFigures:
-    """The water plane, and where its values come from.
-
-    Attributes
-    ----------
-    level_from, slope_from, refractive_index_from : str
-    """
+    """The water plane, and where its values come from."""
 
     level_m: float  # in crs
     level_at: tuple[float, float]  # (easting, northing), in crs

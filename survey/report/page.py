@@ -50,18 +50,7 @@ _MOST_S = 300.0
 
 
 def render_page(figures: ReportFigures, pictures: list[Picture]) -> str:
-    """The page.
-
-    Parameters
-    ----------
-    pictures : list of Picture
-        Their files are put into the page.
-
-    Returns
-    -------
-    str
-        HTML without scripts and without anything to load.
-    """
+    """The page, with the files of the pictures in it: HTML without scripts and without anything to load."""
     return _template().render(
         palette=palette,
         survey=figures.survey,

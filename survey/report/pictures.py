@@ -40,16 +40,9 @@ _STD = "standard deviation"
 
 
 def draw_pictures(folder: Path, facts: ReportFacts) -> Iterator[Picture]:
-    """Draw the pictures that the facts allow, one after the other as they are asked for.
+    """Draw the pictures that the facts allow as PNG files in a folder that exists, in the order of the report.
 
-    Parameters
-    ----------
-    folder : Path
-        Of the PNG files, each of which is written whole or not at all; it has to exist.
-
-    Yields
-    ------
-    Picture, in the order of the report
+    Each is drawn when it is asked for, and written whole or not at all.
     """
     return (draw(folder / f"{name}.png") for name, draw in drawings_of(facts).items())
 

@@ -86,15 +86,8 @@ class Picture:
 def shaded_bed(depth: np.ndarray | None, height: np.ndarray, cell_m: float) -> tuple[np.ndarray, ScalarMappable]:
     """A bed as an image (rows, columns, 4) uint8, transparent where unknown, and the scale of its colours.
 
-    Parameters
-    ----------
-    depth : (rows, columns) [m] or None
-        Below the water; NaN on dry ground, which is drawn in greys. None for a dry survey, which is coloured
-        by height.
-    height : (rows, columns) [m]
-        NaN where unknown.
-    cell_m : [m]
-        Between neighbouring cells, for the relief.
+    Depths (rows, columns) [m] below the water are NaN on dry ground, which is drawn in greys; None is a dry survey,
+    coloured by height [m]. Cells are `cell_m` [m] apart, for the relief.
     """
     shade = hillshade(height, cell_m)
     if depth is None:

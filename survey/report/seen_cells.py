@@ -63,15 +63,9 @@ def cells_seen(
 ) -> SeenCells:
     """Cells of the ground at the heights of points (N, 3) [m], local, N at least 1, and how many views see each.
 
-    Parameters
-    ----------
-    departure : Departure, optional
-        Of the water from its plane: rays then bend at the plane that fits it under each camera.
-    area : (x0, y0, x1, y1) [m], local, or None
-        The area of interest; None for the ground around the points at which cameras look, by half a footprint.
-    xyz : (N, 3) [m], local
-    gsd_m : [m]
-        Ground sampling distance; cells are `CELL_GSD` of them wide.
+    Rays bend at the plane that fits the water under each camera, where that departs from its plane. The area of
+    interest is (x0, y0, x1, y1) [m], local; None: the ground around the points at which cameras look, by half a
+    footprint. Cells are `CELL_GSD` ground sampling distances [m] wide.
     """
     low, high = _extent(cameras, area, ColumnStatistics(xyz[:, 2]).median)
     cell = max(CELL_GSD * gsd_m, float((high - low).max()) / _MOST_CELLS)
@@ -150,19 +144,10 @@ class CoverageFigures:
 def coverage_of(
     depth: np.ndarray, has_point: np.ndarray, num_views: np.ndarray, cell_m: float, shared_std_m: float | None
 ) -> CoverageFigures:
-    """The figures of cells (rows, columns) of the ground.
+    """The figures of cells (rows, columns) of the ground, with sides of `cell_m` [m].
 
-    Parameters
-    ----------
-    depth : [m]
-        Below the water; where no point is, of the nearest cell with one. Negative or NaN: dry.
-    has_point : bool
-    num_views : int
-        Photographs in whose frame a cell lies.
-    cell_m : [m]
-        Side of a cell.
-    shared_std_m : [m] or None
-        Standard deviation common to all heights.
+    Depths [m] are below the water; where no point is, of the nearest cell with one; negative or NaN: dry. `num_views`
+    are the photographs in whose frame a cell lies, `shared_std_m` [m] the standard deviation common to all heights.
     """
     wet, cell_m2 = depth > 0.0, cell_m**2
     found, missing = wet & has_point, wet & ~has_point

@@ -55,10 +55,8 @@ class Light:
     def sky(self, up):
         """Radiance of the sky at directions whose vertical part is ``up`` (...), numpy or Dr.Jit; 0 below the horizon.
 
-        Notes
-        -----
-        The overcast sky is ``1/3 + 2/3 up`` of the zenith; its integral with the cosine is 7/9 pi of the zenith,
-        so the zenith has 9/7.
+        The overcast sky is ``1/3 + 2/3 up`` of the zenith; its integral with the cosine is 7/9 pi of the zenith, so the
+        zenith has 9/7.
         """
         if self.overcast:
             zenith = 1.0 / (_HORIZON_SHARE + 2.0 / 3.0 * (1.0 - _HORIZON_SHARE))

@@ -99,12 +99,7 @@ class WaterOptics:
     def seen_through(self, dry: np.ndarray, depth: np.ndarray, in_water: np.ndarray) -> np.ndarray:
         """Radiance (N, 3) of ground of radiance ``dry`` (N, 3) seen through water.
 
-        Parameters
-        ----------
-        depth : (N,) [m]
-            Of the ground: the path of the light down.
-        in_water : (N,) [m]
-            Path length of the ray up to the surface.
+        The light goes down by the depth (N,) [m] of the ground, and up to the surface by `in_water` (N,) [m].
         """
         bed = dry * np.exp(-np.array(self.absorption) * (depth + in_water)[:, None])
         return bed + np.array(self.veil) * (1.0 - np.exp(-self.veiling * in_water))[:, None]

@@ -210,13 +210,7 @@ def reference_node(server: viser.ViserServer, reference: LocalReference, size_m:
 
 
 class OnDemand:
-    """A scene node that is computed when it is first shown.
-
-    Parameters
-    ----------
-    label : str
-        For the message that it is being computed.
-    """
+    """A scene node that is computed when it is first shown; `label` is for the message that it is being computed."""
 
     def __init__(self, server: viser.ViserServer, label: str, make: Callable[[], Any]):
         self._server, self._label, self._make = server, label, make
@@ -248,13 +242,7 @@ _MOST_SIZE = 4.0
 
 
 class Panel:
-    """The control panel, shared by all browsers.
-
-    Parameters
-    ----------
-    restyle : callable
-        Called with the style that has been chosen.
-    """
+    """The control panel, shared by all browsers; `restyle` is called with the style that has been chosen."""
 
     def __init__(self, server: viser.ViserServer, shown: Shown, restyle: Callable[[Style], None]):
         self._server, self._shown, self._restyle = server, shown, restyle

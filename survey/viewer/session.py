@@ -143,13 +143,7 @@ class ViewOptions:
 
 
 class ViewSession:
-    """A run on a server, and the browsers that look at it.
-
-    Attributes
-    ----------
-    shown : Shown
-    server : viser.ViserServer
-    """
+    """A run on a server, and the browsers that look at it."""
 
     def __init__(self, shown: Shown, server: viser.ViserServer):
         self.shown, self.server = shown, server
@@ -218,10 +212,7 @@ class ViewSession:
 def serve(run: str | Path, options: ViewOptions, report: Callable[[str], None]) -> None:
     """Show a run in browsers until Ctrl-C; one without a result while `process` is running.
 
-    Parameters
-    ----------
-    report : callable
-        Called with the address for a browser on this machine.
+    `report` is called with the address for a browser on this machine.
     """
     folder = RunDir(run)
     folder.require_run()

@@ -44,19 +44,9 @@ _STEPS = 256
 
 
 class TrainedField:
-    """A trained field in a folder, loaded when it is first rendered.
+    """A trained field in a folder, loaded when it is first rendered, with the notes for the user from loading.
 
-    Parameters
-    ----------
-    name : str
-        Shown in the panel.
-    load : callable
-        Returns its render function; called with a function that takes notes for the user.
-
-    Attributes
-    ----------
-    notes : list of str
-        Notes for the user from loading.
+    `load` returns its render function; it is called with a function that takes notes. The panel shows the name.
     """
 
     def __init__(self, name: str, load: Callable[[Callable[[str], None]], Render]):

@@ -188,13 +188,7 @@ def table(rows: Sequence[tuple[str, str]]) -> str:
 
 
 class Clicks:
-    """The answers to clicks, in the scene and in the panel.
-
-    Parameters
-    ----------
-    style : callable
-        Gives the style of the points, whose colours slices have.
-    """
+    """The answers to clicks, in the scene and in the panel; slices have the colours of the style that `style` gives."""
 
     def __init__(self, server: viser.ViserServer, shown: Shown, style: Callable[[], Style]):
         self._server, self._shown, self._style = server, shown, style

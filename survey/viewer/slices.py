@@ -54,16 +54,9 @@ class LocalReference:
 
 
 def load_reference(path: Path, frame: LocalFrame, cloud_crs: np.ndarray) -> LocalReference:
-    """The reference in a file.
+    """The reference in a file: mesh, GeoTIFF or points in the CRS of the run, or without a CRS.
 
-    Parameters
-    ----------
-    path : Path
-        Mesh, GeoTIFF or points in the CRS of the run, or without a CRS.
-    frame : LocalFrame
-        Of the run.
-    cloud_crs : (N, 3), in crs
-        Some points of the run, near which it has to lie.
+    It has to lie near some points (N, 3) of the run, in crs.
     """
     from evaluation import weld
 
@@ -145,15 +138,7 @@ def _heights_near(along: np.ndarray, distance: np.ndarray, height: np.ndarray) -
 
 
 def picture_of(found: Slice, base_m: float, colours: np.ndarray) -> np.ndarray:
-    """Plot of the slice (rows, columns, 3) uint8.
-
-    Parameters
-    ----------
-    base_m : [m]
-        Height of local z = 0.
-    colours : (K, 3) uint8
-        Of its points.
-    """
+    """Plot (rows, columns, 3) uint8 of the slice, local z = 0 at `base_m`, its points in colours (K, 3) uint8."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

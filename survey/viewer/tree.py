@@ -83,16 +83,10 @@ def _parents(levels: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 
 def pick(tree: CloudTree, origin: np.ndarray, direction: np.ndarray, *, angle: float, least_m: float) -> int | None:
-    """Row of the first point that a ray hits; None where it hits none.
+    """Row of the first point that a ray from an origin in a direction (3,) [m], local, hits; None where it hits none.
 
-    Parameters
-    ----------
-    origin, direction : (3,) [m], local
-        The direction of any length.
-    angle : [rad]
-        By which the ray widens: a few pixels.
-    least_m : [m]
-        How wide it is at least: half the spacing of the points, or it would pass between them.
+    The ray widens by an angle [rad], a few pixels, and is at least `least_m` [m] wide, half the spacing of the points,
+    or it would pass between them.
     """
     along = direction / np.linalg.norm(direction)
     found_t, found_off, found_rows = [], [], []

@@ -24,76 +24,38 @@ _MOST_RISE_M = 3.0
 
 @dataclass(frozen=True)
 class DrawnScene:
-    """A bed, the water over it and a flight; the defaults are the survey of the demo.
+    """A bed, the water over it and a flight; the defaults are the survey of the demo."""
 
-    Attributes
-    ----------
-    size_m : (east, north) [m]
-        Extent of the area that is evaluated, about the origin.
-    depth_m : [m]
-        Greatest mean depth; the bed undulates about 0.1 of it.
-    n_water : [-]
-        Index of refraction; 1 leaves rays straight, with the colours of water.
-    level_m : [m]
-        Height of the water surface at the origin, in crs.
-    slope_east, slope_north : [-]
-        Rise of the water surface per metre along the grid axes.
-    num_views : int
-    image_px : (width, height) [px]
-    focal_px : [px]
-    flying_m : [m]
-        Height of the cameras over the water.
-    noise : [grey levels]
-        Standard deviation; 0 writes PNG without loss instead of JPEG.
-    seed : int
-    crs : str
-        Projected, in metres, with heights.
-    origin : (easting, northing), in crs
-    cell_m, texel_m : [m]
-        Spacing of the vertices of the bed, and so of the true mesh; spacing of its texels, which should be finer than
-        any pixel.
-    speed_m_s, readout_s : [m/s], [s]
-        Speed of the camera, at each photograph in another level direction, and readout time of its rolling shutter
-        from the first to the last row; 0 for a global shutter.
-    glint_share : [-]
-        Share of the pixels of all photographs that the sun on the waves saturates.
-    caustic_contrast : [-]
-        Standard deviation over mean of the light that waves focus on the bed, with other waves in each photograph.
-    temperature_c : [deg C] or None
-        Temperature of fresh water. Photographs then have an index per channel (`refract.channel_indices`), the truth
-        that of green, and survey.toml that of the sodium line, with its wavelength; ``n_water`` is not used.
-    rise_m : [m]
-        By how much the water rises from the first photograph to the last, an hour later; `level_m` is its mean.
-    shore, objects, water : bool
-        A bank that rises out of the water in the north; a boat, an amphora, rocks; False for a dry bed.
-    """
-
-    size_m: tuple[float, float] = (11.0, 10.0)
-    depth_m: float = 2.8
-    n_water: float = 1.333
-    level_m: float = 584.2
+    size_m: tuple[float, float] = (11.0, 10.0)  # (east, north): of the area that is evaluated, about the origin
+    depth_m: float = 2.8  # Greatest mean depth; the bed undulates about 0.1 of it
+    n_water: float = 1.333  # 1 leaves rays straight, with the colours of water
+    level_m: float = 584.2  # Height of the water surface at the origin, in crs
+    # slope_east, slope_north [-]: rise of the water surface per metre along the grid axes
     slope_east: float = 0.0
     slope_north: float = 0.0
     num_views: int = 20
     nadir_share: float = 0.6
-    image_px: tuple[int, int] = (480, 360)
+    image_px: tuple[int, int] = (480, 360)  # (width, height)
     focal_px: float = 840.0
-    flying_m: float = 21.0
-    noise: float = 1.0
+    flying_m: float = 21.0  # Height of the cameras over the water
+    noise: float = 1.0  # Standard deviation [grey levels]; 0 writes PNG without loss instead of JPEG
     seed: int = 1
-    crs: str = "EPSG:25832+7837"
-    origin: tuple[float, float] = (676120.0, 5311480.0)
-    cell_m: float = 0.025
-    texel_m: float = 0.01
-    speed_m_s: float = 0.0
-    readout_s: float = 0.0
-    glint_share: float = 0.0
+    crs: str = "EPSG:25832+7837"  # Projected, in metres, with heights
+    origin: tuple[float, float] = (676120.0, 5311480.0)  # (easting, northing), in crs
+    cell_m: float = 0.025  # Spacing of the vertices of the bed, and so of the true mesh
+    texel_m: float = 0.01  # Spacing of its texels, which should be finer than any pixel
+    speed_m_s: float = 0.0  # Of the camera, at each photograph in another level direction
+    readout_s: float = 0.0  # Of its rolling shutter, from the first to the last row; 0 for a global shutter
+    glint_share: float = 0.0  # Share of the pixels of all photographs that the sun on the waves saturates
+    # Standard deviation over mean of the light that waves focus on the bed, with other waves in each photograph
     caustic_contrast: float = 0.0
+    # [deg C] of fresh water, or None. Photographs then have an index per channel (`refract.channel_indices`), the truth
+    # that of green, and survey.toml that of the sodium line, with its wavelength; `n_water` is not used.
     temperature_c: float | None = None
-    rise_m: float = 0.0
-    shore: bool = False
-    objects: bool = True
-    water: bool = True
+    rise_m: float = 0.0  # Of the water from the first photograph to the last, an hour later; `level_m` is its mean
+    shore: bool = False  # A bank that rises out of the water in the north
+    objects: bool = True  # A boat, an amphora, rocks
+    water: bool = True  # False for a dry bed
 
     def __post_init__(self):
         for name in ("size_m", "depth_m", "image_px", "focal_px", "cell_m", "texel_m"):

@@ -96,8 +96,6 @@ def _footprint(camera: PinholeCamera, site: Site) -> np.ndarray:
 def _level_sensitivity(cameras: Sequence[PinholeCamera], site: Site) -> float:
     """Root mean square residual per metre of error in the level: `BedCoverage.level_px_per_m`.
 
-    Notes
-    -----
     Per point, with J the derivatives of its pixels by its position and l those by the level, the residual is
     ``l - J (J'J)^-1 J' l``.
     """

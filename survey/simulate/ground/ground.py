@@ -123,12 +123,8 @@ def seen_area(
 ) -> tuple[float, float, float, float]:
     """West, south, east and north [m], local, of an area about the origin and of everything that cameras see.
 
-    Parameters
-    ----------
-    size_m : (east, north) [m]
-        Of the area.
-    lowest : [m]
-        Height of a plane below all of the bed; rays count as straight, which reaches further than under water.
+    The area has sides (east, north) [m]; `lowest` [m] is a height below all of the bed. Rays count as straight, which
+    reaches further than under water.
     """
     corners = [0.5 * np.array(size_m), -0.5 * np.array(size_m)]
     for camera in cameras:
@@ -264,15 +260,7 @@ def _speckled(shape: TriangleMesh, settings: ObjectSettings) -> ImageTexture:
 def texture_of_bed(
     settings: TextureSettings, folder: Path, shape, rgb: np.ndarray | None, area: Area, seed: int
 ) -> ImageTexture | VertexTexture:
-    """The texture of a bed.
-
-    Parameters
-    ----------
-    rgb : (V, 3) uint8 or None
-        Colours of its vertices.
-    area : west, south, east, north [m], local
-        Area to cover; an image is centred on the origin.
-    """
+    """The texture of a bed over an area, by colours (V, 3) uint8 of its vertices or an image centred on the origin."""
     if settings.kind == "vertex":
         if rgb is None:
             raise SurveyError('texture.kind is "vertex", but the file of the bed has no colours; give another kind')

@@ -30,14 +30,7 @@ _SLACK = 1e-5
 class BedGrid:
     """A height field of triangles: square cells, each cut from its upper left to its lower right corner.
 
-    Parameters
-    ----------
-    heights : (ny, nx) [m]
-        Heights of the vertices; rows go north, columns east.
-    west, south : [m]
-        Position of the first vertex.
-    cell : [m]
-        Distance between vertices.
+    Heights (ny, nx) [m] of the vertices go north by rows and east by columns, `cell` [m] apart, from west, south [m].
     """
 
     def __init__(self, heights: np.ndarray, west: float, south: float, cell: float):
@@ -65,21 +58,11 @@ class BedGrid:
         return self.vertices().reshape(-1, 3), faces, np.zeros(len(faces), dtype=np.int64)
 
     def hit(self, origin: np.ndarray, direction: np.ndarray, t_end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distance (N,) [m] to the bed on rays that fall, and the face (N,), which is 0.
+        """Distance (N,) [m] to the bed on rays (N, 3), and the face (N,), which is 0.
 
-        The distance is infinite where the bed does not come before `t_end`.
-
-        Parameters
-        ----------
-        origin, direction : (N, 3) [m] and unit
-            Rays fall (``z < 0``) and start above the bed.
-        t_end : (N,) [m]
-            Where each ray ends.
-
-        Notes
-        -----
-        Between crossings of the lines x = i, y = j and x + y = k of the triangulation the bed is linear along the
-        ray: the sign of ray minus bed at these crossings brackets the root, which is then exact.
+        Rays fall (``z < 0``), start above the bed and end at `t_end` (N,) [m]; the distance is infinite where the bed
+        does not come before. Between crossings of the lines x = i, y = j and x + y = k of the triangulation the bed is
+        linear along the ray: the sign of ray minus bed at these crossings brackets the root, which is then exact.
         """
         ray = self._rays(origin, direction)
         t = np.maximum((self.top - ray.z) / ray.dz, 0.0)
@@ -262,20 +245,10 @@ def rotation(yaw: float, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
 
 
 class TriangleMesh:
-    """Triangles in space, open or closed.
+    """Triangles in space, open or closed: vertices (V, 3) [m], local, and faces (F, 3).
 
-    Parameters
-    ----------
-    vertices : (V, 3) [m], local
-    faces : (F, 3)
-        Counter-clockwise as seen from the side that normals point to.
-
-    Attributes
-    ----------
-    normals : (F, 3)
-        Unit; zero where a triangle has no area.
-    centre, radius : (3,) [m], [m]
-        A ball around it.
+    Faces are counter-clockwise as seen from the side that their unit normals (F, 3) point to, which are zero where a
+    triangle has no area. A ball of `centre` (3,) and `radius` [m] is around it.
     """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray):

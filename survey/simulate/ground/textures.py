@@ -32,14 +32,9 @@ _ROW = 1024
 def sand(
     shape: tuple[int, int], texel_m: float, rng: np.random.Generator, stone: np.ndarray | None = None
 ) -> np.ndarray:
-    """Linear albedo (rows, columns, 3) float32 of sand, gravel and weed.
+    """Linear albedo (rows, columns, 3) float32 of sand, gravel and weed; grains finer than a texel [m] are left out.
 
-    Parameters
-    ----------
-    texel_m : [m]
-        Between texels; grains finer than this are left out.
-    stone : (rows, columns), optional
-        Brightness of stones that lie there, 0 where there is none.
+    `stone` (rows, columns) is the brightness of stones that lie there, 0 where there is none.
     """
 
     def speckle(spacing_m: float) -> np.ndarray:

@@ -52,11 +52,8 @@ CODE = Path(__file__).parent.parent
 def ground_mesh(ground: Ground, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (V, 3) [m], local, and faces (F, 3) of the bed and of all bodies on it.
 
-    Parameters
-    ----------
-    inside : (V,) bool
-        Vertices of the bed in the area that is wanted; a triangle with any of them is kept, so that the area
-        is covered up to its border. Bodies are kept whole, and so is the bed beneath them.
+    A triangle with any vertex of the bed `inside` (V,) bool is kept, so that the area is covered up to its border.
+    Bodies are kept whole, and so is the bed beneath them.
     """
     bed, faces, _ = ground.bed.mesh()
     faces = faces[inside[faces].any(axis=1)]
@@ -119,15 +116,9 @@ def _in_reach(camera: PinholeCamera, lens: Lens, points: np.ndarray) -> np.ndarr
 
 
 def depth_map(renderer: DirectRenderer, camera: PinholeCamera, lens: Lens) -> tuple[np.ndarray, np.ndarray]:
-    """Depth map of the bed at the middles of pixels.
+    """Vertical depth (height, width) float32 [m] of the bed at the middles of pixels, and 255 where rays enter water.
 
-    Returns
-    -------
-    depth : (height, width) float32 [m]
-        Vertical, of the ground below the water surface, negative above it; without water, below the origin of
-        local. NaN where a ray meets nothing.
-    wet : (height, width) uint8
-        255 where the ray enters water.
+    Below the water surface, negative above it; without water, below the origin of local. NaN where a ray meets nothing.
     """
     plane, _ = normalised(lens)
     direction = np.concatenate([plane, np.ones((len(plane), 1))], axis=-1) @ camera.cam_from_local
@@ -165,20 +156,12 @@ def write_survey(
 ) -> None:
     """Photograph a scene into a folder, whole or not at all; the same settings give the same bytes.
 
-    Parameters
-    ----------
-    folder : Path
-        Becomes a survey folder with ``truth/reference.ply`` (the true surface in the bounds, crs, double
-        precision), ``truth/visible.ply`` (points of it that at least three cameras see), ``truth/depth/`` (TIFF
-        [m], below the water of that photograph, of the middle of each pixel, NaN for none) and ``truth/wet/`` (PNG,
-        white where the pixel looks into water). If the same survey exists, nothing is done; another simulated survey is
-        replaced, and other files, such as a run folder, are kept.
-    settings : dict
-        All inputs of the scene, as values for JSON.
-    stage_scene : callable
-        Makes the scene; called only if something is left to do.
-    again : bool
-        Start again even if the same survey, or a part of it, is there.
+    It becomes a survey folder with ``truth/reference.ply`` (the true surface in the bounds, crs, double precision),
+    ``truth/visible.ply`` (points of it that at least three cameras see), ``truth/depth/`` (TIFF [m], below the water of
+    that photograph, of the middle of each pixel, NaN for none) and ``truth/wet/`` (PNG, white where the pixel looks
+    into water). If the same survey exists, nothing is done, unless `again`; another simulated survey is replaced, and
+    other files, such as a run folder, are kept. `settings` are all inputs of the scene, as values for JSON;
+    `stage_scene` is called only if something is left to do.
     """
     folder, mark = Path(folder), _mark(settings)
     work = folder.absolute().parent / f".{folder.absolute().name}.part"

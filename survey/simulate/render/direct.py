@@ -37,12 +37,8 @@ class Hits:
 class DirectRenderer:
     """Renderer of a ground without light transport, through water if there is any.
 
-    Parameters
-    ----------
-    indices : (3,) [-] or None
-        Of the water for red, green and blue; None where all have that of ``water``, which is also that of the truth.
-    sun : SunOnWaves or None
-        Caustics and glint of one photograph; ``water`` is the plane that its waves run on.
+    `indices` are those of the water for red, green and blue; None where all have that of ``water``, which is also that
+    of the truth. `sun` makes caustics and glint of one photograph; ``water`` is the plane that its waves run on.
     """
 
     ground: Ground

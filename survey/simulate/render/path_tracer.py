@@ -42,18 +42,11 @@ _CLEAR = 1e-5
 
 
 class Sunlight:
-    """Direct light of the sun, and its disc as cameras see it.
+    """Direct light of the sun, and its disc as cameras see it; `solids` is the Mitsuba scene that casts shadows.
 
-    Parameters
-    ----------
-    mi : the Mitsuba module, with its variant set
-    solids : Mitsuba scene
-        The geometry that casts shadows.
-    plane : (point, normal, index) or None
-        Mean plane of the water: (3,) [m], (3,), [-].
-    pixel : [rad]
-        Angle of a pixel. A sun smaller than a pixel is seen as a disc with the area of a pixel and the same
-        irradiance, because the few rays of a pixel would hit or miss a smaller one by chance.
+    `plane` is point (3,) [m], normal (3,) and index of the mean plane of the water, or None. A sun smaller than
+    `pixel`, the angle of a pixel [rad], is seen as a disc with the area of a pixel and the same irradiance, because the
+    few rays of a pixel would hit or miss a smaller one by chance.
     """
 
     def __init__(self, mi: ModuleType, solids, plane, *, colour: WaterOptics, light: Light, pixel: float):
@@ -136,12 +129,8 @@ def _fresnel(cosine, inside, n: float):
 class PathTracer:
     """Radiance along rays; a `RadianceFunction`. Not a dataclass: Dr.Jit would treat its fields as loop variables.
 
-    Parameters
-    ----------
-    surface : Mitsuba scene or None
-        The surface of the water.
-    sun : Sunlight
-        Has what is solid, the mean plane and the colour of the water, and the light.
+    `surface` is the Mitsuba scene of the water's surface, or None; `sun` has what is solid, the mean plane and the
+    colour of the water, and the light.
     """
 
     def __init__(self, surface, sun: Sunlight, *, max_bounces: int):

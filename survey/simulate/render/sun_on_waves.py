@@ -103,15 +103,8 @@ def suns_of(
 ) -> tuple[SunOnWaves, ...]:
     """The sun on the waves of each photograph, which differ from one to the next.
 
-    Parameters
-    ----------
-    depth_m : [m]
-        Mean depth of the bed.
-    glint_share : [-]
-        Share of the pixels of all photographs that the reflected sun alone saturates. The brightness of the sun is set
-        to reach it.
-    contrast : [-]
-        Standard deviation over mean of the light on the bed at ``depth_m``; other depths follow.
+    The reflected sun alone saturates `glint_share` of the pixels of all photographs; its brightness is set to reach
+    that. `contrast` is standard deviation over mean of the light on the bed at its mean depth [m]; other depths follow.
     """
     found, slope_std = [], _SLOPE_STD + _SLOPE_PER_SHARE * glint_share
     for index in range(len(cameras)):

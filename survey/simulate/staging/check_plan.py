@@ -41,16 +41,10 @@ _NO_TIME = 'unknown: give [light] time, e.g. time = "2026-07-14T09:30+02:00"'
 
 
 def check_plan(path: Path, *, chosen: Choices = USUAL, wind_m_s: float) -> list[CheckSection]:
-    """Pre-analysis of a planned flight; nothing is written.
+    """Pre-analysis of a planned flight, for the choices of a run; nothing is written.
 
-    Parameters
-    ----------
-    path : Path
-        Scene file (docs/simulation.md), of which place, water, depth, camera, flight, light and shutter count.
-    chosen : Choices
-        Of the run that is estimated.
-    wind_m_s : [m/s]
-        For sun glitter.
+    Of the scene file (docs/simulation.md) place, water, depth, camera, flight, light and shutter count. The wind is for
+    sun glitter.
     """
     plan = flight_of(path)
     survey = survey_of(plan)

@@ -41,18 +41,6 @@ def test_weights_are_what_arrives_times_what_stays(rng):
             assert found[i, k] == pytest.approx(arrives * (1.0 - math.exp(-thickness[i, k])), rel=1e-13)
 
 
-@pytest.mark.parametrize("num", [1, 7, 64])
-def test_a_slab_of_constant_density_lets_through_what_beer_and_lambert_say(num):
-    density, length = 1.7, 0.8
-    weights = render_weights(torch.full((1, num), density * length / num, dtype=torch.float64))
-    assert 1.0 - float(weights.sum()) == pytest.approx(math.exp(-density * length), rel=1e-13)
-
-
-def test_an_opaque_sample_takes_all_that_arrives():
-    weights = render_weights(torch.tensor([[0.0, 0.5, 1e4, 3.0]]))
-    torch.testing.assert_close(weights, torch.tensor([[0.0, 1 - math.exp(-0.5), math.exp(-0.5), 0.0]]))
-
-
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_weights_of_any_thickness_are_shares_and_sum_to_what_does_not_pass(rng, dtype):
     drawn = 10.0 ** rng.uniform(-8.0, 38.0, (400, 12)) * rng.integers(0, 2, (400, 12))
@@ -113,14 +101,6 @@ def test_the_middle_of_the_weights_is_the_bed_for_any_width(num, width):
     assert np.mean(off) == pytest.approx(0.0, abs=1e-12)
     # What linear interpolation of an exponential costs: h / (8 w) steps for wide laws, half a step for sharp ones.
     assert np.abs(off).max() < step * min(0.5, step / (8.0 * width))
-
-
-def test_weights_of_the_law_are_differences_of_its_distribution_function():
-    ends = steps_down(8)
-    weights = weights_about(0.1, ends, 0.2)[0].numpy()
-    share = laplace.cdf(ends[0].numpy() - 0.1, scale=0.2)
-    share[0], share[-1] = 1.0, 0.0
-    np.testing.assert_allclose(weights, share[:-1] - share[1:], atol=1e-14)
 
 
 @pytest.mark.parametrize("level", [0.16, 0.5, 0.84])

@@ -112,24 +112,6 @@ def test_the_lookup_of_each_device_is_the_twin_forward_and_backward(device, dire
         np.testing.assert_allclose(getattr(fast, name).grad.numpy(), gradient, atol=GRADIENT * np.abs(gradient).max())
 
 
-def test_the_gradient_of_each_device_is_the_difference_of_the_equation(device, rng):
-    """Features are linear in each entry, so that differences are exact for any step."""
-    factors = factors_of(device, "xyz", grids=GRIDS[:2])
-    u = coordinates(rng, 3)
-    weights = rng.standard_normal((len(u), factors.num_features)).astype(np.float32).astype(np.float64)
-    (factors(torch.from_numpy(u).float()) * torch.from_numpy(weights).float()).sum().backward()
-    for table in (factors.planes, factors.vectors):
-        scale = table.grad.abs().max().item()
-        for row, channel in zip(rng.integers(0, len(table), 6), rng.integers(0, 4, 6), strict=True):
-            sums = []
-            for step in (0.5, -0.5):
-                with torch.no_grad():
-                    table[row, channel] += step
-                    sums.append((slow_features(factors, u) * weights).sum())
-                    table[row, channel] -= step
-            assert table.grad[row, channel].item() == pytest.approx(sums[0] - sums[1], abs=GRADIENT * scale)
-
-
 def gradients(factors: Factors, u: torch.Tensor, weights: torch.Tensor) -> list[torch.Tensor]:
     factors.zero_grad()
     (factors(u) * weights).sum().backward()
@@ -233,13 +215,6 @@ def test_outside_the_box_the_value_is_that_of_its_border(device, rng):
     factors = factors_of(device, "xyz")
     u = torch.from_numpy(rng.uniform(-3.0, 4.0, (200, 3)).astype(np.float32))
     assert torch.equal(factors(u), factors(u.clamp(0.0, 1.0)))
-
-
-def test_half_a_cell_inside_the_border_nothing_changes(device):
-    factors = factors_of(device, "xyz", grids=[Grid(4, 4, 4)])
-    u = torch.tensor([[0.0, 0.0, 0.0], [0.125, 0.1, 0.06]])
-    first, second = factors(u)
-    assert torch.equal(first, second)
 
 
 def test_no_gradient_flows_to_the_coordinates(device):

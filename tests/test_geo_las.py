@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime
 import resource
-import shutil
 import signal
 import struct
 from contextlib import contextmanager
@@ -399,16 +398,6 @@ def test_extra_bytes_of_files_made_elsewhere_keep_their_shapes(data_dir):
     assert extra["Colors"].shape == (1065, 3)
     assert extra["Flags"].shape == (1065, 2)
     assert extra["Time"].dtype == np.uint64
-
-
-def test_a_copy_of_a_copy_is_the_same_cloud(written, tmp_path, crs):
-    path, _, values = written
-    first = read_cloud(path)
-    write_cloud(tmp_path / "again.las", first.points, first.crs, **values)
-    second = read_cloud(tmp_path / "again.las")
-    np.testing.assert_allclose(second.points, first.points, rtol=0.0, atol=2e-9)
-    shutil.copy(path, tmp_path / f"copy{path.suffix}")
-    np.testing.assert_array_equal(read_cloud(tmp_path / f"copy{path.suffix}").points, first.points)
 
 
 def test_a_laz_table_that_promises_more_chunks_than_there_are_is_refused(tmp_path, rng, crs):

@@ -79,15 +79,6 @@ def test_each_piece_of_the_bed_is_taken_once_as_a_slow_twin_takes_it(device):
     np.testing.assert_array_equal(found[steepest], trusted(maps[steepest]))
 
 
-def test_pixels_that_are_not_trusted_are_dropped_and_claim_nothing(device):
-    cameras = ring(3)
-    block = PlaneBed(TILTED, -2.0).block(device, [cameras[0], cameras[0], *cameras[1:]])
-    nobody, other = level_map(0, agreeing=0), level_map(1)
-    first, second = unique_pixels(block, [nobody, other], GSD)
-    assert not first.any()
-    assert second.all()
-
-
 def test_a_bed_at_another_height_is_another_piece_of_it(device):
     block = PlaneBed(TILTED, -2.0).block(device, ring(3))
     tolerance = block.agreement_tolerance(0, [1], HEIGHT)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fields.image_store import GreyImages, LruCache
+from fields.image_store import GreyImages
 from fields.sweep.kernels.stack import PackedImages
 
 
@@ -38,18 +38,6 @@ def test_whole_levels_take_a_byte_each(rng):
 def test_an_image_that_is_read_cannot_be_written_to(rng):
     with pytest.raises(ValueError, match="read-only"):
         GreyImages([levels(rng, masked=False, fractions=False)])[0][0, 0] = 1.0
-
-
-def test_the_values_read_last_are_kept_and_the_others_made_again():
-    made = []
-
-    def make(key: int) -> int:
-        made.append(key)
-        return 10 * key
-
-    recent = LruCache(make, 2)
-    assert [recent[key] for key in (1, 2, 1, 3, 1, 2)] == [10, 20, 10, 30, 10, 20]
-    assert made == [1, 2, 3, 2]
 
 
 def test_packed_images_are_the_same_when_they_are_made_again(device, rng):

@@ -28,6 +28,7 @@ def whole(camera, water, box=BOX, view=0) -> Paths:
         None,
         WATER,
         FlatWater((0.0, 0.0, 0.0), n_water=1.333, slope_x=0.05),
+        FlatWater((0.0, 0.0, 0.0), n_water=1.0),
         WavyWater((0.0, 0.0, 0.0), (0.02,), ((1.0, 0.5),), n_water=1.333),
     ],
 )
@@ -94,15 +95,6 @@ def test_the_direction_is_that_of_the_medium_and_only_the_wet_part_counts_as_wat
     dry = whole(camera, None)
     assert (dry.reflectance == 0.0).all()
     assert torch.isinf(dry.crossing).all()
-
-
-def test_an_index_of_one_is_the_dry_path():
-    camera = looking_down(tilt=0.4)
-    one, dry = whole(camera, FlatWater((0.0, 0.0, 0.0), n_water=1.0)), whole(camera, None)
-    s = torch.linspace(0.0, 6.0, 13).expand(len(one), -1)
-    np.testing.assert_allclose(one.at(s), dry.at(s), atol=FLOAT32_M)
-    np.testing.assert_allclose(one.near, dry.near, atol=FLOAT32_M)
-    np.testing.assert_allclose(one.far, dry.far, atol=FLOAT32_M)
 
 
 def test_paths_are_taken_and_joined_whole():

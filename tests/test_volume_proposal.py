@@ -187,12 +187,6 @@ def test_a_renderer_has_the_proposals_parameters_and_comes_back_bit_for_bit():
     assert torch.equal(renderer.proposal.density(1, positions(9)), again.proposal.density(1, positions(9)))
 
 
-def test_the_defaults_are_those_of_nerfacto():
-    defaults = ProposalSettings()
-    assert (defaults.samples, defaults.n_max, defaults.n_min) == ((256, 96), (128, 256), 16)
-    assert (defaults.levels, defaults.log2_table, defaults.hidden) == (5, 17, 16)
-
-
 def test_rounds_of_unequal_number_are_refused():
     with pytest.raises(ValueError, match=r"samples \(64, 32\) and n_max \(128,\) expect one number for each round"):
         ProposalSettings(samples=(64, 32), n_max=(128,))

@@ -43,14 +43,6 @@ def test_grids_follow_the_box():
     assert [g.nz for g in cells] == [6, 8, 10, 14, 18, 24]
 
 
-def test_an_untrained_box_lets_a_share_of_1_over_e_through():
-    model = volume()
-    with torch.no_grad():
-        model.factors.planes.zero_()
-    density, _ = model.evaluate(anywhere())
-    torch.testing.assert_close(density, torch.full_like(density, 1.0 / BOX.edge), rtol=1e-4, atol=0)
-
-
 def test_density_is_the_sum_over_directions_regressed_as_the_docstring_says():
     model = volume(scales=2, channels=4)
     x = anywhere(20)
@@ -102,15 +94,6 @@ def test_every_parameter_learns_before_or_after_the_switch():
         expected = {f"regression.{n}.{k}" for n in (("coarse",) if fine else ("squeeze", "excite", "gate", "fine"))
                     for k in ("weight", "bias")}  # fmt: skip
         assert still == expected
-
-
-def test_appearance_touches_colour_and_never_density():
-    model = volume(appearance=4)
-    x, direction = anywhere(), torch.tensor([[0.0, 0.0, -1.0]]).expand(200, 3)
-    density, features = model.evaluate(x)
-    one, other = (model.radiance(features, direction, torch.full((200, 4), v)) for v in (0.0, 1.0))
-    assert (one - other).abs().max() > 1e-3
-    assert torch.equal(density, model.evaluate(x)[0])
 
 
 def test_colour_depends_on_the_direction_unless_the_scene_is_matt():

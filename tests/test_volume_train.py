@@ -18,8 +18,6 @@ from fields.volume.tensor import TensorSettings, TensorVolume
 from fields.volume.train import (
     POOL_STEPS,
     Training,
-    _generator_states,
-    _restore_generators,
     proxy_of,
     train_volume,
 )
@@ -103,17 +101,6 @@ def test_a_bed_in_a_box_is_seen_by_the_pixels_whose_path_leaves_through_the_floo
         np.testing.assert_array_equal(chosen[~near_an_edge], inside[~near_an_edge])
 
 
-def test_the_same_seed_draws_the_same_paths_and_trains_the_same_volume():
-    photographs = bed_photographs(views=3)
-    training = Training(steps=3, rays=64, samples=8, cells=8, refresh=())
-    renderers = [tensor_renderer(), tensor_renderer()]
-    for renderer in renderers:
-        renderer.model.factors.device = choose_device("torch")
-        train_volume(renderer, photographs, training, quietly, seed=5)
-    one, other = (s.state_dict() for s in renderers)
-    assert all(torch.equal(one[k], other[k]) for k in one if torch.is_tensor(one[k]))
-
-
 class Interrupted(Exception):
     """What stops a training."""
 
@@ -165,10 +152,3 @@ def test_the_proxy_of_a_field_is_where_it_stops_light():
     assert not proxy.occupied[z > BED_M + 0.1].any()
     fog = proxy_of(VolumeRenderer(Slab(1.0 / BOX.edge)), cells, margin=0.04)
     assert not fog.occupied.any()
-
-
-def test_random_numbers_go_on_from_their_saved_states():
-    states = _generator_states()
-    drawn = torch.rand(3)
-    _restore_generators(states)
-    assert torch.equal(torch.rand(3), drawn)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import StrEnum
 from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any
@@ -14,6 +15,14 @@ GROUP = "bathynerf.fields"
 APPEARANCE = 16
 
 
+class Rule(StrEnum):
+    """Definition of the surface on a path: the median or the mode of its weights, or the first dense sample."""
+
+    median = "median"
+    mode = "mode"
+    density = "density"
+
+
 @dataclass(frozen=True)
 class Entry:
     """A model of the list."""
@@ -21,8 +30,7 @@ class Entry:
     label: str  # In tables and pictures of benchmarks
     field: str  # What it is made of, for docs/field.md
     source: str
-    # "module:callable" that makes the untrained model of a `fields.volume.model.Setup`, imported when it is built
-    made_by: str
+    made_by: str  # "module:callable" that makes it, untrained, of a `fields.volume.model.Setup`; imported when built
     in_layer: bool = False  # Whether `bathynerf process --field` offers it, in a layer about the bed
 
 

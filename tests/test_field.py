@@ -15,13 +15,11 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from fields.device import choose_device
-from fields.models import MODELS
+from fields.models import MODELS, Rule
 from fields.volume.model import Setup, build_model
 from fields.volume.paths import Box
-from fields.volume.surface import Rule
 from geo import read_cloud
 from refract import PinholeCamera
-from survey.commands.field import Rule as OfferedRule
 from survey.errors import ConfigError, OutputError, SurveyError
 from survey.export.loaded import LoadedRun
 from survey.run.products import write_bed_ply
@@ -43,10 +41,6 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def run(folder):
     return run_over(painted_survey(folder / "s"), folder / "run")
-
-
-def test_the_command_offers_the_rules_there_are():
-    assert {rule.value for rule in OfferedRule} == {rule.value for rule in Rule}
 
 
 @pytest.mark.parametrize("name", list(MODELS))

@@ -7,11 +7,12 @@ import pytest
 import torch
 from volume_scenes import BOX, WATER, Slab, looking_down
 
+from fields.models import Rule
 from fields.volume.paths import paths_of
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
-from fields.volume.surface import Rule, distance_of, surface_of
+from fields.volume.surface import distance_of, surface_of
 
 TOP = -1.4
 # Light falls to half within 7 mm of this.

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from fields.device import half_the_threads
+from fields.models import Rule
 from fields.volume.paths import Box, Paths, paths_of
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import Rendered, VolumeRenderer, chunk_of
@@ -21,14 +21,6 @@ from refract import FlatWater
 LEAST_OPACITY = 0.5
 # Photographs that a cell of the surface needs.
 LEAST_VIEWS = 2
-
-
-class Rule(StrEnum):
-    """Definition of the surface on a path: the median or the mode of its weights, or the first dense sample."""
-
-    median = "median"
-    mode = "mode"
-    density = "density"
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,15 @@ from __future__ import annotations
 import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from dataclasses import Field, asdict, dataclass, fields, is_dataclass, replace
+from enum import Enum
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_origin, get_type_hints
 
 import typer
 
+from survey.files.toml_table import ONE_OF, OPTION, Option
 from survey.words import FIELDS, Device, Poses, Quality
 
 if TYPE_CHECKING:
@@ -91,36 +93,58 @@ Quiet = Annotated[
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
-    """Decorator of a command: each parameter whose type is a dataclass becomes options, one for each field.
+    """Decorator of a command: each parameter whose type is a dataclass becomes options, one for each field that is one.
 
+    These are fields that `survey.files.toml_table.option` makes, and those of the type ``Annotated[..., Option(...)]``.
     Their defaults are those of the record that is the parameter's default.
     """
     hints = get_type_hints(command, include_extras=True)
     groups = {name: hint for name, hint in hints.items() if is_dataclass(hint) and isinstance(hint, type)}
+    offered = {name: _offered(group) for name, group in groups.items()}
     parameters = []
     for name, parameter in inspect.signature(command).parameters.items():
         if name not in groups:
             parameters.append(parameter.replace(annotation=hints[name]))
             continue
-        own = get_type_hints(groups[name], include_extras=True)
         parameters += [
-            parameter.replace(
-                name=field.name, default=getattr(parameter.default, field.name), annotation=own[field.name]
-            )
-            for field in fields(groups[name])
+            parameter.replace(name=option, default=getattr(parameter.default, option), annotation=annotation)
+            for option, annotation in offered[name].items()
         ]
 
     @wraps(command)
     def run(**given: Any) -> None:
         records = {
-            name: group(**{field.name: given.pop(field.name) for field in fields(group)})
-            for name, group in groups.items()
+            name: group(**{option: given.pop(option) for option in offered[name]}) for name, group in groups.items()
         }
         command(**given, **records)
 
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return run
+
+
+def _offered(group: type) -> dict[str, Any]:
+    """The fields of a record that are options, with their types as Typer reads them."""
+    hints = get_type_hints(group, include_extras=True)
+    return {
+        field.name: _annotated(field, hints[field.name]) if OPTION in field.metadata else hints[field.name]
+        for field in fields(group)
+        if OPTION in field.metadata or get_origin(hints[field.name]) is Annotated
+    }
+
+
+def _annotated(field: Field, hint: Any) -> Any:
+    """The type of an option; words of an enumeration are of its type."""
+    made: Option = field.metadata[OPTION]
+    words = field.metadata[ONE_OF]
+    if words and isinstance(words[0], Enum):
+        hint = type(words[0]) | None
+    names = () if made.name is None else (made.name,)
+    shown = field.default is not None
+    return Annotated[
+        hint,
+        typer.Option(*names, metavar=made.metavar, help=made.help, rich_help_panel=made.panel, show_default=shown),
+    ]
 
 
 @dataclass(frozen=True)

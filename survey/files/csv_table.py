@@ -18,7 +18,7 @@ from pathlib import Path
 
 from geo.stated import unit_named
 from survey.errors import SurveyError
-from survey.files.json_values import LARGEST
+from survey.files.limits import LARGEST
 
 _SPACE = " "
 # What the csv module of Python takes as one value.

@@ -11,9 +11,7 @@ import numpy as np
 
 from geo.files import write_whole
 from survey.errors import SurveyError
-
-# No coordinate, time or number of a survey is larger; squares of larger ones overflow.
-LARGEST = 1e12
+from survey.files.limits import LARGEST
 
 
 def plain(value):

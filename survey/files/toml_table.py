@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from survey.errors import ConfigError
-from survey.files.json_values import LARGEST
+from survey.files.limits import LARGEST
 from survey.words import expected_of
 
 # Bytes of settings at most; those with all keys and comments have 10 kB.
@@ -30,8 +30,9 @@ _KINDS = {
 }
 # Share of letters that two near names have in common, in order: "level" and "level_m", not "gcp" and "gps_height".
 _NEAR = 0.6
-# Metadata of a field: a description of valid values, for the error message; all of them, where they are few.
-EXPECTED, ONE_OF = "expected", "one_of"
+# Metadata of a field: a description of valid values, for the error message; all of them, where they are few; the option
+# of the command line that sets it; True where it is an option alone and no key of the table.
+EXPECTED, ONE_OF, OPTION, OPTION_ALONE = "expected", "one_of", "option", "option_alone"
 # Metadata of a field whose record has keys of the table that it stands in, those that belong together.
 INLINE = {"inline": True}
 # A number in any form; signs that backslashes of a path become.
@@ -47,6 +48,47 @@ def key(default: Any, expected: str, *, one_of: Iterable[Any] = ()) -> Any:
     return dataclasses.field(default=default, metadata={EXPECTED: expected, ONE_OF: tuple(one_of)})
 
 
+@dataclasses.dataclass(frozen=True)
+class Option:
+    """An option of the command line."""
+
+    panel: str
+    metavar: str | None  # What stands for its value in the help
+    help: str
+    # With its dashes; default: as the field is called. A boolean without a name has its opposite, --no-..., too
+    name: str | None = None
+
+
+def option(
+    panel: str,
+    metavar: str | None,
+    help: str,
+    *,
+    name: str | None = None,
+    default: Any = None,
+    expected: str = "",
+    one_of: Iterable[Any] = (),
+    alone: bool = False,
+) -> Any:
+    """A field that an option of the command line sets, and, unless it is `alone`, a key of a table, as `key` has it.
+
+    Where a few words are known and nothing else is said, the placeholder and what is expected are made of them.
+    """
+    words = tuple(one_of)
+    metadata = {
+        EXPECTED: expected or (f"one of {', '.join(words)}" if words else ""),
+        ONE_OF: words,
+        OPTION: Option(panel, metavar or "|".join(words) or None, help, name),
+        OPTION_ALONE: alone,
+    }
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+def keys_of(record: Any) -> Iterator[dataclasses.Field]:
+    """The fields of a dataclass, or of one of its values, that are keys of its table or hold some of them."""
+    return (field for field in dataclasses.fields(record) if not field.metadata.get(OPTION_ALONE))
+
+
 def is_inline(field: dataclasses.Field) -> bool:
     """Whether the fields of a field's record are keys of the table itself."""
     return field.metadata == INLINE
@@ -55,7 +97,7 @@ def is_inline(field: dataclasses.Field) -> bool:
 def table_of(record: Any) -> dict[str, Any]:
     """The values of a dataclass by the keys that they have in a file, those of inner tables as dicts."""
     values: dict[str, Any] = {}
-    for field in dataclasses.fields(record):
+    for field in keys_of(record):
         value = getattr(record, field.name)
         if is_inline(field):
             values |= table_of(value)
@@ -154,7 +196,7 @@ class _Reader:
         """A dataclass from a table whose dotted name is `where`; empty for the whole file."""
         if not isinstance(values, dict):
             raise ConfigError(f"{where} = {_shown(values)} was found where the table [{where}] was expected")
-        known = [name for name, _ in _keys_of(kind)]
+        known = [field.name for field, _ in _fields_of(kind)]
         for name, value in values.items():
             if name not in known:
                 self._refuse(known, where, name, value)
@@ -163,7 +205,7 @@ class _Reader:
     def _record(self, kind: type, where: str, values: Mapping[str, Any]) -> Any:
         """A dataclass from the values of its keys, with the records whose keys stand in the same table."""
         hints, found = typing.get_type_hints(kind), {}
-        for field in dataclasses.fields(kind):
+        for field in keys_of(kind):
             if is_inline(field):
                 found[field.name] = self._record(hints[field.name], where, values)
                 continue
@@ -238,20 +280,10 @@ class _Reader:
         raise ConfigError(f"unknown {what}; {remedy}")
 
 
-def _keys_of(kind: type) -> Iterator[tuple[str, Any]]:
-    """Keys of a table with their types."""
-    hints = typing.get_type_hints(kind)
-    for field in dataclasses.fields(kind):
-        if is_inline(field):
-            yield from _keys_of(hints[field.name])
-        else:
-            yield field.name, hints[field.name]
-
-
 def _all_keys(kind: type, where: str = "") -> Iterator[tuple[str, bool]]:
     """Dotted names of all keys under a table, and whether each is a table itself."""
-    for name, hint in _keys_of(kind):
-        dotted = _join(where, name)
+    for field, hint in _fields_of(kind):
+        dotted = _join(where, field.name)
         inner = [part for part in _parts(hint) if isinstance(part, type) and dataclasses.is_dataclass(part)]
         yield dotted, bool(inner)
         if inner:
@@ -324,7 +356,7 @@ def _table(kind: type) -> dict[str, Any]:
 def _fields_of(kind: type) -> Iterator[tuple[dataclasses.Field, Any]]:
     """Fields of a table with their types, those of inline records among them."""
     hints = typing.get_type_hints(kind)
-    for field in dataclasses.fields(kind):
+    for field in keys_of(kind):
         if is_inline(field):
             yield from _fields_of(hints[field.name])
         else:

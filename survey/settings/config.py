@@ -231,7 +231,7 @@ def settings_of(folder: Path) -> SurveyConfig | None:
     toml = folder / FILE_NAME
     if toml.is_file():
         config = read_config(toml)
-        require_plain(folder / text for text in _texts_of(dataclasses.asdict(config)) if "\0" not in text)
+        require_plain(folder / text for text in _texts_of(table_of(config)) if "\0" not in text)
         return config
     if os.path.lexists(toml):
         what = "a link to a file that is not there" if toml.is_symlink() else "no file"

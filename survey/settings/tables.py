@@ -10,9 +10,12 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 
+from fields.models import MODELS, Rule
 from survey.errors import ConfigError
-from survey.files.toml_table import key, require_one_of
+from survey.files.toml_table import key, option, require_one_of
 from survey.words import FIELDS, SCALES, Device, Drop, Poses, Quality
 
 # Of three numbers each counts for one axis.
@@ -196,23 +199,57 @@ class LossesConfig:
             raise ConfigError(f"field.losses.patch_px is {self.patch_px}, expected 3 pixels or more")
 
 
+_training, _data, _results = (partial(option, panel) for panel in ("Training", "Training data", "Results"))
+
+
 @dataclass(frozen=True)
 class FieldConfig:
     """[field]: options of `bathynerf field`, as they are called there; None leaves one open."""
 
-    model: str | None = key(None, "a model of bathynerf field")
-    steps: int | None = None
-    rays: int | None = None
-    samples: int | None = None
-    cells: int | None = None
-    image_scale: float | None = None
-    held_every: int | None = None
-    appearance: bool | None = None
-    shell: bool | None = None
-    submodules: str | None = key(None, "3x2, or a number of cells on the ground with a field of their own each")
-    drop: str | None = key(None, "geometry, network or none", one_of=Drop)
-    from_scratch: bool | None = None
-    monocular: str | None = key(None, "a folder of monocular depth and normals, relative to the survey folder")
+    model: str | None = _training(
+        "NAME",
+        f"{', '.join(MODELS)}, or package.module:Class; default: mdw.",
+        expected="a model of bathynerf field",
+    )
+    steps: int | None = _training("N", "Training steps; default: 2000.")
+    rays: int | None = _training("N", "Rays per step; default: 4096.")
+    samples: int | None = _training("N", "Samples per ray; default: 48.")
+    cells: int | None = _training("N", "Cells along the longest edge, finest scale; default: 256.")
+    appearance: bool | None = _training(None, "Learn an appearance per photograph.", name="--appearance")
+    submodules: str | None = _training(
+        "NxM",
+        "Ground cells with a field each; or N.",
+        expected="3x2, or a number of cells on the ground with a field of their own each",
+    )
+    shell: bool | None = _training(None, "Learn what lies beyond the box.", name="--shell")
+    from_scratch: bool | None = _training(None, "Begin without the bed of the run.", name="--from-scratch")
+    monocular: str | None = _training(
+        "DIR",
+        "Monocular depth and normals to learn from.",
+        expected="a folder of monocular depth and normals, relative to the survey folder",
+    )
+    straight: bool = _training(
+        None, "Do not refract rays, like other programs.", name="--straight", default=False, alone=True
+    )
+    seed: int = _training("N", "Seed of random numbers.", default=0, alone=True)
+    bounds: tuple[float, float, float, float] | None = _data("E0 N0 E1 N1", "Part of the bed, in crs.", alone=True)
+    image_scale: float | None = _data("S", "Scale of photographs, 0 to 1; default: 2 pixels a cell.")
+    held_every: int | None = _data("N", "Hold out every Nth photograph for testing.")
+    survey: str | None = _data("DIR", "Survey folder, if it was moved since the run.", alone=True)
+    rule: Rule = _results(  # noqa: RUF009 (makes a field)
+        "RULE", "Surface by median, mode or density.", name="--extract", default=Rule.median, alone=True
+    )
+    # Default: half of the light is stopped within a cell
+    density: float | None = _results("D", "Least density of the surface [1/m].", alone=True)
+    drop: str | None = _results(
+        "HOW",
+        "How views drop submodules: geometry, network, none.",
+        expected="geometry, network or none",
+        one_of=Drop,
+    )
+    reference: Path | None = _results("FILE", "Mesh or cloud to compare with.", alone=True)  # noqa: RUF009
+    cameras: Path | None = _results("FILE", "Poses of views to render.", alone=True)  # noqa: RUF009
+    dry: bool = _results(None, "Render without the water.", name="--dry", default=False, alone=True)
     losses: LossesConfig | None = None
 
     def over(self, lower: FieldConfig) -> FieldConfig:

@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from fields.models import maker
+from fields.models import Rule, maker
 from fields.volume.losses import Losses, PatchWeights, PriorWeights
-from fields.volume.surface import Rule
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun, survey_folder
 from survey.run.stored_field import VolumeRecipe
@@ -27,38 +26,20 @@ MONOCULAR = (0.1, 0.05)
 
 
 @dataclass(frozen=True)
-class VolumeOptions:
-    """Options of the training of a radiance field on a run, and of its products."""
+class VolumeOptions(FieldConfig):
+    """Options of the training of a radiance field on a run, and of its products, with their defaults."""
 
-    model: str = "mdw"  # a name of `fields.models.maker`
-    # steps, rays, samples: Steps of training, paths of each, and samples of each path
+    model: str = "mdw"
     steps: int = 2000
     rays: int = 4096
     samples: int = 48
-    cells: int = 256  # Along the longest edge at the finest scale, of models that have cells
-    image_scale: float | None = None  # [-], optional: of the photographs; default: two pixels a cell
-    # (E0, N0, E1, N1), optional, in crs: part of the bed; default: all of it
-    bounds: tuple[float, float, float, float] | None = None
-    held_every: int | None = None  # optional: every so many photographs one is left out and predicted
-    from_scratch: bool = False  # Surfaces may be anywhere in the box at first; else within two cells of the run's bed
-    straight: bool = False  # Rays are not bent, as in the fields of others
-    appearance: bool = False  # A vector for each photograph that changes colours, for changing light
-    shell: bool = False  # What lies beyond the box is learned, too (`fields.volume.shell`)
-    # "N" or "NxM", optional: cells on the ground (along east and north) with a field of their own each, of ``cells``
-    submodules: str | None = None
-    drop: str | None = None  # A word of `survey.words.Drop`; default: geometry
-    rule: Rule = Rule.median  # Where on a path the surface is
-    # [1/m], optional: of ``Rule.density``; default: half of the light is stopped within a cell
-    density: float | None = None
-    reference: Path | None = None  # optional: mesh or cloud that the surface is compared with
-    cameras: Path | None = None  # optional: poses of views to render; ``dry``, without the water
-    dry: bool = False
-    survey: str | None = None  # optional: folder of the survey, if it was moved since the run
-    device: str = "auto"  # "auto", "cpu", "cuda" or "torch"
-    seed: int = 0
-    monocular: Path | None = None  # optional: folder of monocular depth and normals, see `survey.volume.monocular`
+    cells: int = 256
+    appearance: bool = False
+    shell: bool = False
+    from_scratch: bool = False
     # Where none of depth and normal has a weight, those of MonoSDF count with ``monocular``
     losses: LossesConfig = field(default_factory=LossesConfig)
+    device: str = "auto"  # "auto", "cpu", "cuda" or "torch"
 
     def __post_init__(self):
         try:
@@ -104,7 +85,7 @@ class VolumeOptions:
         """All that the trained field depends on: the result of the run, the options, and the monocular priors."""
         made = ("rule", "density", "reference", "cameras", "dry", "survey", "device", "drop")
         settings = {name: value for name, value in asdict(self).items() if name not in made}
-        priors = None if self.monocular is None else priors_hash(self.monocular)
+        priors = None if self.monocular is None else priors_hash(Path(self.monocular))
         return {"result": run.stages} | settings | {"monocular": priors}
 
     @property
@@ -119,20 +100,12 @@ class VolumeOptions:
 
     def of_losses(self) -> Losses:
         """The weights of the losses."""
-        of = self.losses
+        of, names = self.losses, {each.name for each in fields(Losses)}
         depth, normal = of.depth, of.normal
         if self.monocular is not None and not (depth or normal):
             depth, normal = MONOCULAR
         return Losses(
-            transparency=of.transparency,
-            distortion=of.distortion,
-            orientation=of.orientation,
-            density=of.density,
-            gaussian_density=of.gaussian_density,
-            printed_density=of.printed_density,
-            printed_gaussian_density=of.printed_gaussian_density,
-            empty=of.empty,
-            virtual_views=of.virtual_views,
+            **{name: weight for name, weight in vars(of).items() if name in names},
             patches=PatchWeights(
                 of.patch_px or PatchWeights.size, of.ncc, of.ssim, of.smooth_normals, of.virtual_patches
             ),
@@ -159,7 +132,5 @@ def field_config(run: str | Path, survey: str | None) -> FieldConfig:
 
 def volume_options(config: FieldConfig, **others: Any) -> VolumeOptions:
     """`VolumeOptions` of a configuration; what it leaves open has its default."""
-    given = {each.name: value for each in fields(config) if (value := getattr(config, each.name)) is not None}
-    if config.monocular is not None:
-        given["monocular"] = Path(config.monocular)
-    return VolumeOptions(**given, **others)
+    given = {name: value for name, value in vars(config).items() if value is not None}
+    return VolumeOptions(**given | others)

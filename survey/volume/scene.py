@@ -80,7 +80,7 @@ class SceneOptions:
     image_scale: float | None = None  # [-], optional: Default: two pixels a cell
     held_every: int | None = None  # optional: every so many photographs one is left out
     straight: bool = False  # Rays are not bent
-    monocular: Path | None = None  # optional: folder of priors of those that are learned from
+    monocular: str | None = None  # optional: folder of priors of those that are learned from
     shell: bool = False  # What lies beyond the box is learned from, too: all pixels, not those alone that show the box
 
 
@@ -183,7 +183,9 @@ def training_photographs(
         )
     learned = _named([each.whole() for each in shown] if options.shell else shown, ground.bent)
     if options.monocular is not None:
-        learned.photographs.priors = monocular_priors(options.monocular, learned.names, learned.photographs.cameras)
+        learned.photographs.priors = monocular_priors(
+            Path(options.monocular), learned.names, learned.photographs.cameras
+        )
     return learned
 
 

@@ -22,7 +22,7 @@ from geo.stated import unit_named
 from survey.display.quantities import named
 from survey.errors import ConfigError, Findings
 from survey.files.csv_table import Table, meaning, number_of, shortened, text_lines, words_of
-from survey.files.json_values import LARGEST
+from survey.files.limits import LARGEST
 from survey.water.level_observation import MOST_STD_M, STD_M
 
 _WORDS = words_of({

@@ -181,34 +181,33 @@ def test_on_a_wall_pixels_that_lie_far_apart_stay(device, rise, apart, stays):
     np.testing.assert_array_equal(second[5:-5, middle], stays)
 
 
+def placed(std, incidence: float) -> BedPoints:
+    """Points with a std [m] each, seen at an incidence [rad]."""
+    std = np.asarray(std, np.float32)
+    nothing = np.zeros(len(std), np.float32)
+    xyz, rgb, few = np.zeros((len(std), 3)), np.zeros((len(std), 3), np.uint8), nothing.astype(np.uint8)
+    return BedPoints(xyz, rgb, std, few, nothing, nothing + np.float32(incidence), nothing == 0.0)
+
+
 @pytest.mark.parametrize("n", [1.0, 1.34])
 def test_beside_an_edge_std_is_that_of_a_point_that_moves_along_its_ray_and_on_level_ground_as_it_was(n):
-    shape, incidence, std = (20, 30), np.radians(30.0), 0.02
-    height = np.full(shape, HEIGHT, np.float32)
+    incidence, std = np.radians(30.0), 0.02
+    height = np.full((20, 30), HEIGHT, np.float32)
     height[:, 15:] += 1.0
-    keep = np.zeros(shape, bool)
+    keep = np.zeros(height.shape, bool)
     keep[10, [3, 12, 13, 16, 17]] = True
-    nothing = np.zeros(5, np.float32)
-    points = BedPoints(
-        np.zeros((5, 3)), np.zeros((5, 3), np.uint8), nothing + np.float32(std), nothing.astype(np.uint8), nothing,
-        nothing + np.float32(incidence), np.ones(5, bool),
-    )  # fmt: skip
-    found = with_slope_std(points, height, keep, GSD, FlatWater((0.0, 0.0, 0.0), n_water=n)).std
+    water = FlatWater((0.0, 0.0, 0.0), n_water=n)
     pixels_off = np.tan(np.arcsin(np.sin(incidence) / n)) * std / GSD
     there = np.hypot(std, pixels_off * np.sqrt(0.5**2 - std**2))
+    found = with_slope_std(placed([std] * 5, incidence), height, keep, GSD, water).std
     np.testing.assert_allclose(found, [std, std, there, there, std], rtol=1e-5)
 
 
 def test_heights_that_differ_by_their_noise_alone_say_nothing_of_slopes(rng):
-    shape = (40, 50)
-    height = rng.uniform(HEIGHT - 0.019, HEIGHT + 0.019, shape).astype(np.float32)
-    keep = np.ones(shape, bool)
-    nothing = np.zeros(keep.size, np.float32)
-    points = BedPoints(
-        np.zeros((keep.size, 3)), np.zeros((keep.size, 3), np.uint8), nothing + np.float32(0.02),
-        nothing.astype(np.uint8), nothing, nothing + np.float32(0.6), nothing > 0.0,
-    )  # fmt: skip
-    np.testing.assert_array_equal(with_slope_std(points, height, keep, GSD, None).std, points.std)
+    height = rng.uniform(HEIGHT - 0.019, HEIGHT + 0.019, (40, 50)).astype(np.float32)
+    points = placed([0.02] * height.size, 0.6)
+    found = with_slope_std(points, height, np.ones(height.shape, bool), GSD, None).std
+    np.testing.assert_array_equal(found, points.std)
 
 
 def test_slopes_add_no_more_to_std_than_the_range_of_the_heights_there():
@@ -217,13 +216,9 @@ def test_slopes_add_no_more_to_std_than_the_range_of_the_heights_there():
     height[:, 4:] += 1.0
     keep = np.zeros(height.shape, bool)
     keep[4, 3:5] = True
-    nothing, std = np.zeros(2, np.float32), np.array([0.3, 0.7], np.float32)
-    points = BedPoints(
-        np.zeros((2, 3)), np.zeros((2, 3), np.uint8), std, nothing.astype(np.uint8), nothing,
-        nothing + np.float32(1.2), nothing > 0.0,
-    )  # fmt: skip
+    expected = [np.sqrt(0.3**2 + 4.0 * (0.5**2 - 0.3**2)), 0.7]
     np.testing.assert_allclose(
-        with_slope_std(points, height, keep, GSD, None).std, [np.sqrt(0.3**2 + 4.0 * (0.5**2 - 0.3**2)), 0.7], rtol=1e-5
+        with_slope_std(placed([0.3, 0.7], 1.2), height, keep, GSD, None).std, expected, rtol=1e-5
     )
 
 

@@ -56,12 +56,6 @@ def searched(device, height, truth, *, score=0.9, search=SEARCH, matched=None):
     return found, searched_by(stack, list(range(1, 9)), found, parallax, search, matched)
 
 
-def assert_same(before, after) -> None:
-    """No number of three images has changed."""
-    for old, new in zip(before, after, strict=True):
-        np.testing.assert_array_equal(old, new)
-
-
 @pytest.fixture
 def fattened() -> tuple[np.ndarray, np.ndarray]:
     """True heights of the middle view, and the same with the high side some pixels too wide."""
@@ -94,17 +88,16 @@ def test_pixels_without_a_step_around_keep_their_heights(device, fattened):
         np.testing.assert_array_equal(old[far], new[far])
 
 
-def test_a_view_that_scores_too_low_for_the_windows_is_left_as_it_is(device, fattened):
+@pytest.mark.parametrize("case", ["too low scores for the windows", "a level bed", "an image smaller than a tile"])
+def test_there_is_nothing_to_search_in(device, fattened, case):
     truth, height = fattened
-    before, after = searched(device, height, truth, score=0.5)
-    assert_same(before, after)
-
-
-def test_a_level_bed_is_not_searched(device, fattened):
-    truth, _ = fattened
-    level = np.full_like(truth, LOW)
-    before, after = searched(device, level, truth)
-    assert_same(before, after)
+    if case == "a level bed":
+        height = np.full_like(truth, LOW)
+    if case == "an image smaller than a tile":
+        truth, height = truth[:6], height[:6]
+    before, after = searched(device, height, truth, score=0.5 if "scores" in case else 0.9)
+    for old, new in zip(before, after, strict=True):
+        np.testing.assert_array_equal(old, new)
 
 
 def test_tiles_in_several_batches_give_what_one_batch_gives(device, fattened, monkeypatch):
@@ -113,12 +106,6 @@ def test_tiles_in_several_batches_give_what_one_batch_gives(device, fattened, mo
     monkeypatch.setattr(kernels(device), "SAMPLES_PER_LAUNCH", 8 * 10 * 10 * 25 * 3)
     _, parts = searched(device, height, truth)
     np.testing.assert_allclose(whole[0], parts[0], atol=1e-5)
-
-
-def test_an_image_smaller_than_a_tile_is_left_as_it_is(device, fattened):
-    truth, height = fattened
-    before, after = searched(device, height[:6], truth[:6])
-    assert_same(before, after)
 
 
 class Wall:

@@ -46,19 +46,12 @@ def test_images_that_do_not_belong_together_have_no_range(device, rng):
         find_range(Block(device, cameras, noise, TILTED, -2.0), LIMITS)
 
 
-def test_images_without_texture_have_no_range(device):
+@pytest.mark.parametrize("ground", [None, (90.0, 90.0, 95.0, 95.0)], ids=["no texture", "ground that no view shows"])
+def test_where_nothing_can_match_there_is_no_range(device, ground):
     cameras = ring(2, **WIDE)
     grey = [np.full((c.height, c.width), 12.0, np.float32) for c in cameras]
     with pytest.raises(ValueError, match="only 0 thumbnail pixels match"):
-        find_range(Block(device, cameras, grey, None, -2.0), LIMITS)
-
-
-def test_ground_that_no_view_shows_has_no_range(device):
-    cameras = ring(2, **WIDE)
-    grey = [np.full((c.height, c.width), 12.0, np.float32) for c in cameras]
-    block = Block(device, cameras, grey, None, -2.0, ground=(90.0, 90.0, 95.0, 95.0))
-    with pytest.raises(ValueError, match="only 0 thumbnail pixels match"):
-        find_range(block, LIMITS)
+        find_range(Block(device, cameras, grey, None, -2.0, ground=ground), LIMITS)
 
 
 def test_matches_by_chance_do_not_widen_the_range(rng):

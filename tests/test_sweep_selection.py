@@ -35,13 +35,8 @@ def block(device) -> Block:
 def map_of(block: Block, view: int, off: float = 0.0) -> HeightMap:
     """The true heights of a view, or some that are off [m], confirmed by three views."""
     height = (BED.true_height(block.cameras[view]) + off).astype(np.float32)
-    return HeightMap(
-        view,
-        height,
-        np.ones(height.shape, np.float16),
-        np.full(height.shape, 3, np.uint8),
-        np.zeros_like(height, np.float16),
-    )
+    ones = np.ones(height.shape, np.float16)
+    return HeightMap(view, height, ones, np.full(height.shape, 3, np.uint8), 0 * ones)
 
 
 def on_device(block: Block, maps: dict[int, HeightMap]) -> dict[int, HeightMap]:

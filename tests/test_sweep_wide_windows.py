@@ -25,13 +25,8 @@ def wide_map(seed: int = 0) -> HeightMap:
     row, column = np.indices(SHAPE)
     noise = NOISE_M * rng.standard_normal((SHAPE[0] // WINDOW_PX, SHAPE[1] // WINDOW_PX))
     height = -3.0 + 0.01 * column - 0.02 * row + np.kron(noise, np.ones((WINDOW_PX, WINDOW_PX)))
-    return HeightMap(
-        0,
-        height.astype(np.float32),
-        np.full(SHAPE, 0.95, np.float16),
-        np.ones(SHAPE, np.uint8),
-        np.zeros(SHAPE, np.float16),
-    )
+    one = np.ones(SHAPE, np.float16)
+    return HeightMap(0, height.astype(np.float32), np.float16(0.95) * one, one.astype(np.uint8), 0 * one)
 
 
 def test_the_std_of_windows_is_that_of_their_errors_and_not_of_a_slope():

@@ -48,39 +48,26 @@ def test_coarse_density_is_a_linear_map_of_the_sum_over_directions(rng):
         assert value == pytest.approx(linear(head.coarse, np.array(total))[0], rel=1e-12)
 
 
-def test_fine_density_gates_the_features_of_each_scale_by_the_weighting_network(rng):
-    head, features = randomised(DensityHead(L, D, F)), features_of(rng)
+@pytest.mark.parametrize("shared", [True, False])
+def test_fine_density_gates_the_features_of_each_scale_by_a_weighting_network_of_all_or_of_its_own(rng, shared):
+    head, features = randomised(DensityHead(L, D, F, shared=shared)), features_of(rng)
     head.is_fine = True
-    assert head.squeeze.weight.shape == (D * F // 2, D * F)
-    found = head(torch.from_numpy(features)).detach().numpy()
-    for value, sample in zip(found, features, strict=True):
-        total = []
-        for a in sample.reshape(L, D * F):
-            gate = gelu(linear(head.gate, gelu(linear(head.excite, gelu(linear(head.squeeze, a))))))
-            weighted = (gate * a).reshape(D, F)
-            total += [sum(weighted[m, k] for m in range(D)) for k in range(F)]
-        assert value == pytest.approx(linear(head.fine, np.array(total))[0], rel=1e-12)
-
-
-def test_each_scale_may_have_a_weighting_network_of_its_own(rng):
-    head, features = randomised(DensityHead(L, D, F, shared=False)), features_of(rng)
-    head.is_fine = True
+    assert head.squeeze.weight.shape[-2:] == (D * F // 2, D * F)
     found = head(torch.from_numpy(features)).detach().numpy()
 
-    def mapped(layer, scale: int, x: np.ndarray) -> np.ndarray:
-        return layer.weight[scale].detach().numpy() @ x + layer.bias[scale].detach().numpy()
+    def mapped(name: str, scale: int, x: np.ndarray) -> np.ndarray:
+        weight, bias = (p.detach().numpy() for p in (getattr(head, name).weight, getattr(head, name).bias))
+        return weight @ x + bias if shared else weight[scale] @ x + bias[scale]
 
     for value, sample in zip(found, features, strict=True):
         total = []
         for n, a in enumerate(sample.reshape(L, D * F)):
-            gate = gelu(mapped(head.gate, n, gelu(mapped(head.excite, n, gelu(mapped(head.squeeze, n, a))))))
+            gate = a
+            for name in ("squeeze", "excite", "gate"):
+                gate = gelu(mapped(name, n, gate))
             weighted = (gate * a).reshape(D, F)
             total += [sum(weighted[m, k] for m in range(D)) for k in range(F)]
         assert value == pytest.approx(linear(head.fine, np.array(total))[0], rel=1e-12)
-    head.switch_to_fine()
-    torch.testing.assert_close(
-        head(torch.from_numpy(features)), randomised(DensityHead(L, D, F, shared=False))(torch.from_numpy(features))
-    )
 
 
 def test_an_untrained_density_is_zero_in_both_stages(rng):
@@ -95,9 +82,10 @@ def test_gelu_is_one_at_the_bias_of_an_open_gate():
     assert gelu(GATE_OF_ONE) == pytest.approx(1.0, abs=2e-16)
 
 
+@pytest.mark.parametrize("shared", [True, False])
 @pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float64, 1e-14), (torch.float32, 1e-6)])
-def test_the_switch_to_fine_leaves_the_density_where_it_stands(dtype, tolerance, rng):
-    head = randomised(DensityHead(L, D, F)).to(dtype)
+def test_the_switch_to_fine_leaves_the_density_where_it_stands(dtype, tolerance, shared, rng):
+    head = randomised(DensityHead(L, D, F, shared=shared)).to(dtype)
     features = torch.from_numpy(features_of(rng, 50)).to(dtype)
     coarse = head(features)
     head.switch_to_fine()

@@ -10,23 +10,10 @@ from geo.crs import degrees_outside_area, height_unit_m, horizontal_crs, is_geog
 from geo.errors import GeoError, MissingVerticalDatum, UnknownCRS, UnsupportedCRS
 
 COMPOUND = [
-    "EPSG:25832+5778",
-    "EPSG:4326+5773",
-    "EPSG:32733+5773",
-    "EPSG:2230+6360",
-    "EPSG:2992+6360",
-    "EPSG:32661+3855",
-    "EPSG:32761+3855",
-    "EPSG:3031+3855",
-    "EPSG:27700+5701",
-    "EPSG:2056+5728",
-    "EPSG:28992+5709",
-    "EPSG:27572+5720",
-    "EPSG:4807+5720",
-    "EPSG:5514+5705",
-    "EPSG:3857+3855",
-    "EPSG:3375+5714",
-]
+    "EPSG:25832+5778", "EPSG:4326+5773", "EPSG:32733+5773", "EPSG:2230+6360", "EPSG:2992+6360", "EPSG:32661+3855",
+    "EPSG:32761+3855", "EPSG:3031+3855", "EPSG:27700+5701", "EPSG:2056+5728", "EPSG:28992+5709", "EPSG:27572+5720",
+    "EPSG:4807+5720", "EPSG:5514+5705", "EPSG:3857+3855", "EPSG:3375+5714",
+]  # fmt: skip
 # Authorities that put northing first: WKT 1 without axes comes back with easting first and without its code.
 NORTHING_FIRST = ["EPSG:2193+7839", "EPSG:2180+9651", "EPSG:3035+5730"]
 THREE_D = ["EPSG:4979", "EPSG:32632+4979", "EPSG:25832+4937", "+proj=utm +zone=32 +datum=WGS84 +vunits=m"]

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 import laspy
 import numpy as np
 import pytest
+from compare_plane import write_las
 from laspy.vlrs.known import GeoKeyDirectoryVlr, GeoKeyEntryStruct, WktCoordinateSystemVlr
 from pyproj import CRS
 
@@ -182,14 +183,8 @@ def test_an_empty_cloud_is_written_and_refused_when_read(tmp_path, rng, crs):
 
 
 def test_a_million_identical_points_are_no_trouble(tmp_path, crs):
-    number = 1_000_000
-    flat = np.zeros(number, np.uint8)
-    write_cloud(
-        tmp_path / "cloud.laz", np.broadcast_to(ORIGIN, (number, 3)), crs, rgb=np.zeros((number, 3), np.uint8),
-        depth_m=flat, std_m=flat, num_views=flat, incidence_deg=flat, is_wet=flat,
-    )  # fmt: skip
-    cloud = read_cloud(tmp_path / "cloud.laz")
-    assert len(cloud.points) == number
+    cloud = read_cloud(write_las(tmp_path / "cloud.laz", np.broadcast_to(ORIGIN, (1_000_000, 3)), crs))
+    assert len(cloud.points) == 1_000_000
     np.testing.assert_array_equal(np.ptp(cloud.points, axis=0), 0.0)
 
 
@@ -251,26 +246,21 @@ def test_damaged_files_end_in_an_error_of_ours_or_in_points(written, tmp_path, r
     assert refused > 0
 
 
-def test_a_count_of_records_that_cannot_be_true_is_refused_before_it_is_followed(written):
+@pytest.mark.parametrize(
+    ("kind", "at", "value", "words"),
+    [
+        ("<I", 100, [2**32 - 1], "promises 4294967295 records before the points"),
+        # The first of the records after the points, and their number.
+        ("<QI", 235, [-10, 7], "promises 7 records after the points"),
+        ("<d", 131, [np.inf], r"gives coordinates that are not finite \(scales .*inf"),
+    ],
+)
+def test_a_head_that_cannot_be_true_is_refused_before_it_is_followed(written, kind, at, value, words):
     path, _, _ = written
     data = bytearray(path.read_bytes())
-    struct.pack_into("<I", data, 100, 2**32 - 1)
+    struct.pack_into(kind, data, at, *(len(data) + each if each < 0 else each for each in value))
     path.write_bytes(data)
-    with pytest.raises(UnreadableFile, match="promises 4294967295 records before the points"):
-        read_cloud(path)
-    struct.pack_into("<I", data, 100, 2)
-    struct.pack_into("<QI", data, 235, len(data) - 10, 7)
-    path.write_bytes(data)
-    with pytest.raises(UnreadableFile, match="promises 7 records after the points"):
-        read_cloud(path)
-
-
-def test_a_scale_that_is_not_finite_is_refused(written):
-    path, _, _ = written
-    data = bytearray(path.read_bytes())
-    struct.pack_into("<d", data, 131, np.inf)
-    path.write_bytes(data)
-    with pytest.raises(UnreadableFile, match=r"gives coordinates that are not finite \(scales .*inf"):
+    with pytest.raises(UnreadableFile, match=words):
         read_cloud(path)
 
 

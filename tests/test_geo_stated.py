@@ -8,11 +8,12 @@ import laspy
 import numpy as np
 import pytest
 import rasterio
+from compare_plane import write_las
 from laspy.vlrs.known import GeoKeyDirectoryVlr, GeoKeyEntryStruct
 from pyproj import CRS, Transformer
 from rasterio.errors import NotGeoreferencedWarning
 
-from geo import Mesh, read_reference, write_cloud
+from geo import Mesh, read_reference
 from geo.crs import height_unit_m, horizontal_crs
 from geo.e57 import write_e57
 from geo.errors import UnreadableFile, UnwritableFile
@@ -39,13 +40,7 @@ def points(count: int = 200) -> np.ndarray:
 
 
 def cloud_file(path: Path, crs: str = "EPSG:25832+7837", height: float = 1.0) -> Path:
-    at = points() * [1.0, 1.0, height]
-    n = len(at)
-    write_cloud(
-        path, at, CRS(crs), rgb=np.zeros((n, 3), np.uint8), depth_m=np.zeros(n), std_m=np.full(n, 0.01),
-        num_views=np.full(n, 3), incidence_deg=np.zeros(n), is_wet=np.ones(n, bool),
-    )  # fmt: skip
-    return path
+    return write_las(path, points() * [1.0, 1.0, height], CRS(crs))
 
 
 def raster_file(path: Path, heights: np.ndarray, *, crs="EPSG:25832", unit: str | None = None, e=-1.0, a=1.0) -> Path:

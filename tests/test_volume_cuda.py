@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from volume_models import APPEARANCE, directions, positions
+from volume_models import APPEARANCE, Kept, directions, positions
 from volume_scenes import BOX, bed_photographs
 
 from fields.device import choose_device
@@ -83,19 +83,6 @@ def test_training_learns_what_it_learns_on_the_processor(name):
         assert len(surface_of(renderer, photographs, cells, samples=24, side=0.05).xyz)
     # Samples are drawn with other random numbers: between seeds figures differ by some tenths.
     np.testing.assert_allclose(found[1], found[0], atol=2.0)
-
-
-class Kept:
-    """The last state of a training, as a file would keep it."""
-
-    def __init__(self):
-        self.state = None
-
-    def load(self):
-        return self.state
-
-    def save(self, make, *, last):
-        self.state = make()
 
 
 @pytest.mark.parametrize("then", ["cpu", "cuda"])

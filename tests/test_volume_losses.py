@@ -78,13 +78,6 @@ def test_distortion_is_the_double_sum_of_its_equation(batch):
     assert number(distortion_loss(paths, rendered_from(weights, edges))) == pytest.approx(total / 3, rel=1e-12)
 
 
-def test_gradients_of_distortion_are_those_of_finite_differences(batch):
-    paths, edges, weights = batch
-    assert torch.autograd.gradcheck(
-        lambda w: distortion_loss(paths, rendered_from(w, edges)), (weights.requires_grad_(),)
-    )
-
-
 def test_only_normals_that_face_away_cost_and_as_the_square_of_their_cosine():
     down = torch.tensor([[0.0, 0.0, -1.0]])
     for degrees, cost in ((0.0, 0.0), (89.9, 0.0), (120.0, 0.25), (180.0, 1.0)):

@@ -85,17 +85,6 @@ def test_pixels_without_a_length_cost_nothing():
     assert found.item() == pytest.approx(math.log(3.0), rel=1e-4)  # float32 at 5 m over 0.1 m
 
 
-def test_gradients_of_the_length_loss_are_those_of_finite_differences():
-    paths = paths_with(length=np.full((8, 8), 5.0), std=np.full((8, 8), 0.3))[:4]
-    rendered = stopped_at(torch.linspace(4.7, 5.2, 4, dtype=torch.float64))
-    weights = (0.2 * torch.rand(4, 3, dtype=torch.float64)).requires_grad_()
-
-    def loss(w):
-        return length_loss(paths, Rendered(rendered.rgb, w, rendered.samples))
-
-    assert torch.autograd.gradcheck(loss, (weights,))
-
-
 def test_scale_and_shift_of_each_view_are_exact_in_closed_form():
     rng = np.random.default_rng(0)
     view = torch.from_numpy(rng.integers(0, 3, 60)) * 4

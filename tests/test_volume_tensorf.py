@@ -116,16 +116,15 @@ def test_a_state_comes_back_at_any_level():
     assert torch.equal(first.penalty(x), second.penalty(x))
 
 
-def test_weights_fall_and_change_with_the_first_refinement():
-    model = volume(TensorfSettings(4, 4, n_min=6, n_max=6, refined_at=(0.5,), l1=(1.0, 0.5), tv_density=0.0,
-                                   tv_colour=0.0, steps=10))  # fmt: skip
+@pytest.mark.parametrize(
+    ("refined_at", "others", "steps", "left"),
+    [((0.5,), {"l1": (1.0, 0.5), "tv_density": 0.0, "tv_colour": 0.0}, 5, 0.5), ((), {"tv_colour": 0.0}, 10, 0.1)],
+)
+def test_weights_fall_and_change_with_the_first_refinement(refined_at, others, steps, left):
+    model = volume(TensorfSettings(4, 4, n_min=6, n_max=6, refined_at=refined_at, steps=10, **others))
     before = model.penalty(positions(1)).item()
-    model.observe([1.0] * 5)
-    assert model.penalty(positions(1)).item() == pytest.approx(0.5 * before, rel=1e-6)
-    model = volume(TensorfSettings(4, 4, n_min=6, n_max=6, refined_at=(), tv_colour=0.0, steps=10))
-    before = model.penalty(positions(1)).item()
-    model.observe([1.0] * 10)
-    assert model.penalty(positions(1)).item() == pytest.approx(0.1 * before, rel=1e-6)
+    model.observe([1.0] * steps)
+    assert model.penalty(positions(1)).item() == pytest.approx(left * before, rel=1e-6)
 
 
 def test_it_is_a_volume_model():

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import copy
 from contextlib import suppress
 
 import numpy as np
 import pytest
 import torch
+from volume_models import Interrupted, Kept
 from volume_scenes import BOX, WATER, Slab, bed_photographs, looking_down
 
 from fields.device import choose_device
@@ -99,25 +99,6 @@ def test_a_bed_in_a_box_is_seen_by_the_pixels_whose_path_leaves_through_the_floo
         assert 100 < inside.sum() < 900
         chosen = np.isin(np.arange(900), pixels)
         np.testing.assert_array_equal(chosen[~near_an_edge], inside[~near_an_edge])
-
-
-class Interrupted(Exception):
-    """What stops a training."""
-
-
-class Kept:
-    """Checkpoints in memory; the one at a step is the last."""
-
-    def __init__(self, stop_at: int | None = None):
-        self.stop_at, self.state = stop_at, None
-
-    def load(self):
-        return self.state
-
-    def save(self, make, *, last):
-        self.state = copy.deepcopy(make())
-        if self.state["step"] == self.stop_at:
-            raise Interrupted
 
 
 def test_an_interrupted_training_goes_on_to_the_same_volume():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import io
 from collections.abc import Callable
 
@@ -94,3 +95,22 @@ def check_learning(make: Make, *, steps: int, share: float, proposal: Proposal |
     train_volume(renderer, photographs, training, lambda share: None, cells=cells)
     assert error() < share * before
     return renderer
+
+
+class Interrupted(Exception):
+    """What stops a training."""
+
+
+class Kept:
+    """Checkpoints in memory; the one at a step is the last."""
+
+    def __init__(self, stop_at: int | None = None):
+        self.stop_at, self.state = stop_at, None
+
+    def load(self):
+        return self.state
+
+    def save(self, make, *, last):
+        self.state = copy.deepcopy(make())
+        if self.state["step"] == self.stop_at:
+            raise Interrupted

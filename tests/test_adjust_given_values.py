@@ -12,7 +12,7 @@ from slow_cases import slow
 
 from survey.adjust import pose_check
 from survey.adjust.block.observed import WINDOW
-from survey.adjust.given_values import worst_contradiction
+from survey.adjust.parameter_tests import worst_contradiction
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import MOST_SIGMAS_OF_FOUR
 from survey.errors import GivenValueTest, SurveyError

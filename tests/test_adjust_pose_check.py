@@ -11,7 +11,7 @@ import pytest
 from small_survey import replaced, small_survey
 
 from refract import PinholeCamera
-from survey.adjust.given_values import misfit
+from survey.adjust.parameter_tests import misfit
 from survey.adjust.pose_check import SAMPLE, _of_middle
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey

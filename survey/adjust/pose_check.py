@@ -2,7 +2,7 @@
 
 Poses, lens and water that are exact leave residuals with no mean over a photograph. Errors of a pose move all that its
 photograph shows in one direction; what points can follow of them does no harm to the bed. Points follow a
-wrong level, and the bed with them: this is tested on its own (`survey.adjust.given_values`).
+wrong level, and the bed with them: this is tested on its own (`survey.adjust.parameter_tests`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from survey.adjust.block.priors import FREE_WATER, HELD_SHARE, prior_of, priors_
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import State
 from survey.adjust.block.windows import load_photographs, measure_loaded_windows
-from survey.adjust.given_values import check_dry_bed, check_given_values, dry_bed_error, misfit, most_contradicted
+from survey.adjust.parameter_tests import check_dry_bed, check_given_values, dry_bed_error, misfit, most_contradicted
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Adjustment
 from survey.errors import GivenValueTest, SurveyError

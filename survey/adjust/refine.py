@@ -20,7 +20,6 @@ from survey.adjust.block.priors import PriorKnowledge, prior_of
 from survey.adjust.block.windows import measure_windows
 from survey.adjust.common_height import apply_level_datum, height_warnings
 from survey.adjust.focal_lengths import FocalDrift, with_square_pixels
-from survey.adjust.given_values import LEVEL_NAME
 from survey.adjust.observability import (
     dry_or_within_bounds,
     name_open_roll,
@@ -28,6 +27,7 @@ from survey.adjust.observability import (
     water_std,
     within_bounds,
 )
+from survey.adjust.parameter_tests import LEVEL_NAME
 from survey.adjust.result.adjustment import MOST_SIGMAS_OF_FOUR, MOST_STD_LEVEL_M, Adjustment, Status
 from survey.adjust.result.std_of_block import parts_warning
 from survey.adjust.rounds import RobustSolution

@@ -16,12 +16,12 @@ from survey.adjust.block.priors import PriorKnowledge, prior_of
 from survey.adjust.block.state import NUM_POSE, NUM_WATER, WATER_PARAMETERS
 from survey.adjust.common_height import apply_level_datum, drop_common_height, water_start, with_common
 from survey.adjust.focal_lengths import FocalDrift, with_focal_std, with_focals
-from survey.adjust.given_values import LEVEL, check_dry_block, dry_bed_error, release, worst_contradiction
 from survey.adjust.observability import (
     Unobservable,
     adjust_free,
     adjusted_with,
 )
+from survey.adjust.parameter_tests import LEVEL, check_dry_block, dry_bed_error, release, worst_contradiction
 from survey.adjust.result.adjustment import MOST_SIGMAS, Adjustment
 from survey.adjust.result.ground_fit import ground_fit
 from survey.adjust.rounds import RobustSolution, adjust

@@ -17,17 +17,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from evaluation.robust import std_by_median
 from refract import FlatWater
 from survey.adjust.block.bundle import NotConvergedError, solve
-from survey.adjust.block.normal_equations import System, system_at
-from survey.adjust.block.observed import Observed, Sizes, sizes_of
+from survey.adjust.block.normal_equations import system_at
+from survey.adjust.block.observed import Observed, sizes_of
 from survey.adjust.block.priors import HELD_SHARE, PriorKnowledge, prior_of, priors_for
 from survey.adjust.block.problem import Problem, std_of_kinds
 from survey.adjust.block.state import LENS_NAMES, NUM_WATER, WATER_PARAMETERS, Layout, State, is_held
@@ -53,6 +54,8 @@ _ROUGH_INDEX = 0.01
 _OF_MISFIT, _LEAST_PX = 2.0, 0.01
 # With less of its own than this share of the knowledge beforehand, a block cannot contradict it.
 _LEAST_OWN = 0.02
+# Smaller standard deviations count as this one: beside 10 um of level, or 1e-5 of index, the step has no digits left.
+_LEAST_STD = 1e-5
 # Fewest windows of a photograph whose mean counts.
 _FEWEST_OF_VIEW = 10
 # The water is raised over most of the windows, and on by this share of the distance to the cameras.
@@ -62,44 +65,22 @@ _COVERED, _SHARE = 0.95, 0.1
 _FEWEST_WINDOWS = 10
 
 
-@dataclass(frozen=True)
-class _TestSystem:
-    """A problem with its normal equations at one state, whose tested parameters have no priors."""
+def without_prior(number: int, prior_std: float, step: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Step (P,) and column (P,) of the covariance of a parameter, as they would be without its own prior.
 
-    problem: Problem
-    state: State
-    system: System
-    std_px: np.ndarray  # (kinds,) [px]: standard deviations of the observations at the state
-    sizes: Sizes
+    Of an adjustment with covariance C, leaving out a prior of standard deviation p adds
+    ``c c' / (p^2 - C_kk)`` to C, with c the column of the parameter k (Sherman and Morrison 1950).
 
-    @staticmethod
-    def at(problem: Problem, state: State, sizes: Sizes) -> _TestSystem:
-        """The problem linearised at a state."""
-        std_px = std_of_kinds(problem, problem.residuals(state), 0.0)
-        return _TestSystem(problem, state, system_at(problem, state, std_px), std_px, sizes)
-
-    def difference(self, number: int, given: Mapping[int, float]) -> tuple[float, float]:
-        """Estimated difference of a parameter from its given value, and the standard deviation of that.
-
-        The other tested parameters have their ``given`` standard deviations.
-        """
-        problem, system = self.problem, self.system
-        std = problem.priors.std.copy()
-        others = [each for each in given if each != number]
-        std[others] = [given[each] for each in others]
-        precision = np.zeros(len(std))
-        precision[others] = std[others] ** -2.0
-        factor = system.normal.with_precision(precision).factor()
-        step, unit = factor.solve(system.right_side), np.zeros(len(std))
-        unit[number] = 1.0
-        # Scatter about the estimate, since a wrong level is not noise.
-        left = problem.residuals(self.state.moved(problem.layout, step, system.point_steps(step)))
-        taken = float(np.sum(1.0 - factor.inverse_diagonal() / std**2))
-        after = std_of_kinds(problem, left, taken)
-        shared = cluster_design_effect(problem.ties, left, after, problem.kind, self.sizes)
-        scale = float(np.max(shared * (after / self.std_px)[problem.kind] ** 2))
-        variance = scale * float(factor.solve(unit)[number]) + (_ROUGH_INDEX**2 if number == _INDEX else 0.0)
-        return float(step[number]), float(np.sqrt(variance))
+    Parameters
+    ----------
+    step : (P,)
+        From the mean of that prior.
+    column : (P,)
+        Of the covariance.
+    """
+    # Rounding leaves nothing smaller.
+    share = max(1.0 - float(column[number]) / prior_std**2, float(np.finfo(np.float64).eps))
+    return step + column * (step[number] / (share * prior_std**2)), column / share
 
 
 def most_contradicted(tests: Sequence[GivenValueTest]) -> GivenValueTest | None:
@@ -136,17 +117,30 @@ def check_given_values(
     std[:NUM_WATER] = prior_of(survey, gsd).std[:NUM_WATER]
     std[prior.layout.first_pose :] = _pose_std(prior.layout, state, misfit_px, gsd)
     tested = _tested_parameters(prior, state, fewest_wet)
-    given = {number: float(std[number]) for number in tested}
     focals = prior.layout.first_lens + np.arange(len(prior.lenses)) * len(LENS_NAMES)
     least = dict(zip(focals.tolist(), _FOCAL_SHARE * state.lenses[:, 0], strict=True))
-    std[tested] = np.inf
+    given, std[tested] = std.copy(), np.maximum(std[tested], _LEAST_STD)
     problem = replace(problem, priors=replace(priors_for(prior, problem.ties), state=state, std=std))
-    block = _TestSystem.at(problem, state, sizes_of(survey))
+    std_px, sizes = std_of_kinds(problem, problem.residuals(state), 0.0), sizes_of(survey)
+    system = system_at(problem, state, std_px)
+    factor = system.normal.factor()
+    joint_step, joint_variance = factor.solve(system.right_side), factor.inverse_diagonal()
     tests = []
     for number in tested:
+        unit = np.zeros(len(std))
+        unit[number] = 1.0
+        joint = factor.solve(unit)
+        step, column = without_prior(number, float(std[number]), joint_step, joint)
+        # Scatter about the estimate, since a wrong level is not noise.
+        left = problem.residuals(state.moved(problem.layout, step, system.point_steps(step)))
+        taken = np.delete(1.0 - (joint_variance + joint * column / std[number] ** 2) / std**2, number)
+        after = std_of_kinds(problem, left, 1.0 + float(taken.sum()))
+        shared = cluster_design_effect(problem.ties, left, after, problem.kind, sizes)
+        variance = float(np.max(shared * (after / std_px)[problem.kind] ** 2)) * float(column[number])
         name, value = _name_and_value(survey, prior, number)
-        given_std = max(given[number], least.get(number, 0.0))
-        tests.append(GivenValueTest(name, value, given_std, *block.difference(number, given)))
+        given_std = max(float(given[number]), least.get(number, 0.0))
+        own_std = math.hypot(variance**0.5, _ROUGH_INDEX if number == _INDEX else 0.0)
+        tests.append(GivenValueTest(name, value, given_std, float(step[number]), own_std))
     return [each for each in tests if each.name != _INDEX_NAME or each.std <= np.hypot(MOST_STD_INDEX, _ROUGH_INDEX)]
 
 
@@ -177,28 +171,17 @@ def worst_contradiction(survey: Survey, done: RobustSolution) -> GivenValueTest 
     """The most contradicted of level, slopes and index, by standard deviations; None where none is.
 
     One that is wrong biases the others, so that only the worst is surely wrong: it is released, and the test repeated.
-
-    Notes
-    -----
-    Of a value of standard deviation s from a prior of standard deviation p, the block alone has told
-    ``1 / s^2 - 1 / p^2``, and its own value follows from the weighted mean.
     """
     if survey.water is None:
         return None
-    worst, most = None, MOST_SIGMAS_OF_FOUR
     _, water = survey.require_water()
-    moved = done.solution.state.water_parameters() - done.prior.mean.water_parameters()
+    tests, moved = [], done.solution.state.water_parameters() - done.prior.mean.water_parameters()
     for number, name in enumerate(WATER_PARAMETERS):
-        prior_std = float(done.prior.std[number])
-        both = float(done.solution.covariance[number, number])
-        own = 1.0 / both - 1.0 / prior_std**2
-        if prior_std <= 10.0 * HELD_SHARE or own < _LEAST_OWN / prior_std**2:
-            continue
-        difference = float(moved[number]) / (both * own)
-        each = GivenValueTest(name, float(getattr(water, name)), prior_std, difference, own**-0.5)
-        if each.sigmas > most:
-            worst, most = each, each.sigmas
-    return worst
+        prior_std, column = float(done.prior.std[number]), done.solution.covariance[:NUM_WATER, number]
+        if prior_std > 10.0 * HELD_SHARE and prior_std**2 >= (1.0 + _LEAST_OWN) * column[number]:
+            difference, own = (float(each[number]) for each in without_prior(number, prior_std, moved, column))
+            tests.append(GivenValueTest(name, float(getattr(water, name)), prior_std, difference, own**0.5))
+    return most_contradicted(tests)
 
 
 def release(prior: PriorKnowledge, found: GivenValueTest) -> PriorKnowledge:

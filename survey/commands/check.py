@@ -10,12 +10,12 @@ import typer
 
 from survey.commands.console import ConsoleResults, command
 from survey.commands.faults import address_space_shortage, require_address_space
-from survey.commands.options import PlanOptions, Quiet, Verbose, grouped
+from survey.commands.options import Quiet, Verbose, config_of, grouped
 from survey.errors import SurveyError
+from survey.settings.tables import PlanOptions, ProcessConfig
 
 if TYPE_CHECKING:
     from survey.plan.check import CheckSection
-    from survey.settings.tables import ProcessConfig
 
 EXAMPLES = """
     bathynerf check my_survey
@@ -60,7 +60,7 @@ def run(
         require_json("--json", json, survey)
         sections_of = _sections_of_plan if is_plan(survey) else _sections
         shown = []
-        for section in sections_of(survey, asked.config(), wind, deep):
+        for section in sections_of(survey, config_of(asked), wind, deep):
             show(results, section)
             shown.append(section)
         if json is not None:

@@ -5,23 +5,19 @@ from __future__ import annotations
 import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import Field, asdict, dataclass, fields, is_dataclass, replace
+from dataclasses import Field, asdict, fields, is_dataclass, replace
 from enum import Enum
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_origin, get_type_hints
+from typing import Annotated, Any, get_origin, get_type_hints
 
 import typer
 
-from survey.files.toml_table import ONE_OF, OPTION, Option
-from survey.words import FIELDS, Device, Poses, Quality
+from survey.errors import ConfigError
+from survey.files.toml_table import ONE_OF, OPTION, Option, parse_values
+from survey.settings.tables import HOW, PlanOptions, ProcessConfig
+from survey.words import Device
 
-if TYPE_CHECKING:
-    from survey.settings.tables import ProcessConfig
-
-_WATER = "Water"
-# Options whose name leaves out the unit that the settings have.
-_SETTINGS = {"target_std": "target_std_m", "time_budget": "time_budget_s"}
 PREFIX = "BATHYNERF_PROCESS_"
 
 
@@ -34,52 +30,11 @@ def words_of(kind: Iterable[str]) -> str:
 KEPT = "finished work is kept, and the same command resumes from there"
 
 # Panels of help that several verbs have.
-AIM, HOW, FILES = "How well, or how fast", "How it is computed", "Files of results"
-COMPARED = "What is compared"
+FILES, COMPARED = "Files of results", "What is compared"
 
 SurveyFolder = Annotated[Path, typer.Argument(metavar="SURVEY", help="Folder with images and survey.toml.")]
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder written by process.")]
 DeviceOption = Annotated[Device, typer.Option(metavar=words_of(Device), help="Where to compute.", rich_help_panel=HOW)]
-AskedDevice = Annotated[
-    Device | None,
-    typer.Option(metavar=words_of(Device), help="Where to compute; default: auto.", rich_help_panel=HOW),
-]
-AskedField = Annotated[
-    str | None,
-    typer.Option(
-        metavar=words_of(FIELDS),
-        help="What refines the heights; default: auto.",
-        rich_help_panel=HOW,
-    ),
-]
-AskedPoses = Annotated[
-    Poses | None,
-    typer.Option(
-        metavar=words_of(Poses),
-        help="Adjust poses, lens and water together, or take the poses as they are; default: auto.",
-        rich_help_panel=HOW,
-    ),
-]
-TargetStd = Annotated[
-    float | None,
-    typer.Option(
-        metavar="METRES",
-        help="Least work foreseen to reach this standard deviation on 95 % of the ground.",
-        rich_help_panel=AIM,
-    ),
-]
-TimeBudget = Annotated[
-    float | None,
-    typer.Option(metavar="SECONDS", help="Best result foreseen to take no longer than this.", rich_help_panel=AIM),
-]
-ImageScale = Annotated[
-    float | None,
-    typer.Option(
-        metavar="SCALE",
-        help="Work on images at 1, 0.5, 0.25, ...; default: by size and quality.",
-        rich_help_panel=HOW,
-    ),
-]
 Visible = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Points of the reference that cameras see.", rich_help_panel=COMPARED),
@@ -147,80 +102,13 @@ def _annotated(field: Field, hint: Any) -> Any:
     ]
 
 
-@dataclass(frozen=True)
-class PlanOptions:
-    """Options of a run, of `check` and of `process`."""
-
-    quality: Annotated[
-        Quality | None,
-        typer.Option(
-            metavar=words_of(Quality),
-            help="Trades run time for detail; default: standard.",
-            show_default=False,
-            rich_help_panel=AIM,
-        ),
-    ] = None
-    target_std: TargetStd = None
-    time_budget: TimeBudget = None
-    device: AskedDevice = None
-    field: AskedField = None
-    poses: AskedPoses = None
-    image_scale: ImageScale = None
-
-    def config(self) -> ProcessConfig:
-        """These options as settings; those that are not given come from the environment."""
-        from survey.settings.tables import ProcessConfig
-
-        asked = ProcessConfig(**{_SETTINGS.get(name, name): value for name, value in asdict(self).items()})
-        return asked.over(asked_of_environment())
-
-
-@dataclass(frozen=True)
-class ProcessOptions(PlanOptions):
-    """Further options of `process`."""
-
-    calibrate_water: Annotated[
-        bool | None,
-        typer.Option(help="First estimate the water from the photographs.", show_default=False, rich_help_panel=_WATER),
-    ] = None
-    true_colour: Annotated[
-        bool | None,
-        typer.Option(
-            help="Give points the colour of the bed without the water.", show_default=False, rich_help_panel=_WATER
-        ),
-    ] = None
-    tiles: Annotated[
-        int | None,
-        typer.Option(metavar="NUMBER", help="Tiles of the ground; default: by the memory.", rich_help_panel=HOW),
-    ] = None
-    memory: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SIZE", help="Memory for the run, e.g. 8GB; default: most of the free one.", rich_help_panel=HOW
-        ),
-    ] = None
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            metavar="NUMBER", help="Processes for tiles; default: by tiles, cores, memory.", rich_help_panel=HOW
-        ),
-    ] = None
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Dask scheduler whose workers compute tiles, features and matches.",
-            rich_help_panel=HOW,
-        ),
-    ] = None
+def config_of(asked: PlanOptions) -> ProcessConfig:
+    """The options of a command line as settings; those that are not given come from the environment."""
+    return ProcessConfig(**asdict(asked)).over(asked_of_environment())
 
 
 def asked_of_environment(environ: Mapping[str, str] = os.environ) -> ProcessConfig:
     """Settings by variables like BATHYNERF_PROCESS_QUALITY, each named like its key in [process] of survey.toml."""
-    from survey.errors import ConfigError
-    from survey.files.toml_table import parse_values
-    from survey.settings.tables import ProcessConfig
-
     names = {f"{PREFIX}{field.name.upper()}": field.name for field in fields(ProcessConfig)}
     given = {variable: text for variable, text in environ.items() if variable.startswith(PREFIX)}
     for variable in given.keys() - names.keys():

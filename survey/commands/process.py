@@ -10,7 +10,8 @@ import typer
 
 from survey.commands.console import command
 from survey.commands.faults import require_address_space
-from survey.commands.options import COMPARED, KEPT, ProcessOptions, Quiet, SurveyFolder, Verbose, Visible, grouped
+from survey.commands.options import COMPARED, KEPT, Quiet, SurveyFolder, Verbose, Visible, config_of, grouped
+from survey.settings.tables import ProcessConfig
 from survey.words import RUN_FOLDER
 
 EXAMPLES = """
@@ -29,7 +30,7 @@ def run(
         str | None,
         typer.Option("-o", "--output", metavar="RUN", help=f"Run folder, or a URL; default: SURVEY/{RUN_FOLDER}."),
     ] = None,
-    asked: ProcessOptions = ProcessOptions(),
+    asked: ProcessConfig = ProcessConfig(),
     resume: Annotated[bool, typer.Option(help="Reuse finished stages of an earlier run.")] = True,
     reference: Annotated[
         Path | None, typer.Option(metavar="FILE", help="True surface, for the report only.", rich_help_panel=COMPARED)
@@ -53,7 +54,7 @@ def run(
         code = process(
             survey,
             output if output is None or is_url(output) else Path(output),
-            **asdict(asked.config()),
+            **asdict(config_of(asked)),
             chooses_workers=True,
             resume=resume,
             reference=reference,

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from fields.models import MODELS, Rule
 from survey.errors import ConfigError
-from survey.files.toml_table import key, option, require_one_of
+from survey.files.toml_table import ONE_OF, key, option, require_one_of
 from survey.words import FIELDS, SCALES, Device, Drop, Poses, Quality
 
 # Of three numbers each counts for one axis.
@@ -51,28 +51,59 @@ def per_axis(value: Std) -> tuple[float, float, float]:
     return value if isinstance(value, tuple) else (value, value, value)
 
 
+# Panels of help that several verbs have.
+AIM, HOW = "How well, or how fast", "How it is computed"
+_aim, _how, _water = (partial(option, panel) for panel in (AIM, HOW, "Water"))
 # An aim chooses quality, field and image scale itself, so that both kinds exclude each other.
 _RECIPE, _AIM = ("quality", "field", "image_scale"), ("target_std_m", "time_budget_s")
-_WORDS = {"quality": Quality, "device": Device, "field": FIELDS, "poses": Poses}
 
 
 @dataclass(frozen=True)
-class ProcessConfig:
+class PlanOptions:
+    """Options of `check` and of `process`; None leaves one open."""
+
+    quality: str | None = _aim(None, "Trades run time for detail; default: standard.", one_of=Quality)
+    target_std_m: float | None = _aim(
+        "METRES",
+        "Least work foreseen to reach this standard deviation on 95 % of the ground.",
+        name="--target-std",
+        expected="a standard deviation in metres, in place of a quality",
+    )
+    time_budget_s: float | None = _aim(
+        "SECONDS",
+        "Best result foreseen to take no longer than this.",
+        name="--time-budget",
+        expected="the seconds that a run may take, in place of a quality",
+    )
+    device: str | None = _how(None, "Where to compute; default: auto.", one_of=Device)
+    field: str | None = _how(None, "What refines the heights; default: auto.", one_of=FIELDS)
+    poses: str | None = _how(
+        None, "Adjust poses, lens and water together, or take the poses as they are; default: auto.", one_of=Poses
+    )
+    image_scale: float | None = _how(
+        "SCALE",
+        "Work on images at 1, 0.5, 0.25, ...; default: by size and quality.",
+        expected="1, 0.5, 0.25, ...",
+        one_of=SCALES,
+    )
+
+
+@dataclass(frozen=True)
+class ProcessConfig(PlanOptions):
     """[process]: options of `process` and `check`, as they are called there; None leaves one open."""
 
-    quality: str | None = key(None, "one of draft, standard, fine", one_of=Quality)
-    target_std_m: float | None = key(None, "a standard deviation in metres, in place of a quality")
-    time_budget_s: float | None = key(None, "the seconds that a run may take, in place of a quality")
-    device: str | None = key(None, "one of auto, cpu, cuda", one_of=Device)
-    field: str | None = key(None, f"one of {', '.join(FIELDS)}", one_of=FIELDS)
-    poses: str | None = key(None, "one of auto, fixed, refine", one_of=Poses)
-    image_scale: float | None = key(None, "1, 0.5, 0.25, ...", one_of=SCALES)
-    calibrate_water: bool | None = None
-    true_colour: bool | None = None
-    tiles: int | None = None
-    memory: str | None = key(None, "a size such as 8GB")
-    workers: int | None = None
-    scheduler: str | None = key(None, "the address of a Dask scheduler, such as tcp://host:8786")
+    calibrate_water: bool | None = _water(None, "First estimate the water from the photographs.")
+    true_colour: bool | None = _water(None, "Give points the colour of the bed without the water.")
+    tiles: int | None = _how("NUMBER", "Tiles of the ground; default: by the memory.")
+    memory: str | None = _how(
+        "SIZE", "Memory for the run, e.g. 8GB; default: most of the free one.", expected="a size such as 8GB"
+    )
+    workers: int | None = _how("NUMBER", "Processes for tiles; default: by tiles, cores, memory.")
+    scheduler: str | None = _how(
+        "ADDRESS",
+        "Dask scheduler whose workers compute tiles, features and matches.",
+        expected="the address of a Dask scheduler, such as tcp://host:8786",
+    )
 
     def over(self, lower: ProcessConfig) -> ProcessConfig:
         """These options completed from `lower`; options of an aim and those of a recipe exclude each other."""
@@ -92,9 +123,10 @@ class ProcessConfig:
 
     def require_sane(self) -> None:
         """Raise ConfigError at a word or number that is not known, or where an aim and a recipe are asked for."""
-        for name, words in _WORDS.items():
-            if getattr(self, name) is not None:
-                require_one_of(f"[process] {name}", getattr(self, name), tuple(words))
+        for field in dataclasses.fields(self):
+            value, words = getattr(self, field.name), field.metadata[ONE_OF]
+            if isinstance(value, str) and words:
+                require_one_of(f"[process] {field.name}", value, words)
         if self.image_scale is not None and self.image_scale not in SCALES:
             known = ", ".join(f"{each:g}" for each in SCALES)
             raise ConfigError(f"[process] image_scale is {self.image_scale:g}, expected one of {known}")

@@ -73,21 +73,17 @@ def test_bands_that_are_no_heights_are_refused(tmp_path, names, words):
         read_reference(path)
 
 
+@pytest.mark.parametrize(("crs", "of_cloud"), [("EPSG:25832+7837", 1.0), ("EPSG:25832+6360", US_FOOT)])
 @pytest.mark.parametrize(("name", "metres"), UNITS.items())
-def test_heights_of_a_raster_are_in_the_unit_of_its_band(tmp_path, name, metres):
+def test_heights_of_a_raster_are_in_the_unit_of_its_band_and_become_those_of_the_cloud(
+    tmp_path, name, metres, crs, of_cloud
+):
     assert unit_named(name) == metres
-    reference = raster_file(tmp_path / "r.tif", np.full((12, 12), HEIGHT / metres), unit=name)
-    inputs = load_inputs(InputPaths(cloud_file(tmp_path / "c.las"), reference), None)
-    np.testing.assert_allclose(inputs.reference.vertices[:, 2], HEIGHT, rtol=1e-12)
-    assert any("converted" in note for note in inputs.notes) is (metres != 1.0)
-
-
-@pytest.mark.parametrize(("name", "metres"), UNITS.items())
-def test_a_cloud_with_heights_in_feet_gets_a_raster_in_any_unit_in_feet(tmp_path, name, metres):
-    cloud = cloud_file(tmp_path / "c.las", "EPSG:25832+6360", height=1.0 / US_FOOT)
+    cloud = cloud_file(tmp_path / "c.las", crs, height=1.0 / of_cloud)
     reference = raster_file(tmp_path / "r.tif", np.full((12, 12), HEIGHT / metres), unit=name)
     inputs = load_inputs(InputPaths(cloud, reference), None)
-    np.testing.assert_allclose(inputs.reference.vertices[:, 2], HEIGHT / US_FOOT, rtol=1e-12)
+    np.testing.assert_allclose(inputs.reference.vertices[:, 2], HEIGHT / of_cloud, rtol=1e-12)
+    assert of_cloud != 1.0 or any("converted" in note for note in inputs.notes) is (metres != 1.0)
 
 
 def test_a_band_in_another_unit_than_its_crs_is_refused_and_an_unknown_one_is_named(tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from plane_survey import look
 
 from fields.device import choose_device
 from fields.occluded.agreement import FoundPoints, explained_above, trial_heights
@@ -128,14 +129,10 @@ def plate() -> tuple[Block, list[HeightMap], list[np.ndarray], np.ndarray]:
 
 
 def _camera(angle: float) -> PinholeCamera:
-    """A camera 8 m aside and 20 m over the water that looks at the plate."""
-    centre = np.array([*MIDDLE + 8.0 * np.array([np.cos(angle), np.sin(angle)]), 20.0])
-    ahead = np.array([*MIDDLE, -1.0]) - centre
-    ahead /= np.linalg.norm(ahead)
-    right = np.cross(ahead, (0.0, 0.0, 1.0))
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(ahead, right), ahead])
-    return PinholeCamera(centre, rotation, 1100.0, 1100.0, 120.0, 100.0, 240, 200)
+    """A camera 8 m aside and 20 m over the water that looks at the plate, upright."""
+    aside = np.array([np.cos(angle), np.sin(angle)])
+    heading = np.arctan2(*-aside)
+    return look((*MIDDLE + 8.0 * aside, 20.0), (*MIDDLE, -1.0), focal=1100.0, size=(240, 200), heading=heading)
 
 
 def _seen(camera, textures, rng):

@@ -29,9 +29,12 @@ def level_maps(water: FlatWater | None, agreeing: int = 4) -> tuple[list, list[H
     return cameras, [HeightMap(view, level.copy(), ones, count.copy(), 0.0 * ones) for view in range(len(cameras))]
 
 
-def block_of(device, cameras, water=TILTED) -> Block:
-    shape = (cameras[0].height, cameras[0].width)
-    return Block(device, cameras, [np.zeros(shape, dtype=np.float32) for _ in cameras], water, -2.0)
+def block_of(device, cameras, water=TILTED, holes: dict[int, tuple[slice, slice]] | None = None) -> Block:
+    """The block, with a part of some photographs masked."""
+    images = [np.zeros((camera.height, camera.width), dtype=np.float32) for camera in cameras]
+    for view, hole in (holes or {}).items():
+        images[view][hole] = np.nan
+    return Block(device, cameras, images, water, -2.0)
 
 
 @pytest.mark.parametrize("water", [TILTED, None], ids=["wet", "dry"])
@@ -70,24 +73,16 @@ def test_views_that_overlap_with_no_other_keep_their_maps(device):
     assert found[0] is maps[0]
 
 
-def masked_block(device, cameras, holes: dict[int, tuple[slice, slice]]) -> Block:
-    """The block with a part of some photographs masked."""
-    images = [np.zeros((camera.height, camera.width), dtype=np.float32) for camera in cameras]
-    for view, hole in holes.items():
-        images[view][hole] = np.nan
-    return Block(device, cameras, images, TILTED, -2.0)
-
-
 def test_photographs_that_are_masked_at_a_place_are_not_comparable_there(device):
     cameras, maps = level_maps(TILTED)
     assert list(num_comparable(block_of(device, cameras), maps)) == [None] * len(cameras)
     found = next(
-        num_comparable(masked_block(device, cameras, dict.fromkeys(range(2, len(cameras)), np.s_[:, :])), maps)
+        num_comparable(block_of(device, cameras, holes=dict.fromkeys(range(2, len(cameras)), np.s_[:, :])), maps)
     )
     assert found.shape == maps[0].height.shape
     assert set(np.unique(found)) == {0.0, 1.0, np.inf}
     # Where none of the photographs that show a place is masked there, all of them are comparable.
-    found = next(num_comparable(masked_block(device, cameras, {4: np.s_[:1, :1]}), maps))
+    found = next(num_comparable(block_of(device, cameras, holes={4: np.s_[:1, :1]}), maps))
     assert np.mean(np.isfinite(found)) < 0.01
 
 
@@ -98,7 +93,7 @@ def test_a_masked_pixel_changes_the_std_only_at_the_place_that_it_shows(device):
     maps = [*maps[:2], *(replace(m, score=0.0 * m.score) for m in maps[2:])]
 
     def std(holes: dict[int, tuple[slice, slice]]) -> np.ndarray:
-        (found, *_) = num_comparable(masked_block(device, cameras, holes), maps)
+        (found, *_) = num_comparable(block_of(device, cameras, holes=holes), maps)
         return height_std(maps[0].height, maps[0].agreeing, maps[0].spread, 0.03, found)
 
     corner = np.s_[:1, :1]

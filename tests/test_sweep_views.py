@@ -167,21 +167,6 @@ def _parallax(cameras, water, others, height):
     return views.parallax(cameras, water, views.middle_path(cameras[0], water), others, height)
 
 
-def test_parallax_of_a_dry_pair_is_focal_length_times_baseline_over_distance_squared():
-    cameras = flight(2, spacing=1.5)
-    expected = cameras[0].fx * 1.5 / 12.0**2
-    # A difference over 0.1 m of the function 1 / distance: (0.05 / 12)^2.
-    np.testing.assert_allclose(_parallax(cameras, None, [1], -2.0), expected, rtol=2e-5)
-
-
-def test_parallax_under_water_is_that_of_the_apparent_depth():
-    cameras = flight(2, spacing=0.5)
-    distance = 10.0 + 2.0 / WATER.n_water
-    expected = cameras[0].fx * 0.5 / distance**2 / WATER.n_water
-    # Near nadir; at 2.6 deg of incidence the tangential image is 0.2 % off the sagittal one.
-    np.testing.assert_allclose(_parallax(cameras, WATER, [1], -2.0), expected, rtol=4e-3)
-
-
 @pytest.mark.parametrize("water", [None, WATER, TILTED])
 @pytest.mark.parametrize("tide", [0.0, 0.2])
 def test_parallax_is_that_of_the_pixels_in_each_camera(water, tide):

@@ -17,9 +17,10 @@ from shown_run import served, shown_of, small_run
 
 from survey.commands.faults import BAD_INPUT
 from survey.errors import SurveyError
+from survey.own_page import is_own_page
 from survey.viewer import detail, session
 from survey.viewer.detail import CloudInBrowser, Style, node_arrays
-from survey.viewer.page import address, close_server, is_own_page, open_server, token
+from survey.viewer.page import address, close_server, open_server, token
 from survey.viewer.shown import Shown
 
 
@@ -170,7 +171,8 @@ def test_what_is_no_run_is_refused(tmp_path):
     ],
 )
 def test_pages_of_other_sites_are_not_own(host, headers, is_own):
-    assert is_own_page(headers, host) is is_own
+    assert is_own_page(headers, host, "token", "token") is is_own
+    assert not is_own_page(headers, host, "tokem", "token")
 
 
 def test_a_page_of_another_site_and_who_does_not_know_the_token_get_no_connection():

@@ -154,7 +154,7 @@ def errors_of(cloud: Path, case: Case) -> Errors:
         f"{scores.tolerance_m:g}": scores.completeness if case.visible is None else scores.completeness_visible
         for scores in found.figures.tolerances
     }
-    stated = _stated(found)
+    coverage, median_m, common_m = _stated(found)
     inner = np.abs(distances) <= np.nanquantile(np.abs(distances), _INNER)
     return Errors(
         n_points=of_all.n_points,
@@ -162,40 +162,31 @@ def errors_of(cloud: Path, case: Case) -> Errors:
         std_m=of_all.std_inner90_m,
         rms_m=of_all.rms_m,
         completeness={tolerance: float(share) for tolerance, share in shares.items() if share is not None},
-        coverage=stated.coverage,
-        median_m=stated.median_m,
-        common_m=stated.common_m,
+        coverage=coverage,
+        median_m=median_m,
+        common_m=common_m,
         blocks=_blocks(found.points[inner, :2], distances[inner], case),
     )
 
 
-@dataclass(frozen=True)
-class _Stated:
-    """Stated std of the points against their errors: see `survey.benchmark.records.Errors`."""
-
-    coverage: float | None = None
-    median_m: float | None = None
-    common_m: float | None = None
-
-
-def _stated(found: Comparison) -> _Stated:
-    """Stated std against the errors of points with a std, over a mesh, where that is not a wall."""
+def _stated(found: Comparison) -> tuple[float | None, float | None, float | None]:
+    """`Errors.coverage`, `median_m` and `common_m`, of points with a std, over a mesh, where that is not a wall."""
     reference, extra = found.inputs.reference, found.inputs.cloud.extra
     if _STD not in extra or not isinstance(reference, Mesh):
-        return _Stated()
+        return None, None, None
     paths = found.inputs.paths
     points = to_local(found.inputs.frame, found.points, paths.cloud)
     vertices = to_local(found.inputs.frame, reference.vertices, paths.reference)
     error = vertical_difference(points, vertices, reference.faces)
     known = np.isfinite(error) & (slope_below(points, vertices, reference.faces) < WALL_DEG)
     if not known.any():
-        return _Stated()
+        return None, None, None
     std = {name: extra[name][found.inputs.inside][known] for name in (_STD, _STD_COMMON) if name in extra}
     error, median = error[known], float(np.median(error[known]))
     common = std.get(_STD_COMMON, np.empty(0))
     common = common[np.isfinite(common)]
     covered = Coverage.of(error - median, std[_STD], np.isfinite(std[_STD]))
-    return _Stated(covered.share, median, float(np.median(common)) if len(common) else None)
+    return covered.share, median, float(np.median(common)) if len(common) else None
 
 
 def _blocks(plan: np.ndarray, distances: np.ndarray, case: Case) -> dict[str, list[float]]:

@@ -13,16 +13,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.stats import t as student
 
 from survey.benchmark.records import METHODS, Cost, Errors, Record, Results
-from survey.compare.canvas import canvas, save
+from survey.compare.canvas import canvas, plain_log_ticks, save
 from survey.display.palette import INK, RED, SERIES, SOFT
 from survey.display.quantities import length
 
-# Ticks within each decade of the axes.
-_TICKS = (1.0, 2.0, 5.0)
 _COLOURS = (*SERIES, RED, INK)
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "<", ">")
 _DRAWS, _SEED = 2000, 20_261_122
@@ -92,9 +89,7 @@ def draw_pareto_front(path: Path, records: Sequence[Record]) -> None:
     axes.plot([], [], " ", label=", ".join(f"{name[0].upper()}: {name}" for name in letters))
     axes.set(xscale="log", yscale="log")
     for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(LogLocator(subs=_TICKS))
-        axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter(NullFormatter())
+        plain_log_ticks(axis)
     axes.set_xlabel("error: root of mean² + std² of the inner 90 % [mm]", color=INK)
     axes.set_ylabel("run time [s]", color=INK)
     axes.grid(True, lw=0.3, color=SOFT, alpha=0.5)
@@ -206,7 +201,8 @@ def _error(key: tuple[str, ...], new: Errors, old: Errors) -> ResultChange:
     ratio, drawn = new.error_m / old.error_m, _bootstrap_sums(new, old)
     if isinstance(drawn, str):
         return ResultChange(key, "error", ratio, None, UNKNOWN, drawn)
-    return _judged(key, "error", ratio, _rms(drawn[0]) / _rms(drawn[1]))
+    rms = [np.sqrt(sums[:, 2] / sums[:, 0]) for sums in drawn]
+    return _judged(key, "error", ratio, rms[0] / rms[1])
 
 
 def _mean(key: tuple[str, ...], new: Errors, old: Errors) -> ResultChange:
@@ -227,10 +223,6 @@ def _bootstrap_sums(new: Errors, old: Errors) -> tuple[np.ndarray, np.ndarray] |
     a, b = (np.array([errors.blocks[name] for name in shared]) for errors in (new, old))
     drawn = np.random.default_rng(_SEED).integers(len(shared), size=(_DRAWS, len(shared)))
     return a[drawn].sum(axis=1), b[drawn].sum(axis=1)
-
-
-def _rms(sums: np.ndarray) -> np.ndarray:
-    return np.sqrt(sums[..., 2] / sums[..., 0])
 
 
 def _cost(key: tuple[str, ...], figure: str, new: np.ndarray, old: np.ndarray, same_machine: bool) -> ResultChange:

@@ -29,12 +29,12 @@ from survey.files.json_values import finite_numbers
 from survey.files.limits import LARGEST
 from survey.marking.mark_store import PointKey
 from survey.marking.session import MarkingSession
+from survey.own_page import is_own_page
 from survey.photos.images import eight_bits
 from survey.photos.pixels import read_rgb
 
 TOKEN_HEADER = "X-Bathynerf-Token"
 _LONGEST_REQUEST = 100_000
-_LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _SAFE = {
     "Cache-Control": "no-store",
     "X-Content-Type-Options": "nosniff",
@@ -117,7 +117,7 @@ class MarkingServer(ThreadingHTTPServer):
         self.session, self.tiles = session, PhotographTiles(session.images)
         self.token = secrets.token_urlsafe(16)
         self.lock = threading.Lock()
-        self.is_loopback = host in _LOOPBACK
+        self.host = host
         super().__init__((host, port), _Handler)
         # 0.0.0.0 stands for every address of this machine, and cannot be opened.
         name = "localhost" if host == "0.0.0.0" else host
@@ -193,11 +193,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _is_ours(self, token: str) -> bool:
         """Whether a request has the token and comes from this page."""
-        host, origin = self.headers.get("Host", ""), self.headers.get("Origin")
-        name = urlsplit(f"//{host}").hostname
-        is_right = secrets.compare_digest(token.encode(), self.server.token.encode())
-        is_here = name in _LOOPBACK or not self.server.is_loopback
-        return is_right and is_here and (origin is None or origin == f"http://{host}")
+        return is_own_page(self.headers, self.server.host, token, self.server.token)
 
     def _tile(self, path: str) -> bytes:
         level, column, row, image = path.removeprefix("/tile/").split("/", 3)

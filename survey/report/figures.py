@@ -13,6 +13,10 @@ from survey.report.facts import RunVerdict
 from survey.report.photographs import PhotographFigures, TakenFigures
 from survey.report.seen_cells import CoverageFigures
 
+# Fields that report.json has of the plan and of the cloud, in its order.
+_OF_PLAN = ("quality", "device", "image_scale", "gsd_m", "height_m", "footprint_m", "decisions")
+_OF_CLOUD = ("points", "points_wet", "points_dry", "extent", "covered_area_m2", "density_per_m2")
+
 
 @dataclass(frozen=True)
 class CrsFigures:
@@ -189,11 +193,11 @@ def json_of(figures: ReportFigures) -> dict:
     """The figures as dicts, lists, numbers and texts, the units in their names; None where there is none."""
     comparison = None if figures.comparison is None else numbers_of(figures.comparison)
     return plain({
-        "verdict": None if figures.verdict is None else _verdict(figures.verdict),
+        "verdict": _some(figures.verdict, "passed", "gates"),
         "survey": figures.survey,
         "taken": figures.taken,
         "water": figures.water,
-        "plan": _plan(figures.plan),
+        "plan": _some(figures.plan, *_OF_PLAN),
         "cloud": _cloud(figures.cloud),
         "comparison": comparison,
         "iho_s44": None if comparison is None else comparison.get("iho_s44"),
@@ -214,48 +218,24 @@ def json_of(figures: ReportFigures) -> dict:
     })  # fmt: skip
 
 
-def _verdict(verdict: RunVerdict) -> dict:
-    return {"passed": verdict.passed, "gates": verdict.gates}
-
-
 def _adjustment(found: AdjustmentFigures) -> dict:
-    common = found.common
     values = asdict(found)
     del values["common"]
-    return values | {
-        "height_std_common_m": None if common is None else {"mean": common.mean, "typical": common.typical},
-    }
-
-
-def _plan(plan: Plan) -> dict:
-    return {
-        "quality": plan.quality,
-        "device": plan.device,
-        "image_scale": plan.image_scale,
-        "gsd_m": plan.gsd_m,
-        "height_m": plan.height_m,
-        "footprint_m": plan.footprint_m,
-        "decisions": plan.decisions,
-    }
+    return values | {"height_std_common_m": _some(found.common, "mean", "typical")}
 
 
 def _cloud(cloud: CloudFigures) -> dict:
     return {
-        "points": cloud.points,
-        "points_wet": cloud.points_wet,
-        "points_dry": cloud.points_dry,
-        "extent": cloud.extent,
-        "covered_area_m2": cloud.covered_area_m2,
-        "density_per_m2": cloud.density_per_m2,
-        "depth_m": _spread(cloud.depth_m, "min", "median", "p95", "max"),
-        "std_m": _spread(cloud.std_m, "median", "p95"),
-        "std_common_m": _spread(cloud.std_common_m, "median", "p95"),
+        **{name: getattr(cloud, name) for name in _OF_CLOUD},
+        "depth_m": _some(cloud.depth_m, "min", "median", "p95", "max"),
+        "std_m": _some(cloud.std_m, "median", "p95"),
+        "std_common_m": _some(cloud.std_common_m, "median", "p95"),
         **({"plan_std_common_m": cloud.plan_std_common_m} if cloud.plan_std_common_m else {}),
-        "views_per_point": _spread(cloud.views_per_point, "min", "median", "mean", "max"),
-        "incidence_deg": _spread(cloud.incidence_deg, "median", "p95", "max"),
+        "views_per_point": _some(cloud.views_per_point, "min", "median", "mean", "max"),
+        "incidence_deg": _some(cloud.incidence_deg, "median", "p95", "max"),
     }
 
 
-def _spread(spread: Spread | None, *names: str) -> dict | None:
-    """Named statistics of a spread; None without one."""
-    return None if spread is None else {name: getattr(spread, name) for name in names}
+def _some(record: object | None, *names: str) -> dict | None:
+    """Some fields of a record; None without one."""
+    return None if record is None else {name: getattr(record, name) for name in names}

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geo.errors import GeoError
-from survey.display.quantities import count, number
+from survey.display.quantities import count
 from survey.errors import SurveyError
 from survey.escaping import markdown, printable
 from survey.photos.cameras import View
@@ -300,9 +300,7 @@ class Panel:
         self._apply(limits=(low, high))
 
     def _say_range(self, kind: str, limits: tuple[float, float]) -> None:
-        scale = SCALES[kind]
-        low, high = (number(value, 0 if kind == "num_views" else 3) for value in limits)
-        self._range.content = f"{scale.label}: {low} to {high} {scale.unit}; grey where it is not known"
+        self._range.content = f"{SCALES[kind].legend(limits)}; grey where it is not known"
 
     def _apply(self, **changes: Any) -> None:
         self.style = replace(self.style, **changes)

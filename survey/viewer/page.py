@@ -6,21 +6,20 @@ import asyncio
 import html
 import io
 import secrets
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit
 
 import numpy as np
 
 from geo.files import write_whole
-from survey.display.quantities import number
 from survey.errors import OutputError, SurveyError
 from survey.escaping import printable
 from survey.files.outputs import ReadFiles, require_file
+from survey.own_page import is_own_page
 from survey.viewer.layers import add_cameras, add_water, set_initial_view
 from survey.viewer.shown import SCALES, Shown
 from survey.viewer.tree import CloudTree
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
     import viser
 
 _SKY, _SUN = 2.0, 1.4
-_LOOPBACK = ("localhost", "127.0.0.1", "::1")
 # Points of a page: some 20 MB.
 MOST_POINTS = 1_000_000
 _SUFFIX, _MARK, _TITLE = ".html", b"Viser client", "<title>Viser</title>"
@@ -66,9 +64,8 @@ def open_server(host: str, port: int, title: str) -> viser.ViserServer:
 def _own_pages_only(host: str) -> Iterator[list[Any]]:
     """Context in which a server of viser starts that answers its own pages only, below a path that others do not know.
 
-    Browsers open a WebSocket to this machine for any page, and any user of the machine can, and viser accepts all and
-    has no hook to refuse. Its page opens the WebSocket at its own address. Yields the list of guarded servers, which is
-    empty if viser no longer serves by this function.
+    viser accepts all and has no hook to refuse. Its page opens the WebSocket at its own address. Yields the list of
+    guarded servers, which is empty if viser no longer serves by this function.
     """
     from websockets.asyncio import server as websockets
 
@@ -76,10 +73,8 @@ def _own_pages_only(host: str) -> Iterator[list[Any]]:
 
     def guarded(*arguments: Any, process_request: Callable[..., Any], **options: Any) -> Any:
         def answer(connection: Any, request: Any) -> Any:
-            if not is_own_page(request.headers, host):
-                return connection.respond(403, "this page is not from this server\n")
             given, _, path = request.path.partition("?")[0].removeprefix("/").partition("/")
-            if not secrets.compare_digest(given.encode(), token().encode()):
+            if not is_own_page(request.headers, host, given, token()):
                 return connection.respond(403, "open the address that bathynerf view printed\n")
             return process_request(connection, replace(request, path=f"/{path}"))
 
@@ -97,17 +92,6 @@ def _own_pages_only(host: str) -> Iterator[list[Any]]:
 def token() -> str:
     """What the addresses of the servers of this process have in their path."""
     return secrets.token_urlsafe(16)
-
-
-def is_own_page(headers: Mapping[str, str], host: str) -> bool:
-    """Whether a request comes from a page of this server, or from no page; by its headers.
-
-    A server on a loopback address only answers requests to loopback names, against DNS rebinding.
-    """
-    named, origin = headers.get("Host") or "", headers.get("Origin")
-    if host in _LOOPBACK and urlsplit(f"//{named}").hostname not in _LOOPBACK:
-        return False
-    return origin is None or urlsplit(origin).netloc == named
 
 
 def light(server: viser.ViserServer) -> None:
@@ -179,17 +163,10 @@ def _add_points(server: viser.ViserServer, shown: Shown, rows: np.ndarray) -> No
     size = shown.gsd_m * float(np.sqrt(len(shown.tree.points) / len(rows)))
     for kind in ("colour", *(kind for kind in SCALES if kind in shown.columns)):
         limits = shown.limits(kind)
+        # The list of what is shown is the only legend of a page.
+        name = "colour" if limits is None else SCALES[kind].legend(limits)
         server.scene.add_point_cloud(
-            f"/points by/{_name(kind, limits)}", points, shown.colours(kind, rows, limits), position=shown.middle,
+            f"/points by/{name}", points, shown.colours(kind, rows, limits), position=shown.middle,
             precision="float32", point_size=size, point_shape="circle", point_shading="flat",
             visible=kind == "colour",
         )  # fmt: skip
-
-
-def _name(kind: str, limits: tuple[float, float] | None) -> str:
-    """A name in the list of what is shown; it is the only legend of a page."""
-    if limits is None:
-        return "colour"
-    scale = SCALES[kind]
-    low, high = (number(value, 0 if kind == "num_views" else 3) for value in limits)
-    return f"{scale.label}: {low} to {high} {scale.unit}".rstrip()

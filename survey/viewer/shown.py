@@ -14,6 +14,7 @@ import numpy as np
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera
+from survey.display.quantities import number
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun, flight_of
 from survey.photos.cameras import View
@@ -122,6 +123,11 @@ class Scale:
         known = np.isfinite(share)
         step = np.clip(np.where(known, share, 0.0) * _STEPS, 0, _STEPS - 1).astype(np.int64)
         return np.where(known[:, None], _table(self.colormap)[step], np.array(UNKNOWN, dtype=np.uint8))
+
+    def legend(self, limits: tuple[float, float]) -> str:
+        """The quantity with the values of the first and the last colour."""
+        low, high = (number(value, 3 if self.unit else 0) for value in limits)
+        return f"{self.label}: {low} to {high} {self.unit}".rstrip()
 
     def bar(self, width: int, height: int) -> np.ndarray:
         """The colours from low to high as a picture (height, width, 3) uint8."""

@@ -19,7 +19,7 @@ from survey.display.palette import RED
 from survey.display.plan_grid import PlanGrid
 from survey.folder.survey import load_survey
 from survey.photos.exif import read_exif
-from survey.report import NUM_STEPS, profile, write_report
+from survey.report import NUM_STEPS, raster, write_report
 from survey.report.flight import draw_plan, flight_lines
 from survey.report.maps import codes_of, draw_std, draw_unseen
 from survey.report.profile import _medians, choose_cut, draw_profile, has_profile, two_digits
@@ -119,7 +119,7 @@ def test_a_handful_of_points_gets_no_profile(shallow_survey):
 
 def test_a_profile_of_a_wet_survey_shows_the_level_even_over_a_dry_bed(shallow_survey, tmp_path, monkeypatch):
     drawn = []
-    monkeypatch.setattr(profile, "save", lambda figure, _path: drawn.append(figure.axes[0]))
+    monkeypatch.setattr(raster, "save", lambda figure, _path: drawn.append(figure.axes[0]))
     bed = plane_bed(shallow_survey)
     level = shallow_survey.config.water.level_m
     facts = facts_of(shallow_survey, bed)

@@ -26,7 +26,7 @@ from survey.escaping import figure_text
 from survey.folder.survey import Survey
 from survey.report.adjustment_figures import correlations, shown_lenses
 from survey.report.checkpoints import CheckpointAccuracy
-from survey.report.raster import Picture
+from survey.report.raster import Picture, finished
 
 # Cells along the longer side of a photograph, and the fewest residuals in one that is shown.
 _CELLS, _FEWEST = 16, 5
@@ -104,9 +104,8 @@ def draw_ground_residuals(path: Path, survey: Survey, found: Adjustment) -> Pict
     axes.plot(*cameras[:, :2].T, "o", ms=4.0, mfc=INK, mec="white", mew=0.6, label="camera", zorder=5)
     _draw_control(axes, survey, found)
     figure.legend(loc="lower center", ncols=4, frameon=False, fontsize=9)
-    write_title(axes, "Residuals over the ground", f"cells of {grid.cell_m:.2g} m")
-    save(figure, path)
-    return Picture(path, "Residuals over the ground", "Where they are large: waves, moving things, or few photographs.")
+    words = "Where they are large: waves, moving things, or few photographs."
+    return finished(axes, path, "Residuals over the ground", f"cells of {grid.cell_m:.2g} m", words)
 
 
 def draw_parts(path: Path, survey: Survey, found: Adjustment) -> Picture:
@@ -128,9 +127,8 @@ def draw_parts(path: Path, survey: Survey, found: Adjustment) -> Picture:
     _draw_control(axes, survey, found)
     figure.legend(loc="lower center", ncols=3, frameon=False, fontsize=9)
     title = "Parts of the block without common points"
-    write_title(axes, title, "dots: tie points of each part; no tie point belongs to two parts")
-    save(figure, path)
-    return Picture(path, title, "Only positions, control and water connect the parts.")
+    subtitle = "dots: tie points of each part; no tie point belongs to two parts"
+    return finished(axes, path, title, subtitle, "Only positions, control and water connect the parts.")
 
 
 def _draw_control(axes: Axes, survey: Survey, found: Adjustment) -> None:
@@ -244,11 +242,9 @@ def draw_residuals(path: Path, survey: Survey, residuals: Sequence[Residual]) ->
         )
     figure.legend(loc="lower center", ncols=2, frameon=False, fontsize=9)
     unit = LengthUnit.of([longest])
-    title = "Control and check points"
-    write_title(axes, title, f"magnified: an arrow an eighth as long as the map is wide means {unit.text(longest)}")
-    save(figure, path)
+    subtitle = f"magnified: an arrow an eighth as long as the map is wide means {unit.text(longest)}"
     words = "The adjusted point less the given one; of check points without marks, the height of the cloud less theirs."
-    return Picture(path, title, words)
+    return finished(axes, path, "Control and check points", subtitle, words)
 
 
 def clip_outliers(off: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
@@ -266,16 +262,9 @@ def clip_outliers(off: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
 
 def _control_arrows(axes: Axes, places: np.ndarray, steps: np.ndarray, colour: str, label: str) -> None:
     if len(places):
+        (x, y), (dx, dy) = places.T, steps.T
         axes.quiver(
-            *places.T,
-            *steps.T,
-            angles="xy",
-            scale_units="xy",
-            scale=1.0,
-            width=0.006,
-            color=colour,
-            label=label,
-            zorder=4,
+            x, y, dx, dy, angles="xy", scale_units="xy", scale=1.0, width=0.006, color=colour, label=label, zorder=4
         )
 
 

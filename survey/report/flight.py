@@ -13,14 +13,14 @@ from matplotlib.patches import Rectangle
 
 from geo.projection import ground_units_m
 from refract import PinholeCamera
-from survey.compare.canvas import map_canvas, save, show, write_title
+from survey.compare.canvas import map_canvas, show
 from survey.display.column import ColumnStatistics
 from survey.display.palette import BOUNDS, INK, LAND, OBLIQUE, SOFT, WATER
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import distance, height
 from survey.folder.survey import Survey
 from survey.report.facts import ReportFacts
-from survey.report.raster import Picture
+from survey.report.raster import Picture, finished
 
 _OBLIQUE_DEG = 15.0
 _CELLS = 150
@@ -52,10 +52,9 @@ def draw_plan(path: Path, facts: ReportFacts) -> Picture:
         frame.set_label("bounds")
         axes.add_patch(frame)
     figure.legend(loc="lower center", ncols=3, frameon=False, fontsize=9)
-    title = "The flight in plan"
-    write_title(axes, title, f"{len(cameras)} views, {distance(facts.plan.height_m)} over {_over(survey)}")
-    save(figure, path)
-    return Picture(path, title, f"Outlines: what each photograph covers on {_over(survey)}.")
+    subtitle = f"{len(cameras)} views, {distance(facts.plan.height_m)} over {_over(survey)}"
+    words = f"Outlines: what each photograph covers on {_over(survey)}."
+    return finished(axes, path, "The flight in plan", subtitle, words)
 
 
 def _extent(survey: Survey, centres: np.ndarray, footprints: list[np.ndarray]) -> tuple[tuple, np.ndarray]:

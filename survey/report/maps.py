@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from geo.crs import height_unit_m
-from survey.compare.canvas import colour_bar, figure_of, map_canvas, plain_log_ticks, save, show, write_title
+from survey.compare.canvas import colour_bar, map_canvas, plain_log_ticks, save, show
 from survey.display.palette import COUNTS, EMPTY, INK, OBLIQUE, RED, SPREADS, WATER
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, cell_size, share
@@ -23,7 +23,7 @@ from survey.escaping import figure_text
 from survey.photos.images import load_image
 from survey.report.facts import ReportFacts
 from survey.report.profile import Cut, draw_line
-from survey.report.raster import Picture, image_of, shaded_bed, without_pinholes
+from survey.report.raster import Picture, finished, image_of, shaded_bed, without_pinholes
 from survey.report.seen_cells import SeenCells, cells_of
 
 if TYPE_CHECKING:
@@ -58,10 +58,9 @@ def draw_orthophoto(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     image = np.zeros((*known.shape, 4), dtype=np.uint8)
     image[known, :3], image[known, 3] = colours[known], 255
     axes = _show(image, facts, grid)
-    title = "The bed from above"
-    write_title(axes, title, f"the cloud in its own colours, cells of {cell_size(grid.cell_m)}")
-    save(figure_of(axes), path)
-    return Picture(path, title, "The cloud in its own colours; where points lie above each other, the highest.")
+    subtitle = f"the cloud in its own colours, cells of {cell_size(grid.cell_m)}"
+    words = "The cloud in its own colours; where points lie above each other, the highest."
+    return finished(axes, path, "The bed from above", subtitle, words)
 
 
 def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid, cut: Cut | None) -> Picture:
@@ -86,9 +85,7 @@ def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid, cut: Cut | None
         draw_line(axes, facts, cut)
     axes.set_facecolor("white")  # the grey of other maps' gaps is that of dry ground here
     _bar(axes, in_unit(scale), label, is_depth=depth is not None)
-    write_title(axes, title, f"cells of {cell_size(grid.cell_m)}")
-    save(figure_of(axes), path)
-    return Picture(path, title, words)
+    return finished(axes, path, title, f"cells of {cell_size(grid.cell_m)}", words)
 
 
 def draw_num_views(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
@@ -99,10 +96,8 @@ def draw_num_views(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     scale = ScalarMappable(BoundaryNorm(np.append(steps, steps[-1] + 1), 256), COUNTS)
     axes = _show(image_of(values, scale), facts, grid)
     colour_bar(axes, scale, "views", extend="max").minorticks_off()
-    title = "Views that agree"
-    write_title(axes, title, f"mean of each cell of {cell_size(grid.cell_m)}")
-    save(figure_of(axes), path)
-    return Picture(path, title, "Number of views that see a point at the same height; the more, the more reliable.")
+    words = "Number of views that see a point at the same height; the more, the more reliable."
+    return finished(axes, path, "Views that agree", f"mean of each cell of {cell_size(grid.cell_m)}", words)
 
 
 def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
@@ -116,12 +111,10 @@ def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     axes = _show(image_of(values * unit.per_metre, scale), facts, grid)
     bar = colour_bar(axes, scale, f"standard deviation [{unit.name}]")
     plain_log_ticks(bar.ax.yaxis)
-    title = "Standard deviation of the height"
-    write_title(axes, title, f"mean of each cell of {cell_size(grid.cell_m)}")
-    save(figure_of(axes), path)
     source = _OF_SOLVER if facts.plan.field == "solver" else _OF_SWEEP
     words = f"Random part for each point, {source}; without the part common to all heights by water, lens and poses."
-    return Picture(path, title, words)
+    subtitle = f"mean of each cell of {cell_size(grid.cell_m)}"
+    return finished(axes, path, "Standard deviation of the height", subtitle, words)
 
 
 def draw_view(path: Path, facts: ReportFacts, height_maps: Sequence[HeightMap]) -> Picture:
@@ -199,15 +192,13 @@ def draw_unseen(path: Path, facts: ReportFacts) -> Picture:
         handles=[Patch(color=_LEGEND[code][0], label=_LEGEND[code][1]) for code in _LEGEND if (codes == code).any()],
         loc="lower center", ncols=3, frameon=False, fontsize=8,
     )  # fmt: skip
-    title = "Where no bed was found"
-    write_title(axes, title, f"{share(missing)} of the ground that two or more views see")
-    save(figure_of(axes), path)
     reasons = "no texture, shadow" if survey.water is None else "water that is too deep or turbid, glint, no texture"
     words = (
         f"Ground without a point: {reasons}, or things that moved. Nothing is filled in there. What one view alone "
         "sees cannot be measured."
     )
-    return Picture(path, title, words)
+    subtitle = f"{share(missing)} of the ground that two or more views see"
+    return finished(axes, path, "Where no bed was found", subtitle, words)
 
 
 def codes_of(cells: SeenCells) -> np.ndarray:

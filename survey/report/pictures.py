@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from geo.crs import height_unit_m
 from survey.adjust.result.std_of_block import part_numbers
 from survey.compare import pictures as compare_report
-from survey.compare.canvas import canvas, nice_limit, plain_log_ticks, save, write_title
+from survey.compare.canvas import canvas, nice_limit, plain_log_ticks, save
 from survey.display.column import ColumnStatistics
 from survey.display.palette import BLUE, INK, RED, SERIES, SOFT
 from survey.display.plan_grid import PlanGrid
@@ -26,7 +26,7 @@ from survey.report import adjustment_pictures, flight, maps, profile
 from survey.report.facts import ReportFacts, distances_of
 from survey.report.maps import draw_unseen
 from survey.report.profile import choose_cut
-from survey.report.raster import Picture
+from survey.report.raster import Picture, finished
 
 if TYPE_CHECKING:
     from survey.adjust.result.adjustment import Adjustment
@@ -187,7 +187,7 @@ def draw_error_over_depth(path: Path, facts: ReportFacts, distances: np.ndarray)
     along, distances = along[use], distances[use]
     limit = nice_limit(distances)
     unit = LengthUnit.of([limit])
-    figure, axes = canvas(7.2, 3.4)
+    _, axes = canvas(7.2, 3.4)
     if along.size:
         low, high = np.quantile(along, [0.002, 0.998])
         edges = np.linspace(low, high, _BANDS + 1)
@@ -209,6 +209,5 @@ def draw_error_over_depth(path: Path, facts: ReportFacts, distances: np.ndarray)
     name = f"{'height' if is_dry else f'true depth below the water{ground}'} [{shown.name}]"
     axes.set(xlabel=name, ylabel=f"distance to the reference [{unit.name}]")
     title = f"Distance to the reference over {'height' if is_dry else 'depth'}"
-    write_title(axes, title, f"bands with at least {_FEWEST} points")
-    save(figure, path)
-    return Picture(path, title, "A line that stays at zero means that no part of the depth is scaled wrongly.")
+    words = "A line that stays at zero means that no part of the depth is scaled wrongly."
+    return finished(axes, path, title, f"bands with at least {_FEWEST} points", words)

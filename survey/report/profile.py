@@ -12,12 +12,12 @@ from matplotlib.axes import Axes
 from evaluation.bootstrap import cell_numbers
 from geo.columns import ComputedColumn, portions
 from geo.crs import height_unit_m, is_geographic
-from survey.compare.canvas import canvas, figure_of, lay_out, save, write_title
+from survey.compare.canvas import canvas, figure_of, lay_out
 from survey.display.palette import BLUE, INK, LAND, RED, WATER, WATER_LINE
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import NO_BREAK, LengthUnit, cell_size, number
 from survey.report.facts import ReportFacts
-from survey.report.raster import Picture
+from survey.report.raster import Picture, finished
 
 if TYPE_CHECKING:
     from survey.compare.figures import Comparison
@@ -78,7 +78,7 @@ def draw_profile(path: Path, facts: ReportFacts, cut: Cut) -> Picture:
     up = height_unit_m(facts.survey.frame.crs) * unit.per_metre
     along, heights, step = strip.along * unit.per_metre, strip.heights * up, strip.step_m * unit.per_metre
     end = cut.length_m * unit.per_metre
-    figure, axes = canvas(11.0, 3.8)
+    _, axes = canvas(11.0, 3.8)
     axes.set_xlim(0.0, max(end, step))
     x, bed = _medians(along, heights, step)
     ends_of_level = _level(facts, cut)
@@ -98,15 +98,13 @@ def draw_profile(path: Path, facts: ReportFacts, cut: Cut) -> Picture:
                 labelcolor=INK)  # fmt: skip
     for x_end, name, side in ((0.0, "A", "left"), (1.0, "B", "right")):
         axes.text(x_end, 0.97, f" {name} ", transform=axes.transAxes, ha=side, va="top", color=INK, weight="bold")
-    title = "Profile from A to B"
     scale = f"heights drawn {two_digits(_stretch(axes))} times as large as lengths"
-    write_title(axes, title, f"a strip {cell_size(strip.width_m)} wide, {scale}")
-    save(figure, path)
     ends = facts.survey.frame.crs_from_local(np.column_stack([cut.ends, np.zeros(2)]))[:, :2]
     decimals = 7 if is_geographic(facts.survey.frame.crs) else 2
     first, last = (", ".join(number(value, decimals) for value in end) for end in ends)
     what = "the ground" if level is None else "the bed under water"
-    return Picture(path, title, f"Where {what} changes most along a line: from A ({first}) to B ({last}).")
+    words = f"Where {what} changes most along a line: from A ({first}) to B ({last})."
+    return finished(axes, path, "Profile from A to B", f"a strip {cell_size(strip.width_m)} wide, {scale}", words)
 
 
 def draw_line(axes: Axes, facts: ReportFacts, cut: Cut) -> None:

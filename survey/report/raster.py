@@ -8,10 +8,12 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, LightSource, Normalize
 from scipy import ndimage
 
+from survey.compare.canvas import figure_of, save, write_title
 from survey.display.palette import DEPTHS, DRY_GROUND, HEIGHTS
 
 # Rows of an image whose colours are worked out at a time.
@@ -81,6 +83,13 @@ class Picture:
     path: Path
     title: str
     caption: str
+
+
+def finished(axes: Axes, path: Path, title: str, subtitle: str, caption: str) -> Picture:
+    """Write a title over axes and their figure as PNG; raises UnwritableFile."""
+    write_title(axes, title, subtitle)
+    save(figure_of(axes), path)
+    return Picture(path, title, caption)
 
 
 def shaded_bed(depth: np.ndarray | None, height: np.ndarray, cell_m: float) -> tuple[np.ndarray, ScalarMappable]:

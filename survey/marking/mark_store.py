@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from geo.files import write_whole
 from survey.control import gcp_list
@@ -48,12 +47,6 @@ class Edit(NamedTuple):
     before: Pixel | None
 
 
-@dataclass
-class _Cached:
-    stamp: object
-    content: object
-
-
 class MarkStore:
     """Points and their marks in gcp_list.txt and the table of clicks, with undo."""
 
@@ -64,7 +57,7 @@ class MarkStore:
         water = config.water
         named = None if water is None else water.sources.clicks
         self.clicks_path = found.folder / (CLICKS if named is None else named)
-        self._cache: dict[Path, _Cached] = {}
+        self._cache: dict[Path, tuple[object, Any]] = {}
         self._done: list[Edit] = []
         contents = self._contents()
         self._fixed = self._in_survey_crs([point for content in contents for point in content.points])
@@ -198,9 +191,9 @@ class MarkStore:
         """Content of a file, from the cache unless the file has changed."""
         status = path.stat() if path.is_file() else None
         stamp = None if status is None else (status.st_mtime_ns, status.st_size, status.st_ino)
-        if path not in self._cache or self._cache[path].stamp != stamp:
-            self._cache[path] = _Cached(stamp, read(path))
-        return self._cache[path].content  # type: ignore[return-value]
+        if path not in self._cache or self._cache[path][0] != stamp:
+            self._cache[path] = stamp, read(path)
+        return self._cache[path][1]
 
     def _contents(self) -> list[Content]:
         """Contents of the other files of control and check points, and of that of --points."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from io import BytesIO
 
 import matplotlib.figure
@@ -104,15 +104,15 @@ def _level_sensitivity(cameras: Sequence[PinholeCamera], site: Site) -> float:
     points = np.stack([x, y, np.full(x.size, site.level - site.depth_m)], axis=-1)
     seen = np.array([camera.sees(camera.project(points, site.water)) for camera in cameras])
 
-    def pixels(moved: np.ndarray) -> np.ndarray:
-        return np.array([camera.project(moved, site.water) for camera in cameras])
+    def pixels(moved: np.ndarray, views: Sequence[PinholeCamera] = cameras) -> np.ndarray:
+        return np.array([camera.project(moved, site.water) for camera in views])
 
-    by_point = np.stack([_derivative(pixels, points, axis) for axis in np.eye(3)], axis=-1)
+    steps = _STEP * np.eye(3)
+    by_point = np.stack([(pixels(points + s) - pixels(points - s)) / (2.0 * _STEP) for s in steps], axis=-1)
     # Water that rises by dz is water at rest with cameras and points lower by dz.
     up = np.array([0.0, 0.0, 1.0])
-    lifted = [_lowered(camera) for camera in cameras]
-    lowered = np.array([camera.project(points - _STEP * up, site.water) for camera in lifted])
-    by_level = (lowered - pixels(points)) / _STEP
+    lowered = [replace(camera, centre=camera.centre - _STEP * up) for camera in cameras]
+    by_level = (pixels(points - _STEP * up, lowered) - pixels(points)) / _STEP
     left, count = 0.0, 0
     for k in range(len(points)):
         views = seen[:, k]
@@ -122,16 +122,6 @@ def _level_sensitivity(cameras: Sequence[PinholeCamera], site: Site) -> float:
         residual = level - j @ np.linalg.lstsq(j, level, rcond=None)[0]
         left, count = left + residual @ residual, count + len(residual)
     return float(np.sqrt(left / count)) if count else 0.0
-
-
-def _derivative(pixels: Callable[[np.ndarray], np.ndarray], points: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    return (pixels(points + _STEP * axis) - pixels(points - _STEP * axis)) / (2.0 * _STEP)
-
-
-def _lowered(camera: PinholeCamera) -> PinholeCamera:
-    centre = camera.centre - np.array([0.0, 0.0, _STEP])
-    own = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
-    return PinholeCamera(centre, camera.cam_from_local, *own)
 
 
 def picture(cameras: Sequence[PinholeCamera], cover: BedCoverage, site: Site) -> bytes:

@@ -28,8 +28,8 @@ from survey.escaping import printable
 from survey.files.json_values import finite_numbers
 from survey.files.limits import LARGEST
 from survey.marking.mark_store import PointKey
+from survey.marking.own_page import is_own_page
 from survey.marking.session import MarkingSession
-from survey.own_page import is_own_page
 from survey.photos.images import eight_bits
 from survey.photos.pixels import read_rgb
 

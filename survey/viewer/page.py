@@ -19,7 +19,7 @@ from geo.files import write_whole
 from survey.errors import OutputError, SurveyError
 from survey.escaping import printable
 from survey.files.outputs import ReadFiles, require_file
-from survey.own_page import is_own_page
+from survey.marking.own_page import is_own_page
 from survey.viewer.layers import add_cameras, add_water, set_initial_view
 from survey.viewer.shown import SCALES, Shown
 from survey.viewer.tree import CloudTree

@@ -105,11 +105,6 @@ def test_heights_are_those_of_images_on_the_host(beside, on_host):
     assert_same(beside, on_host)
 
 
-@pytest.mark.slow
-def test_heights_by_torch_are_those_of_images_on_the_host():
-    assert_same(swept(device_apart("torch")), swept(choose_device("torch")))
-
-
 def test_masked_photographs_have_the_same_heights(apart):
     assert_same(swept(apart, holes=True), swept(plain(apart), holes=True))
 

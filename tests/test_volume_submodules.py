@@ -125,12 +125,6 @@ def test_with_a_background_a_submodule_shows_all_pixels():
     assert without.rgb[0, -1].tolist() == [0.0, 0.0, 0.0]
 
 
-def test_weights_follow_the_power_of_the_distance():
-    boxes = [Box(np.array([x - 1.0, -1.0, -1.0]), np.array([x + 1.0, 1.0, 1.0])) for x in (2.0, -4.0)]
-    assert pose_weights(np.zeros(3), boxes, 2.0).tolist() == pytest.approx([0.8, 0.2])
-    assert pose_weights(np.zeros(3), boxes[:1]).tolist() == [1.0]
-
-
 def test_an_empty_blend_is_black_and_knows_no_place():
     view = Blend(looking_down(), GRID).view()
     assert isinstance(view, VolumeImage)

@@ -48,13 +48,6 @@ def test_the_loss_is_that_of_the_equation_and_leaves_the_density_alone():
     assert all(parameter.grad is not None for parameter in network.parameters())
 
 
-def test_transmittance_is_what_weights_leave():
-    thickness = torch.rand(5, 7, dtype=torch.float64)
-    before = torch.cumsum(thickness, dim=1) - thickness
-    weights = torch.exp(-before) * (1.0 - torch.exp(-thickness))
-    torch.testing.assert_close(transmittance(weights), torch.exp(-before))
-
-
 def test_it_learns_what_lies_before_and_behind_an_opaque_floor():
     renderer = VolumeRenderer(floor_at(0.0))
     cameras = [looking_down(0.2 * k) for k in range(3)]

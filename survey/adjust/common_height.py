@@ -9,6 +9,7 @@ beside that of L; and the block is lowered by it. Water and cameras of the block
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -16,11 +17,10 @@ import numpy as np
 
 from refract import FlatWater
 from survey.adjust.block.bundle import NotConvergedError, Solution, cost, solve
-from survey.adjust.block.observed import Observed, original_rows
-from survey.adjust.block.prediction import apparent_rise_design
-from survey.adjust.block.priors import PriorKnowledge, priors_for, shared_height_std
+from survey.adjust.block.observed import Observed
+from survey.adjust.block.priors import PriorKnowledge, shared_height_std
 from survey.adjust.block.problem import Problem
-from survey.adjust.block.state import NUM_POSE, State, with_parameters
+from survey.adjust.block.state import NUM_POSE
 from survey.adjust.result.adjustment import MOST_SIGMAS, MOST_STD_LEVEL_M, Adjustment
 from survey.adjust.result.std_common import common_error
 from survey.adjust.rounds import RobustSolution
@@ -51,36 +51,19 @@ def water_start(prior: PriorKnowledge, seen: Observed) -> tuple[PriorKnowledge, 
     from several levels, and the best is taken. Where none converges, both are returned as they are.
     """
     found: list[tuple[Problem, Solution]] = []
-    for height in _candidate_levels(prior, seen):
-        parameters = prior.state.water_parameters()
-        parameters[0] = height
-        water = with_parameters(prior.state.water, parameters)
-        state = replace(prior.state, water=water, points=seen.ties.start)
-        try:
-            problem = _problem(prior, seen, state)
+    points = seen.ties.start
+    given, over = float(prior.state.water_parameters()[0]), over_points(points, prior.state.centres)
+    # As positions have it; with most points under water; with half of them.
+    for level in (given, over, float(np.median(points[:, 2]))):
+        state = replace(prior.state, points=points).with_level(level)
+        with suppress(NotConvergedError):
+            problem = seen.problem(prior, state)
             found.append((problem, solve(problem, state)))
-        except NotConvergedError:
-            continue
     if not found:
-        return prior, seen.ties.start
+        return prior, points
     std_px = found[0][1].std_px
     least = min((solution for _, solution in found), key=lambda each: cost(found[0][0], each.state, std_px))
     return replace(prior, state=replace(least.state, points=np.zeros((0, 3)))), least.state.points
-
-
-def _candidate_levels(prior: PriorKnowledge, seen: Observed) -> tuple[float, ...]:
-    """Candidate levels: as positions have it; with most points under water; with half of them."""
-    points = seen.ties.start
-    over = over_points(points, prior.state.centres)
-    return float(prior.state.water_parameters()[0]), over, float(np.median(points[:, 2]))
-
-
-def _problem(prior: PriorKnowledge, seen: Observed, state: State) -> Problem:
-    rise_design = apparent_rise_design(state, seen.ties)
-    rows = original_rows(seen.ties, prior.lenses, prior.layout.lens_of)
-    return Problem(
-        prior.layout, seen.ties, seen.kind, priors_for(prior, seen.ties), seen.given_std_px, rise_design, rows
-    )
 
 
 def height_warnings(survey: Survey, done: RobustSolution) -> list[str]:
@@ -132,7 +115,9 @@ def apply_level_datum(done: RobustSolution) -> tuple[RobustSolution, CommonHeigh
     follow = covariance - share * np.outer(heights, covariance[0])
     follow = follow - share * np.outer(follow[:, 0], heights)
     follow = follow + share * of_level * np.outer(heights, heights)
-    state = _shifted_down(done.solution.state, too_high)
+    before, down = done.solution.state, np.array([0.0, 0.0, too_high])
+    level = before.require_water().point[2] - too_high
+    state = replace(before, centres=before.centres - down, points=before.points - down).with_level(level)
     std = prior.std.copy()
     std[0] = np.sqrt(of_level)
     mean = replace(prior.mean, centres=prior.mean.centres - (0.0, 0.0, too_high))
@@ -143,46 +128,27 @@ def apply_level_datum(done: RobustSolution) -> tuple[RobustSolution, CommonHeigh
 
 
 def with_common(found: Adjustment, common: CommonHeight, water: FlatWater | None) -> Adjustment:
-    """The result with a note on the common height error, and warnings where it is more than that.
-
-    Parameters
-    ----------
-    water : FlatWater or None
-        Local, as it was found.
-    """
+    """The result with a note on the common height error under local water, and warnings where it is more than that."""
+    warnings: list[str] = []
     side = "low" if common.error < 0.0 else "high"
     message = (
         f"the level of the water places the block: heights of positions are {abs(common.error):.2f} m too {side} "
         f"(+- {common.std:.2g} m), the same for all of them"
     )
     if abs(common.error) > _GPS_WITHIN_M:
-        warning = (
+        warnings.append(
             f"{message}; a barometer may be off by so much, GPS is not: otherwise level_m or its vertical datum is "
             "wrong"
         )
-        found = replace(found, warnings=(*found.warnings, warning))
     else:
         found = replace(found, notes=(*found.notes, message))
     found = replace(found, common_up_m=(common.error, common.std))
     heights = common_error(found, water)
-    if heights is None or heights.mean <= MOST_STD_LEVEL_M:
-        return found
-    loose = (
-        f"all heights together are known to {heights.mean:.2g} m only: positions may have any common error in height, "
-        "and "
-        f"the photographs determine the depth of the water to {common.level_std:.2g} m; give control points, oblique "
-        "photographs or some of the bank, or [cameras] position_std_m where positions have corrections"
-    )
-    return replace(found, warnings=(*found.warnings, loose))
-
-
-def _shifted_down(state: State, by: float) -> State:
-    parameters = state.water_parameters()
-    parameters[0] -= by
-    down = np.array([0.0, 0.0, by])
-    return replace(
-        state,
-        water=with_parameters(state.water, parameters),
-        centres=state.centres - down,
-        points=state.points - down,
-    )
+    if heights is not None and heights.mean > MOST_STD_LEVEL_M:
+        warnings.append(
+            f"all heights together are known to {heights.mean:.2g} m only: positions may have any common error in "
+            f"height, and the photographs determine the depth of the water to {common.level_std:.2g} m; give control "
+            "points, oblique photographs or some of the bank, or [cameras] position_std_m where positions have "
+            "corrections"
+        )
+    return replace(found, warnings=(*found.warnings, *warnings))

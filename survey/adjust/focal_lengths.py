@@ -30,10 +30,7 @@ from refract.lens import MODELS, Lens
 from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.normal_equations import system_with
 from survey.adjust.block.normal_matrix import NormalMatrix
-from survey.adjust.block.observed import original_rows
-from survey.adjust.block.prediction import apparent_rise_design
-from survey.adjust.block.priors import PriorKnowledge, priors_for
-from survey.adjust.block.problem import Problem
+from survey.adjust.block.priors import PriorKnowledge
 from survey.adjust.block.state import LEAST_FOCALS, NUM_POSE, is_held
 from survey.adjust.rounds import RobustSolution
 from survey.folder.survey import Survey
@@ -102,17 +99,13 @@ def focal_drift(prior: PriorKnowledge, done: RobustSolution) -> FocalDrift | Non
     stated = with_focal_std(prior, done, np.inf)
     layout, solution = stated.layout, done.solution
     state = replace(solution.state, focals=np.zeros(len(layout.lens_of)))
-    seen = done.used
-    rise_design, rows = apparent_rise_design(state, seen.ties), original_rows(seen.ties, prior.lenses, layout.lens_of)
 
     def normals(by_prior: PriorKnowledge) -> tuple[NormalMatrix, np.ndarray, float]:
         """N, b, and ``v' W v - ln |W|``."""
-        priors = priors_for(by_prior, seen.ties, seen.point_std)
-        given = np.full(int(seen.kind.max()) + 1, np.nan)
-        problem = Problem(layout, seen.ties, seen.kind, priors, given, rise_design, rows)
+        problem = done.used.problem(by_prior, state)
         system = system_with(problem, state, solution.weights)
         weights = by_prior.std[np.isfinite(by_prior.std)] ** -2.0
-        return system.normal, system.right_side, priors.squares(layout, state) - float(np.log(weights).sum())
+        return system.normal, system.right_side, problem.priors.squares(layout, state) - float(np.log(weights).sum())
 
     own = np.r_[: layout.first_focal, layout.first_pose : len(layout)]
     # One focal length for each lens, positions as good as the block has them.

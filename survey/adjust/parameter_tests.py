@@ -25,8 +25,7 @@ from dataclasses import replace
 import numpy as np
 
 from evaluation.robust import std_by_median
-from refract import FlatWater
-from survey.adjust.block.bundle import NotConvergedError, solve
+from survey.adjust.block.bundle import NotConvergedError, Solution, solve
 from survey.adjust.block.normal_equations import system_at
 from survey.adjust.block.observed import Observed, sizes_of
 from survey.adjust.block.priors import HELD_SHARE, PriorKnowledge, prior_of, priors_for
@@ -38,6 +37,7 @@ from survey.adjust.observability import FEWEST_WET
 from survey.adjust.result.adjustment import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_INDEX
 from survey.adjust.rounds import RobustSolution, adjust, std_over_points
 from survey.errors import GivenValueTest, SurveyError
+from survey.folder.local_frame import over_points
 from survey.folder.pose_priors import BAROMETER_STD_M
 from survey.folder.survey import Survey
 from survey.plan.decisions import MOST_MISFIT_PX
@@ -58,8 +58,6 @@ _LEAST_OWN = 0.02
 _LEAST_STD = 1e-5
 # Fewest windows of a photograph whose mean counts.
 _FEWEST_OF_VIEW = 10
-# The water is raised over most of the windows, and on by this share of the distance to the cameras.
-_COVERED, _SHARE = 0.95, 0.1
 # Windows, each in many photographs; there are few of them where the level is far below the bed, as a pixel seems to
 # cover more of it.
 _FEWEST_WINDOWS = 10
@@ -215,22 +213,26 @@ def check_dry_bed(survey: Survey, problem: Problem, state: State, gsd: float) ->
     """
     if not _is_dry(state):
         return None
-    over = -_water(state).depth(state.points)
-    distance = float(np.median(state.centres[:, 2]) - np.median(state.points[:, 2]))
-    step, std = np.zeros(len(problem.priors.std)), problem.priors.std.copy()
-    step[LEVEL], std[LEVEL] = np.quantile(over, _COVERED) + _SHARE * distance, np.inf
-    raised = state.moved(problem.layout, step, np.zeros_like(state.points))
+    found = solve_with_level(problem, state.with_level(over_points(state.points, state.centres)), np.inf)
+    missed = None if found is None else misfit(found.residuals, problem.ties.view)
+    if found is None or missed is None or missed > MOST_MISFIT_PX:
+        return None
+    water = found.state.require_water()
+    for each in check_given_values(survey, problem, found.state, missed, gsd, fewest_wet=_FEWEST_WINDOWS):
+        depth = np.median(water.depth(found.state.points)) + each.difference
+        if each.name == LEVEL_NAME and depth > MOST_SIGMAS * each.std:
+            given = survey.require_water()[1].known_level_m
+            raised_by = float(water.point[2] - state.require_water().point[2]) + each.difference
+            return replace(each, given=given, difference=raised_by)
+    return None
+
+
+def solve_with_level(problem: Problem, start: State, level_std: float) -> Solution | None:
+    """The solution with a level as free as its standard deviation [m] says; None where it does not converge."""
+    std = problem.priors.std.copy()
+    std[LEVEL] = level_std
     with suppress(NotConvergedError):
-        found = solve(replace(problem, holds_parameters=False, priors=replace(problem.priors, std=std)), raised)
-        missed = misfit(found.residuals, problem.ties.view)
-        if missed is None or missed > MOST_MISFIT_PX:
-            return None
-        for each in check_given_values(survey, problem, found.state, missed, gsd, fewest_wet=_FEWEST_WINDOWS):
-            depth = np.median(_water(found.state).depth(found.state.points)) + each.difference
-            if each.name == LEVEL_NAME and depth > MOST_SIGMAS * each.std:
-                given = survey.require_water()[1].known_level_m
-                raised_by = float(_water(found.state).point[2] - _water(state).point[2]) + each.difference
-                return replace(each, given=given, difference=raised_by)
+        return solve(replace(problem, priors=replace(problem.priors, std=std)), start)
     return None
 
 
@@ -266,7 +268,7 @@ def check_dry_block(
     with suppress(NotConvergedError):
         start, points = water_start(free, seen)
         wet = adjust(start, seen.at(points))
-        water, covariance = _water(wet.solution.state), wet.solution.covariance
+        water, covariance = wet.solution.state.require_water(), wet.solution.covariance
         over = float(np.median(water.depth(wet.solution.state.points)))
         if over > MOST_SIGMAS * std_over_points(wet.solution.system, covariance):
             given, level = survey.require_water()[1].known_level_m, float(np.sqrt(covariance[LEVEL, LEVEL]))
@@ -278,8 +280,3 @@ def check_dry_block(
 def _is_dry(state: State) -> bool:
     """Whether there is a water plane with no point below it."""
     return state.water is not None and not (state.water.depth(state.points) > 0.0).any()
-
-
-def _water(state: State) -> FlatWater:
-    assert state.water is not None
-    return state.water

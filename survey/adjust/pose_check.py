@@ -15,14 +15,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from survey.adjust.block.bundle import NotConvergedError, solve
-from survey.adjust.block.observed import KINDS, MATCH, WINDOW, observed, original_rows
-from survey.adjust.block.prediction import apparent_rise_design
-from survey.adjust.block.priors import FREE_WATER, HELD_SHARE, prior_of, priors_for
-from survey.adjust.block.problem import Problem
-from survey.adjust.block.state import State
+from survey.adjust.block.bundle import solve
+from survey.adjust.block.observed import MATCH, WINDOW, observed
+from survey.adjust.block.priors import FREE_WATER, HELD_SHARE, prior_of
 from survey.adjust.block.windows import load_photographs, measure_loaded_windows
-from survey.adjust.parameter_tests import check_dry_bed, check_given_values, dry_bed_error, misfit, most_contradicted
+from survey.adjust.parameter_tests import (
+    check_dry_bed,
+    check_given_values,
+    dry_bed_error,
+    misfit,
+    most_contradicted,
+    solve_with_level,
+)
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Adjustment
 from survey.errors import GivenValueTest, SurveyError
@@ -100,9 +104,7 @@ def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> Pos
     seen = observed([(kind, ties)], None, survey, prior)
     held = replace(prior, std=np.full_like(prior.std, HELD_SHARE))
     state = replace(prior.state, points=seen.ties.start)
-    priors, rise_design = priors_for(held, seen.ties), apparent_rise_design(state, seen.ties)
-    rows = original_rows(seen.ties, prior.lenses, prior.layout.lens_of)
-    problem = Problem(prior.layout, seen.ties, seen.kind, priors, np.full(len(KINDS), np.nan), rise_design, rows)
+    problem = seen.problem(held, state)
     solution = solve(replace(problem, holds_parameters=True), state)
     found = misfit(solution.residuals, seen.ties.view)
     flooded = check_dry_bed(survey, problem, solution.state, plan.gsd_m)
@@ -110,7 +112,9 @@ def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> Pos
         return PoseCheck(found, flooded=flooded)
     of_poses = found
     if found is not None and found > MOST_MISFIT_PX and kind == WINDOW:
-        of_poses = _under_best_level(problem, solution.state)
+        # Under the level that fits best.
+        best = solve_with_level(problem, solution.state, FREE_WATER.level_m)
+        of_poses = None if best is None else misfit(best.residuals, seen.ties.view)
     if of_poses is None or of_poses > MOST_MISFIT_PX:
         # Errors of poses look like those of the water; all is adjusted together then.
         return PoseCheck(found)
@@ -120,16 +124,6 @@ def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> Pos
 def without_ties(survey: Survey) -> Survey:
     """The survey without the tie points of its structure from motion, whose poses would not count as given."""
     return replace(survey, observations=replace(survey.observations, ties=None))
-
-
-def _under_best_level(problem: Problem, state: State) -> float | None:
-    """The misfit of the given poses under the level that fits best; None where there is none."""
-    std = problem.priors.std.copy()
-    std[0] = FREE_WATER[0]
-    with suppress(NotConvergedError):
-        free = solve(replace(problem, priors=replace(problem.priors, std=std)), state)
-        return misfit(free.residuals, problem.ties.view)
-    return None
 
 
 def _of_middle(survey: Survey, height: float) -> list[int]:

@@ -9,13 +9,12 @@ import numpy as np
 from survey.adjust.block.bundle import NotConvergedError, Solution, solve
 from survey.adjust.block.control_check import checked_points, stated_points
 from survey.adjust.block.normal_equations import System, system_with
-from survey.adjust.block.observed import KINDS, MARK, Observed, Sizes, original_rows
+from survey.adjust.block.observed import KINDS, MARK, Observed, Sizes
 from survey.adjust.block.on_ground import GroundAlignment, GroundTies, ground_alignment, ties_on_ground
 from survey.adjust.block.pose_std import reestimate_pose_std
-from survey.adjust.block.prediction import apparent_rise_design
-from survey.adjust.block.priors import PriorKnowledge, priors_for
+from survey.adjust.block.priors import PriorKnowledge
 from survey.adjust.block.problem import Problem
-from survey.adjust.block.state import State, with_parameters
+from survey.adjust.block.state import State
 from survey.adjust.clusters import cluster_design_effect, terrain_design_effect
 
 # Observations of more standard deviations than this are left out.
@@ -52,9 +51,7 @@ def covariance_over_shore(problem: Problem, solution: Solution) -> np.ndarray:
     state, widest = solution.state, solution.system
     std = std_over_points(widest, solution.covariance)
     for _ in range(_MOST_STEPS):
-        parameters = state.water_parameters()
-        parameters[0] += _RAISED * std
-        raised = replace(state, water=with_parameters(state.water, parameters))
+        raised = state.with_level(state.require_water().point[2] + _RAISED * std)
         system = system_with(problem, raised, solution.weights)
         before, std = std, std_over_points(system)
         if std <= (1.0 + _STEADY) * before:
@@ -149,17 +146,12 @@ def _solve_once(
     variance_factor: np.ndarray,
 ) -> tuple[Problem, Solution, GroundTies | None]:
     """Adjust once; on ground, until the planes under the points no longer change."""
-    rise_design, rows = (
-        apparent_rise_design(state, seen.ties),
-        original_rows(seen.ties, prior.lenses, prior.layout.lens_of),
-    )
-    on_ground = None
+    problem, on_ground = replace(seen.problem(prior, state), kind=kind, given_std_px=given), None
     for _ in range(1 if seen.ground is None else _MOST_PLANES):
         if seen.ground is not None:
             on_ground = ties_on_ground(seen.ground, state.points - state.shift, len(seen.ties) - len(seen.control))
         planes = None if on_ground is None else on_ground.planes
-        priors = priors_for(prior, seen.ties, seen.point_std, planes)
-        problem = Problem(prior.layout, seen.ties, kind, priors, given, rise_design, rows)
+        problem = replace(problem, priors=replace(problem.priors, planes=planes))
         solution = solve(problem, state, variance_factor=variance_factor)
         before, state = state, solution.state
         if planes is not None:

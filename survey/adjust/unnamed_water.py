@@ -19,20 +19,17 @@ import numpy as np
 
 from refract import FlatWater
 from survey.adjust.block.bundle import NotConvergedError, cost, solve
-from survey.adjust.block.observed import Observed, original_rows
-from survey.adjust.block.prediction import apparent_rise_design
-from survey.adjust.block.priors import PriorKnowledge, priors_for
-from survey.adjust.block.problem import Problem
+from survey.adjust.block.observed import Observed
+from survey.adjust.block.priors import PriorKnowledge
 from survey.adjust.block.state import State
 from survey.adjust.observability import FEWEST_WET
 from survey.adjust.rounds import RobustSolution, std_over_points
+from survey.folder.local_frame import over_points
 
 # Fresh water and the sea, in the light of photographs, and how far they differ; what a river falls [m/m].
 _INDEX, _INDEX_STD, _SLOPE_STD = 1.338, 0.004, 0.005
 # Of a level that nobody knows [m].
 _LEVEL_STD_M = 1000.0
-# Starts of the level: above most points by this share of the flying height, and in the middle of them.
-_TOP, _SHARE, _AMID = 0.95, 0.1, 0.5
 # The gain in units of variances that is not chance: five standard deviations, of one more parameter and two starts.
 _LEAST_GAIN = 30.0
 # Least relative decrease of the residuals under water: real lenses and ground leave small systematic errors, too.
@@ -74,7 +71,7 @@ def find_unnamed_water(done: RobustSolution) -> UnnamedWater | None:
     if dry.water is not None or len(seen.ties) < FEWEST_WET:
         return None
     shared = done.variance_factor[seen.kind]
-    for level in _candidate_levels(dry):
+    for level in (over_points(dry.points, dry.centres), float(np.median(dry.points[:, 2]))):
         with suppress(NotConvergedError):
             found = _gain_over(prior, seen, dry, level, shared)
             if found is not None and found[0] > _LEAST_GAIN:
@@ -91,14 +88,14 @@ def _gain_over(
     std[:4] = [_LEVEL_STD_M, _SLOPE_STD, _SLOPE_STD, _INDEX_STD]
     under = replace(prior, std=std, mean=replace(prior.mean, water=water))
     start = replace(dry, water=water)
-    problem = _problem(under, seen, start, seen.given_std_px)
+    problem = seen.problem(under, start)
     wet = solve(problem, start, variance_factor=shared)
-    depth = _water(wet.state).depth(wet.state.points)
+    depth = wet.state.require_water().depth(wet.state.points)
     is_wet = depth > 0.0
     if is_wet.sum() < FEWEST_WET:
         return None
     # Both in the same units: the scatter about the better of the two.
-    straight = _problem(prior, seen, dry, wet.std_px)
+    straight = replace(seen.problem(prior, dry), given_std_px=wet.std_px)
     straight_solution = solve(straight, dry, variance_factor=shared)
     gain = cost(straight, straight_solution.state, wet.std_px, shared) - cost(problem, wet.state, wet.std_px, shared)
     is_wet_tie = is_wet[seen.ties.point]
@@ -108,19 +105,3 @@ def _gain_over(
     if mean < _SURE * of_depth or after > (1.0 - _LEAST_FALL) * before:
         return None
     return gain, UnnamedWater(int(is_wet.sum()), len(depth), mean, of_depth, before, after)
-
-
-def _candidate_levels(dry: State) -> tuple[float, float]:
-    middle, top = (float(np.quantile(dry.points[:, 2], share)) for share in (_AMID, _TOP))
-    return top + _SHARE * max(float(np.median(dry.centres[:, 2])) - top, 0.0), middle
-
-
-def _problem(prior: PriorKnowledge, seen: Observed, state: State, given: np.ndarray) -> Problem:
-    rows = original_rows(seen.ties, prior.lenses, prior.layout.lens_of)
-    priors, rise_design = priors_for(prior, seen.ties, seen.point_std), apparent_rise_design(state, seen.ties)
-    return Problem(prior.layout, seen.ties, seen.kind, priors, given, rise_design, rows)
-
-
-def _water(state: State) -> FlatWater:
-    assert state.water is not None
-    return state.water

@@ -10,8 +10,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from refract.lens import Lens, affine_from_brown, brown_from_affine, distorted, is_affine, undistorted
-from survey.adjust.block.priors import PriorKnowledge
-from survey.adjust.block.state import is_held
+from survey.adjust.block.prediction import apparent_rise_design
+from survey.adjust.block.priors import PriorKnowledge, priors_for
+from survey.adjust.block.problem import Problem
+from survey.adjust.block.state import State, is_held
 from survey.control.points import Control, StableGround
 from survey.photos.poses import TiePoints
 
@@ -65,6 +67,13 @@ class Observed:
         given = np.full(len(KINDS), np.nan)
         given[MARK] = self.marks_std_px
         return given
+
+    def problem(self, prior: PriorKnowledge, state: State) -> Problem:
+        """Their adjustment from a state, with priors."""
+        rise_design = apparent_rise_design(state, self.ties)
+        rows = original_rows(self.ties, prior.lenses, prior.layout.lens_of)
+        priors = priors_for(prior, self.ties, self.point_std)
+        return Problem(prior.layout, self.ties, self.kind, priors, self.given_std_px, rise_design, rows)
 
     def at(self, points: np.ndarray) -> Observed:
         """The same with other approximate points (M, 3); those of control stay."""

@@ -224,6 +224,16 @@ class State:
             return np.zeros(NUM_WATER)
         return np.array([self.water.point[2], self.water.slope_x, self.water.slope_y, self.water.n_water])
 
+    def require_water(self) -> FlatWater:
+        """The water of a survey that is not dry."""
+        assert self.water is not None
+        return self.water
+
+    def with_level(self, height: float) -> State:
+        """The state with the water at another height [m] of its reference point."""
+        water = self.require_water()
+        return replace(self, water=replace(water, point=(*water.point[:2], height)))
+
     def tides(self, layout: Layout) -> np.ndarray | None:
         """Tides at the cameras (V,) [m]; None where one level holds for all."""
         if layout.hours is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from volume_models import check_learning, directions, positions
+from volume_models import check_learning, directions, positions, require_rates
 from volume_scenes import BOX
 
 from fields.device import choose_device
@@ -87,8 +87,7 @@ def test_every_parameter_has_a_rate_and_learns_in_the_second_stage():
     thickness, features = model.thickness(x, way, torch.ones(60))
     (thickness.sum() + model.radiance(features, way, None).sum()).backward()
     assert [name for name, p in model.named_parameters() if p.grad is None or not p.grad.any()] == []
-    learning = [p for group in model.rates() for p in group.parameters]
-    assert {id(p) for p in learning} == {id(p) for p in model.parameters()}
+    require_rates(model)
 
 
 def test_it_learns_a_bed_in_both_stages():

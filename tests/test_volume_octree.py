@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import math
 
 import numpy as np
 import pytest
 import torch
-from volume_models import check_interface, check_learning, positions
+from volume_models import check_interface, check_learning, positions, store_and_load
 from volume_scenes import BOX
 
 from fields.volume.octree import OctreeSettings, OctreeVolume
@@ -163,11 +162,8 @@ def test_it_does_what_every_model_does():
 
 
 def test_a_grown_tree_comes_back_bit_for_bit():
-    model, stored = grown(), io.BytesIO()
-    torch.save(model.state_dict(), stored)
-    stored.seek(0)
-    other = OctreeVolume(BOX, SMALL, appearance=3)
-    other.load_state_dict(torch.load(stored))
+    model, other = grown(), OctreeVolume(BOX, SMALL, appearance=3)
+    store_and_load(model, other)
     x = positions(40)
     assert all(torch.equal(a, b) for a, b in zip(other.evaluate(x), model.evaluate(x), strict=True))
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from analytic_volume import BOX, WATER, floor_at, looking_down, seen_by
+from volume_models import require_rates
 
 from fields.volume.paths import Paths
 from fields.volume.photographs import COLUMNS, Photographs, PriorImages, Priors
@@ -177,8 +178,7 @@ def test_a_renderer_with_a_head_says_normals_and_learns_it_once():
     paths, cells = seen_by(looking_down(size=6)), Cells.everywhere(BOX, 8)
     rendered = renderer.render(paths, cells.samples(paths, 16, jitter=False))
     torch.testing.assert_close(predicted_normals(rendered).norm(dim=1), torch.ones(len(paths)))
-    learning = [p for group in renderer.rates() for p in group.parameters]
-    assert {id(p) for p in learning} == {id(p) for p in renderer.parameters()}
+    require_rates(renderer)
     without = VolumeRenderer(floor_at(0.0)).render(paths, cells.samples(paths, 16, jitter=False))
     with pytest.raises(ValueError, match="no head of normals; give it one"):
         predicted_normals(without)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 
 import numpy as np
 import pytest
 import torch
 from plane_survey import look
-from volume_models import check_learning, positions
+from volume_models import check_learning, positions, require_rates, store_and_load
 from volume_scenes import BOX
 
 from fields.device import choose_device
@@ -172,12 +171,8 @@ def test_a_renderer_has_the_proposals_parameters_and_comes_back_bit_for_bit():
         VolumeRenderer(HashVolume(BOX, HashSettings(3, 8, 6, 12, hidden=8, geometry=3)), proposal=proposal(seed))
         for seed in (0, 1)
     )
-    learning = [p for group in renderer.rates() for p in group.parameters]
-    assert {id(p) for p in learning} == {id(p) for p in renderer.parameters()}
-    stored = io.BytesIO()
-    torch.save(renderer.state_dict(), stored)
-    stored.seek(0)
-    again.load_state_dict(torch.load(stored))
+    require_rates(renderer)
+    store_and_load(renderer, again)
     assert torch.equal(renderer.proposal.density(1, positions(9)), again.proposal.density(1, positions(9)))
 
 

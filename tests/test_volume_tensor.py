@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import copy
-import io
 import math
 
 import numpy as np
 import pytest
 import torch
-from volume_models import directions, positions
+from volume_models import directions, positions, require_rates, store_and_load
 from volume_scenes import BOX
 
 from fields.device import choose_device
@@ -105,13 +104,9 @@ def test_colour_depends_on_the_direction_unless_the_scene_is_matt():
 
 
 def test_a_stored_model_comes_back_bit_for_bit_with_its_stage():
-    model = volume()
+    model, other = volume(), volume(seed=7)
     model.regression.switch_to_fine()
-    stream = io.BytesIO()
-    torch.save(model.state_dict(), stream)
-    stream.seek(0)
-    other = volume(seed=7)
-    other.load_state_dict(torch.load(stream, weights_only=True))
+    store_and_load(model, other)
     x = positions(200)
     assert other.regression.is_fine
     assert torch.equal(model.evaluate(x)[0], other.evaluate(x)[0])
@@ -175,8 +170,7 @@ def test_all_of_the_printed_model_learns_and_weights_touch_colour_alone():
     (density.sum() + model.radiance(features, way, looks).square().sum()).backward()
     still = {n for n, p in model.named_parameters() if p.grad is None or not p.grad.any()}
     assert still == {f"regression.{n}.{k}" for n in ("squeeze", "excite", "gate", "fine") for k in ("weight", "bias")}
-    learning = [p for group in model.rates() for p in group.parameters]
-    assert {id(p) for p in learning} == {id(p) for p in model.parameters()}
+    require_rates(model)
     with torch.no_grad():
         model.weights.vectors.mul_(2.0)
     again, doubled = model.evaluate(x)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axis import Axis
@@ -44,6 +44,11 @@ _SHOWN = 0.98
 # Height over width of a map; long narrow surveys get empty margins, so that title and ticks have room.
 _FLATTEST, _TALLEST = 0.3, 1.5
 _BAR_WIDTH_IN = 0.2
+# Of words on a map, which stand out from any colour.
+_HALO = [withStroke(linewidth=3, foreground="white")]
+_ON_MAP: dict[str, Any] = {
+    "ha": "center", "va": "bottom", "color": INK, "fontsize": 9, "zorder": 6, "path_effects": _HALO,
+}  # fmt: skip
 
 
 def nice_limit(distances: np.ndarray) -> float:
@@ -146,21 +151,8 @@ def _plain(axes: Axes) -> Axes:
 
 def _north_arrow(axes: Axes, at: float) -> None:
     """A north arrow of the grid, at a share of the width beside the scale bar."""
-    halo = [withStroke(linewidth=3, foreground="white")]
-    axes.annotate(
-        "N",
-        (at, 0.105),
-        (at, 0.022),
-        xycoords="axes fraction",
-        ha="center",
-        va="bottom",
-        color=INK,
-        fontsize=9,
-        weight="bold",
-        zorder=6,
-        path_effects=halo,
-        arrowprops={"arrowstyle": "-|>", "color": INK, "shrinkA": 0.0, "shrinkB": 0.0, "path_effects": halo},
-    )
+    arrow = {"arrowstyle": "-|>", "color": INK, "shrinkA": 0.0, "shrinkB": 0.0, "path_effects": _HALO}
+    axes.annotate("N", (at, 0.105), (at, 0.022), xycoords="axes fraction", weight="bold", arrowprops=arrow, **_ON_MAP)
 
 
 def _scale_bar(axes: Axes, metres_per_unit: float) -> float:
@@ -175,18 +167,7 @@ def _scale_bar(axes: Axes, metres_per_unit: float) -> float:
     end = start + share * (east - west)
     axes.plot([start, end], [0.03, 0.03], transform=across, color="white", lw=6, solid_capstyle="butt", zorder=5)
     axes.plot([start, end], [0.03, 0.03], transform=across, color=INK, lw=3, solid_capstyle="butt", zorder=6)
-    axes.text(
-        0.5 * (start + end),
-        0.042,
-        f"{length_m:g} m",
-        transform=across,
-        ha="center",
-        va="bottom",
-        color=INK,
-        fontsize=9,
-        zorder=6,
-        path_effects=[withStroke(linewidth=3, foreground="white")],
-    )
+    axes.text(0.5 * (start + end), 0.042, f"{length_m:g} m", transform=across, **_ON_MAP)
     return 0.04 + share
 
 

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from evaluation import height_at
 from evaluation.standards import TVU, order_by_tvu
 from geo.columns import ComputedColumn, portions
+from survey.compare.options import within
 from survey.control.points import Checkpoint, ControlPoint
 from survey.display.column import ColumnStatistics
 from survey.display.quantities import count, length, named, share
@@ -172,7 +173,7 @@ def checkpoints_of(
     places = np.array([point.local for point in given])
     differences = checkpoint_differences(points, places, gsd_m)
     stds = _stated_at(points, stated, places, _SEARCH * WITHIN_GSD * gsd_m)
-    outside = _outside(survey, np.array([point.crs for point in given]))
+    outside = ~within(np.array([point.crs for point in given]), survey.bounds)
     water = survey.water
     depths = None if water is None else -height_above(water, survey.observations.departure, places)
     rows = tuple(
@@ -213,15 +214,6 @@ def _stated_at(
     stds = np.median(stated[rows][nearest], axis=1)
     # Those of another place are none of this one.
     return np.where(distance[:, -1] <= reach_m, stds, np.nan)
-
-
-def _outside(survey: Survey, places_crs: np.ndarray) -> np.ndarray:
-    """Mask (K,) bool of the places (K, 3) in crs outside [area] bounds."""
-    if survey.bounds is None:
-        return np.zeros(len(places_crs), dtype=bool)
-    e0, n0, e1, n1 = survey.bounds
-    east, north = places_crs[:, 0], places_crs[:, 1]
-    return (east < e0) | (east > e1) | (north < n0) | (north > n1)
 
 
 def _groups(rows: Sequence[CheckpointRow]) -> list[CheckpointGroup]:

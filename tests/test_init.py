@@ -88,7 +88,7 @@ def test_a_model_that_is_not_in_metres_is_left_to_the_gps_positions(tmp_path):
     colmap(tmp_path, scale=0.1)
     text = draft(tmp_path, Answers(level_m=LEVEL))
     assert tomllib.loads(text)["local"] == {}
-    assert "GPS positions place the poses, with a scale of 10 and a rotation by 0 degrees" in text
+    assert "are their own: placed with a scale of 10 and a rotation by 0 degrees by" in text
 
 
 def test_a_local_frame_without_gps_needs_its_origin(tmp_path):

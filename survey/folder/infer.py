@@ -72,8 +72,12 @@ def config_of_images(
             f"{_EXAMPLE}"
         )
     crs = f"EPSG:{code}+{EGM96_HEIGHT}"
-    if by_exif is not None and file is not None and poses_path is not None and file.frame is not PoseFrame.LOCAL:
-        _require_same_place(CRS(crs), file, poses_path, headers)
+    is_located = by_exif is not None and file is not None and file.frame is not PoseFrame.LOCAL
+    if file is not None and is_located and not fits_positions(CRS(crs), file, poses_path, headers):
+        raise ConfigError(
+            f"{poses_path} does not fit the GPS positions of the images in the UTM zone EPSG:{code}; "
+            f'write {FILE_NAME} with the crs of the poses, e.g. crs = "EPSG:25832+5778"'
+        )
     source = position_sources(headers) if poses_path is None else poses_path.name
     assumptions = [
         f'crs = "{crs}", the UTM zone of the {"GPS positions" if by_exif is not None else "poses"}, with heights '
@@ -135,14 +139,11 @@ NO_WATER = (
 )
 
 
-def _require_same_place(crs: CRS, file: PoseFile, poses_path: Path, headers: dict[str, Exif]) -> None:
+def fits_positions(crs: CRS, file: PoseFile, poses_path: Path | None, headers: Mapping[str, Exif]) -> bool:
+    """Whether poses as coordinates in crs lie at the GPS positions of their photographs."""
     centres = points_in_crs(file, np.array([pose.centre for pose in file.poses]), crs, "crs")
     names = ImageNames(headers)
     image_names = [names.find(pose.name, str(poses_path)) for pose in file.poses]
     known = {name: centre for name, centre in zip(image_names, centres, strict=True) if name is not None}
     distances = distances_to_exif(crs, known, headers)
-    if not distances.size or np.median(distances) > SAME_PLACE_M:
-        raise ConfigError(
-            f"{poses_path} does not fit the GPS positions of the images in the UTM zone {crs.sub_crs_list[0].name}; "
-            f'write {FILE_NAME} with the crs of the poses, e.g. crs = "EPSG:25832+5778"'
-        )
+    return bool(distances.size) and bool(np.median(distances) <= SAME_PLACE_M)

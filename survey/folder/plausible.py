@@ -219,7 +219,7 @@ def place_warnings(
     return found
 
 
-def distances_to_exif(crs: CRS, centres: dict[str, np.ndarray], headers: dict[str, Exif]) -> np.ndarray:
+def distances_to_exif(crs: CRS, centres: Mapping[str, np.ndarray], headers: Mapping[str, Exif]) -> np.ndarray:
     """Horizontal distances (N,) [m] between camera centres in crs and the GPS positions of their images."""
     positions = {name: headers[name].lat_lon_height for name in centres if name in headers}
     known = {name: position for name, position in positions.items() if position is not None}

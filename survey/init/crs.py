@@ -23,19 +23,17 @@ from geo.crs import (
     utm_code,
     vertical_crs,
 )
-from geo.frames import LocalFrame
 from survey.control.points import GivenPoint
-from survey.errors import ConfigError
+from survey.errors import ConfigError, PosesError
 from survey.folder import infer
-from survey.folder.gps_placement import GpsFit
-from survey.folder.plausible import SAME_PLACE_M, distances_to_exif
+from survey.folder.found import Found
+from survey.folder.gps_placement import place_poses
+from survey.folder.pairing import pair
 from survey.folder.pose_frames import middle_of_geocentric, points_in_crs
 from survey.photos.exif import Exif, position_sources, utm_code_of
-from survey.photos.names import ImageNames
 from survey.photos.poses import PoseFile, PoseFrame
 from survey.photos.xmp import ELLIPSOIDAL
 from survey.sfm.datum import area_at, height_transformer
-from survey.sfm.gps import positions_in_crs
 from survey.words import GEO_TXT
 
 # Asks a person; returns the answer, which may be empty.
@@ -112,15 +110,6 @@ class FolderPhotographs:
     control: tuple[GivenPoint, ...] = ()  # of the control file that was found
 
     @property
-    def centres(self) -> dict[str, np.ndarray]:
-        """Camera centres (3,) in the frame of the poses file, by names of photographs."""
-        if self.file is None:
-            return {}
-        names = ImageNames(self.headers)
-        centre_of = {names.find(pose.name, str(self.poses_path)): pose.centre for pose in self.file.poses}
-        return {name: centre for name, centre in centre_of.items() if name is not None}
-
-    @property
     def lat_lon(self) -> tuple[float, float] | None:
         """Latitude and longitude of the survey [deg], by EXIF, else by geocentric poses; None without both."""
         places = [header.lat_lon_height[1::-1] for header in self.headers.values() if header.lat_lon_height is not None]
@@ -185,8 +174,7 @@ def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
         return None, "neither the photographs nor their poses tell the coordinate reference system (crs)"
     if file is not None and file.crs is None and file.frame in (PoseFrame.GRID, PoseFrame.ENU):
         crs = CRS(f"EPSG:{zone}+{EGM96_HEIGHT}")
-        distances = distances_to_exif(crs, photographs.centres, dict(photographs.headers))
-        if not distances.size or np.median(distances) > SAME_PLACE_M:
+        if not infer.fits_positions(crs, file, photographs.poses_path, photographs.headers):
             return (
                 None,
                 f"the poses in {photographs.poses_path} are not in {horizontal_crs(crs).name}, nor say their crs",
@@ -274,45 +262,35 @@ def _area(system: CRS) -> str:
     return shorten(name.rstrip("."), 60, placeholder=" ...")
 
 
-def write_origin(photographs: FolderPhotographs, answers: Answers, crs: CRS, local: SettingsTable) -> None:
-    """Add the origin of poses in a local frame: as given, else by GPS positions in EXIF."""
-    if photographs.file is None or photographs.file.frame is not PoseFrame.LOCAL:
+def write_origin(photographs: FolderPhotographs, answers: Answers, found: Found, local: SettingsTable) -> None:
+    """Add the origin of poses in a local frame: as given, else by GPS positions in EXIF.
+
+    Raises
+    ------
+    ConfigError, GeoError
+        Where poses have no place, or cannot be brought into crs.
+    """
+    file = photographs.file
+    if file is None:
+        return
+    if file.frame is not PoseFrame.LOCAL:
+        points_in_crs(file, np.array([pose.centre for pose in file.poses]), found.crs, "crs")
         return
     if answers.origin is not None:
         local.set("origin", list(answers.origin))
         return
-    where = f"the poses in {photographs.poses_path}"
-    positions, _ = positions_in_crs(photographs.headers, crs, "crs")
-    centres = photographs.centres
-    both = sorted(positions.keys() & centres.keys())
-    if len(both) < 3:
-        raise ConfigError(
-            f"{where} are in a local frame, and {len(both)} of the photographs with a pose have a GPS position in "
-            "EXIF, expected at least 3; give --origin EASTING NORTHING HEIGHT, the zero point of that frame in crs"
-        )
-    by_gps, given = np.array([positions[name] for name in both]), np.array([centres[name] for name in both])
-    frame = LocalFrame(crs, np.median(by_gps, axis=0).tolist())
-    fit = GpsFit.of(given, frame.local_from_crs(by_gps))
-    if fit is not None and (fit.is_free or not fit.is_shift) and fit.fault is None:
-        local.add_comments(f"No origin: GPS positions place the poses, with {fit.describe()}, as their axes are free.")
+    try:
+        placed, findings = place_poses(found, file, list(pair(found, file.poses)[0].values()))
+    except (ConfigError, PosesError) as error:
+        raise ConfigError(f"{error}; or give --origin EASTING NORTHING HEIGHT, the zero point in crs") from error
+    if placed.by_gps is None or not np.array_equal(placed.by_gps[0].rotation, np.eye(3)):
+        local.add_comments(*(f"No origin: {sentence}." for sentence in findings.assumptions + findings.warnings))
         return
-    if fit is None or fit.is_free or not fit.is_shift:
-        raise ConfigError(
-            f"{where} do not fit the GPS positions in EXIF{f', as {fit.fault}' if fit is not None else ''}; align them "
-            "in metres, east, north and up (COLMAP: model_aligner --ref_is_gps 1 --alignment_type enu), or give "
-            "--origin EASTING NORTHING HEIGHT"
-        )
-    origin = frame.crs_from_local(fit.shift[None])[0]
+    similarity, frame = placed.by_gps
+    origin = frame.crs_from_local(similarity(np.zeros((1, 3))))[0]
     local.set(
         "origin",
         [round(float(v), 3) for v in origin],
         "zero point of the poses in crs",
         ("Not certain: by GPS positions in EXIF, a few metres. Better the numbers given to model_aligner.",),
     )
-
-
-def require_in_place(photographs: FolderPhotographs, crs: CRS) -> None:
-    """Raise GeoError where the poses cannot be brought into crs."""
-    file = photographs.file
-    if file is not None and file.frame is not PoseFrame.LOCAL:
-        points_in_crs(file, np.array([pose.centre for pose in file.poses]), crs, "crs")

@@ -13,8 +13,9 @@ from survey.files.entries import require_plain_entries
 from survey.files.json_values import write_json
 from survey.files.toml_table import schema_of
 from survey.folder import infer
+from survey.folder.found import Found
 from survey.folder.geo_txt import find_geo_txt, with_positions
-from survey.init.crs import Answers, FolderPhotographs, SettingsTable, require_in_place, write_crs, write_origin
+from survey.init.crs import Answers, FolderPhotographs, SettingsTable, write_crs, write_origin
 from survey.photos.exif import read_exif, without_void_fixes
 from survey.photos.images import list_images
 from survey.pose_files import find_poses, read_poses
@@ -107,8 +108,10 @@ def draft(folder: Path, answers: Answers) -> str:
             'model = "OPENCV"    # with size_px, focal_px, principal_point_px and distortion (docs/survey-toml.md)',
         )
     crs = write_crs(photographs, answers, top, cameras)
-    require_in_place(photographs, crs)
-    write_origin(photographs, answers, crs, local)
+    config = parse_config("\n".join(table.text() for table in (top, images, cameras)))
+    write_origin(
+        photographs, answers, Found(folder, config, crs, found, headers, photographs.poses_path, (), ()), local
+    )
     if answers.is_dry:
         top.set("dry", True, "no ground is under water")
     else:

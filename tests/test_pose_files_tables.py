@@ -201,9 +201,8 @@ def test_lines_of_text_give_the_same_cameras(tmp_path, block, write):
 )
 def test_a_spoilt_text_is_refused_with_its_line(tmp_path, text, words):
     (tmp_path / "exterior.txt").write_text(text)
-    with pytest.raises(PosesError, match=words) as error:
+    with pytest.raises(PosesError, match=words):
         read_poses(tmp_path / "exterior.txt")
-    assert len(str(error.value)) < 500
 
 
 def test_a_text_whose_heading_has_another_order_is_read_as_a_table(tmp_path, block):

@@ -29,7 +29,7 @@ from geo.shapes import (
 from geo.values import check_values, rounded_coordinates
 from survey.compare.options import Bounds, CompareError, ShiftedFrame, as_text, within
 from survey.files.crs_lines import crs_of_comment
-from survey.files.csv_table import Row, shortened
+from survey.files.csv_table import Row
 from survey.files.point_table import PLACE, Units, has_depths, read_points
 
 # How a user tells the level that depths count from.
@@ -89,7 +89,7 @@ def _classes_of(rows: Sequence[Row], path: Path) -> tuple[np.ndarray | None, tup
         except CompareError:
             is_class = False
         if not is_class:
-            return None, (f"the classes of {path.name} are not those of LAS ({shortened(cell)}): all its points count",)
+            return None, (f"the classes of {path.name} are not those of LAS ({cell}): all its points count",)
     return np.array([row.number("classification", default=_UNCLASSIFIED) for row in rows]).astype(np.uint8), ()
 
 

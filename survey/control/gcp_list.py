@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 from survey.control.points import Content, ControlFormat, GivenMark, GivenPoint, is_check_role
 from survey.errors import ControlError
 from survey.files.crs_lines import is_odm_crs, odm_crs
-from survey.files.csv_table import number_of, shortened, text_lines
+from survey.files.csv_table import number_of, text_lines
 from survey.photos.exif import SUFFIXES
 
 _FORM = "x y z px py image name"
@@ -81,7 +81,7 @@ def _parts(line: str, where: str) -> tuple[list[float], str, list[str]]:
     for name, cell, value in zip(_NUMBERS, cells, values, strict=False):
         if not math.isfinite(value):
             raise ControlError(
-                f"{where}: {name} is {shortened(cell)}, expected a finite number; expected {_FORM}, correct the line"
+                f"{where}: {name} is {cell}, expected a finite number; expected {_FORM}, correct the line"
             )
     return values, cells[5], cells[6:]
 
@@ -93,7 +93,7 @@ def _require_whole_name(image: str, words: list[str], where: str) -> None:
     end = next((i for i, word in enumerate(words, 1) if PurePosixPath(word).suffix.lower() in SUFFIXES), None)
     if end is not None:
         raise ControlError(
-            f'{where}: the image name "{shortened(" ".join([image, *words[:end]]))}" has a space, and values are '
+            f'{where}: the image name "{" ".join([image, *words[:end]])}" has a space, and values are '
             "separated by spaces here; separate all values of the file by tabs, or rename the photographs"
         )
 

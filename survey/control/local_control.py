@@ -40,7 +40,7 @@ def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) ->
         if distance <= _FARTHEST_M:
             continue
         east, north, _ = point.place
-        message = f"{point.where}: the point {point.name[:40]} at {east:.10g}, {north:.10g}"
+        message = f"{point.where}: the point {point.name} at {east:.10g}, {north:.10g}"
         other = with_swapped_axes(point, crs)
         if other is not None and _distance_m(np.array(other.place), cameras, crs) <= _FARTHEST_M:
             raise ControlError(
@@ -62,7 +62,7 @@ def require_metres(points: Sequence[GivenPoint], crs: CRS) -> None:
     for point in points:
         if _is_in_degrees(point, crs):
             east, north, _ = point.place
-            message = f"{point.where}: the point {point.name[:40]} at {east:.10g}, {north:.10g}"
+            message = f"{point.where}: the point {point.name} at {east:.10g}, {north:.10g}"
             raise ControlError(_degrees(message, crs, ""))
 
 
@@ -86,7 +86,7 @@ def _height_warnings(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS
     worst = points[int(np.argmax(heights))]
     return [
         f"{int(above.sum())} of {len(points)} control or check points lie above all cameras (highest camera "
-        f"{unit * cameras[:, 2].max():.2f} m, {worst.name[:40]} {unit * worst.place[2]:.2f} m in {worst.where}); check "
+        f"{unit * cameras[:, 2].max():.2f} m, {worst.name} {unit * worst.place[2]:.2f} m in {worst.where}); check "
         "that their heights have the vertical datum of crs"
     ]
 
@@ -99,7 +99,7 @@ def _far_heights(points: Sequence[GivenPoint], heights_m: np.ndarray) -> list[st
         return []
     low, high = heights_m[~far].min(), heights_m[~far].max()
     parts = [
-        f"{point.name[:40]} ({height:.2f} m in {point.where})"
+        f"{point.name} ({height:.2f} m in {point.where})"
         for point, height, is_far in zip(points, heights_m.tolist(), far.tolist(), strict=True)
         if is_far
     ]

@@ -14,7 +14,6 @@ from pyproj.exceptions import CRSError
 
 from survey.control.points import Content, ControlFormat, GivenMark, GivenPoint, require_std
 from survey.errors import ControlError
-from survey.files.csv_table import shortened
 from survey.files.xml_tree import read_xml
 
 _AXES, _STDS = ("x", "y", "z"), ("sx", "sy", "sz")
@@ -52,7 +51,7 @@ def read_metashape_xml(path: Path) -> Content:
 
 def _point(marker: Element, reference: Element, path: Path, crs: CRS | None) -> GivenPoint:
     name = marker.get("label", "")
-    where = f'{path}, marker "{shortened(name)}"'
+    where = f'{path}, marker "{name}"'
     x, y, z = (_number(reference, key, where) for key in _AXES)
     std = None
     if all(reference.get(key) is not None for key in _STDS):
@@ -69,7 +68,7 @@ def _mark(
         return None
     key = marker.get("marker_id") or marker.get("id") or ""
     camera = location.get("camera_id") or ""
-    where = f'{path}, marker "{shortened(names.get(key, key))}" in camera "{shortened(images.get(camera, camera))}"'
+    where = f'{path}, marker "{names.get(key, key)}" in camera "{images.get(camera, camera)}"'
     if key not in names or not images.get(camera):
         raise ControlError(
             f"{where}: there is no such {'marker' if key not in names else 'camera'} with a label in the file; export "
@@ -87,7 +86,7 @@ def _crs_of(chunk: Element, path: Path) -> CRS | None:
         return CRS.from_user_input(text.strip())
     except CRSError as error:
         raise ControlError(
-            f'{path}: the reference "{shortened(text.strip())}" is not a known CRS; set one in Metashape and export '
+            f'{path}: the reference "{text.strip()}" is not a known CRS; set one in Metashape and export '
             "the markers again"
         ) from error
 
@@ -103,7 +102,7 @@ def _number(element: Element, key: str, where: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise ControlError(f"{where}: {key} is {shortened(text) or 'missing'}, expected a finite number; correct it")
+        raise ControlError(f"{where}: {key} is {text or 'missing'}, expected a finite number; correct it")
     return value
 
 

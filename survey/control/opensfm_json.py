@@ -11,7 +11,6 @@ from pyproj import CRS
 
 from survey.control.points import Content, ControlFormat, GivenMark, GivenPoint
 from survey.errors import ControlError
-from survey.files.csv_table import shortened
 from survey.files.json_values import finite_number, finite_numbers, read_foreign_json
 
 _LONGITUDE, _LATITUDE, _ALTITUDE = "longitude", "latitude", "altitude"
@@ -43,8 +42,7 @@ def _point(each: dict, position: dict, where: str) -> GivenPoint:
     east, north, height = place
     if east is None or north is None or height is None or abs(east) > 180.0 or abs(north) > 90.0:
         raise ControlError(
-            f"{where}: the position is {shortened(str(position))}, expected latitude, longitude and altitude; "
-            "correct it"
+            f"{where}: the position is {position}, expected latitude, longitude and altitude; correct it"
         )
     is_check = each.get("role") == _CHECK
     return GivenPoint(each["id"], where, (east, north, height), CRS.from_epsg(4326), is_check=is_check)
@@ -58,8 +56,7 @@ def _marks(each: dict, where: str) -> list[GivenMark]:
         at, image = finite_numbers(known.get("projection"), 2), known.get("shot_id")
         if at is None or not isinstance(image, str):
             raise ControlError(
-                f"{where}: an observation is {shortened(str(entry))}, expected shot_id and projection, two numbers; "
-                "correct it"
+                f"{where}: an observation is {entry}, expected shot_id and projection, two numbers; correct it"
             )
         marks.append(GivenMark(each["id"], image, where, (at[0], at[1]), is_normalised=True))
     return marks

@@ -127,7 +127,7 @@ def is_check_role(role: str, where: str) -> bool:
     """Whether the word for a point's role means a check point."""
     word = role.strip().casefold()
     if word not in (*_CHECK, *_CONTROL):
-        raise ControlError(f'{where}: the role is "{role[:40]}", expected control or check; correct it')
+        raise ControlError(f'{where}: the role is "{role}", expected control or check; correct it')
     return word in _CHECK
 
 

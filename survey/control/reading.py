@@ -189,7 +189,7 @@ def _points(given: Sequence[GivenPoint], crs: CRS) -> dict[str, GivenPoint]:
             abs(first.place[2] - point.place[2]) > _SAME_M
         ):
             raise ControlError(
-                f"{point.where}: the point {point.name[:40]} is at {_shown(point)}, but at {_shown(first)} in "
+                f"{point.where}: the point {point.name} is at {_shown(point)}, but at {_shown(first)} in "
                 f"{first.where}; correct one of them, or give one another name"
             )
         if point.is_check:
@@ -222,15 +222,15 @@ def _marks(
             first = marks.setdefault((mark.point, image), mark)
             if first.pixel != mark.pixel:
                 raise ControlError(
-                    f"{mark.where}: {mark.point[:40]} has a second mark in {image}, {_at(mark)} after {_at(first)} in "
+                    f"{mark.where}: {mark.point} has a second mark in {image}, {_at(mark)} after {_at(first)} in "
                     f"{first.where}; keep one"
                 )
     if not marks:
         example = next(iter(unknown_images.values()), None) or next(iter(unknown_points.values()))
         what = (
-            f"photograph of the survey is called {example.image[:60]}"
+            f"photograph of the survey is called {example.image}"
             if unknown_images
-            else (f"point with coordinates is called {example.point[:40]}")
+            else (f"point with coordinates is called {example.point}")
         )
         like = next(iter(sizes)) if unknown_images else next(iter(points))
         raise ControlError(
@@ -249,7 +249,7 @@ def _left_out(found: Mapping[str, GivenMark], noun: str, why: str) -> list[str]:
     first = next(iter(found.values()))
     return [
         f"{warning} (first in {first.where}): their marks are left out; correct the names or remove the lines"
-        for warning in named([name[:60] for name in found], noun, f"{why} in the files of control")
+        for warning in named(list(found), noun, f"{why} in the files of control")
     ]
 
 
@@ -257,7 +257,7 @@ def _require_inside(mark: GivenMark, image: str, size: tuple[int, int]) -> None:
     x, y = mark.pixel
     if not (0.0 <= x <= size[0] and 0.0 <= y <= size[1]):
         raise ControlError(
-            f"{mark.where}: the mark of {mark.point[:40]} at {_at(mark)} lies outside {image}, which has {size[0]} x "
+            f"{mark.where}: the mark of {mark.point} at {_at(mark)} lies outside {image}, which has {size[0]} x "
             f"{size[1]} pixels; if the photographs were reduced, reduce the marks too, else correct it"
         )
 

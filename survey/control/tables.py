@@ -11,7 +11,7 @@ from geo.crs import horizontal_crs
 from survey.control.points import Content, ControlFormat, GivenMark, GivenPoint, is_check_role, require_std
 from survey.errors import ControlError
 from survey.files.crs_lines import crs_of_comment
-from survey.files.csv_table import Row, Table, column_names, shortened, words_of
+from survey.files.csv_table import Row, Table, column_names, words_of
 from survey.files.point_table import (
     PLACE,
     STDS,
@@ -76,7 +76,7 @@ def read_checkpoints(path: Path, level: float | None = None, survey_crs: CRS | N
         first = points.setdefault(point.name, point)
         if first is not point:
             raise ControlError(
-                f"{row.where}: the check point {shortened(point.name)} was there before, in {first.where}; remove one, "
+                f"{row.where}: the check point {point.name} was there before, in {first.where}; remove one, "
                 "or give it another name"
             )
     return tuple(points.values())

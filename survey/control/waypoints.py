@@ -24,7 +24,7 @@ def read_waypoints(path: Path) -> Content:
         if not name:
             raise ControlError(f"{where} has no name, expected that of its marks; name it")
         if not feature.geometry.has_z:
-            raise ControlError(f"{where}, {name[:40]}, has no height, expected one in crs; add it, or give a table")
+            raise ControlError(f"{where}, {name}, has no height, expected one in crs; add it, or give a table")
         x, y, z = feature.geometry.coords[0]
         points.append(GivenPoint(name, where, (x, y, z), found.crs))
     if not points:

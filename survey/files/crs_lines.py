@@ -13,7 +13,7 @@ from pyproj.exceptions import CRSError
 
 from geo.crs import crs_of
 from survey.errors import SurveyError
-from survey.files.csv_table import number_of, shortened, text_lines
+from survey.files.csv_table import number_of, text_lines
 
 _COMMENT = re.compile(r"#\s*CoordinateSystem:\s*(.+)", re.IGNORECASE)
 # A comment that is nothing but a code, under one of the names that people have for it.
@@ -45,7 +45,7 @@ def crs_of_comment(path: Path, error: type[SurveyError]) -> CRS | None:
         crs = crs_of(found.strip())
     except CRSError as wrong:
         raise error(
-            f"{path}: the CRS {shortened(found)} of a comment is not a known CRS; correct the comment, or remove it "
+            f"{path}: the CRS {found} of a comment is not a known CRS; correct the comment, or remove it "
             "where coordinates are in the crs of survey.toml"
         ) from wrong
     # A comment on what heights count from does not tell where places are.
@@ -79,7 +79,7 @@ def odm_crs(line: str, where: str, name: str, error: type[SurveyError]) -> CRS:
     if _WGS84.fullmatch(line):
         return CRS.from_epsg(4326)
     utm, epsg = _UTM.fullmatch(line), _EPSG.fullmatch(line)
-    message = f'{where}: "{shortened(line)}"'
+    message = f'{where}: "{line}"'
     if utm is not None:
         zone = int(utm[1])
         if not 1 <= zone <= 60:

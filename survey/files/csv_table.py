@@ -68,7 +68,7 @@ class Row:
         value = number_of(text, self.decimal)
         if not abs(value) <= LARGEST:
             raise self.error(
-                f"{self.where}: {name} is {shortened(text) or 'empty'}, expected a finite number of at most "
+                f"{self.where}: {name} is {text or 'empty'}, expected a finite number of at most "
                 f"{LARGEST:g} in size; correct it or remove the line"
             )
         return value
@@ -167,7 +167,7 @@ class Table:
         columns, names = tuple(columns), self.names
         missing = [name for name in columns if name not in names]
         if missing:
-            found = shortened(",".join(names or self.first)) or "nothing"
+            found = ",".join(names or self.first) or "nothing"
             raise self.error(
                 f"{self.path}: the first line has no column {', '.join(missing)}; expected {','.join(columns)}, found "
                 f"{found}"
@@ -212,12 +212,6 @@ def text_lines(path: Path, error: type[SurveyError]) -> Iterator[tuple[int, str]
         raise error(f"{path} is not UTF-8 ({problem.reason}); save the table as UTF-8") from problem
     except OSError as problem:
         raise error(f"{path} cannot be read ({problem.strerror}); correct its name or its permissions") from problem
-
-
-def shortened(text: str) -> str:
-    """A text of a file for a message, on one line and not longer than that."""
-    text = " ".join(text.split())
-    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def number_of(text: str, decimal: str = ".") -> float:

@@ -22,7 +22,7 @@ from geo.errors import GeoError
 from geo.stated import US_SURVEY_FOOT_M
 from geo.values import is_no_data_value, rounded_coordinates
 from survey.errors import SurveyError
-from survey.files.csv_table import Row, Table, UnspecifiedFoot, number_of, same_unit, shortened, words_of
+from survey.files.csv_table import Row, Table, UnspecifiedFoot, number_of, same_unit, words_of
 
 PLACE = ("easting", "northing", "height")
 STDS = ("std_east", "std_north", "std_height")
@@ -160,7 +160,7 @@ def read_points(
             "from, and call the column height"
         )
     if missing := [name for name in (*PLACE[:2], *heights) if name not in names]:
-        found = shortened(", ".join(names or table.first)) or "nothing"
+        found = ", ".join(names or table.first) or "nothing"
         raise error(
             f"{path}: the first line has no column {', '.join(missing)}; expected easting, northing, height (or E, N, "
             f"Z; X, Y, Z; longitude, latitude, altitude), in any order, found {found}"
@@ -198,7 +198,7 @@ def accuracy_warnings(path: Path, error: type[SurveyError]) -> tuple[str, ...]:
             "accuracy and is not read; call standard deviations std_east, std_north and std_height, or std for all"
         )
     if "solution" in table.names:
-        words = Counter(shortened(row.cells["solution"]) for row in table.rows(("solution",)))
+        words = Counter(row.cells["solution"] for row in table.rows(("solution",)))
         others = {word: num for word, num in words.items() if word and word.casefold() not in _FIXED}
         if others:
             listed = ", ".join(f"{num} of {sum(words.values())} points are {word}" for word, num in others.items())
@@ -251,7 +251,7 @@ def _by_place(table: Table) -> Table:
     is_plain = len(numbers) in (3, 4) and all(math.isfinite(number) for number in numbers)
     if not is_plain or (len(numbers) == 4 and not 0.0 <= numbers[3] <= _MOST_STD_M):
         raise table.error(
-            f"{table.path} has {len(numbers)} columns without names ({shortened(', '.join(table.first))}), expected "
+            f"{table.path} has {len(numbers)} columns without names ({', '.join(table.first)}), expected "
             "easting, northing, height and perhaps a standard deviation in metres; name the columns in a first line"
         )
     return table.named((*PLACE, "std")[: len(numbers)])

@@ -165,7 +165,7 @@ def _advice(text: str, error: tomllib.TOMLDecodeError) -> str:
     number, lines = re.search(r"at line (\d+)", str(error)), text.splitlines()
     line = lines[int(number[1]) - 1] if number is not None and int(number[1]) <= len(lines) else ""
     known = next((advice for pattern, advice in _HABITS if re.search(pattern, line)), None)
-    return "correct that line" if known is None else f"in {_shown(line.strip())}, {known}"
+    return "correct that line" if known is None else f"in {line.strip()!r}, {known}"
 
 
 def parse_values(values: Mapping[str, Any], kind: type) -> Any:
@@ -195,7 +195,7 @@ class _Reader:
     def table(self, kind: type, where: str, values: Any) -> Any:
         """A dataclass from a table whose dotted name is `where`; empty for the whole file."""
         if not isinstance(values, dict):
-            raise ConfigError(f"{where} = {_shown(values)} was found where the table [{where}] was expected")
+            raise ConfigError(f"{where} = {values!r} was found where the table [{where}] was expected")
         known = [field.name for field, _ in _fields_of(kind)]
         for name, value in values.items():
             if name not in known:
@@ -232,18 +232,18 @@ class _Reader:
             return float(value)
         if kind is str and isinstance(value, str) and value.strip():
             if _CONTROL.search(value):
-                raise ConfigError(f"{dotted} is {_shown(value)}, expected a text of one line; {_SLASHES}")
+                raise ConfigError(f"{dotted} is {value!r}, expected a text of one line; {_SLASHES}")
             return value
         if (kind is int and is_number and isinstance(value, int)) or (kind is bool and isinstance(value, bool)):
             return value
         is_text_of_number = isinstance(value, str) and kind in (float, int) and _NUMBER.fullmatch(value.strip())
         hint = f"; {_POINT}, without quotes" if is_text_of_number else ""
-        raise ConfigError(f"{dotted} is {_shown(value)}, expected {expected}{hint}")
+        raise ConfigError(f"{dotted} is {value!r}, expected {expected}{hint}")
 
     def _tuple(self, parts: tuple, dotted: str, value: Any, expected: str) -> tuple:
         if not isinstance(value, list) or (parts[-1] is not Ellipsis and len(value) != len(parts)):
             is_halved = isinstance(value, list) and len(value) == 2 * len(parts) and parts[-1] is not Ellipsis
-            raise ConfigError(f"{dotted} is {_shown(value)}, expected {expected}{f'; {_POINT}' if is_halved else ''}")
+            raise ConfigError(f"{dotted} is {value!r}, expected {expected}{f'; {_POINT}' if is_halved else ''}")
         kinds = [parts[0]] * len(value) if parts[-1] is Ellipsis else parts
         return tuple(
             self._value(part, f"{dotted}[{i}]", v, _words(part))
@@ -324,11 +324,6 @@ def _words(kind: Any) -> str:
         count = "a list" if parts[-1] is Ellipsis else f"a list of {len(parts)}"
         return f"{count}, each {_words(parts[0])}"
     return _KINDS[kind]
-
-
-def _shown(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def schema_of(kind: type) -> dict[str, Any]:

@@ -291,7 +291,7 @@ def xmp_height_warnings(gps_height: str, crs: CRS, headers: Mapping[str, Exif]) 
         other = next(datum for datum in datums if datum != ELLIPSOIDAL)
         return [
             f'gps_height = "ellipsoidal", but XMP says that the heights of {len(datums) - ellipsoidal} of '
-            f'{len(headers)} images count from {other[:40]}: write gps_height = "crs" in [cameras] if that is the '
+            f'{len(headers)} images count from {other}: write gps_height = "crs" in [cameras] if that is the '
             "datum of crs"
         ]
     return []

@@ -20,7 +20,7 @@ from geo.transformation import lon_lat
 from survey.display.quantities import named
 from survey.errors import Findings, PosesError
 from survey.files.crs_lines import odm_crs
-from survey.files.csv_table import number_of, shortened, text_lines
+from survey.files.csv_table import number_of, text_lines
 from survey.folder.plausible import SAME_PLACE_M
 from survey.photos.exif import SUFFIXES, Exif, TablePlace
 from survey.photos.names import ImageNames
@@ -171,7 +171,7 @@ def _line(text: str, where: str) -> _Line:
     count = next((count for count in reversed(_COUNTS) if count <= len(values)), 0)
     # What follows both accuracies has no meaning.
     if not count or (len(values) > count < _COUNTS[-1]) or not all(math.isfinite(value) for value in values[:count]):
-        raise PosesError(f'{where}: "{shortened(text)}" was found, expected {_FORM}; correct or remove the line')
+        raise PosesError(f'{where}: "{text}" was found, expected {_FORM}; correct or remove the line')
     x, y, *heights = values[:count]
     return _Line(
         " ".join(cells[:end]),

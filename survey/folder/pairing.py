@@ -17,7 +17,6 @@ from refract.lens import MODELS, Lens, LensError, coefficients_of
 from survey.control.local_control import require_near
 from survey.display.quantities import named
 from survey.errors import FILE_NAME, ConfigError, Findings, ImageError, PosesError
-from survey.files.csv_table import shortened
 from survey.folder import local_frame
 from survey.folder.faults import angle_warnings
 from survey.folder.found import MIN_VIEWS, Found, below, larger_poses
@@ -63,17 +62,14 @@ def pair(found: Found, poses: Sequence[Pose]) -> tuple[dict[str, Pose], Findings
     if len(paired) < MIN_VIEWS:
         remedy = "add photographs with poses"
         if unmatched and without_pose:
-            remedy = (
-                f'make the names in the poses those of the images ("{shortened(unmatched[0])}" against '
-                f'"{without_pose[0]}")'
-            )
+            remedy = f'make the names in the poses those of the images ("{unmatched[0]}" against "{without_pose[0]}")'
         images = found.folder / found.config.images.local_dir
         raise PosesError(
             f"only {len(paired)} of the {len(poses)} poses in {found.poses_path} belong to one of the "
             f"{len(found.images)} images in {images}, expected at least {MIN_VIEWS}; {remedy}"
         )
     warnings = named(without_pose, "image", "without a pose, left out")
-    warnings += named([shortened(name) for name in unmatched], "pose", "without an image, left out")
+    warnings += named(unmatched, "pose", "without an image, left out")
     return paired, Findings(warnings=tuple(warnings))
 
 

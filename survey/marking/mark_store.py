@@ -115,7 +115,7 @@ class MarkStore:
     def set(self, key: PointKey, image: str, pixel: Pixel | None) -> None:
         """Set or move the mark of a point in a photograph, or remove it, and write the file."""
         if key not in self.points() or image not in self._sizes:
-            raise SurveyError(f"there is no point {key.name[:40]}, or no photograph {image[:60]}; load the page again")
+            raise SurveyError(f"there is no point {key.name}, or no photograph {image}; load the page again")
         width, height = self._sizes[image]
         if pixel is not None and not (0.0 <= pixel[0] <= width and 0.0 <= pixel[1] <= height):
             raise SurveyError(f"{pixel[0]:g}, {pixel[1]:g} is outside of {image}, which has {width} x {height} pixels")

@@ -75,7 +75,7 @@ class PhotographTiles:
 
     def _levels(self, image: str) -> list[np.ndarray]:
         if image not in self._images:
-            raise ImageError(f"there is no photograph {image[:60]}")
+            raise ImageError(f"there is no photograph {image}")
         with self._lock:
             decoding = self._decoding.setdefault(image, threading.Lock())
         # One thread decodes a photograph while others go on with those that are there.

@@ -65,7 +65,7 @@ class MarkingSession:
         """A point in a photograph: predicted position, epipolar curves, other points; the next photographs to mark."""
         points, marks = self.store.points(), self.store.marks()
         if key not in points or image not in self.images:
-            raise SurveyError(f"there is no point {key.name[:40]}, or no photograph {image[:60]}; load the page again")
+            raise SurveyError(f"there is no point {key.name}, or no photograph {image}; load the page again")
         point, own = points[key], marks.get(key, {})
         if self._posed is None:
             return {"predicted": None, "curves": [], "others": [], "next": self._without_poses(point, own, image)}

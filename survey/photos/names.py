@@ -10,7 +10,6 @@ from survey.errors import ImageError
 
 # Behind the name of a photograph, before its suffix, in the name of its mask.
 MASK_ENDING = "_mask"
-_LONGEST_SHOWN = 80
 
 
 def name_key(name: str) -> str:
@@ -48,7 +47,7 @@ class ImageNames:
         before = self._name_in_file.setdefault(image, name_in_file)
         if not _agree(_parts(before)[:-1], _parts(name_in_file)[:-1]):
             raise ImageError(
-                f"{where}: {_shown(name_in_file)} and {_shown(before)} are two photographs, and both names fit {image} "
+                f"{where}: {name_in_file} and {before} are two photographs, and both names fit {image} "
                 "alone; keep the photographs in the folders that the file has, or remove the lines of the other one"
             )
         self._name_in_file[image] = max(before, name_in_file, key=lambda name: len(_parts(name)))
@@ -66,7 +65,7 @@ class ImageNames:
         best = [name for name, rank in ranks.items() if rank == max(ranks.values())]
         if len(best) > 1:
             raise ImageError(
-                f"{where}: {_shown(name_in_file)} fits {best[0]} and {best[1]}"
+                f"{where}: {name_in_file} fits {best[0]} and {best[1]}"
                 f"{f' and {len(best) - 2} more' if len(best) > 2 else ''}, expected the name of one photograph; write "
                 f'its folder and suffix too, e.g. "{best[0]}"'
             )
@@ -81,7 +80,3 @@ def _agree(a: tuple[str, ...], b: tuple[str, ...]) -> bool:
     """Whether the folders of two paths do not contradict each other: one path may begin further up."""
     shared = min(len(a), len(b))
     return a[len(a) - shared :] == b[len(b) - shared :]
-
-
-def _shown(name: str) -> str:
-    return "".join(letter for letter in name[:_LONGEST_SHOWN] if letter.isprintable())

@@ -14,7 +14,6 @@ from scipy.sparse.csgraph import connected_components
 
 from refract.lens import Lens
 from survey.errors import PosesError
-from survey.files.csv_table import shortened
 
 # Two photographs may agree by chance on a false point; a third rarely does.
 MIN_TRACK = 3
@@ -31,7 +30,7 @@ class DuplicatePose(PosesError):
 
     def __init__(self, name_in_file: str, where: str):
         super().__init__(
-            f"{where}: image {shortened(name_in_file)} has a second pose; keep one of the two, or, if they are of two "
+            f"{where}: image {name_in_file} has a second pose; keep one of the two, or, if they are of two "
             "photographs in different folders, write the folder before the name"
         )
         self.name_in_file = name_in_file

@@ -15,7 +15,6 @@ import numpy as np
 
 from refract.lens import MODELS, Lens, LensError
 from survey.errors import PosesError
-from survey.files.csv_table import shortened
 from survey.photos.poses import DuplicatePose, FileTies, Pose, PoseFile, PoseFrame
 from survey.photos.rotations import rotation_from_quaternion
 from survey.pose_files.format import Format
@@ -56,7 +55,7 @@ def lens_of(model: str, params: tuple[float, ...], width: int, height: int) -> L
     places = _AS_FISHEYE.get(model)
     if places is not None and len(params) == max(places) + 1:
         return Lens("OPENCV_FISHEYE", (*(params[i] for i in places), *[0.0] * (8 - len(places))), width, height)
-    return Lens(shortened(model), params, width, height)
+    return Lens(model, params, width, height)
 
 
 def _cameras_txt(path: Path) -> dict[int, _Camera]:
@@ -89,7 +88,7 @@ def _points_txt(path: Path) -> Iterator[_Point]:
     for line in _lines(path):
         numbers = line.split()
         if len(numbers) < 8 or len(numbers) % 2:
-            raise ValueError(f"the line of point {numbers[0][:20]} has {len(numbers)} numbers")
+            raise ValueError(f"the line of point {numbers[0]} has {len(numbers)} numbers")
         yield int(numbers[0]), [float(v) for v in numbers[1:4]], (len(numbers) - 8) // 2
 
 
@@ -152,8 +151,7 @@ def _read(path: Path):
         raise PosesError(f"{path}: {error}") from error
     except (struct.error, ValueError, IndexError, OverflowError) as error:
         raise PosesError(
-            f"{path} is damaged or not a COLMAP file ({shortened(str(error))}); write the model again with "
-            "COLMAP's model_converter"
+            f"{path} is damaged or not a COLMAP file ({error}); write the model again with COLMAP's model_converter"
         ) from error
     except OSError as error:
         raise PosesError(f"{path} cannot be read ({error.strerror}); correct its permissions") from error
@@ -171,7 +169,7 @@ def read_model(folder: Path) -> PoseFile:
     path = folder / f"images{suffix}"
     poses: dict[str, Pose] = {}
     for image in _read(path):
-        name = shortened(image.name)
+        name = image.name
         if not np.isfinite(image.pose).all() or not np.any(image.pose[:4]):
             raise PosesError(
                 f"{path}: the pose of {name} is {[float(f'{v:.6g}') for v in image.pose]}, expected a quaternion "

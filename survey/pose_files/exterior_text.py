@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from survey.errors import PosesError
-from survey.files.csv_table import number_of, shortened, text_lines
+from survey.files.csv_table import number_of, text_lines
 from survey.photos.poses import DuplicatePose, Pose, PoseFile, PoseFrame
 from survey.photos.rotations import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.pose_files.format import Format
@@ -78,7 +78,7 @@ def _split(line: str, where: str) -> tuple[str, list[float]]:
             if len(words) > 1 and words[0].isdecimal() and _number(words[1]) is None:
                 words = words[1:]
             return " ".join(words), [value for value in values if value is not None]
-    raise PosesError(f'{where}: "{shortened(line.strip())}" was found, {_EXPECTED}; correct or remove the line')
+    raise PosesError(f'{where}: "{line.strip()}" was found, {_EXPECTED}; correct or remove the line')
 
 
 def _is_heading(line: str) -> bool:

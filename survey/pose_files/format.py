@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from refract.lens import LensError
-from survey.files.csv_table import shortened
 from survey.photos.poses import FileTies, PoseFile
 
 # Names of coefficients, what only says which lens it is, and words in the names of keys that are about a lens.
@@ -59,10 +58,7 @@ def require_understood(
     for key, value in values.items():
         is_of_lens = are_all_of_lens or is_lens_key(key)
         if is_of_lens and key not in known and not _changes_nothing(value):
-            raise LensError(
-                f"{shortened(key)} is {shortened(str(value))}, a part of the lens that is not read, expected none; "
-                f"{remedy}"
-            )
+            raise LensError(f"{key} is {value}, a part of the lens that is not read, expected none; {remedy}")
 
 
 def is_lens_key(key: str) -> bool:

@@ -21,7 +21,6 @@ from geo.crs import crs_of
 from refract.lens import Lens, LensError
 from survey.display.quantities import distance_text, named
 from survey.errors import PosesError
-from survey.files.csv_table import shortened
 from survey.files.xml_tree import read_xml
 from survey.photos.poses import GivenPosition, Pose, PoseFile, PoseFrame
 from survey.photos.rotations import nearest_rotation
@@ -67,7 +66,7 @@ def read_lens(sensor: Element) -> Lens:
             )
         return Lens("OPENCV_FISHEYE", (f + b1, f, cx, cy, k1, k2, k3, k4), width, height)
     if kind != "frame":
-        raise LensError(f"a lens of the type {shortened(kind)} is not supported, expected frame or fisheye; {_REMEDY}")
+        raise LensError(f"a lens of the type {kind} is not supported, expected frame or fisheye; {_REMEDY}")
     inner = (f + b1, f, cx, cy, k1, k2, p1, p2)
     if k4 or b2:
         return Lens("BROWN_AFFINE", (*inner, k3, k4, b2 / (f + b1) if f + b1 else math.nan), width, height)
@@ -84,13 +83,13 @@ def _number(calibration: Element, key: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise LensError(f"{key} is {shortened(text)}, expected a finite number; export the cameras again")
+        raise LensError(f"{key} is {text}, expected a finite number; export the cameras again")
     return value
 
 
 def _whole(text: str | None, key: str) -> int:
     if text is None or not text.isdecimal() or len(text) > 9:
-        raise LensError(f"its {key} is {shortened(text or 'missing')}, expected whole pixels; export the cameras again")
+        raise LensError(f"its {key} is {text or 'missing'}, expected whole pixels; export the cameras again")
     return int(text)
 
 
@@ -110,16 +109,16 @@ def read_metashape(path: Path) -> PoseFile:
             continue
         name, matrix = _name(camera), camera.find("transform")
         if not name:
-            nameless.append(f"id {shortened(camera.get('id', 'missing'))}")
+            nameless.append(f"id {camera.get('id', 'missing')}")
             continue
         if not _is_true(camera.get("enabled")):
-            disabled.append(shortened(name))
+            disabled.append(name)
             continue
         component = _component_of(camera, transforms)
         if matrix is None or component not in transforms:
-            unplaced.append(shortened(name))
+            unplaced.append(name)
             continue
-        where = f'{path}, camera "{shortened(name)}"'
+        where = f'{path}, camera "{name}"'
         if name in poses:
             raise PosesError(
                 f"{where}: a second camera has the same label; rename the images, and export the cameras again"
@@ -252,7 +251,7 @@ def _lens(sensor: Element | None, where: str) -> Lens:
     try:
         return read_lens(sensor)
     except LensError as error:
-        raise PosesError(f'{where}, sensor "{shortened(sensor.get("label", ""))}": {error}') from error
+        raise PosesError(f'{where}, sensor "{sensor.get("label", "")}": {error}') from error
 
 
 def _given(camera: Element, sensor: Element, where: str, crs: CRS | None) -> GivenPosition | None:
@@ -283,8 +282,7 @@ def _crs_of(chunk: Element, path: Path) -> CRS | None:
         return crs_of(text)
     except CRSError as error:
         raise PosesError(
-            f'{path}: the reference "{shortened(text)}" is not a known CRS; set one in Metashape and export the '
-            "cameras again"
+            f'{path}: the reference "{text}" is not a known CRS; set one in Metashape and export the cameras again'
         ) from error
 
 
@@ -320,7 +318,7 @@ def _is_number(text: str) -> bool:
 
 def _finite(text: str | None, where: str) -> float:
     if text is None or not _is_number(text):
-        raise PosesError(f"{where}: {shortened(text or 'nothing')} was found, expected a finite number; {_EXPORT}")
+        raise PosesError(f"{where}: {text or 'nothing'} was found, expected a finite number; {_EXPORT}")
     return float(text)
 
 

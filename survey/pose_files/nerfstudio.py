@@ -9,7 +9,6 @@ import numpy as np
 
 from refract.lens import Lens, LensError
 from survey.errors import PosesError
-from survey.files.csv_table import shortened
 from survey.files.json_values import finite_number, finite_numbers, read_foreign_json
 from survey.photos.poses import DuplicatePose, Pose, PoseFile, PoseFrame
 from survey.photos.rotations import nearest_rotation
@@ -44,7 +43,7 @@ def read_nerfstudio(path: Path) -> PoseFile:
         name = frame.get("file_path")
         if not isinstance(name, str) or not name:
             raise PosesError(f"{path}: a frame has no file_path, expected the name of its image; {_EXPORT}")
-        where = f"{path}, frame {shortened(name)}"
+        where = f"{path}, frame {name}"
         if name in poses:
             raise DuplicatePose(name, str(path))
         try:
@@ -79,7 +78,7 @@ def _applied(path: Path, data: dict) -> tuple[np.ndarray, float]:
     if applied is None or np.abs(turn @ turn.T - np.eye(3)).max() > _ROUNDED or np.linalg.det(turn) < 0.0:
         raise PosesError(f"{path}: applied_transform is not a 3 x 4 matrix of a rotation and a shift; {_EXPORT}")
     if scale is None or scale <= 0.0:
-        raise PosesError(f"{path}: applied_scale is {shortened(str(scale))}, expected a number above 0; {_EXPORT}")
+        raise PosesError(f"{path}: applied_scale is {scale}, expected a number above 0; {_EXPORT}")
     return applied, scale
 
 
@@ -106,10 +105,10 @@ def _lens(values: dict) -> Lens:
     if values.get("is_fisheye"):
         # instant-ngp's word: k1 to k4 are then of the angle.
         if "camera_model" in values and model != "OPENCV_FISHEYE":
-            raise LensError(f"is_fisheye is true, and camera_model is {shortened(model)}; keep one of the two")
+            raise LensError(f"is_fisheye is true, and camera_model is {model}; keep one of the two")
         model = "OPENCV_FISHEYE"
     if model not in _SUPPORTED:
-        raise LensError(f"camera model {shortened(model)} is not supported, expected one of {', '.join(_SUPPORTED)}")
+        raise LensError(f"camera model {model} is not supported, expected one of {', '.join(_SUPPORTED)}")
     width, height = _number(values, "w"), _number(values, "h")
     if not (width.is_integer() and height.is_integer() and max(width, height) < 1e9):
         raise LensError(f"the image has {width:g} x {height:g} pixels, expected whole numbers; correct it")
@@ -136,7 +135,7 @@ def _by_angle(values: dict, key: str, side: float) -> float | None:
 def _number(values: dict, key: str, default: float | None = None) -> float:
     found = finite_number(values.get(key, default))
     if found is None:
-        raise LensError(f"{key} is {shortened(str(values.get(key)))}, expected a finite number; give it")
+        raise LensError(f"{key} is {values.get(key)}, expected a finite number; give it")
     return found
 
 

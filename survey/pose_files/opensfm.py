@@ -19,7 +19,6 @@ from scipy.spatial.transform import Rotation
 from geo.projection import enu_from_geocentric, geocentric_from_geodetic
 from refract.lens import Lens, LensError
 from survey.errors import PosesError
-from survey.files.csv_table import shortened
 from survey.files.json_values import finite_number, finite_numbers, read_foreign_json
 from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame
 from survey.pose_files.format import Format, require_understood
@@ -114,8 +113,7 @@ def _seen(
         raise PosesError(f"{tracks} cannot be read ({error.strerror}); correct its permissions") from error
     except ValueError as error:
         raise PosesError(
-            f"{tracks} is damaged ({shortened(str(error))}), expected image, track, feature, x and y; remove it, or "
-            f"{_EXPORT}"
+            f"{tracks} is damaged ({error}), expected image, track, feature, x and y; remove it, or {_EXPORT}"
         ) from error
     table = np.array(found, dtype=np.float64).reshape(-1, 4)
     return table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2:]
@@ -137,11 +135,11 @@ def _block(path: Path) -> _Block:
         try:
             lenses[name] = read_lens(_object(camera))
         except LensError as error:
-            raise PosesError(f'{path}, camera "{shortened(name)}": {error}') from error
+            raise PosesError(f'{path}, camera "{name}": {error}') from error
     shots = {name: _object(shot) for name, shot in _object(block.get("shots")).items()}
     for name, shot in shots.items():
         if str(shot.get("camera")) not in lenses:
-            raise PosesError(f"{path}: the camera of {shortened(name)} is not in the file; {_EXPORT}")
+            raise PosesError(f"{path}: the camera of {name} is not in the file; {_EXPORT}")
     sizes = tuple(len(_object(block.get("shots"))) for block in by_size)
     return _Block(path, lenses, shots, _object(block.get("points")), _reference(path, block), sizes)
 
@@ -166,7 +164,7 @@ def _pose(block: _Block, name: str, shot: dict) -> Pose:
     rotation, translation = (finite_numbers(shot.get(key), 3) for key in ("rotation", "translation"))
     if rotation is None or translation is None:
         raise PosesError(
-            f"{block.path}: the pose of {shortened(name)} is not a rotation and translation of three finite numbers "
+            f"{block.path}: the pose of {name} is not a rotation and translation of three finite numbers "
             f"each; {_EXPORT}"
         )
     cam_from_world = Rotation.from_rotvec(rotation).as_matrix()
@@ -194,9 +192,7 @@ def _reference(path: Path, block: dict) -> tuple[float, float, float] | None:
     keys = ("latitude", "longitude", "altitude")
     found = finite_numbers([_object(given).get(key) for key in keys], 3)
     if found is None or abs(found[0]) > 90.0 or abs(found[1]) > 360.0:
-        raise PosesError(
-            f"{path}: its reference is {shortened(str(given))}, expected latitude, longitude and altitude; correct it"
-        )
+        raise PosesError(f"{path}: its reference is {given}, expected latitude, longitude and altitude; correct it")
     # What OpenSfM writes where no photograph has a position.
     return None if found[:2] == [0.0, 0.0] else (found[0], found[1], found[2])
 
@@ -251,7 +247,7 @@ def read_lens(camera: dict) -> Lens:
     kind = str(camera.get("projection_type", "perspective"))
     if kind not in _SUPPORTED:
         raise LensError(
-            f"the projection {shortened(kind)} is not supported, expected one of {', '.join(_SUPPORTED)}; reconstruct "
+            f"the projection {kind} is not supported, expected one of {', '.join(_SUPPORTED)}; reconstruct "
             "with one of these, e.g. --camera-lens brown in OpenDroneMap"
         )
     # What the camera began with changes nothing.
@@ -276,5 +272,5 @@ def read_lens(camera: dict) -> Lens:
 def _number(camera: dict, key: str, default: float | None = None) -> float:
     found = finite_number(camera.get(key, default))
     if found is None:
-        raise LensError(f"{key} is {shortened(str(camera.get(key)))}, expected a finite number; correct it")
+        raise LensError(f"{key} is {camera.get(key)}, expected a finite number; correct it")
     return found

@@ -18,7 +18,7 @@ from pyproj.exceptions import CRSError
 from geo.crs import crs_of, has_height, horizontal_crs, horizontal_unit
 from refract.lens import Lens, LensError
 from survey.errors import PosesError
-from survey.files.csv_table import shortened, text_lines
+from survey.files.csv_table import text_lines
 from survey.photos.poses import DuplicatePose, Pose, PoseFile, PoseFrame
 from survey.photos.rotations import CAM_FROM_OPK_CAM, grid_from_opk, nearest_rotation
 from survey.pose_files.format import Format
@@ -87,7 +87,7 @@ def _external_pose(name: str, numbers: list[float], where: str, camera: _Camera 
     cam_from_grid = (grid_from_opk(*angles) @ CAM_FROM_OPK_CAM).T
     if camera is not None and not np.abs(cam_from_grid - camera.cam_from_grid).max() < _AGREE:
         raise PosesError(
-            f"{where}: the angles of {shortened(name)} are not those of its rotation in the file of cameras, expected "
+            f"{where}: the angles of {name} are not those of its rotation in the file of cameras, expected "
             f"both of one project; {_EXPORT}"
         )
     return Pose(name, np.array(numbers[:3]), cam_from_grid, None if camera is None else camera.lens)
@@ -103,7 +103,7 @@ def _cameras(path: Path) -> dict[str, _Camera]:
         )
     for where, line in lines[: head + 1]:
         if any(word in line.casefold() for word in _OTHER_LENSES):
-            raise PosesError(f'{where}: "{shortened(line)}" is of another lens, expected a perspective one; {_EXPORT}')
+            raise PosesError(f'{where}: "{line}" is of another lens, expected a perspective one; {_EXPORT}')
     lines = [(where, line) for where, line in lines[head + 1 :] if line]
     for first in range(0, len(lines), _LINES_OF_IMAGE):
         block = lines[first : first + _LINES_OF_IMAGE]
@@ -119,7 +119,7 @@ def _cameras(path: Path) -> dict[str, _Camera]:
 def _camera(where: str, title: str, lines: list[str]) -> _Camera:
     size = title.rsplit(None, 2)[1:]
     if len(size) != 2 or not all(text.isdecimal() and len(text) < 10 for text in size):
-        raise PosesError(f'{where}: "{shortened(title)}" was found, expected a name, width and height; {_EXPORT}')
+        raise PosesError(f'{where}: "{title}" was found, expected a name, width and height; {_EXPORT}')
     inner = np.array([_numbers(line.split(), 3, where) for line in lines[1:4]])
     k1, k2, k3 = _numbers(lines[4].split(), 3, where)
     p1, p2 = _numbers(lines[5].split(), 2, where)
@@ -156,7 +156,7 @@ def _crs(path: Path) -> CRS | None:
     try:
         return crs_of(text)
     except CRSError as error:
-        raise PosesError(f'{path}: "{shortened(text)}" is not a known CRS; correct or remove it') from error
+        raise PosesError(f'{path}: "{text}" is not a known CRS; correct or remove it') from error
 
 
 def _numbers(cells: list[str], count: int, where: str) -> list[float]:
@@ -165,9 +165,7 @@ def _numbers(cells: list[str], count: int, where: str) -> list[float]:
     except ValueError:
         found = [math.nan]
     if len(found) != count or not all(map(math.isfinite, found)):
-        raise PosesError(
-            f'{where}: "{shortened(" ".join(cells))}" was found, expected {count} finite numbers; {_EXPORT}'
-        )
+        raise PosesError(f'{where}: "{" ".join(cells)}" was found, expected {count} finite numbers; {_EXPORT}')
     return found
 
 

@@ -52,7 +52,7 @@ def levels_of_clicks(
     for name, clicks in places.items():
         level = _level_of(clicks, frame)
         if level is None:
-            unclear.append("".join(letter for letter in name[:40] if letter.isprintable()))
+            unclear.append(name)
         else:
             found.append(level)
     warnings = []

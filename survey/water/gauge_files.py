@@ -21,7 +21,7 @@ from typing import Any
 from geo.stated import unit_named
 from survey.display.quantities import named
 from survey.errors import ConfigError, Findings
-from survey.files.csv_table import Table, meaning, number_of, shortened, text_lines, words_of
+from survey.files.csv_table import Table, meaning, number_of, text_lines, words_of
 from survey.files.limits import LARGEST
 from survey.water.level_observation import MOST_STD_M, STD_M
 
@@ -154,9 +154,9 @@ def utc_of(text: str, where: str, zone: tzinfo | None = None) -> datetime:
         if moment.tzinfo is not None:
             return moment.astimezone(UTC)
     except (ValueError, OverflowError) as error:
-        raise ConfigError(f"{where}: {text[:40]!r} is not a time, expected e.g. 2024-06-01T10:30:00Z") from error
+        raise ConfigError(f"{where}: {text!r} is not a time, expected e.g. 2024-06-01T10:30:00Z") from error
     raise ConfigError(
-        f"{where}: {shortened(text)} has no time zone; write Z for UTC or e.g. +02:00 after it, or name it in the "
+        f"{where}: {text} has no time zone; write Z for UTC or e.g. +02:00 after it, or name it in the "
         "first line, as time (UTC)"
     )
 
@@ -212,7 +212,7 @@ def _of_json(path: Path) -> _Records:
         content = json.loads(path.read_bytes())
         found = list(_objects(content, {}, 0))
     except (OSError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{path} is no JSON that can be read ({str(error)[:60]}); fetch it again") from error
+        raise ConfigError(f"{path} is no JSON that can be read ({error}); fetch it again") from error
     rows: list[tuple[str, dict[str, str]]] = []
     units: dict[str, float] = {}
     cells: dict[str, str] = {}
@@ -286,7 +286,7 @@ def _zone_of(records: _Records, cells: Mapping[str, str]) -> tzinfo | None:
 def _number(text: str, decimal: str, where: str, name: str) -> float:
     number = number_of(text, decimal)
     if not abs(number) <= LARGEST:
-        raise ConfigError(f"{where}: {name} is {shortened(text)}, expected a finite number; correct or remove the line")
+        raise ConfigError(f"{where}: {name} is {text}, expected a finite number; correct or remove the line")
     return number
 
 

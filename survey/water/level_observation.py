@@ -101,8 +101,8 @@ def _of_layer(rows: list[Row], path: Path, layer: str | None, unit_m: float) -> 
         return rows
     wanted = [layer] if layer in heights else [part.strip() for part in layer.split(",")]
     if missing := [name for name in wanted if name not in heights]:
-        listed = ", ".join(name or "none" for name in heights)[:300]
-        raise ConfigError(f'{path} has no layer or code "{missing[0][:60]}", expected one of its own: {listed}')
+        listed = ", ".join(name or "none" for name in heights)
+        raise ConfigError(f'{path} has no layer or code "{missing[0]}", expected one of its own: {listed}')
     return [row for row in rows if row.cells.get("layer", "") in wanted]
 
 

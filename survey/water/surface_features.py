@@ -157,8 +157,8 @@ def _content(path: Path, layer: str | None) -> _Content:
     if layer is not None:
         wanted = [layer] if layer in names else [part.strip() for part in layer.split(",")]
         if missing := [name for name in wanted if name not in names]:
-            listed = ", ".join(name or "one without a name" for name in names)[:300]
-            raise ConfigError(f'{path} has no layer "{missing[0][:60]}", expected one of its own: {listed}')
+            listed = ", ".join(name or "one without a name" for name in names)
+            raise ConfigError(f'{path} has no layer "{missing[0]}", expected one of its own: {listed}')
         found = [each for each in found if each[1] in wanted]
     kinds = {part.crs.srs if part.crs is not None else "": part for _, _, part in found} or {
         "": next(iter(parts.values()))

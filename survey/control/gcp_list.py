@@ -55,16 +55,7 @@ def line_cells(line: str) -> list[str]:
 
 
 def mark_line(place: Sequence[str], pixel: tuple[float, float], image: str, words: Sequence[str]) -> str:
-    """A line of a mark, which `read_gcp_list` reads.
-
-    Parameters
-    ----------
-    place : x, y, z
-        As the file has them.
-    pixel : (x, y)
-        The centre of the first pixel is 0.5, 0.5, as everywhere here.
-    words : name and role, or as many of them as there are
-    """
+    """A line of a mark at x, y, z, with as many of name and role as there are, which `read_gcp_list` reads."""
     at = [f"{value - _HALF_A_PIXEL:.3f}" for value in pixel]
     cells = [*place, *at, image, *words]
     return ("\t" if any(" " in cell for cell in cells) else " ").join(cells)

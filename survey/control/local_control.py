@@ -26,13 +26,7 @@ _FAR, _FAR_HEIGHT_M, _FEWEST = 10.0, 30.0, 4
 
 
 def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) -> list[str]:
-    """Warnings about implausible heights of points.
-
-    Parameters
-    ----------
-    points : of GivenPoint, in crs
-    cameras : (N, 3) in crs
-    """
+    """Warnings about implausible heights of points, which like the cameras (N, 3) are in crs."""
     if not points:
         return []
     for point in points:
@@ -146,13 +140,9 @@ def control_in_local(
     std_m: tuple[float, float, float],
     marks_std_px: float,
 ) -> Control | None:
-    """The control that the views of a survey show; None where they show none of it.
+    """The control that views with a pose show; None where they show none of it.
 
-    Parameters
-    ----------
-    views : names of those with a pose
-    std_m : (east, north, up) [m]
-        Of points whose file does not say it.
+    ``std_m`` is that of points whose file does not say it, east, north and up.
     """
     posed = set(views)
     marks = tuple(mark for mark in merged.marks if mark.view in posed)

@@ -151,13 +151,7 @@ def read_control(path: Path) -> Content:
 def merge_control(
     contents: Sequence[Content], crs: CRS, sizes: Mapping[str, tuple[int, int]]
 ) -> tuple[MergedControl, Findings]:
-    """Points and marks of several files, in the crs of a survey and under the names of its photographs.
-
-    Parameters
-    ----------
-    contents : of each file
-    sizes : name of a photograph to (width, height) [px]
-    """
+    """Points and marks of several files, in the crs of a survey and under the names of its photographs."""
     given = [point for content in contents for point in content.points]
     given, findings = in_crs(given, crs)
     points = _points(given, crs)

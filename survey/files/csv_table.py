@@ -105,13 +105,7 @@ class Table:
 
     @classmethod
     def read(cls, path: Path, words: Mapping[str, str], error: type[SurveyError] = SurveyError) -> Table:
-        """The head of a table in UTF-8, with or without a byte order mark.
-
-        Parameters
-        ----------
-        words : mapping of str to str
-            Names that a column may have in the file, lower case, to what they mean: `words_of`.
-        """
+        """The head of a table in UTF-8, with or without a byte order mark; words are those of `words_of`."""
         title = ""
         for numbered in text_lines(path, error):
             if _is_comment(numbered[1]):

@@ -61,20 +61,9 @@ class ReadFiles:
 def require_file(
     option: str, path: Path | None, inputs: ReadFiles, *, kind: str, is_of_kind: Callable[[bytes], bool]
 ) -> None:
-    """Raise OutputError where a file must not or cannot be written.
+    """Raise OutputError where the file of an option, if it was given, must not or cannot be written.
 
-    Parameters
-    ----------
-    option : str
-        That names the file, e.g. ``--json``.
-    path : Path, optional
-        None: the option was not given.
-    inputs : ReadFiles
-        Of the command.
-    kind : str
-        Of the file, e.g. "a JSON file".
-    is_of_kind : callable
-        Whether a file that begins with these bytes is one, and may be replaced.
+    A file that begins as ``is_of_kind`` says may be replaced; ``kind`` says what that is, e.g. "a JSON file".
     """
     if path is None:
         return
@@ -104,11 +93,7 @@ def require_file(
 def require_folder(option: str, path: Path | None, inputs: ReadFiles, *, may_hold_inputs: bool = False) -> None:
     """Raise OutputError where a folder cannot be made, or must not be written to.
 
-    Parameters
-    ----------
-    option, path, inputs : as `require_file`
-    may_hold_inputs : bool
-        For folders in which the command replaces no file but its own.
+    Folders in which the command replaces no file but its own may hold inputs.
     """
     if path is None:
         return
@@ -157,10 +142,7 @@ def _require_permission(message: str, folder: Path) -> None:
 def locked(folder: Path, *, busy: str) -> Iterator[None]:
     """Hold the lock of a folder, which exists, for a block; the system frees it when the process ends, however it ends.
 
-    Parameters
-    ----------
-    busy : str
-        The message where another process has the lock; ``{pid}`` in it is that process's number.
+    ``busy`` is the message where another process has the lock; ``{pid}`` in it is that process's number.
     """
     path, owner = folder / LOCK_FILE, folder / LOCK_OWNER
     lock = FileLock(path, blocking=False)

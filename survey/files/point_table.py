@@ -126,23 +126,10 @@ def read_points(
     """Rows of a table of points with the columns of `PLACE`, and the ``optional`` ones.
 
     Depths become heights where the level of the water is known, from a column of the table, with a level on each row,
-    or else as given; standard deviations are in metres. Beside a height a level counts for nothing.
-
-    Parameters
-    ----------
-    optional : names
-    by_place : bool
-        Whether a file of numbers alone is taken as easting, northing, height and, in a fourth column, std.
-    level : float, optional
-        Of the water that depths count from, in the heights of crs.
-    give_level : str
-        How it is given, for a message, e.g. "give --water-level".
-    units : Units, optional
-        Of the CRS of the points, which heights and depths get where the table has them in others. Without it heights
-        stay as they are: `stated_units`.
-    error : type
-        Raised where columns are missing, two have one meaning, eastings are in another unit, or a height stands for no
-        data.
+    or else as given (`give_level` says how, for a message); standard deviations are in metres. Beside a height a level
+    counts for nothing. ``by_place`` takes a file of numbers alone as easting, northing, height and std. Heights get the
+    ``units`` of the CRS; without it they stay as they are: `stated_units`. Raises ``error`` where columns are missing,
+    two have one meaning, eastings are in another unit, or a height stands for no data.
     """
     table = _table(path, error)
     if by_place and not table.columns and table.first:

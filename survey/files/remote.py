@@ -52,11 +52,8 @@ def local_run(survey: Path, run: str | Path | None) -> Path:
 class Remote:
     """A folder at a URL; names are relative to it, with forward slashes.
 
-    Parameters
-    ----------
-    url : str
-        Keys and addresses of the store are those of its environment, as AWS_ACCESS_KEY_ID and AWS_ENDPOINT_URL; a
-        password in it would come into messages, logs and jobs, and is refused.
+    Keys and addresses of the store are those of its environment, as AWS_ACCESS_KEY_ID and AWS_ENDPOINT_URL; a
+    password in the URL would come into messages, logs and jobs, and is refused.
     """
 
     def __init__(self, url: str):

@@ -126,15 +126,9 @@ def parse_toml(
 ) -> Any:
     """A dataclass filled from a text in TOML.
 
-    Parameters
-    ----------
-    kind : dataclass
-        Types of its fields are float, int, bool, str, tuples of them, other dataclasses (tables), tuples of these
-        (arrays of tables), or a union of these and None.
-    synonyms : mapping, optional
-        What other programs call a key, to its dotted name here, e.g. ``{"gcp": "control.gcps"}``.
-    not_yet : mapping, optional
-        Dotted names of keys that are planned but not read, with advice on what to give instead.
+    Types of its fields are float, int, bool, str, tuples of them, other dataclasses (tables), tuples of these (arrays
+    of tables), or a union of these and None. ``synonyms``: what other programs call a key, to its dotted name here, as
+    ``{"gcp": "control.gcps"}``; ``not_yet``: planned keys that are not read, to advice on what to give instead.
     """
     try:
         tables = tomllib.loads(text)
@@ -327,13 +321,7 @@ def _words(kind: Any) -> str:
 
 
 def schema_of(kind: type) -> dict[str, Any]:
-    """The schema of a whole file.
-
-    Parameters
-    ----------
-    kind : dataclass
-        As `survey.files.toml_table.parse_toml` takes it.
-    """
+    """The schema of a whole file, of a dataclass as `parse_toml` takes it."""
     return {"$schema": "http://json-schema.org/draft-07/schema#", **_table(kind)}
 
 

@@ -16,15 +16,7 @@ _DEEPEST = 100
 
 
 def read_xml(path: Path, content: str, error: type[SurveyError]) -> Element:
-    """The root of an XML file of Metashape.
-
-    Parameters
-    ----------
-    content : str
-        What is to be exported again if the file is damaged, e.g. "the markers".
-    error : type
-        What is raised.
-    """
+    """The root of an XML file of Metashape; ``content`` is what to export again, e.g. "the markers"."""
     builder, depth = TreeBuilder(), 0
     parser = expat.ParserCreate()
 

@@ -268,12 +268,8 @@ def _left_out(intersections: Intersections, wrong: Mapping[str, float]) -> list[
 def _other_datum(common: np.ndarray, std: np.ndarray, reach: float, priors: Mapping[str, PosePrior]) -> str | None:
     """A warning where control and positions do not agree; None where they do.
 
-    Parameters
-    ----------
-    common : (3,) [m]
-        Control points as intersected by means of the camera positions, minus their coordinates.
-    std, reach : (3,) [m], [m]
-        Of control points; distance to the cameras.
+    ``common`` (3,) [m] is control as intersected by means of the camera positions, minus its coordinates; ``std`` (3,)
+    [m] is that of control points, ``reach`` [m] their distance to the cameras.
     """
     message = (
         f"the positions of the cameras put control points {common[0]:.2f} m east, {common[1]:.2f} m north and "

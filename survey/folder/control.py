@@ -165,12 +165,7 @@ def _with_stds(config: ControlConfig, merged: MergedControl) -> tuple[ControlCon
 def place_control(
     found: FoundControl | None, frame: LocalFrame, views: Sequence[str]
 ) -> tuple[Control | None, tuple[Checkpoint, ...], Findings]:
-    """Control and check points in the local frame of the views.
-
-    Parameters
-    ----------
-    views : names of those with a pose
-    """
+    """Control and check points in the local frame of the views that have a pose, by name."""
     if found is None:
         return None, (), Findings()
     checkpoints = checkpoints_in_local(found.checkpoints, frame)
@@ -274,12 +269,7 @@ def read_ground(
 ) -> tuple[StableGround | None, Findings]:
     """The stable dry ground of the reference; None without a reference.
 
-    Parameters
-    ----------
-    places : (N, 3) [m], local
-        Cameras and tie points.
-    above_water : callable, or None
-        Heights (K,) [m] of places (K, 3), local, above the water; None where there is none.
+    ``places`` (N, 3) [m], local, are cameras and tie points; ``above_water`` gives heights (K,) [m] of places (K, 3).
     """
     given = config.control
     if given.reference is None:

@@ -44,12 +44,7 @@ _EXACT = 1e-4
 
 
 def require_focal_lengths(lenses: dict[str, Lens], headers: dict[str, Exif]) -> list[str]:
-    """Warnings about focal lengths that disagree with EXIF.
-
-    Parameters
-    ----------
-    lenses, headers : by name of the image
-    """
+    """Warnings about focal lengths, by name of the image, that disagree with EXIF."""
     warnings: list[str] = []
     for name, lens in lenses.items():
         degrees = 2.0 * math.degrees(math.atan(0.5 * math.hypot(lens.width, lens.height) / min(lens.focal)))
@@ -199,13 +194,7 @@ def explanation(
 ) -> str:
     """Explanation of cameras `over_m` over the water, as the rest of a sentence; empty without one.
 
-    Parameters
-    ----------
-    over_m, level_m : [m]
-        Height of the cameras over the water, median; the level.
-    place : (latitude, longitude) [deg]
-    above_start_m : [m] or None
-        Height of the cameras over the take-off point, median.
+    Heights [m] are medians: over the water, over the take-off point. ``place`` is latitude and longitude [deg].
     """
     cameras_m, unit = level_m + over_m, height_unit_m(crs)
     undulation = approximate_undulation_m(*place)
@@ -247,14 +236,7 @@ def low_flight_warnings(over_m: np.ndarray, level_m: float, place: tuple[float, 
 
 
 def exif_height_warnings(heights_m: Mapping[str, float], headers: Mapping[str, Exif]) -> list[str]:
-    """A warning where poses and EXIF differ in height by as much as the geoid and the ellipsoid do.
-
-    Parameters
-    ----------
-    heights_m : name to [m]
-        Of the cameras, by their poses.
-    headers : name to Exif
-    """
+    """A warning where poses and EXIF differ in height by as much as the geoid and the ellipsoid do."""
     if above_start_of(headers) is not None:
         return []  # `start_height_warnings` is more specific
     known = [(name, header.lat_lon_height) for name, header in headers.items() if name in heights_m]
@@ -300,16 +282,7 @@ def xmp_height_warnings(gps_height: str, crs: CRS, headers: Mapping[str, Exif]) 
 def start_height_warnings(
     over_water: Mapping[str, float], headers: Mapping[str, Exif], level_m: float, place: tuple[float, float], crs: CRS
 ) -> list[str]:
-    """Warning where cameras, water and the drone's height over its take-off point are inconsistent.
-
-    Parameters
-    ----------
-    over_water : name to [m]
-        Heights of the cameras over the water.
-    headers : name to Exif
-    level_m : [m]
-    place : (latitude, longitude) [deg]
-    """
+    """Warning where cameras, water and the drone's height over its take-off point are inconsistent."""
     starts = [
         over - above
         for name, over in over_water.items()

@@ -72,13 +72,7 @@ def process_config(folder: Path) -> ProcessConfig:
 
 
 def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
-    """Read the settings and image headers of a survey folder; no pixel is decoded.
-
-    Parameters
-    ----------
-    config : SurveyConfig, optional
-        Settings to use instead of survey.toml.
-    """
+    """Read the settings, or take those of `config`, and image headers of a survey folder; no pixel is decoded."""
     folder = Path(folder)
     if not folder.is_dir():
         what = "is a file" if folder.exists() else "does not exist"
@@ -130,13 +124,7 @@ def _exif_places(headers: Mapping[str, Exif]) -> np.ndarray:
 
 
 def _warnings_of(found: Found, transforms: Sequence[PositionTransform]) -> Iterator[str]:
-    """Warnings about photographs, positions and unused settings, before control is read.
-
-    Parameters
-    ----------
-    transforms : sequence of PositionTransform
-        Of the GPS positions into crs; none where a file has the poses.
-    """
+    """Warnings about photographs, positions and unused settings, before control is read."""
     config, headers = found.config, found.headers
     yield from head_warnings(headers)
     for names in same_files(found.images):

@@ -49,13 +49,7 @@ def velocities_of(
 ) -> dict[str, Velocity]:
     """Velocities of the photographs, where XMP, times or settings give them.
 
-    Parameters
-    ----------
-    places : name to (3,) [m], local
-        Of the cameras.
-    headers : name to Exif
-    speed_m_s : float or None
-        Along the flight lines, where neither XMP nor times give it; the order is that of times, else of names.
+    ``speed_m_s`` is that along flight lines, where neither XMP nor times give it, in the order of times, else of names.
     """
     found = velocities_by_xmp({name: headers[name] for name in places})
     if len(found) == len(places):
@@ -158,15 +152,7 @@ def rows_between(height: int) -> int:
 
 
 def shutter_warnings(cameras: CamerasConfig, headers: Mapping[str, Exif], metres_per_px: float | None) -> list[str]:
-    """A warning about photographs that were taken in flight, by XMP, with an unknown type of shutter.
-
-    Parameters
-    ----------
-    headers : name to Exif
-        Of the photographs.
-    metres_per_px : [m/px] or None
-        On the ground; None where it is not known.
-    """
+    """A warning about photographs that were taken in flight, by XMP, with an unknown type of shutter."""
     if cameras.rolling_shutter_s is not None:
         return []
     rolling = {name: header for name, header in headers.items() if not header.motion.is_mechanical}

@@ -122,12 +122,7 @@ def lenses_from_config(cameras: CamerasConfig, headers: dict[str, Exif]) -> tupl
 
 
 def lens_from_config(cameras: CamerasConfig, headers: dict[str, Exif]) -> tuple[Lens, Findings]:
-    """Lens for all images, with a note for each parameter that survey.toml does not give.
-
-    Parameters
-    ----------
-    headers : name to Exif, of the images that have a pose
-    """
+    """Lens for all images with a pose, with a note for each parameter that survey.toml does not give."""
     width, height = cameras.size_px or _common_size(headers)
     (fx, fy), findings = _focal(cameras, headers)
     if cameras.principal_point_px is None:

@@ -200,17 +200,10 @@ def _with_images(found: Found, views: list[View], masks: Path | None) -> tuple[l
 def shifted_above_water(
     placed: PlacedViews, water: FlatWater | None, departure: Departure | None
 ) -> tuple[PlacedViews, Findings]:
-    """Views shifted in height where all cameras lie under the water or far above it.
+    """Views shifted in height where all cameras lie under the water, of known level, or far above it.
 
     Only if positions share an unknown height error, which the adjustment estimates from the water. A warning says by
     how much.
-
-    Parameters
-    ----------
-    water : FlatWater or None
-        Whose level is known.
-    departure : Departure or None
-        Of the water from this plane.
     """
     if water is None or placed.ties is None or placed.control is not None or common_up_std(placed.priors) == 0.0:
         return placed, Findings()

@@ -150,14 +150,9 @@ def require_level_fits(
     *,
     most_m: float = AIRCRAFT_HEIGHT_M,
 ) -> None:
-    """Raise where cameras of heights (N,) [m] in crs, and over the water, lie all under it or far above it.
+    """Raise where cameras of heights (N,) [m] in crs, and over the water, lie all under it or more than most_m over it.
 
-    Parameters
-    ----------
-    who, like : str
-        For the message: the source of the heights, and what has the datum that the level should have.
-    most_m : [m]
-        Over the water, from which the cameras are far above it.
+    In the message, ``who`` is the source of the heights, and ``like`` has the datum that the level should have.
     """
     message = f"[water] level_m is {water.level_m:g} m and {who} at {heights.min():.1f} to {heights.max():.1f} m"
     remedy = f"give level_m in {FILE_NAME} in the same vertical datum as {like}"

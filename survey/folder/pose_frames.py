@@ -177,14 +177,7 @@ class TiePointMisfit:
 
 
 def reprojection(ties: FileTies, points: np.ndarray, views: Mapping[str, View]) -> TiePointMisfit | None:
-    """See `TiePointMisfit`; None where the file has no places of its points in these photographs.
-
-    Parameters
-    ----------
-    points : (N, 3) [m], local
-        Those of the ties.
-    views : by the name that the file has
-    """
+    """See `TiePointMisfit`, by views as the file names them; None where it has no places of its points in these."""
     squares, seen_points, num_images, lost = [], [], 0, 0
     order = np.argsort(ties.image, kind="stable")
     starts = np.searchsorted(ties.image[order], np.arange(len(ties.names) + 1))

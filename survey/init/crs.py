@@ -55,13 +55,7 @@ class Answers:
     ask: Ask | None = None  # callable or None: None where nobody is there to be asked
 
     def number(self, question: str, *, otherwise: str | None) -> float | None:
-        """The number that a person answers; None for an empty answer, or nobody to ask.
-
-        Parameters
-        ----------
-        otherwise : str or None
-            What the error says where a number is required; None where it is not.
-        """
+        """The number that a person answers; None without an answer, unless that is the error `otherwise`."""
         text = "" if self.ask is None else self.ask(question).strip()
         if not text and otherwise is not None:
             raise ConfigError(otherwise)
@@ -263,13 +257,7 @@ def _area(system: CRS) -> str:
 
 
 def write_origin(photographs: FolderPhotographs, answers: Answers, found: Found, local: SettingsTable) -> None:
-    """Add the origin of poses in a local frame: as given, else by GPS positions in EXIF.
-
-    Raises
-    ------
-    ConfigError, GeoError
-        Where poses have no place, or cannot be brought into crs.
-    """
+    """Add the origin of poses in a local frame, as given, else by GPS; raises where poses have no place in crs."""
     file = photographs.file
     if file is None:
         return

@@ -44,16 +44,8 @@ def require_understood(
 ) -> None:
     """Raise LensError where a key that changes the lens is none of those that a reader knows.
 
-    Parameters
-    ----------
-    values : mapping
-        Keys and values of a file, or of an object in it.
-    known : collection of str
-        What the reader reads, and what it knows to change nothing.
-    remedy : str
-        What to do instead, after the semicolon of the error.
-    are_all_of_lens : bool
-        Whether the object is that of a lens alone, so that each key is one of it; else names tell it.
+    ``remedy`` follows the semicolon of the error; ``are_all_of_lens`` where the object is that of a lens alone, so that
+    each key is one of it; else names tell it.
     """
     for key, value in values.items():
         is_of_lens = are_all_of_lens or is_lens_key(key)

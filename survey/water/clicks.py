@@ -40,12 +40,8 @@ def levels_of_clicks(
 ) -> tuple[tuple[LevelObservation, ...], Findings]:
     """Heights of the water at all places that two photographs or more show; a warning is added for others.
 
-    Parameters
-    ----------
-    path : Path
-        CSV with the columns image, x, y, name, and std in pixels if it has it; the centre of the first pixel is at
-        0.5, 0.5.
-    views, frame : of the survey
+    The file has the columns image, x, y, name, and std in pixels if it has it; the centre of the first pixel is at
+    0.5, 0.5.
     """
     places, num_without_pose = _clicks_by_place(path, views)
     found, unclear = [], []

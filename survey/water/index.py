@@ -25,10 +25,7 @@ ASSUMED_INDEX_STD = 0.004
 def refractive_index(given: WaterConfig, light: Callable[[], MatchedLight]) -> tuple[float, Findings]:
     """Index of the water relative to air, for the light that is matched, and what is assumed.
 
-    Parameters
-    ----------
-    light : callable
-        Measures the light in the photographs; called only where the index depends on it.
+    ``light`` measures that of the photographs; it is called only where the index depends on it.
     """
     if given.medium.temperature_c is not None:
         return _of_water(given, given.medium.temperature_c, light())

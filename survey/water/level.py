@@ -237,15 +237,8 @@ def fit_surface(
 ) -> SurfaceFit:
     """A level surface, or a tilted plane where the points show one; robust against outliers.
 
-    Parameters
-    ----------
-    points : (N, 3) easting, northing, height [m]
-    stds : (N,) [m], optional
-        Standard deviations of the heights, for the weights, and the lower bound of the scatter of few points.
-    with_slopes : bool
-        Allow a tilt where it exceeds three standard deviations.
-    least : int
-        How many points are needed.
+    Points (N, 3) are easting, northing, height [m], at least ``least`` of them; ``stds`` (N,) [m] are weights, and the
+    lower bound of the scatter of few points. A tilt is one that exceeds three standard deviations.
     """
     points = np.asarray(points, dtype=np.float64)
     if len(points) < least:

@@ -147,14 +147,7 @@ def std_of(row: Row, source: str) -> float:
 def water_place_warnings(
     crs: CRS, cameras: np.ndarray, water: WaterConfig | None, levels: Iterable[LevelObservation]
 ) -> list[str]:
-    """Warnings where places on the water lie far from the cameras.
-
-    Parameters
-    ----------
-    cameras : (N, 2)
-        Longitude and latitude of WGS 84 [deg].
-    levels : of the survey, whose places are in crs
-    """
+    """Warnings where places on the water lie far from the cameras (N, 2), longitude and latitude of WGS 84 [deg]."""
     cameras = cameras[np.isfinite(cameras).all(axis=1)]
     if water is None or not len(cameras):
         return []

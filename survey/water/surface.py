@@ -285,12 +285,8 @@ class StillWater(Departure):
 def still_water(frame: LocalFrame, plane: FlatWater, centres: np.ndarray) -> StillWater | None:
     """Heights over the plane of water that has one height in crs; None where the plane is as good.
 
-    Parameters
-    ----------
-    plane : FlatWater
-        That touches the water at its point, apart from slopes that both have.
-    centres : (N, 3) [m], local
-        Of the cameras, to know how far the survey reaches.
+    The plane touches the water at its point, apart from slopes that both have; ``centres`` (N, 3) [m], local, tell
+    how far the survey reaches.
     """
     point, xy = np.array(plane.point), centres[:, :2]
     if not curvature_drop(np.linalg.norm(xy - point[:2], axis=1).max()) > _LEAST_DROP_M:

@@ -211,7 +211,7 @@ FAULTS = {
     "entities": ("<document", '<!DOCTYPE a [<!ENTITY b "cc">]><document', r"a document type \(<!DOCTYPE>\) was found"),
     "external": ("<document", '<!DOCTYPE a SYSTEM "http://x"><document', r"a document type"),
     "deep": ("<chunk ", "<a>" * 200 + "<chunk ", "nested more than 100 deep"),
-    "digits": ('<scale locked="true">', '<scale locked="true">' + "9" * 10_000, "9 was found, expected a"),
+    "digits": ('<scale locked="true">', '<scale locked="true">' + "9" * 10_000, "9{57}.* was found, expected a"),
     "NaN": ("<rotation ", "<rotation>nan" + 8 * " 0" + "</rotation><x ", "nan was found, expected a finite number"),
     "shear": ("<rotation ", "<rotation>1 2 0 0 1 0 0 0 1</rotation><x ", "is not a rotation with a scale"),
     "no scale": ("<scale ", "<scale>0</scale><x ", "is not a rotation with a scale"),

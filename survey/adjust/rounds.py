@@ -126,7 +126,7 @@ def adjust(prior: PriorKnowledge, seen: Observed) -> RobustSolution:
         # What is returned as used is what the solution was found from.
         if converged or not remaining:
             break
-        state = _without_points(solution.state, seen, keep)
+        state = replace(solution.state, points=seen.at(solution.state.points).only(keep).ties.start)
         seen = kept.at(state.points)
         # The covariance of 2,000 photographs takes 1.2 GB.
         del problem, solution, on_ground
@@ -172,7 +172,7 @@ def _factors(problem: Problem, solution: Solution, sizes: Sizes, before: np.ndar
         # Errors of the ground and those of one photograph cannot be separated: the larger design effect counts.
         lacking = terrain_design_effect(problem, solution, sizes, is_tie)
         shared *= max(1.0, lacking * float(np.mean((before[kind] / shared)[is_tie])))
-    factors = np.array([_first_or_one(shared[kind == number]) for number in range(len(before))])
+    factors = np.array([shared[kind == number][0] if (kind == number).any() else 1.0 for number in range(len(before))])
     factors[MARK :: len(KINDS)] = 1.0
     return factors
 
@@ -198,13 +198,3 @@ def _mean_by_kind(values: np.ndarray, kind: np.ndarray) -> np.ndarray:
     """Mean of values (N,) of each kind; NaN of those that do not occur."""
     count = np.bincount(kind, minlength=len(KINDS))
     return np.where(count > 0, np.bincount(kind, values, len(KINDS)) / np.maximum(count, 1), np.nan)
-
-
-def _first_or_one(values: np.ndarray) -> float:
-    return float(values[0]) if len(values) else 1.0
-
-
-def _without_points(state: State, seen: Observed, keep: np.ndarray) -> State:
-    """The state with the points that are left when only these observations are kept."""
-    left = seen.at(state.points).only(keep)
-    return replace(state, points=left.ties.start)

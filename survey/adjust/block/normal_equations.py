@@ -71,11 +71,6 @@ class System:
         return np.einsum("mij,mi->mj", self.point_root, left)
 
 
-def covariance_at(problem: Problem, state: State, std_px: np.ndarray) -> np.ndarray:
-    """Covariance (P, P) of the parameters at a state, for standard deviations (kinds,) [px] of the observations."""
-    return system_at(problem, state, std_px).normal.inverse()
-
-
 def system_at(problem: Problem, state: State, std_px: np.ndarray) -> System:
     """The normal equations at a state, for standard deviations (kinds,) [px] of the observations."""
     return huber_system(problem, state, std_px, np.ones(len(problem.kind)))

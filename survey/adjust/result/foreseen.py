@@ -12,15 +12,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from evaluation.standards import TO_95, TVU
-from survey.adjust.block.normal_equations import covariance_at
+from survey.adjust.block.normal_equations import system_at
 from survey.adjust.block.observed import CELLS, KINDS, PER_CELL, WINDOW
-from survey.adjust.block.prediction import apparent_rise_design, linearise, predict
+from survey.adjust.block.prediction import Prediction, apparent_rise_design, linearise, predict
 from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, INDEX_STD, LEVEL_STD_M, prior_of, priors_for
 from survey.adjust.block.problem import Problem
-from survey.adjust.block.state import NUM_WATER
+from survey.adjust.block.state import NUM_WATER, Layout
 from survey.adjust.result.adjustment import MOST_STD_FOCAL, MOST_STD_INDEX, MOST_STD_LEVEL_M
 from survey.adjust.result.std_common import std_common
 from survey.folder.survey import Survey
@@ -94,9 +93,9 @@ def foresee(survey: Survey, *, depth_m: float = ASSUMED_DEPTH_M, chosen: Choices
     ties = _ties(survey, depth_m)
     if ties is None:
         return None
-    free = _covariance(survey, plan.gsd_m, ties, free=True)
-    at_level, at_index, at_focal = 0, NUM_WATER - 1, free.problem.layout.first_lens
-    std = np.sqrt(np.diag(free.covariance))
+    covariance, layout, _ = _covariance(survey, plan.gsd_m, ties, free=True)
+    at_level, at_index, at_focal = 0, NUM_WATER - 1, layout.first_lens
+    std = np.sqrt(np.diag(covariance))
     is_wet = survey.water is not None
     focal = survey.views[0].camera.fx
     views = np.bincount(ties.point)
@@ -145,18 +144,8 @@ def _ties(survey: Survey, depth_m: float) -> TiePoints | None:
     return TiePoints(places.cells, point, view, np.zeros((len(point), 2)))
 
 
-@dataclass(frozen=True)
-class _ExpectedCovariance:
-    """Covariance of the parameters that a block would have, with the derivatives it follows from."""
-
-    covariance: np.ndarray  # (P, P)
-    problem: Problem
-    by_point: np.ndarray  # (N, 2, 3)
-    by_parameters: csr_array  # (2 N, P)
-
-
-def _covariance(survey: Survey, gsd: float, ties: TiePoints, *, free: bool) -> _ExpectedCovariance:
-    """Covariance of the parameters if every place were measured in every view that has it in its frame."""
+def _covariance(survey: Survey, gsd: float, ties: TiePoints, *, free: bool) -> tuple[np.ndarray, Layout, Prediction]:
+    """Covariance (P, P) of the parameters if every place were measured in every view that has it in its frame."""
     # Poses of which nothing is stated count as those of an adjusted block.
     prior = prior_of(survey, gsd, free_water=survey.water is not None)
     if not free:
@@ -172,35 +161,28 @@ def _covariance(survey: Survey, gsd: float, ties: TiePoints, *, free: bool) -> _
     kind = np.full(len(ties.view), WINDOW)
     problem = Problem(prior.layout, ties, kind, priors_for(prior, ties), std_px, rise_design)
     linear = linearise(prior.layout, state, ties, rise_design)
-    return _ExpectedCovariance(covariance_at(problem, state, std_px), problem, linear.by_point, linear.by_parameters)
+    return system_at(problem, state, std_px).normal.inverse(), prior.layout, linear
 
 
-@dataclass(frozen=True)
-class _Heights:
-    of_point: np.ndarray
-    common: np.ndarray
-
-
-def _heights(found: _ExpectedCovariance) -> _Heights:
+def _heights(ties: TiePoints, covariance: np.ndarray, linear: Prediction) -> tuple[np.ndarray, np.ndarray]:
     """Standard deviations (M,) [m] of the heights of the places: by their own pixels, and by the parameters."""
-    ties, num_places = found.problem.ties, len(found.problem.ties)
-    first = np.searchsorted(ties.point, np.arange(num_places + 1))
-    of_point, common = np.empty(num_places), np.empty(num_places)
-    for number in range(num_places):
+    first = np.searchsorted(ties.point, np.arange(len(ties) + 1))
+    of_point, common = np.empty(len(ties)), np.empty(len(ties))
+    for number in range(len(ties)):
         of_place = np.arange(first[number], first[number + 1])
         of_place = of_place[np.linspace(0, len(of_place) - 1, min(len(of_place), _MOST_VIEWS)).round().astype(np.int64)]
-        design = found.by_point[of_place].reshape(-1, 3)
+        design = linear.by_point[of_place].reshape(-1, 3)
         inverse = np.linalg.pinv(design)
         of_point[number] = TIE_STD_PX * math.sqrt(float(np.sum(inverse[2] ** 2)))
-        move = -inverse[2] @ found.by_parameters[np.column_stack([2 * of_place, 2 * of_place + 1]).ravel()].toarray()
-        common[number] = math.sqrt(max(float(move @ found.covariance @ move), 0.0))
-    return _Heights(of_point, common)
+        move = -inverse[2] @ linear.by_parameters[np.column_stack([2 * of_place, 2 * of_place + 1]).ravel()].toarray()
+        common[number] = math.sqrt(max(float(move @ covariance @ move), 0.0))
+    return of_point, common
 
 
 def _stds_of_heights(survey: Survey, plan: Plan, ties: TiePoints, depth_m: float) -> HeightStds:
-    heights = _heights(_covariance(survey, plan.gsd_m, ties, free=False))
-    of_point = float(np.median(heights.of_point)) * MATCH_STD_PX / plan.image_scale / TIE_STD_PX
-    common = heights.common
+    covariance, _, linear = _covariance(survey, plan.gsd_m, ties, free=False)
+    of_points, common = _heights(ties, covariance, linear)
+    of_point = float(np.median(of_points)) * MATCH_STD_PX / plan.image_scale / TIE_STD_PX
     if not _is_adjusted(plan):
         wet = np.full(len(ties), survey.water is not None)
         common = std_common(ties.start, wet, survey, None, plan.gsd_m)

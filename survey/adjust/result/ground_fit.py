@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -74,7 +74,7 @@ class GroundFit:
         )
         undetermined = [
             name.rsplit("_", 1)[0].replace("_", " about ")
-            for name, is_determined in self._determined()
+            for name, is_determined in zip(NAMES, self.is_determined_by_ground, strict=True)
             if not is_determined
         ]
         remarks = f"; it does not determine {', '.join(undetermined)}" if undetermined else ""
@@ -89,9 +89,6 @@ class GroundFit:
             f"placed on {self.num_points} points of the dry ground of {self.reference}, to {length(self.rms_m)} rms: "
             f"moved by {axes}{remarks}",
         )
-
-    def _determined(self) -> Sequence[tuple[str, bool]]:
-        return list(zip(NAMES, self.is_determined_by_ground, strict=True))
 
     @property
     def warnings(self) -> tuple[str, ...]:

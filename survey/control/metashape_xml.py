@@ -14,6 +14,7 @@ from pyproj.exceptions import CRSError
 
 from survey.control.points import Content, ControlFormat, GivenMark, GivenPoint, require_std
 from survey.errors import ControlError
+from survey.files.csv_table import number_of
 from survey.files.xml_tree import read_xml
 
 _AXES, _STDS = ("x", "y", "z"), ("sx", "sy", "sz")
@@ -97,10 +98,7 @@ def _is_true(element: Element, key: str) -> bool:
 
 def _number(element: Element, key: str, where: str) -> float:
     text = element.get(key, "")
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    value = number_of(text)
     if not math.isfinite(value):
         raise ControlError(f"{where}: {key} is {text or 'missing'}, expected a finite number; correct it")
     return value

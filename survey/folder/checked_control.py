@@ -230,7 +230,7 @@ def checked_control(
                 name: replace(prior, position_std=None, source="none" if prior.position is None else "GPS EXIF")
                 for name, prior in priors.items()
             }
-        elif _are_few(priors):
+        elif sum(prior.position is not None for prior in priors.values()) < _FEWEST_TO_TEST:
             priors, far = _without_far(views, std, reach, priors)
             warnings += far
     checked = CheckedControl(replace(control, points=points, marks=marks) if points else None, priors, move)
@@ -286,11 +286,6 @@ def _other_datum(common: np.ndarray, std: np.ndarray, reach: float, priors: Mapp
         f"{message}, more than their stated accuracies allow: the block is fitted to the control, and the accuracy of "
         "the positions is estimated; check the base station, and the datum of the heights"
     )
-
-
-def _are_few(priors: Mapping[str, PosePrior]) -> bool:
-    """Whether the positions are too few for the adjustment to detect a wrong one."""
-    return sum(prior.position is not None for prior in priors.values()) < _FEWEST_TO_TEST
 
 
 def _without_far(

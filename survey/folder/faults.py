@@ -49,10 +49,11 @@ def require_focal_lengths(lenses: dict[str, Lens], headers: dict[str, Exif]) -> 
     for name, lens in lenses.items():
         degrees = 2.0 * math.degrees(math.atan(0.5 * math.hypot(lens.width, lens.height) / min(lens.focal)))
         if not _NARROWEST_DEG < degrees < _WIDEST_DEG:
+            by_exif = headers[name].focal_px
             raise ConfigError(
                 f"the focal length of {name} is {min(lens.focal):g} px, so that its {lens.width} x {lens.height} px "
                 f"span {degrees:.1f} degrees from corner to corner, expected {_NARROWEST_DEG:g} to {_WIDEST_DEG:g}; "
-                f"give it in pixels of these images{_by_exif(headers[name])}"
+                f"give it in pixels of these images{'' if by_exif is None else f'; EXIF gives {by_exif:.0f} px'}"
             )
         if degrees < _NARROW_DEG and not warnings:
             warnings.append(
@@ -158,10 +159,6 @@ def _opk_deg(cam_from_grid: np.ndarray) -> tuple[float, float, float]:
     omega, kappa = math.atan2(-r[1, 2], r[2, 2]), math.atan2(-r[0, 1], r[0, 0])
     phi = math.asin(max(-1.0, min(r[0, 2], 1.0)))
     return math.degrees(omega), math.degrees(phi), math.degrees(kappa)
-
-
-def _by_exif(header: Exif) -> str:
-    return "" if header.focal_px is None else f"; EXIF gives {header.focal_px:.0f} px"
 
 
 # A barometer drifts by some metres during a flight, and a drone may start from a boat.

@@ -46,15 +46,12 @@ class _Line:
 
 def find_geo_txt(folder: Path, images: Path) -> Path | None:
     """The geo.txt in the survey folder or next to the photographs; None where there is none."""
-    places = dict.fromkeys((folder, images))
-    found = [path for place in places if place.is_dir() for path in sorted(place.iterdir()) if _is_geo_txt(path)]
+    places = [place for place in dict.fromkeys((folder, images)) if place.is_dir()]
+    named_so = (path for place in places for path in sorted(place.iterdir()) if path.name.casefold() == GEO_TXT)
+    found = [path for path in named_so if path.is_file()]
     if len(found) > 1:
         raise PosesError(f"{found[0]} and {found[1]} both have positions of the photographs; remove one of them")
     return found[0] if found else None
-
-
-def _is_geo_txt(path: Path) -> bool:
-    return path.name.casefold() == GEO_TXT and path.is_file()
 
 
 def with_positions(path: Path, headers: Mapping[str, Exif]) -> tuple[dict[str, Exif], Findings]:

@@ -78,7 +78,8 @@ def cams_from_local(file: PoseFile, poses: Sequence[Pose], centres_crs: np.ndarr
     rotations = np.array([pose.cam_from_world for pose in poses])
     if file.frame is PoseFrame.LOCAL:
         return rotations
-    if file.frame is PoseFrame.GRID and (file.crs is None or _same_grid(file.crs, frame.crs)):
+    own = horizontal_crs(frame.crs if file.crs is None else file.crs)
+    if file.frame is PoseFrame.GRID and crs_difference(own, horizontal_crs(frame.crs)) is None:
         return rotations @ np.swapaxes(frame.local_from_grid(centres_crs), -1, -2)
     if file.frame is PoseFrame.GRID:
         rotations = rotations @ _grid_from_enu(file, poses)
@@ -112,10 +113,6 @@ def middle_of_geocentric(file: PoseFile) -> tuple[float, float]:
     """Longitude and latitude [deg] of the middle of geocentric poses."""
     lon, lat, _ = _geodetic(file, np.median([pose.centre for pose in file.poses], axis=0))
     return float(np.degrees(lon)), float(np.degrees(lat))
-
-
-def _same_grid(a: CRS, b: CRS) -> bool:
-    return crs_difference(horizontal_crs(a), horizontal_crs(b)) is None
 
 
 def _grid_from_enu(file: PoseFile, poses: Sequence[Pose]) -> np.ndarray:

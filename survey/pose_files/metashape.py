@@ -21,6 +21,7 @@ from geo.crs import crs_of
 from refract.lens import Lens, LensError
 from survey.display.quantities import distance_text, named
 from survey.errors import PosesError
+from survey.files.csv_table import number_of
 from survey.files.xml_tree import read_xml
 from survey.photos.poses import GivenPosition, Pose, PoseFile, PoseFrame
 from survey.photos.rotations import nearest_rotation
@@ -78,10 +79,7 @@ def read_lens(sensor: Element) -> Lens:
 def _number(calibration: Element, key: str) -> float:
     """A number of a calibration; what is left out is zero."""
     text = (calibration.findtext(key) or "0").strip()
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    value = number_of(text)
     if not math.isfinite(value):
         raise LensError(f"{key} is {text}, expected a finite number; export the cameras again")
     return value
@@ -260,7 +258,9 @@ def _given(camera: Element, sensor: Element, where: str, crs: CRS | None) -> Giv
     if crs is None or reference is None or not _is_true(reference.get("enabled")) or reference.get("x") is None:
         return None
     antenna = sensor.find("antenna")
-    if antenna is not None and any(float(n) != 0.0 for tag in antenna for n in _texts(tag) if _is_number(n)):
+    if antenna is not None and any(
+        math.isfinite(n) and n != 0.0 for tag in antenna for n in map(number_of, _texts(tag))
+    ):
         return None
     both = [reference.get("sxyz")] * 3
     stds = [reference.get(key) or same for key, same in zip(("sx", "sy", "sz"), both, strict=True)]
@@ -309,17 +309,11 @@ def _texts(element: Element) -> list[str]:
     return (element.text or "").replace(",", " ").split()
 
 
-def _is_number(text: str) -> bool:
-    try:
-        return math.isfinite(float(text))
-    except ValueError:
-        return False
-
-
 def _finite(text: str | None, where: str) -> float:
-    if text is None or not _is_number(text):
+    value = number_of(text or "")
+    if not math.isfinite(value):
         raise PosesError(f"{where}: {text or 'nothing'} was found, expected a finite number; {_EXPORT}")
-    return float(text)
+    return value
 
 
 def _is_true(text: str | None, default: str = "true") -> bool:

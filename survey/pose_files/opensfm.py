@@ -66,7 +66,10 @@ def read_opensfm(path: Path) -> PoseFile:
             "overlap, or each as a survey of its own"
         )
     frame = PoseFrame.LOCAL if block.reference is None else PoseFrame.GEOCENTRIC
-    return PoseFile(poses, frame, None, "OpenSfM", _masks_beside(block.path), tuple(notes), tuple(warnings))
+    # Those of OpenDroneMap lie beside the images.
+    masks = block.path.with_name(_MASKS)
+    masks_path = masks if masks.is_dir() else None
+    return PoseFile(poses, frame, None, "OpenSfM", masks_path, tuple(notes), tuple(warnings))
 
 
 def read_ties(path: Path) -> FileTies | None:
@@ -205,12 +208,6 @@ def _object(value) -> dict:
 def _tracks_of(path: Path) -> Path | None:
     own = path.name.replace(".topocentric", "").replace("reconstruction", "tracks", 1).replace(".json", ".csv")
     return next((place for name in (own, _TRACKS) if (place := path.with_name(name)).is_file()), None)
-
-
-def _masks_beside(path: Path) -> Path | None:
-    """The folder of masks of OpenSfM; those of OpenDroneMap lie beside the images."""
-    folder = path.with_name(_MASKS)
-    return folder if folder.is_dir() else None
 
 
 def _files_in(folder: Path) -> list[Path]:

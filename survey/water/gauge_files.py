@@ -106,9 +106,8 @@ def read_series(path: Path, unit_m: float = 1.0, zero_m: float | None = None) ->
             continue
         number = _number(texts[name], records.decimal, where, name)
         unit = _unit_of(records, cells, name, unit_m, path)
-        moment = utc_of(
-            " ".join(cells[part] for part in ("date", "time") if cells.get(part)), where, _zone_of(records, cells)
-        )
+        zone = zone_of(cells["zone"]) if cells.get("zone") else records.zone
+        moment = utc_of(" ".join(cells[part] for part in ("date", "time") if cells.get(part)), where, zone)
         is_marker = is_no_data_number(number) or number == number_of(cells.get("no_data", ""))
         level, std = number * unit + (zero_m or 0.0), _std_of(cells.get("std", ""), records, where)
         readings.append(Reading(where, moment, level, std, texts[name], is_marker))
@@ -255,11 +254,7 @@ def _scalars(node: dict[str, Any], depth: int) -> Iterator[tuple[str, Any]]:
 
 def _of_one_parameter(records: _Records, path: Path) -> _Records:
     """Records of the one parameter that has a unit of length, where a file has several."""
-
-    def is_length(cells: Mapping[str, str]) -> bool:
-        return not cells.get("unit") or unit_named(cells["unit"]) is not None
-
-    rows = [(where, cells) for where, cells in records.rows if is_length(cells)]
+    rows = [row for row in records.rows if not row[1].get("unit") or unit_named(row[1]["unit"]) is not None]
     kinds = {cells.get("parameter", "") for _, cells in rows}
     if len(kinds) > 1:
         raise ConfigError(f"{path} has several series, {', '.join(sorted(kinds)[:6])}; keep the one of the water level")
@@ -277,10 +272,6 @@ def _unit_of(records: _Records, cells: Mapping[str, str], name: str, unit_m: flo
         f'{path} states no unit for "{cell}"; give a CSV that has it in the first line, as {cell} (m), {cell} (cm) or '
         f"{cell} (ft)"
     )
-
-
-def _zone_of(records: _Records, cells: Mapping[str, str]) -> tzinfo | None:
-    return zone_of(cells["zone"]) if cells.get("zone") else records.zone
 
 
 def _number(text: str, decimal: str, where: str, name: str) -> float:

@@ -27,6 +27,7 @@ from survey.adjust.block.state import (
 )
 from survey.adjust.observability import Unobservable, not_observable
 from survey.adjust.result.adjustment import (
+    MOST_STD_LEVEL_M,
     AdjustedPoses,
     Adjustment,
     ControlResidual,
@@ -36,12 +37,11 @@ from survey.adjust.result.adjustment import (
     Parameter,
     Residuals,
     lens_verdicts,
-    rate_verdict,
     readout_limits,
-    readout_verdict,
     unobservable_verdict,
     water_limits,
     water_verdicts,
+    with_verdict,
 )
 from survey.adjust.rounds import RobustSolution
 from survey.folder.survey import Survey
@@ -208,22 +208,24 @@ def _parameters_with_verdicts(
 
 
 def _rate(survey: Survey, prior: PriorKnowledge, state: State, std: float) -> Parameter:
-    """Rate of the level, with its verdict."""
+    """Rate of the level, of no use if it leaves the level of a photograph as uncertain as one that is of none."""
     hours, given = prior.layout.hours, survey.require_water()[1].rate.level_rate_m_per_h or 0.0
     assert hours is not None
     before = Estimate(given, float(prior.std[prior.layout.first_rate]))
-    return rate_verdict(Estimate(given + state.rate, std), before, hours)
+    limit = MOST_STD_LEVEL_M / max(float(np.abs(hours).max()), 1e-9)
+    return with_verdict(RATE_NAME, Estimate(given + state.rate, std), before, limit, " m/h")
 
 
 def _readouts(prior: PriorKnowledge, state: State, std: np.ndarray) -> list[Parameter]:
     """Readouts of the shutters with verdicts; ``std`` is that of all parameters (P,)."""
     first, limits = prior.layout.first_readout, readout_limits(state, prior.layout, [w.height for w in prior.lenses])
     return [
-        readout_verdict(
-            number,
+        with_verdict(
+            f"camera{number}.{READOUT_NAME}",
             Estimate(float(state.readouts[number]), float(std[first + number])),
             Estimate(float(prior.mean.readouts[number]), float(prior.std[first + number])),
             float(limits[number]),
+            " s",
         )
         for number in range(len(prior.lenses))
     ]

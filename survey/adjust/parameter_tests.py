@@ -251,14 +251,7 @@ def check_dry_block(
 ) -> GivenValueTest | None:
     """The level that an adjusted block shows where the given one leaves all of it dry; None where it shows none.
 
-    Parameters
-    ----------
-    prior : PriorKnowledge
-        That the block was adjusted with.
-    seen : Observed
-        All of it.
-    done : RobustSolution
-        The block.
+    ``prior`` and ``seen``, all of it, are those that the block was adjusted with.
     """
     if not _is_dry(done.solution.state):
         return None

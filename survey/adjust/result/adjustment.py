@@ -13,7 +13,7 @@ import numpy as np
 
 from geo.files import write_whole
 from refract.lens import Lens
-from survey.adjust.block.state import LENS_NAMES, RATE_NAME, READOUT_NAME, WATER_PARAMETERS, Layout, State
+from survey.adjust.block.state import LENS_NAMES, READOUT_NAME, WATER_PARAMETERS, Layout, State
 from survey.adjust.result.ground_fit import GroundFit
 from survey.errors import SurveyError
 from survey.files.json_values import json_text, read_json_object
@@ -262,32 +262,28 @@ class Estimate(NamedTuple):
 def with_verdict(name: str, found: Estimate, before: Estimate, limit: float, unit: str) -> Parameter:
     """A parameter with its verdict, found and as given before; of no use beyond a standard deviation of ``limit``."""
     (value, std), (given, given_std) = found, before
-    shown = f"{value:.{_digits(std)}f} +- {std:.2g}{unit}"
-    prior = None if not math.isfinite(given_std) else given_std
-    kept = f"{given:.{_digits(given_std)}f}{unit}"
+    prior = given_std if math.isfinite(given_std) else None
+    against = "" if prior is None else f" (given {given:.{_digits(std)}f} +- {prior:.2g}{unit})"
+    shown = f"{value:.{_digits(std)}f} +- {std:.2g}{unit}{against}"
     if given_std < _EXACT:
-        return Parameter(name, given, std, given, prior, Status.HELD, f"held: {given:.6g}{unit}, exactly as given")
-    if std > limit and not given_std <= limit:
+        value, status, verdict = given, Status.HELD, f"held: {given:.6g}{unit}, exactly as given"
+    elif std > limit and not given_std <= limit:
+        value, status = given, Status.UNKNOWN
         verdict = (
-            f"not observable: 1 sigma is {std:.2g}{unit}, at most {limit:.2g}{unit} would be of use; {kept} is kept"
+            f"not observable: 1 sigma is {std:.2g}{unit}, at most {limit:.2g}{unit} would be of use; "
+            f"{given:.{_digits(given_std)}f}{unit} is kept"
         )
-        return Parameter(name, given, std, given, prior, Status.UNKNOWN, verdict)
-    if std > _LITTLE * given_std:
-        verdict = f"held: {shown}{_against(std, given, prior, unit)}; the photographs add nothing"
-        return Parameter(name, value, std, given, prior, Status.HELD, verdict)
-    return Parameter(name, value, std, given, prior, Status.FREE, f"found: {shown}{_against(std, given, prior, unit)}")
+    elif std > _LITTLE * given_std:
+        status, verdict = Status.HELD, f"held: {shown}; the photographs add nothing"
+    else:
+        status, verdict = Status.FREE, f"found: {shown}"
+    return Parameter(name, value, std, given, prior, status, verdict)
 
 
 def unobservable_verdict(name: str, std: float, given: float, reason: str) -> Parameter:
     """A parameter of the water that keeps its given value for a reason."""
     kept = f"{given:.5f}" + (" m" if name == "level_m" else "")
     return Parameter(name, given, std, given, None, Status.UNKNOWN, f"not observable: {reason}; {kept} is kept")
-
-
-def _against(std: float, given: float, prior: float | None, unit: str) -> str:
-    if prior is None:
-        return ""
-    return f" (given {given:.{_digits(std)}f} +- {prior:.2g}{unit})"
 
 
 def _digits(std: float) -> int:
@@ -316,14 +312,12 @@ def water_verdicts(
         found.append(with_verdict(name, Estimate(float(values[i]), float(std[i])), before, float(limits[i]), unit))
     if found[0].status == Status.UNKNOWN:
         # Slopes turn the plane about a point other than that of the level: without a level they are of no use.
-        found[1:3] = [_kept_as_given(row) if row.status == Status.FREE else row for row in found[1:3]]
+        verdict = "not observable: the level is not; the slope is kept"
+        found[1:3] = [
+            replace(row, value=row.given, status=Status.UNKNOWN, verdict=verdict) if row.status == Status.FREE else row
+            for row in found[1:3]
+        ]
     return found
-
-
-def _kept_as_given(row: Parameter) -> Parameter:
-    return replace(
-        row, value=row.given, status=Status.UNKNOWN, verdict="not observable: the level is not; the slope is kept"
-    )
 
 
 def lens_verdicts(
@@ -342,14 +336,6 @@ def lens_verdicts(
     return found
 
 
-def rate_verdict(found: Estimate, before: Estimate, hours: np.ndarray) -> Parameter:
-    """Verdict on the rate of the level [m/h]; of no use if it leaves levels of photographs (V,) [h] as uncertain as one
-    that is of none.
-    """
-    limit = MOST_STD_LEVEL_M / max(float(np.abs(hours).max()), 1e-9)
-    return with_verdict(RATE_NAME, found, before, limit, " m/h")
-
-
 def readout_limits(state: State, layout: Layout, heights: Sequence[int]) -> np.ndarray:
     """Limits (L,) of use [s] of readouts: they move the last row against the first by half a pixel on the ground.
 
@@ -364,8 +350,3 @@ def readout_limits(state: State, layout: Layout, heights: Sequence[int]) -> np.n
     px_per_s = np.linalg.norm(layout.velocity_per_row, axis=1) * rows * state.lenses[layout.lens_of, 0] / range_m
     fastest = np.array([px_per_s[layout.lens_of == number].max() for number in range(len(layout.aspect))])
     return MOST_STD_ROWS_PX / np.maximum(fastest, 1e-9)
-
-
-def readout_verdict(number: int, found: Estimate, before: Estimate, limit: float) -> Parameter:
-    """Verdict on the readout [s] of the shutter behind one lens; ``limit`` as for `with_verdict`."""
-    return with_verdict(f"camera{number}.{READOUT_NAME}", found, before, limit, " s")

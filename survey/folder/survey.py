@@ -105,35 +105,17 @@ class Provenance:
 
 @dataclass(frozen=True)
 class Survey:
-    """A survey in its local frame.
-
-    Attributes
-    ----------
-    name : str
-    folder : Path
-    frame : LocalFrame
-        Its crs is that of everything that leaves the program.
-    views : at least two
-        Sorted by name.
-    water : FlatWater or None
-        Local; None for a dry survey.
-    config : SurveyConfig
-        The settings that took effect, defaults filled in.
-    observations : Observations
-    provenance : Provenance
-    findings : Findings
-        Assumptions and warnings of all readers.
-    """
+    """A survey in its local frame."""
 
     name: str
     folder: Path
-    frame: LocalFrame
-    views: tuple[View, ...]
-    water: FlatWater | None
-    config: SurveyConfig
+    frame: LocalFrame  # Its crs is that of everything that leaves the program
+    views: tuple[View, ...]  # At least two, sorted by name
+    water: FlatWater | None  # Local; None for a dry survey
+    config: SurveyConfig  # The settings that took effect, defaults filled in
     observations: Observations = field(default_factory=Observations)
     provenance: Provenance = field(default_factory=Provenance)
-    findings: Findings = field(default_factory=Findings)
+    findings: Findings = field(default_factory=Findings)  # Assumptions and warnings of all readers
 
     @property
     def bounds(self) -> tuple[float, float, float, float] | None:
@@ -259,11 +241,8 @@ def _local_water(placed: PlacedViews) -> tuple[_LocalWater, Findings]:
         cameras = lon_lat(found.crs, frame.crs_from_local(_centres(views)))
         findings = Findings(warnings=tuple(water_place_warnings(found.crs, cameras, config.water, levels)))
     if config.water is not None and config.water.level_m is None:
-        (config, of_points), is_level_known = (
-            local_frame.with_level_of_points(config, frame, views, placed.points),
-            False,
-        )
-        findings += of_points
+        config, of_points = local_frame.with_level_of_points(config, frame, views, placed.points)
+        is_level_known, findings = False, findings + of_points
     config, of_surface = with_plane_of_surface(config, levels, views, frame)
     config, plane, of_plane = local_frame.water_in_local(config, frame, views)
     departure = Departure.of(levels, frame, plane)
@@ -311,28 +290,17 @@ def _warnings(placed: PlacedViews, water: _LocalWater) -> list[str]:
         )
     if not is_posed:
         return warnings
-    heights = frame.crs_from_local(centres)[:, 2] * height_unit_m(frame.crs)
-    warnings += far_from_others(np.array([view.name for view in views]), centres[:, :2], heights, "pose")
-    headers = {view.name: found.headers[view.name] for view in views}
+    crs, in_crs, names = frame.crs, frame.crs_from_local(centres), [view.name for view in views]
+    heights = in_crs[:, 2] * height_unit_m(crs)
+    warnings += far_from_others(np.array(names), centres[:, :2], heights, "pose")
+    headers = {name: found.headers[name] for name in names}
     warnings += shutter_warnings(water.config.cameras, headers, metres_per_px(views, water.plane))
     if placed.control is not None:
         warnings += mark_warnings(placed.control, views, water.plane)
-    if above is not None:
-        over_water = dict(zip((view.name for view in views), above.tolist(), strict=True))
-        warnings += _height_warnings(placed, water.config.water, over_water)
+    if above is not None and water.config.water is not None:
+        level_m, at = water.config.water.known_level_m, place_of(crs, np.median(in_crs, axis=0))
+        over_water = dict(zip(names, above.tolist(), strict=True))
+        warnings += low_flight_warnings(above, level_m, at, crs)
+        warnings += start_height_warnings(over_water, headers, level_m, at, crs)
+        warnings += exif_height_warnings(dict(zip(names, heights.tolist(), strict=True)), headers)
     return warnings + checkpoint_warnings(placed.checkpoints, views, water.plane, water.departure)
-
-
-def _height_warnings(placed: PlacedViews, water: WaterConfig | None, over_water: Mapping[str, float]) -> list[str]:
-    """Warnings where heights of cameras over the water [m] contradict other heights."""
-    if water is None:
-        return []
-    found, crs = placed.found, placed.frame.crs
-    centres = placed.frame.crs_from_local(_centres(placed.views))
-    at, headers = place_of(crs, np.median(centres, axis=0)), {name: found.headers[name] for name in over_water}
-    heights_m = dict(zip(headers, (centres[:, 2] * height_unit_m(crs)).tolist(), strict=True))
-    return [
-        *low_flight_warnings(np.array(list(over_water.values())), water.known_level_m, at, crs),
-        *start_height_warnings(over_water, found.headers, water.known_level_m, at, crs),
-        *exif_height_warnings(heights_m, headers),
-    ]

@@ -33,7 +33,7 @@ from survey.adjust.result.std_of_block import parts_warning
 from survey.adjust.rounds import RobustSolution
 from survey.adjust.stages import StagedAdjustment, restarted
 from survey.adjust.starts import PoseRecovery, better_of_two_starts, windows_or_recovered_poses
-from survey.adjust.unnamed_water import find_unnamed_water
+from survey.adjust.unnamed_water import unnamed_water_warning
 from survey.errors import GivenValueTest, SurveyError
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
@@ -139,13 +139,13 @@ def _adjust_in_stages(survey: Survey, prior: PriorKnowledge, windows: TiePoints 
     if not free_water:
         done, drift = staged.with_focals(done)
         done, contradictions = staged.without_contradictions(done)
-    water = None if survey.water is not None else find_unnamed_water(done)
+    water = None if survey.water is not None else unnamed_water_warning(done)
     notes = roll_notes(survey, done, gsd_m(survey)) if done.prior.rolls and not free_water else []
     found = staged.result(done, contradictions)
     if not survey.provenance.is_level_known and found.parameter("level_m").status == Status.UNKNOWN:
         raise _level_error(survey, found.parameter("level_m").std)
     warnings = [*(_contradiction_text(found, each) for each in contradictions), *height_warnings(survey, done)]
-    warnings += parts_warning(found, survey.water) + ([] if water is None else [str(water)])
+    warnings += parts_warning(found, survey.water) + ([] if water is None else [water])
     warnings += [] if drift is None else [str(drift)]
     if not free_water:
         warnings += staged.against_control()

@@ -13,7 +13,7 @@ larger areas without texture (47 against 19 %).
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -38,51 +38,22 @@ _LEAST_FALL = 0.03
 _SURE = 3.0
 
 
-@dataclass(frozen=True)
-class UnnamedWater:
-    """Water that tie points show."""
-
-    num_wet: int
-    num_points: int
-    # depth_m, std_m [m]: mean of the points under water, and its standard deviation
-    depth_m: float
-    std_m: float
-    # before_px, after_px [px]: root mean square residual of the points under water on straight and on bent rays
-    before_px: float
-    after_px: float
-
-    def __str__(self) -> str:
-        return (
-            f"the photographs show water: {self.num_wet:,} of {self.num_points:,} tie points fit better on bent rays "
-            f"({self.before_px:.2f} px on straight ones, {self.after_px:.2f} px on bent ones), {self.depth_m:.1f} +- "
-            f"{self.std_m:.1g} m under its surface; give [water]"
-        )
-
-
-def find_unnamed_water(done: RobustSolution) -> UnnamedWater | None:
-    """Water that a block adjusted without any shows; None where it shows none, or is not decisive.
-
-    Parameters
-    ----------
-    done : RobustSolution
-        Of a survey without water.
-    """
+def unnamed_water_warning(done: RobustSolution) -> str | None:
+    """Warning of water that a block adjusted without any shows; None where it shows none, or is not decisive."""
     prior, seen, dry = done.prior, done.used, done.solution.state
     if dry.water is not None or len(seen.ties) < FEWEST_WET:
         return None
     shared = done.variance_factor[seen.kind]
     for level in (over_points(dry.points, dry.centres), float(np.median(dry.points[:, 2]))):
         with suppress(NotConvergedError):
-            found = _gain_over(prior, seen, dry, level, shared)
-            if found is not None and found[0] > _LEAST_GAIN:
-                return found[1]
+            found = _water_at(prior, seen, dry, level, shared)
+            if found is not None:
+                return found
     return None
 
 
-def _gain_over(
-    prior: PriorKnowledge, seen: Observed, dry: State, level: float, shared: np.ndarray
-) -> tuple[float, UnnamedWater] | None:
-    """Gain of bent rays in units of variances, and the water; None where too little of it is sure."""
+def _water_at(prior: PriorKnowledge, seen: Observed, dry: State, level: float, shared: np.ndarray) -> str | None:
+    """Warning of water found from a level; None where bent rays gain too little, or too little of it is sure."""
     x, y = dry.centres[:, :2].mean(axis=0).tolist()
     water, std = FlatWater((x, y, level), n_water=_INDEX), prior.std.copy()
     std[:4] = [_LEVEL_STD_M, _SLOPE_STD, _SLOPE_STD, _INDEX_STD]
@@ -102,6 +73,10 @@ def _gain_over(
     before, after = (float(np.sqrt(np.mean(each.residuals[is_wet_tie] ** 2))) for each in (straight_solution, wet))
     of_depth = std_over_points(wet.system, wet.covariance)
     mean = float(depth[is_wet].mean())
-    if mean < _SURE * of_depth or after > (1.0 - _LEAST_FALL) * before:
+    if not gain > _LEAST_GAIN or mean < _SURE * of_depth or after > (1.0 - _LEAST_FALL) * before:
         return None
-    return gain, UnnamedWater(int(is_wet.sum()), len(depth), mean, of_depth, before, after)
+    return (
+        f"the photographs show water: {int(is_wet.sum()):,} of {len(depth):,} tie points fit better on bent rays "
+        f"({before:.2f} px on straight ones, {after:.2f} px on bent ones), {mean:.1f} +- {of_depth:.1g} m under its "
+        "surface; give [water]"
+    )

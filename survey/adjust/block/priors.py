@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from refract.lens import MODELS, Lens
-from survey.adjust.block.problem import Planes, Priors
+from survey.adjust.block.problem import Priors
 from survey.adjust.block.roll import Roll, roll_priors, rolled_by_attitudes, rolls_of
 from survey.adjust.block.state import (
     BROWN,
@@ -173,17 +173,15 @@ def _start(survey: Survey, layout: Layout, lenses: tuple[Lens, ...], focals: np.
     )
 
 
-def priors_for(
-    prior: PriorKnowledge, ties: TiePoints, point_std: np.ndarray | None = None, planes: Planes | None = None
-) -> Priors:
-    """The priors of an adjustment with these points, known to (M, 3) [m] or to lie on planes where any are."""
+def priors_for(prior: PriorKnowledge, ties: TiePoints, point_std: np.ndarray | None = None) -> Priors:
+    """The priors of an adjustment with these points, known to (M, 3) [m] where any are."""
     free = np.full((len(ties), 3), np.inf) if point_std is None else point_std
     rows, signs = roll_priors(prior.rolls, prior.layout, prior.std) if prior.rolls else (None, None)
     if prior.shared_std is not None:
         shared = without_shift(prior, prior.shared_std, prior.std**-2.0)
         rows = shared if rows is None else np.concatenate([rows, shared])
         signs = np.concatenate([np.zeros(0) if signs is None else signs, np.full(len(shared), -1.0)])
-    return Priors(replace(prior.mean, points=ties.start), prior.std, free, rows, signs, planes)
+    return Priors(replace(prior.mean, points=ties.start), prior.std, free, rows, signs)
 
 
 def without_shift(prior: PriorKnowledge, shared_std: np.ndarray, precision: np.ndarray) -> np.ndarray:

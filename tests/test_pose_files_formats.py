@@ -280,7 +280,7 @@ def test_poses_are_found_beside_the_images_and_other_formats_are_named(tmp_path)
     assert find_poses(tmp_path) == [tmp_path / "poses.csv", tmp_path / "sparse"]
     (tmp_path / "flight.nvm").write_text("NVM_V3")
     assert find_unread(tmp_path) == ["flight.nvm is not read: export a COLMAP model instead"]
-    with pytest.raises(PosesError, match="is not a known kind of poses file"):
+    with pytest.raises(PosesError, match="is not read: export a COLMAP model instead; expected one of"):
         read_poses(tmp_path / "flight.nvm")
 
 

@@ -13,7 +13,7 @@ import zlib
 from functools import cache
 
 import numpy as np
-from pyproj import CRS, Geod, Transformer
+from pyproj import CRS, Geod
 from pyproj.aoi import AreaOfInterest
 from pyproj.crs import CompoundCRS
 from pyproj.database import query_crs_info
@@ -29,9 +29,9 @@ from geo.crs import (
     middle_lon_lat,
     prime_meridian_rad,
 )
-from geo.errors import PlaceMismatch
+from geo.errors import GeoError, PlaceMismatch
 from geo.operations import operations
-from geo.transformation import middle_of
+from geo.transformation import lon_lat, middle_of
 
 # Areas wider than this are worldwide: mean sea level and its models, tides.
 _WORLDWIDE_DEG = 350.0
@@ -99,8 +99,8 @@ def likely_crs(points: np.ndarray, lon_lat_deg: tuple[float, float], within_m: f
     for info in query_crs_info("EPSG", PJType.PROJECTED_CRS, AreaOfInterest(*box), contains=True):
         crs = CRS.from_epsg(int(info.code))
         try:
-            east, north = Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(*points[:, :2].T)
-        except ProjError:
+            east, north = lon_lat(crs, points[:, :2]).T
+        except (GeoError, ProjError):
             continue
         finite = np.isfinite(east) & np.isfinite(north) & (np.abs(north) <= 90.0)
         if not finite.any():

@@ -150,7 +150,6 @@ def test_every_raster_and_vector_of_others_comes_by_the_one_door():
         ("geo/raster.py", "rasterio.open"),
         ("geo/features.py", "pyogrio.raw.read"),
         ("geo/features.py", "pyogrio.list_layers"),
-        ("geo/vectors.py", "pyogrio.read"),
         ("survey/photos/pixels.py", "Image.open"),
         ("survey/volume/monocular.py", "cv2.imread"),
     }

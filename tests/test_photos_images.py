@@ -100,7 +100,10 @@ def test_images_are_listed_by_their_path_below_the_folder(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(ImageError, match=r"no images in .*empty"):
         list_images(tmp_path / "empty")
-    with pytest.raises(ImageError, match=r"nowhere does not exist; make it, or correct \[images\] dir"):
+    with pytest.raises(
+        ImageError,
+        match=r"nowhere does not exist, but 2 photographs lie in .*images: write \[images\] dir = .images. for them",
+    ):
         list_images(tmp_path / "nowhere")
 
 

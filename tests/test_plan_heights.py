@@ -111,7 +111,7 @@ def test_heights_in_the_settings_have_the_unit_of_crs(tmp_path):
 
 
 def test_heights_hold_everywhere_over_sloped_water(tmp_path):
-    toml = TOML + f"slope_east = 0.1\n[area]\nheights = [{LEVEL - 4.0}, {LEVEL + 1.5}]\n"
+    toml = TOML + f"slope_east = 0.06\n[area]\nheights = [{LEVEL - 4.0}, {LEVEL + 1.5}]\n"
     survey = load_survey(small_survey(tmp_path / "s", toml=toml))
     low, high = limits(survey)
     # The cameras stand 0 to 9 m east of where the level holds.

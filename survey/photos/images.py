@@ -52,8 +52,8 @@ def list_images(folder: Path, *, deep: bool = True) -> dict[str, Path]:
     """
     if not folder.is_dir():
         raise ImageError(
-            f"the image folder {folder} does not exist{photographs_elsewhere(folder.parent)}; make it, or correct "
-            "[images] dir in survey.toml"
+            f"the image folder {folder} does not exist{photographs_elsewhere(folder.parent)}; correct [images] dir "
+            "in survey.toml, or make the folder"
         )
     below = folder.rglob("*") if deep else folder.iterdir()
     files = sorted(

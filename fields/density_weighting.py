@@ -26,17 +26,14 @@ def weighted_drjit(
 ) -> Tensor:
     """Density (samples,) of features (samples, L D F), without the bias of the last map.
 
+    Raises ValueError if F is not a multiple of the kernel's packets.
+
     Parameters
     ----------
     layers : weight and bias of the three maps of the gate, of all scales or (with L in front) of each
     fine : (1, L F)
     shape : (L, D, F)
     device : Device with a Dr.Jit module
-
-    Raises
-    ------
-    ValueError
-        If F is not a multiple of the kernel's packets.
     """
     if shape[2] % PACKET:
         raise ValueError(

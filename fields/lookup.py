@@ -31,10 +31,7 @@ def axes_of(direction: str) -> tuple[int, int, int]:
 def lookup_drjit(factors, u: Tensor) -> Tensor:
     """Features (samples, scales * directions * channels); see `fields.factors.Factors.forward`.
 
-    Raises
-    ------
-    ValueError
-        If the number of channels is not a multiple of the kernel's packets.
+    Raises ValueError if the number of channels is not a multiple of the kernel's packets.
     """
     if factors.channels % PACKET:
         raise ValueError(

@@ -99,15 +99,12 @@ IN_LAYER = tuple(name for name, entry in MODELS.items() if entry.in_layer)
 def maker(name: str) -> Callable[[Any], Any]:
     """What makes a model of a `fields.volume.model.Setup`.
 
+    Raises ValueError if there is none of that name, or it cannot be imported.
+
     Parameters
     ----------
     name : str
         A key of `MODELS`, an entry point of `GROUP`, or "package.module:Class".
-
-    Raises
-    ------
-    ValueError
-        If there is none of that name, or it cannot be imported.
     """
     place = MODELS[name].made_by if name in MODELS else name
     if ":" not in place:

@@ -94,16 +94,9 @@ def layers_of(path: Path) -> list[str | None]:
 
 
 def read_features(path: str | Path, kind: str, layer: str | None = None) -> Features:
-    """All features of a vector file, of one layer.
+    """All features of a vector file, of one layer, which the path may name, too (`layer_of`).
 
-    Parameters
-    ----------
-    path : Path
-        May name a layer too, see `layer_of`.
-    kind : str
-        What an error names as expected, e.g. "polygons".
-    layer : str, optional
-        Of a file with several layers of geometries.
+    ``kind`` is what an error names as expected, e.g. "polygons".
     """
     path, named = layer_of(path)
     path, layer = existing_file(path), layer or named

@@ -33,7 +33,9 @@ _STEP_M = 10.0
 class LocalFrame:
     """Topocentric Cartesian frame whose horizontal plane touches the ellipsoid at one point of a survey.
 
-    Use one frame per thread: PROJ's transformations must not be shared between threads.
+    Use one frame per thread: PROJ's transformations must not be shared between threads. Raises MissingVerticalDatum or
+    UnsupportedCRS as `geo.crs.parse_crs`; PlaceMismatch if the origin is not finite, not on the map, or more than 10
+    degrees outside the area that the CRS is made for.
 
     Parameters
     ----------
@@ -41,14 +43,6 @@ class LocalFrame:
         Compound (horizontal + vertical) or 3D, see `geo.crs.parse_crs`.
     origin : (easting or longitude, northing or latitude, height), in crs
         Becomes (0, 0, 0).
-
-    Raises
-    ------
-    MissingVerticalDatum, UnsupportedCRS
-        As `geo.crs.parse_crs`.
-    PlaceMismatch
-        If the origin is not finite, not on the map, or more than 10 degrees outside the area that the CRS is
-        made for.
     """
 
     crs: CRS
@@ -93,10 +87,7 @@ class LocalFrame:
     def from_frame(self, other: LocalFrame) -> Similarity:
         """Rigid transform of points [m] in another local frame of the same CRS into this one, to rounding (1e-9 m).
 
-        Raises
-        ------
-        ValueError
-            If the CRS differ.
+        Raises ValueError if the CRS differ.
         """
         if other.crs != self.crs:
             raise ValueError(f"expected a local frame of {self.crs.name}, got one of {other.crs.name}")

@@ -59,8 +59,10 @@ def write_cloud(
 
     Where the name ends in .copc.laz, it becomes COPC, see `geo.copc`.
 
-    Coordinates are rounded to 0.001 of the unit of crs (1e-8 for longitude and latitude); offsets are whole
-    units. An empty cloud is written as a valid file without points, except as COPC.
+    Coordinates are rounded to 0.001 of the unit of crs (1e-8 for longitude and latitude); offsets are whole units. An
+    empty cloud is written as a valid file without points, except as COPC. Raises GeoError if the suffix is neither, the
+    cloud is too wide for the format, or the file cannot be written; ValueError if shapes differ or coordinates are not
+    finite.
 
     Parameters
     ----------
@@ -86,13 +88,6 @@ def write_cloud(
         Classes to write instead of those by ``is_wet``, e.g. with 45 (no bottom found) among them.
     user_data : (N,) uint8, optional
         How each point was found, written to the field "user data"; 0 where not given.
-
-    Raises
-    ------
-    GeoError
-        If the suffix is neither, the cloud is too wide for the format, or the file cannot be written.
-    ValueError
-        If shapes differ or coordinates are not finite.
     """
     path = Path(path)
     if path.suffix.lower() not in _SUFFIXES:
@@ -204,15 +199,10 @@ def _header(points: np.ndarray, crs: CRS, path: Path) -> laspy.LasHeader:
 def read_cloud(path: str | Path) -> Cloud:
     """Read LAS or LAZ, version 1.0 to 1.4, any point format.
 
-    Colours come as 8 bits, whether the file stores 8 or 16. The CRS and the unit of heights are taken from WKT,
-    else from GeoTIFF keys; where there is none, or none that is understood, it is None and `Cloud.notes` says so.
-
-    Raises
-    ------
-    EmptyCloud
-        If the file has no points.
-    UnreadableFile
-        If it does not exist, is cut short, is not LAS, or has coordinates that are not finite.
+    Colours come as 8 bits, whether the file stores 8 or 16. The CRS and the unit of heights are taken from WKT, else
+    from GeoTIFF keys; where there is none, or none that is understood, it is None and `Cloud.notes` says so. Raises
+    EmptyCloud if the file has no points; UnreadableFile if it does not exist, is cut short, is not LAS, or has
+    coordinates that are not finite.
     """
     path = existing_file(path)
     fault = length_fault(path)

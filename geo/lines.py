@@ -65,6 +65,12 @@ def read_lines(path: str | Path, crs: CRS, around: np.ndarray) -> list[Line]:
     return lines
 
 
+def assumed_crs(path: str | Path) -> list[str]:
+    """The sentence that WGS 84 is assumed, of GeoJSON that names no CRS; none of other files."""
+    is_assumed = layer_of(path)[0].suffix.lower() in GEOJSON and read_features(path, "lines or polygons").crs is None
+    return [f"{Path(path).name} names no CRS: taken as longitude and latitude of WGS 84 (RFC 7946)"] * is_assumed
+
+
 def plan_box(points: np.ndarray) -> np.ndarray:
     """Lowest and highest corner (2, 2) of points (N, 2 or more) in plan."""
     return np.array([points[:, :2].min(axis=0), points[:, :2].max(axis=0)])

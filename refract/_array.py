@@ -165,10 +165,7 @@ def in_blocks(function, *arrays) -> tuple[np.ndarray, ...]:
 def common(**arrays) -> tuple:
     """The named arguments in one library: Dr.Jit or torch if any of them is, else numpy float64.
 
-    Raises
-    ------
-    ValueError
-        Naming the arguments and their shapes.
+    Raises ValueError: naming the arguments and their shapes.
     """
     if any(_is_drjit(a) for a in arrays.values()):
         return _common_drjit(arrays)

@@ -56,10 +56,7 @@ class OutsideFit(UserWarning):
 def require(name: str, values, holds, expected: str) -> None:
     """Raise where `values`, but for NaN, are not what ``holds(values)`` says.
 
-    Raises
-    ------
-    ValueError
-        With the first of the wrong values, and what was `expected`.
+    Raises ValueError: with the first of the wrong values, and what was `expected`.
     """
     values = as_numpy(values)
     wrong = values[~(holds(values) | np.isnan(values))]

@@ -41,6 +41,9 @@ def _is_rotation(matrix: np.ndarray) -> bool:
 class PinholeCamera:
     """A camera in the local frame: a pinhole, or one whose lens distorts.
 
+    Raises ValueError if a shape is wrong, the centre is not finite, `cam_from_local` is not a right-handed rotation, or
+    a focal length or the image size is not positive.
+
     Attributes
     ----------
     centre : (3,) float64 [m], local
@@ -58,12 +61,6 @@ class PinholeCamera:
     tide : [m]
         Height of the water, when the photograph was taken, above the `water` that `paths` and `project` are called
         with. Points and heights are the same for all photographs, whatever their tide.
-
-    Raises
-    ------
-    ValueError
-        If a shape is wrong, the centre is not finite, `cam_from_local` is not a right-handed rotation, or a
-        focal length or the image size is not positive.
     """
 
     centre: np.ndarray

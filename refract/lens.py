@@ -43,10 +43,7 @@ class LensError(ValueError):
 class Lens:
     """Interior orientation of a photograph as it was taken, distortion included.
 
-    Raises
-    ------
-    LensError
-        If the model is not supported, or the numbers do not fit it or are not finite.
+    Raises LensError if the model is not supported, or the numbers do not fit it or are not finite.
     """
 
     model: str  # A key of `MODELS`: one of COLMAP's camera models, or BROWN_AFFINE

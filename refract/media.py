@@ -37,6 +37,8 @@ USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU = 15.0, 0.0
 def water_index(wavelength_nm, temperature_c, salinity_psu):
     """Refractive index of fresh or sea water relative to air, after Quan and Fry.
 
+    Raises ValueError for impossible values: a wavelength or salinity that is not positive, ice, steam.
+
     Parameters
     ----------
     wavelength_nm : [nm]
@@ -50,11 +52,6 @@ def water_index(wavelength_nm, temperature_c, salinity_psu):
     -------
     [-], of the broadcast shape
         Relative to air: not to be divided by the index of air again.
-
-    Raises
-    ------
-    ValueError
-        For impossible values: a wavelength or salinity that is not positive, ice, steam.
 
     Warns
     -----

@@ -57,10 +57,7 @@ class BentPaths:
     def at(self, t):
         """Points (..., 3) [m] at path length ``t`` (...) [m] from the camera, air and water legs together.
 
-        Raises
-        ------
-        ValueError
-            If the shape of `t` does not broadcast against that of the rays.
+        Raises ValueError if the shape of `t` does not broadcast against that of the rays.
         """
         t, air_length = common(t=t, rays=self.air_length)
         xp = namespace(air_length)
@@ -76,15 +73,10 @@ class BentPaths:
     def at_height(self, height, water: FlatWater | None):
         """Points (..., 3) [m] where the paths are ``height`` (...) [m] above the water plane.
 
-        Heights are measured along the normal of the plane and negative below it. Both legs meet at height
-        zero, so a hypothesis in height passes the shoreline without a step. Without water, ``height`` counts
-        from local z = 0. NaN where the path never reaches that height: it lies behind the camera, or the
-        ray runs along the surface.
-
-        Raises
-        ------
-        ValueError
-            If the shape of `height` does not broadcast against that of the rays.
+        Heights are measured along the normal of the plane and negative below it. Both legs meet at height zero, so a
+        hypothesis in height passes the shoreline without a step. Without water, ``height`` counts from local z = 0. NaN
+        where the path never reaches that height: it lies behind the camera, or the ray runs along the surface. Raises
+        ValueError if the shape of `height` does not broadcast against that of the rays.
         """
         if water is not None and not isinstance(water, FlatWater):
             raise TypeError(f"heights count from a plane: expected FlatWater or None, got {water}; use at(t)")
@@ -105,6 +97,9 @@ class BentPaths:
 def trace(origin, direction, surface: WaterSurface | None) -> BentPaths:
     """Bend camera rays at the water surface.
 
+    Raises ValueError if the last axis of `origin` or `direction` is not 3, or their shapes do not broadcast; TypeError
+    if the surface is none.
+
     Parameters
     ----------
     origin, direction : (..., 3) numpy, torch, or Dr.Jit Array3f or Array3f64; local [m] and unit
@@ -119,13 +114,6 @@ def trace(origin, direction, surface: WaterSurface | None) -> BentPaths:
         only its crossing is NaN. A camera on or below the surface looks straight through the water; it counts
         as wet, with a crossing at the camera. A direction whose length is not one (by more than 5e-6) is invalid. A
         single bad ray never raises; `BentPaths.regime_counts` reports it.
-
-    Raises
-    ------
-    ValueError
-        If the last axis of `origin` or `direction` is not 3, or their shapes do not broadcast.
-    TypeError
-        If the surface is none.
     """
     require_surface(surface)
     origin, direction = common(origin=origin, direction=direction)

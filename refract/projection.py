@@ -111,7 +111,9 @@ def _stacked(keep, triple, like):
 def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_STEPS) -> Projection:
     """Projection of points of the bed into a camera: the least optical path (Fermat) through the surface.
 
-    Points and camera in float32 are computed in float64 where digits would be lost, and rounded once at the end.
+    Points and camera in float32 are computed in float64 where digits would be lost, and rounded once at the end. Raises
+    ValueError if the last axis of `points` or `camera` is not 3, or their shapes do not broadcast; TypeError if the
+    surface is none.
 
     Parameters
     ----------
@@ -129,13 +131,6 @@ def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_
         Rays to points above the water or beside it, from a camera on or below it, and without water are straight. A
         point that is NaN, farther out than 1e15 m, or in the camera, has a direction of NaN. A single bad ray never
         raises; `regime_counts` reports it.
-
-    Raises
-    ------
-    ValueError
-        If the last axis of `points` or `camera` is not 3, or their shapes do not broadcast.
-    TypeError
-        If the surface is none.
     """
     require_surface(surface)
     points, camera = common(points=points, camera=camera)

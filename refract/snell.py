@@ -56,6 +56,9 @@ def regime_counts(regime) -> dict[str, int]:
 def bend(ray, normal, *, n_from, n_to):
     """Direction of a ray after it crosses the water surface.
 
+    Raises ValueError if the last axis of `ray` or `normal` is not 3, their shapes do not broadcast, or an index is not
+    positive and finite.
+
     Parameters
     ----------
     ray : (..., 3) unit, any one frame; numpy, torch, or a Dr.Jit Array3f or Array3f64
@@ -73,12 +76,6 @@ def bend(ray, normal, *, n_from, n_to):
         such rays are zero, not NaN. So are those of rays that come out
         within 0.007 degrees of the surface (float64; 1.1 degrees in float32), where the derivative diverges;
         `bend_regime` distinguishes them.
-
-    Raises
-    ------
-    ValueError
-        If the last axis of `ray` or `normal` is not 3, their shapes do not broadcast, or an index is not
-        positive and finite.
 
     Examples
     --------

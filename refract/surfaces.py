@@ -113,10 +113,11 @@ def _require_broadcast(like, numbers) -> None:
 class FlatWater:
     """A plane water surface, level or tilted, in a right-handed frame with z up.
 
-    Each of its numbers is one for all rays, or an array of shape (...) with one for each, which broadcasts against
-    the rays without their last axis: a level per photograph, or, with one more axis, an index per colour channel.
-    Tensors and Dr.Jit arrays let gradients flow to level, tilt and index; the rays must then come from the same
-    library (and the same Dr.Jit module: `drjit.llvm.ad`, not `drjit.llvm`).
+    Each of its numbers is one for all rays, or an array of shape (...) with one for each, which broadcasts against the
+    rays without their last axis: a level per photograph, or, with one more axis, an index per colour channel. Tensors
+    and Dr.Jit arrays let gradients flow to level, tilt and index; the rays must then come from the same library (and
+    the same Dr.Jit module: `drjit.llvm.ad`, not `drjit.llvm`). Raises ValueError if the index is outside 1 to 2, or a
+    number is not finite. Numbers inside a transform of torch, which cannot be read, are not checked.
 
     Parameters
     ----------
@@ -126,12 +127,6 @@ class FlatWater:
         Refractive index of the water relative to the air above it, at least 1.
     slope_x, slope_y : [-]
         Rise of the surface per metre along local x and y.
-
-    Raises
-    ------
-    ValueError
-        If the index is outside 1 to 2, or a number is not finite. Numbers inside a transform of torch, which cannot be
-        read, are not checked.
     """
 
     point: tuple[Any, Any, Any]
@@ -194,12 +189,8 @@ class FlatWater:
     def plane(self, *triples) -> tuple:
         """Point, unit normal and index, as the kernels take them together with triples of arrays.
 
-        Raises
-        ------
-        TypeError
-            If the numbers of the water and the triples are arrays of different libraries.
-        ValueError
-            If shapes of numbers do not broadcast against those of numpy or torch rays.
+        Raises TypeError if the numbers of the water and the triples are arrays of different libraries; ValueError if
+        shapes of numbers do not broadcast against those of numpy or torch rays.
         """
         self._require_library_of(*triples)
         like = triples[0][0]

@@ -10,7 +10,7 @@ import logging
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from pathlib import Path
@@ -287,6 +287,11 @@ class Progress:
     def note(self, text: str) -> None:
         """A line that the user should see."""
         self._emit(text)
+
+    def notes(self, texts: Iterable[str]) -> None:
+        """Lines that the user should see."""
+        for text in texts:
+            self.note(text)
 
     def detail(self, text: str) -> None:
         """A line for the log, shown with ``-v`` only."""

@@ -14,7 +14,7 @@ from pyproj import CRS
 
 from geo.errors import UnreadableFile
 from geo.features import UNITS_OF_DRAWINGS, layer_of
-from geo.lines import read_lines, read_polygons
+from geo.lines import assumed_crs, read_lines, read_polygons
 from geo.vectors import DxfLine, write_dxf
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*crs.*:UserWarning")
@@ -128,3 +128,13 @@ def test_rings_are_written_closed_and_a_drawing_has_its_extent(tmp_path):
     np.testing.assert_allclose(made.header["$EXTMAX"], [*OPPOSITE, 582.0])
     (polygon,) = read_polygons(tmp_path / "a.dxf", UTM, AROUND)
     assert polygon.area == pytest.approx(6.0)
+
+
+@pytest.mark.parametrize("crs", [None, {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::25832"}}])
+def test_that_geojson_without_a_crs_is_taken_as_wgs84_is_said(tmp_path, crs):
+    content = {"type": "FeatureCollection", "features": [
+        {"type": "Feature", "properties": {}, "geometry": shapely.geometry.mapping(LINE)}
+    ]}  # fmt: skip
+    (tmp_path / "a.geojson").write_text(json.dumps(content if crs is None else content | {"crs": crs}))
+    assert [text[:24] for text in assumed_crs(tmp_path / "a.geojson")] == ["a.geojson names no CRS: "] * (crs is None)
+    assert assumed_crs(layers_in(tmp_path / "a.gpkg", line=LINE)) == []

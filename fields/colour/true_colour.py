@@ -96,10 +96,8 @@ class PatchSightings:
 def estimate_absorption(sources: Sources) -> tuple[float, float, float]:
     """Absorption [1/m] of red, green and blue of the water over a swept bed.
 
-    Raises
-    ------
-    ValueError
-        If the survey is dry, or too little of the bed is seen along paths of sufficiently different length.
+    Raises ValueError if the survey is dry, or too little of the bed is seen along paths of sufficiently different
+    length.
     """
     if sources.water is None:
         raise ValueError("the survey is dry: it has no water that could absorb light")

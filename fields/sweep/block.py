@@ -31,17 +31,14 @@ _REACH_PX = 1.5
 class Overlap:
     """Overlap of cameras on a level bed, in the local frame; needs no images.
 
+    Raises ValueError if no camera looks down.
+
     Parameters
     ----------
     height : [m]
         Rough height of the bed over the water plane (over local z = 0 in a dry survey): overlap is judged there.
     ground : (x0, y0, x1, y1) [m], local, optional
         Where overlap counts; by default everywhere.
-
-    Raises
-    ------
-    ValueError
-        If no camera looks down.
     """
 
     def __init__(
@@ -125,6 +122,8 @@ class Overlap:
 class Block(Overlap):
     """Grey images of one size with their cameras, in the local frame.
 
+    Raises ValueError if fewer than two views are given, or none looks down.
+
     Parameters
     ----------
     cameras : list of PinholeCamera
@@ -135,11 +134,6 @@ class Block(Overlap):
         As `Overlap`.
     saturated : tuple of float
         Share of each photograph that is masked as saturated; empty where it was not measured.
-
-    Raises
-    ------
-    ValueError
-        If fewer than two views are given, or none looks down.
     """
 
     def __init__(

@@ -62,12 +62,7 @@ def coverage(
     """Visibility (views, cells) bool, sparse, of cells of a ground grid at z = height, and the cells (cells, 3).
 
     The grid spans ``ground`` (x0, y0, x1, y1) [m], local; by default all that the views may see. Of a large one only
-    cells that the views may see are there.
-
-    Raises
-    ------
-    ValueError
-        If no photograph looks down at the ground.
+    cells that the views may see are there. Raises ValueError if no photograph looks down at the ground.
     """
     centres = require_ground(cameras, height)
     pixel_size = np.array([(c.centre[2] - height) / c.fx for c in cameras])

@@ -50,7 +50,7 @@ def match_appearance(
     """Appearance vectors with which a trained volume matches other photographs; all else is unchanged.
 
     Appearance matching of a submodule to its neighbour in the NeRF of tidal flats: about 100 steps, from the mean of
-    the volume's own vectors.
+    the volume's own vectors. Raises ValueError if the renderer has no appearance vectors.
 
     Parameters
     ----------
@@ -63,11 +63,6 @@ def match_appearance(
     -------
     nn.Embedding
         A vector for each of the photographs; give it to the renderer as its ``appearance`` to see it with them.
-
-    Raises
-    ------
-    ValueError
-        If the renderer has no appearance vectors.
     """
     own = renderer.appearance
     if own is None:

@@ -190,10 +190,7 @@ def orientation_loss(normals: Tensor, direction: Tensor, opacity: Tensor) -> Ten
 def appearance_loss(renderer: VolumeRenderer, paths: Paths) -> Tensor:
     """Mean square of the appearance vectors of the paths, so that what photographs share goes into the colour.
 
-    Raises
-    ------
-    ValueError
-        If the renderer has no appearance vectors.
+    Raises ValueError if the renderer has no appearance vectors.
     """
     if renderer.appearance is None:
         raise ValueError("the loss on appearance has a weight, but the volume has no appearance vectors; give it some")

@@ -109,10 +109,7 @@ def density_of(raw: Tensor, cells: float, edge: float) -> Tensor:
 def build_model(name: str, setup: Setup, *, seed: int = 0) -> VolumeModel:
     """An untrained model by its name, as in `fields.models.maker`, drawn from a seed.
 
-    Raises
-    ------
-    ValueError, TypeError
-        If there is no such model, or what the name stands for makes none.
+    Raises ValueError or TypeError if there is no such model, or what the name stands for makes none.
     """
     make = maker(name)
     torch.manual_seed(seed)

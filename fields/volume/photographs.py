@@ -26,10 +26,7 @@ COARSE = 128
 class PriorImages:
     """Priors of the pixels (height, width) of one photograph; None for a kind that it does not have.
 
-    Raises
-    ------
-    ValueError
-        If shapes differ, or a length comes without a std.
+    Raises ValueError if shapes differ, or a length comes without a std.
     """
 
     # length, std (height, width) float [m]: path length from the camera to the surface, in air and water together,
@@ -81,10 +78,7 @@ class Priors:
     def of(columns: Tensor) -> Priors:
         """The columns (N, 8) of paths by name.
 
-        Raises
-        ------
-        ValueError
-            If the paths carry no priors.
+        Raises ValueError if the paths carry no priors.
         """
         if columns.shape[1] != COLUMNS:
             raise ValueError(
@@ -138,12 +132,8 @@ class Photographs:
     def draw(self, count: int, box: Box, rng: np.random.Generator, patch: int = 1) -> Paths:
         """Paths (count patch^2) through patches of pixels drawn evenly from all photographs, in random order.
 
-        The pixels of a patch, ``patch`` wide and high, follow each other row by row; all of them show the scene.
-
-        Raises
-        ------
-        ValueError
-            If no photograph has room for a patch.
+        The pixels of a patch, ``patch`` wide and high, follow each other row by row; all of them show the scene. Raises
+        ValueError if no photograph has room for a patch.
         """
         corners = [self._corners(view, patch) for view in range(len(self.cameras))]
         sizes = np.array([len(c) for c in corners])

@@ -86,10 +86,7 @@ def normal_prior_loss(paths: Paths, normals: Tensor) -> Tensor:
 def predicted_normals(rendered: Rendered) -> Tensor:
     """Normals (N, 3) of the head of normals.
 
-    Raises
-    ------
-    ValueError
-        If the renderer has none.
+    Raises ValueError if the renderer has none.
     """
     if rendered.normals is None:
         raise ValueError(
@@ -142,10 +139,7 @@ def _mean(values: Tensor) -> Tensor:
 def as_patches(values: Tensor, size: int) -> Tensor:
     """Values (N, ...) of paths drawn as patches, as (P, size, size, ...).
 
-    Raises
-    ------
-    ValueError
-        If the paths are no whole number of patches.
+    Raises ValueError if the paths are no whole number of patches.
     """
     if size < 2 or len(values) % size**2:
         raise ValueError(

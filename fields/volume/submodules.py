@@ -245,17 +245,13 @@ def matched_vector(
 ) -> nn.Embedding:
     """The appearance vector with which a submodule matches another along rays to places that both show.
 
-    Its start is the mean of the submodule's own vectors. All else of both is unchanged.
+    Its start is the mean of the submodule's own vectors. All else of both is unchanged. Raises ValueError if it has no
+    vectors.
 
     Parameters
     ----------
     source : Submodule
         One whose renderer has a single vector: the appearance to match.
-
-    Raises
-    ------
-    ValueError
-        If it has no vectors.
     """
     own = vectors_of(target)
     rng, place = np.random.default_rng(seed), target.renderer.model.place
@@ -283,10 +279,7 @@ def single_vector(vector: torch.Tensor) -> nn.Embedding:
 def vectors_of(submodule: Submodule) -> torch.Tensor:
     """The appearance vectors (photographs, A) of a submodule.
 
-    Raises
-    ------
-    ValueError
-        If it has none.
+    Raises ValueError if it has none.
     """
     own = submodule.renderer.appearance
     if own is None:

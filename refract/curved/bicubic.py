@@ -29,7 +29,8 @@ class BicubicWater(CurvedWater):
     """Cubic pieces (Catmull and Rom's) between the nodes of an even raster, in a right-handed frame with z up.
 
     Heights pass through the nodes, and slopes are continuous. Over a spacing s, of a smooth surface, heights are good
-    to the third power of s and slopes to the second. numpy and torch.
+    to the third power of s and slopes to the second. numpy and torch. Raises ValueError if shapes do not fit, a height
+    is not finite, the spacing not positive, or the index outside 1 to 2.
 
     Parameters
     ----------
@@ -42,11 +43,6 @@ class BicubicWater(CurvedWater):
         no water.
     n_water : [-]
         Refractive index of the water relative to the air above it, at least 1.
-
-    Raises
-    ------
-    ValueError
-        If shapes do not fit, a height is not finite, the spacing not positive, or the index outside 1 to 2.
     """
 
     corner: tuple[float, float]
@@ -73,11 +69,7 @@ class BicubicWater(CurvedWater):
         """Water through scattered points (points, 2) [m], local, of heights (points,) [m].
 
         The nodes are as far apart as the points are, and interpolated linearly; beyond the points as at the nearest.
-
-        Raises
-        ------
-        ValueError
-            If the points are fewer than three, on one line, or not finite.
+        Raises ValueError if the points are fewer than three, on one line, or not finite.
         """
         from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
         from scipy.spatial import Delaunay, KDTree, QhullError

@@ -78,6 +78,9 @@ def estimate_water(
 ) -> WaterEstimate:
     """The water of a survey folder, estimated from its photographs; no setting and no result of a run changes.
 
+    Raises SurveyError or GeoError where the survey cannot be used, its photographs do not match, or the file cannot be
+    written.
+
     Parameters
     ----------
     folder : Path
@@ -91,11 +94,6 @@ def estimate_water(
         ``folder/bathynerf``. Where it has none of these photographs they are solved for, and kept there.
     json_path : Path, optional
         Gets everything that was found.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        Where the survey cannot be used, its photographs do not match, or the file cannot be written.
     """
     progress, folder = current(), Path(folder)
     run_folder = None if run_folder is None else Path(run_folder)

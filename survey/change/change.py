@@ -16,7 +16,7 @@ import numpy as np
 from evaluation.robust import MAD_TO_STD
 from geo.features import layer_of
 from geo.files import existing_file
-from geo.lines import cells_inside, read_polygons
+from geo.lines import assumed_crs, cells_inside, read_polygons
 from geo.raster import RasterBand, RasterForm, is_our_tiff, write_cog
 from survey.change.differences import (
     CHANGED_STDS,
@@ -255,6 +255,7 @@ def _aligned(
 def _cells_in(path: Path, cells: PlanCells) -> np.ndarray:
     """Whether the middle of each cell (rows, columns) lies in a polygon of a file."""
     polygons = read_polygons(path, cells.crs, cells.box)
+    current().notes(assumed_crs(path))
     return cells_inside(polygons, cells.transform, cells.shape)
 
 

@@ -233,8 +233,7 @@ def _cloud(path: Path) -> Cloud:
     if not isinstance(shape, Cloud):
         raise ChangeError(f"{path} is a mesh, expected a run folder or a cloud as LAS, LAZ or COPC")
     cloud, notes = ground_of(shape, path)
-    for text in notes:
-        current().note(text)
+    current().notes(notes)
     return cloud
 
 

@@ -58,15 +58,12 @@ _BESIDE_SHARE = 0.01
 def compare_files(cloud: str | Path, reference: str | Path, *, options: CompareOptions | None = None) -> Figures:
     """Compare a cloud with a reference, and write JSON and pictures where the options say.
 
+    Raises GeoError or SurveyError if a file or an option cannot be used; see `survey.compare.inputs.load_inputs`.
+
     Parameters
     ----------
     cloud, reference : as `geo.read_reference`
         The reference a mesh, or points: then the comparison is by heights over a surface through them.
-
-    Raises
-    ------
-    GeoError, SurveyError
-        If a file or an option cannot be used; see `survey.compare.inputs.load_inputs`.
     """
     options = options or CompareOptions()
     cloud, reference = Path(cloud), Path(reference)

@@ -32,6 +32,12 @@ _EDITED = (".gpkg", ".geojson", ".dxf", ".csv", ".xyz")
 def export(run: str | Path, *, options: ExportOptions | None = None, **files: str | Path | None) -> list[Path]:
     """Write products of a run.
 
+    Raises SurveyError if a length is unusable, nothing is asked for, a name does not end as its product does, an option
+    has no effect on any of them, the folder is not a run, or the run has not come as far as the cloud; or if a product
+    cannot be made of the run with these options: all are checked before the first is computed; OutputError if a file
+    must not be written, see `survey.files.outputs`: a file that is there is replaced only where bathynerf wrote it, and
+    one that people edit only as it was written; GeoError if a file cannot be written, or the CRS is unusable.
+
     Parameters
     ----------
     run : Path
@@ -45,18 +51,6 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
     -------
     list of Path
         The files, whether written now or unchanged since an earlier export.
-
-    Raises
-    ------
-    SurveyError
-        If a length is unusable, nothing is asked for, a name does not end as its product does, an option has no effect
-        on any of them, the folder is not a run, or the run has not come as far as the cloud; or if a product cannot be
-        made of the run with these options: all are checked before the first is computed.
-    OutputError
-        If a file must not be written, see `survey.files.outputs`: a file that is there is replaced only where bathynerf
-        wrote it, and one that people edit only as it was written.
-    GeoError
-        If a file cannot be written, or the CRS is unusable.
     """
     options = options or ExportOptions()
     require_lengths(options)

@@ -23,7 +23,7 @@ from geo import Cloud, Mesh, read_cloud
 from geo.crs import crs_code, has_height, height_unit_m, is_geographic
 from geo.features import layer_of
 from geo.files import write_whole
-from geo.lines import Line, plan_box, read_lines
+from geo.lines import Line, assumed_crs, plan_box, read_lines
 from geo.projection import ground_units_m
 from geo.shapes import ground_of, in_height_unit, masked_cloud
 from geo.vectors import DxfLine, write_dxf
@@ -96,8 +96,7 @@ class Bed:
             inputs = load_inputs(InputPaths(file, reference), None)
             self._cloud, self._reference, crs = masked_cloud(inputs.cloud, inputs.inside), inputs.reference, inputs.crs
             notes = inputs.notes
-        for text in notes:
-            current().note(text)
+        current().notes(notes)
         if crs is None:
             raise ProfileError(f"{file} names no CRS, which places the lines in it; give the run folder instead")
         self.crs = crs if has_height(crs) else crs.to_3d()
@@ -217,6 +216,8 @@ def profiles_along(
 ) -> list[Profile]:
     """Profiles of a run or a cloud along the lines of a file.
 
+    Raises SurveyError or GeoError if a file cannot be read or written, or is of another place.
+
     Parameters
     ----------
     path : str or Path
@@ -229,11 +230,6 @@ def profiles_along(
         Mesh, GeoTIFF or points.
     csv_path, picture_path, dxf_path : str or Path, optional
         Where the table, the picture and the drawing go.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        If a file cannot be read or written, or is of another place.
     """
     path, lines = Path(path), Path(lines)
     given = (reference, csv_path, picture_path, dxf_path)
@@ -247,6 +243,7 @@ def profiles_along(
     require_file("--picture", picture, read, kind="a PNG", is_of_kind=is_png)
     require_file("--dxf", drawing, read, kind="a DXF", is_of_kind=lambda head: b"SECTION" in head[:64] or not head)
     bed = Bed(path, truth)
+    current().notes(assumed_crs(lines))
     found = _over_bed([bed.along(line, step_m) for line in read_lines(lines, bed.crs, bed.box)], lines)
     if table is not None:
         write_csv(table, found)

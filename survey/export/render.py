@@ -58,8 +58,10 @@ def render(
 
     Of each camera NAME.png (transparent where it sees no bed), NAME_height.tif (of the bed over the water plane [m],
     float32, NaN outside), NAME_distance.tif (from the camera along the path [m]) and NAME_normal.png (local east,
-    north, up as red, green, blue, -1 to 1 as 0 to 255). They are seen through the lens of the camera: at the pose of
-    a photograph, they fit it pixel by pixel.
+    north, up as red, green, blue, -1 to 1 as 0 to 255). They are seen through the lens of the camera: at the pose of a
+    photograph, they fit it pixel by pixel. Raises SurveyError or GeoError if the run has no height maps or no field,
+    its photographs are not there, or the cameras are unusable; OutputError if the pictures must not be written there,
+    see `survey.files.outputs`: a picture that is there is replaced only where render wrote it.
 
     Parameters
     ----------
@@ -82,14 +84,6 @@ def render(
     -------
     list of Path
         The pictures.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        If the run has no height maps or no field, its photographs are not there, or the cameras are unusable.
-    OutputError
-        If the pictures must not be written there, see `survey.files.outputs`: a picture that is there is replaced
-        only where render wrote it.
     """
     folder, output = RunDir(run), Path(output)
     folder.require_run()

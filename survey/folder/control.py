@@ -21,7 +21,7 @@ from geo.crs import has_height, height_unit_m, vertical_crs
 from geo.features import layer_of
 from geo.files import existing_file
 from geo.frames import LocalFrame
-from geo.lines import plan_box, points_inside, read_polygons
+from geo.lines import assumed_crs, plan_box, points_inside, read_polygons
 from geo.projection import metres_per_unit
 from geo.reading import read_reference
 from geo.reproject import Reprojection
@@ -37,6 +37,7 @@ from survey.errors import ControlError, Findings
 from survey.files.point_table import accuracy_warnings, several_heights
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
+from survey.progress import current
 from survey.settings.config import SurveyConfig
 from survey.settings.tables import DEFAULT_MARKS_STD_PX, DEFAULT_STD_M, ControlConfig, per_direction
 from survey.water.surface import Departure, height_above, plane_under
@@ -284,6 +285,7 @@ def read_ground(
     num_all = len(cloud.points)
     if given.stable is not None:
         polygons = read_polygons(folder / given.stable, frame.crs, plan_box(cloud.points))
+        current().notes(assumed_crs(folder / given.stable))
         inside = points_inside(polygons, cloud.points[:, :2])
         if not inside.any():
             raise ControlError(f"no point of {path} lies in the polygons of {given.stable}; correct them or their CRS")

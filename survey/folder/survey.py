@@ -145,6 +145,8 @@ def load_survey(
 ) -> Survey:
     """Read a survey into its local frame and check its consistency.
 
+    Raises SurveyError or GeoError where something is missing, damaged or contradictory.
+
     Parameters
     ----------
     folder : Path
@@ -154,11 +156,6 @@ def load_survey(
         Called with messages on the progress of structure from motion.
     found : Found, optional
         What `find_survey` found in the folder, where it has looked already.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        Where something is missing, damaged or contradictory.
     """
     found = find_survey(Path(folder)) if found is None else found
     if found.poses_path is None:

@@ -66,10 +66,7 @@ class Dem:
     def to_xarray(self) -> Any:
         """An ``xarray.Dataset`` of all layers with units and long names, the CRS as rioxarray and CF have it.
 
-        Raises
-        ------
-        SurveyError
-            If xarray is not installed.
+        Raises SurveyError if xarray is not installed.
         """
         try:
             import xarray
@@ -115,14 +112,11 @@ def dem_of(path: Path, options: ExportOptions) -> Dem:
 class Run:
     """A run folder that `process` wrote; files are read when they are first needed.
 
+    Raises SurveyError if the folder is not a run, or not a finished one.
+
     Attributes
     ----------
     folder : Path
-
-    Raises
-    ------
-    SurveyError
-        If the folder is not a run, or not a finished one.
     """
 
     def __init__(self, folder: str | Path):
@@ -191,6 +185,9 @@ class Run:
     ) -> Profile:
         """Bed, water, standard deviations and a reference along a line.
 
+        Raises SurveyError or GeoError if the line has no length, or the reference cannot be read or is of another
+        place.
+
         Parameters
         ----------
         line : (K, 2), in the CRS of the run
@@ -201,11 +198,6 @@ class Run:
             Mesh, GeoTIFF or points.
         name : str
             Of the profile.
-
-        Raises
-        ------
-        SurveyError, GeoError
-            If the line has no length, or the reference cannot be read or is of another place.
         """
         corners = np.asarray(line, dtype=np.float64)
         if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 2 or not np.isfinite(corners).all():
@@ -235,12 +227,8 @@ class Run:
     def to_open3d(self) -> Any:
         """The cloud as ``open3d.geometry.PointCloud``, shifted because Open3D draws in float32.
 
-        Coordinates in crs are those of Open3D plus ``numpy.floor(run.cloud.points.min(axis=0))``.
-
-        Raises
-        ------
-        SurveyError
-            If Open3D is not installed.
+        Coordinates in crs are those of Open3D plus ``numpy.floor(run.cloud.points.min(axis=0))``. Raises SurveyError if
+        Open3D is not installed.
         """
         try:
             import open3d

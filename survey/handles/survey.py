@@ -18,16 +18,13 @@ class Survey:
 
     >>> run = Survey.open("harbour").process(quality="standard")        # doctest: +SKIP
 
+    Raises SurveyError or GeoError where something is missing, damaged or contradictory.
+
     Attributes
     ----------
     folder : Path
     found : Found
         What the folder holds.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        Where something is missing, damaged or contradictory.
     """
 
     def __init__(self, folder: str | Path):

@@ -83,15 +83,12 @@ class Plan:
 def make_plan(survey: Survey, chosen: Choices = USUAL) -> Plan:
     """Plan for a survey.
 
+    Raises SurveyError if CUDA is asked for and there is none.
+
     Parameters
     ----------
     survey : Survey
     chosen : Choices
-
-    Raises
-    ------
-    SurveyError
-        If CUDA is asked for and there is none.
     """
     survey = flattened(survey)
     recipe, device = RECIPES[chosen.quality], device_decision(chosen.device)

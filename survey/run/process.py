@@ -65,7 +65,8 @@ def process(
 ) -> int:
     """Compute the point cloud of the bed, with a report, in a run folder.
 
-    Parameters that are not given are those in [process] of survey.toml, else the defaults.
+    Parameters that are not given are those in [process] of survey.toml, else the defaults. Raises SurveyError or
+    GeoError where the input is at fault.
 
     Parameters
     ----------
@@ -112,11 +113,6 @@ def process(
     -------
     int
         0, or 3 where a quality gate failed; all outputs are written either way.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        Where the input is at fault.
     """
     began = time.monotonic()
     survey_folder = Path(survey_folder)

@@ -111,10 +111,7 @@ class ViewStack:
     def build(device: Device, cameras, images, water, skips: Skips = SKIPS) -> ViewStack:
         """Stack images (height, width) float; all must have the size of their camera, `LazyImages` that of the largest.
 
-        Raises
-        ------
-        ValueError
-            If a size differs.
+        Raises ValueError if a size differs.
         """
         sizes = [(camera.height, camera.width) for camera in cameras]
         if isinstance(images, LazyImages):

@@ -83,10 +83,7 @@ class PlaneWater:
 def kernel_water(water: FlatWater | None, skips: Skips) -> KernelWater:
     """The water of a survey as the kernels take it.
 
-    Raises
-    ------
-    TypeError
-        If no kernel is written for this surface.
+    Raises TypeError if no kernel is written for this surface.
     """
     if water is None or isinstance(water, FlatWater):
         return PlaneWater.of(water, skips_air=skips.air)

@@ -76,6 +76,7 @@ def test_no_damage_ends_in_another_error(whole, tmp_path, name, which, edits):
             found = None
         else:
             said = ""
+        assert "\n" not in said
         assert len(said) < 2 * MOST_CHARACTERS
         for pose in found.poses if found is not None and read is read_poses else ():
             assert np.isfinite(pose.centre).all()

@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 from bench_solver import BATHYNERF, FINE, accuracy, inner90, raster_of
 from scipy.ndimage import map_coordinates
-from stress_scenes import bare_sand
+from stress_factors import bare_sand
 
 from evaluation.robust import MAD_TO_STD
 from fields.solver.visibility import lookup

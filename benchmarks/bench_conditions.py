@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 from condition_scenes import CONDITIONS
-from published import publish
+from tables import publish
 
 from evaluation import slope_below, vertical_difference
 from evaluation.vertical import WALL_DEG

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 import switch_scene
 import torch
-from field_tables import DOCS, interval
+from bench_field import DOCS, interval
 from gallery_canvas import BLUE, DARK_ORANGE, GREEN, RED, canvas, label, save
 from matplotlib.ticker import NullFormatter, StrMethodFormatter
 from switch_scene import BOX, WATER, SwitchScene, build

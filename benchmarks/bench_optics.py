@@ -2,28 +2,29 @@
 
     python benchmarks/bench_optics.py [--plain | --picture]
 
-Prints tables of run time against error over drone geometry and over the extremes, what
-torch takes beside a few plain lines, and how near the kernels come to the speed of memory and of arithmetic, both
-measured in the same run. With --picture docs/img/optics_error.png is drawn instead, which
-times nothing; with --plain only the table of plain lines. Two minutes; on a busy machine
-believe no figure but the ratios to plain lines, which count processor time.
+Prints tables of run time against error over drone geometry and over the extremes, and what torch takes beside a few
+plain lines. With --picture docs/img/optics_error.png is drawn instead, which times nothing; with --plain only the table
+of plain lines. Two minutes; on a busy machine believe no figure but the ratios to plain lines, which count processor
+time.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import drjit
 import numpy as np
 import torch
-from array_libraries import Library, Limits, libraries, measure_limits, seconds, shares
 from gallery_canvas import BLUE, IN_WATER, RED, canvas, label, save
 
 from refract import FlatWater, project, trace
@@ -40,6 +41,91 @@ STEPS = range(7)
 SURVEYS = (0.1 / 120.0, 15.0 / 5.0)
 # The rounding of a float32, half a unit in the last place, relative.
 HALF_UNIT = 2.0**-24
+BUDGET_S = 0.4  # per figure: as many rounds as fit, two at least; the best one counts
+
+
+@dataclass(frozen=True)
+class Library:
+    """One array library at one precision.
+
+    Attributes
+    ----------
+    name : str
+    vectors, numbers : from numpy (K, 3) and (K,) into the library
+    back : vectors of the library to float64 (K, 3)
+    finish : waits until results are there
+    backward : of vectors and a function of them: the gradient of the sum of its vectors; None without gradients
+    """
+
+    name: str
+    vectors: Callable[[np.ndarray], Any]
+    numbers: Callable[[np.ndarray], Any]
+    back: Callable[[Any], np.ndarray]
+    finish: Callable[[Any], None]
+    backward: Callable[[Any, Callable], None] | None
+
+
+def libraries() -> Iterator[Library]:
+    """All that are installed; Dr.Jit on each backend that it finds."""
+    yield Library("numpy float64", np.asarray, np.asarray, np.asarray, _nothing, None)
+    for bits in (32, 64):
+        yield _torch(bits)
+    for backend in (drjit.JitBackend.LLVM, drjit.JitBackend.CUDA):
+        if drjit.has_backend(backend):
+            for bits in (32, 64):
+                yield _drjit(backend, bits)
+
+
+def _nothing(result) -> None:
+    """Results of numpy and of torch on the CPU are there when the call returns."""
+
+
+def _torch(bits: int) -> Library:
+    dtype = getattr(torch, f"float{bits}")
+
+    def array(values):
+        return torch.tensor(values, dtype=dtype)
+
+    def backward(points, function):
+        function(points.detach().requires_grad_()).sum().backward()
+
+    return Library(f"torch float{bits}", array, array, lambda v: v.double().numpy(), _nothing, backward)
+
+
+def _drjit(backend, bits: int) -> Library:
+    module = (drjit.llvm if backend == drjit.JitBackend.LLVM else drjit.cuda).ad
+    suffix = "64" if bits == 64 else ""
+    Vector, Float = getattr(module, f"Array3f{suffix}"), getattr(module, f"Float{suffix}")
+
+    def finish(result):
+        drjit.eval(result)
+        drjit.sync_thread()
+
+    def backward(points, function):
+        leaf = Vector(drjit.detach(points))
+        drjit.enable_grad(leaf)
+        drjit.backward(sum(function(leaf)))
+        finish(drjit.grad(leaf))
+
+    return Library(
+        f"Dr.Jit float{bits} ({backend.name})",
+        lambda v: Vector(np.ascontiguousarray(v.T, f"float{bits}")),
+        lambda v: Float(np.ascontiguousarray(v, f"float{bits}")),
+        lambda v: np.asarray(v, np.float64).T,
+        finish,
+        backward,
+    )
+
+
+def seconds(run: Callable[[], None]) -> float:
+    """The best time of a call, after one that compiles."""
+    run()
+    best, started, rounds = math.inf, time.perf_counter(), 0
+    while rounds < 2 or time.perf_counter() - started < BUDGET_S:
+        start = time.perf_counter()
+        run()
+        best, rounds = min(best, time.perf_counter() - start), rounds + 1
+    return best
 
 
 def plain_trace(origin, direction, level: float, n_water: float) -> tuple:
@@ -180,36 +266,6 @@ def error_table(records: list[dict]) -> str:
     return "\n".join(rows)
 
 
-def limit_table(limits: Limits) -> str:
-    """How near the Dr.Jit kernels come to what binds them: one camera, float32, arrays beyond the caches."""
-    from drjit.llvm import Array3f
-
-    _, rays, points = (np.tile(v, (16, 1)) for v in drone_geometry())
-    centre, ray, point = Array3f(0.0, 0.0, 60.0), *(Array3f(np.ascontiguousarray(v.T, "f")) for v in (rays, points))
-    drjit.make_opaque(centre, ray, point)
-
-    def down():
-        path = trace(centre, ray, WATER)
-        return path.crossing, path.air_length, path.water_direction
-
-    kernels = (
-        ("trace: crossing, length and direction", down, 4 * (3 + 7)),
-        ("project: direction", lambda: project(point, centre, WATER).direction, 4 * (3 + 3)),
-    )
-    flops = 2e-9 / limits.operation["fma", "float"], 2e-9 / limits.operation["fma", "double"]
-    rows = [
-        f"A copy moves {limits.copy / 1e9:.1f} GB/s; multiply-adds run at {flops[0]:.0f} Gflop/s in float32 and "
-        f"{flops[1]:.0f} in float64; {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}.",
-        "",
-        "| kernel, float32 | ns a ray | operations | of the speed of memory | of that of arithmetic |",
-        "|---|---|---|---|---|",
-    ]
-    for name, run, size in kernels:
-        s = shares(limits, run, len(points), size)
-        rows.append(f"| {name} | {s['ns']:.2f} | {s['operations']:.0f} | {s['memory']:.0%} | {s['arithmetic']:.0%} |")
-    return "\n".join(rows)
-
-
 def bound(ratio: np.ndarray) -> np.ndarray:
     """Worst angle [rad] by which the rounding of a point to float32 turns its ray, for depths in camera heights.
 
@@ -267,15 +323,10 @@ def main() -> None:
     if arguments.picture:
         picture(every, PICTURE)
         return
-    tables = {"plain": plain_table(*drone_geometry(), WATER)}
-    if arguments.plain:
-        sys.stdout.write(tables["plain"] + "\n")
-        return
-    records = [record for library in every for record in of_steps(library)]
-    tables["errors"] = error_table(records)
-    if drjit.has_backend(drjit.JitBackend.LLVM):
-        tables["limits"] = limit_table(measure_limits())
-    sys.stdout.write("\n\n".join(tables.values()) + "\n")
+    sys.stdout.write(plain_table(*drone_geometry(), WATER) + "\n")
+    if not arguments.plain:
+        records = [record for library in every for record in of_steps(library)]
+        sys.stdout.write("\n" + error_table(records) + "\n")
 
 
 if __name__ == "__main__":

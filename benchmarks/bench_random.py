@@ -13,15 +13,19 @@ import argparse
 import json
 import math
 import shutil
+import tomllib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+import laspy
 import numpy as np
-from bench_coverage import cells_of
-from stress_factors import blur, compressed, contrast, exposure, images, noise
-from stress_scenes import with_waves
+from stress_factors import blur, compressed, contrast, exposure, images, noise, with_waves
 
+from evaluation import coverage_by_class, slope_below, vertical_difference
+from evaluation.vertical import WALL_DEG
+from geo import read_reference
+from geo.las_header import extra_of
 from survey.benchmark.benchmark import run_bathynerf
 from survey.benchmark.cases import case_of
 from survey.benchmark.records import Errors, errors_of
@@ -47,8 +51,8 @@ CHANGES: dict[str, tuple[Callable[[Path, float], None], float, float]] = {
     "contrast": (images(contrast), 0.1, 0.5),
     "exposure": (images(exposure), 0.1, 0.4),
 }
-# Cells of coverage: all, fifths, four classes of views, slopes, wet, dry, and the least std.
-_CLASSES = 10
+# A class of fewer points says nothing.
+LEAST = 100
 HEAD = (
     "| seed | quality | mean | std | rms | at 0.2 m | at 0.05 m | std covers | fifths | 2 views | 3 to 4 | 5 to 7 "
     "| 8 and more | slopes | wet | dry | least std |"
@@ -157,6 +161,33 @@ def _rougher(scene: StagedScene, relief: float) -> StagedScene:
     return replace(scene, renderer=replace(scene.renderer, ground=ground))
 
 
+def coverage_cells(run: Path, reference: Path, level_is_open: bool) -> list[str]:
+    """Shares [%] of vertical errors within 1.96 std where the reference is flatter than 60 degrees, and the least std.
+
+    In all, in fifths from the smallest to the largest std, by the number of views, on slopes, wet and dry. With
+    ``level_is_open`` the median error is taken off first.
+    """
+    las, mesh = laspy.read(run / "cloud.las"), read_reference(reference)
+    extra, middle = extra_of(las), mesh.vertices.mean(axis=0)
+    points = np.stack([las.x, las.y, las.z], axis=-1)
+    e0, n0, e1, n1 = tomllib.loads((run / "settings.toml").read_text(encoding="utf-8"))["area"]["bounds"]
+    inside = (points[:, 0] >= e0) & (points[:, 0] <= e1) & (points[:, 1] >= n0) & (points[:, 1] <= n1)
+    points, vertices = points[inside] - middle, mesh.vertices - middle
+    error = vertical_difference(points, vertices, mesh.faces)
+    slope = slope_below(points, vertices, mesh.faces)
+    std, views = (np.asarray(extra[name])[inside] for name in ("std", "num_views"))
+    wet = np.asarray(las.classification)[inside] == 40
+    known = np.isfinite(error) & (slope < WALL_DEG) & np.isfinite(std)
+    error = error[known]
+    if level_is_open:
+        error = error - np.median(error)
+    coverage = coverage_by_class(error, std[known], views[known], slope[known], wet[known])
+    shares = [
+        f"{100 * part.share:.{int(name == 'all')}f}" if part.num >= LEAST else "" for name, part in coverage.items()
+    ]
+    return [shares[0], " ".join(shares[1:6]), *shares[6:], f"{1e3 * np.nanmin(std):.2g} mm"]
+
+
 def rows_of(seed: int, qualities: list[str], folder: Path) -> dict[str, list[str]]:
     """Cells of a table by quality; the survey and its runs are removed."""
     random, survey, home = RandomSurvey.of(seed), folder / f"survey_{seed}", folder / "home"
@@ -169,9 +200,8 @@ def rows_of(seed: int, qualities: list[str], folder: Path) -> dict[str, list[str
         if not (run / "cloud.las").is_file():
             rows[quality] = [f"exit code {code}: {words}"]
             continue
-        covers = cells_of(run, case.reference, None, random.waves_m > 0.0)
-        # Without the median and what it is held against.
-        rows[quality] = [*_accuracy(errors_of(run / "cloud.las", case)), *covers[:_CLASSES]]
+        covers = coverage_cells(run, case.reference, random.waves_m > 0.0)
+        rows[quality] = [*_accuracy(errors_of(run / "cloud.las", case)), *covers]
     shutil.rmtree(survey)
     return rows
 

@@ -29,9 +29,8 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 from bench_real_points import corrected, palau, read_stream
-from published import publish
 from pyproj import Transformer
-from real_tables import TABLES
+from tables import TABLES, publish
 
 from evaluation.robust import std_by_median
 from geo import read_cloud

@@ -23,7 +23,7 @@ from field_surveys import _seeds
 from PIL import Image
 from scipy.spatial.transform import Rotation
 from scipy.stats import beta
-from stress_scenes import with_waves
+from stress_factors import with_waves
 
 from survey.adjust import pose_check
 from survey.adjust.block.observed import WINDOW

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from scipy.ndimage import grey_opening
 from scipy.spatial import cKDTree
-from study_protocol import thinned, tops
+from study import thinned, tops
 
 from fields.volume.paths import Box
 from fields.volume.photographs import Photographs

@@ -7,7 +7,7 @@ By default the two are drawn small; with --full they are wreck_water and wreck_d
 size (130 images of 1024 x 768). Chains: the sweep alone, with the field trained about its bed (field), or a model of
 `bathynerf field`, which begins anywhere in a box about the bed, is trained --steps steps, and leaves out one photograph
 in eight, whose PSNR is printed (Table 3). Runs lie in FOLDER and are used again. Prints a table in Markdown and writes
-table4.json: the study's protocol (`study_protocol`), and ours (nothing dropped, nothing aligned), beside its figures.
+table4.json: the study's protocol (`study`), and ours (nothing dropped, nothing aligned), beside its figures.
 """
 
 from __future__ import annotations
@@ -23,8 +23,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-import study_protocol as study
-from straight_bias import straight_bias
+import study
 
 from evaluation import distance_statistics, distance_to_mesh, is_reached, sample_mesh
 from fields.models import MODELS
@@ -154,7 +153,7 @@ def measure(case: Case, truth: Survey, reference: Path, samples: int, times_seen
         }
     if case.name == "wet straight" and not case.is_volume:
         visible = frame.local_from_crs(read_reference(reference.with_name("visible.ply")).points)
-        record["bias"] = asdict(straight_bias(ours, visible, truth, times_seen))
+        record["bias"] = asdict(study.straight_bias(ours, visible, truth, times_seen))
     return record
 
 

@@ -3,24 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
-from types import SimpleNamespace
 
+import bench_conditions as bench
+import condition_scenes
 import numpy as np
 import pytest
 
 from survey.simulate.drawn import DrawnScene, stage_drawing
-
-ROOT = Path(__file__).resolve().parent.parent
-
-
-@pytest.fixture
-def bench(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    import bench_conditions
-    import condition_scenes
-
-    return SimpleNamespace(bench=bench_conditions, scenes=condition_scenes)
 
 
 @pytest.fixture(scope="module")
@@ -32,10 +21,10 @@ def still():
 @pytest.mark.parametrize(
     ("name", "value"), [("foam", 0.2), ("people", 40.0), ("ripples", 0.1), ("focal_drift", 0.01), ("shadow", 0.5)]
 )
-def test_photographs_differ_from_each_other_and_the_truth_does_not(bench, still, name, value):
+def test_photographs_differ_from_each_other_and_the_truth_does_not(still, name, value):
     # The same camera twice: what is left between both is what moved.
     twice = replace(still, cameras=(still.cameras[0],) * 3)
-    changed = getattr(bench.scenes, name)(twice, value)
+    changed = getattr(condition_scenes, name)(twice, value)
     assert changed.renderer is twice.renderer
     first, later = (changed.photograph(index).astype(float) for index in (0, 2))
     calm = twice.photograph(0).astype(float)
@@ -47,8 +36,8 @@ def test_photographs_differ_from_each_other_and_the_truth_does_not(bench, still,
         assert np.abs(first - later).max() > 5.0
 
 
-def test_foam_covers_what_it_is_asked_to(bench, still):
-    eye = bench.scenes.foam(still, 0.2).of_photograph(still, 1).radiance_of
+def test_foam_covers_what_it_is_asked_to(still):
+    eye = condition_scenes.foam(still, 0.2).of_photograph(still, 1).radiance_of
     x, y = (v.ravel() for v in np.meshgrid(np.linspace(-5.0, 5.0, 90), np.linspace(-5.0, 5.0, 90)))
     down = np.tile([0.0, 0.0, -1.0], (len(x), 1))
     above = np.column_stack([x, y, np.full(len(x), 5.0)])
@@ -57,27 +46,27 @@ def test_foam_covers_what_it_is_asked_to(bench, still):
     assert 0.08 < covered.mean() < 0.22
 
 
-def test_rows_of_a_zone_are_read_at_once(bench, still):
+def test_rows_of_a_zone_are_read_at_once(still):
     camera = replace(still.cameras[0], motion=np.array([0.01, 0.0, 0.0]))
     scene = replace(still, cameras=(camera,))
     at = []
     scene = replace(scene, radiance_of=lambda origin, direction, seed: at.append(origin) or np.zeros_like(direction))
-    bench.scenes.zones(scene, 3.0).photograph(0)
+    condition_scenes.zones(scene, 3.0).photograph(0)
     # 30 rows in three zones; their middles are 10 rows apart.
     late = np.unique(np.round((np.concatenate(at)[:, 0] - camera.centre[0]) / 0.01, 6))
     np.testing.assert_allclose(late, np.array([5.0, 15.0, 25.0]) - camera.cy)
 
 
-def test_brown_water_takes_the_contrast_of_deep_ground(bench, still):
-    clear, brown = (scene.photograph(0).astype(float) for scene in (still, bench.scenes.brown(still, 2.0)))
+def test_brown_water_takes_the_contrast_of_deep_ground(still):
+    clear, brown = (scene.photograph(0).astype(float) for scene in (still, condition_scenes.brown(still, 2.0)))
     assert brown.std(axis=(0, 1)).max() < 0.5 * clear.std(axis=(0, 1)).max()
 
 
-def test_every_condition_has_words_of_its_own_and_a_row_of_means(bench):
-    conditions = bench.scenes.CONDITIONS
+def test_every_condition_has_words_of_its_own_and_a_row_of_means():
+    conditions = condition_scenes.CONDITIONS
     assert len({each.words for each in conditions.values()}) == len(conditions)
     record = {"points": 9, "found": 0.9, "mean_m": 0.001, "std_m": 0.004, "beyond": 0.01, "within": 0.95}
     record |= {"within_largest": 0.9, "median_std_m": 0.005, "common_m": 0.0, "exit_code": 0}
-    row = bench.bench.row_of("nothing", [record, record | {"found": 0.8, "exit_code": 3}])
+    row = bench.row_of("nothing", [record, record | {"found": 0.8, "exit_code": 3}])
     assert row.startswith("| nothing | 85.0 % | +1.0 mm | 4.0 mm | 1.00 % | 95.0 % | 90.0 % | 5.0 mm | 0, 3")
-    assert bench.bench.row_of("nothing", [{"exit_code": 2}]).endswith("| 2 |")
+    assert bench.row_of("nothing", [{"exit_code": 2}]).endswith("| 2 |")

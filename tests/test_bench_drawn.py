@@ -2,22 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import pytest
+import bench_drawn as bench
 
 from survey.benchmark.cases import drawn_names
 from survey.benchmark.records import METHODS, Cost, Errors, Record, read_results
-
-ROOT = Path(__file__).resolve().parent.parent
-
-
-@pytest.fixture
-def bench(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    import bench_drawn
-
-    return bench_drawn
 
 
 def _record(method: str, quality: str, processor_s: float, error_m: float, case: str = "drawn_2_oblique_20") -> Record:
@@ -26,14 +14,14 @@ def _record(method: str, quality: str, processor_s: float, error_m: float, case:
     return Record(case, method, quality, "given", "cpu", 0, (Cost(1.5 * processor_s, processor_s, 10**9),), errors)
 
 
-def test_the_surveys_of_all_parts_can_be_drawn(bench):
+def test_the_surveys_of_all_parts_can_be_drawn():
     words = [word for part in bench.PARTS.values() for word in part.drawn]
     assert drawn_names(words) == words
     assert {word.split(",")[0] for word in words} == set(bench.MARKERS)
     assert set(bench.COLOURS) == set(METHODS)
 
 
-def test_a_table_has_a_row_for_each_record_and_the_picture_is_drawn(bench, tmp_path):
+def test_a_table_has_a_row_for_each_record_and_the_picture_is_drawn(tmp_path):
     records = (
         _record("full", "draft", 20.0, 0.005),
         _record("full", "standard", 40.0, 0.004),
@@ -51,21 +39,10 @@ def test_a_table_has_a_row_for_each_record_and_the_picture_is_drawn(bench, tmp_p
     assert (tmp_path / "front.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_table_stands_between_its_marks_and_the_rest_of_the_page_stays(bench, tmp_path):
-    import published
-
-    (begin, end), page = published.marks("drawn"), tmp_path / "page.md"
-    page.write_text(f"before\n{begin}\nold table\n{end}\nafter\n")
-    published.publish(page, "drawn", ["| new |"])
-    assert page.read_text() == f"before\n{begin}\n\n| new |\n\n{end}\nafter\n"
-    with pytest.raises(SystemExit, match="has no lines"):
-        published.publish(page, "other", [])
-
-
-def test_the_legend_has_what_was_measured_alone(bench):
+def test_the_legend_has_what_was_measured_alone():
     labels = [label for label, *_ in bench.legend_of([_record("full", "draft", 20.0, 0.005)])]
     assert labels == ["whole chain", "2 m deep", "20 photographs", "hollow: draft", "filled: standard"]
 
 
-def test_the_published_results_can_be_read(bench):
+def test_the_published_results_can_be_read():
     assert read_results(bench.PUBLISHED).records

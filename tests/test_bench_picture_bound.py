@@ -2,24 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
+import bench_picture_bound as bound
 import numpy as np
 import pytest
 from PIL import Image
 
-ROOT = Path(__file__).resolve().parent.parent
 
-
-@pytest.fixture
-def bound(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    import bench_picture_bound
-
-    return bench_picture_bound
-
-
-def test_noise_has_its_square_and_a_level_picture_is_stored_as_it_is(bound, tmp_path, rng):
+def test_noise_has_its_square_and_a_level_picture_is_stored_as_it_is(tmp_path, rng):
     path = tmp_path / "level.jpg"
     Image.new("RGB", (203, 155), (128, 128, 128)).save(path, quality=95, subsampling=0)
     noise, jpeg, both = bound.squared_errors(path, 2.0, rng)
@@ -30,7 +19,7 @@ def test_noise_has_its_square_and_a_level_picture_is_stored_as_it_is(bound, tmp_
     assert 0.5 < both < 8.0
 
 
-def test_a_coarser_table_costs_more(bound, tmp_path, rng):
+def test_a_coarser_table_costs_more(tmp_path, rng):
     texture = rng.integers(60, 200, (80, 80, 3)).astype(np.uint8)
     errors = []
     for quality in (95, 60):
@@ -40,7 +29,7 @@ def test_a_coarser_table_costs_more(bound, tmp_path, rng):
     assert 0.0 < 2.0 * errors[0] < errors[1]
 
 
-def test_other_formats_are_named(bound, tmp_path, rng):
+def test_other_formats_are_named(tmp_path, rng):
     path = tmp_path / "flat.png"
     Image.new("RGB", (16, 16)).save(path)
     with pytest.raises(SystemExit, match=r"flat.png is a PNG, expected a JPEG"):

@@ -3,45 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
-from types import SimpleNamespace
 
+import bench_random as bench
 import numpy as np
 import pytest
 
 from survey.simulate.drawn import DrawnScene, stage_drawing
 
-ROOT = Path(__file__).resolve().parent.parent
 
-
-@pytest.fixture
-def bench(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    import bench_random
-
-    return SimpleNamespace(random=bench_random, surveys=bench_random)
-
-
-def test_a_seed_is_always_the_same_survey_and_another_seed_another(bench):
-    drawn = [str(bench.surveys.RandomSurvey.of(seed)) for seed in range(40)]
-    assert drawn == [str(bench.surveys.RandomSurvey.of(seed)) for seed in range(40)]
+def test_a_seed_is_always_the_same_survey_and_another_seed_another():
+    drawn = [str(bench.RandomSurvey.of(seed)) for seed in range(40)]
+    assert drawn == [str(bench.RandomSurvey.of(seed)) for seed in range(40)]
     assert len(set(drawn)) == 40
-    assert {word for word in bench.surveys.CHANGES for text in drawn if f"then {word}" in text} == set(
-        bench.surveys.CHANGES
-    )
+    assert {word for word in bench.CHANGES for text in drawn if f"then {word}" in text} == set(bench.CHANGES)
 
 
-def test_relief_goes_on_below_that_of_other_drawn_beds(bench):
-    random = bench.surveys.RandomSurvey(replace(DrawnScene.tiny(), cell_m=0.0125), 2.0, 0.0, None, 0.0)
+def test_relief_goes_on_below_that_of_other_drawn_beds():
+    random = bench.RandomSurvey(replace(DrawnScene.tiny(), cell_m=0.0125), 2.0, 0.0, None, 0.0)
     plain = stage_drawing(random.scene).renderer.ground.bed
     added = random._staged().renderer.ground.bed.heights - plain.heights
     # Spacings of 10, 5, 2.5 and 1.25 cm, each by a tenth of it.
     assert added.std() == pytest.approx(0.1 * np.hypot(np.hypot(0.1, 0.05), np.hypot(0.025, 0.0125)), rel=0.3)
 
 
-def test_the_table_has_a_row_for_each_quality_and_a_line_for_each_survey(bench):
+def test_the_table_has_a_row_for_each_quality_and_a_line_for_each_survey():
     cells = [f"{number}" for number in range(15)]
-    lines = bench.random.lines_of({"100": {"draft": cells, "standard": cells}, "101": {"draft": cells}})
+    lines = bench.lines_of({"100": {"draft": cells, "standard": cells}, "101": {"draft": cells}})
     rows = [line for line in lines if line.startswith("|")]
     assert len({line.count("|") for line in rows}) == 1
     assert [line.split("|")[1:3] for line in rows[2:]] == [

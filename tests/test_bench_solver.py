@@ -4,28 +4,17 @@ from __future__ import annotations
 
 import re
 from importlib import import_module
-from pathlib import Path
 
-import pytest
-
-ROOT = Path(__file__).resolve().parent.parent
+import bench_solver as bench
 
 
-@pytest.fixture
-def bench(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    import bench_solver
-
-    return bench_solver
-
-
-def test_rows_give_one_seed_plainly_and_several_with_the_least_and_the_greatest(bench):
+def test_rows_give_one_seed_plainly_and_several_with_the_least_and_the_greatest():
     assert bench.row([[0.1, 6.6, 10.8, 99.8, 96.4]]) == "0.1 mm | 6.6 mm | 10.8 mm | 99.80 % | 96.40 %"
     two = bench.row([[0.1, 6.0, 10.0, 99.8, 96.0], [0.1, 7.0, 12.0, 99.8, 97.0]])
     assert two.endswith("| 96.50 % (96.00 to 97.00)")
 
 
-def test_what_the_plain_gauss_newton_leaves_out_is_there(bench):
+def test_what_the_plain_gauss_newton_leaves_out_is_there():
     names = re.findall(r'patch\(\s*"([^"]+)"', bench.PLAIN)
     assert len(names) == 2
     for name in names:

@@ -21,21 +21,14 @@ SMALLEST = {
     "bench_bound": "--scenes sand -o {work}",
     "bench_compare": "--points 1000 --triangles 500",
     "bench_conditions": "nothing -o {work} --seeds 1-1 --quality draft",
-    "bench_coverage": "{run} {survey}/truth/reference.ply",
-    "bench_dem": "{run} {survey}/truth/reference.ply --resolution 0.5",
     "bench_error_time": "{work} --models vm --seconds 0.2",
     "bench_field": "{work} --objects ship --models vm --steps 5 --scale 0.05 --cells 16 --rays 64 --samples 8",
-    "bench_kernels": "{survey}",
     "bench_lookup": "--samples 1024 --rounds 1",
-    "bench_mapping": "12 --mapper incremental --without-adjustment",
     "bench_mesh": "{run} {survey} --methods delaunay",
     "bench_optics": "--plain",
-    "bench_overhang": "{survey} {run}",
-    "bench_photographs": "{work} 9 --photographs-of-tile 9",
     "bench_plan": "{survey} --quality draft",
     "bench_random": "--seeds 102-102 -o {work} --quality draft",
     "bench_reach": "{work} --kilometre",
-    "bench_real_like": "-o {work} --seed 2 --count 1 --by ties",
     "bench_solver": "{survey} --ways solver -o {work}",
     "bench_survey_field": "{survey} -o {work} --rows sweep --reference {survey}/truth/reference.ply "
     "--visible {survey}/truth/visible.ply",
@@ -74,7 +67,6 @@ def test_every_benchmark_is_run_or_has_a_reason():
 
 @pytest.mark.parametrize("name", sorted({*PROGRAMS} - {"bench_surfaces", "tables"}))
 def test_a_benchmark_says_how_it_is_run(name, monkeypatch, capsys):
-    monkeypatch.syspath_prepend(BENCHMARKS)
     monkeypatch.setattr("sys.argv", [f"{name}.py", "--help"])
     with pytest.raises(SystemExit) as ended:
         runpy.run_path(str(BENCHMARKS / f"{name}.py"), run_name="__main__")

@@ -8,33 +8,29 @@ import shutil
 import tomllib
 from pathlib import Path
 
+import field_settings
+import field_surveys
 import numpy as np
 import pytest
 import tomli_w
+from adjust_rows import copy_without_gps
 
 from geo.errors import GeoError
 from survey.adjust.refine import adjust_survey
 from survey.errors import SurveyError
 from survey.folder.survey import Survey, load_survey
 
-BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
-
 
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory) -> Path:
     """A survey of 11 photographs of a bank and shallow water, with GPS and five control points."""
     folder = tmp_path_factory.mktemp("drawn") / "01"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(BENCHMARKS)
-        import field_settings
-        import field_surveys
-
-        settings = dataclasses.replace(
-            field_settings.draw_settings(1),
-            size_m=(5.0, 4.0), size_px=(320, 240), stated_focal_px=336.0, focal_px=337.0, principal_px=(161.0, 119.0),
-            height_m=8.0, depth_m=0.8, dry_share=0.6, bare_share=0.0, num_nadir=8, num_oblique=3, wave_m=0.0, noise=1.0,
-        )  # fmt: skip
-        field_surveys.draw_field_survey(folder, settings)
+    settings = dataclasses.replace(
+        field_settings.draw_settings(1),
+        size_m=(5.0, 4.0), size_px=(320, 240), stated_focal_px=336.0, focal_px=337.0, principal_px=(161.0, 119.0),
+        height_m=8.0, depth_m=0.8, dry_share=0.6, bare_share=0.0, num_nadir=8, num_oblique=3, wave_m=0.0, noise=1.0,
+    )  # fmt: skip
+    field_surveys.draw_field_survey(folder, settings)
     return folder
 
 
@@ -43,12 +39,8 @@ def blind(drawn, tmp_path_factory) -> Path:
     """The same without GPS."""
     folder = tmp_path_factory.mktemp("blind") / "01"
     shutil.copytree(drawn, folder)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(BENCHMARKS)
-        from adjust_rows import copy_without_gps
-
-        for path in (folder / "images").iterdir():
-            copy_without_gps(path, path)
+    for path in (folder / "images").iterdir():
+        copy_without_gps(path, path)
     settings = tomllib.loads((folder / "survey.toml").read_text(encoding="utf-8"))
     del settings["cameras"]["position_std_m"]
     (folder / "survey.toml").write_text(tomli_w.dumps(settings), encoding="utf-8")

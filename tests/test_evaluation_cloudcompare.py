@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-import importlib.util
-from pathlib import Path
-
+import bench_compare as bench
 import numpy as np
 import pytest
 
 from evaluation import distance_to_mesh
 from geo import read_reference
 
-BENCHMARK = Path(__file__).resolve().parent.parent / "benchmarks" / "bench_compare.py"
 # Both compute the same in float64 from coordinates in float32; CloudCompare writes its distances in float32.
 AGREES_M = 1e-5
 
 
-@pytest.fixture(scope="module")
-def bench():
-    spec = importlib.util.spec_from_file_location("bench_compare", BENCHMARK)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.mark.slow
-def test_distances_are_those_of_cloudcompare_and_so_are_their_signs_but_for_ties(bench, tmp_path):
+def test_distances_are_those_of_cloudcompare_and_so_are_their_signs_but_for_ties(tmp_path):
     program = bench.cloudcompare()
     if program is None:
         pytest.skip("CloudCompare is not installed (Debian: apt-get install cloudcompare)")

@@ -5,8 +5,10 @@ from __future__ import annotations
 import dataclasses
 import tomllib
 from pathlib import Path
-from types import SimpleNamespace
 
+import field_scenes
+import field_settings
+import field_surveys
 import numpy as np
 import pytest
 from PIL import Image
@@ -17,30 +19,20 @@ from survey.settings.config import read_config
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
 
 
-@pytest.fixture
-def field(monkeypatch):
-    monkeypatch.syspath_prepend(BENCHMARKS)
-    import field_scenes
-    import field_settings
-    import field_surveys
-
-    return SimpleNamespace(scenes=field_scenes, settings=field_settings, surveys=field_surveys)
-
-
-def small(field, **changes):
+def small(**changes):
     """The settings of a survey with a bank in a few small photographs."""
     sizes = {
         "size_m": (3.0, 3.0), "size_px": (160, 120), "stated_focal_px": 200.0, "focal_px": 201.0,
         "principal_px": (81.0, 59.5), "height_m": 6.0, "depth_m": 0.8, "dry_share": 0.45, "bare_share": 0.1,
         "num_nadir": 4, "num_oblique": 2, "wave_m": 0.01,
     }  # fmt: skip
-    return dataclasses.replace(field.settings.draw_settings(1), **(sizes | changes))
+    return dataclasses.replace(field_settings.draw_settings(1), **(sizes | changes))
 
 
-def test_the_settings_can_be_read_and_marks_lie_where_the_true_cameras_see_their_points(field, tmp_path):
-    settings = small(field)
-    field.surveys.draw_field_survey(tmp_path / "01", settings)
-    scene = field.scenes.stage(settings)
+def test_the_settings_can_be_read_and_marks_lie_where_the_true_cameras_see_their_points(tmp_path):
+    settings = small()
+    field_surveys.draw_field_survey(tmp_path / "01", settings)
+    scene = field_scenes.stage(settings)
     assert len(list((tmp_path / "01" / "images").iterdir())) == 6
     assert read_config(tmp_path / "01" / "survey_plain.toml").water.level_m == settings.stated_level_m
     head, *lines = (tmp_path / "01" / "gcp_list.txt").read_text(encoding="utf-8").splitlines()
@@ -57,29 +49,29 @@ def test_the_settings_can_be_read_and_marks_lie_where_the_true_cameras_see_their
     assert np.abs(off).max() < 4.0 * np.hypot(0.4, 0.35)
 
 
-def test_rods_stand_on_the_wet_bed(field, tmp_path):
-    settings = small(field)
-    scene = field.scenes.stage(settings)
-    table = field.surveys._rods(scene, np.random.default_rng(1)).split()[1:]
+def test_rods_stand_on_the_wet_bed(tmp_path):
+    settings = small()
+    scene = field_scenes.stage(settings)
+    table = field_surveys._rods(scene, np.random.default_rng(1)).split()[1:]
     rods = scene.frame.local_from_crs(np.array([[float(v) for v in line.split(",")[1:]] for line in table]))
-    assert len(rods) == field.surveys.NUM_RODS
+    assert len(rods) == field_surveys.NUM_RODS
     assert (rods[:, 2] < -0.05).all()
     assert np.abs(rods[:, 2] - scene.still.ground.bed.height(*rods.T[:2])).max() < 0.06
 
 
-def test_waves_move_between_photographs(field):
-    settings = small(field, noise=0.0, exposure_std=0.0, dry_share=0.0)
-    scene = field.scenes.stage(settings)
+def test_waves_move_between_photographs():
+    settings = small(noise=0.0, exposure_std=0.0, dry_share=0.0)
+    scene = field_scenes.stage(settings)
     later = dataclasses.replace(scene, times=scene.times + 0.4)
     assert np.abs(scene.photograph(0).astype(int) - later.photograph(0)).mean() > 0.5
     still = dataclasses.replace(settings, wave_m=0.0)
-    calm = field.scenes.stage(still)
+    calm = field_scenes.stage(still)
     calm_later = dataclasses.replace(calm, times=calm.times + 0.4)
     np.testing.assert_array_equal(calm.photograph(0), calm_later.photograph(0))
 
 
-def test_what_the_surveyor_states_is_off_by_no_more_than_its_errors(field):
-    drawn = [field.settings.draw_settings(seed) for seed in range(200)]
+def test_what_the_surveyor_states_is_off_by_no_more_than_its_errors():
+    drawn = [field_settings.draw_settings(seed) for seed in range(200)]
     levels = [(s.stated_level_m - s.level_m) / s.level_std_m for s in drawn]
     focal = [abs(s.focal_px / s.stated_focal_px - 1.0) for s in drawn]
     assert np.std(levels) == pytest.approx(1.0, abs=0.2)
@@ -87,9 +79,9 @@ def test_what_the_surveyor_states_is_off_by_no_more_than_its_errors(field):
     assert all(abs(s.stated_index - s.index) < 0.005 for s in drawn)
 
 
-def test_the_truth_names_the_true_lens_and_water(field, tmp_path):
-    settings = small(field, dry_share=0.0)
-    field.surveys.draw_field_survey(tmp_path / "01", settings)
+def test_the_truth_names_the_true_lens_and_water(tmp_path):
+    settings = small(dry_share=0.0)
+    field_surveys.draw_field_survey(tmp_path / "01", settings)
     true = tomllib.loads((tmp_path / "01" / "truth" / "truth.toml").read_text(encoding="utf-8"))
     assert true["focal_px"] == settings.focal_px
     assert true["level_m"] == settings.level_m

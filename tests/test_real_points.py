@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
+import bench_real_points as benchmark
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
 # Every so many of 64,920 points.
 EVERY = 130
 
 
 @pytest.fixture
-def benchmark(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    import bench_real_points
-
-    return bench_real_points
-
-
-@pytest.fixture
-def stream(benchmark, data_dir):
+def stream(data_dir):
     return benchmark.read_stream(data_dir / "real" / "pyBathySfM", EVERY)
 
 
-def test_the_cameras_of_the_sample_see_its_points_as_its_own_program_has_it(benchmark, stream):
+def test_the_cameras_of_the_sample_see_its_points_as_its_own_program_has_it(stream):
     for block, theirs in (stream.every, stream.near):
         found = benchmark.corrected(block, stream.straight).per_camera
         deep = -stream.straight[:, 2] > 0.1
@@ -33,7 +23,7 @@ def test_the_cameras_of_the_sample_see_its_points_as_its_own_program_has_it(benc
         assert np.quantile(np.abs(found / theirs - 1.0)[deep], 0.99) < 0.01
 
 
-def test_bent_rays_find_a_stream_again_where_corrections_of_straight_ones_miss_it(benchmark, stream):
+def test_bent_rays_find_a_stream_again_where_corrections_of_straight_ones_miss_it(stream):
     block = stream.near[0]
     bed = np.column_stack([stream.straight[:, :2], 14.0 * stream.straight[:, 2]])
     known = benchmark.repeated(block, bed, noise_px=0.5, seed=1)
@@ -46,7 +36,7 @@ def test_bent_rays_find_a_stream_again_where_corrections_of_straight_ones_miss_i
     assert 0.92 < known.inside < 0.98
 
 
-def test_the_straight_points_alone_tell_bent_rays_where_the_bed_is_without_noise(benchmark, stream):
+def test_the_straight_points_alone_tell_bent_rays_where_the_bed_is_without_noise(stream):
     block = stream.near[0]
     bed = np.column_stack([stream.straight[:, :2], 1.4 * stream.straight[:, 2]])
     known = benchmark.repeated(block, bed, noise_px=0.0, seed=1)
@@ -55,7 +45,7 @@ def test_the_straight_points_alone_tell_bent_rays_where_the_bed_is_without_noise
     assert np.abs(share).max() < 0.02
 
 
-def test_heights_of_coral_heads_are_nearer_to_the_tape_with_bent_rays(benchmark, data_dir):
+def test_heights_of_coral_heads_are_nearer_to_the_tape_with_bent_rays(data_dir):
     truth, methods = benchmark.palau(data_dir / "real" / "palau_coral_heights")
     rms = [float(np.sqrt(np.mean((height - truth) ** 2))) for height in methods.values()]
     straight, by_index, by_camera, bent, theirs = rms

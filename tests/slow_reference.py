@@ -5,14 +5,7 @@ Scalar Python only: angles instead of vectors, and decimal arithmetic where floa
 
 from __future__ import annotations
 
-import math
 from decimal import Decimal, localcontext
-
-
-def refracted_angle(angle: float, n_from: float, n_to: float) -> float:
-    """Snell's law in angles to the normal [rad]; NaN beyond the critical angle."""
-    sine = n_from * math.sin(angle) / n_to
-    return math.asin(sine) if sine <= 1.0 else math.nan
 
 
 def least_path_crossing(D: float, H: float, h: float, n: float) -> float:

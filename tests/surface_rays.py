@@ -1,9 +1,10 @@
-"""Rays over a water surface and back, for the tests of curved surfaces: triples of numpy arrays."""
+"""Rays over a water surface and back, and vectors in each array library, for the tests of `refract`."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 from refract import kernels
 
@@ -16,6 +17,35 @@ def llvm():
     from drjit.llvm import ad
 
     return ad
+
+
+# Array libraries with a precision: torch has it in its dtype, Dr.Jit in its kind of vectors.
+LIBRARIES = ["numpy", "torch.float64", "torch.float32", "Array3f64", "Array3f"]
+DOUBLE, SINGLE = ["numpy", "torch.float64", "Array3f64"], ["torch.float32", "Array3f"]
+
+
+def vectors(library, array):
+    """Vectors (..., 3) of numpy in a library; Dr.Jit keeps them as columns."""
+    array = np.asarray(array)
+    if library == "numpy":
+        return array
+    if library.startswith("torch"):
+        return torch.tensor(array, dtype=getattr(torch, library.removeprefix("torch.")))
+    dtype = np.float64 if library.endswith("64") else np.float32
+    return getattr(llvm(), library)(np.ascontiguousarray(array.reshape(-1, 3).T, dtype))
+
+
+def numbers(library, array):
+    """Numbers (...) of numpy in a library."""
+    if library.startswith("Array3f"):
+        return getattr(llvm(), library.replace("Array3f", "Float"))(array)
+    return np.asarray(array) if library == "numpy" else vectors(library, array)
+
+
+def rows(found):
+    """Vectors (..., 3), or numbers, of any library as float64 of numpy."""
+    found = np.asarray(found, dtype=np.float64)
+    return found if found.ndim < 2 or found.shape[-1] == 3 else found.T
 
 
 def cameras(rng, count, height=(5.0, 60.0), spread=3.0):

@@ -44,18 +44,6 @@ def test_rays_from_opposite_sides_meet_at_the_sagittal_depth(angle_deg):
     assert abs(met[0]) < CLOSED
 
 
-@pytest.mark.parametrize("angle_deg", [15.0, 45.0])
-def test_a_ring_of_cameras_meets_where_a_pair_does(angle_deg):
-    angle = math.radians(angle_deg)
-    centre, ray = camera_and_ray(angle)
-    turns = [
-        np.array([[math.cos(a), -math.sin(a), 0], [math.sin(a), math.cos(a), 0], [0, 0, 1]])
-        for a in np.linspace(0, 2 * math.pi, 5, endpoint=False)
-    ]
-    met = meeting_of_lines([r @ centre for r in turns], [r @ ray for r in turns])
-    np.testing.assert_allclose(met, [0.0, 0.0, -apparent_depth(DEPTH, angle, n_water=N)], atol=1e-11)
-
-
 @pytest.mark.parametrize("angle_deg", ANGLES_DEG)
 def test_the_caustic_lies_at_the_tangential_depth_and_shift(angle_deg):
     """Neighbouring rays of one vertical plane touch where ``x(s) + z s`` is stationary, s the slope in air."""
@@ -141,15 +129,6 @@ def test_corrections_of_another_package_are_met_camera_by_camera(data_dir):
     np.testing.assert_allclose(filtered, theirs["h_filt"], rtol=0.0, atol=rounded)
 
 
-def test_straight_rays_always_make_the_bed_too_shallow():
-    angle = np.radians(np.linspace(0.1, 89.0, 500))
-    sagittal = apparent_depth(DEPTH, angle, n_water=N)
-    tangential = apparent_depth_tangential(DEPTH, angle, n_water=N)
-    assert (tangential < sagittal).all()
-    assert (sagittal < DEPTH / N).all()
-    assert (tangential_shift(DEPTH, angle, n_water=N) > 0.0).all()
-
-
 def test_true_depth_undoes_apparent_depth():
     angle = np.radians(np.linspace(0.0, 89.0, 500))
     back = true_depth(apparent_depth(DEPTH, angle, n_water=N), angle, n_water=N)
@@ -170,8 +149,3 @@ def test_torch_takes_gradients_through_the_closed_forms():
         expected = float(form(3.0, 0.5, n_water=N))
         assert form(depth, angle, n_water=N).detach().item() == pytest.approx(expected, rel=1e-15)
         assert torch.autograd.gradcheck(lambda d, a, form=form: form(d, a, n_water=N), (depth, angle))
-
-
-def test_the_index_cannot_be_taken_for_an_angle():
-    with pytest.raises(TypeError):
-        apparent_depth(DEPTH, 0.3, N)

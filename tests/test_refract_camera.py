@@ -66,13 +66,6 @@ def test_a_pixel_comes_back_from_every_height_of_its_path(water, tilt_deg):
         assert np.abs(back - pixels).max() < PIXEL
 
 
-def test_index_one_projects_like_no_water_at_all(rng):
-    camera = oblique_camera(20.0, 100.0)
-    points = np.concatenate([rng.uniform(-9, 9, (200, 2)), rng.uniform(-5, 0, (200, 1))], axis=-1)
-    wet = camera.project(points, FlatWater((0.0, 0.0, 0.5), n_water=1.0))
-    np.testing.assert_allclose(wet, camera.project(points, None), atol=1e-11)  # 1000 px of 2e-16 each, times 50
-
-
 def test_water_pulls_the_image_of_the_bed_away_from_the_nadir():
     camera = nadir_camera()
     bed = np.array([13.0, -2.0, -3.0])

@@ -7,11 +7,10 @@ import math
 import numpy as np
 import pytest
 import torch
-from surface_rays import llvm
+from surface_rays import LIBRARIES, llvm
 
 from refract import FlatWater, Regime, bend, bend_regime, project, trace
 
-LIBRARIES = ["torch.float64", "torch.float32", "Array3f64", "Array3f"]
 # A derivative is reached through some twenty roundings; the closed forms cost as many. Measured worst: 6e-13.
 RELATIVE = 1e-12
 # Central differences with steps of 1e-6 of values of about one: third derivatives and rounding leave 1e-9.
@@ -72,20 +71,6 @@ def test_trace_has_the_gradient_of_its_differences_in_everything(angle_deg, n, s
     assert torch.autograd.gradcheck(traced, leaves, **{**DIFFERENCES, "atol": 1e-5})
 
 
-def test_there_and_back_is_the_identity_for_derivatives_too():
-    """The chain of both Jacobians: what moves the ray moves the direction in which its point appears."""
-    ray = leaf([0.3, -0.4, -math.sqrt(0.75)])
-    water, centre = FlatWater((0.0, 0.0, 0.0), n_water=1.34, slope_x=0.01), torch.tensor([1.0, 2.0, 30.0]).double()
-
-    def there_and_back(ray):
-        return project(trace(centre, ray / ray.norm(), water).at_height(-4.0, water), centre, water).direction
-
-    jacobian = torch.autograd.functional.jacobian(there_and_back, ray)
-    unit = ray.detach()
-    # Directions have length one: their derivative is the projection across the ray.
-    np.testing.assert_allclose(jacobian, torch.eye(3) - torch.outer(unit, unit), atol=1e-14)
-
-
 def hard_cases():
     """Rays and points at which derivatives tend to break: (origin, ray) and (camera, point) rows."""
     angles = np.radians([0.0, 1e-4, 45.0, 89.0, 89.9, 90.0, 135.0])
@@ -135,7 +120,7 @@ def gradients(rays, points, camera, library):
 
 
 # Dr.Jit compiles each of the cases: half a minute for a type of numbers.
-@pytest.mark.parametrize("library", [*LIBRARIES[:3], pytest.param("Array3f", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("library", [*LIBRARIES[1:4], pytest.param("Array3f", marks=pytest.mark.slow)])
 def test_every_gradient_is_finite_whatever_becomes_of_the_rays(library):
     rays, points, cameras = hard_cases()
     for camera in cameras:
@@ -143,7 +128,7 @@ def test_every_gradient_is_finite_whatever_becomes_of_the_rays(library):
             assert np.isfinite(gradient).all()
 
 
-@pytest.mark.parametrize("library", LIBRARIES[1:])
+@pytest.mark.parametrize("library", LIBRARIES[2:])
 def test_all_libraries_have_the_gradients_of_torch_in_float64(rng, library):
     rays = rng.normal(size=(20, 3)) - [0.0, 0.0, 3.0]
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
@@ -151,7 +136,7 @@ def test_all_libraries_have_the_gradients_of_torch_in_float64(rng, library):
     # Sums over forty rays of derivatives of up to 50, some of which cancel.
     relative, absolute = (1e-12, 1e-12) if library == "Array3f64" else (2e-5, 2e-3)
     for found, exact in zip(
-        gradients(rays, points, camera, library), gradients(rays, points, camera, LIBRARIES[0]), strict=True
+        gradients(rays, points, camera, library), gradients(rays, points, camera, "torch.float64"), strict=True
     ):
         np.testing.assert_allclose(found, exact, rtol=relative, atol=absolute)
 

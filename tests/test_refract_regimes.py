@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 import pytest
-import torch
-from surface_rays import llvm
+from surface_rays import LIBRARIES, SINGLE, rows, vectors
 
 from refract import FlatWater, Regime, bend, bend_regime, project, regime_counts, trace
 
@@ -35,28 +34,9 @@ POINTS = [
 ]
 
 
-def vectors(rows, library):
-    """Vectors of the first entries of `rows` in the array type of `library`."""
-    array = np.array([row[0] for row in rows])
-    if library == "numpy":
-        return array
-    if library.startswith("torch"):
-        return torch.tensor(array, dtype=getattr(torch, library.removeprefix("torch.")))
-    return getattr(llvm(), library)(array.T)
-
-
-def rows(array) -> np.ndarray:
-    """Vectors of any library as numpy (rays, 3)."""
-    array = np.asarray(array, dtype=np.float64)
-    return array if array.shape[-1] == 3 else array.T
-
-
-LIBRARIES = ["numpy", "torch.float64", "torch.float32", "Array3f64", "Array3f"]
-
-
 @pytest.mark.parametrize("library", LIBRARIES)
 def test_each_traced_ray_is_told_what_became_of_it(library):
-    path = trace(CENTRE, vectors(RAYS, library), WATER)
+    path = trace(CENTRE, vectors(library, [row for row, _ in RAYS]), WATER)
     np.testing.assert_array_equal(np.asarray(path.regime), [kind for _, kind in RAYS])
     assert path.regime_counts() == {
         "bent": 2, "straight": 1, "parallel": 1, "under_water": 0,
@@ -71,7 +51,7 @@ def test_each_traced_ray_is_told_what_became_of_it(library):
 
 @pytest.mark.parametrize("library", LIBRARIES)
 def test_each_projected_point_is_told_what_became_of_it(library):
-    seen = project(vectors(POINTS, library), CENTRE, WATER)
+    seen = project(vectors(library, [row for row, _ in POINTS]), CENTRE, WATER)
     np.testing.assert_array_equal(np.asarray(seen.regime), [kind for _, kind in POINTS])
     assert seen.regime_counts()["invalid"] == 3
     np.testing.assert_array_equal(np.isnan(rows(seen.direction)).any(axis=-1), [k == Regime.INVALID for _, k in POINTS])
@@ -81,10 +61,10 @@ def test_each_projected_point_is_told_what_became_of_it(library):
 @pytest.mark.parametrize("library", LIBRARIES)
 def test_a_camera_under_water_is_counted_and_looks_straight(library):
     low = np.array([0.0, 0.0, -1.0])
-    path = trace(low, vectors(RAYS, library), WATER)
+    path = trace(low, vectors(library, [row for row, _ in RAYS]), WATER)
     assert path.regime_counts()["under_water"] == 4
     assert path.regime_counts()["invalid"] == 2
-    seen = project(vectors(POINTS, library), low, WATER)
+    seen = project(vectors(library, [row for row, _ in POINTS]), low, WATER)
     assert seen.regime_counts()["under_water"] == 5
     way = np.array([point for point, _ in POINTS[:4]]) - low
     length = np.linalg.norm(way, axis=-1)
@@ -96,10 +76,10 @@ def test_a_camera_under_water_is_counted_and_looks_straight(library):
 
 @pytest.mark.parametrize("library", LIBRARIES)
 def test_without_water_all_rays_are_straight(library):
-    path = trace(CENTRE, vectors(RAYS, library), None)
+    path = trace(CENTRE, vectors(library, [row for row, _ in RAYS]), None)
     assert path.regime_counts()["straight"] == 4
     assert path.regime_counts()["invalid"] == 2
-    seen = project(vectors(POINTS, library), CENTRE, None)
+    seen = project(vectors(library, [row for row, _ in POINTS]), CENTRE, None)
     assert seen.regime_counts()["straight"] == 4
     assert not np.asarray(seen.wet).any()
     np.testing.assert_array_equal(rows(seen.crossing)[:5], [point for point, _ in POINTS[:5]])
@@ -110,10 +90,10 @@ def test_rays_out_of_the_water_are_counted_by_what_stops_them(library):
     critical = math.asin(1.0 / 1.34)
     angles = [0.0, 0.5, critical - 1e-9, critical + 1e-4, math.pi / 2, math.pi, NAN]
     up = [([math.sin(a), 0.0, math.cos(a) if a != math.pi / 2 else 0.0], a) for a in angles]
-    arguments = vectors(up, library), np.array([0.0, 0.0, -1.0])
+    arguments = vectors(library, [row for row, _ in up]), np.array([0.0, 0.0, -1.0])
     found = np.asarray(bend_regime(*arguments, n_from=1.34, n_to=1.0))
     expected = [Regime.BENT, Regime.BENT, Regime.CRITICAL, Regime.REFLECTED, Regime.PARALLEL, Regime.REFLECTED]
-    if library in ("torch.float32", "Array3f"):  # 1e-9 rad are less than a unit in the last place
+    if library in SINGLE:  # 1e-9 rad are less than a unit in the last place
         found[2] = Regime.CRITICAL
     np.testing.assert_array_equal(found, [*expected, Regime.INVALID])
     bent = rows(bend(*arguments, n_from=1.34, n_to=1.0))

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from surface_rays import llvm
+from surface_rays import DOUBLE, LIBRARIES, SINGLE, numbers, rows, vectors
 
 from refract import FlatWater, kernels, project, trace
 from refract.surfaces import ENOUGH_STEPS_DOUBLE, ENOUGH_STEPS_SINGLE
@@ -39,41 +39,27 @@ def angle_between(a, b):
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1))
 
 
-def library_of(kind):
-    """Functions to and from the arrays of `kind`: of vectors, of numbers, and back to float64 (K, 3)."""
-    if kind == "numpy":
-        return np.asarray, np.asarray, np.asarray
-    if kind.startswith("torch"):
-        dtype = getattr(torch, kind.removeprefix("torch."))
-        wrap = lambda v: torch.tensor(v, dtype=dtype)  # noqa: E731
-        return wrap, wrap, lambda v: v.double().numpy()
-    Vector, Float = getattr(llvm(), kind), getattr(llvm(), kind.replace("Array3f", "Float"))
-    dtype = np.float64 if kind.endswith("64") else np.float32
-    return lambda v: Vector(np.ascontiguousarray(v.T, dtype)), Float, lambda v: np.asarray(v, np.float64).T
-
-
 def there_and_back(kind, n):
     """Rays, the points where they end, and the directions in which those appear, as float64 (K, 3)."""
     H, h, angle, azimuth = geometry()
-    vector, number, back = library_of(kind)
     sine = np.sin(angle)
-    rays = vector(np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), -np.cos(angle)], axis=-1))
-    centres, water = vector(np.stack([0.0 * H, 0.0 * H, H], axis=-1)), FlatWater((0.0, 0.0, 0.0), n_water=n)
-    points = trace(centres, rays, water).at_height(number(-h), water)
+    rays = vectors(kind, np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), -np.cos(angle)], axis=-1))
+    centres, water = vectors(kind, np.stack([0.0 * H, 0.0 * H, H], axis=-1)), FlatWater((0.0, 0.0, 0.0), n_water=n)
+    points = trace(centres, rays, water).at_height(numbers(kind, -h), water)
     seen = project(points, centres, water)
     assert seen.regime_counts()["bent"] + seen.regime_counts()["straight"] == H.size
-    return back(rays), back(points), back(centres), back(seen.direction)
+    return rows(rays), rows(points), rows(centres), rows(seen.direction)
 
 
 @pytest.mark.parametrize("n", INDICES)
-@pytest.mark.parametrize("kind", ["numpy", "torch.float64", "Array3f64"])
+@pytest.mark.parametrize("kind", DOUBLE)
 def test_project_returns_the_traced_ray_in_float64(kind, n):
     rays, _, _, directions = there_and_back(kind, n)
     assert angle_between(rays, directions).max() < DOUBLE_RAD
 
 
 @pytest.mark.parametrize("n", INDICES)
-@pytest.mark.parametrize("kind", ["torch.float32", "Array3f"])
+@pytest.mark.parametrize("kind", SINGLE)
 def test_project_returns_the_traced_ray_in_float32(kind, n):
     rays, points, centres, directions = there_and_back(kind, n)
     assert angle_between(rays, directions).max() < SINGLE_RAD
@@ -83,22 +69,22 @@ def test_project_returns_the_traced_ray_in_float32(kind, n):
     assert np.abs(np.linalg.norm(directions, axis=-1) - 1.0).max() < 3 * EPS32
 
 
-@pytest.mark.parametrize("kind", ["numpy", "torch.float64", "Array3f64", "torch.float32", "Array3f"])
+@pytest.mark.parametrize("kind", LIBRARIES)
 def test_index_one_gives_the_straight_ray(rng, kind):
     """To the last bit down, in torch to one unit in the last place, since its roots are not rounded correctly on every
     processor; up to 4 units, against the unit vector from camera to point."""
-    vector, _, back = library_of(kind)
     rays = rng.normal(size=(5000, 3)) - [0.0, 0.0, 1.0]
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     points, centre = rng.uniform([-30, -30, -9], [30, 30, 1], (5000, 3)), np.array([1.0, 2.0, 35.0])
     water = FlatWater((0.0, 0.0, 2.0), n_water=1.0, slope_x=0.01, slope_y=-0.02)
-    path = trace(vector(np.tile(centre, (5000, 1))), vector(rays), water)
-    unit = EPS32 if kind in ("torch.float32", "Array3f") else EPS
-    down = np.abs(back(path.water_direction) - back(path.air_direction))
+    centres = vectors(kind, np.tile(centre, (5000, 1)))
+    path = trace(centres, vectors(kind, rays), water)
+    unit = EPS32 if kind in SINGLE else EPS
+    down = np.abs(rows(path.water_direction) - rows(path.air_direction))
     assert down.max() <= (unit if kind.startswith("torch") else 0.0)
-    points = back(vector(points))
+    points = rows(vectors(kind, points))
     straight = (points - centre) / np.linalg.norm(points - centre, axis=-1, keepdims=True)
-    found = back(project(vector(points), vector(np.tile(centre, (5000, 1))), water).direction)
+    found = rows(project(vectors(kind, points), centres, water).direction)
     assert np.abs(found - straight).max() <= 4 * unit / 2  # components of up to one have units of eps / 2
 
 

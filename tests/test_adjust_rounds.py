@@ -58,6 +58,23 @@ def test_a_blunder_of_five_metres_is_named_and_changes_nothing():
     np.testing.assert_allclose(found.poses.position_std, expected.poses.position_std, rtol=0.1)
 
 
+def test_positions_that_structure_from_motion_contradicts_count_again_where_the_adjusted_block_bears_them_out():
+    """One camera's lens is 5 % off on straight rays, so that its positions seem wrong; one of them is wrong."""
+    block = draw_block(3, num_points=150, num_views=18, dry_share=0.3)
+    survey = survey_of(block)
+    names = [view.name for view in survey.views[::2]]
+    given = dict(survey.observations.priors)
+    off = replace(given[names[2]], position=given[names[2]].position + np.array([0.0, 4.0, 0.0]))
+    rejected = {name: (off if name == names[2] else given[name]).without_position() for name in names}
+    found = adjust_survey(changed(survey, priors={**given, **rejected}), use_windows=False)
+    expected = adjust_survey(changed(survey, priors={**given, names[2]: off}), use_windows=False)
+    named = [warning for warning in found.warnings if "contradicts" in warning]
+    assert len(named) == 1
+    assert [name for name in given if name in named[0]] == [names[2]]
+    assert (np.abs(found.poses.centres - expected.poses.centres) < 0.3 * expected.poses.position_std).all()
+    np.testing.assert_allclose(found.poses.position_std, expected.poses.position_std, rtol=0.1)
+
+
 def test_the_standard_deviation_of_positions_is_found_where_nothing_is_said_of_it():
     block = draw_block(6, num_points=150, num_views=36, dry_share=0.3, position_std=(0.6, 0.6, 1.2))
     found = adjust_survey(without_position_std(survey_of(block)), use_windows=False)

@@ -11,7 +11,7 @@ from survey.adjust.block.control_check import checked_points, stated_points
 from survey.adjust.block.normal_equations import System, system_with
 from survey.adjust.block.observed import KINDS, MARK, Observed, Sizes
 from survey.adjust.block.on_ground import GroundAlignment, GroundTies, ground_alignment, ties_on_ground
-from survey.adjust.block.pose_std import reestimate_pose_std
+from survey.adjust.block.pose_std import agreeing_positions, positions_left_out, reestimate_pose_std, with_positions
 from survey.adjust.block.priors import PriorKnowledge
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import State
@@ -96,10 +96,12 @@ def adjust(prior: PriorKnowledge, seen: Observed) -> RobustSolution:
     if not len(seen.kind):
         raise NotConvergedError("no tie point is left that three photographs show; the poses may be far off")
     state = replace(prior.state, points=seen.ties.start)
-    blunders = np.zeros((len(prior.unknown_positions), 2), dtype=bool)
+    left_out = positions_left_out(prior)
+    blunders = np.column_stack([left_out, np.zeros_like(left_out)])
     factors = np.ones(len(KINDS) * (1 + _STRATA))
     given = np.tile(seen.given_std_px, 1 + _STRATA)
     coordinates, remaining = stated_points(seen), _ROUNDS
+    asked_again = np.zeros_like(left_out)
     most = _ROUNDS + len(coordinates)
     while True:
         kind = _by_depth(seen, state)
@@ -125,7 +127,11 @@ def adjust(prior: PriorKnowledge, seen: Observed) -> RobustSolution:
         )
         # What is returned as used is what the solution was found from.
         if converged or not remaining:
-            break
+            agree = agreeing_positions(prior, solution) & ~asked_again
+            if not agree.any():
+                break
+            prior, asked_again, remaining, most = with_positions(prior, agree), asked_again | agree, _ROUNDS, _ROUNDS
+            blunders[agree, 0] = False
         state = replace(solution.state, points=seen.at(solution.state.points).only(keep).ties.start)
         seen = kept.at(state.points)
         # The covariance of 2,000 photographs takes 1.2 GB.

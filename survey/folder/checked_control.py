@@ -302,9 +302,11 @@ def _without_far(
         limit = 2.0 * _BENT_SHARE * reach + _MOST_STD * float(np.hypot(accuracy, std).max())
         off = float(np.linalg.norm(prior.position - view.camera.centre))
         if off > limit:
-            kept[view.name] = replace(prior, position=None, position_std=None, source="none", common_up_std=0.0)
+            kept[view.name] = prior.without_position()
             far.append(f"{view.name} (by {off:.0f} m)")
-    return kept, named(far, "GPS position", "that the block contradicts, left out")
+    return kept, named(
+        far, "GPS position", "that the block contradicts on straight rays, left out before the adjustment"
+    )
 
 
 def _moved(view: View, move: Similarity) -> View:

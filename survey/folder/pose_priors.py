@@ -57,9 +57,18 @@ class PosePrior:
     # (3, 3) or None: cam from local, by the attitude of the camera in XMP, of views that structure from motion placed
     attitude: np.ndarray | None = None
     attitude_std_deg: float = ATTITUDE_STD_DEG  # [deg]: of what attitudes have in common
+    # The prior by a position that the block contradicts on straight rays, which count for nothing until the adjustment,
+    # with bent rays, finds that it agrees; None where there is no such position
+    rejected: PosePrior | None = None
+
+    def without_position(self) -> PosePrior:
+        """The prior whose position counts for nothing until the adjustment finds that it agrees."""
+        return replace(self, position=None, position_std=None, source="none", common_up_std=0.0, rejected=self)
 
     def held_by_control(self) -> PosePrior:
         """The prior where control places the block: common errors are added to the std of single positions."""
+        if self.rejected is not None:
+            return replace(self, rejected=self.rejected.held_by_control())
         if self.common_plan_std == 0.0:
             return self
         # Nothing to widen for poses that count as exact, and for positions of unknown accuracy.
@@ -95,25 +104,23 @@ def priors_of_poses(
 def priors_of_gps(
     found: Found, frame: LocalFrame, views: Sequence[View], rejected: Collection[str] = ()
 ) -> dict[str, PosePrior]:
-    """Priors of views that structure from motion placed: the positions in EXIF, without the ``rejected`` ones.
+    """Priors of views that structure from motion placed: the positions in EXIF; the ``rejected`` ones only as such.
 
     As accurate as [cameras] says, else as XMP does, where the receiver had a fixed solution.
     """
     cameras = found.config.cameras
     positions, _ = positions_in_crs(found.headers, found.crs, cameras.gps_height)
-    local = {name: frame.local_from_crs(place) for name, place in positions.items() if name not in rejected}
+    local = {name: frame.local_from_crs(place) for name, place in positions.items()}
     datums = datum_stds(found.headers, found.crs, cameras.gps_height)
     attitudes = attitudes_of({view.name: found.headers[view.name] for view in views})
     std_deg = cameras.rotation_std_deg
     attitude_std = ATTITUDE_STD_DEG if std_deg is None else float(np.max(per_axis(std_deg)))
-    return {
-        view.name: replace(
-            _by_gps(cameras, local.get(view.name), found.headers[view.name], datums.get(view.name, EXACT)),
-            attitude=attitudes.get(view.name),
-            attitude_std_deg=attitude_std,
-        )
-        for view in views
-    }
+    priors = {}
+    for view in views:
+        prior = _by_gps(cameras, local.get(view.name), found.headers[view.name], datums.get(view.name, EXACT))
+        prior = prior.without_position() if view.name in rejected else prior
+        priors[view.name] = replace(prior, attitude=attitudes.get(view.name), attitude_std_deg=attitude_std)
+    return priors
 
 
 def common_up_std(priors: Mapping[str, PosePrior]) -> float:

@@ -106,7 +106,7 @@ class SolvedViews:
     # assumptions, warnings: sentences
     assumptions: tuple[str, ...]
     warnings: tuple[str, ...]
-    # Names of photographs whose GPS positions the block contradicts: they count for nothing in what follows
+    # Names of photographs whose GPS positions the block contradicts: they count for nothing before the adjustment
     rejected: frozenset[str] = frozenset()
 
 
@@ -215,7 +215,9 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
     warnings += named(without, "image", "without a pose, left out")
     rejected = _rejected_positions(views, result.gps_residual_m)
     parts = [f"{name} (by {distance_text(metres)})" for name, metres in rejected.items()]
-    warnings += named(parts, "GPS position", "that the block contradicts, left out")
+    warnings += named(
+        parts, "GPS position", "that the block contradicts on straight rays, left out before the adjustment"
+    )
     return SolvedViews(
         result.frame, tuple(views), result.ties, tuple(result.notes), tuple(warnings), frozenset(rejected)
     )

@@ -23,8 +23,9 @@ from survey.adjust.block.priors import ROTATION_STD, PriorKnowledge, without_shi
 from survey.adjust.block.problem import Priors
 from survey.adjust.block.state import NUM_POSE
 
-# A pose is a blunder beyond this many standard deviations.
-_BLUNDER = 6.0
+# A pose is a blunder beyond this many standard deviations, and a position that was left out counts again within these:
+# between the two it is neither.
+_BLUNDER, _AGREES = 6.0, 3.0
 # Positions that fit worse than stated by more than this factor are taken for as good as they fit.
 _OVERSTATED = 1.5
 # With fewer poses nothing tells how good they are.
@@ -89,6 +90,37 @@ def reestimate_pose_std(prior: PriorKnowledge, solution: Solution, blunders: np.
     all_std = prior.std.copy()
     all_std[prior.layout.first_pose :] = changed.ravel()
     return ReestimatedPriors(replace(prior, std=all_std), blunders | bad, is_changed=True)
+
+
+def positions_left_out(prior: PriorKnowledge) -> np.ndarray:
+    """Positions (V,) bool that are given and count for nothing."""
+    std = _of_poses(prior, prior.std)[:, :3]
+    return np.isfinite(prior.given_std).all(axis=1) & ~np.isfinite(std).all(axis=1)
+
+
+def agreeing_positions(prior: PriorKnowledge, solution: Solution) -> np.ndarray:
+    """Positions (V,) bool that are left out and agree with the adjusted block all the same.
+
+    What left them out was another block: that of structure from motion, on straight rays and with another lens, or one
+    with other errors in it.
+    """
+    std = _of_poses(prior, prior.std)[:, :3]
+    used, left_out = np.isfinite(std).all(axis=1), positions_left_out(prior)
+    if used.sum() < _FEWEST or not left_out.any():
+        return np.zeros(len(used), dtype=bool)
+    off = solution.state.centres - prior.mean.centres
+    off -= np.median(off[used], axis=0)
+    own = np.where(prior.unknown_positions[:, None], np.median(std[used], axis=0), prior.given_std)
+    variance = _of_poses(prior, np.diag(solution.covariance))[:, :3]
+    return left_out & (np.abs(off) < _AGREES * np.sqrt(own**2 + variance)).all(axis=1)
+
+
+def with_positions(prior: PriorKnowledge, again: np.ndarray) -> PriorKnowledge:
+    """The prior in which positions (V,) bool count as they were given."""
+    std = prior.std.copy()
+    poses = std[prior.layout.first_pose :].reshape(-1, NUM_POSE)
+    poses[again, :3] = prior.given_std[again]
+    return replace(prior, std=std)
 
 
 def _estimated(prior: PriorKnowledge, used: np.ndarray, blunders: np.ndarray) -> np.ndarray:

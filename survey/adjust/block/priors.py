@@ -77,6 +77,9 @@ class PriorKnowledge:
     mean: State  # Mean values of the priors; without points
     std: np.ndarray  # (P,): of the priors
     unknown_positions: np.ndarray  # (V,) bool: whose standard deviation is not known, and is `GPS_STD_M` to start with
+    # (V, 3) [m]: of the positions before the adjustment, also of those that count for nothing (infinite ``std``)
+    # because structure from motion contradicts them; infinite where there is none
+    given_std: np.ndarray
     # (V,) bool: of poses of a file, whose standard deviation is not known, and is `ROTATION_STD` to start with
     unknown_rotations: np.ndarray
     # [m]: of an error that the heights of all positions have in common; 0 where something else holds the heights. The
@@ -112,7 +115,8 @@ def prior_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKn
     exact = (free_water or contradiction is not None) and survey.observations.ties is None
     calibrated = exact and not (contradiction is not None and contradiction.is_of_lens)
     common_up = 0.0 if free_water else _common_up_std(survey)
-    positions, position_std, unknown = _positions(survey, state.centres, exact=exact, shares_height=common_up > 0.0)
+    positions, given_std, unknown = _positions(survey, state.centres, exact=exact, shares_height=common_up > 0.0)
+    position_std = np.where(_is_rejected(survey)[:, None], np.inf, given_std)
     rotation_std, unknown_rotations = _rotations(survey, exact=exact)
     rolls = rolls_of(survey)
     mean = replace(
@@ -137,7 +141,7 @@ def prior_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKn
             np.concatenate([position_std, rotation_std], axis=1).ravel(),
         ]
     )
-    return PriorKnowledge(layout, lenses, state, mean, std, unknown, unknown_rotations, common_up, rolls)
+    return PriorKnowledge(layout, lenses, state, mean, std, unknown, given_std, unknown_rotations, common_up, rolls)
 
 
 def _layout(survey: Survey, lenses: tuple[Lens, ...], lens_of: np.ndarray, *, finds_focals: bool) -> Layout:
@@ -334,6 +338,7 @@ def _positions(survey: Survey, centres: np.ndarray, *, exact: bool, shares_heigh
     unknown = np.zeros(len(centres), dtype=bool)
     for number, view in enumerate(survey.views):
         prior = survey.observations.priors.get(view.name)
+        prior = prior if prior is None or prior.rejected is None else prior.rejected
         if prior is None or prior.position is None:
             continue
         positions[number] = prior.position
@@ -346,6 +351,12 @@ def _positions(survey: Survey, centres: np.ndarray, *, exact: bool, shares_heigh
             unknown[number] = True
             std[number] = GPS_STD_M if survey.observations.ties is not None else _POSES_STD_M
     return positions, std, unknown
+
+
+def _is_rejected(survey: Survey) -> np.ndarray:
+    """Views (V,) bool whose position structure from motion contradicts."""
+    priors = [survey.observations.priors.get(view.name) for view in survey.views]
+    return np.array([prior is not None and prior.rejected is not None for prior in priors], dtype=bool)
 
 
 def _rotations(survey: Survey, *, exact: bool):

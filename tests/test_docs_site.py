@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 from pathlib import Path
 
@@ -12,7 +13,7 @@ DOCS = ROOT / "docs"
 # What a reader has the patience for. Rows of tables cannot be broken in Markdown.
 README_LINES, LINE, PAGE_WORDS, MEASUREMENT_WORDS, ALL_WORDS = 110, 120, 1500, 1200, 34_500
 # For whoever works on the program, with their most words: not counted among the pages of users.
-FOR_AUTHORS = {"decisions.md": 10_000, "theory.md": 1500, "field-theory.md": 1500}
+FOR_AUTHORS = {"decisions.md": 10_000, "theory.md": 1500, "field-theory.md": 1500, "papers.md": 3500}
 
 
 def test_every_page_is_in_a_section():
@@ -79,3 +80,26 @@ def test_the_functions_that_equations_name_are_in_their_files():
                 assert re.search(defined, file.read_text(encoding="utf-8"), re.MULTILINE), f"{file}: {name}"
                 found += 1
     assert found > 30
+
+
+def test_the_defaults_on_the_page_of_papers_are_those_of_the_code():
+    found = 0
+    for line in (DOCS / "papers.md").read_text(encoding="utf-8").splitlines():
+        # Rows of five columns: where, what, here, default, deviation. Of "`scales` 6" the names stand under "here".
+        cells = line[1:-1].split("|") if line.startswith("| ") else ()
+        for name, number in re.findall(r"`(\w+)` (\d+(?:\.\d+)?)", cells[3]) if len(cells) == 5 else ():
+            places = [owner for dotted in re.findall(r"`(\w+(?:\.\w+)+)`", cells[2]) for owner in owners(dotted)]
+            values = [getattr(owner, name) for owner in places if hasattr(owner, name)]
+            assert values, f"no default {name} in {cells[2]}"
+            assert values[0] == float(number), f"{name} of {cells[2]}"
+            found += 1
+    assert found > 50
+
+
+def owners(dotted: str) -> list[object]:
+    """What a dotted name stands for, a class of a module or a module, and the module."""
+    try:
+        return [importlib.import_module(dotted)]
+    except ModuleNotFoundError:
+        module = importlib.import_module(dotted.rpartition(".")[0])
+        return [getattr(module, dotted.rpartition(".")[2]), module]

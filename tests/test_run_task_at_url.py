@@ -36,8 +36,9 @@ def test_a_task_fetches_what_it_needs_and_leaves_its_result_at_the_url(tmp_path,
     (tmp_path / "adjust-1a").mkdir()
     (tmp_path / "adjust-1a" / "a.txt").write_text("needed")
     remote.put_folder(tmp_path / "adjust-1a", "stages/adjust-1a")
-    job = SimpleNamespace(survey=survey, chosen=None, planned=None, block=SimpleNamespace(saturated=[0.0] * 4))
-    name = put_job(job, None, remote, tmp_path, "sweep")
+    block = SimpleNamespace(saturated=[0.0] * 4)
+    job = SimpleNamespace(survey=survey, chosen=None, planned=None, bed_search=None, block=block)
+    name = put_job(job, remote, tmp_path, "sweep")
     assert len(remote.files(PHOTOGRAPHS)) == 4
     seen = {}
 
@@ -46,7 +47,7 @@ def test_a_task_fetches_what_it_needs_and_leaves_its_result_at_the_url(tmp_path,
         progress = SimpleNamespace(lines=[])
         whole = SimpleNamespace(survey=survey, plan=plan, cameras=[camera], progress=progress, release=lambda: None)
         windows = ([SimpleNamespace(view=1)], [SimpleNamespace(view=1), SimpleNamespace(view=2)])
-        idle = {"drop": lambda: None, "survey_job": whole, "images": images}
+        idle = {"release": lambda: None, "survey_job": whole, "images": images}
         tiles = [SimpleNamespace(windows=each, **idle) for each in windows]
         return SimpleNamespace(survey_job=whole, tile=lambda number: tiles[number])
 
@@ -67,7 +68,7 @@ def test_a_task_fetches_what_it_needs_and_leaves_its_result_at_the_url(tmp_path,
     np.testing.assert_array_equal(seen["window"], whole[3:9])
     # Photographs that are there are not put again.
     monkeypatch.setattr(Remote, "put", lambda _self, paths: seen.update(put=[*seen.get("put", []), *paths]))
-    put_job(job, None, remote, tmp_path, "solver")
+    put_job(job, remote, tmp_path, "solver")
     assert [each.partition("/")[0] for each in seen["put"]] == [JOBS]
     with pytest.raises(SurveyError, match="is not there any more"):
         compute_at_url(f"{JOBS}/none", remote.url, task, code_hash())

@@ -17,10 +17,10 @@ from survey.plan.heights import dry_ground
 from survey.plan.recipe import RECIPES, required_views
 from survey.plan.tiling import Tiling, inside
 from survey.progress import Progress
-from survey.run import stage_tiles
+from survey.run import stage_range
 from survey.run.job import Job
-from survey.run.tile_job import TileJob, TilePlan, over_own_plane
-from survey.run.windows import area_in_frame, frame_of_tile, has_frames, survey_in_frame
+from survey.run.tile_job import TileJob, over_own_plane
+from survey.run.windows import BedSearch, area_in_frame, frame_of_tile, has_frames, survey_in_frame
 from survey.water.surface import curvature_drop, still_water
 
 TILING = Tiling((-500.0, 3000.0, 6500.0, 10_000.0), (-200.0, 200.0), 0.2)
@@ -39,13 +39,15 @@ def far(shallow_survey):
 
 
 def test_tiles_answer_what_stages_ask_of_a_job_for_themselves():
-    asked = "unique_masks views_to_match ground own_ground swept_ground limits bound hashes photographs block in_survey"
+    asked = (
+        "stage_name views_to_match cell ground own_ground swept_ground limits bound hashes photographs block in_survey"
+    )
     for name in asked.split():
         assert getattr(TileJob, name) is not getattr(Job, name)
     # What is defined is asked for: a name of the base class, or of the tile alone.
     own = {name for name in vars(TileJob) if not name.startswith("_")}
     assert own - set(dir(Job)) == {
-        "is_void", "cell", "has_frame", "range_of_heights", "bound_over_survey", "shared_bound", "over_whole", "drop",
+        "range_of_heights", "over_whole",
     }  # fmt: skip
 
 
@@ -108,6 +110,11 @@ def test_the_ground_of_a_tile_holds_it_in_its_frame_whatever_the_height(far, rng
     assert (math.isfinite(cell[0]), *map(math.isinf, cell[1:])) == (True, True, True, True)
 
 
+def everywhere(job) -> BedSearch:
+    """A search within all limits, by all views."""
+    return BedSearch(job.limits, list(range(len(job.survey.views))))
+
+
 @pytest.fixture
 def dry_job(far, tmp_path):
     """The survey dry, without matched points, its first view 700 m beside the others, in a tile each."""
@@ -126,7 +133,7 @@ def dry_job(far, tmp_path):
 
 
 def test_a_tile_of_known_windows_has_the_same_cameras(dry_job, monkeypatch):
-    plan = TilePlan.of_search(dry_job)
+    plan = everywhere(dry_job)
     tiles = [TileJob(dry_job, number, plan) for number in (0, 1)]
     known = replace(plan, windows=tuple(tile.windows for tile in tiles))
     # They are not looked for again.
@@ -141,13 +148,13 @@ def test_a_tile_of_known_windows_has_the_same_cameras(dry_job, monkeypatch):
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_one_photograph_over_dry_ground_takes_the_limits_of_the_survey(dry_job):
-    tile = TileJob(dry_job, 0, TilePlan.of_search(dry_job))
+    tile = TileJob(dry_job, 0, everywhere(dry_job))
     assert tile.bound == limits(flattened(dry_job.survey))
     assert np.isfinite(tile.bound).all()
 
 
 def test_a_tile_that_only_views_of_the_sky_show_is_void(dry_job):
-    tile = TileJob(dry_job, 1, TilePlan.of_search(dry_job))
+    tile = TileJob(dry_job, 1, everywhere(dry_job))
     assert not tile.is_void
     level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     views = (replace(view, camera=replace(view.camera, cam_from_local=level)) for view in tile.survey.views)
@@ -177,10 +184,10 @@ def test_tiles_choose_more_views_under_glitter(monkeypatch):
         )
 
     def tile(*_):
-        return Tile(is_void=False, windows=[SimpleNamespace(view=7)], range_of_heights=lambda: (-2.0, 0.0), drop=int)
+        return Tile(is_void=False, windows=[SimpleNamespace(view=7)], range_of_heights=lambda: (-2.0, 0.0), release=int)
 
-    monkeypatch.setattr(stage_tiles, "TileJob", tile)
-    monkeypatch.setattr(TilePlan, "of_search", lambda job: None)
-    job = SimpleNamespace(tiling=[0], plan=SimpleNamespace(recipe=RECIPES["draft"]))
-    bounds, views = stage_tiles._of_tiles(job, lambda share: None)
+    monkeypatch.setattr(stage_range, "TileJob", tile)
+    plan = SimpleNamespace(recipe=RECIPES["draft"])
+    job = SimpleNamespace(tiling=[0], plan=plan, limits=(-3.0, 1.0), survey=SimpleNamespace(views=[]))
+    bounds, views = stage_range._of_tiles(job, lambda share: None)
     assert (bounds, views, asked) == ([(-2.0, 0.0)], [7], [required_views((0.5, 0.5), RECIPES["draft"].times_seen)])

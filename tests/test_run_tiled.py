@@ -63,8 +63,8 @@ def test_the_run_says_its_tiles_and_leaves_what_exports_read(runs):
     said = {each["name"]: each for each in json.loads(two.plan_path.read_text())["decisions"]}
     assert (said["tiles"]["choice"], said["tiles"]["reason"][:15]) == ("2", "set by --tiles,")
     names = set(two.result()["stages"])
-    assert {"tiles", "sweep_tile1", "sweep_tile2", "sweep", "bed_tile2", "bed"} <= names
-    assert set(one.result()["stages"]) <= names
+    assert {"range", "sweep_tile1", "sweep_tile2", "sweep", "points_tile2", "bed"} <= names
+    assert set(one.result()["stages"]) - {"points"} <= names
     assert not list(two.path.glob(".*.part"))
 
 
@@ -76,7 +76,7 @@ def test_a_run_that_was_stopped_goes_on_at_its_tile(runs, tmp_path):
     shutil.copytree(two.path, folder)
     run = RunDir(folder)
     before = run.cloud_path.read_bytes()
-    for name in ("bed", "bed_tile2", "sweep"):
+    for name in ("bed", "points_tile2", "sweep"):
         shutil.rmtree(run.load_stage(name))
     kept = {path.name: path.stat().st_mtime_ns for path in run.stages_path.iterdir()}
     field = "solver" if "solver" in two.result()["stages"] else "off"

@@ -14,7 +14,7 @@ from fields.sweep.map_points import places_in_plan
 from fields.sweep.maps import HeightMap
 from survey.plan.tiling import Tiling, inside
 from survey.run.stored import ArrayFiles
-from survey.run.tile_job import load_masks, pack_masks
+from survey.run.stored_maps import load_masks, save_masks
 from survey.run.windows import Outlines, windows_of
 
 BED = PlaneBed(TILTED, -2.0)
@@ -106,7 +106,8 @@ def test_places_in_plan_are_those_of_the_points_of_a_map(device, cameras):
 
 def test_masks_come_back_from_a_file(tmp_path, rng):
     masks = [rng.random(shape) < 0.5 for shape in ((3, 5), (4, 4))]
-    np.savez(tmp_path / "masks.npz", **pack_masks({"own": masks, "none": []}))
-    for found, mask in zip(load_masks(tmp_path / "masks.npz", "own"), masks, strict=True):
+    save_masks(tmp_path / "masks.npz", masks)
+    for found, mask in zip(load_masks(tmp_path / "masks.npz"), masks, strict=True):
         np.testing.assert_array_equal(found, mask)
-    assert len(load_masks(tmp_path / "masks.npz", "none")) == 0
+    save_masks(tmp_path / "none.npz", [])
+    assert len(load_masks(tmp_path / "none.npz")) == 0

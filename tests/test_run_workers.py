@@ -349,8 +349,9 @@ def test_each_job_is_saved_under_a_name_of_its_own_with_absolute_paths(shallow_s
     monkeypatch.chdir(tmp_path)
     view = replace(shallow_survey.views[0], path=Path("images/a.jpg"), mask_path=Path("masks/a.png"))
     survey = replace(shallow_survey, views=(view,))
-    job = SimpleNamespace(survey=survey, chosen=None, planned=None, block=SimpleNamespace(images=[], saturated=[]))
-    first, second = (save_job(job, None, tmp_path, "sweep") for _ in range(2))
+    block = SimpleNamespace(images=[], saturated=[])
+    job = SimpleNamespace(survey=survey, chosen=None, planned=None, bed_search=None, block=block)
+    first, second = (save_job(job, tmp_path, "sweep") for _ in range(2))
     assert first != second
     stored = pickle.loads(second.read_bytes())[0].views[0]
     assert (stored.path, stored.mask_path) == (tmp_path / "images" / "a.jpg", tmp_path / "masks" / "a.png")

@@ -18,7 +18,15 @@ from fields.device import choose_device
 from fields.solver.appearance import appearance_of, brightness_of
 from fields.solver.gauss_newton import Start, TileSolution, second_differences_of, stiffness_of
 from fields.solver.roughness import roughness_of
-from fields.solver.solver import SolvedMap, SolverFigures, solve_maps
+from fields.solver.solver import (
+    SolvedMap,
+    SolverFigures,
+    count_in_squares,
+    figures_of,
+    solve_maps,
+    solve_sample,
+    spread,
+)
 from fields.solver.tile import SolverTile, tiles_of
 from fields.solver.visibility import Occluder, Projector, lookup, lookup_window, project_tiles
 from fields.sweep.block import Block
@@ -91,13 +99,20 @@ def middle(margin: int = 14) -> np.ndarray:
     return wanted
 
 
+def learned(block, maps, kept) -> SolverFigures:
+    """What a sample of the kept pixels of a block tells of its survey."""
+    places = spread(count_in_squares(block, maps, kept))
+    return figures_of(solve_sample(block, maps, kept, places, GSD), GSD, is_wet=block.water is not None)
+
+
 def solved(
     noise: float, slope: float, wrong_gsd: float = 0.6
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, SolverFigures]:
     """Errors of the sweep and of the solver in the first map, the std, and what was learned."""
     block, maps, truth = survey(noise, slope, wrong_gsd)
     kept = [middle() if m.view == 0 else np.zeros((SIZE, SIZE), dtype=bool) for m in maps]
-    found, figures = solve_maps(block, maps, kept, GSD, lambda share: None)
+    figures = learned(block, maps, kept)
+    found, _ = solve_maps(block, maps, kept, figures, lambda share: None)
     start = (maps[0].height - truth).flat[found[0].pixels]
     return start, found[0].height - truth.flat[found[0].pixels], found[0].std, figures
 
@@ -129,7 +144,7 @@ def test_pixels_that_look_along_a_wall_keep_the_heights_of_the_sweep():
     height[:, SIZE // 2 :] += 20.0 * GSD
     maps = [replace(maps[0], height=height), *maps[1:]]
     kept = [middle() if m.view == 0 else np.zeros((SIZE, SIZE), dtype=bool) for m in maps]
-    found, _ = solve_maps(block, maps, kept, GSD, lambda share: None)
+    found, _ = solve_maps(block, maps, kept, learned(block, maps, kept), lambda share: None)
     columns = np.arange(14, SIZE - 14)
     beside = (columns == SIZE // 2 - 1) | (columns == SIZE // 2)
     np.testing.assert_array_equal(np.unique(found[0].pixels % SIZE), columns[~beside])
@@ -220,9 +235,11 @@ def test_a_map_takes_solved_heights_and_keeps_the_others():
 
 def test_nothing_kept_is_nothing_solved():
     block, maps, _ = survey(4.0, 0.2)
-    found, figures = solve_maps(block, maps, [np.zeros((SIZE, SIZE), dtype=bool)] * 9, GSD, lambda share: None)
+    nothing = [np.zeros((SIZE, SIZE), dtype=bool)] * 9
+    assert count_in_squares(block, maps, nothing) == [[]] * 9
+    found, visibility = solve_maps(block, maps, nothing, None, lambda share: None)
     assert [len(each.pixels) for each in found] == [0] * 9
-    assert np.isnan(figures.noise.height_variance_ratio)
+    assert not visibility.seen.any()
 
 
 def test_a_position_outside_an_image_takes_no_value_from_those_beside_it(rng):

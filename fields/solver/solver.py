@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, MutableMapping, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from itertools import groupby, islice
 
 import cv2
@@ -80,8 +80,6 @@ class SolverFigures:
     noise: NoiseShares  # Variances by noise: `fields.solver.noise.noise_shares`
     spectral_slope: float  # Of the bed: `fields.solver.roughness.spectral_slope_of`
     sweep_slope_noise_ratio: float  # `fields.solver.solver.sweep_slope_noise_ratio`
-    # Of all points in all photographs; None where nothing was solved
-    visibility: VisibilityCounts | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
         return (
@@ -109,11 +107,10 @@ def solve_maps(
     block: Block,
     maps: Sequence[HeightMap],
     kept: Sequence[np.ndarray],
-    gsd: float,
+    figures: SolverFigures | None,
     progress: Callable[[float], None],
     make_store: Callable[[], MutableMapping[int, SolvedMap]] = dict,
-    figures: SolverFigures | None = None,
-) -> tuple[OrderedMaps, SolverFigures]:
+) -> tuple[OrderedMaps, VisibilityCounts]:
     """Solve the kept pixels of all maps, about the heights of the sweep; some keep these (`rejects_update`).
 
     Parameters
@@ -122,38 +119,31 @@ def solve_maps(
         At the scale of the maps.
     kept : sequence of (height, width) bool
         As `fields.sweep.bed.unique_pixels` gives.
-    gsd : [m]
-        Ground sampling distance.
+    figures : SolverFigures
+        Of the survey; None only where no pixel is kept.
     progress : called with the share done, 0 to 1
     make_store : callable
         Factory of the store of the solutions; default in memory.
-    figures : SolverFigures, optional
-        Of the survey that the block is a tile of; by default they are estimated from a sample of these maps.
 
     Returns
     -------
     OrderedMaps of SolvedMap, in the order of `maps`
-    figures : SolverFigures
-        NaN where nothing is kept.
+    VisibilityCounts
+        Of all points in all photographs.
     """
-    views = Views.of(block, maps)
-    filled = _occupied_squares(views, kept)
-    total, done = sum(map(sum, filled)), 0
-    solved = make_store()
-    for index in range(len(filled)):
+    views, visibility = Views.of(block, maps), VisibilityCounts.none(len(block.images))
+    solved, total, done = make_store(), 0, 0
+    for index, wanted in enumerate(kept):
         solved[index] = SolvedMap.empty()
-    found = OrderedMaps(solved, list(range(len(filled))))
-    if not total:
-        return found, SolverFigures(np.nan, Shifts(np.nan, np.nan), NoiseShares(*4 * (np.nan,)), np.nan, np.nan)
+        total += int(np.count_nonzero(wanted)) if views.others[index] else 0
+    found = OrderedMaps(solved, list(range(len(kept))))
+    if figures is None or not total:
+        return found, visibility
     with ThreadPoolExecutor(WORKERS) as pool, sharing_cores(block.device, WORKERS):
         is_wet = block.water is not None
-        if figures is None:
-            figures = _estimate_figures(_solve_sample(views, kept, spread(filled), gsd, pool), gsd, pool, is_wet)
-        shared = figures
-        visibility = VisibilityCounts.none(len(block.images))
 
         def part(job: TileTask, each: TileSolution) -> tuple[_PartSolution, VisibilityCounts]:
-            piece = _solve_part(job, block.cameras[views.views[job.index]].width, each, shared)
+            piece = _solve_part(job, block.cameras[views.views[job.index]].width, each, figures)
             return piece, VisibilityCounts.of(each.views, each.brightness, len(block.images))
 
         jobs = (job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted))
@@ -165,7 +155,7 @@ def solve_maps(
                 done += int(np.count_nonzero(job.tile.requested))
                 progress(done / total)
             solved[index] = _with_std(maps[index], _concatenate(parts), figures, is_wet)
-    return found, replace(figures, visibility=visibility)
+    return found, visibility
 
 
 def count_in_squares(block: Block, maps: Sequence[HeightMap], kept: Sequence[np.ndarray]) -> list[list[int]]:
@@ -180,44 +170,17 @@ def solve_sample(
     block: Block, maps: Sequence[HeightMap], kept: Sequence[np.ndarray], places: list[tuple[int, int]], gsd: float
 ) -> list[tuple[SolverTile, TileSolution]]:
     """Solved squares of a block, for `figures_of`, by their places of `spread`."""
+    views = Views.of(block, maps)
+    jobs = [next(islice(views.jobs(index, kept[index], SAMPLE_PX), place, None)) for index, place in places]
     with ThreadPoolExecutor(WORKERS) as pool, sharing_cores(block.device, WORKERS):
-        return _solve_sample(Views.of(block, maps), kept, places, gsd, pool)
+        return [each for _, each in views.solved(jobs, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
 
 
-def figures_of(sample: list[tuple[SolverTile, TileSolution]], gsd: float, *, is_wet: bool) -> SolverFigures:
+def figures_of(samples: list[tuple[SolverTile, TileSolution]], gsd: float, *, is_wet: bool) -> SolverFigures:
     """Parameters of a survey, estimated from solved squares of one block or of several."""
     with ThreadPoolExecutor(WORKERS) as pool:
-        return _estimate_figures(sample, gsd, pool, is_wet)
-
-
-def spread(filled: list[list[int]]) -> list[tuple[int, int]]:
-    """Sample of the fullest squares, spread evenly over the maps: number of the map and of its square.
-
-    ``filled`` has the pixels in the squares of each map, `count_in_squares`.
-    """
-    of_map = np.repeat(np.arange(len(filled)), [len(each) for each in filled])
-    place, requested = (np.concatenate(each) for each in ([np.arange(len(each)) for each in filled], filled))
-    full = np.flatnonzero(requested >= LEAST_FILL * requested.max())
-    chosen = full[np.unique(np.linspace(0, len(full) - 1, SAMPLES).astype(int))]
-    return list(zip(of_map[chosen].tolist(), place[chosen].astype(int).tolist(), strict=True))
-
-
-def _occupied_squares(views: Views, kept: Sequence[np.ndarray]) -> list[list[int]]:
-    return [requested_in_squares(wanted, SAMPLE_PX) if views.others[index] else [] for index, wanted in enumerate(kept)]
-
-
-def _solve_sample(
-    views: Views, kept: Sequence[np.ndarray], places: list[tuple[int, int]], gsd: float, pool: Executor
-) -> list[tuple[SolverTile, TileSolution]]:
-    jobs = [next(islice(views.jobs(index, kept[index], SAMPLE_PX), place, None)) for index, place in places]
-    return [each for _, each in views.solved(jobs, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
-
-
-def _estimate_figures(
-    samples: list[tuple[SolverTile, TileSolution]], gsd: float, pool: Executor, is_wet: bool
-) -> SolverFigures:
-    """Parameters of the survey, estimated from solved samples."""
-    roughness, response = roughness_of(samples, gsd, pool), median_response(samples)
+        roughness = roughness_of(samples, gsd, pool)
+    response = median_response(samples)
     null_solutions = null_solutions_of(samples, roughness, response)
     # Noise and shifts are confounded: first all counts as noise, then what remains without the shifts.
     all_noise = noise_shares(null_solutions, response, Shifts(0.0, 0.0), is_wet)
@@ -230,6 +193,18 @@ def _estimate_figures(
         spectral_slope_of(samples, roughness, response),
         sweep_slope_noise_ratio(samples, roughness, noise),
     )
+
+
+def spread(filled: list[list[int]]) -> list[tuple[int, int]]:
+    """Sample of the fullest squares, spread evenly over the maps: number of the map and of its square.
+
+    ``filled`` has the pixels in the squares of each map, `count_in_squares`.
+    """
+    of_map = np.repeat(np.arange(len(filled)), [len(each) for each in filled])
+    place, requested = (np.concatenate(each) for each in ([np.arange(len(each)) for each in filled], filled))
+    full = np.flatnonzero(requested >= LEAST_FILL * requested.max())
+    chosen = full[np.unique(np.linspace(0, len(full) - 1, SAMPLES).astype(int))]
+    return list(zip(of_map[chosen].tolist(), place[chosen].astype(int).tolist(), strict=True))
 
 
 def _solve_part(job: TileTask, width: int, found: TileSolution, figures: SolverFigures) -> _PartSolution:

@@ -64,7 +64,7 @@ def parts_s(amounts: Amounts, num_cores: int) -> dict[str, float]:
         parts["Solver"] = (_SOLVER_S[0] + _SOLVER_S[1] * amounts.map_px) / num_cores
     if amounts.field in IN_LAYER:
         parts["Field"] = _FIELD_S_PER_CELL * amounts.points / num_cores
-    parts["Bed"] = 0.5 * _POINT_S * amounts.points
+    parts["Points"] = 0.5 * _POINT_S * amounts.points
     if amounts.has_boxes:
         sample = min(amounts.points / SIDE_GSD**2, _MOST_BOXES)
         parts["Boxes beside edges"] = _BOX_S * sample / min(num_cores, _BOX_CORES)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property, partial
 from pathlib import Path
@@ -16,18 +16,15 @@ from survey.errors import SurveyError
 from survey.files.toml_table import table_of
 from survey.photos.images import ImageStore
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
-from survey.plan.recipe import required_views
 from survey.plan.run_plan import RunPlan, plan_run
 from survey.plan.sweep_block import camera_of, cameras_of_block, load_block
 from survey.run.stored import ArrayFiles
-from survey.run.water_colour import colour_of
-from survey.run.windows import Outlines
+from survey.run.windows import BedSearch, Outlines
 from survey.stage_key import stage_key
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from fields.image_store import Masks
     from fields.sweep.block import Block
     from fields.sweep.maps import HeightMap
     from refract import PinholeCamera
@@ -57,6 +54,10 @@ class Job:
         The same with its reasons, and how many processes compute them.
     survey_job : Job
         Itself; of a tile the job of the whole survey.
+    bed_search : BedSearch or None
+        Heights and photographs by which the bed is searched, once they are known.
+    parts : sequence of Job
+        The tiles, once `bed_search` is known; itself in one piece.
     waits_for_kernels : Event
         Set when a wait for kernels begins that is long enough for another thread to hold the GIL.
     """
@@ -78,7 +79,8 @@ class Job:
         self.plan, self.tiles = self.planned.plan, self.planned.tiles
         self.tiling: Tiling | None = self.tiles.tiling
         self.waits_for_kernels = Event()
-        self._found: dict[Path, Masks] = {}
+        self.bed_search: BedSearch | None = None
+        self.parts: Sequence[Job] = (self,)
         self._hashed: dict[str, str] = {}
         # Of which survey and plan these are.
         self._hashed_of: tuple[object, object] = (None, None)
@@ -91,6 +93,16 @@ class Job:
         if self._hashes_of_rays() != before:
             for name in ("block", "bound", "cameras", "outlines"):
                 self.__dict__.pop(name, None)
+
+    def search_bed(self, search: BedSearch, tiles: Sequence[Job] = ()) -> None:
+        """Let the job, or its tiles, search the bed at these heights by these photographs."""
+        self.bed_search, self.parts = search, tiles or (self,)
+        if "block" in self.__dict__ and not tiles:
+            self.block.set_overlap_height(0.5 * sum(search.bound))
+
+    def stage_name(self, name: str) -> str:
+        """The name of a stage of the job."""
+        return name
 
     def _hashes_of_rays(self) -> list[str]:
         """Inputs that determine the rays of the photographs and the search volume."""
@@ -106,7 +118,10 @@ class Job:
         """The grey images with their cameras, loaded when the first stage needs them."""
         with self.progress.stage("Images", len(self.survey.views)) as stage:
             store_array = None if self.tiling is None or self.scratch is None else ArrayFiles(self.scratch)
-            return load_block(self.survey, self.plan, stage.advance, self.photographs, store_array)
+            block = load_block(self.survey, self.plan, stage.advance, self.photographs, store_array)
+        if self.bed_search is not None and self.tiling is None:
+            block.set_overlap_height(0.5 * sum(self.bed_search.bound))
+        return block
 
     @cached_property
     def cameras(self) -> list[PinholeCamera]:
@@ -138,12 +153,29 @@ class Job:
     @cached_property
     def bound(self) -> tuple[float, float]:
         """Heights [m] over the water plane of the bed, by thumbnails; `fields.sweep.height_range.find_range`."""
+        if self.bed_search is not None:
+            return self.bed_search.bound
         from fields.sweep.height_range import find_range
 
         try:
             return find_range(self.block, self.limits)
         except ValueError as error:
             raise SurveyError(str(error)) from error
+
+    @property
+    def is_void(self) -> bool:
+        """Whether too few views show a tile."""
+        return False
+
+    @property
+    def cell(self) -> Area | None:
+        """Rectangle of the points of a tile in the frame of the survey; None in one piece."""
+        return None
+
+    @property
+    def has_frame(self) -> bool:
+        """Whether the local frame is another than that of the survey."""
+        return False
 
     @property
     def ground(self) -> Area | None:
@@ -170,32 +202,23 @@ class Job:
         """Heights [m] over the water plane between which the bed is searched; `survey.plan.area.limits`."""
         return limits(self.survey)
 
+    @property
     def views_to_match(self) -> list[int]:
         """Views that get a height map."""
-        times = required_views(self.block.saturated, self.plan.recipe.times_seen)
-        return self.block.cover(*times, local_area(self.survey))
+        if self.bed_search is None:
+            raise ValueError("expected a job whose bed search is known")
+        return self.bed_search.views
 
     def sources(self, maps: Sequence[HeightMap]) -> Sources:
         """Photographs with their height maps and the water, at the plan's scale: training data of field and colour."""
         survey, plan = self.survey, self.plan
-        given = survey.config.water
         return Sources(
             [camera_of(survey.views[m.view], plan) for m in maps],
             maps,
             [self.photographs.load(survey.views[m.view], scale=plan.image_scale) for m in maps],
             survey.water,
-            None if given is None else given.colour.absorption_per_m,
-            None if given is None else given.colour.veiling_light,
+            *colour_of(survey),
         )
-
-    def unique_masks(self, folder: Path, find: Callable[[], Masks]) -> Masks:
-        """Pixels of the maps of a sweep that become points, found once for the stages that ask.
-
-        The name of the folder ends in the hash of all that they depend on.
-        """
-        if folder not in self._found:
-            self._found = {folder: find()}
-        return self._found[folder]
 
     def hash_of_part(self, name: str) -> str:
         """The hash of a part of the job that stages depend on; the names are those in `survey.run.keys`.
@@ -255,6 +278,12 @@ class Job:
             "true_colour": lambda: colour_of(survey) if self.chosen.true_colour else None,
         }
         return parts[name]()
+
+
+def colour_of(survey: Survey) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
+    """Absorption [1/m] and veiling light (linear, 1 for white) of red, green and blue; None where not known."""
+    water = survey.config.water
+    return (None, None) if water is None else (water.colour.absorption_per_m, water.colour.veiling_light)
 
 
 def _settings_of(survey: Survey) -> dict | None:

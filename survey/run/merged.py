@@ -1,11 +1,11 @@
-"""Merging of tiles: height maps of whole photographs, solved maps, and the bed."""
+"""Height maps and solved maps of whole photographs, joined of those of tiles."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -13,44 +13,30 @@ from fields.solver.solver import SolvedMap
 from fields.sweep.maps import HeightMap
 from fields.sweep.photo_consistency import Consistency
 from survey.files.json_values import read_json_object, write_json
-from survey.plan.sweep_block import cameras_of_block
-from survey.run.stage_bed import finish_bed
-from survey.run.stage_of_tile import gather_points
 from survey.run.stage_solver import SIGHTINGS, SOLVED
-from survey.run.stage_sweep import BOUND, CONSISTENCY, MAPS, SATURATED
-from survey.run.stored_maps import Stored, save_maps
-from survey.run.tile_job import MASKS, OWN, StoredMasks, TileJob
+from survey.run.stage_sweep import CONSISTENCY, MAPS, OWN, SATURATED
+from survey.run.stored_maps import Stored, StoredMasks, save_maps
+from survey.run.tile_job import TileJob
 
 if TYPE_CHECKING:
     from survey.run.job import Job
     from survey.run.windows import Window
 
-# In the folder of the stage, while it lasts: the points of all tiles.
-GATHERED = "points.npz"
 
-
-def merge_sweeps(
-    job: Job, folder: Path, tiles: Sequence[TileJob], of_tiles: Mapping[str, list[Path]], _needs: Mapping[str, Path]
-) -> None:
+def join_sweeps(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Height maps of whole photographs: each pixel from the tile that has its point."""
-    swept = of_tiles["sweep"]
-    views = sorted({tile.windows[view].view for tile, place in _found(tiles, swept) for view in _maps(place).views})
-    save_maps(folder / MAPS, HeightMap, _whole_maps(job, tiles, swept, views))
-    low, high = zip(*(tile.bound_over_survey for tile in tiles), strict=True)
-    write_json(folder / BOUND, {"low_m": min(low), "high_m": max(high)})
+    tiles, swept = _tiles(job), _places(job, needs, "sweep")
+    save_maps(folder / MAPS, HeightMap, _whole_maps(job, tiles, swept))
     names = [view.name for view in job.survey.views]
     write_json(folder / SATURATED, dict(zip(names, job.block.saturated, strict=True)))
     found = [read_json_object(place / CONSISTENCY) for place in swept]
     write_json(folder / CONSISTENCY, {name: asdict(_together(found, name)) for name in names})
 
 
-def merge_solved(
-    job: Job, folder: Path, tiles: Sequence[TileJob], of_tiles: Mapping[str, list[Path]], _needs: Mapping[str, Path]
-) -> None:
-    """Solved maps of whole photographs, in the order of `merge_sweeps`, and how often each photograph was seen."""
-    swept, solved = of_tiles["sweep"], of_tiles["solver"]
-    views = sorted({tile.windows[view].view for tile, place in _found(tiles, swept) for view in _maps(place).views})
-    save_maps(folder / SOLVED, SolvedMap, _whole_solved(job, tiles, swept, solved, views))
+def join_solved(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+    """Solved maps of whole photographs, in the order of `join_sweeps`, and how often each photograph was seen."""
+    swept, solved = _places(job, needs, "sweep"), _places(job, needs, "solver")
+    save_maps(folder / SOLVED, SolvedMap, _whole_solved(job, _tiles(job), swept, solved))
     found = [read_json_object(place / SIGHTINGS) for place in solved]
     names = [view.name for view in job.survey.views]
     write_json(
@@ -59,18 +45,13 @@ def merge_solved(
     )
 
 
-def merge_points(
-    job: Job, folder: Path, _tiles: Sequence[TileJob], of_tiles: Mapping[str, list[Path]], needs: Mapping[str, Path]
-) -> None:
-    """The bed of all tiles."""
-    with job.progress.stage("Bed"):
-        points_path = folder / GATHERED
-        finish_bed(job, folder, needs, *gather_points(of_tiles["bed"], points_path))
-        points_path.unlink()
+def _tiles(job: Job) -> Sequence[TileJob]:
+    return cast("Sequence[TileJob]", job.parts)
 
 
-def _found(tiles: Sequence[TileJob], swept: Sequence[Path]) -> Iterator[tuple[TileJob, Path]]:
-    return zip(tiles, swept, strict=True)
+def _places(job: Job, needs: Mapping[str, Path], name: str) -> list[Path]:
+    """Folders of a stage of all tiles."""
+    return [needs[part.stage_name(name)] for part in job.parts]
 
 
 def _maps(place: Path) -> Stored[HeightMap]:
@@ -78,24 +59,24 @@ def _maps(place: Path) -> Stored[HeightMap]:
 
 
 def _by_view(tiles: Sequence[TileJob], swept: Sequence[Path]) -> dict[int, list[tuple[int, int, Window]]]:
-    """Tile, number of the map in it, and window, for each view of the survey."""
+    """Tile, number of the map in it, and window, for each view of the survey that has a map, by rising number."""
     found: dict[int, list[tuple[int, int, Window]]] = {}
-    for tile, (job, place) in enumerate(_found(tiles, swept)):
+    for tile, (job, place) in enumerate(zip(tiles, swept, strict=True)):
         for number, view in enumerate(_maps(place).views):
             window = job.windows[view]
             found.setdefault(window.view, []).append((tile, number, window))
-    return found
+    return dict(sorted(found.items()))
 
 
-def _whole_maps(job: Job, tiles: Sequence[TileJob], swept: Sequence[Path], views: list[int]) -> Iterator[HeightMap]:
-    camera = cameras_of_block(job.survey, job.plan)[0]
+def _whole_maps(job: Job, tiles: Sequence[TileJob], swept: Sequence[Path]) -> Iterator[HeightMap]:
+    camera = job.cameras[0]
     shape, maps = (camera.height, camera.width), [_maps(place) for place in swept]
-    own, of_view = [StoredMasks(place / MASKS, OWN) for place in swept], _by_view(tiles, swept)
-    for view in views:
+    own = [StoredMasks(place / OWN) for place in swept]
+    for view, of_view in _by_view(tiles, swept).items():
         height, known = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=bool)
         score, spread = np.full(shape, -1.0, dtype=np.float16), np.zeros(shape, dtype=np.float16)
         agreeing = np.zeros(shape, dtype=np.uint8)
-        for tile, number, window in of_view[view]:
+        for tile, number, window in of_view:
             m, mask = maps[tile][number], own[tile][number] & ~known[window.part]
             row, column = np.nonzero(mask)
             height[window.part][mask] = tiles[tile].over_whole(m.view, row, column, m.height[mask])
@@ -108,14 +89,13 @@ def _whole_maps(job: Job, tiles: Sequence[TileJob], swept: Sequence[Path], views
 
 
 def _whole_solved(
-    job: Job, tiles: Sequence[TileJob], swept: Sequence[Path], solved: Sequence[Path], views: list[int]
+    job: Job, tiles: Sequence[TileJob], swept: Sequence[Path], solved: Sequence[Path]
 ) -> Iterator[SolvedMap]:
-    width = cameras_of_block(job.survey, job.plan)[0].width
-    found, of_view = [Stored(place / SOLVED, SolvedMap) for place in solved], _by_view(tiles, swept)
-    own, maps = [StoredMasks(place / MASKS, OWN) for place in swept], [_maps(place) for place in swept]
-    for view in views:
+    width, found = job.cameras[0].width, [Stored(place / SOLVED, SolvedMap) for place in solved]
+    own, maps = [StoredMasks(place / OWN) for place in swept], [_maps(place) for place in swept]
+    for of_view in _by_view(tiles, swept).values():
         parts = []
-        for tile, number, window in of_view[view]:
+        for tile, number, window in of_view:
             each, mask = found[tile][number], own[tile][number].ravel()
             keep = mask[each.pixels]
             row, column = np.divmod(each.pixels[keep], window.width)

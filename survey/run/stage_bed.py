@@ -1,4 +1,6 @@
-"""The stage of the bed: height maps become points, every piece of the bed once, and points beside edges are added.
+"""The stages of the bed: height maps become points, every piece of the bed once, and points beside edges are added.
+
+Each tile has points; the bed is those of all, with the parts of their std that follow from it as a whole.
 
 Sweep and solver bend rays at a plane. Where the water was measured as a surface, each point is projected into the
 photographs that show it, through that plane; the rays of these pixels are bent where they meet the measured surface,
@@ -9,7 +11,7 @@ and the point goes to where they come closest to each other. A surface that is h
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +20,7 @@ import numpy as np
 from fields.occluded.holes import KnownBed
 from fields.occluded.occluded import find_occluded
 from fields.solver.solver import SolvedMap
-from fields.sweep.bed import BedPoints, unique_pixels
+from fields.sweep.bed import BedPoints
 from fields.sweep.maps import HeightMap
 from fields.sweep.overhangs import without_ghosts
 from fields.sweep.views import Footprint
@@ -31,13 +33,23 @@ from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.photos.intersection import equations_of_lines
 from survey.plan.sweep_block import device_word
+from survey.plan.tiling import inside
 from survey.progress import shares
+from survey.run.job import colour_of
 from survey.run.points import RefinedMaps, adjustment_of, bed_points, is_placed, with_std_of_block
 from survey.run.stage_solver import SOLVED
-from survey.run.stage_sweep import MAPS, restore_overlap_height
-from survey.run.stored import BED_FILE, SURVEY_FILE, Column, StoredBed, columns_in, save_bed
-from survey.run.stored_maps import Stored
-from survey.run.water_colour import colour_of
+from survey.run.stage_sweep import KEPT, MAPS
+from survey.run.stored import (
+    BED_FILE,
+    SURVEY_FILE,
+    Column,
+    StoredBed,
+    columns_in,
+    mapped_arrays,
+    save_bed,
+    write_arrays,
+)
+from survey.run.stored_maps import Stored, load_masks
 from survey.water.surface import Departure
 
 if TYPE_CHECKING:
@@ -53,6 +65,9 @@ _LEAST_DETERMINANT = 1.5e-4
 # Least cosine of a ray in air to the vertical for which the effect on a height is computed.
 _LEAST_COSINE = 0.2
 FILES = (BED_FILE, SURVEY_FILE)
+POINTS = "points.npz"
+# In the folder of the stage, while it lasts: the points of all tiles.
+GATHERED = "gathered.npz"
 # Points whose coordinates are worked out at a time, of 200 bytes each.
 _PORTION = 200_000
 
@@ -193,9 +208,14 @@ def with_occluded(
     return BedPoints.concatenate([bed, found.points]), np.concatenate([tide, tides[found.view]])
 
 
-def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
-    """Points of the bed, with the heights of the solver, or of the field where one was trained."""
-    finish_bed(job, folder, needs, points_of_bed(job, needs))
+def find_points(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+    """Points of the bed, those of a tile by their places, with the heights of the solver or the field, if there are."""
+    bed = points_of_bed(job, needs) if len(Stored(needs["sweep"] / MAPS, HeightMap)) else BedPoints.empty()
+    if job.cell is not None:
+        bed = replace(bed, xyz=job.in_survey(bed.xyz))
+        bed = bed[inside(bed.xyz, job.cell)]
+    columns: dict[str, np.ndarray | Column] = {each.name: getattr(bed, each.name) for each in fields(BedPoints)}
+    write_arrays(folder / POINTS, (columns | {"points_crs": in_crs(job.survey_job.survey, bed.xyz)}).items())
 
 
 def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
@@ -204,10 +224,9 @@ def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
     maps = Stored(needs["sweep"] / MAPS, HeightMap)
     field = _field_of(job, needs["field"]) if "field" in needs else None
     solved = Stored(needs["solver"] / SOLVED, SolvedMap) if "solver" in needs else None
-    restore_overlap_height(job, needs["sweep"])
     is_of_sweep = job.plan.field != "off" and field is None and solved is None
-    with job.progress.stage("Bed of the sweep alone" if is_of_sweep else "Bed", len(maps)) as stage:
-        kept = job.unique_masks(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))
+    with job.progress.stage("Points of the sweep alone" if is_of_sweep else "Points", len(maps)) as stage:
+        kept = load_masks(needs["sweep"] / KEPT)
         if solved is not None:
             kept = without_ghosts(job.block, SolvedHeights(maps, solved), kept, job.plan.gsd_m)
         bed, tide, moved = bed_points(job, RefinedMaps(maps, kept, solved, field), stage.advance)
@@ -223,7 +242,7 @@ def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
         from fields.water_column import WaterColumn
 
         water, _ = survey.require_water()
-        rgb, too_bright = true_colours(bed, water, WaterColumn(*colour_of(survey)), tide)
+        rgb, too_bright = true_colours(bed, water, WaterColumn(*colour_of(job.survey_job.survey)), tide)
         bed = replace(bed, rgb=rgb)
         job.progress.detail(f"{100 * too_bright:.1f} % of the points are saturated after the water is removed")
     return bed
@@ -235,21 +254,16 @@ def in_crs(survey: Survey, xyz: np.ndarray) -> Column:
     return Column(np.dtype(np.float64), xyz.shape, parts)
 
 
-def finish_bed(
-    job: Job, folder: Path, needs: Mapping[str, Path], bed: BedPoints, points_crs: np.ndarray | None = None
-) -> None:
-    """Add the parts of the std that follow from the whole bed, and write the points.
-
-    ``points_crs`` (N, 3) are the points in crs, where they are known.
-    """
-    survey = job.survey
-    if len(bed) == 0:
-        raise SurveyError(
-            "no point of the bed was confirmed by two views; check that poses, water level and images belong "
-            "together (bathynerf check) and that the views overlap"
-        )
-    found = adjustment_of(needs)
-    with columns_in(folder) as new_column:
+def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+    """Points of all tiles with the parts of their std that follow from the whole bed."""
+    survey, found = job.survey, adjustment_of(needs)
+    with job.progress.stage("Bed"), columns_in(folder) as new_column:
+        bed, xyz_in_crs = _gathered([needs[name] / POINTS for name in needs if name != "adjust"], folder / GATHERED)
+        if len(bed) == 0:
+            raise SurveyError(
+                "no point of the bed was confirmed by two views; check that poses, water level and images belong "
+                "together (bathynerf check) and that the views overlap"
+            )
         common = std_common(bed.xyz, bed.wet, survey, found, job.plan.gsd_m, new_column(len(bed)))
         bed, of_block = with_std_of_block(bed, survey, found, job.plan.gsd_m, new_column)
         std_placed = None
@@ -259,8 +273,23 @@ def finish_bed(
             std_placed = of_block if is_placed(survey) else None
         basis = BASIS_STATED if found is None else BASIS_ADJUSTED
         job.progress.note(f"std_common: {length(ColumnStatistics(common).median)} (median), by {basis}")
-        xyz_in_crs = in_crs(survey, bed.xyz) if points_crs is None else points_crs
         save_bed(folder, StoredBed(bed, xyz_in_crs, survey.frame.crs, survey.name, job.plan.gsd_m, common, std_placed))
+    (folder / GATHERED).unlink(missing_ok=True)
+
+
+def _gathered(of_parts: Sequence[Path], path: Path) -> tuple[BedPoints, np.ndarray]:
+    """Points of `find_points`, local and (N, 3) in crs; those of several tiles are gathered in a file."""
+    if len(of_parts) > 1:
+        names = [*(each.name for each in fields(BedPoints)), "points_crs"]
+
+        def column(name: str) -> Column:
+            parts = [mapped_arrays(each, (name,))[name] for each in of_parts]
+            return Column(parts[0].dtype, (sum(map(len, parts)), *parts[0].shape[1:]), parts)
+
+        write_arrays(path, ((name, column(name)) for name in names))
+    columns = mapped_arrays(path if len(of_parts) > 1 else of_parts[0])
+    points_crs = columns.pop("points_crs")
+    return BedPoints(**columns), points_crs
 
 
 def _field_of(job: Job, folder: Path) -> RestoredField:

@@ -1,58 +1,80 @@
-"""The stage of the solver: heights of the points by least squares over all photographs, with their std."""
+"""The stages of the solver: heights of the points by least squares over all photographs, with their std.
+
+What the solver has to know of a survey is learned from a sample of all its tiles, before each is solved.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fields.solver.solver import SolvedMap, SolverFigures, solve_maps
-from fields.sweep.bed import unique_pixels
+from fields.solver.noise import NoiseShares, Shifts
+from fields.solver.solver import SolvedMap, SolverFigures, figures_of, solve_maps, solve_sample, spread
 from fields.sweep.maps import HeightMap
-from fields.sweep.wide_windows import wet_pairs
-from survey.files.json_values import write_json
+from survey.files.json_values import read_json_object, write_json
 from survey.progress import shares
-from survey.run.stage_sweep import MAPS, SCRATCH, restore_overlap_height
-from survey.run.stored_maps import Stored, map_store, save_maps
+from survey.run.stage_sweep import KEPT, MAPS, OWN, SCRATCH, SQUARES, solvable
+from survey.run.stored_maps import Stored, load_masks, map_store, save_maps
 
 if TYPE_CHECKING:
-    from fields.solver.visibility import VisibilityCounts
     from survey.run.job import Job
 
-SOLVED, SIGHTINGS = "solved.npz", "sightings.json"
+FIGURES, SOLVED, SIGHTINGS = "figures.json", "solved.npz", "sightings.json"
+
+
+def learn_figures(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+    """Parameters of the solver for the survey, estimated from a sample of the pixels of all its parts."""
+    places = [needs[part.stage_name("sweep")] for part in job.parts]
+    with job.progress.stage("Sample of the solver"):
+        squares = [read_json_object(place / SQUARES)["pixels"] for place in places]
+        filled = [each for of_part in squares for each in of_part]
+        maps_of = [(part, number) for part, each in enumerate(squares) for number in range(len(each))]
+        figures = None
+        if any(map(sum, filled)):
+            chosen = [(*maps_of[number], square) for number, square in spread(filled)]
+            sample = []
+            for part, (each, place) in enumerate(zip(job.parts, places, strict=True)):
+                of_part = [(number, square) for of, number, square in chosen if of == part]
+                if of_part:
+                    sample += _sample_of(each, place, of_part)
+                    each.release()
+            figures = figures_of(sample, job.plan.gsd_m, is_wet=job.survey.water is not None)
+            job.progress.detail(f"solver: {figures}")
+    write_json(folder / FIGURES, {"figures": None if figures is None else asdict(figures)})
+
+
+def _sample_of(job: Job, swept: Path, squares: list[tuple[int, int]]) -> list:
+    """Solved squares of the maps of a part."""
+    kept = load_masks(swept / KEPT)
+    if job.cell is not None:
+        for number, own in enumerate(load_masks(swept / OWN)):
+            kept[number] = kept[number] & own
+    maps = Stored(swept / MAPS, HeightMap)
+    return solve_sample(job.block, maps, solvable(job.block, maps, kept), squares, job.plan.gsd_m)
+
+
+def _figures_in(folder: Path) -> SolverFigures | None:
+    """Figures of `learn_figures`; None where there was nothing to learn from."""
+    figures = read_json_object(folder / FIGURES)["figures"]
+    if figures is None:
+        return None
+    return SolverFigures(**figures | {"shifts": Shifts(**figures["shifts"]), "noise": NoiseShares(**figures["noise"])})
 
 
 def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
-    """Solve the pixels of the height maps that become points."""
-    solve_with(job, folder, needs, None)
-
-
-def solve_with(job: Job, folder: Path, needs: Mapping[str, Path], figures: SolverFigures | None) -> None:
-    """The same with figures of the solver that are known, or learned here."""
-    maps = Stored(needs["sweep"] / MAPS, HeightMap)
-    restore_overlap_height(job, needs["sweep"])
-    kept = job.unique_masks(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m)).copy()
-    pairs = wet_pairs(job.block, maps.views)
-    for number, view in enumerate(maps.views):
-        if view in pairs:
-            # Single pixels of two photographs show ripples, which moved.
-            kept[number] = kept[number] & (maps[number].height >= 0.0)
+    """Solve the heights of the points with what the solver has learned of the whole survey."""
+    swept = needs["sweep"]
+    maps, figures = Stored(swept / MAPS, HeightMap), _figures_in(needs["figures"])
+    if not len(maps):
+        save_maps(folder / SOLVED, SolvedMap, [])
+        write_json(folder / SIGHTINGS, {})
+        return
+    kept = solvable(job.block, maps, load_masks(swept / KEPT))
     with job.progress.stage("Solver", 1.0) as stage, map_store(folder / SCRATCH, SolvedMap) as make_store:
-        solved, figures = solve_maps(
-            job.block,
-            maps,
-            kept,
-            job.plan.gsd_m,
-            shares(stage),
-            make_store=make_store,
-            figures=figures,
-        )
-        _save(job, folder, solved, figures.visibility)
-    job.progress.detail(f"solver: {figures}")
-
-
-def _save(job: Job, folder: Path, solved: Iterable[SolvedMap], found: VisibilityCounts | None) -> None:
-    save_maps(folder / SOLVED, SolvedMap, solved)
+        solved, visibility = solve_maps(job.block, maps, kept, figures, shares(stage), make_store)
+        save_maps(folder / SOLVED, SolvedMap, solved)
     names = [view.name for view in job.survey.views]
-    seen, outlying = ([0] * len(names),) * 2 if found is None else (found.seen.tolist(), found.outlying.tolist())
-    write_json(folder / SIGHTINGS, {name: pair for name, *pair in zip(names, seen, outlying, strict=True)})
+    counts = zip(names, visibility.seen.tolist(), visibility.outlying.tolist(), strict=True)
+    write_json(folder / SIGHTINGS, {name: pair for name, *pair in counts})

@@ -2,27 +2,50 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fields.sweep.maps import HeightMap
+from geo.files import write_whole
+from survey.errors import Findings, SurveyError
 from survey.run.stage_sweep import MAPS
 from survey.run.stored_maps import Stored
-from survey.run.water_colour import save_colour, with_colour
+from survey.settings.water import WaterColour
 
 if TYPE_CHECKING:
     from survey.run.job import Job
 
+COLOUR_FILE = "water_colour.json"
+
 
 def estimate_colour(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Estimate the absorption of the water from the photographs that have a height map."""
-    maps = Stored(needs["sweep"] / MAPS, HeightMap)
+    # Imported where it is needed: it takes torch, whose import takes seconds.
+    from fields.colour.true_colour import estimate_absorption
+
     with job.progress.stage("Water colour"):
-        save_colour(folder, job.sources(maps))
+        try:
+            absorption = estimate_absorption(job.sources(Stored(needs["sweep"] / MAPS, HeightMap)))
+        except ValueError as error:
+            raise SurveyError(
+                f"the absorption of the water cannot be estimated from the photographs: {error}; give [water] "
+                "absorption_per_m and veiling_light in survey.toml, or leave --true-colour out"
+            ) from error
+        with write_whole(folder / COLOUR_FILE) as stream:
+            stream.write(json.dumps({"absorption_per_m": absorption}, indent=2).encode())
 
 
 def use_colour(job: Job, folder: Path) -> None:
-    """Give the job's survey the absorption that was found."""
-    job.survey = with_colour(job.survey, folder)
-    job.progress.note(f"water colour: {job.survey.findings.assumptions[-1]}")
+    """Give the job's survey the absorption that was found, and no veiling light."""
+    record = json.loads((folder / COLOUR_FILE).read_text(encoding="utf-8"))
+    red, green, blue = record["absorption_per_m"]
+    _, given = job.survey.require_water()
+    water = replace(given, colour=WaterColour((red, green, blue), (0.0, 0.0, 0.0)))
+    listed = ", ".join(f"{a:.3f}" for a in (red, green, blue))
+    note = f"absorption_per_m = [{listed}], from the photographs, and no veiling_light"
+    findings = job.survey.findings + Findings(assumptions=(note,))
+    job.survey = replace(job.survey, config=replace(job.survey.config, water=water), findings=findings)
+    job.progress.note(f"water colour: {note}")

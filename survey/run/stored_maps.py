@@ -6,12 +6,13 @@ import dataclasses
 import shutil
 from collections.abc import Callable, Iterable, Iterator, MutableMapping, Sequence
 from contextlib import contextmanager, suppress
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from fields.image_store import Masks
 from fields.sweep.maps import HeightMap, MemoryBudget
 from geo.errors import GeoError
 from geo.files import reporting_disk_errors
@@ -164,6 +165,38 @@ class Stored(Sequence[Kind]):
             self._budget.left -= _bytes_of(found)
             self._held[number] = found
         return found
+
+
+def save_masks(path: Path, masks: Sequence[np.ndarray]) -> None:
+    """Write masks (height, width) bool, one bit a pixel, for `StoredMasks`."""
+    shapes = [mask.shape for mask in masks]
+    bits = ((str(number), np.packbits(mask)) for number, mask in enumerate(masks))
+    write_arrays(path, chain([("shapes", np.array(shapes, dtype=np.int64).reshape(-1, 2))], bits))
+
+
+class StoredMasks(Sequence[np.ndarray]):
+    """Masks of a file of `save_masks`, each read when it is asked for."""
+
+    def __init__(self, path: Path):
+        self._arrays = StoredArrays(path)
+        self.shapes: list[tuple[int, ...]] = [tuple(shape) for shape in self._arrays["shapes"].tolist()]
+
+    def __len__(self) -> int:
+        return len(self.shapes)
+
+    def __getitem__(self, number):
+        """The mask of a number."""
+        height, width = self.shapes[number]
+        return np.unpackbits(self._arrays[str(number)], count=height * width).reshape(height, width).view(bool)
+
+
+def load_masks(path: Path) -> Masks:
+    """Masks of a file of `save_masks`, in memory."""
+    stored = StoredMasks(path)
+    masks = Masks(stored.shapes)
+    for number, mask in enumerate(stored):
+        masks[number] = mask
+    return masks
 
 
 def _names(kind: type) -> list[str]:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fields.image_store import GreyImages, Masks
+from fields.image_store import GreyImages
 from fields.sweep.block import Block
 from fields.sweep.views import ground_points
 from survey.errors import SurveyError
@@ -19,8 +18,8 @@ from survey.plan.area import flattened, grown, limits
 from survey.plan.sweep_block import backend
 from survey.plan.tiling import Area, places_of
 from survey.run.job import Job
-from survey.run.stored import StoredArrays
 from survey.run.windows import (
+    BedSearch,
     Window,
     WindowStore,
     area_in_frame,
@@ -35,27 +34,8 @@ if TYPE_CHECKING:
     from survey.folder.survey import Survey
     from survey.progress import Progress, Step
 
-# Masks of each map, packed as bits: pixels that become points in the tile or beside it, and all that show the tile.
-MASKS = "masks.npz"
-KEPT, OWN = "kept", "own"
 # Parts of a job that a tile takes from the survey as they are.
-_OF_SURVEY = ("name", "water_settings", "ties", "priors", "control", "freed")
-
-
-@dataclass(frozen=True)
-class TilePlan:
-    """Plan that all tiles of a survey share."""
-
-    bound: tuple[float, float]  # (low, high) [m]: heights over the water plane between which the bed lies
-    views: list[int]  # Those that get height maps
-    # Bound of each tile over a plane of its own [m], where tiles have frames of their own
-    bounds: tuple[tuple[float, float], ...] | None = None
-    windows: tuple[list[Window], ...] | None = None  # Those of each tile, where they are known
-
-    @staticmethod
-    def of_search(job: Job) -> TilePlan:
-        """Plan of tiles of which nothing is known: the search limits, and all views."""
-        return TilePlan(job.limits, list(range(len(job.survey.views))))
+_OF_SURVEY = ("name", "water_settings", "ties", "priors", "control", "freed", "water_colour", "true_colour")
 
 
 class TileJob(Job):
@@ -74,10 +54,12 @@ class TileJob(Job):
     survey_job : Job
     """
 
-    def __init__(self, survey_job: Job, number: int, found: TilePlan):
+    bed_search: BedSearch
+
+    def __init__(self, survey_job: Job, number: int, found: BedSearch):
         if survey_job.tiling is None:
             raise ValueError("expected a job with tiles")
-        self.survey_job, self.number, self._plan_of_tiles = survey_job, number, found
+        self.survey_job, self.number, self.bed_search = survey_job, number, found
         self.tiling, self.tiles = survey_job.tiling, survey_job.tiles
         survey, self._moved = survey_job.survey, None
         if has_frames(survey_job.tiling):
@@ -124,19 +106,24 @@ class TileJob(Job):
     @property
     def is_void(self) -> bool:
         """Whether too few views show the tile, or none of them looks down at it."""
-        if len(self.windows) < 2 or not self.views_to_match():
+        if len(self.windows) < 2 or not self.views_to_match:
             return True
         return bool(np.isnan(ground_points([view.camera for view in self.survey.views], 0.0)).all())
 
+    def stage_name(self, name: str) -> str:
+        """The name of a stage of the tile."""
+        return f"{name}_tile{self.number + 1}"
+
     @property
-    def whole_camera(self) -> PinholeCamera | None:
+    def whole_camera(self) -> PinholeCamera:
         """Camera of a whole photograph, at the size that is worked on."""
         return self.survey_job.cameras[0]
 
+    @property
     def views_to_match(self) -> list[int]:
         """Views of the whole survey that show the tile, by their numbers here."""
         number_of = {window.view: number for number, window in enumerate(self.windows)}
-        return [number_of[view] for view in self._plan_of_tiles.views if view in number_of]
+        return [number_of[view] for view in self.bed_search.views if view in number_of]
 
     @property
     def cell(self) -> Area:
@@ -201,26 +188,6 @@ class TileJob(Job):
         return camera if self._moved is None else camera.in_frame(self._moved.rotation, self._moved.shift)
 
     @property
-    def bound_over_survey(self) -> tuple[float, float]:
-        """The same over the plane of the survey."""
-        if self._moved is None:
-            return self.shared_bound
-        places = self.in_survey(self._ends())
-        over = _over(self.survey_job.survey.water, places)
-        return float(over.min()), float(over.max())
-
-    def _ends(self) -> np.ndarray:
-        """Places (M, 3) [m] over the ground of the tile at both ends of its bound."""
-        plan = places_of(self.ground)
-        base = np.zeros(len(plan)) if self.survey.water is None else self.survey.water.height(*plan.T)
-        return np.concatenate([np.column_stack([plan, base + height]) for height in self._bound])
-
-    @property
-    def shared_bound(self) -> tuple[float, float]:
-        """Bound of the whole survey, over its plane."""
-        return self._plan_of_tiles.bound
-
-    @property
     def hashes(self) -> dict[str, tuple[str, str, str | None]]:
         """Hashes of the photographs of the whole survey."""
         return self.survey_job.hashes
@@ -261,14 +228,11 @@ class TileJob(Job):
         xyz = camera.paths(pixels, self.survey.water).at_height(heights.astype(np.float64), self.survey.water)
         return _over(self.survey_job.survey.water, self.in_survey(xyz)).astype(heights.dtype)
 
-    def drop(self) -> None:
-        """Forget the windows, and photographs that the next tile may not see."""
+    def release(self) -> None:
+        """As `Job.release`; forget the windows, and photographs that the next tile may not see."""
+        super().release()
         self.__dict__.pop("block", None)
         self.survey_job.photographs.clear()
-
-    def unique_masks(self, folder: Path, find: Callable[[], Masks]) -> Masks:
-        """Pixels that become points of the tile or stand beside it, as its sweep left them."""
-        return load_masks(folder / MASKS, KEPT)
 
     def hash_of_part(self, name: str) -> str:
         """`Job.hash_of_part`; what belongs to the survey is hashed for all tiles together."""
@@ -279,42 +243,6 @@ class TileJob(Job):
         if name == "area":
             return self.cell, self.ground
         return (self.survey_job.survey.frame, self.survey.frame) if name == "frame" else super()._part(name)
-
-
-def pack_masks(masks: Mapping[str, list[np.ndarray]]) -> dict[str, np.ndarray]:
-    """Arrays of masks (height, width) bool by name, one bit a pixel, for `StoredMasks`."""
-    arrays: dict[str, np.ndarray] = {}
-    for name, of_name in masks.items():
-        arrays[f"{name}_shapes"] = np.array([mask.shape for mask in of_name], dtype=np.int64).reshape(-1, 2)
-        for number, mask in enumerate(of_name):
-            arrays[f"{name}_{number}"] = np.packbits(mask)
-    return arrays
-
-
-class StoredMasks(Sequence[np.ndarray]):
-    """Masks of a file of `pack_masks`, each read when it is asked for."""
-
-    def __init__(self, path: Path, name: str):
-        self._arrays, self._name = StoredArrays(path), name
-        self.shapes: list[tuple[int, ...]] = [tuple(shape) for shape in self._arrays[f"{name}_shapes"].tolist()]
-
-    def __len__(self) -> int:
-        return len(self.shapes)
-
-    def __getitem__(self, number):
-        """The mask of a number."""
-        height, width = self.shapes[number]
-        bits = self._arrays[f"{self._name}_{number}"]
-        return np.unpackbits(bits, count=height * width).reshape(height, width).view(bool)
-
-
-def load_masks(path: Path, name: str) -> Masks:
-    """Masks of a file of `pack_masks`, in memory."""
-    stored = StoredMasks(path, name)
-    masks = Masks(stored.shapes)
-    for number, mask in enumerate(stored):
-        masks[number] = mask
-    return masks
 
 
 class _ProgressOfTile:

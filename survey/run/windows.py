@@ -61,6 +61,17 @@ class Window:
         return slice(self.row, self.row + self.height), slice(self.column, self.column + self.width)
 
 
+@dataclass(frozen=True)
+class BedSearch:
+    """Heights and photographs by which the bed is searched."""
+
+    bound: tuple[float, float]  # (low, high) [m]: heights over the water plane between which the bed lies
+    views: list[int]  # Those that get height maps
+    # Bound of each tile over a plane of its own [m], where tiles have frames of their own
+    bounds: tuple[tuple[float, float], ...] | None = None
+    windows: tuple[list[Window], ...] | None = None  # Those of each tile, where they are known
+
+
 class Outlines:
     """Rays of the outlines of photographs, to leave out at once those that show nothing of a tile.
 

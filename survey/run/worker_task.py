@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from survey.folder.survey import Survey
     from survey.plan.run_plan import RunPlan
     from survey.run.job import Job
-    from survey.run.tile_job import TileJob, TilePlan
+    from survey.run.tile_job import TileJob
+    from survey.run.windows import BedSearch
 
 ANOTHER_VERSION = "another version of bathynerf than the run; install the same on all, and start the workers again"
 
@@ -43,14 +44,14 @@ class Task:
     cost: int = 0  # Expected, in pixels: the longest are to begin first
 
 
-def save_job(job: Job, found: TilePlan, folder: Path, stage: str) -> Path:
+def save_job(job: Job, folder: Path, stage: str) -> Path:
     """Write what workers have to know of a job for a stage; its grey images lie in files already.
 
     Each file has a name of its own: workers of a cluster outlive a run, and keep the job by this name.
     """
     block = job.block
     path = folder / f"{stage}-{uuid.uuid4().hex}.pickle"
-    parts = with_absolute_paths(job.survey), job.chosen, job.planned, found, block.images, block.saturated
+    parts = with_absolute_paths(job.survey), job.chosen, job.planned, job.bed_search, block.images, block.saturated
     with write_whole(path) as stream:
         stream.write(pickle.dumps(parts))
     return path.absolute()
@@ -79,7 +80,7 @@ class WorkerJob:
     """Job of a survey on a worker, made of its parts; ``images`` are `GreyImages` of the whole photographs."""
 
     def __init__(
-        self, survey: Survey, chosen: Any, planned: RunPlan, found: TilePlan, images: Any, saturated: Sequence[float]
+        self, survey: Survey, chosen: Any, planned: RunPlan, search: BedSearch, images: Any, saturated: Sequence[float]
     ):
         from fields.sweep.block import Block
         from survey.plan.sweep_block import backend, cameras_of_block
@@ -88,17 +89,17 @@ class WorkerJob:
         # The device is that of the worker.
         planned = replace(planned, plan=planned.again(survey, chosen))
         self.survey_job = Job(survey, chosen, cast(Any, _RecordedProgress()), planned=planned)
-        self._found = found
+        self._search = search
         cameras, plan = cameras_of_block(survey, self.survey_job.plan), self.survey_job.plan
         self.survey_job.__dict__["block"] = Block(
-            backend(plan), cameras, images, survey.water, 0.5 * sum(found.bound), saturated, plan.skips
+            backend(plan), cameras, images, survey.water, 0.5 * sum(search.bound), saturated, plan.skips
         )
 
     def tile(self, number: int) -> TileJob:
         """A tile of the job; of all tiles their windows alone would take seconds."""
         from survey.run.tile_job import TileJob
 
-        return TileJob(self.survey_job, number, self._found)
+        return TileJob(self.survey_job, number, self._search)
 
 
 def compute_task(job: Path, stages: Path, task: Task, code: str) -> tuple[Path, float, list[tuple[str, str]]]:
@@ -130,8 +131,7 @@ def compute_into(tile: TileJob, task: Task, folder: Path, needs: Mapping[str, Pa
     try:
         task.compute(tile, folder, needs)
     finally:
-        tile.drop()
-        tile.survey_job.release()
+        tile.release()
     return list(recorded.lines)
 
 

@@ -161,7 +161,7 @@ def test_all_is_checked_before_anything_is_computed(drawn, tmp_path, monkeypatch
             export(path, dem=tmp_path / "dem.tif", **{option: tmp_path / name})
     monkeypatch.undo()
     # An error that only the computation finds: what was written by then is said.
-    monkeypatch.setattr("survey.export.terrain.raster_form", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr("survey.export.terrain.write_raster", lambda *_, **__: 1 / 0)
     with Progress(verbosity=0), pytest.raises(ZeroDivisionError):
         export(path, las=tmp_path / "a.las", dem=tmp_path / "dem.tif")
     said = " ".join(capsys.readouterr().err.split())

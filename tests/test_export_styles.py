@@ -19,7 +19,7 @@ from survey.export.registry import PRODUCTS
 from survey.export.styles import of_clouds
 from survey.settings.config import dump_config, parse_config
 
-STYLED = {product.option: product for product in PRODUCTS if product.style is not None and product.option != "copc"}
+STYLED = {product.option: product for product in PRODUCTS if product.function("style") and product.option != "copc"}
 
 
 PLAN = np.random.default_rng(5).uniform(0, [6, 4], (6000, 2))

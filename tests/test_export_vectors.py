@@ -22,7 +22,7 @@ from geo.vectors import DxfLine, Layer, write_dxf, write_geojson, write_geopacka
 from survey.errors import SurveyError
 from survey.export.export import export
 from survey.export.loaded import LoadedRun
-from survey.export.outlines import ONE_VIEW, TWO_VIEWS, unseen_of
+from survey.export.unseen import ONE_VIEW, TWO_VIEWS, unseen_of
 from survey.export.product import ExportOptions
 from survey.folder.survey import load_survey
 from survey.progress import Progress

@@ -17,7 +17,7 @@ from survey.export.registry import FAMILIES, PRODUCTS
 
 _made = partial(typer.Option, rich_help_panel="How they are made")
 _mesh = partial(typer.Option, rich_help_panel="Meshes")
-EXAMPLES = "".join(f"bathynerf export RUN {product.example}\n" for product in PRODUCTS)
+EXAMPLES = "".join(f"bathynerf export RUN --{product.option} {product.example}\n" for product in PRODUCTS)
 
 
 @dataclass(frozen=True)

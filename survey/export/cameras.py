@@ -10,15 +10,17 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import numpy as np
+
+from geo.crs import crs_code
+from geo.files import reporting_disk_errors, write_whole
+from refract.lens import Lens
 from survey.errors import SurveyError
-from survey.export.product import ExportOptions, Product
-
-if TYPE_CHECKING:
-    from refract.lens import Lens
-    from survey.export.loaded import LoadedRun
-    from survey.run.flight import Flight
+from survey.export.loaded import LoadedRun
+from survey.export.product import ExportOptions
+from survey.photos.colmap_model import write_model
+from survey.run.flight import Flight
 
 _MARK = "# bathynerf\n"
 # Initial points for training; more take longer and help little.
@@ -27,8 +29,6 @@ _MOST_POINTS = 200_000
 
 def _metadata(flight: Flight) -> dict:
     """Frame and water, for JSON."""
-    from geo.crs import crs_code
-
     frame, water = flight.frame, flight.water
     metadata = {
         "made_by": "bathynerf",
@@ -63,10 +63,8 @@ def _in_colmap(lens: Lens) -> Lens:
     return replace(lens, model="FULL_OPENCV", params=(*params, 0.0, 0.0, 0.0))
 
 
-def _write_colmap(path: Path, run: LoadedRun, _options: ExportOptions) -> None:
-    from geo.files import reporting_disk_errors
-    from survey.photos.colmap_model import write_model
-
+def write_colmap(path: Path, run: LoadedRun, _options: ExportOptions) -> None:
+    """The cameras as a COLMAP model."""
     flight = run.flight
     views = [replace(view, lens=_in_colmap(view.lens)) for view in flight.views]
     comments = [f"# {name}: {json.dumps(value, ensure_ascii=False)}\n" for name, value in _metadata(flight).items()]
@@ -87,11 +85,8 @@ def _points(run: LoadedRun) -> str:
     )
 
 
-def _write_nerfstudio(path: Path, run: LoadedRun, _options: ExportOptions) -> None:
-    import numpy as np
-
-    from geo.files import write_whole
-
+def write_nerfstudio(path: Path, run: LoadedRun, _options: ExportOptions) -> None:
+    """The cameras as nerfstudio has them."""
     flight = run.flight
     frames = []
     for view in flight.views:
@@ -121,35 +116,13 @@ def _nerfstudio_lens(lens: Lens) -> dict:
     return {"camera_model": model, **inside, **{name: lens[name] for name in (*names, "p1", "p2")}}
 
 
-def _check_colmap(_path: Path, run: LoadedRun, _options: ExportOptions) -> None:
+def check_colmap(_path: Path, run: LoadedRun, _options: ExportOptions) -> None:
+    """Raise SurveyError where a lens has no model there."""
     for view in run.flight.views:
         _in_colmap(view.lens)
 
 
-def _check_nerfstudio(_path: Path, run: LoadedRun, _options: ExportOptions) -> None:
+def check_nerfstudio(_path: Path, run: LoadedRun, _options: ExportOptions) -> None:
+    """Raise SurveyError where a lens has no model there."""
     for view in run.flight.views:
         _nerfstudio_lens(view.lens)
-
-
-CAMERAS = (
-    Product(
-        "colmap",
-        ("",),
-        help="Folder: cameras as a COLMAP model (text); rays bend at the water.",
-        example="--colmap sparse",
-        takes=(),
-        write=_write_colmap,
-        check=_check_colmap,
-        is_folder=True,
-    ),
-    Product(
-        "nerfstudio",
-        (".json",),
-        help="Cameras as nerfstudio's transforms.json.",
-        example="--nerfstudio cameras.json",
-        takes=(),
-        write=_write_nerfstudio,
-        check=_check_nerfstudio,
-        is_of_points=False,
-    ),
-)

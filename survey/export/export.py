@@ -86,11 +86,11 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
 
 def _write(product: Product, path: Path, loaded: LoadedRun, options: ExportOptions, key: str) -> None:
     """Write one product, with its style."""
-    product.write(path, loaded, options)
+    product.function("write")(path, loaded, options)
     if product.is_folder:
         return
-    if product.style is not None:
-        write_style(path, product.style)
+    if (style := product.function("style")) is not None:
+        write_style(path, style)
     note_written(loaded, path, key)
 
 

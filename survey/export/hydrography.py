@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 from xml.sax.saxutils import escape
 
+import numpy as np
+
+from evaluation.standards import TVU, order_by_thu, order_by_tvu
+from geo.projection import ground_units_m
+from geo.raster import SOFTWARE, RasterBand, RasterForm
+from geo.raster import write_bag as write_bag_file
 from survey.errors import SurveyError
-from survey.export.product import ExportOptions, Product
+from survey.export.bed_cells import BedRaster, CellWindow
+from survey.export.bed_raster import bed_raster
+from survey.export.loaded import LoadedRun
+from survey.export.product import ExportOptions
 from survey.export.styles import of_heights, of_orders
-from survey.export.terrain import CELLS, noted_if_empty, parts_of, raster_form
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from survey.export.bed_cells import BedRaster, CellWindow
-    from survey.export.loaded import LoadedRun
+from survey.export.terrain import noted_if_empty, parts_of, write_raster
 
 # Fixed by the format.
 _BAG_NODATA = 1_000_000.0
@@ -27,10 +29,8 @@ _NOT_TESTED = (
 )
 
 
-def _check_bag(_path: Path, run: LoadedRun, options: ExportOptions) -> None:
+def check_bag(_path: Path, run: LoadedRun, options: ExportOptions) -> None:
     """Raise SurveyError where the CRS has no square cells in metres."""
-    from geo.projection import ground_units_m
-
     crs = run.crs_for(options.crs)
     if not crs.is_projected or any(axis.unit_name != "metre" for axis in crs.axis_info):
         raise SurveyError(f"--bag holds square cells and heights in metres, but the CRS is {crs.name}; give --crs")
@@ -43,13 +43,8 @@ def _check_bag(_path: Path, run: LoadedRun, options: ExportOptions) -> None:
         )
 
 
-def _write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+def write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     """Write the BAG."""
-    import numpy as np
-
-    from geo.raster import SOFTWARE, RasterBand, RasterForm, write_bag
-    from survey.export.bed_raster import bed_raster
-
     grid = bed_raster(run, options)
     crs = grid.cells.crs
 
@@ -70,7 +65,7 @@ def _write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
         "VERTICAL_UNCERT_CODE": "productUncert",
         "XML_IDENTIFICATION_CITATION": _citation(run.bed_header.name),
     }
-    write_bag(path, form, noted_if_empty(path, parts_of(grid, values), _BAG_NODATA), tags)
+    write_bag_file(path, form, noted_if_empty(path, parts_of(grid, values), _BAG_NODATA), tags)
 
 
 def _citation(title: str) -> str:
@@ -86,26 +81,19 @@ def _citation(title: str) -> str:
 
 def _index_of_water(run: LoadedRun) -> float:
     """The refractive index; raises SurveyError for a dry survey."""
-    import numpy as np
-
     n_water = None if run.config.water is None else run.config.water.refractive_index
     if n_water is None or not np.isfinite(run.columns("depth")["depth"]).any():
         raise SurveyError("--s44 judges what lies under water, but the survey is dry; leave it out")
     return n_water
 
 
-def _check_s44(_path: Path, run: LoadedRun, _options: ExportOptions) -> None:
+def check_s44(_path: Path, run: LoadedRun, _options: ExportOptions) -> None:
+    """Raise SurveyError for a dry survey."""
     _index_of_water(run)
 
 
-def _write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+def write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     """Write the orders."""
-    import numpy as np
-
-    from evaluation.standards import TVU, order_by_thu, order_by_tvu
-    from geo.raster import RasterBand, write_cog
-    from survey.export.bed_raster import bed_raster
-
     grid = bed_raster(run, options)
     n_water = _index_of_water(run)
 
@@ -128,8 +116,7 @@ def _write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
         RasterBand("order by vertical uncertainty (TVU)", "code"),
         RasterBand("order by horizontal uncertainty (THU)", "code"),
     )
-    form = raster_form(grid, *bands, tags=tags, dtype="uint8", nodata=0, resampling="NEAREST")
-    write_cog(path, form, noted_if_empty(path, parts_of(grid, values), 0))
+    write_raster(path, grid, values, *bands, tags=tags, dtype="uint8", nodata=0, resampling="NEAREST")
 
 
 def plan_std(grid: BedRaster, window: CellWindow, std: np.ndarray, n_water: float, cameras_std: float) -> np.ndarray:
@@ -137,32 +124,9 @@ def plan_std(grid: BedRaster, window: CellWindow, std: np.ndarray, n_water: floa
 
     By the error in height along the ray in water, half a pixel on the bed, and the positions of the cameras.
     """
-    import numpy as np
-
     sine = np.sin(grid.incidence[window.slices].astype(np.float64)) / n_water
     tangent = sine / np.sqrt(1.0 - sine**2)
     return np.sqrt((tangent * std) ** 2 + (0.5 * grid.pixel_m) ** 2 + cameras_std**2)
 
 
-HYDROGRAPHY = (
-    Product(
-        "bag",
-        (".bag",),
-        help="Heights and uncertainty as BAG (HDF5).",
-        example="--bag bed.bag --resolution 0.5",
-        takes=CELLS,
-        write=_write_bag,
-        check=_check_bag,
-        style=of_heights,
-    ),
-    Product(
-        "s44",
-        (".tif", ".tiff"),
-        help="Order of IHO S-44 by uncertainty, as GeoTIFF.",
-        example="--s44 orders.tif --resolution 1",
-        takes=CELLS,
-        write=_write_s44,
-        check=_check_s44,
-        style=of_orders,
-    ),
-)
+style_bag, style_s44 = of_heights, of_orders

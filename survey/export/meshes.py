@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from survey.export.product import ExportOptions, Product
+from geo.files import library_for
+from geo.gltf import write_glb
+from geo.obj import write_obj
+from geo.ply import write_ply
+from geo.shapes import Mesh
+from survey.export.bed_surface import bed_surface, require_method
+from survey.export.loaded import LoadedRun
+from survey.export.product import ExportOptions
 
-if TYPE_CHECKING:
-    from geo.shapes import Mesh
-    from survey.export.loaded import LoadedRun
 
-
-def _write_mesh(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    from geo.gltf import write_glb
-    from geo.obj import write_obj
-    from geo.ply import write_ply
-
+def write_mesh(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    """The surface, in the format of the suffix."""
     key = ("mesh", options.crs, options.resolution_m, options.mesh_method, options.watertight)
     mesh = run.once(key, lambda: _mesh(path, run, options))
     crs = mesh.crs
@@ -33,10 +33,6 @@ def _write_mesh(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
 def _mesh(path: Path, run: LoadedRun, options: ExportOptions) -> Mesh:
     """The surface in crs; it is made in the local frame, whose axes are equal."""
-    from dataclasses import replace
-
-    from survey.export.bed_surface import bed_surface
-
     bed, frame = run.certain_bed.bed, run.flight.frame
     mesh = bed_surface(
         bed.xyz,
@@ -54,25 +50,10 @@ def _mesh(path: Path, run: LoadedRun, options: ExportOptions) -> Mesh:
     return replace(mesh, vertices=vertices, crs=crs)
 
 
-def _check(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    from geo.files import library_for
-    from survey.export.bed_surface import require_method
-
+def check_mesh(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    """Raise SurveyError or GeoError for an unknown method, a missing library, or a run without its frame."""
     require_method(options.mesh_method)
     if options.mesh_method == "poisson":
         library_for(path, "open3d", "mesh", to_write=True)
     # The frame in which it is made.
     _ = run.flight
-
-
-MESHES = (
-    Product(
-        "mesh",
-        (".ply", ".obj", ".glb"),
-        help="The bed in coloured triangles: PLY, OBJ or GLB.",
-        example="--mesh bed.obj --watertight",
-        takes=("crs", "resolution_m", "mesh_method", "watertight"),
-        write=_write_mesh,
-        check=_check,
-    ),
-)

@@ -5,31 +5,37 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from survey.export.product import ExportOptions, Product, require_not_too_fine
+import numpy as np
+
+from geo.crs import horizontal_crs
+from geo.raster import RasterBand, RasterForm, write_cog
+from survey.errors import SurveyError
+from survey.export.bed_cells import BedRaster, CellWindow, PlanCells, round_side
+from survey.export.bed_raster import bed_raster
+from survey.export.loaded import LoadedRun, at_scale, colours_without_water, flight_of
+from survey.export.occlusion import (
+    WINDOW,
+    BedWindows,
+    CellProjection,
+    HeightBuffer,
+    Mosaic,
+    common_exposure,
+    log_weight,
+)
+from survey.export.product import ExportOptions, require_not_too_fine
 from survey.export.terrain import noted_if_empty
+from survey.progress import current
+from survey.run.flight import Flight
 
-if TYPE_CHECKING:
-    import numpy as np
-
-    from survey.export.bed_cells import BedRaster, CellWindow, PlanCells
-    from survey.export.loaded import LoadedRun
-    from survey.export.occlusion import CellProjection, Mosaic
-    from survey.run.flight import Flight
-
-    ColourOf = Callable[[np.ndarray, CellWindow, np.ndarray, CellProjection], np.ndarray]
+ColourOf = Callable[[np.ndarray, CellWindow, np.ndarray, CellProjection], np.ndarray]
 
 # Along the shorter side of a photograph at the resolution that is asked for.
 _FEWEST_PX = 8
 
 
-def _write_orthophoto(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    from geo.crs import horizontal_crs
-    from geo.raster import RasterBand, RasterForm, write_cog
-    from survey.export.bed_cells import round_side
-    from survey.export.occlusion import WINDOW
-
+def write_orthophoto(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    """The mosaic of the photographs."""
     side_m = options.resolution_m or round_side(run.bed_header.gsd_m)
     mosaic = _mosaic(run, options, side_m)
     cells = mosaic.cells
@@ -44,21 +50,13 @@ def _write_orthophoto(path: Path, run: LoadedRun, options: ExportOptions) -> Non
     write_cog(path, form, noted_if_empty(path, parts, 0, band=3))
 
 
-def _check(_path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    from survey.export.loaded import flight_of
-
+def check_orthophoto(_path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    """Raise SurveyError where a photograph is not there any more."""
     flight_of(run, options.survey)
 
 
 def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
     """The photographs on the bed, in cells of a side [m]."""
-    import numpy as np
-
-    from survey.export.bed_raster import bed_raster
-    from survey.export.loaded import at_scale, flight_of
-    from survey.export.occlusion import BedWindows, HeightBuffer, Mosaic, common_exposure, log_weight
-    from survey.progress import current
-
     require_not_too_fine(side_m, run.bed_header.gsd_m)
     grid = bed_raster(run, replace(options, resolution_m=None))
     if side_m > grid.cells.side_m:
@@ -89,9 +87,6 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
 
 def _require_pixels(flight: Flight, scale: float, side_m: float, gsd_m: float) -> None:
     """Raise SurveyError where photographs at a scale have too few pixels."""
-    from survey.errors import SurveyError
-    from survey.export.bed_cells import round_side
-
     shortest = min(min(view.camera.width, view.camera.height) for view in flight.views)
     if scale * shortest < _FEWEST_PX:
         raise SurveyError(
@@ -103,8 +98,6 @@ def _require_pixels(flight: Flight, scale: float, side_m: float, gsd_m: float) -
 
 def _heights(grid: BedRaster, cells: PlanCells, window: CellWindow) -> np.ndarray:
     """Heights (rows, columns) [m] of finer cells, linear between those of the bed's raster; NaN where it has none."""
-    import numpy as np
-
     at = grid.cells.columns_rows(cells.middles(window).reshape(-1, 2))
     shape = grid.cells.shape
     own = np.clip(np.floor(at).astype(np.int64), 0, np.array(shape[::-1]) - 1)
@@ -121,12 +114,9 @@ def _heights(grid: BedRaster, cells: PlanCells, window: CellWindow) -> np.ndarra
 
 def _colour_of(run: LoadedRun, grid: BedRaster, cells: PlanCells) -> ColourOf:
     """Function of the colours of a photograph that gives those of the mosaic: the same, or without the water."""
-    from survey.export.loaded import colours_without_water
-
     without_water, level = colours_without_water(run), grid.level
     if without_water is None or level is None:
         return lambda colour, _window, _height, _seen: colour
-    import numpy as np
 
     def dry(colour: np.ndarray, window: CellWindow, height: np.ndarray, seen: CellProjection) -> np.ndarray:
         depth = level(cells.middles(window)) - height
@@ -136,16 +126,3 @@ def _colour_of(run: LoadedRun, grid: BedRaster, cells: PlanCells) -> ColourOf:
         return colour
 
     return dry
-
-
-ORTHOPHOTO = (
-    Product(
-        "orthophoto",
-        (".tif", ".tiff"),
-        help="The bed from above, from the photographs, as GeoTIFF.",
-        example="--orthophoto bed.tif --fill 0.5",
-        takes=("crs", "resolution_m", "fill_m", "survey"),
-        write=_write_orthophoto,
-        check=_check,
-    ),
-)

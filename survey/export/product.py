@@ -1,12 +1,12 @@
-"""A product of `bathynerf export`, as data: its option, its files, and the function that writes it."""
+"""A product of `bathynerf export`, as data: its option, its files, and where the function that writes it stands."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from survey.errors import SurveyError
 
@@ -62,23 +62,27 @@ def require_not_too_fine(side_m: float, pixel_m: float) -> None:
 
 @dataclass(frozen=True)
 class Product:
-    """Product: an option of `bathynerf export`."""
+    """Product: an option of `bathynerf export`.
+
+    Its module has a function ``write_<option>`` of the path, the run and the options, which writes the file whole or
+    not at all; where something can be known before, ``check_<option>`` of the same, which raises where it cannot be
+    made; and where it has a style of QGIS, ``style_<option>`` of the path (`survey.export.styles`). The module is
+    imported when the product is made: the command line imports the registry.
+    """
 
     option: str  # Without the dashes, e.g. "las".
     suffixes: tuple[str, ...]  # That a file of it may have, in lower case, e.g. (".tif", ".tiff").
-    help: str  # One line
-    example: str  # What follows ``bathynerf export RUN`` in an example
+    module: str  # In survey.export
     takes: tuple[str, ...]  # Fields of `ExportOptions` that it follows
-    # callable: writes the file, whole or not at all. It imports slow modules itself, since the command line imports the
-    # registry.
-    write: Callable[[Path, LoadedRun, ExportOptions], None]
+    help: str  # One line
+    example: str  # What follows the option in an example
     # Whether it is a folder of files, which is made where it is not there, and always written anew
     is_folder: bool = False
-    # callable, optional: raises where it cannot be made of a run with these options, before anything is computed
-    check: Callable[[Path, LoadedRun, ExportOptions], None] | None = None
     is_of_points: bool = True  # Whether it is made of the points of the bed, of which a run may have none
-    # callable, optional: the style of QGIS for a file of it, see `survey.export.styles`
-    style: Callable[[Path], str] | None = None
+
+    def function(self, verb: str) -> Any:
+        """The function of the product that begins with a verb, "write", "check" or "style"; None where it has none."""
+        return getattr(import_module(f"survey.export.{self.module}"), f"{verb}_{self.option}", None)
 
 
 def require_makeable(product: Product, path: Path, run: LoadedRun, options: ExportOptions) -> None:
@@ -94,5 +98,5 @@ def require_makeable(product: Product, path: Path, run: LoadedRun, options: Expo
         library_for(path, *library, to_write=True)
     if "resolution_m" in product.takes and options.resolution_m is not None:
         require_not_too_fine(options.resolution_m, run.bed_header.gsd_m)
-    if product.check is not None:
-        product.check(path, run, options)
+    if (check := product.function("check")) is not None:
+        check(path, run, options)

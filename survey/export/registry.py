@@ -1,56 +1,68 @@
-"""Every product of `bathynerf export`, in the order of its help. A new family of products is one line here."""
+"""Every product of `bathynerf export`, by the panel of its help and in its order; a new product is an entry here."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING
+from survey.export.product import Product
 
-from survey.export.cameras import CAMERAS
-from survey.export.clouds import CLOUDS
-from survey.export.hydrography import HYDROGRAPHY
-from survey.export.meshes import MESHES
-from survey.export.orthophoto import ORTHOPHOTO
-from survey.export.product import ExportOptions, Product
-from survey.export.qgis_project import QGIS
-from survey.export.soundings import SOUNDINGS
-from survey.export.terrain import TERRAIN
-from survey.export.vectors import VECTORS
-
-if TYPE_CHECKING:
-    from survey.export.loaded import LoadedRun
-
-
-def _write_pdf(path: Path, run: LoadedRun, _options: ExportOptions) -> None:
-    from survey.report.page import write_pdf
-
-    write_pdf(run.folder.report_html_path, path)
-
-
-def _check_pdf(path: Path, _run: LoadedRun, _options: ExportOptions) -> None:
-    from survey.report.page import browser_for
-
-    browser_for(path)
-
-
-DOCUMENTS = (
-    Product(
-        "pdf",
-        (".pdf",),
-        help="report.html as PDF, A4 (by Chromium, Chrome or Edge).",
-        example="--pdf report.pdf",
-        takes=(),
-        write=_write_pdf,
-        check=_check_pdf,
-        is_of_points=False,
-    ),
-)
-# Products by the panel of the help text.
+_CELLS = ("crs", "resolution_m", "fill_m")
+_TIFF, _VECTOR = (".tif", ".tiff"), (".geojson", ".gpkg")
+_LINES = (*_VECTOR, ".dxf", ".zip")
+_BY_GDAL = "GeoJSON, DXF (extra dxf), GPKG, zipped shapefile (extra vector)."
 FAMILIES: dict[str, tuple[Product, ...]] = {
-    "Points": (*CLOUDS, *SOUNDINGS),
-    "Rasters": (*TERRAIN, *HYDROGRAPHY, *ORTHOPHOTO),
-    "Meshes": MESHES,
-    "Lines and areas": VECTORS,
-    "Cameras": CAMERAS,
-    "Documents and projects": (*DOCUMENTS, *QGIS),
-}
+    "Points": (
+        Product("las", (".las",), "clouds", ("crs", "no_bed"),
+                "Points as LAS 1.4.", "bed.las"),
+        Product("laz", (".laz",), "clouds", ("crs", "no_bed"),
+                "Points as LAZ, LAS compressed.", "bed.laz --crs EPSG:4326"),
+        Product("copc", (".copc.laz",), "clouds", ("crs", "no_bed"),
+                "Points as cloud-optimised LAZ, from which readers fetch parts.", "bed.copc.laz"),
+        Product("ply", (".ply",), "clouds", ("crs",),
+                "Points as binary PLY in double precision.", "bed.ply"),
+        Product("e57", (".e57",), "clouds", ("crs",),
+                "Places and colours of the points as E57 (needs the extra e57).", "bed.e57"),
+        Product("soundings", (".xyz", ".csv"), "soundings", ("crs", "resolution_m", "thin"),
+                "Points as XYZ or, with depth and standard deviations, CSV.", "bed.xyz --thin shoal"),
+    ),
+    "Rasters": (
+        Product("dem", _TIFF, "terrain", _CELLS,
+                "Heights as GeoTIFF: height, uncertainty, points, depth, origin.", "bed.tif --resolution 0.1"),
+        Product("slope", _TIFF, "terrain", _CELLS,
+                "Slope of the bed as GeoTIFF [deg].", "slope.tif --resolution 0.5"),
+        Product("hillshade", _TIFF, "terrain", _CELLS,
+                "Light on the relief as GeoTIFF.", "relief.tif --fill 0.5"),
+        Product("bag", (".bag",), "hydrography", _CELLS,
+                "Heights and uncertainty as BAG (HDF5).", "bed.bag --resolution 0.5"),
+        Product("s44", _TIFF, "hydrography", _CELLS,
+                "Order of IHO S-44 by uncertainty, as GeoTIFF.", "orders.tif --resolution 1"),
+        Product("orthophoto", _TIFF, "orthophoto", (*_CELLS, "survey"),
+                "The bed from above, from the photographs, as GeoTIFF.", "bed.tif --fill 0.5"),
+    ),
+    "Meshes": (
+        Product("mesh", (".ply", ".obj", ".glb"), "meshes", ("crs", "resolution_m", "mesh_method", "watertight"),
+                "The bed in coloured triangles: PLY, OBJ or GLB.", "bed.obj --watertight"),
+    ),
+    "Lines and areas": (
+        Product("footprints", _VECTOR, "vectors", ("crs",),
+                "What each photograph shows of the bed: GeoJSON, GeoPackage (extra vector).", "images.geojson"),
+        Product("shoreline", _LINES, "vectors", _CELLS,
+                f"Where the bed meets the water: {_BY_GDAL}", "shore.gpkg --fill 0.5"),
+        Product("contours", _LINES, "vectors", (*_CELLS, "interval_m"),
+                f"Lines of equal depth: {_BY_GDAL}", "deep.dxf --interval 0.5"),
+        Product("unseen", (*_VECTOR, *_TIFF), "unseen", _CELLS,
+                "Where water was looked at and no bed found: polygons, or GeoTIFF in the cells of --dem.",
+                "unseen.geojson"),
+    ),
+    "Cameras": (
+        Product("colmap", ("",), "cameras", (),
+                "Folder: cameras as a COLMAP model (text); rays bend at the water.", "sparse", is_folder=True),
+        Product("nerfstudio", (".json",), "cameras", (),
+                "Cameras as nerfstudio's transforms.json.", "cameras.json", is_of_points=False),
+    ),
+    "Documents and projects": (
+        Product("pdf", (".pdf",), "documents", (),
+                "report.html as PDF, A4 (by Chromium, Chrome or Edge).", "report.pdf", is_of_points=False),
+        Product("qgis", ("",), "documents", (*_CELLS, "survey"),
+                "Folder with a QGIS project: cloud, heights, std, orthophoto.", "for_qgis", is_folder=True),
+    ),
+}  # fmt: skip
 PRODUCTS: tuple[Product, ...] = tuple(product for members in FAMILIES.values() for product in members)

@@ -7,17 +7,19 @@ of which has the CRS in the first row: programs take comments for rows.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import numpy as np
+from pyproj import CRS
+
+from geo.crs import is_geographic, quoted_crs
+from geo.files import write_whole
+from geo.las import is_withheld
 from survey.errors import SurveyError
-from survey.export.product import ExportOptions, Product
-
-if TYPE_CHECKING:
-    import numpy as np
-    from pyproj import CRS
-
-    from survey.export.bed_cells import BedRaster
-    from survey.export.loaded import LoadedRun
+from survey.export.bed_cells import BedRaster
+from survey.export.bed_raster import bed_raster
+from survey.export.loaded import LoadedRun
+from survey.export.product import ExportOptions
+from survey.progress import current
 
 THIN = ("none", "shoal", "mean")
 # XYZ has the first three.
@@ -27,16 +29,16 @@ _DECIMALS, _DECIMALS_OF_DEGREES = 3, 9
 _ROWS = 100_000
 
 
-def _check(_path: Path, _run: LoadedRun, options: ExportOptions) -> None:
+def check_soundings(_path: Path, _run: LoadedRun, options: ExportOptions) -> None:
+    """Raise SurveyError where the thinning is unknown, or there is none for a resolution."""
     if options.thin not in THIN:
         raise SurveyError(f"--thin is {options.thin}, expected one of {', '.join(THIN)}")
     if options.thin == "none" and options.resolution_m is not None:
         raise SurveyError("--resolution is the cell of which a sounding is kept; give --thin shoal or --thin mean too")
 
 
-def _write(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    from survey.export.bed_raster import bed_raster
-
+def write_soundings(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    """XYZ or CSV, by the suffix."""
     if options.thin == "none":
         rows = _of_points(run, options)
     else:
@@ -47,8 +49,6 @@ def _write(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
 def _of_points(run: LoadedRun, options: ExportOptions) -> np.ndarray:
     """All points (N, 7) that LAS does not flag as withheld, see `COLUMNS`."""
-    import numpy as np
-
     stored = run.bed_in(options.crs, certain=True)
     n = len(stored.points_crs)
     common = np.full(n, np.nan) if stored.std_common is None else stored.std_common
@@ -57,11 +57,6 @@ def _of_points(run: LoadedRun, options: ExportOptions) -> np.ndarray:
 
 def _shoalest(run: LoadedRun, options: ExportOptions, grid: BedRaster) -> np.ndarray:
     """The highest point of each cell, with the number of points there; a warning where a withheld one is higher."""
-    import numpy as np
-
-    from geo.las import is_withheld
-    from survey.progress import current
-
     rows = _of_points(run, options)
     cell = grid.cells.numbers(rows)
     order = np.lexsort([-rows[:, 2], cell])
@@ -79,8 +74,6 @@ def _shoalest(run: LoadedRun, options: ExportOptions, grid: BedRaster) -> np.nda
 
 def _means(grid: BedRaster) -> np.ndarray:
     """The mean height of each cell, at its middle."""
-    import numpy as np
-
     parts = []
     for window in grid.cells.windows(512):
         known = grid.origin[window.slices] > 0
@@ -97,9 +90,6 @@ def _means(grid: BedRaster) -> np.ndarray:
 
 
 def _write_table(path: Path, rows: np.ndarray, crs: CRS) -> None:
-    from geo.crs import is_geographic, quoted_crs
-    from geo.files import write_whole
-
     places = _DECIMALS_OF_DEGREES if is_geographic(crs) else _DECIMALS
     digits = (places, places, *(_DECIMALS,) * 4, 0)
     if path.suffix.lower() == ".xyz":
@@ -115,16 +105,3 @@ def _write_table(path: Path, rows: np.ndarray, crs: CRS) -> None:
             lines = (form % tuple(row) for row in some.tolist())
             text = "\n".join(line.replace("nan", "") + ("" if first + n else first_end) for n, line in enumerate(lines))
             stream.write(f"{text}\n".encode())
-
-
-SOUNDINGS = (
-    Product(
-        "soundings",
-        (".xyz", ".csv"),
-        help="Points as XYZ or, with depth and standard deviations, CSV.",
-        example="--soundings bed.xyz --thin shoal",
-        takes=("crs", "resolution_m", "thin"),
-        write=_write,
-        check=_check,
-    ),
-)

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from xml.sax.saxutils import quoteattr
 
-if TYPE_CHECKING:
-    import numpy as np
-    from matplotlib.colors import Colormap
+import numpy as np
+from laspy.copc import CopcReader
+from matplotlib import colormaps
+from matplotlib.colors import Colormap, to_hex
+
+from evaluation.standards import TVU
+from geo.drivers import open_raster
+from geo.files import write_whole
+from survey.display.palette import DEPTHS, RED, SPREADS
+from survey.progress import current
 
 # QGIS drops comments when it saves a style, so a style with this mark is unchanged and may be replaced.
 _MARK = "<!-- made by bathynerf -->"
@@ -24,9 +31,6 @@ Style = Callable[[Path], str]
 
 def write_style(path: Path, style: Style) -> None:
     """Write the style of a raster or cloud next to it, unless there is one that bathynerf did not write."""
-    from geo.files import write_whole
-    from survey.progress import current
-
     style_path = path.with_suffix(".qml")
     if style_path.exists() and _MARK not in style_path.read_text(encoding="utf-8", errors="replace"):
         current().detail(f"{style_path} was not written by bathynerf, and stays")
@@ -37,27 +41,16 @@ def write_style(path: Path, style: Style) -> None:
 
 def of_heights(path: Path) -> str:
     """Heights or elevations in the first band: dark blue where low."""
-    from survey.display.palette import DEPTHS
-
     return _ramp(path, DEPTHS.reversed())
 
 
 def of_slopes(path: Path) -> str:
     """Slopes in the first band: dark where steep."""
-    from matplotlib import colormaps
-
-    from survey.display.palette import SPREADS
-
     return _ramp(path, colormaps[SPREADS])
 
 
 def of_orders(_path: Path) -> str:
     """Orders of IHO S-44 in the first band, by their names."""
-    from matplotlib.colors import to_hex
-
-    from evaluation.standards import TVU
-    from survey.display.palette import DEPTHS, RED
-
     names = [f"S-44 {name}" if name[0].isupper() else f"S-44 order {name}" for name, _, _ in TVU]
     shades = [to_hex(DEPTHS(0.85 - 0.7 * number / len(TVU))) for number in range(len(TVU))]
     codes = {number: (shade, name) for number, (shade, name) in enumerate(zip(shades, names, strict=True), 1)}
@@ -70,8 +63,6 @@ def _ramp(path: Path, colours: Colormap) -> str:
 
 def ramp(path: Path, colours: Colormap, band: int = 1) -> str:
     """The renderer of a raster: colours between the ends of the values of a band."""
-    from geo.drivers import open_raster
-
     with open_raster(path) as raster:
         scale = max(max(raster.shape) / _MOST_SIDE, 1.0)
         shape = tuple(max(int(side / scale), 1) for side in raster.shape)
@@ -86,11 +77,6 @@ def ramp(path: Path, colours: Colormap, band: int = 1) -> str:
 
 def of_clouds(path: Path) -> str:
     """True depth of the points of a COPC, dark blue where deep, or their heights where no point has a depth."""
-    import numpy as np
-    from laspy.copc import CopcReader
-
-    from survey.display.palette import DEPTHS
-
     with CopcReader.open(path) as reader:
         some = reader.query(level=range(_COARSE_LEVELS))
     depth = np.asarray(some["depth"]) if "depth" in some.point_format.extra_dimension_names else np.empty(0)
@@ -107,17 +93,12 @@ def of_clouds(path: Path) -> str:
 
 def _ends(values: np.ndarray) -> tuple[float, float]:
     """Values at both ends of the colours."""
-    import numpy as np
-
     values = values[np.isfinite(values)].astype(np.float64)
     low, high = np.quantile(values, _ENDS).tolist() if len(values) else (0.0, 1.0)
     return low, high if high > low else low + 1.0
 
 
 def _shader(low: float, high: float, colours: Colormap) -> str:
-    import numpy as np
-    from matplotlib.colors import to_hex
-
     steps = np.linspace(0.0, 1.0, _NUM_COLOURS)
     items = "".join(
         f'<item alpha="255" value="{value:.9g}" label="{value:.5g}" color="{to_hex(colours(step))}"/>'
@@ -131,8 +112,6 @@ def _shader(low: float, high: float, colours: Colormap) -> str:
 
 def _codes(codes: Mapping[int, tuple[str, str]]) -> str:
     """A colour and a name for each code of the first band."""
-    from xml.sax.saxutils import quoteattr
-
     entries = "".join(
         f'<paletteEntry value="{code}" color="{colour}" alpha="255" label={quoteattr(name)}/>'
         for code, (colour, name) in codes.items()

@@ -22,7 +22,7 @@ from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
 from survey.export.profiles import Bed, Profile
-from survey.export.registry import PRODUCTS
+from survey.export.terrain import write_dem
 from survey.files.json_values import read_json_object
 from survey.run.folder import RunDir
 
@@ -89,10 +89,9 @@ class Dem:
 
 def dem_of(path: Path, options: ExportOptions) -> Dem:
     """The terrain model of a run folder, as ``export --dem`` makes it."""
-    (product,) = (each for each in PRODUCTS if each.option == "dem")
     with LoadedRun(path) as run, TemporaryDirectory(prefix="bathynerf-dem-") as folder:
         file = Path(folder) / "dem.tif"
-        product.write(file, run, options)
+        write_dem(file, run, options)
         crs = run.bed_header.crs if options.crs is None else run.transformation_to(options.crs).crs
         with open_raster(file) as raster:
             layers = dict(zip(_BANDS, raster.read(masked=True).filled(np.nan), strict=True))

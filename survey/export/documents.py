@@ -1,18 +1,28 @@
-"""A project of QGIS with the cloud, the terrain model, its standard deviation and the orthophoto, in one folder."""
+"""The report as PDF; a project of QGIS with cloud, terrain model, standard deviation and orthophoto, in one folder."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 from xml.sax.saxutils import escape, quoteattr
 
-from survey.export.product import ExportOptions, Product
-from survey.export.terrain import CELLS
+from matplotlib import colormaps
+from pyproj import CRS
 
-if TYPE_CHECKING:
-    from pyproj import CRS
-
-    from survey.export.loaded import LoadedRun
+from geo.crs import crs_code, horizontal_crs
+from geo.drivers import open_raster
+from geo.files import write_whole
+from survey.display.palette import DEPTHS, SPREADS
+from survey.errors import SurveyError
+from survey.export.clouds import write_copc
+from survey.export.loaded import LoadedRun
+from survey.export.orthophoto import write_orthophoto
+from survey.export.product import ExportOptions
+from survey.export.styles import pipe, ramp
+from survey.export.terrain import write_dem
+from survey.progress import current
+from survey.report.page import browser_for
+from survey.report.page import write_pdf as print_page
 
 _PROJECT, _MARK = "bed.qgs", "<!-- made by bathynerf -->"
 _CLOUD, _DEM, _PHOTO = "cloud.copc.laz", "dem.tif", "orthophoto.tif"
@@ -38,20 +48,23 @@ class _Layer(NamedTuple):
         return f"bathynerf_{self.name.replace(' ', '_')}"
 
 
-def _write(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    from geo.files import write_whole
-    from survey.errors import SurveyError
-    from survey.export.clouds import CLOUDS
-    from survey.export.orthophoto import ORTHOPHOTO
-    from survey.export.terrain import TERRAIN
-    from survey.progress import current
+def write_pdf(path: Path, run: LoadedRun, _options: ExportOptions) -> None:
+    """report.html, printed by a browser."""
+    print_page(run.folder.report_html_path, path)
 
+
+def check_pdf(path: Path, _run: LoadedRun, _options: ExportOptions) -> None:
+    """Raise UnwritableFile without a browser."""
+    browser_for(path)
+
+
+def write_qgis(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    """The project with its files."""
     path.mkdir(parents=True, exist_ok=True)
-    write = {product.option: product.write for product in (*CLOUDS, *TERRAIN, *ORTHOPHOTO)}
-    write["copc"](path / _CLOUD, run, options)
-    write["dem"](path / _DEM, run, options)
+    write_copc(path / _CLOUD, run, options)
+    write_dem(path / _DEM, run, options)
     try:
-        write["orthophoto"](path / _PHOTO, run, options)
+        write_orthophoto(path / _PHOTO, run, options)
     except SurveyError as error:
         (path / _PHOTO).unlink(missing_ok=True)
         current().warn(f"{path / _PROJECT} has no orthophoto: {error}")
@@ -61,14 +74,6 @@ def _write(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
 def project(folder: Path, title: str) -> str:
     """The text of the project for the files that lie in a folder; their paths are relative to it."""
-    from matplotlib import colormaps
-    from pyproj import CRS
-
-    from geo.crs import horizontal_crs
-    from geo.drivers import open_raster
-    from survey.display.palette import DEPTHS, SPREADS
-    from survey.export.styles import pipe, ramp
-
     dem = folder / _DEM
     with open_raster(dem) as raster:
         bounds, crs = raster.bounds, horizontal_crs(CRS.from_wkt(raster.crs.to_wkt()))
@@ -107,8 +112,6 @@ def project(folder: Path, title: str) -> str:
 
 
 def _system(crs: CRS) -> str:
-    from geo.crs import crs_code
-
     code = crs_code(crs)
     known = "" if code is None else f"<authid>{escape(code)}</authid>"
     return f"<spatialrefsys><wkt>{escape(crs.to_wkt())}</wkt>{known}</spatialrefsys>"
@@ -128,17 +131,4 @@ _CLOUD_RENDERER = (
         for name in ("red", "green", "blue")
     )
     + "</renderer>"
-)
-
-
-QGIS = (
-    Product(
-        "qgis",
-        ("",),
-        help="Folder with a QGIS project: cloud, heights, std, orthophoto.",
-        example="--qgis for_qgis",
-        takes=(*CELLS, "survey"),
-        write=_write,
-        is_folder=True,
-    ),
 )

@@ -4,6 +4,7 @@
 |---|---|
 | coordinate reference systems | `crs`, `projection`; whether two data sets fit together: `compatibility` |
 | the local frame | `frames`; fitted transforms: `similarity` |
+| cells of rasters in plan | `grid` |
 | clouds and meshes in memory | `shapes` |
 | reading by the suffix of a name | `reading`, which takes `las`, `ply`, `obj`, `gltf`, `raster` and `e57` |
 | writing | `las` (with `las_header`, `copc`), `ply`, `obj`, `gltf`, `e57` |

@@ -8,9 +8,8 @@ domain) at every fifth degree, in whole metres: interpolated, it is within 2 m (
 
 from __future__ import annotations
 
-import base64
-import zlib
 from functools import cache
+from importlib.resources import files
 
 import numpy as np
 from pyproj import CRS, Geod
@@ -132,44 +131,8 @@ def _is_national(code: int, area: OperationArea) -> bool:
     return any("vgridshift" in text for text in steps)
 
 
-_STEP_DEG = 5.0
-_ROWS, _COLUMNS = 37, 72
-# From 90 degrees south and 180 degrees west: int8, packed by zlib, in base 85.
-_PACKED = (
-    "c-pO2S#R6u6(vQ9izsdqwac<3?~4>C_SlIXkCW+a4{aa%;|dfl(4s|W+J~UPV2YwZXFAR{Nyd&>$yzLm+V`ClMT(;OIsFTBNf6)z?{|6bz2}@l;pd4"
-    "=GIf(k#BY-6bVd+_La|&a7E0Ad6-2w+?sR*-Ucc8H42JSZ8Qp~}4SJncqgE-"
-    "3LiYAH1FqY2_9qZ0Kb^imzf9bu(wQ7c(WurN&1R$3?R2~Sp)^v|$#e!IW|P^1;<&|vnqgx+Xx9ot>gM|F{rl5*C#R>+kB^UkIDY=_{5p}o%@)elX"
-    "1m*$G;p+{>QiGjGh0c5q!^ZCSq9t`Mc^1}n#kR1{x%gqKYjc9^_$nPUOfj%UcCJA?a9S;GLy~aE7hhn(#@0whD?YFHkr%>Ni#IZIzjmTeqVs&SPD"
-    "n9VW(CUGl}cdw{PD3`05oX>HXQoWjt|{&WZq-daEyM5X#sc6irh$D?xxf9LGBxPLD4T3<mrjo~1BkrgU4yTsC!mb$NY#@&4rUDxS;;Vjciot<~$T"
-    "?m$*`6T$I3&$`?mtJA?T499!C{<%;j5)Oyw=loudK&InCt6IwEa`{3&o4mdd1QCEzZ?rm{{t$#b(xxVavVpHz)`>H`%L9JK;}1m^RyH@+R+bhP!d"
-    "?f3L7LP7O|8|Nje4bA$aUN8PN&oBbvr!?^c0{wg)9_F+Hezspd`zC{eG|48w@WjuSKKLjpfzVu%D+;L+Q8bwMMJm?RE#!NJ1b@8IPr5zdw-"
-    "V4^5gO7{%ELXgZx37~}H!JWiJ{5DG^&W3lM^Vrbs)WN-"
-    "jay<9HWTA;b$XdHD?C;}VmNE!~M53>SB1+%&t+A`Ht1ErlFH_!3jz#PD4d1G~9&gZs+YNTc<CkXj+vu_wCi_Jj=yqwhn>En?s%b=jKrW-Iu1$mBw"
-    "G<AyEI0t991DHcT-<&TzA9Ohxt6A&U#AGU)&6Q-"
-    ">$}<jMXnAYiO{4HkQ>44W|Bwd3nI(^%L{tSrP%F)FPPZ=<2?crDK{JdMg_KTJOsA5?dS?JpuFza~aWncL;H7cXRFy#*buyV6kjad5i*ruYtjX#Gj"
-    "5EdZK2Ip%agqoQ!w@tX)Wmc=krq0Nj!?cxY-4Ndqn!skK87%ZdSqGArp8nU_~2}0oi~qFb*yPK%to;ex6egk`bd-Ik<=8E7w6}f*@|SQJ>l5iqrF"
-    "E5PY&;|`)C4%r|SO~YND#z6bs(-"
-    "v4%2~WmSVPlA>tVMVZG^tI}`O@;4_xzIc6>EDdH%Xk}~n>Cw@XgQxoopo=7CnN7iJ0+<y^R`i+QZ%0P$o+OPl@Lv>Zr8sml?3Z(*kUo9!uW$eT-"
-    ";1(lkc;7+qtCwh^%qC`+iM;N$I&(`3QtCZJDM2`Mh3_5=(ts@N&p{>v2z@OnnvAzy8w9V-S^*o^_OQqB-"
-    "&J9WB1|Sr@#FCH%|`kt;{>^cMCw_usUpm_38{{9j1BO7*;Fw_Sj^l91aJ^60>f5)GNo&PLBWi^&fus^|7GRk=_06Uw!%IXGaJ3*Fs*FvC%9|Ao{R"
-    "XDHJO0p*lk;x1qF!+k8g{^TYdnypt!ufDN0%*}Lc8{Q394{pw|6h`2XDe)9RJpB(M&L?ZzgWwn8kfOWZ9yiH|_EolN<;fY*IT*bwnijZ6|9B{i`l"
-    "xa56M=kO6^|ych<DdR^d|6e<(9Y9?$A^2-wS|D!LEyO60_&r0<u-"
-    "A3BR1uc3DG)*<lD1!r8~iS_k1wma`Lp5FoUUY3h%!A$Fsjb`{BLNoZ8pcw;t^5Z7$5YS)18H5V%e4*Yl~X^SIDd+j75MzBs;!=Q<-"
-    "3=k`W|{&~Njr)etyJD-WaeevCYj$fW;N<)h?yu5z@-"
-    "dey#6P782nGpl9ZSLmsBA#vb#B#Y5KRG?Ssf=O5?wXG*2mOF@Tnr#b19U!ddGhl4yVI1|)R{ndDYhJNSdp1NRwrP$dd-rMj3=^%TD@2<ikBx>H@O"
-    "bXdV|5p>PBn<5US6~a#p>g^~<TtY)MFqiJFYLgNy4y2Z`wF2g2xg8|7R&c_S2RjgnZ(i}9;ezCI@WYnvNuv5n0KOG^<qk2!c0Rk{taRLv$6$&}bL"
-    "^TEZ4o3R**G#W~>JnS_q`D{k01KF#JfLDa9Q0~KQD0Z;Fvvq%WI~t2cR#zf(e6L@+y~)1${<~LiuZl9lxr56bhZ<v9(k9cXJ_aIEu9VvYfOlEQX2"
-    "eRPZ*YN??Zc;skG7-"
-    "twpU`COY<%YmRrS4;v#wc>Zh}7u@8~%xqy$hS*BA}n^_3V0!<{Kp1naAsAM*oysgxSxF;0d{rKqPNBbW|?`=g_Lw=Toq;9*IOJBtkmx*MdJs}vU%"
-    "fWk43j%{Q06-"
-    "Fj095^UwU|o+LCREmW6Hbo;PK<b!~Ole*xG8u?{TmsYSKonO71q3PA7#zM}Y{iQx2yKwipmf*ci}L5`)xUEq|Lhzqm>i>SGHxw|4*GlcU4Od%K{T"
-    "IftEPNx+4AA7Cj8IU!%FbT!xlwu+@G!mwD(7-"
-    "1!CByN&>4bXj{&SG_Fu)grt=EH+0zxd?wN86jLA+O!eQ8)_CMuSePS+CX_cV0w?%mju52Y@0F49%b!Ai}ZS?^H{rN~O^mBUX1HxDwlawEy_v;r9L"
-    "L`f||21D--"
-    "=Q&kxa2g5;ssK^S?%o$`dA!f4~JRxJE>#CxUBzgEjl~LMmcX&e!OKZ{CooE3aU7hziIU8;^!PAMRs;Z(W+C(>u83e<?Oduw+8Mq1v6l4IC0z3|al"
-    "Q=_Rq}>ykk1Q>QL-"
-    "Rn^fffh-9+#b^NCE?AgD*`cXg0gM?_3FZ#|grE7bK8kK*Tg?0B3jbPM6E+ba^~ppU?XtJRY}`ci1_W0XBrP*=!^Uya<jF1csp~hS5J${0|n!AB+"
-)
+# Heights of the geoid (37, 72) [m], from 90 degrees south and 180 degrees west.
+_GEOID, _STEP_DEG = "undulation.npy", 5.0
 
 
 def approximate_undulation_m(lat_deg: float, lon_deg: float) -> float:
@@ -182,11 +145,12 @@ def approximate_undulation_m(lat_deg: float, lon_deg: float) -> float:
     >>> round(approximate_undulation_m(55.0, 10.0)), round(approximate_undulation_m(5.0, 80.0))
     (40, -106)
     """
-    packed = zlib.decompress(base64.b85decode(_PACKED))
-    grid = np.frombuffer(packed, dtype=np.int8).reshape(_ROWS, _COLUMNS).astype(np.float64)
-    row = min(max((lat_deg + 90.0) / _STEP_DEG, 0.0), _ROWS - 1.0)
+    with files("geo").joinpath(_GEOID).open("rb") as stream:
+        grid = np.load(stream).astype(np.float64)
+    rows, columns = grid.shape
+    row = min(max((lat_deg + 90.0) / _STEP_DEG, 0.0), rows - 1.0)
     column = (lon_deg + 180.0) % 360.0 / _STEP_DEG
-    south, west = min(int(row), _ROWS - 2), int(column) % _COLUMNS
+    south, west = min(int(row), rows - 2), int(column) % columns
     up, right = row - south, column - int(column)
-    corners = grid[south : south + 2, [west, (west + 1) % _COLUMNS]]
+    corners = grid[south : south + 2, [west, (west + 1) % columns]]
     return float(np.array([1.0 - up, up]) @ corners @ np.array([1.0 - right, right]))

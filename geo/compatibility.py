@@ -18,6 +18,7 @@ from geo.crs import (
     vertical_crs,
 )
 from geo.errors import CRSMismatch, PlaceMismatch, UnsupportedCRS
+from geo.grid import plan_box
 from geo.projection import MapProjection
 
 # Two statements of one system differ by rounded parameters, e.g. feet to nine digits (0.4 mm at 1,300 km),
@@ -74,7 +75,7 @@ def require_same_crs(a: CRS | None, b: CRS | None, a_name: str, b_name: str) -> 
 
 def require_same_place(a: np.ndarray, b: np.ndarray, a_name: str, b_name: str) -> None:
     """Refuse two sets of points (N, 3) and (M, 3), in crs, whose horizontal boxes do not touch."""
-    box_a, box_b = _box(a), _box(b)
+    box_a, box_b = plan_box(a), plan_box(b)
     if _overlap(box_a, box_b):
         return
     remedy = "check that both are in the same coordinate reference system and of the same place"
@@ -97,7 +98,7 @@ def bounds_in_other_order(bounds: tuple[float, ...], places: np.ndarray) -> tupl
         numbers as given contain none of them and are no rectangle, one `_SIDE_RATIO` times as elongated, or a northing
         first.
     """
-    stands, box = np.array(bounds).reshape(2, 2), _box(places)
+    stands, box = np.array(bounds).reshape(2, 2), plan_box(places)
     is_rectangle = bool((stands[0] < stands[1]).all())
     for order in _ORDERS_OF_BOUNDS:
         meant = tuple(bounds[i] for i in order)
@@ -113,11 +114,6 @@ def bounds_in_other_order(bounds: tuple[float, ...], places: np.ndarray) -> tupl
         if is_doubtful:
             return meant
     return None
-
-
-def _box(points: np.ndarray) -> np.ndarray:
-    """Lowest and highest easting and northing, (2, 2)."""
-    return np.array([points[:, :2].min(axis=0), points[:, :2].max(axis=0)])
 
 
 def _overlap(a: np.ndarray, b: np.ndarray) -> bool:

@@ -34,7 +34,8 @@ def read_e57(path: str | Path) -> Cloud:
     try:
         with pye57.E57(str(path)) as file:
             scans = [file.read_scan(i, ignore_missing_fields=True) for i in range(file.scan_count)]
-            reason = _crs_text(file)
+            named = "coordinateMetadata"
+            stated = file.root[named].value().strip() if file.root.isDefined(named) else ""
     except Exception as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0][:100]
         raise UnreadableFile(f"{path} cannot be read as E57 ({reason}); copy or export it again.") from error
@@ -42,13 +43,8 @@ def read_e57(path: str | Path) -> Cloud:
     cloud = np.concatenate([np.empty((0, 3)), *points])
     if not len(cloud):
         raise EmptyCloud(f"{path} has no points; expected a cloud with at least one.")
-    crs, notes = crs_named(reason, path) if reason else (None, ())
+    crs, notes = crs_named(stated, path) if stated else (None, ())
     return Cloud(cloud, crs=crs, notes=notes)
-
-
-def _crs_text(file: Any) -> str:
-    """The coordinateMetadata of an open file, or nothing."""
-    return file.root["coordinateMetadata"].value().strip() if file.root.isDefined("coordinateMetadata") else ""
 
 
 def require_metres(path: str | Path, crs: CRS) -> None:

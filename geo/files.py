@@ -101,10 +101,7 @@ def disk_error_text(error: OSError, path: str | Path, *, verb: str = "write") ->
 def reporting_disk_errors(path: str | Path) -> Iterator[None]:
     """Turn every OSError in the block into an UnwritableFile with the text of `disk_error_text`.
 
-    Parameters
-    ----------
-    path : str or Path
-        Named where the error does not say which file it is about.
+    It names the path where the error does not say which file it is about.
     """
     try:
         yield

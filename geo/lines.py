@@ -17,6 +17,7 @@ from shapely import LineString, Polygon
 from geo.crs import horizontal_crs, horizontal_unit
 from geo.errors import UnreadableFile
 from geo.features import GEOJSON, in_horizontal_crs, layer_of, read_features
+from geo.grid import Grid
 from geo.transformation import WGS84
 
 # Attributes that name a line, in any case; a DXF has layers.
@@ -71,11 +72,6 @@ def assumed_crs(path: str | Path) -> list[str]:
     return [f"{Path(path).name} names no CRS: taken as longitude and latitude of WGS 84 (RFC 7946)"] * is_assumed
 
 
-def plan_box(points: np.ndarray) -> np.ndarray:
-    """Lowest and highest corner (2, 2) of points (N, 2 or more) in plan."""
-    return np.array([points[:, :2].min(axis=0), points[:, :2].max(axis=0)])
-
-
 def read_polygons(path: str | Path, crs: CRS, around: np.ndarray) -> list[Polygon]:
     """All polygons of a file, in the horizontal part of crs, easting or longitude first; otherwise as `read_lines`.
 
@@ -94,11 +90,9 @@ def read_polygons(path: str | Path, crs: CRS, around: np.ndarray) -> list[Polygo
     return found
 
 
-def cells_inside(
-    polygons: list[Polygon], transform: tuple[float, float, float, float, float, float], shape: tuple[int, int]
-) -> np.ndarray:
-    """Whether the middle of each cell (rows, columns) lies in a polygon; the transform is that of `PlanCells`."""
-    return geometry_mask(polygons, shape, rasterio.Affine(*transform), invert=True)
+def cells_inside(polygons: list[Polygon], grid: Grid) -> np.ndarray:
+    """Whether the middle of each cell (rows, columns) lies in a polygon."""
+    return geometry_mask(polygons, grid.shape, rasterio.Affine(*grid.transform), invert=True)
 
 
 def points_inside(polygons: list[Polygon], points: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ import re
 import struct
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from pyproj import CRS
@@ -119,8 +120,7 @@ class _Damaged(Exception):
     """Fault of a file, to be completed with its name."""
 
 
-@dataclass(frozen=True)
-class _Property:
+class _Property(NamedTuple):
     """A column: ``kind`` of its values and, for lists, ``count_kind`` of their lengths, as in `struct`."""
 
     name: str
@@ -135,8 +135,7 @@ class _Element:
     properties: list[_Property]
 
 
-@dataclass(frozen=True)
-class _Lists:
+class _Lists(NamedTuple):
     """A column of lists, one after the other."""
 
     counts: np.ndarray

@@ -184,17 +184,10 @@ def stored_crs(crs: CRS) -> CRS:
 @contextmanager
 def _working_folder(part: Path, path: Path) -> Iterator[Path]:
     """A folder beside a file that is being written; errors of GDAL in the block become UnwritableFile."""
-    with TemporaryDirectory(prefix=".", suffix=".part", dir=part.parent) as work, _reporting_gdal_errors(path):
-        yield Path(work)
-
-
-@contextmanager
-def _reporting_gdal_errors(path: Path) -> Iterator[None]:
-    """Turn errors of GDAL into UnwritableFile."""
     try:
-        with warnings.catch_warnings():
+        with TemporaryDirectory(prefix=".", suffix=".part", dir=part.parent) as work, warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            yield
+            yield Path(work)
     except RasterioError as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0][:120]
         # GDAL hides the system's error.
@@ -217,15 +210,14 @@ def read_raster(path: str | Path) -> Mesh:
     whichever row is the first.
     """
     path = existing_file(path)
-    band = _read_band(path)
-    heights, t, crs = band.heights, band.transform, band.crs
+    heights, t, crs, named = _read_band(path)
     rows, columns = np.mgrid[0 : heights.shape[0], 0 : heights.shape[1]] + 0.5
     east, north = t.a * columns + t.b * rows + t.c, t.d * columns + t.e * rows + t.f
-    unit = unit_named(band.unit)
+    unit = unit_named(named)
     notes: tuple[str, ...] = ()
-    if unit is None and band.unit:
-        notes = (f"{path} gives its heights in {band.unit[:40]!r}, which is not a known unit of length.",)
-    height_unit = checked_height_unit(crs, unit, path, f"the unit of its band, {band.unit},")
+    if unit is None and named:
+        notes = (f"{path} gives its heights in {named[:40]!r}, which is not a known unit of length.",)
+    height_unit = checked_height_unit(crs, unit, path, f"the unit of its band, {named},")
     faces = _triangles(np.isfinite(heights))
     # From south to north, or mirrored, the triangles would face down.
     if t.a * t.e - t.b * t.d > 0.0:
@@ -238,18 +230,12 @@ def read_raster(path: str | Path) -> Mesh:
     return Mesh(vertices, corners.reshape(faces.shape), crs=crs, height_unit_m=height_unit, notes=notes)
 
 
-@dataclass(frozen=True)
-class _Band:
-    """The first band of a GeoTIFF."""
+def _read_band(path: Path) -> tuple[np.ndarray, rasterio.Affine, CRS | None, str | None]:
+    """The first band of a file: heights (rows, columns) float64, NaN without data, transform, CRS, and unit as named.
 
-    heights: np.ndarray  # (rows, columns) float64, NaN without data
-    transform: rasterio.Affine
-    crs: CRS | None  # None where the file has none, or none that is understood
-    unit: str | None  # As the file names it
-
-
-def _read_band(path: Path) -> _Band:
-    """The first band of a file; raises UnreadableFile where it is damaged, or has no heights."""
+    The CRS is None where the file has none, or none that is understood. Raises UnreadableFile where the file is
+    damaged, or has no heights.
+    """
     try:
         with warnings.catch_warnings():
             # Said below in words of this program.
@@ -280,7 +266,7 @@ def _read_band(path: Path) -> _Band:
         crs = CRS(wkt) if wkt else None
     except CRSError:
         crs = None
-    return _Band(heights, transform, crs, unit)
+    return heights, transform, crs, unit
 
 
 def _triangles(known: np.ndarray) -> np.ndarray:

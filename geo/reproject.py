@@ -14,6 +14,8 @@ import numpy as np
 from pyproj import CRS, Transformer
 from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
+from shapely import LineString, Polygon
+from shapely.ops import split
 
 from geo.area_of_use import require_in_area
 from geo.crs import crs_of, has_height, horizontal_crs, is_geographic, parse_crs, vertical_crs
@@ -22,6 +24,7 @@ from geo.projection import nan_unless_finite
 from geo.transformation import Transformation, best_operation
 
 _HALF_TURN, _TURN = 180.0, 360.0
+_MERIDIAN = LineString([(_HALF_TURN, -90.0), (_HALF_TURN, 90.0)])
 _REMEDY = "or name a horizontal CRS alone, which keeps the heights as they are."
 
 
@@ -33,17 +36,15 @@ def crosses(lonlat: np.ndarray) -> bool:
 
 def cut_line(line: np.ndarray) -> list[np.ndarray]:
     """The parts of a line (N, 2) [deg] on both sides, in their order; the line itself where it does not cross."""
-    if not crosses(line):
-        return [line]
-    return [_wrapped(chain, east) for chain, east in _split_line(_unwrapped(line))]
+    return [part[0] for part in _cut(LineString(_unwrapped(line)))] if crosses(line) else [line]
 
 
 def cut_polygon(rings: list[np.ndarray]) -> list[list[np.ndarray]]:
     """The parts of a polygon on both sides, each as its closed rings (N, 2) [deg] with the outer one first."""
-    if not any(crosses(ring) for ring in rings) and not crosses(np.concatenate(rings)):
+    if not crosses(np.concatenate(rings)):
         return [rings]
-    unwrapped = [_unwrapped(ring) for ring in rings]
-    return [polygon for east in (False, True) for polygon in _polygons_on_side(unwrapped, east)]
+    outer, *holes = (_unwrapped(ring) for ring in rings)
+    return _cut(Polygon(outer, holes))
 
 
 def _unwrapped(line: np.ndarray) -> np.ndarray:
@@ -53,69 +54,14 @@ def _unwrapped(line: np.ndarray) -> np.ndarray:
     return line
 
 
-def _wrapped(line: np.ndarray, east: bool) -> np.ndarray:
-    """The line with longitudes from -180 degrees on where it lies east of the meridian."""
-    return line - [_TURN, 0.0] if east else line
-
-
-def _split_line(line: np.ndarray) -> list[tuple[np.ndarray, bool]]:
-    """Pieces of a line that lie on one side each, with their ends on the meridian, and whether that is the eastern."""
-    side = line[:, 0] > _HALF_TURN
-    pieces, start = [], 0
-    head: list[np.ndarray] = []
-    for at in np.flatnonzero(side[1:] != side[:-1]) + 1:
-        (x0, y0), (x1, y1) = line[at - 1], line[at]
-        on_it = np.array([[_HALF_TURN, y0 + (y1 - y0) * (_HALF_TURN - x0) / (x1 - x0)]])
-        pieces.append((np.concatenate([*head, line[start:at], on_it]), bool(side[at - 1])))
-        head, start = [on_it], int(at)
-    pieces.append((np.concatenate([*head, line[start:]]), bool(side[-1])))
-    return pieces
-
-
-def _polygons_on_side(rings: list[np.ndarray], east: bool) -> list[list[np.ndarray]]:
-    """The part of a polygon on one side.
-
-    Its border consists of pieces of rings, joined along the meridian. Sorted by latitude, the first and second end on
-    the meridian bound a stretch of the inside, the third and fourth the next, and so on.
-    """
-    chains: list[np.ndarray] = []
-    holes: list[np.ndarray] = []
-    outer: list[np.ndarray] = []
-    for number, ring in enumerate(rings):
-        pieces = _split_line(ring)
-        if len(pieces) == 1:
-            if pieces[0][1] == east:
-                (holes if number else outer).append(ring)
-            continue
-        # Rings are closed: the last piece continues with the first.
-        joined = np.concatenate([pieces[-1][0], pieces[0][0][1:]])
-        chains += [chain for chain, side in [(joined, pieces[0][1]), *pieces[1:-1]] if side == east]
-    ends = np.array([[chain[0, 1], chain[-1, 1]] for chain in chains]).reshape(-1)
-    order = np.argsort(ends, kind="stable")
-    partner = np.empty(len(ends), dtype=np.int64)
-    partner[order] = order.reshape(-1, 2)[:, ::-1].reshape(-1)
-    left = set(range(len(chains)))
-    while left:
-        parts, at = [], first = [], min(left)
-        end = 0
-        while at in left:
-            left.remove(at)
-            parts.append(chains[at] if end == 0 else chains[at][::-1])
-            # From the end of this piece along the meridian to the end that bounds the same stretch.
-            at, end = divmod(int(partner[2 * at + 1 - end]), 2)
-        outer.append(np.concatenate([*parts, chains[first][:1]]))
-    polygons = [[ring] for ring in outer]
-    for hole in holes:
-        next(p for p in polygons if _contains(p[0], hole[0])).append(hole)
-    return [[_wrapped(ring, east) for ring in polygon] for polygon in polygons]
-
-
-def _contains(ring: np.ndarray, place: np.ndarray) -> bool:
-    """Whether a place lies in a closed ring, by the parity of crossings of a line to the north."""
-    (x0, y0), (x1, y1) = ring[:-1].T, ring[1:].T
-    spans = (x0 > place[0]) != (x1 > place[0])
-    above = y0[spans] + (y1 - y0)[spans] * (place[0] - x0[spans]) / (x1 - x0)[spans] > place[1]
-    return bool(above.sum() % 2)
+def _cut(shape: LineString | Polygon) -> list[list[np.ndarray]]:
+    """The parts of a shape on both sides of 180 degrees, each as its lines (N, 2) with longitudes of -180 to 180."""
+    parts = []
+    for part in split(shape, _MERIDIAN).geoms:
+        east = _TURN if part.representative_point().x > _HALF_TURN else 0.0
+        lines = [part] if isinstance(part, LineString) else [part.exterior, *part.interiors]
+        parts.append([np.array(line.coords) - [east, 0.0] for line in lines])
+    return parts
 
 
 @dataclass(frozen=True)

@@ -141,10 +141,8 @@ def in_height_unit(shape: Mesh | Cloud, unit_m: float) -> Mesh | Cloud:
     """A shape with its heights converted to another unit [m], where its file states one besides its CRS."""
     if shape.height_unit_m is None or shape.height_unit_m == unit_m:
         return shape
-    factor = np.array([1.0, 1.0, shape.height_unit_m / unit_m])
-    if isinstance(shape, Mesh):
-        return replace(shape, vertices=shape.vertices * factor, height_unit_m=unit_m)
-    return replace(shape, points=shape.points * factor, height_unit_m=unit_m)
+    converted = vertices_of(shape) * np.array([1.0, 1.0, shape.height_unit_m / unit_m])
+    return replace(shape, height_unit_m=unit_m, **{"vertices" if isinstance(shape, Mesh) else "points": converted})
 
 
 def triangulated(counts: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -96,19 +96,11 @@ def robust_similarity(a, b) -> tuple[Similarity, np.ndarray]:
 
 
 def gross_error_limit(median: float, num: int) -> float:
-    """Distance [m] beyond which a point is a gross error of a similarity fitted to ``num`` consistent points.
+    """Distance [m] beyond which a point is a gross error of a similarity fitted to consistent points, three at least.
 
-    Parameters
-    ----------
-    median : [m]
-        Of the distances of all points.
-    num : int
-        Three at least.
-
-    Notes
-    -----
-    Six times the standard deviation by the median, at least the limit by Student's distribution with the degrees of
-    freedom that remain (three points leave two of nine, and may fit well by chance), and never below 0.6 m.
+    By the median of the distances of all points [m]: six times the standard deviation that it gives, at least the limit
+    by Student's distribution with the degrees of freedom that remain (three points leave two of nine, and may fit well
+    by chance), and never below 0.6 m.
     """
     free = 3 * num - _PARAMETERS
     spread = median / _MEDIAN_LENGTH * math.sqrt(3 * num / free)

@@ -78,10 +78,7 @@ def crs_named(text: str, path: Path) -> tuple[CRS | None, tuple[str, ...]]:
 def checked_height_unit(crs: CRS | None, stated: float | None, path: Path, where: str) -> float | None:
     """Metres of a unit of height that a file states besides its CRS; None where the CRS has one, or none is stated.
 
-    Parameters
-    ----------
-    stated : [m] or None
-    path, where : what gives it, for a message.
+    A message names the path, and where in it the unit stands.
     """
     if stated is None or crs is None or not has_height(crs):
         return stated

@@ -7,9 +7,8 @@ latitudes, without a change of datum, is in `geo.projection.MapProjection`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from pyproj import CRS, Transformer
@@ -67,19 +66,15 @@ class Transformation:
         middle = middle_of(source, np.asarray(places, dtype=np.float64))
         if middle is None:
             return Transformation(source, target, 0.0, (), True, Transformer.from_crs(*ends, always_xy=True))
-        transformer, accuracy, missing, is_operation, is_outside = _chosen(*ends, middle)
-        is_known = is_operation or _may_be_one_datum(source, target)
-        is_rated = accuracy is not None or _may_be_one_datum(source, target)
-        if (
-            is_rated
-            and not is_outside
-            and accuracy != 0.0
-            and not missing
-            and _keeps_degrees(source, target, transformer, middle)
-        ):
+        found = _chosen(*ends, middle)
+        may_be_one = _may_be_one_datum(source, target)
+        accuracy = found.accuracy_m
+        is_rated = (accuracy is not None or may_be_one) and not found.is_outside and not found.missing_grids
+        if is_rated and accuracy != 0.0 and _keeps_degrees(source, target, found._transformer, middle):
             # By convention the WGS 84 of a receiver is the frame of its corrections.
             accuracy = 0.0
-        return Transformation(source, target, accuracy, missing, is_known, transformer, is_outside)
+        is_known = found.is_known or may_be_one
+        return replace(found, source=source, target=target, accuracy_m=accuracy, is_known=is_known)
 
     def __call__(self, x, y) -> tuple[np.ndarray, np.ndarray]:
         """Easting and northing (N,) in the target of coordinates (N,) in the source; not finite off the map."""
@@ -267,18 +262,12 @@ def _projection(source: str, target: str) -> Transformer:
     return Transformer.from_crs(source, target, always_xy=True)
 
 
-class _Chosen(NamedTuple):
-    """An operation: see `Transformation`."""
-
-    transformer: Transformer
-    accuracy_m: float | None
-    missing: tuple[str, ...]
-    is_known: bool = True
-    is_outside: bool = False
-
-
-def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> _Chosen:
+def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> Transformation:
     """PROJ's best available operation, with its accuracy and the missing grids of a better one."""
+
+    def chosen(operation: Transformer, accuracy: float | None, is_known: bool = True) -> Transformation:
+        return Transformation(source, target, accuracy, missing, is_known, operation)
+
     area = area_about(*middle.tolist())
     try:
         group = operations(source, target, area)
@@ -286,13 +275,13 @@ def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> _Chosen:
         missing = tuple(grid.short_name for operation in better for grid in operation.grids if not grid.available)
         if group.transformers:
             best = group.transformers[0]
-            return _Chosen(best, best.accuracy if best.accuracy >= 0.0 else None, missing)
+            return chosen(best, best.accuracy if best.accuracy >= 0.0 else None)
         elsewhere = [] if missing else _known_operations(source, target)
         if elsewhere:
-            return _Chosen(elsewhere[0], _spread_m(elsewhere, source, target, middle), (), is_outside=True)
+            return replace(chosen(elsewhere[0], _spread_m(elsewhere, source, target, middle)), is_outside=True)
         # An unknown datum is taken to be that of the other CRS.
         transformer = Transformer.from_crs(source, target, always_xy=True, area_of_interest=area)
-        return _Chosen(transformer, None, missing, is_known=bool(missing))
+        return chosen(transformer, None, is_known=bool(missing))
     except ProjError as error:
         raise UnsupportedCRS(
             f"the transformation from {crs_name(source)} to {crs_name(target)} is not known to PROJ "

@@ -17,7 +17,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 import shapely
 from pyproj import CRS
-from shapely import LineString, Polygon
+from shapely import LineString, MultiLineString, MultiPolygon, Polygon
+from shapely.geometry import mapping
+from shapely.geometry.polygon import orient
 
 from geo.compatibility import crs_difference
 from geo.crs import crs_code, crs_name, height_unit_m, horizontal_crs, horizontal_unit, is_geographic
@@ -99,13 +101,15 @@ def require_wgs84(path: str | Path, crs: CRS, places: np.ndarray) -> Transformat
 
 def _geometry(kind: str, parts: list) -> dict:
     """A geometry of lines, or of polygons of rings (N, 2) [deg]; one of several parts where it was cut."""
+    shapes = [_shape(kind, part) for part in parts]
     if kind == "Polygon":
-        coordinates = [[_wound(ring, left=n == 0).tolist() for n, ring in enumerate(rings)] for rings in parts]
-    else:
-        coordinates = [line.tolist() for line in parts]
-    if len(parts) == 1:
-        return {"type": kind, "coordinates": coordinates[0]}
-    return {"type": f"Multi{kind}", "coordinates": coordinates}
+        shapes = [orient(shape) for shape in shapes]
+    several = {"LineString": MultiLineString, "Polygon": MultiPolygon}[kind]
+    return mapping(shapes[0] if len(shapes) == 1 else several(shapes))
+
+
+def _shape(kind: str, shape) -> LineString | Polygon:
+    return Polygon(shape[0], shape[1:]) if kind == "Polygon" else LineString(shape)
 
 
 def write_geopackage(path: str | Path, layer: Layer) -> None:
@@ -134,7 +138,7 @@ def _write_by_gdal(copy: Path, path: Path, layer: Layer, driver: str, /, **optio
     try:
         pyogrio.raw.write(
             copy,
-            geometry=np.array([_wkb(layer.kind, shape) for shape in shapes], dtype=object),
+            geometry=shapely.to_wkb([_shape(layer.kind, shape) for shape in shapes], flavor="iso", byte_order=1),
             field_data=[np.array(values) for values in layer.columns.values()],
             fields=np.array(list(layer.columns), dtype=object),
             driver=driver,
@@ -175,20 +179,6 @@ def is_our_shapefile(path: Path) -> bool:
             return archive.comment == _MARK
     except zipfile.BadZipFile:
         return False
-
-
-def _wkb(kind: str, shape) -> bytes:
-    """A shape as well-known binary of ISO, little-endian."""
-    geometry = Polygon(shape[0], shape[1:]) if kind == "Polygon" else LineString(shape)
-    return shapely.to_wkb(geometry, flavor="iso", byte_order=1)
-
-
-def _wound(ring: np.ndarray, *, left: bool) -> np.ndarray:
-    """A closed ring with its inside to the left (counter-clockwise) or to the right."""
-    ring = np.asarray(ring, dtype=np.float64)
-    x, y = (ring - ring[0]).T
-    is_left = float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum()) > 0.0
-    return ring if is_left == left else ring[::-1]
 
 
 class DxfLine(NamedTuple):

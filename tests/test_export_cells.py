@@ -10,10 +10,11 @@ from pyproj import CRS
 from scipy import ndimage
 from stored_run import GSD_M, run_of, stored_points
 
+from geo.grid import Window
 from survey.errors import SurveyError
 from survey.export import bed_cells
 from survey.export import bed_raster as bed_raster_module
-from survey.export.bed_cells import CellWindow, LevelFit, PlanCells, round_side
+from survey.export.bed_cells import LevelFit, cells_over, round_side
 from survey.export.bed_raster import bed_raster, seen_from_above
 from survey.export.cell_fit import LEAST_PX2, CellPoints, correlated_px2, fit_cells
 from survey.export.loaded import LoadedRun
@@ -195,7 +196,7 @@ def test_what_all_heights_share_is_not_averaged_away(tmp_path):
         raster = bed_raster(run, options)
         assert run.common_std_m == 0.04
         assert (raster.common == np.float32(0.04)).all()
-        stds = raster.stds(CellWindow(0, 40, 0, 40))
+        stds = raster.stds(Window(0, 40, 0, 40))
         assert (stds > 0.04).all()
         assert np.median(stds) < np.hypot(0.04, 0.01)
 
@@ -219,12 +220,12 @@ def test_gaps_up_to_a_width_are_filled_marked_and_less_sure(tmp_path):
     run, options = made(plan, 10.0 + 0.5 * plan[:, 1], tmp_path, fill_m=0.5)
     with run:
         raster = bed_raster(run, options)
-        at = raster.cells.middles(CellWindow(0, 40, 0, 40)) - CORNER
+        at = raster.cells.middles(Window(0, 40, 0, 40)) - CORNER
         in_narrow, in_wide = np.abs(at[..., 0] - 1.05) < 0.15, np.abs(at - 2.75).max(axis=-1) < 0.4
         assert (raster.origin[in_narrow] == 2).all()
         assert (raster.count[in_narrow] == 0).all()
         assert (raster.origin[in_wide] == 0).all()
-        assert np.isnan(raster.heights(CellWindow(0, 40, 0, 40))[in_wide]).all()
+        assert np.isnan(raster.heights(Window(0, 40, 0, 40))[in_wide]).all()
         error = raster.height[in_narrow] - (10.0 + 0.5 * at[..., 1][in_narrow])
         assert (np.abs(error) < 2.0 * raster.std[in_narrow]).all()
         assert raster.std[in_narrow].min() > 2.0 * np.median(raster.std[raster.origin == 1])
@@ -254,18 +255,18 @@ def test_the_level_of_sloped_water_is_found_from_the_depths_to_a_tenth_of_a_mill
 
 def test_cells_lie_at_multiples_of_their_side_and_cover_all_points():
     points = CORNER + np.array([[0.31, 0.49], [7.2, 3.0]])
-    cells = PlanCells.over(points, CRS_OF_TEST, 0.25)
-    assert (cells.west, cells.north) == (691000.25, 5334003.0)
+    cells = cells_over(points, CRS_OF_TEST, 0.25)
+    assert cells.origin == (691000.25, 5334003.0)
     assert cells.shape == (11, 28)
     at = cells.columns_rows(points)
     assert (at >= 0.0).all()
     assert (at[:, ::-1] <= cells.shape).all()
-    np.testing.assert_allclose(cells.middles(CellWindow(0, 1, 0, 1))[0, 0], [691000.375, 5334002.875])
+    np.testing.assert_allclose(cells.middles(Window(0, 1, 0, 1))[0, 0], [691000.375, 5334002.875])
 
 
 def test_a_resolution_that_makes_too_many_cells_or_none_is_refused(tmp_path):
     with pytest.raises(SurveyError, match=r"is too large; give a larger --resolution"):
-        PlanCells.over(np.array([CORNER, CORNER + 1000.0]), CRS_OF_TEST, 0.001)
+        cells_over(np.array([CORNER, CORNER + 1000.0]), CRS_OF_TEST, 0.001)
     run, _ = made(grid_of_points(0.2), np.zeros(100), tmp_path)
     for wrong in (0.0, -1.0, float("nan"), float("inf"), 1e-300, 1e9):
         with pytest.raises(SurveyError, match=r"--resolution is .*, expected the side of a cell in metres"):

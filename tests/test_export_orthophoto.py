@@ -25,9 +25,9 @@ from small_survey import E0, LEVEL, N0
 from stored_run import run_of, stored_points
 
 from geo.frames import LocalFrame
+from geo.grid import Grid, Window
 from refract import FlatWater
 from survey.errors import SurveyError
-from survey.export.bed_cells import CellWindow, PlanCells
 from survey.export.export import export
 from survey.export.loaded import Pixels
 from survey.export.occlusion import BedWindows, CellProjection, HeightBuffer, Mosaic, common_exposure
@@ -99,7 +99,7 @@ def test_pixels_of_cells_are_those_of_the_exact_way_through_the_water():
     rng = np.random.default_rng(1)
     water = FlatWater((0.0, 0.0, 0.0), n_water=1.34, slope_x=0.01, slope_y=-0.02)
     camera = look((9.0, -6.0, 20.0), (1.0, 0.5, -2.0), focal=900.0, size=(1200, 900), heading=0.7)
-    cells = PlanCells(CRS("EPSG:25832+5778"), E0 - 6.0, N0 + 6.0, (0.02, 0.02), 0.02, (600, 600))
+    cells = Grid(CRS("EPSG:25832+5778"), (E0 - 6.0, N0 + 6.0), (0.02, -0.02), 0.02, (600, 600))
     bed = flown(water)
     heights = LEVEL - 1.0 - 2.5 * rng.random(cells.shape)
     worst = 0.0
@@ -113,7 +113,7 @@ def test_pixels_of_cells_are_those_of_the_exact_way_through_the_water():
 
 
 def test_exposures_are_compared_however_many_cells_one_window_has():
-    window, height = CellWindow(0, 190, 0, 200), np.zeros((190, 200))
+    window, height = Window(0, 190, 0, 200), np.zeros((190, 200))
     u, v = np.meshgrid(np.linspace(1.0, 99.0, 200), np.linspace(1.0, 99.0, 190))
     sight = CellProjection(u, v, np.ones_like(u), np.zeros_like(u))
     bed = SimpleNamespace(
@@ -137,8 +137,8 @@ def test_a_side_of_cells_that_is_none_is_refused(tmp_path, side_m):
 
 def test_what_stands_behind_something_is_hidden():
     camera = look((-8.0, 0.0, 8.0), (0.0, 0.0, 0.0), focal=300.0, size=(400, 300), heading=np.pi / 2)
-    cells = PlanCells(CRS("EPSG:25832+5778"), E0 - 6.0, N0 + 3.0, (0.1, 0.1), 0.1, (60, 120))
-    window = CellWindow(0, 60, 0, 120)
+    cells = Grid(CRS("EPSG:25832+5778"), (E0 - 6.0, N0 + 3.0), (0.1, -0.1), 0.1, (60, 120))
+    window = Window(0, 60, 0, 120)
     x, y = np.moveaxis(cells.middles(window) - [E0, N0], -1, 0)
     heights = LEVEL + np.where((np.abs(x) < 1.0) & (np.abs(y) < 1.0), 2.0, 0.0)
     bed = BedWindows(flown(None), cells, lambda w: heights[w.slices])
@@ -154,8 +154,8 @@ def test_what_stands_behind_something_is_hidden():
 
 def test_a_picture_does_not_depend_on_the_order_of_its_views(tmp_path):
     rng = np.random.default_rng(2)
-    cells = PlanCells(CRS("EPSG:25832+5778"), E0, N0, (0.1, 0.1), 0.1, (8, 9))
-    window = CellWindow(0, 8, 0, 9)
+    cells = Grid(CRS("EPSG:25832+5778"), (E0, N0), (0.1, -0.1), 0.1, (8, 9))
+    window = Window(0, 8, 0, 9)
     greys = np.array([50.0, 100.0, 200.0])
     weights = np.where(rng.random((3, 8, 9)) < 0.6, -300.0 * rng.random((3, 8, 9)), np.nan)
     pictures = []

@@ -15,6 +15,7 @@ from small_report import PLAN, facts_of
 from small_survey import TOML, small_survey
 
 from geo import LocalFrame
+from geo.grid import Grid
 from survey.display.palette import RED
 from survey.display.plan_grid import PlanGrid
 from survey.folder.survey import load_survey
@@ -157,7 +158,7 @@ def test_the_plan_of_a_flight_has_its_lines(shallow_survey, tmp_path):
 
 def test_ground_without_points_is_told_apart_by_the_views_that_see_it():
     has_point, num_views = np.array([[True, False], [False, False]]), np.array([[3, 4], [1, 0]])
-    cells = SeenCells(np.zeros(2), 1.0, has_point, num_views, np.zeros((2, 2)))
+    cells = SeenCells(Grid.northward_from(np.zeros(2), 1.0, (2, 2)), has_point, num_views, np.zeros((2, 2)))
     assert codes_of(cells).tolist() == [[1, 2], [3, 0]]
 
 

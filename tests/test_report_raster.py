@@ -62,7 +62,7 @@ def test_rasters_do_not_depend_on_how_many_points_are_looked_at_at_a_time(block,
 
 def test_the_covered_area_is_that_of_cells_with_points(block):
     grid = PlanGrid.of_cells(block, 0.7)
-    column, row = np.floor((block[:, 0] - grid.west) / 0.7), np.floor((grid.north - block[:, 1]) / 0.7)
+    column, row = np.floor((block[:, 0] - grid.origin[0]) / 0.7), np.floor((grid.origin[1] - block[:, 1]) / 0.7)
     assert grid.covered_m2 == pytest.approx(0.49 * len(set(zip(column, row, strict=True))))
 
 
@@ -86,7 +86,7 @@ def test_strays_do_not_shrink_the_picture(block):
 def test_cells_grow_where_points_are_few_or_the_area_is_large(block):
     few = block[np.random.default_rng(2).choice(len(block), 100, replace=False)]
     # Three points a cell; the outermost of 100 points leave 2 % of each side uncovered.
-    assert _grid_of(few).cell_m == pytest.approx(np.sqrt(3.0 * 20.0 * 10.0 / 100), rel=0.05)
+    assert _grid_of(few).side_m == pytest.approx(np.sqrt(3.0 * 20.0 * 10.0 / 100), rel=0.05)
     fine = PlanGrid.over(block, UTM, cell_m=0.2, max_cells=50)
     assert max(fine.shape) == 50
 
@@ -95,7 +95,7 @@ def test_cells_in_degrees_are_square_on_the_ground():
     # 60 degrees north: a degree of longitude is half as long as one of latitude, and 0.17 % more on the ellipsoid.
     lon, lat = np.meshgrid(np.linspace(10.0, 10.002, 150), np.linspace(60.0, 60.001, 150))
     grid = _grid_of(np.column_stack([lon.ravel(), lat.ravel(), lat.ravel()]), CRS("EPSG:4979"), 5.0)
-    assert grid.cell[0] / grid.cell[1] == pytest.approx(2.0 / 1.00168, rel=1e-4)
+    assert -grid.step[0] / grid.step[1] == pytest.approx(2.0 / 1.00168, rel=1e-4)
     assert grid.shape == (23, 23)  # 0.001 degree is 111.4 m
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from evaluation.robust import MAD_TO_STD
 from geo.features import layer_of
 from geo.files import existing_file
+from geo.grid import Grid
 from geo.lines import assumed_crs, cells_inside, read_polygons
 from geo.raster import RasterBand, RasterForm, is_our_tiff, write_cog
 from survey.change.differences import (
@@ -31,7 +32,6 @@ from survey.change.differences import (
     volume_of,
 )
 from survey.display.quantities import MINUS, length, share
-from survey.export.bed_cells import PlanCells
 from survey.files.json_values import write_json
 from survey.files.outputs import ReadFiles, is_json, is_png, require_file
 from survey.progress import current
@@ -109,7 +109,7 @@ class Change:
     """Changes between two surveys."""
 
     differences: Differences
-    cells: PlanCells
+    cells: Grid
     inside: np.ndarray  # (rows, columns) bool: cells that count
     net: Volume  # Of all of them: fill less cut
     # cut, fill: Of those beyond the level of detection; cut is below zero
@@ -243,7 +243,7 @@ def _correlation(differences: Differences, inside: np.ndarray, options: ChangeOp
 
 
 def _aligned(
-    differences: Differences, cells: PlanCells, correlation: Correlation, path: Path
+    differences: Differences, cells: Grid, correlation: Correlation, path: Path
 ) -> tuple[Differences, Alignment]:
     stable = _cells_in(path, cells)
     try:
@@ -252,11 +252,11 @@ def _aligned(
         raise ChangeError(f"--stable {path}: {error}; draw larger polygons, or correct their CRS") from error
 
 
-def _cells_in(path: Path, cells: PlanCells) -> np.ndarray:
+def _cells_in(path: Path, cells: Grid) -> np.ndarray:
     """Whether the middle of each cell (rows, columns) lies in a polygon of a file."""
     polygons = read_polygons(path, cells.crs, cells.box)
     current().notes(assumed_crs(path))
-    return cells_inside(polygons, cells.transform, cells.shape)
+    return cells_inside(polygons, cells)
 
 
 def _require_options(first: Path, second: Path, options: ChangeOptions) -> None:
@@ -325,8 +325,7 @@ def _draw(change: Change, path: Path) -> None:
     d = np.where(change.inside, differences.height, np.nan)
     limit = nice_limit(d[np.isfinite(d)])
     unit = LengthUnit.of([limit])
-    east = cells.west, cells.west + cells.shape[1] * cells.side[0]
-    extent = (*east, cells.north - cells.shape[0] * cells.side[1], cells.north)
+    extent = cells.extent
     figure, axes = map_canvas(extent, cells.crs)
     end = limit * unit.per_metre
     style = {"cmap": DIFFERENCES, "norm": Normalize(-end, end)}

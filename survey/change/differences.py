@@ -31,11 +31,12 @@ from evaluation.standards import TO_95
 from geo import Cloud, read_reference, require_same_place
 from geo.compatibility import same_crs
 from geo.crs import has_height, height_unit_m
+from geo.grid import Grid
 from geo.projection import ground_units_m
 from geo.reproject import Reprojection
 from geo.shapes import ground_of, in_height_unit
 from survey.errors import SurveyError
-from survey.export.bed_cells import PlanCells, round_side
+from survey.export.bed_cells import cells_over, round_side
 from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells
 from survey.progress import current
 from survey.run.folder import RunDir
@@ -201,7 +202,7 @@ def cloud_path(path: Path) -> Path:
 
 def differences_of(
     first: Path, second: Path, *, stated: StatedStd, shared: float, side_m: float | None
-) -> tuple[Differences, PlanCells, list[str]]:
+) -> tuple[Differences, Grid, list[str]]:
     """The second survey minus the first, the cells, and notes on the surveys."""
     clouds = [_cloud(path) for path in (first, second)]
     crs, notes = _common_crs(clouds, (first, second))
@@ -216,7 +217,7 @@ def differences_of(
     metres = ground_units_m(crs, 0.5 * (low + high))
     spacing = max(_spacing_m(each.points, metres) for each in surveys)
     side = round_side(_SPACINGS_PER_CELL * spacing) if side_m is None else side_m
-    cells = PlanCells.over(np.array([low, high]), crs, side)
+    cells = cells_over(np.array([low, high]), crs, side)
     layers = [_raster_of(each, cells, crs, spacing) for each in surveys]
     (height_a, std_a, common_a), (height_b, std_b, common_b) = layers
     differences = Differences(height_b - height_a, np.hypot(std_a, std_b), np.stack([common_a, common_b]), shared, side)
@@ -300,7 +301,7 @@ def _spacing_m(points: np.ndarray, metres: np.ndarray) -> float:
     return float(np.sqrt(np.prod((high - low) * metres) / max(int(inside.sum()), 1)))
 
 
-def _raster_of(survey: SurveyPoints, cells: PlanCells, crs: CRS, spacing_m: float) -> tuple[np.ndarray, ...]:
+def _raster_of(survey: SurveyPoints, cells: Grid, crs: CRS, spacing_m: float) -> tuple[np.ndarray, ...]:
     """Heights, their own and their common standard deviations (rows, columns) [m]; NaN where there are none."""
     at = cells.columns_rows(survey.points)
     inside = ((at >= 0.0) & (at < cells.shape[::-1])).all(axis=1)

@@ -11,6 +11,7 @@ from pyproj import CRS
 
 from evaluation.bootstrap import cell_numbers
 from geo.columns import ComputedColumn, portions
+from geo.grid import Grid, plan_box
 from geo.projection import ground_units_m
 
 # Strays: points beyond this share of the outermost ones on each side, by more than this share of the extent. They must
@@ -29,17 +30,10 @@ _SMALLEST_CELL_M = 1e-6
 
 
 @dataclass(frozen=True)
-class PlanGrid:
-    """Square cells in plan; rows run from north to south."""
+class PlanGrid(Grid):
+    """A grid in plan, with rows from north to south, and the points in it."""
 
-    # west, north in crs: outer corner of the first cell
-    west: float
-    north: float
-    cell: tuple[float, float]  # (east, north), in units of crs
-    cell_m: float  # [m]
-    shape: tuple[int, int]  # (rows, columns)
-    # (N, 2) in crs: the points, which may lie in a file
-    plan: np.ndarray = field(repr=False)
+    plan: np.ndarray = field(repr=False)  # (N, 2) in crs: which may lie in a file
 
     @staticmethod
     def over(
@@ -65,49 +59,36 @@ class PlanGrid:
         side_m = (high - low) * unit
         sparse_m = math.sqrt(per_cell * float(side_m.prod()) / len(plan))
         cell_m = max(cell_m, _EDGE_FACTOR * float(side_m.max()) / max_cells, sparse_m, _SMALLEST_CELL_M)
-        return PlanGrid._between(plan, low, high, unit, cell_m)
+        return PlanGrid._between(plan, low, high, cell_m, crs)
 
     @staticmethod
     def of_cells(points_m: np.ndarray, cell_m: float) -> PlanGrid:
         """The grid over all points (N, 2 or more) [m], strays too, with cells of exactly this size."""
         plan = points_m[:, :2]
-        return PlanGrid._between(plan, plan.min(axis=0), plan.max(axis=0), np.ones(2), cell_m)
+        low, high = plan_box(plan)
+        return PlanGrid._between(plan, low, high, cell_m)
 
     @staticmethod
     def within(points_m: np.ndarray, low: np.ndarray, high: np.ndarray, cell_m: float) -> PlanGrid:
         """The grid between two corners (2,) [m], whatever the points (N, 2 or more) [m]; those beyond it are strays."""
-        return PlanGrid._between(points_m[:, :2], low, high, np.ones(2), cell_m)
+        return PlanGrid._between(points_m[:, :2], low, high, cell_m)
 
     @staticmethod
-    def _between(plan: np.ndarray, low: np.ndarray, high: np.ndarray, unit: np.ndarray, cell_m: float) -> PlanGrid:
-        """Cells from the north-western corner of what lies between ``low`` and ``high`` (2,) in crs."""
-        columns, rows = (math.floor(side / cell_m) + 1 for side in (high - low) * unit)
-        cell = cell_m / unit
-        return PlanGrid(float(low[0]), float(high[1]), (float(cell[0]), float(cell[1])), cell_m, (rows, columns), plan)
+    def _between(
+        plan: np.ndarray, low: np.ndarray, high: np.ndarray, cell_m: float, crs: CRS | None = None
+    ) -> PlanGrid:
+        return PlanGrid(**vars(Grid.southward_from(low, high, cell_m, crs)), plan=plan)
 
     def _portions(self) -> Iterator[tuple[slice, np.ndarray]]:
         """Parts of the points, and the cell (M,) int64 of each point, row by row; -1 for strays beyond the grid."""
         for part in portions(len(self.plan), _PORTION):
-            x, y = self.plan[part].T
-            at = np.column_stack([(x - self.west) / self.cell[0], (self.north - y) / self.cell[1]])
-            yield part, cell_numbers(at, self.shape)
-
-    @property
-    def extent(self) -> tuple[float, float, float, float]:
-        """West, east, south, north of the outer edges, in crs, as matplotlib takes them."""
-        rows, columns = self.shape
-        return (
-            self.west,
-            self.west + columns * self.cell[0],
-            self.north - rows * self.cell[1],
-            self.north,
-        )
+            yield part, cell_numbers(self.columns_rows(self.plan[part]), self.shape)
 
     @property
     def covered_m2(self) -> float:
         """Area of the cells that hold a point [m²]; cells without one are never held."""
         held = np.unique(np.concatenate([np.unique(number) for _, number in self._portions()]))
-        return int(np.count_nonzero(held >= 0)) * self.cell_m**2
+        return int(np.count_nonzero(held >= 0)) * self.side_m**2
 
     def count(self, mask: np.ndarray | None = None) -> np.ndarray:
         """Points in each cell, of those in a ``mask`` (N,) bool."""

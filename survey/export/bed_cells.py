@@ -3,13 +3,10 @@
 Gaps are filled up to a stated width: where a square of that width does not fit into them. Filled cells are marked in a
 mask. Their height is the mean of the known cells around, weighted by the inverse square of the distance; its standard
 deviation is that distance times the root mean square slope of the known cells near by.
-
-Also the geometry of the cells in plan: their position, and which point lies in which cell.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,14 +15,12 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from geo.crs import height_unit_m
-from geo.projection import ground_units_m
+from geo.grid import Grid, Window
 from survey.display.quantities import round_up
 from survey.errors import SurveyError
 
 # Largest raster: more cells result from a mistaken resolution, or from stray points far away.
 _MOST_CELLS = 4_000_000_000
-# Tolerance [cells] for points on the outer edge, which lie in the last cell, and for rounding of cell edges.
-_ON_EDGE = 1e-6
 # Steps of resolutions that are chosen, times a power of ten.
 _ROUND = (1.0, 2.0, 2.5, 5.0, 10.0)
 # Points for the fit of the level: a plane of the local frame is curved in crs by Earth and map projection.
@@ -39,114 +34,16 @@ _ANY_SLOPE = 1.0
 POINTS, FILLED = 1, 2
 
 
-@dataclass(frozen=True)
-class CellWindow:
-    """Rows ``top`` to ``bottom`` and columns ``left`` to ``right`` of a raster, the later ones excluded."""
-
-    top: int
-    bottom: int
-    left: int
-    right: int
-
-    @property
-    def slices(self) -> tuple[slice, slice]:
-        """Slices into an array (rows, columns, ...)."""
-        return slice(self.top, self.bottom), slice(self.left, self.right)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        return self.bottom - self.top, self.right - self.left
-
-    def grown(self, cells: int, shape: tuple[int, int]) -> CellWindow:
-        """The window with a margin, as far as the raster has it."""
-        return CellWindow(
-            max(self.top - cells, 0),
-            min(self.bottom + cells, shape[0]),
-            max(self.left - cells, 0),
-            min(self.right + cells, shape[1]),
+def cells_over(points_crs: np.ndarray, crs: CRS, side_m: float) -> Grid:
+    """Aligned cells of a side [m] that cover points (N, 2 or more)."""
+    grid = Grid.southward_aligned(points_crs, crs, side_m)
+    rows, columns = grid.shape
+    if rows * columns > _MOST_CELLS:
+        raise SurveyError(
+            f"a raster of {columns} x {rows} cells of {side_m:g} m is too large; give a larger --resolution, or "
+            "[area] bounds without the strays that lie far off"
         )
-
-    def within(self, larger: CellWindow) -> tuple[slice, slice]:
-        """Slices of this window in an array of a larger one."""
-        return (
-            slice(self.top - larger.top, self.bottom - larger.top),
-            slice(self.left - larger.left, self.right - larger.left),
-        )
-
-
-@dataclass(frozen=True)
-class PlanCells:
-    """Cells whose edges lie at multiples of their side, so that rasters of one resolution fit together.
-
-    Their side is a length on the ground, whatever the unit and the scale of the map (`geo.projection.ground_units_m`).
-    """
-
-    crs: CRS
-    # west, north in crs: outer corner of the first cell
-    west: float
-    north: float
-    side: tuple[float, float]  # (east, north), in units of crs
-    side_m: float  # [m], on the ground
-    shape: tuple[int, int]  # (rows, columns): rows run from north to south
-
-    @staticmethod
-    def over(points_crs: np.ndarray, crs: CRS, side_m: float) -> PlanCells:
-        """The cells of this side [m] that cover points (N, 2 or more)."""
-        low, high = points_crs[:, :2].min(axis=0), points_crs[:, :2].max(axis=0)
-        side = side_m / ground_units_m(crs, 0.5 * (low + high))
-        first = np.floor(low / side + _ON_EDGE)
-        last = np.ceil(high / side - _ON_EDGE)
-        columns, rows = (int(n) for n in np.maximum(last - first, 1))
-        if rows * columns > _MOST_CELLS:
-            raise SurveyError(
-                f"a raster of {columns} x {rows} cells of {side_m:g} m is too large; give a larger --resolution, or "
-                "[area] bounds without the strays that lie far off"
-            )
-        west, north = float(first[0] * side[0]), float(last[1] * side[1])
-        return PlanCells(crs, west, north, (float(side[0]), float(side[1])), side_m, (rows, columns))
-
-    @property
-    def transform(self) -> tuple[float, float, float, float, float, float]:
-        """Coefficients a to f of ``east = a column + b row + c, north = d column + e row + f``."""
-        return (self.side[0], 0.0, self.west, 0.0, -self.side[1], self.north)
-
-    @property
-    def box(self) -> np.ndarray:
-        """Lowest and highest corner (2, 2), in crs."""
-        rows, columns = self.shape
-        east, south = self.west + columns * self.side[0], self.north - rows * self.side[1]
-        return np.array([[self.west, south], [east, self.north]])
-
-    def with_side(self, side_m: float) -> PlanCells:
-        """Cells of another side [m] over the same area."""
-        return PlanCells.over(self.box, self.crs, side_m)
-
-    def columns_rows(self, points_crs: np.ndarray) -> np.ndarray:
-        """Column and row (N, 2) of points (N, 2 or more), from the outer corner of the first cell, with fractions."""
-        return np.column_stack(
-            [(points_crs[:, 0] - self.west) / self.side[0], (self.north - points_crs[:, 1]) / self.side[1]]
-        )
-
-    def numbers(self, points_crs: np.ndarray) -> np.ndarray:
-        """Number (N,) of the cell of each point, row by row; points on the outer edge lie in the last cell."""
-        last = np.array(self.shape[::-1]) - 1
-        column, row = np.clip(np.floor(self.columns_rows(points_crs)).astype(np.int64), 0, last).T
-        return row * self.shape[1] + column
-
-    def middles(self, window: CellWindow) -> np.ndarray:
-        """Coordinates (rows, columns, 2) in crs of the middles of the cells of a window."""
-        columns = np.arange(window.left, window.right) + 0.5
-        rows = np.arange(window.top, window.bottom) + 0.5
-        east, north = np.meshgrid(self.west + columns * self.side[0], self.north - rows * self.side[1])
-        return np.stack([east, north], axis=-1)
-
-    def windows(self, cells: int) -> Iterator[CellWindow]:
-        """Windows of up to ``cells`` rows and columns that cover the raster, row by row."""
-        rows, columns = self.shape
-        for top in range(0, rows, cells):
-            for left in range(0, columns, cells):
-                yield CellWindow(top, min(top + cells, rows), left, min(left + cells, columns))
+    return grid
 
 
 def round_side(side_m: float) -> float:
@@ -158,7 +55,7 @@ def round_side(side_m: float) -> float:
 class BedRaster:
     """The bed as a raster; arrays (rows, columns), in files."""
 
-    cells: PlanCells
+    cells: Grid
     # float32 [m]: mean height of the bed over the cell, seen from above; undefined where `origin` is 0
     height: np.ndarray
     std: np.ndarray  # float32 [m]: standard deviation of that height by the errors of the cell
@@ -170,17 +67,17 @@ class BedRaster:
     level: LevelFit | None  # Height of the water; None for a dry survey
     pixel_m: float  # [m]: what a pixel of the photographs covers
 
-    def heights(self, window: CellWindow) -> np.ndarray:
+    def heights(self, window: Window) -> np.ndarray:
         """Heights (rows, columns) float64 [m] of a window, NaN where there is none."""
         at = window.slices
         return np.where(self.origin[at] > 0, self.height[at].astype(np.float64), np.nan)
 
-    def stds(self, window: CellWindow) -> np.ndarray:
+    def stds(self, window: Window) -> np.ndarray:
         """Standard deviations (rows, columns) float64 [m] by all errors, NaN where there is no height."""
         at = window.slices
         return np.where(self.origin[at] > 0, np.hypot(self.std[at].astype(np.float64), self.common[at]), np.nan)
 
-    def depths(self, window: CellWindow) -> np.ndarray:
+    def depths(self, window: Window) -> np.ndarray:
         """Depth under the water (rows, columns) float64 [m], negative above it; NaN without height or water."""
         if self.level is None:
             return np.full(window.shape, np.nan)
@@ -258,7 +155,7 @@ def _closed(known: np.ndarray, width: int) -> np.ndarray:
     return (opened == 0)[width + 1 : -width - 1, width + 1 : -width - 1]
 
 
-def _interpolated(grid: BedRaster, known: np.ndarray, around: CellWindow, gaps: np.ndarray) -> np.ndarray:
+def _interpolated(grid: BedRaster, known: np.ndarray, around: Window, gaps: np.ndarray) -> np.ndarray:
     """Height, both standard deviations [m] and incidence [rad] (4, K) of cells (K, 2), by inverse-distance weights."""
     layers = (grid.height, grid.std, grid.common, grid.incidence)
     height, std, common, incidence = (layer[around.slices].astype(np.float64) for layer in layers)

@@ -21,10 +21,11 @@ from scipy import ndimage
 
 from geo.crs import height_unit_m
 from geo.files import scratch_array
+from geo.grid import Grid
 from geo.projection import ground_units_m
 from survey.display.quantities import length
 from survey.errors import SurveyError
-from survey.export.bed_cells import POINTS, BedRaster, LevelFit, PlanCells, fill_gaps, round_side
+from survey.export.bed_cells import POINTS, BedRaster, LevelFit, cells_over, fill_gaps, round_side
 from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells
 from survey.export.product import require_lengths, require_not_too_fine
 from survey.progress import current
@@ -86,7 +87,7 @@ def _bed_raster(run: LoadedRun, options: ExportOptions) -> BedRaster:
     if options.crs is not None:
         reprojection = run.transformation_to(options.crs)
         points, crs = reprojection(points), reprojection.crs
-    cells = PlanCells.over(points, crs, options.resolution_m or round_side(_DEFAULT_PX * pixel))
+    cells = cells_over(points, crs, options.resolution_m or round_side(_DEFAULT_PX * pixel))
     points[:, 2] *= height_unit_m(crs)
     grid = _empty(run, cells, LevelFit.of(points, columns["depth"]), pixel)
     common = columns.get("std_common", np.full(len(points), np.nan, dtype=np.float32))
@@ -126,7 +127,7 @@ def too_coarse(side_m: float, points_crs: np.ndarray, crs: CRS, pixel_m: float) 
     )
 
 
-def _empty(run: LoadedRun, cells: PlanCells, level: LevelFit | None, pixel_m: float) -> BedRaster:
+def _empty(run: LoadedRun, cells: Grid, level: LevelFit | None, pixel_m: float) -> BedRaster:
     """A raster without a height, in new files."""
     kinds = {"height": "f4", "std": "f4", "common": "f4", "count": "u4", "origin": "u1", "incidence": "f4"}
     place = run.scratch / f"cells-{len(list(run.scratch.iterdir()))}"
@@ -185,7 +186,7 @@ def _fit_tile(grid: BedRaster, low: np.ndarray, side: int, correlated: float, po
     grid.incidence[place], grid.origin[place] = mean(points.incidence), POINTS
 
 
-def _tile_side(num_points: int, cells: PlanCells, margin: float) -> int:
+def _tile_side(num_points: int, cells: Grid, margin: float) -> int:
     """Cells along a tile of about `_POINTS_PER_TILE` points, and at least those of the margin."""
     per_cell = num_points / (cells.shape[0] * cells.shape[1])
     return max(min(int(math.sqrt(_POINTS_PER_TILE / per_cell)), _LARGEST_TILE), math.ceil(margin))

@@ -9,11 +9,12 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from evaluation.standards import TVU, order_by_thu, order_by_tvu
+from geo.grid import Window
 from geo.projection import ground_units_m
 from geo.raster import SOFTWARE, RasterBand, RasterForm
 from geo.raster import write_bag as write_bag_file
 from survey.errors import SurveyError
-from survey.export.bed_cells import BedRaster, CellWindow
+from survey.export.bed_cells import BedRaster
 from survey.export.bed_raster import bed_raster
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
@@ -48,7 +49,7 @@ def write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     grid = bed_raster(run, options)
     crs = grid.cells.crs
 
-    def values(window: CellWindow) -> np.ndarray:
+    def values(window: Window) -> np.ndarray:
         height = grid.heights(window)
         return np.nan_to_num(np.stack([height, grid.stds(window)]), nan=_BAG_NODATA).astype(np.float32)
 
@@ -97,7 +98,7 @@ def write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     grid = bed_raster(run, options)
     n_water = _index_of_water(run)
 
-    def values(window: CellWindow) -> np.ndarray:
+    def values(window: Window) -> np.ndarray:
         std, depth = grid.stds(window), grid.depths(window)
         vertical = order_by_tvu(std, depth)
         horizontal = order_by_thu(plan_std(grid, window, std, n_water, run.plan_std_m), depth)
@@ -119,7 +120,7 @@ def write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     write_raster(path, grid, values, *bands, tags=tags, dtype="uint8", nodata=0, resampling="NEAREST")
 
 
-def plan_std(grid: BedRaster, window: CellWindow, std: np.ndarray, n_water: float, cameras_std: float) -> np.ndarray:
+def plan_std(grid: BedRaster, window: Window, std: np.ndarray, n_water: float, cameras_std: float) -> np.ndarray:
     """Standard deviation (rows, columns) [m] along each axis in plan of the positions of the points of cells.
 
     By the error in height along the ray in water, half a pixel on the bed, and the positions of the cameras.

@@ -22,9 +22,9 @@ import numpy as np
 
 from geo.crs import height_unit_m
 from geo.files import scratch_array
+from geo.grid import Grid, Window
 from geo.reproject import Reprojection
 from refract import FlatWater, PinholeCamera
-from survey.export.bed_cells import CellWindow, PlanCells
 from survey.export.loaded import Photograph
 from survey.run.flight import Flight
 
@@ -67,7 +67,7 @@ class BedWindows:
     photograph that shows it.
     """
 
-    def __init__(self, flight: Flight, cells: PlanCells, heights: Callable[[CellWindow], np.ndarray]):
+    def __init__(self, flight: Flight, cells: Grid, heights: Callable[[Window], np.ndarray]):
         self._water, self._heights = flight.water, heights
         self._windows = []
         for window in cells.windows(WINDOW):
@@ -75,12 +75,12 @@ class BedWindows:
             if np.isfinite(height).any():
                 self._windows.append(_Knots.of(flight, cells, window, height))
 
-    def heights(self) -> Iterator[tuple[CellWindow, np.ndarray]]:
+    def heights(self) -> Iterator[tuple[Window, np.ndarray]]:
         """Each window with its heights."""
         for knots in self._windows:
             yield knots.window, self._heights(knots.window)
 
-    def projected_into(self, camera: PinholeCamera) -> Iterator[tuple[CellWindow, np.ndarray, CellProjection]]:
+    def projected_into(self, camera: PinholeCamera) -> Iterator[tuple[Window, np.ndarray, CellProjection]]:
         """The windows of which a camera may see something, with their heights, and how it sees them."""
         for knots in self._windows:
             found = knots.seen_by(camera, self._water)
@@ -93,7 +93,7 @@ class BedWindows:
 class _Knots:
     """The knots of a window at which refraction is solved."""
 
-    window: CellWindow
+    window: Window
     # middle, half [m]: the heights are ``middle - half``, ``middle``, ``middle + half``
     middle: float
     half: float
@@ -103,12 +103,12 @@ class _Knots:
     points: np.ndarray  # (3, knots, knots, 3) [m], local
 
     @staticmethod
-    def of(flight: Flight, cells: PlanCells, window: CellWindow, height: np.ndarray) -> _Knots:
+    def of(flight: Flight, cells: Grid, window: Window, height: np.ndarray) -> _Knots:
         low, high = float(np.nanmin(height)), float(np.nanmax(height))
         middle, half = 0.5 * (low + high), max(0.5 * (high - low), 0.5 * _LEAST_RELIEF_M)
         rows, columns = (_knots(n) for n in window.shape)
-        east = cells.west + (window.left + columns + 0.5) * cells.side[0]
-        north = cells.north - (window.top + rows + 0.5) * cells.side[1]
+        east = cells.origin[0] + (window.left + columns + 0.5) * cells.step[0]
+        north = cells.origin[1] + (window.top + rows + 0.5) * cells.step[1]
         levels = np.array([middle - half, middle, middle + half]) / height_unit_m(cells.crs)
         points = np.stack(np.meshgrid(levels, north, east, indexing="ij")[::-1], axis=-1)
         across, along = _between(rows, window.shape[0]), _between(columns, window.shape[1])
@@ -141,7 +141,7 @@ class _Knots:
         return middle + 0.5 * (above - below) * t + (0.5 * (above + below) - middle) * t**2
 
 
-def _local(flight: Flight, cells: PlanCells, points: np.ndarray) -> np.ndarray:
+def _local(flight: Flight, cells: Grid, points: np.ndarray) -> np.ndarray:
     """Points (..., 3) in the crs of cells as local ones."""
     frame = flight.frame
     if not cells.crs.equals(frame.crs):
@@ -234,19 +234,19 @@ def exposure_gains(shown: np.ndarray) -> np.ndarray:
 class Mosaic:
     """Sums over views in cells, in files; the highest weight of a cell is 1."""
 
-    cells: PlanCells
+    cells: Grid
     highest: np.ndarray  # (rows, columns) float32: logarithm of the highest weight; of no meaning where `weight` is 0
     weight: np.ndarray  # (rows, columns) float32
     colour: np.ndarray  # (rows, columns, 3) float32: sum of weighted colours, 0 to 255
 
     @staticmethod
-    def empty(cells: PlanCells, folder: Path) -> Mosaic:
+    def empty(cells: Grid, folder: Path) -> Mosaic:
         """Mosaic without a colour; its files are made in a folder."""
         shapes = {"highest": cells.shape, "weight": cells.shape, "colour": (*cells.shape, 3)}
         files = {name: scratch_array(folder / f"mosaic-{name}", "f4", shape) for name, shape in shapes.items()}
         return Mosaic(cells, **files)
 
-    def add(self, window: CellWindow, log_weight: np.ndarray, colour: np.ndarray) -> None:
+    def add(self, window: Window, log_weight: np.ndarray, colour: np.ndarray) -> None:
         """Add a view's colours (rows, columns, 3) with the logarithms of their weights; NaN is not seen."""
         at = window.slices
         seen = np.isfinite(log_weight)
@@ -259,7 +259,7 @@ class Mosaic:
         self.colour[at] = keep[..., None] * self.colour[at] + np.where(seen[..., None], own[..., None] * colour, 0.0)
         self.highest[at] = highest
 
-    def rgba(self, window: CellWindow) -> np.ndarray:
+    def rgba(self, window: Window) -> np.ndarray:
         """Colours with transparency (4, rows, columns) uint8 of a window."""
         weight = self.weight[window.slices]
         colour = self.colour[window.slices] / np.where(weight > 0.0, weight, 1.0)[..., None]

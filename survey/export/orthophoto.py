@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from geo.crs import horizontal_crs
+from geo.grid import Grid, Window
 from geo.raster import RasterBand, RasterForm, write_cog
 from survey.errors import SurveyError
-from survey.export.bed_cells import BedRaster, CellWindow, PlanCells, round_side
+from survey.export.bed_cells import BedRaster, cells_over, round_side
 from survey.export.bed_raster import bed_raster
 from survey.export.loaded import LoadedRun, at_scale, colours_without_water, flight_of
 from survey.export.occlusion import (
@@ -28,7 +29,7 @@ from survey.export.terrain import noted_if_empty
 from survey.progress import current
 from survey.run.flight import Flight
 
-ColourOf = Callable[[np.ndarray, CellWindow, np.ndarray, CellProjection], np.ndarray]
+ColourOf = Callable[[np.ndarray, Window, np.ndarray, CellProjection], np.ndarray]
 
 # Along the shorter side of a photograph at the resolution that is asked for.
 _FEWEST_PX = 8
@@ -66,7 +67,7 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
     scale = min(1.0, grid.pixel_m / side_m)
     _require_pixels(flight, scale, side_m, run.bed_header.gsd_m)
     photographs = at_scale(flight, scale)
-    cells = grid.cells.with_side(side_m)
+    cells = cells_over(grid.cells.box, grid.cells.crs, side_m)
     mosaic, colour_of = Mosaic.empty(cells, run.scratch), _colour_of(run, grid, cells)
     coarse = BedWindows(flight, grid.cells, grid.heights)
     fine = BedWindows(flight, cells, lambda window: _heights(grid, cells, window))
@@ -96,7 +97,7 @@ def _require_pixels(flight: Flight, scale: float, side_m: float, gsd_m: float) -
         )
 
 
-def _heights(grid: BedRaster, cells: PlanCells, window: CellWindow) -> np.ndarray:
+def _heights(grid: BedRaster, cells: Grid, window: Window) -> np.ndarray:
     """Heights (rows, columns) [m] of finer cells, linear between those of the bed's raster; NaN where it has none."""
     at = grid.cells.columns_rows(cells.middles(window).reshape(-1, 2))
     shape = grid.cells.shape
@@ -112,13 +113,13 @@ def _heights(grid: BedRaster, cells: PlanCells, window: CellWindow) -> np.ndarra
     return np.where(known, total / np.where(weight > 0.0, weight, 1.0), np.nan).reshape(window.shape)
 
 
-def _colour_of(run: LoadedRun, grid: BedRaster, cells: PlanCells) -> ColourOf:
+def _colour_of(run: LoadedRun, grid: BedRaster, cells: Grid) -> ColourOf:
     """Function of the colours of a photograph that gives those of the mosaic: the same, or without the water."""
     without_water, level = colours_without_water(run), grid.level
     if without_water is None or level is None:
         return lambda colour, _window, _height, _seen: colour
 
-    def dry(colour: np.ndarray, window: CellWindow, height: np.ndarray, seen: CellProjection) -> np.ndarray:
+    def dry(colour: np.ndarray, window: Window, height: np.ndarray, seen: CellProjection) -> np.ndarray:
         depth = level(cells.middles(window)) - height
         wet = np.isfinite(colour[..., 0]) & (depth > 0.0)
         incidence = np.arccos(np.clip(seen.cos_incidence[wet], -1.0, 1.0))

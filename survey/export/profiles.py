@@ -23,7 +23,8 @@ from geo import Cloud, Mesh, read_cloud
 from geo.crs import crs_code, has_height, height_unit_m, is_geographic
 from geo.features import layer_of
 from geo.files import write_whole
-from geo.lines import Line, assumed_crs, plan_box, read_lines
+from geo.grid import plan_box
+from geo.lines import Line, assumed_crs, read_lines
 from geo.projection import ground_units_m
 from geo.shapes import ground_of, in_height_unit, masked_cloud
 from geo.vectors import DxfLine, write_dxf

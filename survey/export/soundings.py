@@ -58,7 +58,7 @@ def _of_points(run: LoadedRun, options: ExportOptions) -> np.ndarray:
 def _shoalest(run: LoadedRun, options: ExportOptions, grid: BedRaster) -> np.ndarray:
     """The highest point of each cell, with the number of points there; a warning where a withheld one is higher."""
     rows = _of_points(run, options)
-    cell = grid.cells.numbers(rows)
+    cell = np.ravel_multi_index(grid.cells.index(rows), grid.cells.shape)
     order = np.lexsort([-rows[:, 2], cell])
     cells, first, counts = np.unique(cell[order], return_index=True, return_counts=True)
     kept = rows[order[first]].copy()
@@ -67,7 +67,8 @@ def _shoalest(run: LoadedRun, options: ExportOptions, grid: BedRaster) -> np.nda
     if len(withheld):
         top = np.full(grid.cells.shape, -np.inf).ravel()
         top[cells] = kept[:, 2]
-        over = grid.cells.numbers(withheld)[withheld[:, 2] > top[grid.cells.numbers(withheld)]]
+        of_withheld = np.ravel_multi_index(grid.cells.index(withheld), grid.cells.shape)
+        over = of_withheld[withheld[:, 2] > top[of_withheld]]
         current().warn(f"{len(np.unique(over))} cells have a withheld point higher than their sounding, or no other")
     return kept
 

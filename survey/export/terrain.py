@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from geo.grid import Window
 from geo.raster import Part, RasterBand, RasterForm, write_cog
-from survey.export.bed_cells import BedRaster, CellWindow
+from survey.export.bed_cells import BedRaster
 from survey.export.bed_raster import bed_raster
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
@@ -27,7 +28,7 @@ _UNCERTAINTY = (
 def write_raster(
     path: Path,
     grid: BedRaster,
-    values: Callable[[CellWindow], np.ndarray],
+    values: Callable[[Window], np.ndarray],
     *bands: RasterBand,
     tags: dict[str, str],
     **form,
@@ -46,7 +47,7 @@ def write_raster(
     write_cog(path, made, noted_if_empty(path, parts_of(grid, values), made.nodata))
 
 
-def parts_of(grid: BedRaster, values: Callable[[CellWindow], np.ndarray]) -> Iterator[tuple[int, int, np.ndarray]]:
+def parts_of(grid: BedRaster, values: Callable[[Window], np.ndarray]) -> Iterator[tuple[int, int, np.ndarray]]:
     """Windows of a raster with their values (bands, rows, columns), in float32 with NaN as `NODATA`."""
     for window in grid.cells.windows(_BLOCK):
         found = values(window)
@@ -70,7 +71,7 @@ def write_dem(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     grid = bed_raster(run, options)
     unit = grid.cells.crs.axis_info[2].unit_name
 
-    def values(window: CellWindow) -> np.ndarray:
+    def values(window: Window) -> np.ndarray:
         at = window.slices
         known = grid.origin[at] > 0
         std, common = (np.where(known, layer[at], np.nan) for layer in (grid.std, grid.common))
@@ -104,12 +105,10 @@ def write_hillshade(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     write_raster(path, grid, _of_neighbours(grid, hillshade), band, tags=tags, dtype="uint8", nodata=0)
 
 
-def _of_neighbours(
-    grid: BedRaster, of: Callable[[np.ndarray, float], np.ndarray]
-) -> Callable[[CellWindow], np.ndarray]:
+def _of_neighbours(grid: BedRaster, of: Callable[[np.ndarray, float], np.ndarray]) -> Callable[[Window], np.ndarray]:
     """The values of a function of the heights around each cell and the side of cells."""
 
-    def values(window: CellWindow) -> np.ndarray:
+    def values(window: Window) -> np.ndarray:
         around = window.grown(1, grid.cells.shape)
         return of(grid.heights(around), grid.cells.side_m)[window.within(around)][None]
 

@@ -12,11 +12,11 @@ from shapely import Polygon
 
 from fields.sweep.bed import BedPoints
 from geo.frames import LocalFrame
+from geo.grid import Window
 from geo.las import classes_of
 from geo.raster import RasterBand
 from geo.transformation import Transformation
 from geo.vectors import Layer
-from survey.export.bed_cells import CellWindow
 from survey.export.bed_raster import bed_raster
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
@@ -51,13 +51,10 @@ class Unseen:
 
         Heights matter little: a metre moves a place by micrometres.
         """
-        local = self.frame.local_from_crs(points_crs)
-        rows, columns = self.codes.shape
-        at = (local[..., :2] - self.cells.low) / self.cells.cell_m
-        inside = ((at >= 0.0) & (at < (columns, rows))).all(axis=-1)
-        return np.where(inside, self.codes[self.cells.index(np.where(inside[..., None], local, 0.0))], 0).astype(
-            np.uint8
-        )
+        local, grid = self.frame.local_from_crs(points_crs), self.cells.grid
+        at = grid.columns_rows(local)
+        inside = np.all((at >= 0.0) & (at < grid.shape[::-1]), axis=-1)
+        return np.where(inside, self.codes[grid.index(np.where(inside[..., None], local, 0.0))], 0).astype(np.uint8)
 
 
 def unseen_of(run: LoadedRun) -> Unseen:
@@ -128,18 +125,16 @@ def _areas(run: LoadedRun, options: ExportOptions) -> Layer:
     """Polygons of the cells of water without a bed, with the reason as far as it is known."""
     unseen = unseen_of(run)
     cells, codes = unseen.cells, unseen.codes
-    (west, south), side = cells.low, cells.cell_m
-    transform = Affine(side, 0.0, west, 0.0, side, south)  # rows run to the north
     shapes, views, reasons, areas = [], [], [], []
-    for polygon, code in polygons_of(codes, mask=codes > 0, transform=transform):
+    for polygon, code in polygons_of(codes, mask=codes > 0, transform=Affine(*cells.grid.transform)):
         rings = [np.array(ring) for ring in polygon["coordinates"]]
-        heights = (unseen.level[cells.index(ring)] for ring in rings)
+        heights = (unseen.level[cells.grid.index(ring)] for ring in rings)
         shapes.append([in_crs(run, options, np.column_stack(pair)) for pair in zip(rings, heights, strict=True)])
         views.append("one" if code == ONE_VIEW else "two or more")
         reasons.append(REASONS[int(code)])
         areas.append(round(Polygon(rings[0], rings[1:]).area, 3))
     columns: dict[str, list] = {"views": views, "reason": reasons, "area_m2": areas}
-    about = f"water that was looked at and in which no bed was found, in cells of {side:g} m"
+    about = f"water that was looked at and in which no bed was found, in cells of {cells.grid.side_m:g} m"
     return Layer("unseen", "Polygon", shapes, run.crs_for(options.crs), columns, about)
 
 
@@ -149,11 +144,11 @@ def _write_mask(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     It covers what the terrain model covers, so that both lie upon each other; what lies beyond is in the polygons only.
     """
     grid, unseen = bed_raster(run, options), unseen_of(run)
-    corner = np.array([[grid.cells.west, grid.cells.north]])
+    corner = np.array([grid.cells.origin])
     back = Transformation.between(grid.cells.crs, run.bed_header.crs, corner)
     level = float(unseen.frame.origin[2])
 
-    def values(window: CellWindow) -> np.ndarray:
+    def values(window: Window) -> np.ndarray:
         east, north = back(*np.moveaxis(grid.cells.middles(window), -1, 0))
         codes = unseen.codes_at(np.stack([east, north, np.full(window.shape, level)], axis=-1))
         return np.where(grid.origin[window.slices] > 0, 0, codes).astype(np.uint8)[None]

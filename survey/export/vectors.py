@@ -14,7 +14,7 @@ from geo.vectors import Layer
 from refract import FlatWater, PinholeCamera
 from survey.display.quantities import round_up
 from survey.errors import SurveyError
-from survey.export.bed_cells import BedRaster, CellWindow
+from survey.export.bed_cells import BedRaster
 from survey.export.bed_raster import bed_raster
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
@@ -98,14 +98,14 @@ def _on_bed(camera: PinholeCamera, water: FlatWater | None, cells: SeenCells) ->
     share = np.linspace(0.0, 1.0, _PLACES_OF_SIDE, endpoint=False)[:, None]
     border = np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
     path = camera.paths(border, water)
-    height = np.full(len(border), float(cells.height[cells.index(camera.centre)]))
+    height = np.full(len(border), float(cells.height[cells.grid.index(camera.centre)]))
     if water is not None:
         height -= float(water.height(*camera.centre[:2]))
     for _ in range(_STEPS):
         places = path.at_height(height, water)
         if not np.isfinite(places).all():
             return None
-        bed = cells.height[cells.index(places)]
+        bed = cells.height[cells.grid.index(places)]
         over = bed if water is None else bed - water.height(places[:, 0], places[:, 1])
         # Damped by half: full steps oscillate on steep ground.
         height = 0.5 * (height + over)
@@ -121,9 +121,8 @@ def in_crs(run: LoadedRun, options: ExportOptions, local: np.ndarray) -> np.ndar
 def write_contours(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     """Lines of equal depth; of equal height in a dry survey."""
     grid = bed_raster(run, options)
-    all_cells = _whole(grid)
     is_dry = grid.level is None
-    values = grid.heights(all_cells) if is_dry else grid.depths(all_cells)
+    values = grid.heights(grid.cells.whole) if is_dry else grid.depths(grid.cells.whole)
     step = _interval(values, options.interval_m)
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     if (high - low) / step > _MOST_LEVELS:
@@ -144,7 +143,7 @@ def write_contours(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 def write_shoreline(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     """The line of depth zero, where the bed was found on both sides of it."""
     grid = bed_raster(run, options)
-    lines = _lines(grid, grid.depths(_whole(grid)), 0.0)
+    lines = _lines(grid, grid.depths(grid.cells.whole), 0.0)
     about = f"where the bed meets the water of the survey, in cells of {grid.cells.side_m:g} m"
     _write_lines(path, "shoreline", grid, lines, {"depth_m": [0.0] * len(lines)}, about)
 
@@ -176,24 +175,15 @@ def _write_lines(
     write_layer(path, Layer(name, "LineString", lines, grid.cells.crs, dict(column), about, heights))
 
 
-def _whole(grid: BedRaster) -> CellWindow:
-    rows, columns = grid.cells.shape
-    return CellWindow(0, rows, 0, columns)
-
-
 def _lines(grid: BedRaster, values: np.ndarray, level: float) -> list[np.ndarray]:
     """Lines (N, 2) in crs through the middles of cells; they end where cells have no height."""
     if min(values.shape) < 2:
         return []
     found = [np.asarray(line) for line in contourpy.contour_generator(z=np.ma.masked_invalid(values)).lines(level)]
     lengths = (np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line in found)
-    west, north, side = grid.cells.west, grid.cells.north, np.array(grid.cells.side)
-    corner = np.array([west + 0.5 * side[0], north - 0.5 * side[1]])
-    return [
-        corner + line * side * np.array([1.0, -1.0])
-        for line, length in zip(found, lengths, strict=True)
-        if length >= SHORTEST
-    ]
+    step = np.array(grid.cells.step)
+    corner = np.array(grid.cells.origin) + 0.5 * step
+    return [corner + line * step for line, length in zip(found, lengths, strict=True) if length >= SHORTEST]
 
 
 def _interval(values: np.ndarray, asked: float | None) -> float:

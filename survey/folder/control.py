@@ -21,7 +21,8 @@ from geo.crs import has_height, height_unit_m, vertical_crs
 from geo.features import layer_of
 from geo.files import existing_file
 from geo.frames import LocalFrame
-from geo.lines import assumed_crs, plan_box, points_inside, read_polygons
+from geo.grid import plan_box
+from geo.lines import assumed_crs, points_inside, read_polygons
 from geo.projection import metres_per_unit
 from geo.reading import read_reference
 from geo.reproject import Reprojection

@@ -105,7 +105,7 @@ def draw_ground_residuals(path: Path, survey: Survey, found: Adjustment) -> Pict
     _draw_control(axes, survey, found)
     figure.legend(loc="lower center", ncols=4, frameon=False, fontsize=9)
     words = "Where they are large: waves, moving things, or few photographs."
-    return finished(axes, path, "Residuals over the ground", f"cells of {grid.cell_m:.2g} m", words)
+    return finished(axes, path, "Residuals over the ground", f"cells of {grid.side_m:.2g} m", words)
 
 
 def draw_parts(path: Path, survey: Survey, found: Adjustment) -> Picture:

@@ -58,7 +58,7 @@ def draw_orthophoto(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     image = np.zeros((*known.shape, 4), dtype=np.uint8)
     image[known, :3], image[known, 3] = colours[known], 255
     axes = _show(image, facts, grid)
-    subtitle = f"the cloud in its own colours, cells of {cell_size(grid.cell_m)}"
+    subtitle = f"the cloud in its own colours, cells of {cell_size(grid.side_m)}"
     words = "The cloud in its own colours; where points lie above each other, the highest."
     return finished(axes, path, "The bed from above", subtitle, words)
 
@@ -79,13 +79,13 @@ def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid, cut: Cut | None
         title, label = "Depth of the bed", _depth_label()
         ground = "" if facts.bed.wet.all() else "; dry ground in greys"
         words = f"Mean true depth of each cell, shaded by the relief{ground}."
-    image, scale = shaded_bed(depth, height, grid.cell_m)
+    image, scale = shaded_bed(depth, height, grid.side_m)
     axes = _show(image, facts, grid)
     if cut is not None:
         draw_line(axes, facts, cut)
     axes.set_facecolor("white")  # the grey of other maps' gaps is that of dry ground here
     _bar(axes, in_unit(scale), label, is_depth=depth is not None)
-    return finished(axes, path, title, f"cells of {cell_size(grid.cell_m)}", words)
+    return finished(axes, path, title, f"cells of {cell_size(grid.side_m)}", words)
 
 
 def draw_num_views(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
@@ -97,7 +97,7 @@ def draw_num_views(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     axes = _show(image_of(values, scale), facts, grid)
     colour_bar(axes, scale, "views", extend="max").minorticks_off()
     words = "Number of views that see a point at the same height; the more, the more reliable."
-    return finished(axes, path, "Views that agree", f"mean of each cell of {cell_size(grid.cell_m)}", words)
+    return finished(axes, path, "Views that agree", f"mean of each cell of {cell_size(grid.side_m)}", words)
 
 
 def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
@@ -113,7 +113,7 @@ def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     plain_log_ticks(bar.ax.yaxis)
     source = _OF_SOLVER if facts.plan.field == "solver" else _OF_SWEEP
     words = f"Random part for each point, {source}; without the part common to all heights by water, lens and poses."
-    subtitle = f"mean of each cell of {cell_size(grid.cell_m)}"
+    subtitle = f"mean of each cell of {cell_size(grid.side_m)}"
     return finished(axes, path, "Standard deviation of the height", subtitle, words)
 
 
@@ -218,4 +218,4 @@ def _image(
     height = np.full(x.shape, float(facts.survey.frame.origin[2]))
     local = facts.survey.frame.local_from_crs(np.stack([x, y, height], axis=-1))
     colours = [to_rgba(EMPTY), *(to_rgba(colour) for colour, _ in _LEGEND.values())]
-    return np.rint(255.0 * np.array(colours)).astype(np.uint8)[codes[cells.index(local)]]
+    return np.rint(255.0 * np.array(colours)).astype(np.uint8)[codes[cells.grid.index(local)]]

@@ -215,7 +215,7 @@ def choose_cut(facts: ReportFacts) -> Cut:
     west, east, south, north = grid.extent
     centre = np.array([0.5 * (west + east), 0.5 * (south + north)])
     half = 0.5 * float(np.hypot(east - west, north - south))
-    steps = np.arange(-half, half, grid.cell_m)
+    steps = np.arange(-half, half, grid.side_m)
     found = []
     # From the south-east over the east to the north.
     for angle in np.linspace(-0.5 * np.pi, 0.5 * np.pi, _DIRECTIONS, endpoint=False) + np.pi / _DIRECTIONS:
@@ -235,6 +235,5 @@ def choose_cut(facts: ReportFacts) -> Cut:
 
 def _along(raster: np.ndarray, grid: PlanGrid, places: np.ndarray) -> np.ndarray:
     """Values (K,) of a raster of a grid at places (K, 2); NaN beyond it."""
-    at = np.column_stack([(places[:, 0] - grid.west) / grid.cell[0], (grid.north - places[:, 1]) / grid.cell[1]])
-    number = cell_numbers(at, raster.shape)
+    number = cell_numbers(grid.columns_rows(places), raster.shape)
     return np.where(number >= 0, raster.ravel()[number], np.nan)

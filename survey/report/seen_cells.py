@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from geo.grid import Grid
 from survey.display.column import ColumnStatistics
 from survey.display.plan_grid import PlanGrid
 from survey.plan.area import local_area
@@ -30,10 +31,9 @@ _MOST_CELLS = 2000
 
 @dataclass(frozen=True)
 class SeenCells:
-    """Square cells of the ground; arrays (rows, columns), rows from south to north."""
+    """Square cells of the ground [m], local; arrays (rows, columns), rows from south to north."""
 
-    low: np.ndarray  # (2,) [m], local: South-western corner of the first cell
-    cell_m: float  # [m]
+    grid: Grid
     has_point: np.ndarray  # bool
     num_views: np.ndarray  # int: views that see the middle of the cell; occlusion is ignored
     # float64 [m], local: mean of the points; where there are none, that of the nearest cell that has some
@@ -42,15 +42,7 @@ class SeenCells:
     @property
     def middles(self) -> np.ndarray:
         """Middles of the cells at their heights (rows, columns, 3) [m], local."""
-        rows, columns = self.height.shape
-        x, y = (start + self.cell_m * (np.arange(n) + 0.5) for start, n in zip(self.low, (columns, rows), strict=True))
-        return np.stack([*np.meshgrid(x, y), self.height], axis=-1)
-
-    def index(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and columns of the cells under points (..., 2 or more) [m], local; those beyond take the outermost."""
-        at = np.floor((np.asarray(points)[..., :2] - self.low) / self.cell_m)
-        rows, columns = self.height.shape
-        return np.clip(at[..., 1], 0, rows - 1).astype(np.int64), np.clip(at[..., 0], 0, columns - 1).astype(np.int64)
+        return np.dstack([self.grid.middles(), self.height])
 
 
 def cells_seen(
@@ -69,16 +61,14 @@ def cells_seen(
     """
     low, high = _extent(cameras, area, ColumnStatistics(xyz[:, 2]).median)
     cell = max(CELL_GSD * gsd_m, float((high - low).max()) / _MOST_CELLS)
-    grid = PlanGrid.within(xyz, low, high, cell)
-    height = grid.mean(xyz[:, 2])[::-1]
-    has_point = np.isfinite(height)
-    west, _, south, _ = grid.extent
-    corner = np.array([west, south])
+    southward = PlanGrid.within(xyz, low, high, cell)
+    height = southward.mean(xyz[:, 2])[::-1]
+    grid, has_point = Grid.northward_from(southward.box[0], cell, southward.shape), np.isfinite(height)
     num_views = np.zeros(grid.shape, dtype=int)
     if not has_point.any():
-        return SeenCells(corner, cell, has_point, num_views, height)
+        return SeenCells(grid, has_point, num_views, height)
     nearest = distance_transform_edt(~has_point, return_distances=False, return_indices=True)
-    cells = SeenCells(corner, cell, has_point, num_views, height[tuple(nearest)])
+    cells = SeenCells(grid, has_point, num_views, height[tuple(nearest)])
     places = cells.middles
     x, y = places[0, :, 0], places[:, 0, 1]
     for camera in cameras:

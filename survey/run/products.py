@@ -191,7 +191,7 @@ def _coverage(survey: Survey, stored: StoredBed, cells: SeenCells) -> CoverageFi
         depth = depth + departure.at(cells.middles[..., :2].reshape(-1, 2))[0].reshape(depth.shape)
     shared = None if stored.std_common is None else ColumnStatistics(stored.std_common)
     std = shared.median if shared is not None and shared.size else None
-    return coverage_of(depth, cells.has_point, cells.num_views, cells.cell_m, std)
+    return coverage_of(depth, cells.has_point, cells.num_views, cells.grid.side_m, std)
 
 
 def _photographs(done: Mapping[str, Path]) -> tuple[PhotographFigures, ...]:

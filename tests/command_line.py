@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 import subprocess
 import sys
@@ -14,6 +15,13 @@ from survey.commands.verbs import app
 
 def bathynerf(*arguments):
     return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+class Terminal(io.StringIO):
+    """A terminal as far as programs ask."""
+
+    def isatty(self) -> bool:
+        return True
 
 
 def without_times(text: str) -> str:

@@ -1,10 +1,9 @@
-"""Scenes of what real photographs hold: they change photographs and not the truth, and rows of their table."""
+"""Scenes of what real photographs hold: they change photographs and not the truth."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-import bench_conditions as bench
 import condition_scenes
 import numpy as np
 import pytest
@@ -60,13 +59,3 @@ def test_rows_of_a_zone_are_read_at_once(still):
 def test_brown_water_takes_the_contrast_of_deep_ground(still):
     clear, brown = (scene.photograph(0).astype(float) for scene in (still, condition_scenes.brown(still, 2.0)))
     assert brown.std(axis=(0, 1)).max() < 0.5 * clear.std(axis=(0, 1)).max()
-
-
-def test_every_condition_has_words_of_its_own_and_a_row_of_means():
-    conditions = condition_scenes.CONDITIONS
-    assert len({each.words for each in conditions.values()}) == len(conditions)
-    record = {"points": 9, "found": 0.9, "mean_m": 0.001, "std_m": 0.004, "beyond": 0.01, "within": 0.95}
-    record |= {"within_largest": 0.9, "median_std_m": 0.005, "common_m": 0.0, "exit_code": 0}
-    row = bench.row_of("nothing", [record, record | {"found": 0.8, "exit_code": 3}])
-    assert row.startswith("| nothing | 85.0 % | +1.0 mm | 4.0 mm | 1.00 % | 95.0 % | 90.0 % | 5.0 mm | 0, 3")
-    assert bench.row_of("nothing", [{"exit_code": 2}]).endswith("| 2 |")

@@ -27,10 +27,3 @@ def test_a_coarser_table_costs_more(tmp_path, rng):
         Image.fromarray(texture).save(path, quality=quality, subsampling=0)
         errors.append(bound.squared_errors(path, 0.0, rng)[1])
     assert 0.0 < 2.0 * errors[0] < errors[1]
-
-
-def test_other_formats_are_named(tmp_path, rng):
-    path = tmp_path / "flat.png"
-    Image.new("RGB", (16, 16)).save(path)
-    with pytest.raises(SystemExit, match=r"flat.png is a PNG, expected a JPEG"):
-        bound.squared_errors(path, 1.0, rng)

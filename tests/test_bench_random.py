@@ -24,16 +24,3 @@ def test_relief_goes_on_below_that_of_other_drawn_beds():
     added = random._staged().renderer.ground.bed.heights - plain.heights
     # Spacings of 10, 5, 2.5 and 1.25 cm, each by a tenth of it.
     assert added.std() == pytest.approx(0.1 * np.hypot(np.hypot(0.1, 0.05), np.hypot(0.025, 0.0125)), rel=0.3)
-
-
-def test_the_table_has_a_row_for_each_quality_and_a_line_for_each_survey():
-    cells = [f"{number}" for number in range(15)]
-    lines = bench.lines_of({"100": {"draft": cells, "standard": cells}, "101": {"draft": cells}})
-    rows = [line for line in lines if line.startswith("|")]
-    assert len({line.count("|") for line in rows}) == 1
-    assert [line.split("|")[1:3] for line in rows[2:]] == [
-        [" 100 ", " draft "],
-        [" 100 ", " standard "],
-        [" 101 ", " draft "],
-    ]
-    assert lines[-2].startswith("- 100: 1.2 m")

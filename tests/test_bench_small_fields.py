@@ -47,23 +47,6 @@ def test_a_table_of_errors_has_each_model_once_with_what_it_reached():
     assert bench_error_time.table(rows)[2:] == ["| MDW | - | - | - | 10 ± 13 | 25.1 ± 1.3 dB | 50 ± 0 mm |"]
 
 
-def test_errors_over_time_are_measured_again_for_each_model_scene_and_time(tmp_path, monkeypatch, capsys):
-    measured = []
-
-    def measure(name, where, seconds, seed):
-        measured.append((name, where, seconds, seed))
-        looks = [{"seconds": seconds, "steps": 5, "psnr_db": 20.0, "depth_m": 0.3}]
-        return {"model": name, "scene": where, "seed": seed, "steps": 9, "looks": looks}
-
-    monkeypatch.setattr(bench_error_time, "measure", measure)
-    for seconds in ("2", "2", "3"):
-        words = ["bench_error_time.py", str(tmp_path), "--models", "mdw", "--seconds", seconds]
-        monkeypatch.setattr("sys.argv", words)
-        bench_error_time.main()
-    assert measured == [("mdw", where, seconds, 0) for seconds in (2.0, 3.0) for where in ("dry", "wet")]
-    assert "| MDW | 9 | 20.0 dB | 300 mm | 9 | 20.0 dB | 300 mm |" in capsys.readouterr().out
-
-
 def test_colours_differ_by_their_chroma_alone():
     grey = np.full((1, 3), 0.4)
     np.testing.assert_allclose(chroma(grey), 0.0, atol=0.02)  # OpenCV's table

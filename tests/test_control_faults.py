@@ -87,10 +87,7 @@ def test_a_file_that_is_not_there_is_refused_by_name(tmp_path):
         read_control(tmp_path)
 
 
-@settings(
-    max_examples=150, deadline=None, derandomize=True, database=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)  # fmt: skip
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_no_file_however_damaged_ends_in_another_error(tmp_path, data):
     """Texts of every format with pieces cut out, doubled or replaced, read as a file of every name."""

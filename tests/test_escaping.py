@@ -11,7 +11,7 @@ from html.parser import HTMLParser
 from types import SimpleNamespace
 
 import pytest
-from command_line import bathynerf
+from command_line import Terminal, bathynerf
 from hypothesis import given
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
@@ -174,11 +174,6 @@ def test_the_page_of_mark_is_the_same_for_all_surveys_and_sets_texts_alone(name,
     script = page().decode()
     assert "textContent" in script
     assert re.findall(r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\b|srcdoc", script) == []
-
-
-class Terminal(io.StringIO):
-    def isatty(self):
-        return True
 
 
 @pytest.mark.parametrize("name", NAMES)

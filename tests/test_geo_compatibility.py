@@ -97,7 +97,7 @@ def test_boxes_that_touch_are_at_the_same_place_and_others_are_refused():
         require_same_place(here, here[:, [1, 0, 2]], "cloud.las", "ref.ply")
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     east=st.floats(1e5, 9e5), north=st.floats(1e6, 9e6),
     sides=st.tuples(st.floats(1.0, 5e3), st.floats(1.0, 5e3)),

@@ -17,7 +17,7 @@ def tails(name: str) -> list[str]:
     return ["/".join(parts[i:]) for i in range(len(parts))]
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(st.sets(PATHS, min_size=1, max_size=8), PATHS)
 def test_found_photographs_agree_and_doubtful_names_are_refused(images: set[str], called: str) -> None:
     agreeing = {image for image in images if called in tails(image) or image in tails(called)}
@@ -32,7 +32,6 @@ def test_found_photographs_agree_and_doubtful_names_are_refused(images: set[str]
         assert names.find(called, "line 3") == (best.pop() if best else None)
 
 
-@settings(deadline=None, max_examples=100)
 @given(st.sets(PATHS, min_size=1, max_size=8), st.sampled_from(["", "images/", "C:\\project\\images\\"]), st.data())
 def test_whole_paths_are_found_below_any_folder_in_any_case(images: set[str], above: str, data: st.DataObject) -> None:
     image = data.draw(st.sampled_from(sorted(images)))

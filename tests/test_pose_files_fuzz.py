@@ -52,10 +52,7 @@ EDIT = st.tuples(
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(
-    max_examples=40, deadline=None, derandomize=True, database=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)  # fmt: skip
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(which=st.integers(0, 9), edits=st.lists(EDIT, min_size=1, max_size=3))
 def test_no_damage_ends_in_another_error(whole, tmp_path, name, which, edits):
     files, given_path = whole[name]

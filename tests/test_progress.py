@@ -6,7 +6,7 @@ import io
 import re
 
 import pytest
-from command_line import without_times
+from command_line import Terminal, without_times
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -21,13 +21,6 @@ class Clock:
 
     def monotonic(self) -> float:
         return self.now
-
-
-class Terminal(io.StringIO):
-    """A terminal as far as programs ask."""
-
-    def isatty(self) -> bool:
-        return True
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import logging
 import time
 
 import pytest
-from command_line import without_times
+from command_line import Terminal, without_times
 
 from survey import progress as progress_room
 from survey.progress import Progress, clock
@@ -59,13 +59,6 @@ def test_lines_without_a_terminal_begin_with_their_time():
     with Progress(stream=stream) as progress:
         progress.note("a note")
     time.strptime(stream.getvalue(), "%Y-%m-%d %H:%M:%S a note\n")
-
-
-class Terminal(io.StringIO):
-    """A terminal as far as programs ask."""
-
-    def isatty(self) -> bool:
-        return True
 
 
 @pytest.mark.parametrize("columns", [40, 80])

@@ -5,14 +5,12 @@ from __future__ import annotations
 import dataclasses
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from survey.errors import ConfigError, SurveyError
 from survey.settings.config import SurveyConfig, dump_config, parse_config, read_config
 from survey.settings.water import LevelSources
-
-always = settings(derandomize=True, database=None, deadline=None)
 
 FULL = """
 name = 'a "quoted" name'
@@ -86,14 +84,12 @@ def test_an_empty_file_is_all_defaults_and_survives_the_round_trip():
     assert parse_config(dump_config(SurveyConfig())) == SurveyConfig()
 
 
-@always
 @given(st.text(st.characters(blacklist_categories=["Cs", "Cc"]), min_size=1).filter(str.strip))
 def test_any_name_survives_the_round_trip(name):
     config = SurveyConfig(name=name)
     assert parse_config(dump_config(config)) == config
 
 
-@always
 @given(st.floats(allow_nan=False, allow_infinity=False, min_value=-1e7, max_value=1e7))
 def test_any_level_survives_the_round_trip_to_the_last_bit(level):
     config = parse_config(f"[water]\nlevel_m = {level!r}\n")

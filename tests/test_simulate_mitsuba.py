@@ -373,14 +373,6 @@ def test_the_same_seed_gives_the_same_light_and_another_seed_another(mi):
     assert np.abs(first - other).max() > 0.0
 
 
-def test_the_scalar_variant_has_the_light_of_the_closed_form(scalar_mi):
-    light = Light(to_sun=(0.0, 0.0, 1.0), sun_share=0.5)
-    level = FlatWater((0.0, 0.0, 0.0), n_water=1.333)
-    eye = tracer(scalar_mi, checkered(albedo=0.5), level, light=light, bounces=50)
-    assert eye.is_scalar
-    assert_mean(eye(*rays_down(500, 0.4), 3), bed_under_water(light, 0.5, 0.4, level.n_water))
-
-
 def test_the_scalar_variant_sees_the_same_light(mi, scalar_mi):
     water = WaterOptics(absorption=(0.2, 0.05, 0.02), scattering=0.5)
 

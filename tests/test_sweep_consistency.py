@@ -90,11 +90,3 @@ def test_a_height_on_the_other_side_of_the_surface_is_compared_like_any_other(de
     two = agreeing == 2
     assert two.mean() > 0.1
     np.testing.assert_allclose(fused[two], -0.01 / 3.0, atol=HEIGHT_M)
-
-
-def test_without_peers_nothing_agrees(device):
-    stack = level_maps(device, [OWN, OWN])
-    agreeing, fused, spread = agreement(stack, 0, [], TOLERANCE)
-    assert not agreeing.any()
-    np.testing.assert_array_equal(fused, np.float32(OWN))
-    np.testing.assert_array_equal(spread, 0.0)

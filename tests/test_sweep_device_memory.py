@@ -10,13 +10,13 @@ from apart_device import device_apart
 from plane_survey import PlaneBed, ring, texture
 from slow_cases import slow
 
-from fields.device import choose_device, memory_bytes
+from fields.device import choose_device
 from fields.sweep import device_filters, images_device
 from fields.sweep.block import Block
 from fields.sweep.kernels import arrays
 from fields.sweep.maps import HeightMap
 from fields.sweep.passes import DiscontinuitySearch, Pass
-from fields.sweep.sweep import DeviceMaps, device_map_store, sweep
+from fields.sweep.sweep import device_map_store, sweep
 from fields.sweep.view_pass import SweepSettings
 from refract import FlatWater
 
@@ -95,23 +95,9 @@ def beside(apart) -> list[HeightMap]:
     return swept(apart)
 
 
-@pytest.fixture(scope="module")
-def on_host(apart) -> list[HeightMap]:
-    """Maps with images on the host between the kernels."""
-    return swept(plain(apart))
-
-
-def test_heights_are_those_of_images_on_the_host(beside, on_host):
-    assert_same(beside, on_host)
-
-
-def test_masked_photographs_have_the_same_heights(apart):
-    assert_same(swept(apart, holes=True), swept(plain(apart), holes=True))
-
-
-def test_an_area_has_the_same_heights(apart):
-    area = (-0.25, -0.3, 0.35, 0.2)
-    assert_same(swept(apart, area=area), swept(plain(apart), area=area))
+@pytest.mark.parametrize("options", [{}, {"holes": True}, {"area": (-0.25, -0.3, 0.35, 0.2)}], ids=str)
+def test_heights_are_those_of_images_on_the_host(apart, beside, options):
+    assert_same(swept(apart, **options) if options else beside, swept(plain(apart), **options))
 
 
 def test_between_the_passes_the_host_is_told_numbers_and_tiles_alone(apart, monkeypatch):
@@ -171,12 +157,3 @@ def test_a_place_for_maps_takes_and_gives_room(apart, rng):
     maps[5] = images_device.upload(apart, replace(m, view=5))
     assert not aside
     assert len(maps) == 1
-
-
-def test_the_host_keeps_its_own_maps(device):
-    if not device.has_own_memory:
-        assert device_map_store(device, dict) is dict
-        assert memory_bytes(device) == 0
-    else:
-        assert isinstance(device_map_store(device, dict)(), DeviceMaps)
-        assert memory_bytes(device) > 0

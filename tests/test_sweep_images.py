@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 from scipy import ndimage
 
 from fields.sweep import images_device, images_host
-from fields.sweep.kernels import stack
 from fields.sweep.kernels.arrays import as_numpy, flatten, floats
 from fields.sweep.maps import HeightMap
 from fields.sweep.tiles import ImageTiles
@@ -192,19 +190,3 @@ def test_maps_come_back_as_they_were(apart, height, rng):
         found, expected = getattr(back, name), getattr(m, name)
         assert found.dtype == expected.dtype
         np.testing.assert_array_equal(found, expected)
-
-
-def test_the_twin_has_the_same_functions_and_signatures():
-    found = inspect.getmembers(images_host, inspect.isfunction)
-    functions = {name: function for name, function in found if function.__module__ == images_host.__name__}
-    assert len(functions) > 30
-    for name, function in functions.items():
-        twin = getattr(images_device, name)
-        assert list(inspect.signature(twin).parameters) == list(inspect.signature(function).parameters), name
-
-
-def test_packed_images_take_a_quarter_of_the_memory_of_a_device_at_most():
-    size = 20_000_000
-    for memory, kept in ((0, stack.FEWEST_KEPT), (4 * 30 * size, 30), (4 * 60 * size, 60)):
-        assert stack.num_packed(size, memory) == kept
-    assert stack.num_packed(2_000_000, 0) == stack.KEPT_BYTES // 2_000_000

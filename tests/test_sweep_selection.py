@@ -14,7 +14,7 @@ from fields.sweep.kernels.arrays import indices
 from fields.sweep.kernels.backend import run_job
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import HeightMap, trusted
-from fields.sweep.passes import PASSES, Pass, before_solver
+from fields.sweep.passes import Pass, before_solver
 from fields.sweep.sweep import predict_selected_pixels, sweep
 from fields.sweep.tiles import PART_SIDE_PX, ImageTiles
 from fields.sweep.view_pass import SweepSettings, match_pass, refine_part, view_passes
@@ -137,14 +137,6 @@ def test_tiles_over_a_part_hold_all_of_it(block):
     assert tiles.wanted.shape == SIZE[::-1]
     assert tiles.wanted[larger(part)].all()
     assert len(tiles.place) == len(np.unique(tiles.place, axis=0))
-
-
-def test_before_the_solver_passes_after_the_first_at_full_size_take_points_alone():
-    passes = before_solver(PASSES)
-    full = [p.points_only for p in passes if p.scale == 1.0]
-    assert full == [False, *[True] * (len(full) - 1)]
-    assert not any(p.points_only for p in passes if p.scale < 1.0)
-    assert not any(p.points_only for p in PASSES)
 
 
 def test_points_of_a_sweep_that_refines_them_alone_are_as_near_to_the_bed(device):

@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 
 from fields.device import choose_device
 from fields.sweep import views
-from fields.sweep.block import AGREEMENT_PX, Block, Overlap
+from fields.sweep.block import Block
 from refract import FlatWater
 
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.34)
@@ -218,12 +218,6 @@ def test_a_block_scales_images_with_their_cameras_and_forgets_them():
     assert block.stack(0.5) is not half
 
 
-def test_heights_agree_when_they_differ_by_less_than_the_parallax_said():
-    block = PlaneBed(WATER, -2.0).block(choose_device("torch"), ring(4))
-    tolerance = block.agreement_tolerance(0, [1, 2], -2.0)
-    np.testing.assert_allclose(tolerance * block.parallax(0, [1, 2], -2.0), AGREEMENT_PX)
-
-
 def test_overlap_is_judged_under_the_cameras_however_far_off_the_water_has_its_point():
     """A sloped plane given by a point 2 km away lies 40 m under that point here."""
     device = choose_device("torch")
@@ -273,16 +267,3 @@ def test_a_view_far_higher_than_the_others_has_no_more_than_so_many_cells():
     high = look((2000.0, 0.0, 2000.0), (2000.0, 0.0, -2.0))
     _, cells = views.coverage([*flight(3), high], WATER, -2.0)
     assert len(cells) < 1.1 * views.MOST_CELLS**2
-
-
-def test_overlap_is_judged_when_it_is_asked_for(monkeypatch):
-    calls = []
-    monkeypatch.setattr(views, "coverage", lambda *given: calls.append(given[2]) or (np.ones((2, 1), bool), None))
-    overlap = Overlap(flight(2), WATER, -2.0)
-    overlap.set_overlap_height(-3.0)
-    assert calls == []
-    assert overlap.seen.all()
-    assert overlap.seen.all()
-    assert calls == [-3.0]
-    with pytest.raises(ValueError, match="no photograph looks down"):
-        Overlap([look((0.0, 0.0, 10.0), (4.0, 6.0, 20.0))] * 2, WATER, -2.0)

@@ -49,10 +49,6 @@ def test_no_gradient_of_density_reaches_the_vectors_and_none_of_colour_those_of_
     assert not some[[0, 2]].any()
 
 
-def test_all_photographs_begin_with_the_common_look():
-    assert not appearance_vectors(5, 3).weight.any()
-
-
 def exposed(gains: list[float]) -> tuple[VolumeRenderer, Photographs]:
     """A floor whose look is known, and photographs of it with gains in linear light."""
     renderer = VolumeRenderer(floor_at(0.0), appearance=appearance_vectors(2, 3))

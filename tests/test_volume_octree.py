@@ -113,27 +113,6 @@ def test_consistency_is_the_difference_of_what_a_parent_lets_pass_and_the_mean_a
     assert found == pytest.approx(total / 32, rel=1e-5)
 
 
-def test_neighbours_of_a_flat_node_lie_in_it(monkeypatch):
-    for layers, box in enumerate(FLAT, 1):
-        model, seen = grown(box), []
-        assert model.counts == (4, 4, layers)
-        features = model.features
-
-        def watched(u, node, features=features, seen=seen, model=model):
-            seen.append((u - model.low[node]) * 2.0 ** model.level[node][:, None])
-            return features(u, node)
-
-        monkeypatch.setattr(model, "features", watched)
-        child = model.child[1, 3]
-        model.inconsistency(torch.tensor([1]), child[None])
-        model._look()
-        inside, _, scored = seen
-        assert float(inside.min()) >= -1e-5
-        assert float(inside.max()) <= 1.0 + 1e-5
-        assert float(scored[:, 2].min()) >= -1e-5
-        assert float(scored[:, 2].max()) <= 1.0 + 1e-5
-
-
 def test_the_score_of_a_flat_node_is_the_change_of_opacity_from_face_to_face():
     model = OctreeVolume(FLAT[0], SMALL)
     torch.nn.init.zeros_(model.table)

@@ -9,7 +9,6 @@ import pytest
 import torch
 from analytic_volume import BOX, WATER, AnalyticVolume, floor_at, looking_down, seen_by
 
-from fields.volume.losses import Losses, PatchWeights
 from fields.volume.photographs import Photographs
 from fields.volume.prior_losses import (
     C1,
@@ -26,7 +25,6 @@ from fields.volume.prior_losses import (
 )
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
-from fields.volume.train import Training, train_volume
 
 
 def two_patches(seed: int) -> torch.Tensor:
@@ -135,16 +133,6 @@ def test_patches_are_squares_of_neighbours_row_by_row_inside_what_shows_the_scen
 def test_patches_larger_than_what_shows_the_scene_are_refused():
     with pytest.raises(ValueError, match="12 x 12 px; draw smaller patches"):
         photographs().draw(1, BOX, np.random.default_rng(0), 12)
-
-
-def test_training_on_patches_draws_them_whole(monkeypatch):
-    drawn = []
-    renderer = VolumeRenderer(floor_at(0.0))
-    monkeypatch.setattr(Photographs, "draw", lambda self, count, box, rng, patch, draw=Photographs.draw: (
-        drawn.append((count, patch)), draw(self, count, box, rng, patch))[1])  # fmt: skip
-    training = Training(steps=3, rays=100, samples=8, cells=8, refresh=(), losses=Losses(patches=PatchWeights(4, 0.1)))
-    train_volume(renderer, photographs(), training, lambda done: None)
-    assert drawn == [(3 * 6, 4)]
 
 
 @pytest.mark.parametrize("water", [None, WATER])

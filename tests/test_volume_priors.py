@@ -15,7 +15,6 @@ from fields.volume.photographs import COLUMNS, Photographs, PriorImages, Priors
 from fields.volume.prior_losses import (
     fit_views,
     length_loss,
-    mean_length,
     normal_prior_loss,
     predicted_normals,
     relative_depth_loss,
@@ -133,11 +132,6 @@ def test_monocular_depth_of_any_scale_and_shift_costs_nothing_where_it_is_true(i
     off[20] += 0.4
     found = relative_depth_loss(paths, stopped_at(off), 2.0).item()
     assert found > 0.4 / 64 / 2.0 * 0.8  # one pixel of 64 off by 0.4 m; the fit takes some of it
-
-
-def test_the_mean_length_is_that_of_the_weights():
-    weights, s = torch.tensor([[0.2, 0.6, 0.0]]), torch.tensor([[1.0, 2.0, 9.0]])
-    assert mean_length(Rendered(torch.zeros(1, 3), weights, Samples(s, s, s))).item() == pytest.approx(1.75)
 
 
 def test_the_normal_loss_is_its_equation_in_the_local_frame():

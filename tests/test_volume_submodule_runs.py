@@ -14,9 +14,7 @@ from command_line import bathynerf
 from painted_survey import painted_survey, run_over
 from PIL import Image
 
-import survey.volume.scene as scene
 import survey.volume.submodules as submodules
-from fields.volume.paths import Box
 from fields.volume.submodules import Grid, match_submodule
 from geo import read_cloud
 from survey.errors import SurveyError
@@ -155,15 +153,6 @@ def test_cells_too_small_for_the_photographs_are_refused_before_any_folder(folde
     with pytest.raises(SurveyError, match=r"999x999 makes cells of .* m; ask for .* at most, or give smaller --cells"):
         train_field(folder / "run", folder / "tiny", replace(OPTIONS, submodules="999x999"))
     assert not (folder / "tiny" / "submodules").exists()
-
-
-def test_no_photograph_is_looked_at_where_none_is_held(folder, monkeypatch):
-    monkeypatch.setattr(scene, "pixels_over", lambda *_: pytest.fail("no pixels are asked for"))
-    with LoadedRun(folder / "run") as run:
-        ground = BedBox.of_run(run, run.flight, OPTIONS.scene)
-        assert scene.held_photographs(ground, run.flight, replace(OPTIONS, held_every=None).scene).names == []
-        far = replace(ground, box=Box(ground.box.low + 500.0, ground.box.high + 500.0))
-        assert scene.photographs_of(far, run.flight, lambda: None) == []
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ from survey.water.level_observation import points_of_surface
 from survey.water.surface_features import points_of_features
 from tests.small_survey import LEVEL, replaced, small_survey
 
-FUZZ = settings(derandomize=True, max_examples=60, deadline=None, database=None)
+FUZZ = settings(max_examples=60)
 CRS = parse_crs("EPSG:25832+5778")
 LONG = 400
 

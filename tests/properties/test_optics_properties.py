@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from refract import FlatWater, PinholeCamera, bend, crossing_point, trace
 
-# The same examples every time; no deadline, because the first example pays for imports.
-always = settings(max_examples=100, deadline=None, derandomize=True)
 EPS = np.finfo(np.float64).eps
 angles = st.floats(0.0, math.radians(89.9))
 turns = st.floats(0.0, 2.0 * math.pi)
@@ -35,7 +33,6 @@ def leaning(normal, angle, turn):
     return math.sin(angle) * (math.cos(turn) * along + math.sin(turn) * across) - math.cos(angle) * normal
 
 
-@always
 @given(angles, turns, normals, indices)
 def test_bend_keeps_length_plane_and_side_and_scales_the_sine(angle, turn, normal, n_water):
     ray = leaning(normal, angle, turn)
@@ -45,7 +42,6 @@ def test_bend_keeps_length_plane_and_side_and_scales_the_sine(angle, turn, norma
     np.testing.assert_allclose(np.cross(ray, normal), n_water * np.cross(bent, normal), atol=16 * EPS)
 
 
-@always
 @given(angles, turns, normals, indices)
 def test_every_way_through_the_surface_leads_back(angle, turn, normal, n_water):
     ray = leaning(normal, angle, turn)
@@ -53,7 +49,6 @@ def test_every_way_through_the_surface_leads_back(angle, turn, normal, n_water):
     assert np.linalg.norm(back + ray) < 32 * EPS / math.cos(angle)
 
 
-@always
 @given(angles, turns, indices, heights, depths)
 def test_project_after_trace_returns_the_ray(angle, turn, n_water, height, depth):
     water, centre = FlatWater((0.0, 0.0, 0.0), n_water=n_water), np.array([0.0, 0.0, height])
@@ -63,7 +58,6 @@ def test_project_after_trace_returns_the_ray(angle, turn, n_water, height, depth
     assert np.linalg.norm(np.cross(seen, ray)) < 1e-12 * np.linalg.norm(seen)
 
 
-@always
 @given(st.floats(-90, 90), st.floats(0, 70), indices, st.floats(1.0, 200.0), st.floats(-20.0, 20.0), slopes, slopes)
 def test_pixels_come_back_from_wet_and_dry_ground(heading, tilt, n_water, height, ground, slope_x, slope_y):
     water = FlatWater((5.0, -3.0, 0.0), n_water=n_water, slope_x=0.1 * slope_x, slope_y=0.1 * slope_y)
@@ -80,7 +74,6 @@ def test_pixels_come_back_from_wet_and_dry_ground(heading, tilt, n_water, height
     assert np.abs(back - pixels)[met].max(initial=0.0) < 1e-6
 
 
-@always
 @given(ways, heights, depths, indices)
 def test_the_crossing_lies_between_straight_line_and_foot_of_the_point(way, height, depth, n_water):
     water, centre = FlatWater((0.0, 0.0, 0.0), n_water=n_water), np.array([0.0, 0.0, height])
@@ -89,7 +82,6 @@ def test_the_crossing_lies_between_straight_line_and_foot_of_the_point(way, heig
     assert straight - 4 * EPS * way <= x <= way * (1.0 + 4 * EPS)
 
 
-@always
 @given(ways, st.floats(1.0, 100.0), st.floats(0.0, 20.0), st.floats(1e-3, 5.0), indices)
 def test_deeper_points_cross_nearer_to_the_camera(way, height, depth, more, n_water):
     water, centre = FlatWater((0.0, 0.0, 0.0), n_water=n_water), np.array([0.0, 0.0, height])

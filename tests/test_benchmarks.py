@@ -53,10 +53,10 @@ WITH_DATA = {
 }
 # Why the others are not run.
 TOO_LARGE = {
-    "bench_drawn": "its smallest part takes an hour; tests/test_bench_drawn.py has its table and its picture",
+    "bench_drawn": "its smallest part takes an hour; tests/test_bench_parts.py has its table and its picture",
     "bench_surfaces": "it has one size, of minutes",
     "draw_held_out": "it draws what bench_survey_field rendered of data/wreck_water",
-    "tables": "it writes tables of pages, which tests/test_bench_tables.py compares",
+    "tables": "it writes tables of pages, which tests/test_bench_parts.py compares",
 }
 PROGRAMS = sorted(path.stem for path in BENCHMARKS.glob("*.py") if "__main__" in path.read_text(encoding="utf-8"))
 

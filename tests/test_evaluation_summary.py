@@ -1,4 +1,4 @@
-"""The numbers of a comparison, by hand and by closed forms."""
+"""Statistics of distances: of all, by depth and shore, and in cells."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from evaluation import distance_statistics, summarise
+from evaluation import by_band, by_depth, distance_statistics, spatial_blocks, summarise
+from evaluation.bootstrap import cell_counts, cell_means, cell_numbers
 
 EXACT = {"rel": 1e-12, "abs": 1e-15}
 
@@ -75,3 +76,52 @@ def test_the_summary_holds_distances_and_scores_at_one_tolerance():
 def test_what_was_not_asked_for_is_none():
     found = summarise(np.zeros(3), tolerance_m=0.2, is_reached=np.ones(1, bool))
     assert (found.scores.completeness_visible, found.distances.mean_ci95_m) == (None, None)
+
+
+def test_wet_and_dry_are_split_five_centimetres_off_the_shoreline():
+    depth = np.array([-1.0, -0.04, 0.04, 0.3, 0.7, 1.0, 45.0, np.nan])
+    d = np.array([1.0, 2, 3, 4, 5, 6, 7, 8])
+    parts = by_depth(d, depth)
+    assert (parts.dry.n_points, parts.dry.mean_m) == (1, 1.0)
+    assert (parts.wet.n_points, parts.wet.mean_m) == (4, 5.5)
+    bands = [(b.low, b.high, b.distances.n_points) for b in parts.bands]
+    assert bands == [(0.0, 0.5, 2), (0.5, 1.0, 1), (1.0, 2.0, 1), (30.0, math.inf, 1)]
+    assert by_depth(d[:2], depth[:2]).wet is None
+
+
+def test_the_lower_limit_of_a_band_belongs_to_it_and_empty_bands_are_left_out():
+    d = np.array([1.0, 2.0, 3.0, 4.0])
+    bands = by_band(d, np.array([0.0, 5.0, 7.0, np.nan]), (0.0, 5.0, 6.0, 7.0, math.inf))
+    assert [(b.low, b.high, b.distances.mean_m) for b in bands] == [
+        (0.0, 5.0, 1.0),
+        (5.0, 6.0, 2.0),
+        (7.0, math.inf, 3.0),
+    ]
+
+
+def test_a_band_has_the_interval_of_its_own_points(rng):
+    plan = rng.uniform(0.0, 50.0, (20_000, 2))
+    d = np.where(plan[:, 0] < 25.0, 0.01, 0.03) + rng.normal(0.0, 0.001, 20_000)
+    shallow, deep = by_band(d, plan[:, 0], (0.0, 25.0, 50.0), spatial_blocks(plan, d))
+    assert shallow.distances.mean_ci95_m[0] < 0.01 < shallow.distances.mean_ci95_m[1] < 0.011
+    assert deep.distances.mean_ci95_m[0] < 0.03 < deep.distances.mean_ci95_m[1] < 0.031
+
+
+SHAPE = (2, 3)
+# Column and row: two in the first cell, one in the last, one on the outer edge, one before it, one without a place.
+AT = np.array([[0.0, 0.0], [0.9, 0.9], [2.5, 1.5], [3.0, 0.0], [-0.1, 1.0], [np.nan, 0.0]])
+
+
+def test_cells_are_numbered_row_by_row_and_what_lies_beyond_has_none():
+    assert cell_numbers(AT, SHAPE).tolist() == [0, 0, 5, -1, -1, -1]
+
+
+def test_points_beyond_the_raster_count_nowhere():
+    assert cell_counts(cell_numbers(AT, SHAPE), SHAPE).tolist() == [[2, 0, 0], [0, 0, 1]]
+
+
+def test_a_mean_leaves_out_values_that_are_nan_and_is_nan_where_nothing_is_left():
+    values = np.array([1.0, np.nan, np.nan, 7.0, 7.0, 7.0])
+    np.testing.assert_array_equal(
+        cell_means(cell_numbers(AT, SHAPE), values, SHAPE), [[1.0, *[np.nan] * 2], [np.nan] * 3]
+    )

@@ -22,25 +22,25 @@ pytestmark = pytest.mark.filterwarnings("ignore")
 ORIGIN = np.array([589012.0, 5194736.0, 2105.0])
 
 
+def write_point(path):
+    write_e57(path, ORIGIN[None], CRS("EPSG:25832"), rgb=np.zeros((1, 3), np.uint8))
+
+
 @pytest.mark.parametrize(
-    ("name", "module", "extra"),
-    [("r.glb", "trimesh", "gltf"), ("r.e57", "pye57", "e57")],
+    ("name", "module", "use", "words"),
+    [
+        ("r.glb", "trimesh", read_reference, r"is read by trimesh, .*pip install 'bathynerf\[gltf\]'"),
+        ("r.e57", "pye57", read_reference, r"is read by pye57, .*pip install 'bathynerf\[e57\]'"),
+        ("r.e57", "pye57", write_point, r"is written by pye57, .*bathynerf\[e57\]', or name another format"),
+    ],
 )
 def test_a_format_whose_library_is_missing_is_refused_with_the_extra_that_brings_it(
-    tmp_path, monkeypatch, name, module, extra
+    tmp_path, monkeypatch, name, module, use, words
 ):
     (tmp_path / name).write_bytes(b"")
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(UnreadableFile, match=rf"{name} is read by {module}, .*pip install 'bathynerf\[{extra}\]'"):
-        read_reference(tmp_path / name)
-
-
-def test_a_format_to_write_whose_library_is_missing_is_refused_with_the_extra_that_brings_it(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pye57", None)
-    with pytest.raises(
-        UnwritableFile, match=r"r\.e57 is written by pye57, .*bathynerf\[e57\]', or name another format"
-    ):
-        write_e57(tmp_path / "r.e57", ORIGIN[None], CRS("EPSG:25832"), rgb=np.zeros((1, 3), np.uint8))
+    with pytest.raises((UnreadableFile, UnwritableFile), match=f"{name} {words}"):
+        use(tmp_path / name)
 
 
 @pytest.mark.parametrize(("name", "module"), [("r.glb", "trimesh"), ("r.tif", "rasterio"), ("r.e57", "pye57")])

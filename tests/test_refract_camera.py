@@ -178,10 +178,3 @@ def test_scaling_rounds_down_but_not_past_a_whole_pixel():
 def test_impossible_cameras_are_refused_with_what_was_found(changes, words):
     with pytest.raises(ValueError, match=words):
         nadir_camera(**changes)
-
-
-def test_wrong_shapes_are_named():
-    with pytest.raises(ValueError, match=r"\(3,\)"):
-        nadir_camera().directions(np.zeros(3))
-    with pytest.raises(ValueError, match=r"\(4, 2\)"):
-        nadir_camera().project(np.zeros((4, 2)), None)

@@ -92,11 +92,3 @@ def test_a_camera_on_or_under_the_surface_looks_straight(rng):
 def test_without_water_the_point_itself_is_seen(rng):
     points = rng.normal(size=(7, 3))
     np.testing.assert_array_equal(crossing_point(points, np.zeros(3), None), points)
-
-
-def test_wrong_shapes_are_named():
-    water = FlatWater((0.0, 0.0, 0.0), n_water=1.333)
-    with pytest.raises(ValueError, match=r"\(5, 2\)"):
-        crossing_point(np.zeros((5, 2)), np.zeros(3), water)
-    with pytest.raises(ValueError, match=r"points \(5, 3\), camera \(4, 3\)"):
-        crossing_point(np.zeros((5, 3)), np.zeros((4, 3)), water)

@@ -83,19 +83,6 @@ def test_gradient_is_finite_exactly_at_the_critical_angle():
     assert torch.isfinite(ray.grad).all()
 
 
-@pytest.mark.parametrize(
-    ("ray", "normal", "words"),
-    [
-        (np.zeros((4, 2)), UP, r"\(4, 2\)"),
-        (np.zeros((4, 3)), np.zeros((5, 3)), r"ray \(4, 3\), normal \(5, 3\)"),
-        (np.float64(1.0), UP, r"\(\)"),
-    ],
-)
-def test_wrong_shapes_are_named(ray, normal, words):
-    with pytest.raises(ValueError, match=words):
-        bend(ray, normal, n_from=1.0, n_to=1.333)
-
-
 def test_indices_cannot_be_swapped_by_position():
     with pytest.raises(TypeError):
         bend(-UP, UP, 1.0, 1.333)

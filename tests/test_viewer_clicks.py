@@ -7,7 +7,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from command_line import bathynerf
 from shown_run import served, shown_of
 from small_bed import SLOPE, write_plane_mesh
 from small_survey import small_survey
@@ -206,8 +205,3 @@ def test_a_page_has_all_in_one_file(shown, tmp_path):
     for name, why in (("own.html", "is not a page that view wrote"), ("a.txt", r"ends in \.html")):
         with pytest.raises(OutputError, match=why):
             require_page(tmp_path / name, ReadFiles())
-
-
-def test_the_page_of_what_is_no_run_is_refused(tmp_path):
-    refused = bathynerf("view", tmp_path, "--export", tmp_path / "view.html")
-    assert "is no run folder" in refused.stderr

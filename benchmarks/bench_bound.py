@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import math
 import subprocess
+import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -209,7 +210,9 @@ def main() -> None:
     for key in options.scenes:
         case, survey_folder, run = CASES[key], folder / key, folder / f"{key}_run"
         write_survey(survey_folder, asdict(case.scene), lambda case=case: case.staging(stage_drawing(case.scene)))
-        subprocess.run([*BATHYNERF, "process", str(survey_folder), "-o", str(run), "-qq"], check=True)
+        subprocess.run(
+            [sys.executable, "-c", BATHYNERF, "process", str(survey_folder), "-o", str(run), "-qq"], check=True
+        )
         truth = survey_folder / "truth"
         bounds = bounds_of(load_survey(survey_folder), truth, GREY_NOISE * case.scene.noise)
         shown = " | ".join(f"{1e3 * each:.2f} mm" for each in bounds.values())

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from refract import FlatWater, PinholeCamera, bend, crossing_point, trace
+from refract import FlatWater, PinholeCamera, bend, crossing_point
 
 EPS = np.finfo(np.float64).eps
 angles = st.floats(0.0, math.radians(89.9))
@@ -47,15 +47,6 @@ def test_every_way_through_the_surface_leads_back(angle, turn, normal, n_water):
     ray = leaning(normal, angle, turn)
     back = bend(-bend(ray, normal, n_from=1.0, n_to=n_water), -normal, n_from=n_water, n_to=1.0)
     assert np.linalg.norm(back + ray) < 32 * EPS / math.cos(angle)
-
-
-@given(angles, turns, indices, heights, depths)
-def test_project_after_trace_returns_the_ray(angle, turn, n_water, height, depth):
-    water, centre = FlatWater((0.0, 0.0, 0.0), n_water=n_water), np.array([0.0, 0.0, height])
-    ray = leaning(np.array([0.0, 0.0, 1.0]), angle, turn)
-    bed = trace(centre, ray, water).at_height(-depth, water)
-    seen = crossing_point(bed, centre, water) - centre
-    assert np.linalg.norm(np.cross(seen, ray)) < 1e-12 * np.linalg.norm(seen)
 
 
 @given(st.floats(-90, 90), st.floats(0, 70), indices, st.floats(1.0, 200.0), st.floats(-20.0, 20.0), slopes, slopes)

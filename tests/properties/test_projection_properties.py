@@ -85,15 +85,6 @@ def test_no_other_way_is_shorter(scene):
 
 
 @always
-@given(scenes())
-def test_both_legs_and_the_normal_lie_in_one_plane(scene):
-    water, camera, point, _ = scene
-    seen = project(point, camera, water)
-    volume = np.cross(seen.direction, (point - seen.crossing) / seen.water_length) @ water.up
-    assert abs(volume) < rounding(water, camera, point) * max(1.0, 1.0 / float(seen.water_length))
-
-
-@always
 @given(scenes(), turns)
 def test_turning_everything_about_the_vertical_turns_the_view(scene, turn):
     water, camera, point, _ = scene

@@ -5,16 +5,14 @@ from __future__ import annotations
 import ast
 import importlib
 import importlib.metadata
-import subprocess
-import sys
-from pathlib import Path
-import pytest
-import bathynerf
 import os
 import subprocess
 import sys
 from pathlib import Path
+
 import pytest
+
+import bathynerf
 from bathynerf._packages import PACKAGES
 
 FILE = Path(bathynerf.__file__)

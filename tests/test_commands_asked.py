@@ -14,7 +14,7 @@ from small_survey import small_survey
 
 from survey.commands.options import PREFIX, asked_of_environment
 from survey.errors import ConfigError, SurveyError
-from survey.plan.choices import USUAL, Aim, Choices, choices_of
+from survey.plan.choices import USUAL, Choices, choices_of
 from survey.run.repeat import Truth, command_of
 from survey.settings.config import dump_config, parse_config
 from survey.settings.tables import ProcessConfig
@@ -40,7 +40,7 @@ AIM, RECIPE = {"target_std_m", "time_budget_s"}, {"quality", "field", "image_sca
 
 def test_every_key_is_tried_here():
     assert VALUES.keys() == {field.name for field in fields(ProcessConfig)}
-    assert ({field.name for field in fields(Choices)} - {"aim"}) | AIM == VALUES.keys()
+    assert {field.name for field in fields(Choices)} == VALUES.keys()
 
 
 @pytest.mark.parametrize("name", VALUES)
@@ -62,18 +62,27 @@ def test_an_aim_and_a_recipe_of_different_places_never_contradict_each_other(upp
 
 def test_what_nobody_says_is_the_default_and_words_are_plain():
     assert choices_of(ProcessConfig()) == USUAL
-    assert choices_of(ProcessConfig(target_std_m=0.02, device="cpu")) == Choices(device="cpu", aim=Aim(0.02, None))
+    assert choices_of(ProcessConfig(target_std_m=0.02, device="cpu")) == Choices(device="cpu", target_std_m=0.02)
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"target_std_m": 0.0}, "--target-std is 0, expected a number above zero, in m"),
-        ({"time_budget_s": -5.0}, "--time-budget is -5, expected a number above zero, in s"),
+        ({"target_std_m": 0.0}, "--target-std is 0, expected a number above zero"),
+        ({"time_budget_s": -5.0}, "--time-budget is -5, expected a number above zero"),
         ({"time_budget_s": float("nan")}, "--time-budget is nan"),
-        ({"target_std_m": 0.01, "quality": "fine"}, "--quality fine and an aim"),
-        ({"target_std_m": 0.01, "field": "mdw"}, "--field mdw and an aim"),
-        ({"target_std_m": 0.01, "image_scale": 0.5}, "--image-scale 0.5 and an aim"),
+        (
+            {"target_std_m": 0.01, "quality": "fine"},
+            "--target-std and --quality are given, but",
+        ),
+        (
+            {"target_std_m": 0.01, "field": "mdw"},
+            "--target-std and --field are given, but",
+        ),
+        (
+            {"target_std_m": 0.01, "image_scale": 0.5},
+            "--target-std and --image-scale are given, but",
+        ),
     ],
 )
 def test_an_aim_that_cannot_be_is_refused(options, words):
@@ -115,7 +124,7 @@ def test_a_wrong_variable_is_named(variable, text, words):
         ('field = "slab"', "off, mdw, m, dw, vm; mdw has taken the place of slab"),
         ("image_scale = 0.3", "[process] image_scale is 0.3, expected one of 1, 0.5"),
         ("target_std_m = -1", "[process] target_std_m is -1, expected a number above zero"),
-        ('quality = "fine"\ntime_budget_s = 300', "[process] has time_budget_s and quality"),
+        ('quality = "fine"\ntime_budget_s = 300', "[process] time_budget_s and [process] quality are given, but"),
         ("qualty = 1", "the nearest known one is [process] quality"),
         ("true_colour = 1", "process.true_colour is 1, expected true or false"),
     ],

@@ -32,12 +32,13 @@ from survey.folder.survey import load_survey
 from survey.photos.poses import PoseFrame
 from survey.photos.rotations import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.plan.check import check_survey, require_processable
-from survey.plan.choices import Choices, Quality
+from survey.plan.choices import Choices
 from survey.plan.decisions import pose_choice, require_placeable
 from survey.plan.heights import dry_ground
 from survey.plan.plan import make_plan
 from survey.plan.recipe import RECIPES
 from survey.pose_files import read_poses
+from survey.words import Quality
 from tests.changed_survey import changed
 
 # Where a level has no standard deviation.
@@ -376,9 +377,9 @@ def test_dry_ground_is_where_points_are_known_and_a_guess_is_named_as_one(tmp_pa
 
 def test_an_unknown_quality_or_device_is_refused_with_the_known_ones(tmp_path):
     survey = load_survey(small_survey(tmp_path / "s"))
-    with pytest.raises(SurveyError, match="quality is best, expected one of draft, standard, fine"):
+    with pytest.raises(SurveyError, match='quality is "best", expected one of draft, standard, fine'):
         make_plan(survey, Choices(quality="best"))
-    with pytest.raises(SurveyError, match="device is tpu, expected one of auto, cpu, cuda"):
+    with pytest.raises(SurveyError, match='device is "tpu", expected one of auto, cpu, cuda'):
         make_plan(survey, Choices(device="tpu"))
 
 

@@ -13,7 +13,7 @@ from small_survey import small_survey
 from fields.sweep.bed import BedPoints
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
-from survey.plan.choices import Aim, Choices
+from survey.plan.choices import Choices
 from survey.progress import Progress
 from survey.run import aim
 from survey.run.aim import Candidate, plan_for_aim
@@ -41,7 +41,7 @@ def candidates(seconds: tuple[float | None, ...] = (10.0, 20.0, 30.0, 60.0)) -> 
     ],
 )
 def test_a_target_takes_the_least_work_that_is_foreseen_to_reach_it(std_m, chosen, words):
-    best, reason = aim._wanted(Aim(std_m), candidates())
+    best, reason = aim._wanted(std_m, candidates())
     assert str(best) == chosen
     assert reason.startswith(words)
 
@@ -75,7 +75,7 @@ def test_a_time_is_refused_on_devices_that_were_not_measured():
 def test_what_is_foreseen_halves_with_twice_the_scale_and_warns_of_what_no_work_reduces(tmp_path):
     survey = load_survey(small_survey(tmp_path / "s"))
     large = replace(survey, views=tuple(replace(v, lens=replace(v.lens, width=1600)) for v in survey.views))
-    found = plan_for_aim(large, Choices(device="cpu", aim=Aim(std_m=5e-3)))
+    found = plan_for_aim(large, Choices(device="cpu", target_std_m=5e-3))
     std = {each.image_scale: each.std_m for each in found.candidates if each.quality == "standard"}
     assert sorted(std) == [0.25, 0.5, 1.0]
     assert std[0.25] == pytest.approx(2.0 * std[0.5]) == pytest.approx(4.0 * std[1.0])
@@ -144,5 +144,5 @@ def test_what_limits_the_rest_is_said(std, num_views, depth, limit):
 
 @pytest.mark.parametrize(("seconds", "passed"), [(99.0, True), (101.0, False)])
 def test_a_time_that_was_exceeded_is_a_gate(seconds, passed):
-    (gate,) = gates_of_aim(Aim(seconds=100.0), None, seconds)
+    (gate,) = gates_of_aim(Choices(time_budget_s=100.0), None, seconds)
     assert (gate.passed, gate.limit) == (passed, 100.0)

@@ -10,7 +10,7 @@ from small_survey import small_survey
 
 from survey.commands import process as command
 from survey.folder.survey import load_survey
-from survey.plan.choices import Aim, Choices
+from survey.plan.choices import Choices
 from survey.progress import opened
 from survey.run.job import Job
 from survey.run.repeat import Truth, command_of, options_of, settings_text
@@ -52,7 +52,7 @@ def test_every_option_that_was_chosen_is_repeated(folder):
 
 
 def test_a_run_with_an_aim_is_repeated_with_it_and_not_with_what_was_chosen_for_it(folder):
-    job = job_of(folder, quality="draft", image_scale=0.5, aim=Aim(0.02, 300.0))
+    job = job_of(folder, quality="draft", image_scale=0.5, target_std_m=0.02, time_budget_s=300.0)
     said = shlex.split(command_of(job, Truth()))
     assert said[3:] == ["--target-std", "0.02", "--time-budget", "300.0"]
     options = options_of(job, Truth())

@@ -80,25 +80,23 @@ def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> It
     from survey.plan.check_light import light_section
     from survey.plan.choices import choices_of
     from survey.progress import current
+    from survey.run.aim import AimedPlan, plan_for_aim
 
     shortage = address_space_shortage()
     if shortage is not None:
         current().warn(shortage)
     chosen = choices_of(asked.over(process_config(folder)))
     checked = require_processable(folder)
-    aimed = None
-    if chosen.aim is not None and checked.survey is not None:
-        from survey.run.aim import plan_for_aim
-
+    aimed = AimedPlan(chosen)
+    if checked.survey is not None:
         aimed = plan_for_aim(checked.survey, chosen, refuses=False)
-        chosen = aimed.chosen
-    decision = None if aimed is None else aimed.decision
-    yield from check_survey(folder, chosen=chosen, checked=checked, aim=decision, chooses_workers=True)
+    chosen = aimed.chosen
+    yield from check_survey(folder, chosen=chosen, checked=checked, aim=aimed.decision, chooses_workers=True)
     yield light_section(checked, wind_m_s=wind)
     foreseen = None if checked.survey is None else foreseen_section(checked.survey, chosen=chosen)
     if foreseen is not None:
         yield foreseen
-    if aimed is not None:
+    if aimed.rows:
         yield CheckSection("Aim", aimed.rows)
     if deep:
         require_address_space()
@@ -115,19 +113,14 @@ def _sections_of_plan(path: Path, asked: ProcessConfig, wind: float, deep: bool)
         raise SurveyError("--deep tests a survey against its photographs, and a plan has none; remove it")
     if asked.image_scale is not None:
         raise SurveyError("--image-scale is for photographs that are there, and a plan has none; remove it")
+    from survey.plan.check import CheckSection
+    from survey.run.aim import plan_for_aim
     from survey.simulate.staging.check_plan import check_plan, depth_of, flight_of, survey_of
 
-    chosen, aimed = choices_of(asked), None
-    if chosen.aim is not None:
-        from survey.run.aim import plan_for_aim
-
-        plan = flight_of(path)
-        aimed = plan_for_aim(survey_of(plan), chosen, refuses=False, depth_m=depth_of(plan))
-        chosen = aimed.chosen
-    yield from check_plan(path, chosen=chosen, wind_m_s=wind)
-    if aimed is not None:
-        from survey.plan.check import CheckSection
-
+    plan = flight_of(path)
+    aimed = plan_for_aim(survey_of(plan), choices_of(asked), refuses=False, depth_m=depth_of(plan))
+    yield from check_plan(path, chosen=aimed.chosen, wind_m_s=wind)
+    if aimed.rows:
         yield CheckSection("Aim", aimed.rows)
 
 

@@ -10,8 +10,8 @@ import typer
 
 from survey.commands.console import command
 from survey.commands.options import DeviceOption, Quiet, RunFolder, Verbose, grouped
-from survey.plan.choices import Device
 from survey.settings.tables import FieldConfig
+from survey.words import Device
 
 EXAMPLES = """
     bathynerf field my_survey/bathynerf --model mdw -o mdw

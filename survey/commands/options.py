@@ -119,6 +119,7 @@ def asked_of_environment(environ: Mapping[str, str] = os.environ) -> ProcessConf
         try:
             asked = replace(asked, **{name: getattr(parse_values({name: _value(text)}, ProcessConfig), name)})
             asked.require_sane()
+            asked.require_one_kind()
         except ConfigError as error:
             reason = str(error).replace("[process] has", "it has").replace("[process] ", "").replace(name, variable, 1)
             raise ConfigError(f"in the environment: {reason}") from error

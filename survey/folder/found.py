@@ -64,6 +64,11 @@ class Found:
     # Std that the transformation into crs adds to GPS positions; none where a file has the poses
     datum: DatumStd = EXACT
 
+    @property
+    def name(self) -> str:
+        """Name of the survey by survey.toml, else that of the folder."""
+        return self.config.name or self.folder.resolve().name
+
 
 def process_config(folder: Path) -> ProcessConfig:
     """[process] of the survey.toml in a folder, empty where there is none."""

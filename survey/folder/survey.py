@@ -181,7 +181,7 @@ def load_survey(
     findings += added
     findings += Findings(warnings=tuple(_warnings(placed, water)))
     return Survey(
-        name=found.config.name or found.folder.resolve().name,
+        name=found.name,
         folder=found.folder,
         frame=placed.frame,
         views=tuple(placed.views),

@@ -39,7 +39,7 @@ class Survey:
     @property
     def name(self) -> str:
         """Name by survey.toml, else that of the folder."""
-        return self.found.config.name or self.folder.resolve().name
+        return self.found.name
 
     def __repr__(self) -> str:
         return f"Survey({str(self.folder)!r})"

@@ -193,7 +193,7 @@ def _rows_without_poses(found: Found) -> list[tuple[str, str]]:
     heights = np.array([height for _, _, height in places])
     on_places = f", heights {_range(heights)} m" if places else ""
     return [
-        ("survey", f"{found.config.name or found.folder.resolve().name} in {found.folder}"),
+        ("survey", f"{found.name} in {found.folder}"),
         ("crs", f"{found.config.crs} ({found.crs.name})"),
         (
             "images",

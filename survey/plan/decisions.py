@@ -13,7 +13,7 @@ from survey.errors import SurveyError
 from survey.folder.pose_priors import BY_FILE
 from survey.folder.survey import Survey
 from survey.plan.area import beyond_bounds
-from survey.plan.choices import Poses
+from survey.words import Poses
 
 # Pose errors that add less than this are negligible against the noise of matching, about a third of a pixel. Simulated
 # surveys with exact poses have 0.001 to 0.08, with errors of 1 cm and 0.01 degrees 0.14 to 0.23 (docs/adjustment.md).

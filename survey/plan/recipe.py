@@ -14,9 +14,10 @@ from evaluation.standards import TO_95, TVU
 from refract import PinholeCamera
 from survey.folder.survey import Survey
 from survey.plan.area import flattened
-from survey.plan.choices import USUAL, Choices, Quality
+from survey.plan.choices import USUAL, Choices
 from survey.plan.decisions import Decision
 from survey.plan.heights import dry_ground
+from survey.words import Quality
 
 # Of the standard deviation that points have of their own, in ground sampling distances.
 MAX_STD_GSD = 1.5
@@ -58,7 +59,7 @@ def image_decision(camera: PinholeCamera, scale: float, chosen: Choices) -> Deci
     """Line of the plan on the working size."""
     size = f"images of {camera.width} x {camera.height} px"
     if chosen.image_scale is not None:
-        by = "set by --image-scale" if chosen.aim is None else "chosen for the aim"
+        by = "chosen for the aim" if chosen.has_aim else "set by --image-scale"
         return Decision("image scale", f"{scale:g}", f"{by}, for {size}")
     if scale == 1.0:
         return Decision("image scale", "1", f"{size} are worked on whole")

@@ -16,7 +16,7 @@ from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.plan.area import ASSUMED_DEPTH_M
-from survey.plan.choices import STD_QUANTILE, Aim, Choices
+from survey.plan.choices import STD_QUANTILE, Choices
 from survey.plan.decisions import Decision
 from survey.plan.plan import make_plan
 from survey.plan.recipe import gsd_m, image_scale_of
@@ -52,17 +52,19 @@ class Candidate:
 
 @dataclass(frozen=True)
 class AimedPlan:
-    """Choice for an aim."""
+    """Choice for an aim; options without an aim stay as they are."""
 
     chosen: Choices  # With quality and image scale
-    decision: Decision  # Line of the plan
-    warnings: tuple[str, ...]  # Reasons against reaching the standard deviation, as sentences
-    candidates: tuple[Candidate, ...]  # In ascending order of work
+    decision: Decision | None = None  # Line of the plan
+    warnings: tuple[str, ...] = ()  # Reasons against reaching the standard deviation, as sentences
+    candidates: tuple[Candidate, ...] = ()  # In ascending order of work
 
     @property
     def rows(self) -> tuple[tuple[str, str], ...]:
-        """What is foreseen of each candidate, and the choice, as labelled sentences."""
-        rows = [("asked", str(self.chosen.aim))]
+        """What is foreseen of each candidate, and the choice, as labelled sentences; none without an aim."""
+        if self.decision is None:
+            return ()
+        rows = [("asked", self.chosen.aim)]
         for each in self.candidates:
             std = _on_ground(each.std_m) if math.isfinite(each.std_m) else ""
             time = "" if each.seconds is None else f"about {rough(each.seconds)} on an idle machine"
@@ -83,7 +85,6 @@ def plan_for_aim(
     ----------
     survey : Survey
     chosen : Choices
-        With an aim.
     gone_s : [s]
         Time of the budget that has passed.
     refuses : bool
@@ -91,12 +92,12 @@ def plan_for_aim(
     depth_m : [m]
         Of the bed under the water.
     """
-    aim = chosen.aim
-    if aim is None:
-        raise ValueError("expected choices with an aim")
+    if not chosen.has_aim:
+        return AimedPlan(chosen)
+    target_m, budget_s = chosen.target_std_m, chosen.time_budget_s
     foreseen = foresee(survey, depth_m=depth_m, chosen=chosen)
     scales = _scales(survey)
-    _require_plausible_std(aim, gsd_m(survey, replace(chosen, image_scale=1.0)), scales)
+    _require_plausible_std(target_m, gsd_m(survey, replace(chosen, image_scale=1.0)), scales)
     # Matches are as good in pixels at any scale.
     full_m = math.nan
     if foreseen is not None:
@@ -107,13 +108,13 @@ def plan_for_aim(
         for quality in (Quality.draft.value, Quality.standard.value)
     )
     warnings = []
-    if aim.std_m is not None:
+    if target_m is not None:
         common = math.nan if foreseen is None else foreseen.heights.of_all_m
-        warnings += _std_warnings(aim.std_m, candidates[-1].std_m, common)
-    best, reason = _wanted(aim, candidates)
-    if aim.seconds is not None:
-        best, reason = _in_time(aim.seconds - gone_s, candidates[: candidates.index(best) + 1], reason, refuses=refuses)
-        if best.seconds is not None and _RESERVE * best.seconds > aim.seconds - gone_s:
+        warnings += _std_warnings(target_m, candidates[-1].std_m, common)
+    best, reason = _wanted(target_m, candidates)
+    if budget_s is not None:
+        best, reason = _in_time(budget_s - gone_s, candidates[: candidates.index(best) + 1], reason, refuses=refuses)
+        if best.seconds is not None and _RESERVE * best.seconds > budget_s - gone_s:
             warnings.append(reason)
     return AimedPlan(
         replace(chosen, quality=best.quality, image_scale=best.image_scale),
@@ -138,13 +139,13 @@ def _on_ground(std_m: float) -> str:
     return f"about {length(std_m)} on {100 * STD_QUANTILE:g} % of the ground"
 
 
-def _wanted(aim: Aim, candidates: Sequence[Candidate]) -> tuple[Candidate, str]:
+def _wanted(target_m: float | None, candidates: Sequence[Candidate]) -> tuple[Candidate, str]:
     """The candidate with the least work that is foreseen to reach the standard deviation, else the last; and why."""
-    if aim.std_m is None:
+    if target_m is None:
         return candidates[-1], "whole photographs, with the solver"
-    asked = f"{length(aim.std_m)}"
+    asked = length(target_m)
     for each in candidates:
-        if each.std_m <= aim.std_m:
+        if each.std_m <= target_m:
             return each, f"the least work that is foreseen to reach {asked}: {_on_ground(each.std_m)}"
     return candidates[-1], f"nothing is foreseen to reach {asked}; whole photographs come nearest"
 
@@ -181,14 +182,14 @@ def _in_time(left_s: float, candidates: Sequence[Candidate], reason: str, *, ref
     return best, f"the best that fits into {left}: about {rough(time)} on an idle machine; {longer}"
 
 
-def _require_plausible_std(aim: Aim, pixel_m: float, scales: Sequence[float]) -> None:
+def _require_plausible_std(target_m: float | None, pixel_m: float, scales: Sequence[float]) -> None:
     """Raise for a target std beyond what pixels of whole photographs [m] and of the smallest scale can give."""
-    if aim.std_m is None:
+    if target_m is None:
         return
     least, most = _LEAST_PX * pixel_m, _MOST_PX * pixel_m / scales[0]
-    if not least <= aim.std_m <= most:
+    if not least <= target_m <= most:
         raise SurveyError(
-            f"--target-std {aim.std_m:g} is in metres, expected {least:.2g} to {most:.2g} here, a hundredth of a pixel "
+            f"--target-std {target_m:g} is in metres, expected {least:.2g} to {most:.2g} here, a hundredth of a pixel "
             f"of the largest images to {_MOST_PX:g} of the smallest; 0.02 is 20 mm"
         )
 

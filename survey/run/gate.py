@@ -19,7 +19,7 @@ import numpy as np
 
 from survey.display.column import ColumnStatistics
 from survey.display.quantities import NO_BREAK, length, share
-from survey.plan.choices import STD_QUANTILE, Aim
+from survey.plan.choices import STD_QUANTILE, Choices
 from survey.plan.recipe import MAX_STD_GSD, max_height_std
 from survey.report.collect import height_std
 from survey.report.facts import Gate, RunVerdict
@@ -49,12 +49,12 @@ def verdict_of(survey: Survey, stored: StoredBed, gsd_m: float, cells: SeenCells
     )
 
 
-def gates_of_aim(aim: Aim, stored: StoredBed, seconds: float) -> tuple[Gate, ...]:
-    """Gates on what was asked for, of a run that has taken some time [s]."""
-    gates = [] if aim.std_m is None else [std_gate(stored, aim.std_m)]
-    if aim.seconds is not None:
-        sentence = f"the points were found after {seconds:.0f} s; required: at most {aim.seconds:g} s"
-        gates.append(Gate("run time", seconds, aim.seconds, "s", seconds <= aim.seconds, sentence))
+def gates_of_aim(chosen: Choices, stored: StoredBed, seconds: float) -> tuple[Gate, ...]:
+    """Gates on what was asked for in place of a quality, of a run that has taken some time [s]."""
+    gates = [] if chosen.target_std_m is None else [std_gate(stored, chosen.target_std_m)]
+    if (most := chosen.time_budget_s) is not None:
+        sentence = f"the points were found after {seconds:.0f} s; required: at most {most:g} s"
+        gates.append(Gate("run time", seconds, most, "s", seconds <= most, sentence))
     return tuple(gates)
 
 

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -43,9 +42,6 @@ from survey.run.stage_solver import SIGHTINGS
 from survey.run.stage_sweep import CONSISTENCY, MAPS, SATURATED
 from survey.run.stored import StoredBed, load_bed
 from survey.run.stored_maps import Stored
-
-if TYPE_CHECKING:
-    pass
 
 # At which the report asks how complete the cloud is: that of the study which this work follows, and a finer one.
 TOLERANCES_M = (0.2, 0.05)
@@ -143,8 +139,8 @@ def _write_report(finished: FinishedRun, stored: StoredBed) -> RunVerdict:
 def _verdict(finished: FinishedRun, stored: StoredBed, cells: SeenCells) -> RunVerdict:
     """The quality gates, with those of what was asked for."""
     job = finished.job
-    verdict, aim = verdict_of(job.survey, stored, job.plan.gsd_m, cells), job.chosen.aim
-    return verdict if aim is None else RunVerdict((*verdict.gates, *gates_of_aim(aim, stored, finished.seconds)))
+    verdict = verdict_of(job.survey, stored, job.plan.gsd_m, cells)
+    return RunVerdict((*verdict.gates, *gates_of_aim(job.chosen, stored, finished.seconds)))
 
 
 def _facts(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
+from survey.errors import SurveyError
+from survey.plan.choices import option_of
 from survey.run.job import Job
 from survey.settings.config import dump_config
 from survey.settings.tables import ProcessConfig
@@ -13,8 +15,7 @@ from survey.settings.tables import ProcessConfig
 
 def options_of(job: Job, truth: Truth) -> dict:
     """Effective options of a run by name, and under ``command`` the command that repeats it."""
-    chosen, plan, aim = job.chosen, job.plan, job.chosen.aim
-    asked = {} if aim is None else {"target_std_m": aim.std_m, "time_budget_s": aim.seconds}
+    chosen, plan = job.chosen, job.plan
     return {
         "quality": plan.quality,
         "device": plan.device,
@@ -24,40 +25,26 @@ def options_of(job: Job, truth: Truth) -> dict:
         "calibrate_water": chosen.calibrate_water,
         "true_colour": chosen.true_colour,
         "tiles": 1 if job.tiling is None else len(job.tiling),
-        **asked,
+        **({"target_std_m": chosen.target_std_m, "time_budget_s": chosen.time_budget_s} if chosen.has_aim else {}),
         "command": command_of(job, truth),
     }
 
 
 def command_of(job: Job, truth: Truth) -> str:
     """The command line of a run, without its run folder."""
-    chosen, aim = job.chosen, job.chosen.aim
-    by_file = job.survey.config.process
-    options = {
-        "quality": chosen.quality if aim is None else None,
-        "target-std": None if aim is None else aim.std_m,
-        "time-budget": None if aim is None else aim.seconds,
-        "device": chosen.device,
-        "field": chosen.field,
-        "poses": chosen.poses,
-        "image-scale": chosen.image_scale if aim is None else None,
-        "calibrate-water": chosen.calibrate_water,
-        "true-colour": chosen.true_colour,
-        "tiles": chosen.tiles,
-        "memory": chosen.memory,
-        "workers": chosen.workers,
-        "scheduler": chosen.scheduler,
-        "reference": truth.reference,
-        "visible": truth.visible,
-    }
     words = ["bathynerf", "process", str(job.survey.folder)]
-    for name, value in options.items():
+    for field in fields(ProcessConfig):
+        name, value = option_of(field.name), getattr(job.chosen, field.name)
+        if job.chosen.has_aim and field.name in ("quality", "image_scale"):
+            continue
         # A default is stated too where survey.toml has another value.
-        is_open = getattr(by_file, name.replace("-", "_"), None) in (None, value)
+        is_open = getattr(job.survey.config.process, field.name) in (None, value)
         if value is True or (value is False and not is_open):
-            words.append(f"--{name}" if value else f"--no-{name}")
+            words.append(name if value else name.replace("--", "--no-", 1))
         elif value not in (None, False) and not (value == "auto" and is_open):
-            words += [f"--{name}", str(value)]
+            words += [name, str(value)]
+    for name, path in (("--reference", truth.reference), ("--visible", truth.visible)):
+        words += [] if path is None else [name, str(path)]
     return shlex.join(words)
 
 
@@ -79,3 +66,9 @@ class Truth:
     # reference, visible: True surface, and the points of it that cameras see
     reference: Path | None = None
     visible: Path | None = None
+
+    def require_there(self) -> None:
+        """Raise SurveyError where a file is missing."""
+        for name, path in (("--reference", self.reference), ("--visible", self.visible)):
+            if path is not None and not path.exists():
+                raise SurveyError(f"{name} {path} does not exist; give the path of a PLY, OBJ, LAS or LAZ file")

@@ -250,6 +250,7 @@ def parse_config(text: str) -> SurveyConfig:
     if config.water is not None:
         require_sane(config.water)
     config.process.require_sane()
+    config.process.require_one_kind()
     return config
 
 

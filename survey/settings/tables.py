@@ -9,15 +9,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from fields.models import MODELS, Rule
+from survey.display.quantities import bytes_of
 from survey.errors import ConfigError
 from survey.files.toml_table import ONE_OF, key, option, require_one_of
 from survey.words import FIELDS, SCALES, Device, Drop, Poses, Quality
 
+# Ten thousand square kilometres in tiles of the largest size; workers of the largest clusters of Dask.
+_MOST_TILES, _MOST_WORKERS = 10_000, 1_000
 # Of three numbers each counts for one axis.
 Std = float | tuple[float, float, float]
 
@@ -118,27 +122,41 @@ class ProcessConfig(PlanOptions):
         }
         return dataclasses.replace(self, **inherited)
 
+    @property
+    def has_aim(self) -> bool:
+        """Whether a standard deviation or a time is asked for."""
+        return self._says(_AIM)
+
     def _says(self, names: tuple[str, ...]) -> bool:
         return any(getattr(self, name) not in (None, "auto") for name in names)
 
-    def require_sane(self) -> None:
-        """Raise ConfigError at a word or number that is not known, or where an aim and a recipe are asked for."""
-        for field in dataclasses.fields(self):
+    def require_sane(self, named: Callable[[str], str] = "[process] {}".format) -> None:
+        """Raise ConfigError at a word or number that is not known; ``named`` tells what a key is called where it is."""
+        for field in dataclasses.fields(ProcessConfig):
             value, words = getattr(self, field.name), field.metadata[ONE_OF]
             if isinstance(value, str) and words:
-                require_one_of(f"[process] {field.name}", value, words)
+                require_one_of(named(field.name), value, words)
         if self.image_scale is not None and self.image_scale not in SCALES:
             known = ", ".join(f"{each:g}" for each in SCALES)
-            raise ConfigError(f"[process] image_scale is {self.image_scale:g}, expected one of {known}")
+            raise ConfigError(f"{named('image_scale')} is {self.image_scale:g}, expected one of {known}")
         for name in _AIM:
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0.0):
-                raise ConfigError(f"[process] {name} is {value:g}, expected a number above zero")
-        if self._says(_AIM) and self._says(_RECIPE):
-            parts = [name for name in (*_AIM, *_RECIPE) if getattr(self, name) not in (None, "auto")]
+                raise ConfigError(f"{named(name)} is {value:g}, expected a number above zero")
+        for name, most in (("tiles", _MOST_TILES), ("workers", _MOST_WORKERS)):
+            number = getattr(self, name)
+            if number is not None and not 1 <= number <= most:
+                raise ConfigError(f"{named(name)} is {number}, expected a number from 1 to {most}")
+        if self.memory is not None:
+            bytes_of(self.memory)
+
+    def require_one_kind(self, named: Callable[[str], str] = "[process] {}".format) -> None:
+        """Raise ConfigError where an aim and a recipe are asked for."""
+        if self.has_aim and self._says(_RECIPE):
+            parts = [named(name) for name in (*_AIM, *_RECIPE) if getattr(self, name) not in (None, "auto")]
             raise ConfigError(
-                f"[process] has {' and '.join(parts)}, but {' and '.join(_AIM)} choose quality, field and image scale "
-                "themselves; keep one kind"
+                f"{' and '.join(parts)} are given, but {' and '.join(map(named, _AIM))} choose quality, field and "
+                "image scale themselves; keep one kind"
             )
 
 

@@ -12,6 +12,7 @@ from command_line import bathynerf, fake_module, raising, without_times
 from small_survey import small_survey
 
 from survey import progress as progress_room
+from survey.display.blocks import Rows, Section, Table
 from survey.errors import SurveyError
 from survey.export.product import ExportOptions
 from survey.export.registry import PRODUCTS
@@ -58,8 +59,8 @@ def test_a_quiet_check_and_comparison_still_print_what_they_found(monkeypatch, t
     assert bathynerf("check", folder, "-qq").stdout == ""
     options = SimpleNamespace(CompareOptions=SimpleNamespace, compare_files=lambda *_, **__: "figures")
     fake_module(monkeypatch, "survey.compare.comparison", **vars(options))
-    fake_module(monkeypatch, "survey.compare.text", sections_of=lambda _: [(None, [("n points", "12")])])
-    assert bathynerf("compare", "c.las", "r.ply", "-q").stdout == "n points  12\n"
+    fake_module(monkeypatch, "survey.compare.tables", sections_of=lambda _: [Section("", [Rows([("points", "12")])])])
+    assert bathynerf("compare", "c.las", "r.ply", "-q").stdout == "points  12\n"
     assert bathynerf("compare", "c.las", "r.ply", "-qq").stdout == ""
 
 
@@ -156,21 +157,28 @@ def test_compare_hands_its_options_on_and_prints_the_lines_in_columns(monkeypatc
         return "figures"
 
     sections = {
-        "figures": [(None, [("n points", "12"), ("completeness", "0.9000")]), ("By depth", [("0 to 1 m", "mean 0.1")])]
+        "figures": [
+            Section("", [Rows([("points", "12"), ("sign", "up")])]),
+            Section("Distances", [Table(("depth", "mean, inner"), [("0 to 1 m", "0.1")], heading="By depth")]),
+        ]
     }
     fake_module(monkeypatch, "survey.compare.comparison", CompareOptions=CompareOptions, compare_files=compare_files)
-    fake_module(monkeypatch, "survey.compare.text", sections_of=sections.get)
+    fake_module(monkeypatch, "survey.compare.tables", sections_of=sections.get)
     result = bathynerf("compare", "c.las", "r.ply", "--tolerance", "0.05", "--bounds", "-1", "2", "3", "4.5",
                        "--tolerance", "0.2", "--water-level", "3.5", "--checkpoints", "k.csv", "--outliers", "sor:6,2",
                        "--c2c", "--m3c2", "0.5", "--sign", "winding", "--json", "n.json", "--report", "d",
                        "--visible", "v.ply")  # fmt: skip
     assert result.exit_code == 0
     assert result.stdout.splitlines() == [
-        "n points      12",
-        "completeness  0.9000",
+        "points  12",
+        "sign    up",
+        "",
+        "Distances",
         "",
         "By depth",
-        "0 to 1 m  mean 0.1",
+        "          mean,",
+        "depth     inner",
+        "0 to 1 m    0.1",
     ]
     options = CompareOptions((0.05, 0.2), Path("v.ply"), (-1.0, 2.0, 3.0, 4.5), "winding", 3.5, Path("k.csv"),
                              "sor:6,2", True, 0.5, Path("n.json"), Path("d"))  # fmt: skip

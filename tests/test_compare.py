@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 
 import laspy
@@ -29,7 +30,7 @@ from geo.errors import CRSMismatch, EmptyCloud, GeoError, PlaceMismatch, Unreada
 from survey.compare.comparison import CompareOptions, compare_files, compare_surfaces
 from survey.compare.options import CompareError
 from survey.compare.pictures import completeness_map, error_map, histogram
-from survey.compare.text import sections_of
+from survey.compare.tables import sections_of
 from survey.errors import OutputError
 
 # Six standard deviations of a share of that many samples.
@@ -170,9 +171,9 @@ def test_an_order_that_a_sparse_reference_cannot_tell_is_undecided(tmp_path):
     exclusive = figures.uncertainty.iho.orders[0]
     assert exclusive.is_undecided
     assert exclusive.share_within < 0.95 <= exclusive.share_possible
-    texts = [f"{label} {text}" for _, rows in sections_of(figures) for label, text in rows]
-    assert any("undecided" in text for text in texts)
-    assert any("spacing of the reference 0.7" in text or "spacing of the reference 0.8" in text for text in texts)
+    said = str(sections_of(figures))
+    assert "undecided, by heights between the points of the reference" in said
+    assert re.search(r"'points of the reference', '0\.[78]\d*\S*m apart, heights ± ", said)
 
 
 def test_a_reference_of_too_few_points_is_refused(tmp_path, cloud):
@@ -391,6 +392,7 @@ def test_a_cloud_whose_crs_has_no_heights_is_compared_and_noted(tmp_path, plane)
 
 
 def test_the_terminal_has_words_for_what_the_json_has_keys_for(cloud, plane):
-    rows = dict(sections_of(compare_files(cloud, plane))[0][1])
-    assert {"points", "not compared", "mean of the inner 90 %", "95 % of |distance|"} <= rows.keys()
-    assert not [label for label in rows if label.startswith("n ") or label == "seed"]
+    inputs, distances, *_ = sections_of(compare_files(cloud, plane))
+    rows = dict(distances.blocks[0].rows)
+    assert {"points compared", "median", "rms", "NMAD", "95 % of |distance|", "lowest", "highest"} <= rows.keys()
+    assert dict(inputs.blocks[0].rows)["sign"] == "up"

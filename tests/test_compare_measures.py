@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from compare_plane import FRAME, HALF, LAS_M, NUM_SAMPLES, ORIGIN, compared, grid, write_las, write_mesh, write_plane
 
-from evaluation import DistanceStatistics
 from geo import write_ply
 from survey.compare.comparison import CompareOptions, compare_files
 from survey.compare.options import CompareError
 from survey.compare.pictures import _tick
-from survey.compare.text import _short, limits_label, sections_of
+from survey.compare.tables import limits_label, sections_of
+from survey.display.quantities import count
 
 
 @pytest.fixture(autouse=True)
@@ -280,25 +280,23 @@ def test_everything_that_was_measured_reaches_the_terminal(tmp_path, plane):
     local = grid(0.1, 0.1)
     cloud = write_las(tmp_path / "c.las", FRAME.crs_from_local(local), num_views=3, incidence_deg=20.5, depth=1.5)
     options = CompareOptions(tolerances_m=(0.2, 0.05), c2c=True, bounds=None)
-    found = sections_of(compare_files(cloud, plane, options=options))
-    sections, notes = dict(found[:-1]), found[-1]
-    label, note = notes[1][0]
-    assert (label, note.split(":")[0]) == ("note", "reference.ply does not say its CRS")
-    whole = dict(sections[None])
-    assert whole["points"] == str(len(local))
-    assert whole["min"] == "0.1000 m"
-    assert whole["mean"].startswith("0.1000 m (0.")
-    assert whole["completeness"] == "1.0000"
-    titles = {"By tolerance", "Wet and dry", "By depth", "By incidence", "By number of views", "Other distances"}
-    titles |= {"By slope of the reference", "Completeness by slope of the reference"}
-    assert titles <= set(sections)
-    others = ["vertical", "cloud to cloud, to reference", "cloud to cloud, to cloud"]
-    assert [label for label, _ in sections["Other distances"]] == others
-    assert sections["By incidence"][0][0] == "20 to 25°"
-    assert sections["By number of views"][0][0] == "3 views"
-    assert sections["By depth"][0][1].startswith("mean 0.1000")
-    rows = sections["Completeness by slope of the reference"]
-    assert rows == [("0 to 20°", f"100.0 % at 0.2 m, 0.0 % at 0.05 m; {NUM_SAMPLES} samples")]
+    _, distances, *_ = sections_of(compare_files(cloud, plane, options=options))
+    rows, *blocks = distances.blocks
+    assert dict(rows.rows) | {"points compared": count(len(local)), "lowest": "100.0\u00a0mm"} == dict(rows.rows)
+    *tables, notes = blocks
+    assert notes.sentences[0].startswith("reference.ply does not say its CRS:")
+    found = {table.heading: table for table in tables}
+    by = ("depth", "incidence", "views that agree", "slope of the reference")
+    others = {"Completeness", "Bias and spread", "Completeness by slope"}
+    assert found.keys() == others | {f"By {name}" for name in by}
+    assert found["Completeness"].rows == [("0.2", "100.0", "100.0", "100.0"), ("0.05", "0.0", "0.0", "0.0")]
+    parts = [row[0] for row in found["Bias and spread"].rows]
+    assert parts == ["all points", "vertical difference", "wet points", "cloud to cloud, to the reference",
+                     "cloud to cloud, to the cloud"]  # fmt: skip
+    assert found["By incidence"].rows[0][0] == "20 to 25°"
+    assert found["By views that agree"].rows[0][0] == "3 views"
+    assert found["By depth"].rows[0][2] == "100.0"
+    assert found["Completeness by slope"].rows == [("0 to 20°", count(NUM_SAMPLES), "100.0", "0.0")]
 
 
 def test_check_points_reach_the_terminal_without_what_one_alone_cannot_tell(tmp_path, cloud, plane):
@@ -306,14 +304,14 @@ def test_check_points_reach_the_terminal_without_what_one_alone_cannot_tell(tmp_
     table = tmp_path / "points.csv"
     table.write_text(",".join(f"{v:.6f}" for v in FRAME.crs_from_local(np.zeros(3))) + ", 0.02\n")
     options = CompareOptions(checkpoints=table)
-    rows = dict(sections_of(compare_files(cloud, plane, options=options)))["Check points (ASPRS, Edition 2)"]
-    assert [label for label, _ in rows] == [
-        "check points", "not covered", "enough", "mean", "min", "max", "RMSE of the cloud", "RMSE of the check points",
-        "vertical RMSE",
+    sections = {section.title: section.blocks for section in sections_of(compare_files(cloud, plane, options=options))}
+    shown = dict(sections["Check points (ASPRS, Edition 2)"][0].rows)
+    assert list(shown) == [
+        "check points", "mean", "lowest", "highest", "RMSE of the cloud", "RMSE of the check points", "vertical RMSE"
     ]  # fmt: skip
-    shown = dict(rows)
-    assert (shown["check points"], shown["enough"], shown["RMSE of the check points"]) == ("1", "no", "0.0200 m")
-    assert float(shown["mean"].removesuffix(" m")) == pytest.approx(0.1, abs=LAS_M)
+    assert shown["check points"] == "1 on the cloud, 0 beside it: too few for a test"
+    assert shown["RMSE of the check points"] == "20.0\u00a0mm"
+    assert float(shown["mean"].removesuffix("\u00a0mm")) == pytest.approx(100.0, abs=1e3 * LAS_M)
 
 
 @pytest.mark.parametrize(
@@ -330,8 +328,3 @@ def test_check_points_reach_the_terminal_without_what_one_alone_cannot_tell(tmp_
 def test_a_band_is_named_by_its_limits(low, high, unit, label, tick):
     assert limits_label(low, high, unit) == label
     assert _tick(label) == tick
-
-
-def test_a_tiny_negative_mean_is_shown_without_its_sign():
-    part = DistanceStatistics(n_points=1, n_nan=0, mean_m=-1e-6, std_m=0.0, mean_inner90_m=-1e-6, std_inner90_m=0.0)
-    assert _short(part) == "mean 0.0000, std 0.0000; inner 90 %: mean 0.0000, std 0.0000 m; 1 points"

@@ -8,7 +8,7 @@ from small_bed import plane_bed
 from small_report import facts_of
 from small_survey import write_image
 
-from survey.report.blocks import Folded
+from survey.display.blocks import Folded
 from survey.report.collect import figures_of
 from survey.report.figures import json_of
 from survey.report.page import render_page

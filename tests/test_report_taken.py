@@ -8,8 +8,8 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from small_survey import write_image
 
+from survey.display.blocks import Rows
 from survey.photos.exif import Exif, read_exif
-from survey.report.blocks import Rows
 from survey.report.photographs import CameraFigures, flight_time, head_lines, taken_of, taken_table
 from survey.settings.config import ReportConfig, parse_config
 

@@ -17,6 +17,7 @@ from scipy.stats import t as student
 
 from survey.benchmark.records import METHODS, Cost, Errors, Record, Results
 from survey.compare.canvas import canvas, plain_log_ticks, save
+from survey.display.blocks import aligned
 from survey.display.palette import INK, RED, SERIES, SOFT
 from survey.display.quantities import length
 
@@ -259,9 +260,7 @@ def _verdict(low: float, high: float) -> str:
 def table(results: Results) -> list[str]:
     """Table with a line for each record, under a head; * marks the front of its survey."""
     front = pareto_front(results.records)
-    rows = [_HEAD, *(_row(record, record.key in front) for record in results.records)]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(_HEAD))]
-    return ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return aligned(_HEAD, [_row(record, record.key in front) for record in results.records], len(_HEAD))
 
 
 def _row(record: Record, is_front: bool) -> tuple[str, ...]:

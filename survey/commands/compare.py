@@ -89,7 +89,7 @@ def run(
     """
     with command(verbose, quiet, report or json or cloud, reads=cloud) as results:
         from survey.compare.comparison import CompareOptions, compare_files
-        from survey.compare.text import sections_of
+        from survey.compare.tables import sections_of
 
         options = CompareOptions(
             tolerances_m=tuple(measured.tolerance),
@@ -104,7 +104,5 @@ def run(
             json_path=json,
             report_dir=report,
         )
-        for title, rows in sections_of(compare_files(cloud, reference, options=options)):
-            if title is not None:
-                results.line("")
-            results.columns(title, rows)
+        for section in sections_of(compare_files(cloud, reference, options=options)):
+            results.section(section)

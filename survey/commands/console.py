@@ -12,6 +12,7 @@ from pathlib import Path
 import typer
 
 from survey.commands.faults import STANDARD_OUTPUT, disk_error, fault_of, say_error
+from survey.display.blocks import Rows, Section, Sentences, Table, Text, aligned
 from survey.escaping import printable
 from survey.words import wrap_for
 
@@ -51,6 +52,24 @@ class ConsoleResults:
             self.line(title, bold=True)
         for label, text in rows:
             self.line(wrap_for(text, sys.stdout, label=label.ljust(left), indent=" " * left))
+
+    def section(self, section: Section) -> None:
+        """Print the title, texts and tables of a section."""
+        if section.title:
+            self.line("")
+            self.line(section.title, bold=True)
+        for block in section.blocks:
+            match block:
+                case Rows(rows):
+                    self.columns(None, rows)
+                case Sentences(sentences):
+                    self.columns("", [("note", sentence) for sentence in sentences])
+                case Text(text):
+                    self.line(wrap_for(text, sys.stdout))
+                case Table(titles, rows, num_texts, heading):
+                    self.line("")
+                    for number, line in enumerate([*[heading] * bool(heading), *aligned(titles, rows, num_texts)]):
+                        self.line(line, bold=bool(heading) and number == 0)
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from pyproj import CRS
 from evaluation import Band
 from survey.compare.canvas import Extent, canvas, colour_bar, figure_of, map_canvas, nice_limit, save, show, write_title
 from survey.compare.figures import Parts
-from survey.compare.text import limits_label
+from survey.compare.tables import limits_label
 from survey.display.palette import BLUE, DIFFERENCES, INK, NOT_REACHED, PALE, RED, SIZES, SOFT
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, count, length, share

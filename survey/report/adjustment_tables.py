@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 from survey.adjust.result.adjustment import Parameter
 from survey.adjust.result.ground_fit import NAMES
+from survey.display.blocks import Block, Rows, Sentences, Table, Text
 from survey.display.quantities import NO_BREAK, LengthUnit, count, is_known, length, number
 from survey.report.adjustment_figures import HELD_STD, AdjustmentFigures, ControlGroup
-from survey.report.blocks import Block, Rows, Sentences, Table, Text
 
 _NO_VALUE = "–"
 

@@ -13,10 +13,10 @@ from evaluation.standards import TVU, order_by_tvu
 from geo.columns import ComputedColumn, portions
 from survey.compare.options import within
 from survey.control.points import Checkpoint, ControlPoint
-from survey.display.column import ColumnStatistics
+from survey.display.blocks import Block, Rows, Text
+from survey.display.column import median
 from survey.display.quantities import count, length, named, share
 from survey.folder.survey import Survey
-from survey.report.blocks import Block, Rows, Text
 from survey.water.surface import height_above
 
 # 90 % of normal errors are within so many standard deviations: along one axis, and in two that are alike.
@@ -67,8 +67,8 @@ def stated_of(std_m: np.ndarray | ComputedColumn, depth_m: np.ndarray | Computed
 
     Depths are positive under water; NaN counts for nothing.
     """
-    of_std = ColumnStatistics(std_m)
-    if not of_std.size:
+    middle = median(std_m)
+    if np.isnan(middle):
         return None
     counts = np.zeros(len(TVU) + 2, dtype=np.int64)
     for part in portions(len(std_m)):
@@ -79,7 +79,7 @@ def stated_of(std_m: np.ndarray | ComputedColumn, depth_m: np.ndarray | Computed
         for (name, _, _), num_within in zip(TVU, nums_within, strict=False)
         if points_wet
     ]
-    return StatedFigures(LE90 * of_std.median, points_wet, tuple(shares))
+    return StatedFigures(LE90 * middle, points_wet, tuple(shares))
 
 
 def table(found: StatedFigures | None) -> list[Block]:

@@ -15,7 +15,7 @@ from geo.crs import crs_code
 from refract import FlatWater, crossing_point, water_index
 from refract.media import USUAL_SALINITY_PSU, USUAL_TEMPERATURE_C
 from survey.adjust.result.adjustment import Status
-from survey.display.column import ColumnStatistics
+from survey.display.column import finite, median
 from survey.display.plan_grid import PlanGrid
 from survey.files.json_values import plain
 from survey.folder.motion import shutter_text
@@ -179,9 +179,8 @@ def _depth_under_water(depth: np.ndarray, wet: np.ndarray) -> np.ndarray:
 
 def height_std(std: np.ndarray, std_common: np.ndarray | None) -> HeightStd:
     """Std of the height of a point, all included: medians over points (N,), one at least."""
-    common = None if std_common is None else ColumnStatistics(std_common)
-    shared = common.median if common is not None and common.size else None
-    return HeightStd(ColumnStatistics(stated_std(std, std_common)).median, shared, ColumnStatistics(std).median)
+    shared = math.nan if std_common is None else median(std_common)
+    return HeightStd(median(stated_std(std, std_common)), None if math.isnan(shared) else shared, median(std))
 
 
 def _left_out(survey: Survey) -> tuple[str, ...]:
@@ -244,7 +243,7 @@ def _light(light: MatchedLight, n_water: float, bed: BedPoints) -> LightFigures:
     over = light.index(USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU) - float(
         water_index(_SODIUM_NM, USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU)
     )
-    depth = ColumnStatistics(bed.depth, bed.wet).median if bed.wet.any() else None
+    depth = median(bed.depth, bed.wet) if bed.wet.any() else None
     moved = None if depth is None else depth * over / n_water
     return LightFigures(*light.shares, light.is_measured, light.wavelength_nm, over, moved)
 
@@ -257,11 +256,11 @@ def _cloud(facts: ReportFacts) -> CloudFigures:
         points_wet=int(bed.wet.sum()),
         extent=_extent(facts.points_crs) if len(bed) else None,
         covered_area_m2=area,
-        depth_m=_spread(ColumnStatistics(bed.depth, bed.wet)),
-        std_m=_spread(ColumnStatistics(bed.std)),
-        std_common_m=None if facts.std_common is None else _spread(ColumnStatistics(facts.std_common)),
-        views_per_point=_spread(ColumnStatistics(bed.num_views)),
-        incidence_deg=_spread(ColumnStatistics(bed.incidence, scale=math.degrees(1.0))),
+        depth_m=_spread(finite(bed.depth, bed.wet)),
+        std_m=_spread(finite(bed.std)),
+        std_common_m=None if facts.std_common is None else _spread(finite(facts.std_common)),
+        views_per_point=_spread(finite(bed.num_views)),
+        incidence_deg=_spread(finite(bed.incidence), math.degrees(1.0)),
         plan_std_common_m=facts.survey.plan_std_m,
     )
 
@@ -271,9 +270,9 @@ def _extent(points: np.ndarray) -> Extent:
     return Extent((low[0], low[1], low[2]), (high[0], high[1], high[2]))
 
 
-def _spread(values: ColumnStatistics) -> Spread | None:
-    """Statistics over what is finite; None where nothing is."""
-    if not values.size:
+def _spread(values: np.ndarray, scale: float = 1.0) -> Spread | None:
+    """Statistics of values (N,) times a scale; None of none."""
+    if not len(values):
         return None
-    (p95,) = values.quantiles(0.95)
-    return Spread(min=values.least, median=values.median, mean=values.mean, p95=p95, max=values.greatest)
+    mean, p95 = values.mean(dtype=np.float64), np.quantile(values, 0.95)
+    return Spread(*(scale * float(value) for value in (values.min(), np.median(values), mean, p95, values.max())))

@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 from geo.projection import ground_units_m
 from refract import PinholeCamera
 from survey.compare.canvas import map_canvas, show
-from survey.display.column import ColumnStatistics
+from survey.display.column import median
 from survey.display.palette import BOUNDS, INK, LAND, OBLIQUE, SOFT, WATER
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import distance, height
@@ -117,7 +117,7 @@ def _draw_cameras(axes: Axes, survey: Survey, centres: np.ndarray, length: np.nd
 def _ground_height(facts: ReportFacts) -> float:
     """Height [m], local, on which the footprints of a dry survey lie."""
     if len(facts.bed):
-        return ColumnStatistics(facts.bed.xyz[:, 2]).median
+        return median(facts.bed.xyz[:, 2])
     return float(np.median([view.camera.centre[2] for view in facts.survey.views])) - facts.plan.height_m
 
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from evaluation import IhoS44
-from survey.compare.text import limits_label
+from survey.compare.tables import limits_label
+from survey.display.blocks import Block, Rows, Sentences
 from survey.display.quantities import (
     NO_BREAK,
     LengthUnit,
@@ -21,7 +22,6 @@ from survey.display.quantities import (
     share,
     volume,
 )
-from survey.report.blocks import Block, Rows, Sentences
 from survey.report.facts import Gate, RunVerdict
 from survey.report.figures import ReportFigures
 

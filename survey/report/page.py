@@ -18,10 +18,12 @@ import jinja2
 
 from geo.errors import UnwritableFile
 from geo.files import write_whole
+from survey.compare.tables import comparison as comparison_blocks
+from survey.compare.tables import iho_s44
 from survey.display import palette
+from survey.display.blocks import Block, Rows, Section, Sentences
 from survey.display.quantities import LengthUnit
 from survey.report import adjustment_tables, checkpoints, photographs, tables
-from survey.report.blocks import Block, Rows, Section, Sentences
 from survey.report.figures import ReportFigures
 from survey.report.headline import cards, coverage, headline, limitations
 from survey.report.raster import Picture
@@ -84,9 +86,9 @@ def _sections(figures: ReportFigures) -> list[Section]:
     return [
         Section("Limitations", limitations(figures)),
         Section("Coverage of the water", coverage(figures)),
-        Section("Comparison with the reference", tables.comparison(comparison)),
+        Section("Comparison with the reference", comparison_blocks(comparison)),
         Section("Check points", tables.checkpoints(figures.checkpoints)),
-        Section("Vertical uncertainty (IHO S-44)", tables.iho_s44(uncertainty)),
+        Section("Vertical uncertainty (IHO S-44)", iho_s44(uncertainty)),
         Section("Stated uncertainty of the cloud", checkpoints.table(figures.stated)),
         Section("Adjustment", adjustment_tables.adjustment(figures.adjustment)),
         Section("Baselines: refraction ignored or approximated", tables.baselines(figures.baselines)),

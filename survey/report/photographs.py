@@ -10,10 +10,10 @@ from datetime import datetime
 import numpy as np
 
 from fields.sweep.photo_consistency import Consistency
+from survey.display.blocks import Block, Folded, Rows, Table
 from survey.display.quantities import named, share
 from survey.photos.exif import Exif
 from survey.photos.texture import MOSTLY_WHITE
-from survey.report.blocks import Block, Folded, Rows, Table
 from survey.settings.config import ReportConfig
 
 # A photograph with a correct pose correlates with the others on the bed (0.7 to 0.9 in simulated surveys), one with a

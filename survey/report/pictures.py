@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -18,7 +17,7 @@ from geo.crs import height_unit_m
 from survey.adjust.result.std_of_block import part_numbers
 from survey.compare import pictures as compare_report
 from survey.compare.canvas import canvas, nice_limit, plain_log_ticks, save
-from survey.display.column import ColumnStatistics
+from survey.display.column import finite, median
 from survey.display.palette import BLUE, INK, RED, SERIES, SOFT
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, number, with_unit
@@ -130,27 +129,26 @@ def draw_histograms(path: Path, facts: ReportFacts) -> Picture:
     """Distributions of depth, spread, views and incidence over the points."""
     bed = facts.bed
     is_dry = facts.survey.water is None
-    of_std = ColumnStatistics(bed.std)
-    std = LengthUnit.of([of_std.median] if of_std.size else [])
+    std = LengthUnit.of([median(bed.std)])
     tall = LengthUnit.of_heights()
     up = tall.per_metre * height_unit_m(facts.survey.frame.crs)
     angle = "angle off nadir" if is_dry else "incidence at the water"
     graphs = (
-        ("height", tall.name, tall.decimals, ColumnStatistics(facts.points_crs[:, 2], scale=up))
+        ("height", tall.name, tall.decimals, up * finite(facts.points_crs[:, 2]))
         if is_dry
-        else ("true depth", tall.name, tall.decimals, ColumnStatistics(bed.depth, bed.wet, tall.per_metre)),
-        (_STD, std.name, std.decimals, ColumnStatistics(bed.std, scale=std.per_metre)),
-        ("views that agree", "", 0, ColumnStatistics(bed.num_views)),
-        (angle, "°", 1, ColumnStatistics(bed.incidence, scale=math.degrees(1.0))),
+        else ("true depth", tall.name, tall.decimals, tall.per_metre * finite(bed.depth, bed.wet)),
+        (_STD, std.name, std.decimals, std.per_metre * finite(bed.std)),
+        ("views that agree", "", 0, finite(bed.num_views)),
+        (angle, "°", 1, np.degrees(finite(bed.incidence))),
     )
     # Two by two: four in a row cannot be read on a phone.
     figure = Figure(figsize=(7.2, 4.6), layout="constrained")
     FigureCanvasAgg(figure)
     for axes, (label, unit, decimals, values), colour in zip(figure.subplots(2, 2).flat, graphs, SERIES, strict=True):
-        if values.size:
+        if len(values):
             _histogram(axes, values, colour, is_count=not unit, is_log=label == _STD)
-            median = with_unit(number(values.median, decimals), unit)
-            axes.set_title(f"median {median}", loc="right", color=SOFT, fontsize=9)
+            middle = with_unit(number(float(np.median(values)), decimals), unit)
+            axes.set_title(f"median {middle}", loc="right", color=SOFT, fontsize=9)
         axes.set(yticks=[])
         axes.set_xlabel(f"{label} [{unit}]" if unit else label, color=INK)
         axes.tick_params(colors=SOFT, labelsize=8.5)
@@ -159,10 +157,10 @@ def draw_histograms(path: Path, facts: ReportFacts) -> Picture:
     return Picture(path, "Distributions", "Over all points; the dark lines mark the medians.")
 
 
-def _histogram(axes: Axes, values: ColumnStatistics, colour: str, *, is_count: bool, is_log: bool) -> None:
+def _histogram(axes: Axes, values: np.ndarray, colour: str, *, is_count: bool, is_log: bool) -> None:
     """Shares of values in bins of equal width or ratio, or one for each whole number if they count; and the median."""
     axes.xaxis.set_major_locator(MaxNLocator(4, integer=is_count))
-    low, high, top = values.quantiles(0.002, 0.998, 0.995)
+    low, high, top = np.quantile(values, (0.002, 0.998, 0.995))
     high = high if high > low else low + 1.0
     if is_count:
         edges = np.arange(0.5, top + 1.0)
@@ -172,9 +170,8 @@ def _histogram(axes: Axes, values: ColumnStatistics, colour: str, *, is_count: b
         plain_log_ticks(axes.xaxis)
     else:
         edges = np.linspace(low, high, 61)
-    counts = values.histogram(edges)
-    axes.hist(edges[:-1], edges.tolist(), weights=counts, color=colour, rwidth=0.85 if is_count else 1.0)
-    axes.axvline(values.median, color=INK, lw=1.2)
+    axes.hist(values, edges.tolist(), color=colour, rwidth=0.85 if is_count else 1.0)
+    axes.axvline(float(np.median(values)), color=INK, lw=1.2)
 
 
 def draw_error_over_depth(path: Path, facts: ReportFacts, distances: np.ndarray) -> Picture:

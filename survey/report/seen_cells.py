@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from geo.grid import Grid
-from survey.display.column import ColumnStatistics
+from survey.display.column import median
 from survey.display.plan_grid import PlanGrid
 from survey.plan.area import local_area
 from survey.water.surface import plane_under
@@ -59,7 +59,7 @@ def cells_seen(
     interest is (x0, y0, x1, y1) [m], local; None: the ground around the points at which cameras look, by half a
     footprint. Cells are `CELL_GSD` ground sampling distances [m] wide.
     """
-    low, high = _extent(cameras, area, ColumnStatistics(xyz[:, 2]).median)
+    low, high = _extent(cameras, area, median(xyz[:, 2]))
     cell = max(CELL_GSD * gsd_m, float((high - low).max()) / _MOST_CELLS)
     southward = PlanGrid.within(xyz, low, high, cell)
     height = southward.mean(xyz[:, 2])[::-1]

@@ -5,25 +5,20 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
-from evaluation import Band, DistanceStatistics, Scores
-from survey.compare.figures import Figures, VerticalUncertainty
-from survey.compare.text import limits_label, tvu_in_words
+from survey.display.blocks import Block, Rows, Table, Text
 from survey.display.quantities import (
-    NO_BREAK,
     LengthUnit,
     area,
     count,
     density,
     distance,
     height,
-    is_known,
     length,
     number,
     share,
 )
 from survey.plan.decisions import Decision
 from survey.plan.plan import Plan
-from survey.report.blocks import Block, Rows, Sentences, Table, Text
 from survey.report.checkpoints import CheckpointAccuracy
 from survey.report.figures import Baselines, CloudFigures, CrsFigures, Extent, LightFigures, SurveyFigures, WaterFigures
 
@@ -144,113 +139,6 @@ def settings(values: dict, prefix: str = "") -> str:
     return "\n".join(line for line in lines if line)
 
 
-def comparison(found: Figures | None) -> list[Block]:
-    """Distances to the reference and completeness, whole and in parts; nothing without a reference."""
-    if found is None:
-        return []
-    circumstances, distances, num_cropped = found.circumstances, found.summary.distances, found.summary.n_cropped
-    cropped = f", {count(num_cropped)} outside the bounds left out" if num_cropped else ""
-    method = Rows([
-        ("method", f"{circumstances.method}, nothing aligned or shifted"),
-        ("points compared", count(distances.n_points) + cropped),
-    ])  # fmt: skip
-    unit = LengthUnit.of([distances.std_m])
-    notes = [Sentences(circumstances.notes)] if circumstances.notes else []
-    bias = _bias_and_spread("part", _parts(found), unit, "Bias and spread")
-    return [method, _completeness(found.tolerances), *_reached(found), bias, *_bands(found, unit), *notes]
-
-
-def _parts(found: Figures) -> list[tuple[str, DistanceStatistics]]:
-    depth = found.parts.depth
-    parts = {
-        "all points": found.summary.distances,
-        "vertical difference": None if found.vertical is None else found.vertical.distances,
-        "wet points": None if depth is None else depth.wet,
-        "dry points": None if depth is None else depth.dry,
-    }
-    return [(name, part) for name, part in parts.items() if part is not None]
-
-
-def _bands(found: Figures, unit: LengthUnit) -> list[Table]:
-    parts = found.parts
-    kinds: tuple[tuple[tuple[Band, ...], str, str], ...] = (
-        (() if parts.depth is None else parts.depth.bands, "depth", "m"),
-        (parts.incidence, "incidence", "deg"),
-        (parts.views, "views that agree", "views"),
-        (parts.slope, "slope of the reference", "deg"),
-    )
-    return [
-        _bias_and_spread(
-            title, [(limits_label(band.low, band.high, of), band.distances) for band in bands], unit, f"By {title}"
-        )
-        for bands, title, of in kinds
-        if bands
-    ]
-
-
-def _bias_and_spread(title: str, parts: list[tuple[str, DistanceStatistics]], unit: LengthUnit, heading: str) -> Table:
-    inner = f"inner{NO_BREAK}90{NO_BREAK}%"
-    names = ("mean", f"mean, 95{NO_BREAK}% confidence", "std", f"mean, {inner}", f"std, {inner}")
-    titles = (title, "points", *(f"{name} [{unit.name}]" for name in names))
-    rows = [
-        (name, count(p.n_points), unit.number(p.mean_m), _interval(p.mean_ci95_m, unit),
-         unit.number(p.std_m), unit.number(p.mean_inner90_m), unit.number(p.std_inner90_m))
-        for name, p in parts
-    ]  # fmt: skip
-    return Table(titles, rows, heading=heading)
-
-
-def _interval(interval: tuple[float, float] | None, unit: LengthUnit) -> str:
-    if interval is None or not all(is_known(end) for end in interval):
-        return "unknown"
-    return f"{unit.number(interval[0])} to {unit.number(interval[1])}"
-
-
-def _completeness(tolerances: tuple[Scores, ...]) -> Table:
-    """Completeness, accuracy share and F-score at each tolerance."""
-    is_visible = any(is_known(scores.completeness_visible) for scores in tolerances)
-    titles = ("tolerance [m]", "completeness [%]", *(["of what cameras see [%]"] if is_visible else []),
-              "accuracy [%]", "F-score [%]")  # fmt: skip
-    rows = []
-    for scores in tolerances:
-        visible = [scores.completeness_visible] if is_visible else []
-        shares = [scores.completeness, *visible, scores.accuracy_share, scores.f_score]
-        rows.append((f"{scores.tolerance_m:g}", *(_percent(value) for value in shares)))
-    return Table(titles, rows, num_texts=0, heading="Completeness")
-
-
-def _reached(found: Figures) -> list[Table]:
-    """Completeness by the slope of the reference, at each tolerance; nothing without a mesh."""
-    if not found.reached:
-        return []
-    of = "reached" if found.circumstances.visible is None else "of what cameras see"
-    titles = ("slope of the reference", "samples", *(f"{of}, {s.tolerance_m:g} m [%]" for s in found.tolerances))
-    rows = [
-        (limits_label(band.low, band.high, "deg"), count(band.n_samples), *(_percent(at) for at in band.completeness))
-        for band in found.reached
-    ]
-    return [Table(titles, rows, heading="Completeness by slope")]
-
-
-def iho_s44(found: VerticalUncertainty | None) -> list[Block]:
-    """Orders of IHO S-44 whose TVU is met, and by how many points in each band of depth; nothing without."""
-    if found is None:
-        return []
-    iho = found.iho
-    labels = [limits_label(band.low_m, band.high_m, "m") for band in iho.orders[0].bands]
-    rows = [
-        (order.name, tvu_in_words(order), f"{order.tvu_at_median_depth_m:.2f}",
-         _percent(order.share_within), *(_percent(band.share_within) for band in order.bands))
-        for order in iho.orders
-    ]  # fmt: skip
-    titles = ("order", "result", "TVU at the median depth [m]", "wet points within their TVU [%]",
-              *(f"{label.replace(' ', NO_BREAK)} [%]" for label in labels))  # fmt: skip
-    message = (
-        f"The error of 95 % of the {count(iho.n_points)} wet points is below {length(iho.error_95_m)} ({found.error})."
-    )
-    return [Text(message), Table(titles, rows, num_texts=2), Text(iho.note, is_soft=True)]
-
-
 def checkpoints(found: CheckpointAccuracy | None) -> list[Block]:
     """The cloud at the check points, all together and each; nothing without check points."""
     if found is None:
@@ -306,8 +194,3 @@ def baselines(found: Baselines | None) -> list[Block]:
     ]
     titles = ("method", "kind", *(f"{name} [{unit.name}]" for name in ("median", "spread (NMAD)", "mean")))
     return [Table(titles, rows, num_texts=2), Text(found.note, is_soft=True)]
-
-
-def _percent(value: float | None) -> str:
-    """A share for a column whose title says per cent."""
-    return share(value).removesuffix("%").rstrip()

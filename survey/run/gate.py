@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from survey.display.column import ColumnStatistics
+from survey.display.column import median
 from survey.display.quantities import NO_BREAK, length, share
 from survey.plan.choices import STD_QUANTILE, Choices
 from survey.plan.recipe import MAX_STD_GSD, max_height_std
@@ -43,7 +43,7 @@ def verdict_of(survey: Survey, stored: StoredBed, gsd_m: float, cells: SeenCells
     return RunVerdict(
         (
             _completeness(cells_of(survey, stored.bed.xyz, gsd_m) if cells is None else cells),
-            _precision(ColumnStatistics(stored.std_of_photographs()).median, gsd_m),
+            _precision(median(stored.std_of_photographs()), gsd_m),
             _whole(survey, stored, gsd_m),
         )
     )

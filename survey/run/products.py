@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import time
 from collections.abc import Mapping
@@ -20,7 +21,7 @@ from geo.ply import write_ply
 from survey.adjust.applied import CAMERAS, MODEL_FOLDER
 from survey.adjust.result.adjustment import ARRAYS, JSON, Adjustment, read_adjustment
 from survey.compare.figures import Comparison
-from survey.display.column import ColumnStatistics
+from survey.display.column import median
 from survey.display.quantities import foot_m, length, lengths_in_feet
 from survey.files.json_values import read_json_object, write_json
 from survey.files.toml_table import table_of
@@ -185,9 +186,8 @@ def _coverage(survey: Survey, stored: StoredBed, cells: SeenCells) -> CoverageFi
     depth, departure = np.asarray(survey.water.height(x, y)) - height, survey.observations.departure
     if departure is not None:
         depth = depth + departure.at(cells.middles[..., :2].reshape(-1, 2))[0].reshape(depth.shape)
-    shared = None if stored.std_common is None else ColumnStatistics(stored.std_common)
-    std = shared.median if shared is not None and shared.size else None
-    return coverage_of(depth, cells.has_point, cells.num_views, cells.grid.side_m, std)
+    std = math.nan if stored.std_common is None else median(stored.std_common)
+    return coverage_of(depth, cells.has_point, cells.num_views, cells.grid.side_m, None if math.isnan(std) else std)
 
 
 def _photographs(done: Mapping[str, Path]) -> tuple[PhotographFigures, ...]:

@@ -28,7 +28,7 @@ from geo.columns import portions
 from refract import FlatWater, PinholeCamera, kernels
 from refract.curved import BicubicWater
 from survey.adjust.result.std_common import BASIS_ADJUSTED, BASIS_STATED, std_common
-from survey.display.column import ColumnStatistics
+from survey.display.column import median
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.photos.intersection import equations_of_lines
@@ -268,11 +268,11 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         bed, of_block = with_std_of_block(bed, survey, found, job.plan.gsd_m, new_column)
         std_placed = None
         if of_block is not None:
-            of_median = length(ColumnStatistics(of_block).median)
+            of_median = length(median(of_block))
             job.progress.note(f"std: {of_median} (median) of it from tilt and shift of the block")
             std_placed = of_block if is_placed(survey) else None
         basis = BASIS_STATED if found is None else BASIS_ADJUSTED
-        job.progress.note(f"std_common: {length(ColumnStatistics(common).median)} (median), by {basis}")
+        job.progress.note(f"std_common: {length(median(common))} (median), by {basis}")
         save_bed(folder, StoredBed(bed, xyz_in_crs, survey.frame.crs, survey.name, job.plan.gsd_m, common, std_placed))
     (folder / GATHERED).unlink(missing_ok=True)
 

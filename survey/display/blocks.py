@@ -1,9 +1,10 @@
-"""Parts of a section of report.html: texts and tables, formatted."""
+"""Parts of a section of report.html, or of a text in a terminal: texts and tables, formatted."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from textwrap import wrap
 from typing import ClassVar
 
 
@@ -62,3 +63,17 @@ class Section:
 
     title: str
     blocks: list[Block]
+
+
+def aligned(titles: Sequence[str], rows: Sequence[Sequence[str]], num_texts: int = 1) -> list[str]:
+    """A table as lines of columns, long titles on several; all columns but the first ``num_texts`` end alike."""
+    heads = []
+    for title, *cells in zip(titles, *rows, strict=True):
+        width = max(map(len, [*cells, *title.split(" ")]))
+        heads.append(wrap(title, max(width, 1), break_long_words=False))
+    tall, padded = max(map(len, heads)), []
+    for number, (head, *cells) in enumerate(zip(heads, *rows, strict=True)):
+        column = [*[""] * (tall - len(head)), *head, *cells]
+        width = max(map(len, column))
+        padded.append([cell.ljust(width) if number < num_texts else cell.rjust(width) for cell in column])
+    return ["  ".join(line).rstrip() for line in zip(*padded, strict=True)]

@@ -16,7 +16,7 @@ from refract import FlatWater
 from survey.errors import OutputError, SurveyError
 from survey.files.outputs import ReadFiles
 from survey.folder.survey import load_survey
-from survey.viewer.layers import OnDemand, grid_faces
+from survey.viewer.layers import OnDemand
 from survey.viewer.page import require_page, thinned, write_page
 from survey.viewer.sightings import DISTANCE, RAYS, SLICE, distance_between, facts_of
 from survey.viewer.slices import LocalReference, load_reference, picture_of, slice_of
@@ -88,17 +88,6 @@ def test_a_slice_beside_the_cloud_is_empty():
     found = slice_of(tree, np.array([50.0, 0.0, 0.0]), np.array([60.0, 0.0, 0.0]), 0.1, FlatWater((0.0, 0.0, 0.0)))
     assert len(found.rows) == 0
     assert np.isnan(found.reference).all()
-
-
-def test_cells_make_triangles_that_face_up_and_leave_gaps_open():
-    known = np.ones((3, 4), dtype=bool)
-    known[0, 0] = False
-    faces = grid_faces(known)
-    assert len(faces) == 2 * (2 * 3 - 1)
-    east, north = np.meshgrid(np.arange(4.0), -np.arange(3.0))
-    corners = np.column_stack([east.ravel(), north.ravel()])[faces]
-    (ax, ay), (bx, by) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
-    assert (ax * by - ay * bx > 0.0).all()
 
 
 def test_the_facts_of_a_point_are_those_of_the_cloud(shown):

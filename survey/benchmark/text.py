@@ -260,7 +260,8 @@ def _verdict(low: float, high: float) -> str:
 def table(results: Results) -> list[str]:
     """Table with a line for each record, under a head; * marks the front of its survey."""
     front = pareto_front(results.records)
-    return aligned(_HEAD, [_row(record, record.key in front) for record in results.records], len(_HEAD))
+    rows = [_HEAD, *(_row(record, record.key in front) for record in results.records)]
+    return aligned([""] * len(_HEAD), rows, len(_HEAD))
 
 
 def _row(record: Record, is_front: bool) -> tuple[str, ...]:

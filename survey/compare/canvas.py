@@ -21,6 +21,7 @@ from pyproj import CRS
 
 from geo import write_whole
 from geo.crs import EARTH_RADIUS_M, is_geographic
+from geo.projection import ground_units_m
 from survey.display.palette import EMPTY, INK, SOFT
 from survey.display.quantities import round_up
 from survey.escaping import figure_text
@@ -94,6 +95,15 @@ def canvas(width: float, height: float) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure, _plain(figure.add_subplot())
+
+
+def extent_around(places: np.ndarray, crs: CRS, share: float) -> Extent:
+    """West, east, south, north of places (N, 2) in crs, with a margin: a share of the longer side on the ground."""
+    low, high = places.min(axis=0), places.max(axis=0)
+    unit_m = ground_units_m(crs, places[0])
+    margin = share * max(float(((high - low) * unit_m).max()), 1.0) / unit_m
+    (west, south), (east, north) = (low - margin).tolist(), (high + margin).tolist()
+    return (west, east, south, north)
 
 
 def map_canvas(extent: Extent, crs: CRS | None, *, below_in: float = 0.0) -> tuple[Figure, Axes]:

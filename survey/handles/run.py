@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import base64
 import html
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +18,8 @@ from pyproj import CRS
 from geo.drivers import open_raster
 from geo.las import read_cloud
 from geo.lines import Line
-from geo.shapes import Cloud
+from geo.raster import read_raster
+from geo.shapes import Cloud, Mesh
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
@@ -87,15 +89,26 @@ class Dem:
         return xarray.Dataset(layers, coords=coords | {"spatial_ref": ((), 0, self.crs.to_cf())})
 
 
-def dem_of(path: Path, options: ExportOptions) -> Dem:
-    """The terrain model of a run folder, as ``export --dem`` makes it."""
+@contextmanager
+def _dem_file(path: Path, options: ExportOptions) -> Iterator[tuple[Path, CRS]]:
+    """The terrain model of a run folder in a temporary file, and its CRS."""
     with LoadedRun(path) as run, TemporaryDirectory(prefix="bathynerf-dem-") as folder:
         file = Path(folder) / "dem.tif"
         write_dem(file, run, options)
-        crs = run.bed_header.crs if options.crs is None else run.transformation_to(options.crs).crs
-        with open_raster(file) as raster:
-            layers = dict(zip(_BANDS, raster.read(masked=True).filled(np.nan), strict=True))
-            transform, (rows, columns) = raster.transform, raster.shape
+        yield file, run.crs_for(options.crs)
+
+
+def dem_mesh(path: Path, options: ExportOptions) -> Mesh:
+    """The terrain model of a run folder as triangles, in crs."""
+    with _dem_file(path, options) as (file, _):
+        return read_raster(file)
+
+
+def dem_of(path: Path, options: ExportOptions) -> Dem:
+    """The terrain model of a run folder, as ``export --dem`` makes it."""
+    with _dem_file(path, options) as (file, crs), open_raster(file) as raster:
+        layers = dict(zip(_BANDS, raster.read(masked=True).filled(np.nan), strict=True))
+        transform, (rows, columns) = raster.transform, raster.shape
     return Dem(
         height=layers["height"],
         std=layers["std"],

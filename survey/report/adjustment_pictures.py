@@ -18,7 +18,7 @@ from evaluation.bootstrap import cell_counts, cell_means, cell_numbers
 from geo.projection import ground_units_m
 from survey.adjust.result.adjustment import Adjustment
 from survey.adjust.result.std_of_block import part_numbers
-from survey.compare.canvas import canvas, colour_bar, map_canvas, nice_limit, save, show, write_title
+from survey.compare.canvas import canvas, colour_bar, extent_around, map_canvas, nice_limit, save, show, write_title
 from survey.display.palette import BLUE, DIFFERENCES, INK, LAND, RED, SERIES, SOFT, SPREADS
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, length, number
@@ -37,7 +37,8 @@ _STRONG = 0.6
 _LABELS = {"height_m": "level", "slope_x": "slope east", "slope_y": "slope north", "refractive_index": "index"}
 # An arrow of the length that the subtitle names is as long as this share of the map.
 _LONGEST = 0.125
-_MARGIN = 0.14
+# Margins of maps: beside cameras, and beside control points, for arrows and names.
+_BESIDE, _MARGIN = 0.03, 0.14
 # A point with this many times the median residual sets no scale: its arrow is shortened, and its label has the factor.
 _FAR, _CUT = 10.0, 1.5
 
@@ -97,7 +98,8 @@ def draw_ground_residuals(path: Path, survey: Survey, found: Adjustment) -> Pict
     rms = np.sqrt(grid.mean(0.5 * np.sum(found.residuals.px**2, axis=1)))
     known = rms[np.isfinite(rms)]
     scale = ScalarMappable(Normalize(0.0, nice_limit(known)), SPREADS)
-    figure, axes = map_canvas(_around(grid.extent, cameras[:, :2]), crs, below_in=0.5)
+    extent = extent_around(np.concatenate([grid.box, cameras[:, :2]]), crs, _BESIDE)
+    figure, axes = map_canvas(extent, crs, below_in=0.5)
     show(axes, scale.to_rgba(np.ma.masked_invalid(rms)), grid.extent)
     colour_bar(axes, scale, "rms residual of a coordinate [px]", extend="max")
     axes.plot(*points[:, :2].T, ".", ms=1.2, color=INK, alpha=0.35, label="point", zorder=3)
@@ -114,9 +116,7 @@ def draw_parts(path: Path, survey: Survey, found: Adjustment) -> Picture:
     points, cameras = (survey.frame.crs_from_local(places)[:, :2] for places in (found.points, found.poses.centres))
     part_of_point = np.full(len(points), -1)
     part_of_point[found.residuals.point] = number_of[found.residuals.view]
-    low, high = points.min(axis=0), points.max(axis=0)
-    extent = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
-    figure, axes = map_canvas(_around(extent, cameras), crs, below_in=0.5)
+    figure, axes = map_canvas(extent_around(np.concatenate([points, cameras]), crs, _BESIDE), crs, below_in=0.5)
     for part in range(int(number_of.max()) + 1):
         colour, of_part = SERIES[part % len(SERIES)], number_of == part
         label = f"part {part + 1}: {int(of_part.sum())} photographs"
@@ -138,16 +138,6 @@ def _draw_control(axes: Axes, survey: Survey, found: Adjustment) -> None:
         rows = [places[row.name] for row in found.control if row.is_check == is_check]
         if rows:
             axes.plot(*np.array(rows).T, mark, ms=6.5, mfc=colour, mec="white", mew=0.8, label=label, zorder=6)
-
-
-def _around(extent: tuple[float, float, float, float], places: np.ndarray) -> tuple[float, float, float, float]:
-    """The extent widened to hold places (N, 2), with a margin."""
-    west, east, south, north = extent
-    low = np.minimum([west, south], places.min(axis=0))
-    high = np.maximum([east, north], places.max(axis=0))
-    margin = 0.03 * (high - low)
-    (west, south), (east, north) = (low - margin).tolist(), (high + margin).tolist()
-    return (west, east, south, north)
 
 
 def has_correlation(found: Adjustment) -> bool:
@@ -221,12 +211,12 @@ def draw_residuals(path: Path, survey: Survey, residuals: Sequence[Residual]) ->
     places = np.array([each.place for each in residuals])
     off = np.array([each.off_m for each in residuals])
     unit_m = ground_units_m(crs, places[0])
-    extent, width_m = _extent(places, unit_m)
+    extent = extent_around(places, crs, _MARGIN)
     figure, axes = map_canvas(extent, crs, below_in=0.5)
     axes.set_facecolor("white")
     distances = np.sqrt(np.nansum(off**2, axis=1))
     off, longest, is_far = clip_outliers(off)
-    times = _LONGEST * width_m / longest
+    times = _LONGEST * (extent[1] - extent[0]) * unit_m[0] / longest
     in_plan = np.isfinite(off[:, 0])
     up = np.column_stack([np.zeros(len(off)), off[:, 2]])
     _control_arrows(axes, places[in_plan], times * off[in_plan, :2] / unit_m, BLUE, "residual in plan")
@@ -266,11 +256,3 @@ def _control_arrows(axes: Axes, places: np.ndarray, steps: np.ndarray, colour: s
         axes.quiver(
             x, y, dx, dy, angles="xy", scale_units="xy", scale=1.0, width=0.006, color=colour, label=label, zorder=4
         )
-
-
-def _extent(places: np.ndarray, unit_m: np.ndarray) -> tuple[tuple[float, float, float, float], float]:
-    """West, east, south, north around places with room for arrows and names, and the width [m]."""
-    low, high = places.min(axis=0), places.max(axis=0)
-    size = max(float(((high - low) * unit_m).max()), 1.0)
-    low, high = low - _MARGIN * size / unit_m, high + _MARGIN * size / unit_m
-    return (float(low[0]), float(high[0]), float(low[1]), float(high[1])), float((high - low)[0] * unit_m[0])

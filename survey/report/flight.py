@@ -13,7 +13,7 @@ from matplotlib.patches import Rectangle
 
 from geo.projection import ground_units_m
 from refract import PinholeCamera
-from survey.compare.canvas import map_canvas, show
+from survey.compare.canvas import extent_around, map_canvas, show
 from survey.display.column import median
 from survey.display.palette import BOUNDS, INK, LAND, OBLIQUE, SOFT, WATER
 from survey.display.plan_grid import PlanGrid
@@ -23,6 +23,8 @@ from survey.report.facts import ReportFacts
 from survey.report.raster import Picture, finished
 
 _OBLIQUE_DEG = 15.0
+# Line of an oblique view, as a share of the longer side of the map.
+_LOOK = 0.05
 _CELLS = 150
 # An interval of this many times the usual one is a pause: another line or another flight.
 _PAUSE = 4.0
@@ -37,7 +39,8 @@ def draw_plan(path: Path, facts: ReportFacts) -> Picture:
     centres = survey.frame.crs_from_local(np.array([c.centre for c in cameras]))[:, :2]
     ground = _ground_height(facts)
     footprints = [survey.frame.crs_from_local(_footprint(camera, survey, ground))[:, :2] for camera in cameras]
-    extent, size = _extent(survey, centres, footprints)
+    bounds = np.reshape(() if survey.bounds is None else survey.bounds, (-1, 2))
+    extent = extent_around(np.concatenate([*footprints, centres, bounds]), survey.frame.crs, 0.025)
     figure, axes = map_canvas(extent, survey.frame.crs, below_in=0.5)
     axes.set_facecolor("white")
     if len(facts.bed):
@@ -45,7 +48,9 @@ def draw_plan(path: Path, facts: ReportFacts) -> Picture:
     outline = to_rgba(INK, min(0.4, max(0.08, 0.4 * _FEW_OUTLINES / len(cameras))))
     axes.add_collection(PolyCollection(footprints, facecolors="none", edgecolors=outline, lw=0.7))
     _draw_lines(axes, facts, centres)
-    _draw_cameras(axes, survey, centres, size)
+    unit_m = ground_units_m(survey.frame.crs, centres[0])
+    longer_m = max((extent[1] - extent[0]) * unit_m[0], (extent[3] - extent[2]) * unit_m[1])
+    _draw_cameras(axes, survey, centres, _LOOK * longer_m / unit_m)
     if survey.bounds is not None:
         e0, n0, e1, n1 = survey.bounds
         frame = Rectangle((e0, n0), e1 - e0, n1 - n0, fill=False, ec=BOUNDS, lw=1.6, ls="--", zorder=4)
@@ -55,18 +60,6 @@ def draw_plan(path: Path, facts: ReportFacts) -> Picture:
     subtitle = f"{len(cameras)} views, {distance(facts.plan.height_m)} over {_over(survey)}"
     words = f"Outlines: what each photograph covers on {_over(survey)}."
     return finished(axes, path, "The flight in plan", subtitle, words)
-
-
-def _extent(survey: Survey, centres: np.ndarray, footprints: list[np.ndarray]) -> tuple[tuple, np.ndarray]:
-    """West, east, south, north of all that is drawn, and 5 % of its longer side in crs, (2,)."""
-    corners = [*footprints, centres]
-    if survey.bounds is not None:
-        corners.append(np.reshape(survey.bounds, (2, 2)))
-    low, high = np.concatenate(corners).min(axis=0), np.concatenate(corners).max(axis=0)
-    unit = ground_units_m(survey.frame.crs, centres[0])
-    twentieth = 0.05 * float(((high - low) * unit).max()) / unit
-    low, high = low - 0.5 * twentieth, high + 0.5 * twentieth
-    return (float(low[0]), float(high[0]), float(low[1]), float(high[1])), twentieth
 
 
 def _draw_wet_and_dry(axes: Axes, facts: ReportFacts) -> None:

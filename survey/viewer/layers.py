@@ -140,34 +140,16 @@ class Thumbnails:
             current().warn(f"{len(lost)} photographs cannot be shown: {lost[0]}")
 
 
-def grid_faces(known: np.ndarray) -> np.ndarray:
-    """Triangles (F, 3), facing up, two for every four neighbouring known cells (rows, columns) bool.
-
-    Cells are counted row by row; the first row lies in the north.
-    """
-    number = np.arange(known.size).reshape(known.shape)
-    corners = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
-    complete = known[:-1, :-1] & known[1:, :-1] & known[1:, 1:] & known[:-1, 1:]
-    a, b, c, d = (corner[complete] for corner in corners)
-    return np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-
-
 def terrain(shown: Shown) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The terrain model as vertices (V, 3), local, faces (F, 3) and colours (V, 3) by height."""
     from survey.export.product import ExportOptions
-    from survey.handles.run import dem_of
+    from survey.handles.run import dem_mesh
 
-    dem = dem_of(shown.folder, ExportOptions(resolution_m=_cell_m(shown)))
-    height = np.asarray(dem.height, dtype=np.float64)
-    known = np.isfinite(height)
-    east, north = np.meshgrid(dem.east, dem.north)
-    places = np.column_stack([east.ravel(), north.ravel(), np.where(known, height, np.nanmedian(height)).ravel()])
-    vertices = shown.new_frame().local_from_crs(places)
-    limits = shown.limits("height")
+    surface = dem_mesh(shown.folder, ExportOptions(resolution_m=_cell_m(shown)))
+    vertices, limits = shown.new_frame().local_from_crs(surface.vertices), shown.limits("height")
     if limits is None:
         raise RuntimeError("a cloud has heights")
-    colours = SCALES["height"].colours(vertices[:, 2] + shown.base_m, limits)
-    return vertices, grid_faces(known), colours
+    return vertices, surface.faces, SCALES["height"].colours(vertices[:, 2] + shown.base_m, limits)
 
 
 def mesh(shown: Shown) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""The Python interface: what it exports, and packages that plug into it."""
+"""The Python interface: what it exports, and packages of other projects that have the names of ours."""
 
 from __future__ import annotations
 

@@ -11,6 +11,7 @@ import pycolmap
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
+from surface_rays import SINGLE, numbers, rows
 
 from refract import FlatWater
 from refract.distortion import AFFINE, BROWN, FISHEYE, RATIONAL, Distortion, distort, kinds_of, row_of, undistort
@@ -27,7 +28,7 @@ EXACT = 4e-15
 # Newton's method ends below a hundred roundings; measured 4e-15.
 SOLVED = 2e-13
 # Ten float32 operations on numbers near one; measured 3e-7.
-SINGLE = 1e-6
+SINGLE_PX = 1e-6
 
 LENSES = [
     Lens("SIMPLE_RADIAL", (350.0, 160.0, 120.0, -0.12), 320, 240),
@@ -127,47 +128,33 @@ def test_a_rational_lens_ends_before_its_pole():
     assert np.isnan(ends.distorted(np.array([1.5]), np.array([0.0]))).all()
 
 
-def arrays(library: str):
-    """A function that makes float32 arrays of a library, and one that makes numpy of them."""
-    if library == "torch":
-        return lambda v: torch.as_tensor(np.asarray(v, dtype=np.float32)), lambda v: v.numpy()
-    drjit_llvm = pytest.importorskip("drjit.llvm")
-    from fields.device import choose_device
-
-    if choose_device("cpu").name != "llvm":
-        pytest.skip("Dr.Jit does not run on this CPU")
-    return lambda v: drjit_llvm.Float(np.asarray(v, dtype=np.float32)), lambda v: v.numpy()
-
-
-@pytest.mark.parametrize("library", ["torch", "drjit"])
+@pytest.mark.parametrize("library", SINGLE)
 @pytest.mark.parametrize("distortion", ALL.values(), ids=ALL.keys())
 def test_every_library_distorts_alike(distortion, library, rng):
-    to_device, to_numpy = arrays(library)
     x, y = places(rng)
     kinds, truth = {distortion.kind}, distortion.distorted(x, y)
-    found = distort(kinds, to_device(x), to_device(y), distortion.row)
-    np.testing.assert_allclose([to_numpy(v) for v in found], truth, rtol=0.0, atol=SINGLE)
-    back = undistort(kinds, *(to_device(v) for v in truth), distortion.row)
-    np.testing.assert_allclose([to_numpy(v) for v in back], [x, y], rtol=0.0, atol=4.0 * SINGLE)
+    found = distort(kinds, numbers(library, x), numbers(library, y), distortion.row)
+    np.testing.assert_allclose([rows(v) for v in found], truth, rtol=0.0, atol=SINGLE_PX)
+    back = undistort(kinds, *(numbers(library, v) for v in truth), distortion.row)
+    np.testing.assert_allclose([rows(v) for v in back], [x, y], rtol=0.0, atol=4.0 * SINGLE_PX)
 
 
-@pytest.mark.parametrize("library", ["numpy", "torch", "drjit"])
+@pytest.mark.parametrize("library", ["numpy", *SINGLE])
 @pytest.mark.parametrize(
     "lenses",
     [(None, BARREL, FULL, ROUND), (None, BARREL, FULL, ROUND, SHEARED), (None, BARREL, ROUND, SHEARED)],
     ids=["opencv", "all", "without rational"],
 )
 def test_lenses_of_several_kinds_among_the_rays_each_keep_their_own(lenses, library, rng):
-    to_device, to_numpy = (np.asarray, np.asarray) if library == "numpy" else arrays(library)
     x, y = places(rng)
     which = rng.integers(0, len(lenses), x.size)
-    rows = np.array([row_of(lens) for lens in lenses])[which].T
+    lens_rows = np.array([row_of(lens) for lens in lenses])[which].T
     expected = np.stack([x, y])
     for k, lens in enumerate(lenses):
         if lens is not None:
             expected[:, which == k] = lens.distorted(x[which == k], y[which == k])
-    found = distort(kinds_of(lenses), to_device(x), to_device(y), [to_device(row) for row in rows])
-    np.testing.assert_allclose([to_numpy(v) for v in found], expected, rtol=0.0, atol=SINGLE)
+    found = distort(kinds_of(lenses), numbers(library, x), numbers(library, y), [numbers(library, row) for row in lens_rows])
+    np.testing.assert_allclose([rows(v) for v in found], expected, rtol=0.0, atol=SINGLE_PX)
 
 
 def test_a_bent_border_has_places_between_its_corners_and_reaches_as_far_as_it_looks():

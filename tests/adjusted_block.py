@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import fields, is_dataclass
 
 import numpy as np
-from drawn_block import DrawnBlock, draw_block, water_plane
 
 from refract.lens import Lens
 from survey.adjust.block.state import LENS_NAMES, WATER_NAMES
@@ -20,6 +19,7 @@ from survey.adjust.result.adjustment import (
     Status,
 )
 from survey.settings.config import WaterConfig
+from tests.drawn_block import DrawnBlock, draw_block, water_plane
 
 POSE_NAMES = ("x", "y", "z", "turn_x", "turn_y", "turn_z")
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adjusted_block import drawn_adjustment, plane_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -14,6 +13,7 @@ from survey.adjust.result.adjustment import Adjustment, Residuals
 from survey.adjust.result.std_of_block import parts_of_adjustment, parts_warning
 from survey.display.quantities import length
 from survey.photos.poses import connected_parts
+from tests.adjusted_block import drawn_adjustment, plane_of
 
 
 @given(st.lists(st.integers(-1, 4), min_size=1, max_size=30), st.integers(0, 2**32 - 1))

@@ -7,8 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from block_survey import survey_of
-from drawn_block import DrawnBlock, _turned, draw_block
 from scipy.spatial.transform import Rotation
 
 from survey.adjust.block.roll import rolls_of
@@ -18,7 +16,9 @@ from survey.adjust.result.adjustment import Adjustment
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.sfm.gps_fit import LineAxes, PositionLine, roll_by_attitudes, roll_by_control, roll_by_ground
+from tests.block_survey import survey_of
 from tests.changed_survey import changed
+from tests.drawn_block import DrawnBlock, _turned, draw_block
 
 POSITION_STD_M = (0.5, 0.5, 0.8)
 # Of the start, and of what attitudes have in common and of their own.

@@ -1,4 +1,4 @@
-"""The water from photographs: verdicts on blocks that can tell and that cannot, and truth within its covariance."""
+"""An adjustment finds the water: level, slopes and index, and the rate at which the level rises."""
 
 from __future__ import annotations
 
@@ -10,14 +10,20 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
+from small_survey import small_survey
 
 from refract import PinholeCamera
 from refract.lens import Lens
 from survey.adjust import refine, waterline
+from survey.adjust.applied import apply_adjustment
 from survey.adjust.block.bundle import NotConvergedError
+from survey.adjust.block.prediction import apparent_rise_design, predict
 from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M
 from survey.adjust.block.state import WATER_PARAMETERS, settings_of
 from survey.adjust.observability import dry_or_within_bounds, within_bounds
+from survey.adjust.refine import adjust_survey
+from survey.adjust.result.adjustment import read_adjustment, write_adjustment
+from survey.adjust.result.std_common import common_error
 from survey.adjust.waterline import calibrate_water, nadir_views, with_water
 from survey.errors import SurveyError
 from survey.folder.local_frame import water_plane
@@ -26,8 +32,12 @@ from survey.folder.survey import load_survey
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
 from survey.plan.decisions import pose_choice
+from survey.settings.water import LevelRate
+from survey.water.tides import Tide
+from tests.block_state import state_of
+from tests.block_survey import survey_of
 from tests.changed_survey import changed
-from tests.small_survey import small_survey
+from tests.drawn_block import DrawnBlock, draw_block
 from tests.small_water_block import FOCAL, SIZE, TRUTH, convergent, nadir, tie_points
 
 STD_PX = 0.05
@@ -293,3 +303,51 @@ def test_water_is_not_found_with_poses_that_are_to_be_kept(tmp_path):
     assert pose_choice(survey, "auto", free_water=True)[0] == "refine"
     with pytest.raises(SurveyError, match="leave out --poses fixed"):
         pose_choice(survey, "fixed", free_water=True)
+
+
+# The water rises by 0.3 m in the hour of the flight.
+RATE, STD = 0.3, 1.0
+
+
+def risen(block: DrawnBlock, hours: np.ndarray) -> DrawnBlock:
+    """The block as it is seen through water that rises."""
+    layout, state, ties = state_of(block)
+    rise_design = np.zeros_like(apparent_rise_design(state, ties))
+    moved, still = (predict(replace(layout, tides=tides), state, ties, rise_design) for tides in (RATE * hours, None))
+    return replace(block, pixel=block.pixel + moved - still)
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """A survey of rising water of which nearly nothing is given, and its adjustment."""
+    block = draw_block(5, num_points=250, num_views=20, nadir_only=False, dry_share=0.2, num_control=6)
+    hours = np.linspace(-0.5, 0.5, len(block.cameras))
+    survey = survey_of(risen(block, hours))
+    names = [view.name for view in survey.views]
+    water = replace(survey.config.water, rate=LevelRate(0.0, STD))
+    tide = Tide("level_rate_m_per_h", dict.fromkeys(names, 0.0), dict(zip(names, hours.tolist(), strict=True)))
+    survey = changed(survey, config=replace(survey.config, water=water), tide=tide)
+    folder = tmp_path_factory.mktemp("adjustment")
+    write_adjustment(folder, adjust_survey(survey, use_windows=False))
+    return survey, read_adjustment(folder)
+
+
+def test_the_rate_is_found_within_what_is_stated(found):
+    _, adjusted = found
+    rate = adjusted.parameter("level_rate_m_per_h")
+    assert rate.std < 0.2 * RATE
+    assert abs(rate.value - RATE) < 3.0 * rate.std
+    assert rate.verdict.startswith("found: 0.")
+    assert "m/h (given 0.0" in rate.verdict
+    assert adjusted.covariance.matrix.shape == (len(adjusted.covariance.names),) * 2
+    assert adjusted.covariance.names.count("level_rate_m_per_h") == 1
+
+
+def test_the_survey_goes_on_with_the_levels_that_were_found(found):
+    survey, adjusted = found
+    again = apply_adjustment(survey, adjusted)
+    tides = np.array([view.camera.tide for view in again.views])
+    np.testing.assert_allclose(tides, adjusted.parameter("level_rate_m_per_h").value * adjusted.poses.hours, atol=1e-12)
+    assert again.observations.tide.moves_m == pytest.approx(np.ptp(tides))
+    assert again.observations.tide.matters
+    assert common_error(adjusted, again.water).typical < 0.2

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from drawn_block import draw_block, water_plane
 
 from refract.lens import undistorted
+from tests.drawn_block import draw_block, water_plane
 
 
 @pytest.mark.parametrize("seed", range(4))

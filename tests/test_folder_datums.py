@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pyproj import datadir
+from small_survey import LEVEL, camera_lines, replaced, small_survey, unposed, write_poses
 
 from geo.area_of_use import approximate_undulation_m
 from geo.crs import parse_crs
@@ -20,7 +21,6 @@ from survey.folder.survey import load_survey
 from survey.photos.exif import Exif
 from survey.plan.check import require_processable
 from survey.sfm.gps import gps_positions
-from tests.small_survey import LEVEL, camera_lines, replaced, small_survey, unposed, write_poses
 
 CRS = parse_crs("EPSG:25832+5778")
 ALPS = (46.9, 10.17)

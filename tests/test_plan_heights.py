@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from small_survey import E0, LEVEL, N0, TOML, small_survey
-from small_water_block import HEIGHT, TRUTH, convergent, meeting_of_straight_rays, nadir, tie_points, water_of
 from test_adjust_water import survey_with
 
 from survey.errors import ConfigError
@@ -20,6 +19,7 @@ from survey.plan.plan import make_plan
 from survey.settings.config import parse_config
 from survey.sfm.poses import SfmResult, SfmView
 from tests.changed_survey import changed
+from tests.small_water_block import HEIGHT, TRUTH, convergent, meeting_of_straight_rays, nadir, tie_points, water_of
 
 BED = (-5.0, -0.5)
 

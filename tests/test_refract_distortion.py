@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
-import torch
 from scipy.spatial.transform import Rotation
 from surface_rays import SINGLE, numbers, rows
 
@@ -153,7 +152,9 @@ def test_lenses_of_several_kinds_among_the_rays_each_keep_their_own(lenses, libr
     for k, lens in enumerate(lenses):
         if lens is not None:
             expected[:, which == k] = lens.distorted(x[which == k], y[which == k])
-    found = distort(kinds_of(lenses), numbers(library, x), numbers(library, y), [numbers(library, row) for row in lens_rows])
+    found = distort(
+        kinds_of(lenses), numbers(library, x), numbers(library, y), [numbers(library, row) for row in lens_rows]
+    )
     np.testing.assert_allclose([rows(v) for v in found], expected, rtol=0.0, atol=SINGLE_PX)
 
 

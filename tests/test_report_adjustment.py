@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adjusted_block import drawn_adjustment, plane_of
 from PIL import Image
 from small_bed import plane_bed
 from small_report import PLAN
@@ -32,6 +31,7 @@ from survey.report.collect import figures_of
 from survey.report.figures import json_of
 from survey.report.headline import cards
 from survey.report.page import render_page
+from tests.adjusted_block import drawn_adjustment, plane_of
 from tests.changed_survey import changed
 
 OFF = np.array([0.03, -0.02, 0.05])

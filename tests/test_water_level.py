@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from small_survey import E0, LEVEL, N0, TOML, replaced, rows_of, small_survey
 
 from geo.crs import parse_crs
 from survey.errors import ConfigError
@@ -17,7 +18,6 @@ from survey.settings.config import parse_config
 from survey.water.gauge_files import read_series
 from survey.water.level import fit_surface, with_level
 from survey.water.level_observation import points_of_surface
-from tests.small_survey import E0, LEVEL, N0, TOML, replaced, rows_of, small_survey
 
 CRS = parse_crs("EPSG:25832+5778")
 HEAD = Exif((64, 48), None, None, 1, "", None)

@@ -10,6 +10,7 @@ import pyogrio.raw
 import pytest
 import shapely
 from pyproj import Transformer
+from small_survey import E0, LEVEL, N0, replaced, rows_of, small_survey, unposed
 
 from geo.crs import parse_crs
 from geo.vectors import DxfLine, write_dxf
@@ -20,7 +21,6 @@ from survey.settings.config import parse_config
 from survey.water.level import with_level
 from survey.water.level_observation import points_of_surface
 from survey.water.surface_features import HEIGHT_NAMES, points_of_features
-from tests.small_survey import E0, LEVEL, N0, replaced, rows_of, small_survey, unposed
 
 CRS = parse_crs("EPSG:25832+5778")
 RING = [[E0, N0, LEVEL], [E0 + 9, N0, LEVEL + 0.01], [E0 + 9, N0 + 9, LEVEL], [E0, N0, LEVEL]]

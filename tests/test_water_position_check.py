@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from pyproj import CRS, Transformer
+from small_survey import E0, LEVEL, N0, replaced, small_survey
 
 from geo.crs import parse_crs
 from survey.errors import ConfigError
 from survey.folder.survey import load_survey
 from survey.settings.config import WaterConfig
 from survey.water.level_observation import DOUBTFUL_M, FARTHEST_M, LevelObservation, water_place_warnings
-from tests.small_survey import E0, LEVEL, N0, replaced, small_survey
 
 SYSTEMS = {
     "EPSG:25832+5778": (11.4, 47.2),

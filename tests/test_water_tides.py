@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_survey import rows_of, small_survey
 
 from geo.crs import parse_crs
 from refract import FlatWater
@@ -20,7 +21,6 @@ from survey.settings.config import parse_config
 from survey.simulate.drawn import DrawnScene, draw_survey
 from survey.water.level import with_level
 from survey.water.tides import MOST_SHIFT_PX, Tide, with_tides
-from tests.small_survey import rows_of, small_survey
 
 CRS = parse_crs("EPSG:25832+5778")
 HEAD = Exif((64, 48), None, None, 1, "", None)

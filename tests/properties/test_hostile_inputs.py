@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
+from small_survey import LEVEL, replaced, small_survey
 
 from geo.crs import parse_crs
 from geo.errors import GeoError
@@ -26,7 +27,6 @@ from survey.photos.xmp import height_datum, motion_of, rtk_of, stated_std, xmp_n
 from survey.water.gauge_files import read_series
 from survey.water.level_observation import points_of_surface
 from survey.water.surface_features import points_of_features
-from tests.small_survey import LEVEL, replaced, small_survey
 
 FUZZ = settings(max_examples=60)
 CRS = parse_crs("EPSG:25832+5778")

@@ -7,16 +7,15 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 import os
 import shutil
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from io import BufferedReader
+from io import BufferedReader, BytesIO
 from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -33,9 +32,9 @@ if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints
 
 # In the header of a file in a zip archive: the lengths of name and extra field, which follow it.
-LENGTHS_AT = 26
-# Bytes that are read at a time.
-_PORTION = 4_000_000
+_LENGTHS_AT = 26
+# Bytes that are read at a time, and that the header of an array of numpy takes at most.
+_PORTION, _MOST_HEADER = 4_000_000, 1 << 16
 BED_FILE, SURVEY_FILE = "bed.npz", "survey.json"
 # Of a trained field; `survey.run.stored_field` reads and writes them.
 FIELD_FILES = FIELD_STATE, FIELD_SETTINGS = "state.pt", "settings.json"
@@ -112,16 +111,18 @@ def _write_column(stream: IO[bytes], column: Column) -> None:
         raise ValueError(f"the parts of a column have {written} rows, expected {column.shape[0]}")
 
 
-def load_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
-    """The arrays of a file of `save_arrays`; with ``names`` only those of them that it has."""
-    try:
-        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files if names is None or name in names}
-    except (OSError, ValueError, EOFError, KeyError, struct.error, zipfile.BadZipFile) as error:
-        raise unreadable(path, error) from error
+def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
+    """The arrays of a file of `save_arrays`."""
+    return dict(StoredArrays(path))
 
 
-class StoredArrays:
+def mapped_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
+    """Arrays mapped from a file, of which with ``names`` only those; what is written to them does not reach it."""
+    stored = StoredArrays(path)
+    return {name: stored.mapped(name) for name in stored if names is None or name in names}
+
+
+class StoredArrays(Mapping[str, np.ndarray]):
     """Arrays of a file of `save_arrays` by name, each read in one go when it is asked for."""
 
     def __init__(self, path: str | Path):
@@ -133,79 +134,60 @@ class StoredArrays:
         except (OSError, zipfile.BadZipFile) as error:
             raise unreadable(path, error) from error
 
-    def __contains__(self, name: str) -> bool:
-        return name in self._members
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._members)
+
+    def __len__(self) -> int:
+        return len(self._members)
 
     def __getitem__(self, name: str) -> np.ndarray:
         """The array of a name."""
-        if name not in self:
+        with self._at_member(name) as (stream, size):
+            content = np.empty(size, dtype=np.uint8)
+            if stream.readinto(content.data) != size:
+                raise EOFError("the file ends within an array")
+            self._require_whole(name, zlib.crc32(content.data))
+            return _array_in(content)
+
+    def mapped(self, name: str) -> np.ndarray:
+        """The array of a name, which stays in the file."""
+        with self._at_member(name) as (stream, size):
+            start, checksum, left = stream.tell(), 0, size
+            while left and (part := stream.read(min(_PORTION, left))):
+                checksum, left = zlib.crc32(part, checksum), left - len(part)
+            self._require_whole(name, checksum)
+            return _array_in(np.memmap(self._path, np.uint8, "c", start, (size,)).view(np.ndarray))
+
+    @contextmanager
+    def _at_member(self, name: str) -> Iterator[tuple[BufferedReader, int]]:
+        """The file at an array, and how many bytes it takes."""
+        if name not in self._members:
             raise unreadable(self._path, f"it lacks the array {name}")
+        member = self._members[name]
         try:
             with self._path.open("rb") as stream:
-                member = self._members[name]
-                _to_array(stream, member.header_offset)
-                array, checksum = _read_array(stream, member.file_size)
-            if checksum != member.CRC:
-                raise unreadable(self._path, f"the checksum of its array {name} differs")
-            return array
+                # The archive does not compress; the local header ends with the name and an extra field.
+                stream.seek(member.header_offset + _LENGTHS_AT)
+                stream.seek(sum(struct.unpack("<HH", stream.read(4))), os.SEEK_CUR)
+                yield stream, member.file_size
         except (OSError, ValueError, EOFError, struct.error) as error:
+            if isinstance(error, SurveyError):
+                raise
             raise unreadable(self._path, error) from error
 
-
-def _to_array(stream: IO[bytes], start: int) -> None:
-    """Go to an array of a zip file that does not compress, whose local header begins there."""
-    stream.seek(start + LENGTHS_AT)
-    stream.seek(sum(struct.unpack("<HH", stream.read(4))), os.SEEK_CUR)
+    def _require_whole(self, name: str, checksum: int) -> None:
+        if checksum != self._members[name].CRC:
+            raise unreadable(self._path, f"the checksum of its array {name} differs")
 
 
-def _read_array(stream: BufferedReader, num_bytes: int) -> tuple[np.ndarray, int]:
-    """An array in the format of numpy at the place of a stream, read where it stays, and the checksum of its bytes."""
-    start = stream.tell()
+def _array_in(content: np.ndarray) -> np.ndarray:
+    """The array whose bytes (N,), in the format of numpy, are these."""
+    stream = BytesIO(content[:_MOST_HEADER].tobytes())
     np.lib.format.read_magic(stream)
     shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-    length = stream.tell() - start
-    stream.seek(start)
-    header = stream.read(length)
-    size = dtype.itemsize * math.prod(shape)
-    if dtype.hasobject or length + size != num_bytes:
-        raise ValueError(f"an array of {size} bytes, of which the file has {num_bytes - length}")
-    array = np.empty(shape, dtype, "F" if is_fortran else "C")
-    content = array.reshape(-1, order="A").view(np.uint8).data
-    if stream.readinto(content) != array.nbytes:
-        raise EOFError("the file ends within an array")
-    return array, zlib.crc32(content, zlib.crc32(header))
-
-
-def mapped_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
-    """Arrays mapped from a file; what is written to them does not reach it; otherwise as `load_arrays`."""
-    try:
-        with Path(path).open("rb") as stream, zipfile.ZipFile(stream) as archive:
-            found = {}
-            for member in archive.infolist():
-                name = member.filename.removesuffix(".npy")
-                if names is None or name in names:
-                    _require_whole(archive, member)
-                    found[name] = _mapped(Path(path), stream, member.header_offset)
-            return found
-    except (OSError, ValueError, EOFError, KeyError, struct.error, zipfile.BadZipFile) as error:
-        raise unreadable(path, error) from error
-
-
-def _require_whole(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
-    """Read all of a member, at whose end its checksum is compared."""
-    with archive.open(member) as stream:
-        while stream.read(_PORTION):
-            pass
-
-
-def _mapped(path: Path, stream: IO[bytes], start: int) -> np.ndarray:
-    """An array mapped from the file."""
-    _to_array(stream, start)
-    np.lib.format.read_magic(stream)
-    shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-    if 0 in shape:
-        return np.empty(shape, dtype)
-    return np.memmap(path, dtype, "c", stream.tell(), shape, "F" if is_fortran else "C").view(np.ndarray)
+    if dtype.hasobject:
+        raise ValueError("an array of objects")
+    return content[stream.tell() :].view(dtype).reshape(shape, order="F" if is_fortran else "C")
 
 
 def unreadable(path: str | Path, why: Exception | str) -> SurveyError:

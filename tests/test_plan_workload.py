@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from small_survey import E0, N0, TOML, rows_of, small_survey, unposed
 
@@ -36,7 +37,8 @@ def warnings_of(sections) -> list[str]:
 
 
 AMOUNTS = Amounts(
-    num_views=20, photographs_mpx=8.0, map_px=4e6, points=3e5, poses="check", field="off"
+    photographs_px=np.full(20, 4e5), view_px=np.full(20, 2e5), map_px=np.full(20, 2e5), points=3e5, poses="check",
+    field="off",
 )  # fmt: skip
 
 
@@ -46,7 +48,7 @@ def run_s(amounts: Amounts, num_cores: int) -> float:
 
 def test_the_time_grows_with_all_that_there_is_to_do_and_more_cores_shorten_only_what_they_share():
     one = run_s(AMOUNTS, 1)
-    for name in ("photographs_mpx", "map_px", "points"):
+    for name in ("photographs_px", "map_px", "points"):
         more, most = (run_s(replace(AMOUNTS, **{name: n * getattr(AMOUNTS, name)}), 1) for n in (2.0, 3.0))
         assert more > one
         assert most - more == pytest.approx(more - one), name

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from fields.models import IN_LAYER
 from fields.occluded.holes import SIDE_GSD
 from fields.sweep.passes import PASSES, POINTS_SHARE, Pass, before_solver
@@ -39,29 +41,32 @@ _BOX_S, _MOST_BOXES, _BOX_CORES = 0.4, 32, 2
 
 @dataclass(frozen=True)
 class Amounts:
-    """Amounts of work of a run."""
+    """Amounts of work of a run on V photographs, of which M get a height map."""
 
-    num_views: int
-    photographs_mpx: float  # Of all of them [Mpx]
-    map_px: float  # Of the views that get a height map [px]
-    points: float  # One for each ground sampling distance squared that two views see
+    photographs_px: np.ndarray  # (V,): pixels of each, as it is
+    view_px: np.ndarray  # (V,): at the scale of the run
+    map_px: np.ndarray  # (M,)
+    points: float  # Of the bed, one for each ground sampling distance squared, at most
     poses: str  # "check", "refine" or "fixed": what is done with them first
     field: str  # "solver", "off" or a model of `fields.models.IN_LAYER`
     has_boxes: bool = False
+    # Whether these are upper bounds: poses are not known yet, or there are too many views to choose from
+    is_bound: bool = False
 
 
 def parts_s(amounts: Amounts, num_cores: int) -> dict[str, float]:
     """Times [s] of the parts of a run on idle cores, by the names of their stages, in order."""
-    parts = {"Images": _DECODING_S * amounts.photographs_mpx}
-    solves, mpx = amounts.field == "solver", min(amounts.photographs_mpx, amounts.num_views * _MOST_MPX)
+    num_views, whole_mpx, map_px = len(amounts.view_px), amounts.photographs_px.sum() / 1e6, float(amounts.map_px.sum())
+    parts = {"Images": _DECODING_S * whole_mpx}
+    solves, mpx = amounts.field == "solver", min(whole_mpx, num_views * _MOST_MPX)
     if amounts.poses == "check":
-        parts["Poses"] = _CHECK_S[0] + _CHECK_S[1] * mpx * min(_CHECKED / amounts.num_views, 1.0)
+        parts["Poses"] = _CHECK_S[0] + _CHECK_S[1] * mpx * min(_CHECKED / num_views, 1.0)
     elif amounts.poses == "refine":
         parts = {"Adjustment": _ADJUST_S[0] + _ADJUST_S[1] * mpx} | parts
-    samples = _samples(amounts.map_px, before_solver(PASSES) if solves else PASSES)
+    samples = _samples(map_px, before_solver(PASSES) if solves else PASSES)
     parts["Sweep"] = _RANGE_S + (_KERNELS_S + samples / SAMPLES_PER_CORE_S) / num_cores
     if solves:
-        parts["Solver"] = (_SOLVER_S[0] + _SOLVER_S[1] * amounts.map_px) / num_cores
+        parts["Solver"] = (_SOLVER_S[0] + _SOLVER_S[1] * map_px) / num_cores
     if amounts.field in IN_LAYER:
         parts["Field"] = _FIELD_S_PER_CELL * amounts.points / num_cores
     parts["Points"] = 0.5 * _POINT_S * amounts.points
@@ -73,9 +78,10 @@ def parts_s(amounts: Amounts, num_cores: int) -> dict[str, float]:
 
 def adjustment_s(amounts: Amounts, num_cores: int) -> tuple[float, float, float]:
     """Times [s] of an adjustment of matches, of windows, and of an adjustment of all."""
-    solving = _SOLVING_S[0] + _SOLVING_S[1] * amounts.num_views
-    shared = _samples(amounts.map_px, PASSES[:2]) / SAMPLES_PER_CORE_S + search_s(amounts.num_views)
-    return solving, _WINDOWS_S + _DECODING_S * amounts.photographs_mpx + shared / num_cores, solving
+    num_views, decoding = len(amounts.view_px), _DECODING_S * amounts.photographs_px.sum() / 1e6
+    solving = _SOLVING_S[0] + _SOLVING_S[1] * num_views
+    shared = _samples(float(amounts.map_px.sum()), PASSES[:2]) / SAMPLES_PER_CORE_S + search_s(num_views)
+    return solving, _WINDOWS_S + decoding + shared / num_cores, solving
 
 
 def search_s(num_views: int) -> float:

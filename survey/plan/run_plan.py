@@ -10,7 +10,7 @@ from survey.plan.decisions import Decision
 from survey.plan.plan import Plan, make_plan
 from survey.plan.tile_choice import TileChoice, choose_tiles, with_free_cores
 from survey.plan.tiling import tile_warnings
-from survey.plan.workload import Workload, survey_amounts, workload_of
+from survey.plan.workload import Workload, amounts_of_run, workload_of
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,9 @@ def plan_run(
         Number of tiles of an unfinished run that goes on.
     """
     plan = make_plan(survey, chosen)
-    counted = survey_amounts(survey, plan)
-    workload = workload_of(survey, plan, counted)
-    tiles = choose_tiles(survey, plan, chosen, workload, earlier=earlier_tiles, counted=counted)
+    amounts = amounts_of_run(survey, plan)
+    workload = workload_of(survey, plan, amounts)
+    tiles = choose_tiles(survey, plan, chosen, workload, earlier=earlier_tiles, amounts=amounts)
     tiles = with_free_cores(tiles, chosen) if chooses_workers else tiles
     of_run = tiles.decisions if aim is None else (aim, *tiles.decisions)
     return RunPlan(

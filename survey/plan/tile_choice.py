@@ -20,12 +20,13 @@ from survey.plan.decisions import Decision
 from survey.plan.heights import dry_ground
 from survey.plan.sweep_block import camera_of
 from survey.plan.tiling import FRAME_M, MOST_SKEW_PX, RIM_GSD, Area, Tiling, ground_of, ray_skew_px
-from survey.plan.workload import POINT_BYTES, SurveyAmounts, memory_of, survey_amounts
+from survey.plan.workload import POINT_BYTES, amounts_of_run, memory_of
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey
     from survey.plan.choices import Choices
     from survey.plan.plan import Plan
+    from survey.plan.rates import Amounts
     from survey.plan.workload import Workload
 
 # What the tiles of a run share, in the folder of a stage.
@@ -80,11 +81,11 @@ def choose_tiles(
     workload: Workload,
     *,
     earlier: int | None = None,
-    counted: SurveyAmounts | None = None,
+    amounts: Amounts | None = None,
 ) -> TileChoice:
     """Tiles of a survey by its memory, and as many processes for them as are asked for.
 
-    ``earlier`` is the number of tiles of an unfinished run that goes on; ``counted`` are `survey_amounts`, where known.
+    ``earlier`` is the number of tiles of an unfinished run that goes on; ``amounts`` are `amounts_of_run`, where known.
     """
     require_dask(chosen)
     if plan.field in IN_LAYER:
@@ -96,16 +97,16 @@ def choose_tiles(
     if chosen.tiles == 1:
         _refuse_workers(chosen, "--tiles 1 is one piece")
         return TileChoice.in_one_piece(workload, "set by --tiles")
-    counted = survey_amounts(survey, plan) if counted is None else counted
+    amounts = amounts_of_run(survey, plan) if amounts is None else amounts
     if chosen.tiles is None:
-        return _with_workers(_as_needed(survey, plan, chosen, workload, counted, earlier), chosen)
+        return _with_workers(_as_needed(survey, plan, chosen, workload, amounts, earlier), chosen)
     tiling = Tiling.of(ground_of(survey, plan), chosen.tiles, RIM_GSD * plan.gsd_m)
     decision = Decision("tiles", str(chosen.tiles), f"set by --tiles, {_size_of(tiling)} each")
-    return _with_workers(TileChoice(tiling, decision, _memory(survey, plan, tiling, counted)), chosen)
+    return _with_workers(TileChoice(tiling, decision, _memory(survey, plan, tiling, amounts)), chosen)
 
 
 def _as_needed(
-    survey: Survey, plan: Plan, chosen: Choices, workload: Workload, counted: SurveyAmounts, earlier: int | None
+    survey: Survey, plan: Plan, chosen: Choices, workload: Workload, amounts: Amounts, earlier: int | None
 ) -> TileChoice:
     """As few tiles as memory, workers, water and local frames allow; one piece where it serves for all of them."""
     ground, one = ground_of(survey, plan), float(workload.memory_bytes)
@@ -127,7 +128,7 @@ def _as_needed(
     best = TileChoice.in_one_piece(workload, f"{needed}; the ground is too small for tiles")
     for count in _candidates(ground, plan, for_workers, for_geometry, earlier):
         tiling = Tiling.of(ground, count, RIM_GSD * plan.gsd_m)
-        memory = _memory(survey, plan, tiling, counted)
+        memory = _memory(survey, plan, tiling, amounts)
         if best.tiling is None or memory < 0.98 * best.memory_bytes:
             reason = f"{needed}; in tiles of {_size_of(tiling)} about {size(memory)}"
             best = TileChoice(tiling, Decision("tiles", str(count), reason), memory)
@@ -256,20 +257,20 @@ def _size_of(tiling: Tiling) -> str:
     return f"{length(width)} x {length(height)}"
 
 
-def _memory(survey: Survey, plan: Plan, tiling: Tiling, counted: SurveyAmounts) -> float:
+def _memory(survey: Survey, plan: Plan, tiling: Tiling, amounts: Amounts) -> float:
     """Memory at the peak of a run in tiles [bytes]."""
-    pixels = counted.view_pixels
     extent = np.array([tiling.x[-1] - tiling.x[0], tiling.y[-1] - tiling.y[0]])
     own = np.array([tiling.x[1] - tiling.x[0], tiling.y[1] - tiling.y[0]]) + 2.0 * tiling.rim
     footprint = np.array(plan.footprint_m)
-    window = np.minimum(_MORE * window_pixels(survey, plan, (float(own[0]), float(own[1]))), np.max(pixels))
+    window = _MORE * window_pixels(survey, plan, (float(own[0]), float(own[1])))
     # Photographs are spread over the ground; those that show a tile begin half a footprint beyond it.
     share = float(np.prod(np.minimum((own + footprint) / (extent + footprint), 1.0)))
-    views, maps = (max(int(np.ceil(share * count)), 1) for count in (len(pixels), len(counted.matched_views)))
-    largest = max(view.lens.width * view.lens.height for view in survey.views)
-    of_views, of_maps = (np.quantile(window, np.linspace(1.0, 0.0, count)) for count in (views, maps))
-    of_tile = memory_of(of_views, of_maps, largest, counted.num_cells / len(tiling), plan.field)
-    return max(of_tile, _REPORT_BYTES + POINT_BYTES * counted.num_cells)
+    of_views, of_maps = (
+        np.quantile(np.minimum(window, amounts.view_px.max()), np.linspace(1.0, 0.0, max(math.ceil(share * count), 1)))
+        for count in (len(amounts.view_px), len(amounts.map_px))
+    )
+    of_tile = replace(amounts, view_px=of_views, map_px=of_maps, points=amounts.points / len(tiling))
+    return max(memory_of(of_tile), _REPORT_BYTES + POINT_BYTES * amounts.points)
 
 
 def window_pixels(survey: Survey, plan: Plan, sides: tuple[float, float]) -> np.ndarray:

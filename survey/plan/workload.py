@@ -7,7 +7,7 @@ Time is that of `survey.plan.rates`, memory that of the arrays which docs/perfor
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -48,22 +48,13 @@ POINT_BYTES = 130
 # Per cell of one ground sampling distance: factors, their gradients and moments; rays drawn at once, of so many cells.
 _BYTES_OF_FIELD, _BYTES_OF_RAYS, _RAYS_OF_CELLS = 400, 1000, 500_000
 # On the disk, per pixel of a height map and per cell of the bed; pictures, report and log; structure from motion.
-_DISK_OF_MAP, _DISK_OF_CELL, _DISK_AT_LEAST, _DISK_OF_SFM = 18, 140, 30e6, 4e6
+_DISK_OF_MAP, _DISK_OF_CELL, _DISK_AT_LEAST, _DISK_OF_SFM = 18, 210, 30e6, 4e6
 # With more views than this, choosing those that cover the bed takes too long here: all count, as a bound.
 _MOST_VIEWS = 2000
 # For real photographs with noise, glitter or little texture, which need wider windows than simulated ones.
 _HARD_MATCHING_TIME = "three to five times as long"
 # Without poses: cells of the bed per pixel, since with the usual overlap a place is seen ten times or more.
 _OWN_GROUND = 0.1
-
-
-@dataclass(frozen=True)
-class SurveyAmounts:
-    """What the views of a survey and its bed are made of, at the scale of its plan."""
-
-    view_pixels: np.ndarray  # (V,): number of pixels of each view
-    matched_views: list[int]  # Views that get a height map
-    num_cells: float  # Cells of the bed, of one ground sampling distance, at most
 
 
 @dataclass(frozen=True)
@@ -101,66 +92,10 @@ class Workload:
         return f"{self.bound_words}{rough(self.seconds)} on {cores}, {rooms}; {maps}"
 
 
-def workload_of(survey: Survey, plan: Plan, counted: SurveyAmounts | None = None) -> Workload:
-    """The estimate for a survey whose poses are known.
-
-    Parameters
-    ----------
-    counted : optional
-        Of `survey_amounts`, where it is known.
-    """
-    counted = survey_amounts(survey, plan) if counted is None else counted
-    pixels, of_maps = counted.view_pixels, counted.view_pixels[counted.matched_views]
-    largest = max(view.lens.width * view.lens.height for view in survey.views)
-    parts = parts_s(amounts_of_run(survey, plan, counted), machine.num_cores()) if plan.device == "llvm" else {}
-    cells = counted.num_cells
-    return Workload(
-        num_views=len(pixels),
-        num_maps=len(of_maps),
-        seconds=START_S + sum(parts.values()) if parts else None,
-        num_cores=machine.num_cores(),
-        memory_bytes=int(memory_of(pixels, of_maps, largest, cells, plan.field)),
-        disk_bytes=_disk_bytes(of_maps, cells),
-        is_bound=len(pixels) > _MOST_VIEWS,
-        parts_s=parts,
-    )
-
-
-def amounts_of_run(survey: Survey, plan: Plan, counted: SurveyAmounts | None = None) -> Amounts:
-    """Amounts of work of a run; ``counted`` as for `workload_of`."""
-    counted = survey_amounts(survey, plan) if counted is None else counted
-    return Amounts(
-        num_views=len(counted.view_pixels),
-        photographs_mpx=sum(view.lens.width * view.lens.height for view in survey.views) / 1e6,
-        map_px=float(np.sum(counted.view_pixels[counted.matched_views])),
-        points=counted.num_cells,
-        poses=plan.pose_choice,
-        field=plan.field,
-        has_boxes=plan.boxes,
-    )
-
-
-def survey_amounts(survey: Survey, plan: Plan) -> SurveyAmounts:
-    """Pixels of the views, views that get a height map and cells of the bed."""
-    survey = flattened(survey)
-    cameras = [camera_of(view, plan) for view in survey.views]
-    pixels = np.array([camera.width * camera.height for camera in cameras])
-    chosen = list(range(len(cameras)))
-    area = local_area(survey)
-    num_cells = _OWN_GROUND * float(pixels.sum())
-    if len(cameras) <= _MOST_VIEWS:
-        bed = 0.0 if survey.water is not None else dry_ground(survey).height
-        try:
-            overlap = Overlap(cameras, survey.water, bed)
-        except ValueError as error:
-            raise SurveyError(str(error)) from error
-        chosen = overlap.cover(*plan.recipe.times_seen, area)
-        num_covered = int((overlap.seen.sum(axis=0) >= 2).sum())
-        num_cells = num_covered * _cell_area(overlap.cells) / plan.gsd_m**2
-    if area is not None:
-        x0, y0, x1, y1 = grown(area, AREA_MARGIN_M)
-        num_cells = min(num_cells, (x1 - x0) * (y1 - y0) / plan.gsd_m**2)
-    return SurveyAmounts(pixels, chosen, num_cells)
+def workload_of(survey: Survey, plan: Plan, amounts: Amounts | None = None) -> Workload:
+    """The estimate for a survey whose poses are known, by its `amounts_of_run` where these are known."""
+    amounts = amounts_of_run(survey, plan) if amounts is None else amounts
+    return _workload(amounts, parts_s(amounts, machine.num_cores()) if plan.device == "llvm" else {})
 
 
 def workload_of_images(sizes_px: Sequence[tuple[int, int]], chosen: Choices) -> Workload:
@@ -174,29 +109,52 @@ def workload_of_images(sizes_px: Sequence[tuple[int, int]], chosen: Choices) -> 
     if scale is None:
         scale = min(image_scale(width, height, recipe.megapixels) for width, height in sizes_px)
     areas = np.array([width * height for width, height in sizes_px])
-    pixels = areas * scale**2
-    cells, solves = _OWN_GROUND * float(pixels.sum()), recipe.field == "solver"
-    amounts = Amounts(
-        num_views=len(sizes_px),
-        photographs_mpx=float(areas.sum()) / 1e6,
-        map_px=float(pixels.sum()),
-        points=cells,
-        poses="refine",
-        field=recipe.field,
-        has_boxes=solves,
-    )
+    pixels, field = areas * scale**2, recipe.field
+    points = _OWN_GROUND * float(pixels.sum())
+    amounts = Amounts(areas, pixels, pixels, points, "refine", field, has_boxes=field == "solver", is_bound=True)
     features_mpx = sum(w * h * min(1.0, FEATURES_PX / max(w, h)) ** 2 for w, h in sizes_px) / 1e6
     cores = machine.num_cores()
     parts = sfm_s(features_mpx, len(sizes_px), pairs_about(len(sizes_px)), cores) | parts_s(amounts, cores)
+    found = _workload(amounts, parts)
+    return replace(found, disk_bytes=found.disk_bytes + int(_DISK_OF_SFM * len(sizes_px)))
+
+
+def _workload(amounts: Amounts, parts: Mapping[str, float]) -> Workload:
     return Workload(
-        num_views=len(pixels),
-        num_maps=len(pixels),
-        seconds=START_S + sum(parts.values()),
-        num_cores=cores,
-        memory_bytes=int(memory_of(pixels, pixels, int(areas.max()), cells, recipe.field)),
-        disk_bytes=_disk_bytes(pixels, cells) + int(_DISK_OF_SFM * len(sizes_px)),
-        is_bound=True,
+        num_views=len(amounts.view_px),
+        num_maps=len(amounts.map_px),
+        seconds=START_S + sum(parts.values()) if parts else None,
+        num_cores=machine.num_cores(),
+        memory_bytes=int(memory_of(amounts)),
+        disk_bytes=int(_DISK_AT_LEAST + _DISK_OF_MAP * amounts.map_px.sum() + _DISK_OF_CELL * amounts.points),
+        is_bound=amounts.is_bound,
         parts_s=parts,
+    )
+
+
+def amounts_of_run(survey: Survey, plan: Plan) -> Amounts:
+    """Amounts of work of a run on a survey whose poses are known."""
+    photographs = np.array([view.lens.width * view.lens.height for view in survey.views])
+    survey = flattened(survey)
+    cameras = [camera_of(view, plan) for view in survey.views]
+    pixels = np.array([camera.width * camera.height for camera in cameras])
+    chosen = list(range(len(cameras)))
+    area, points = local_area(survey), _OWN_GROUND * float(pixels.sum())
+    if len(cameras) <= _MOST_VIEWS:
+        bed = 0.0 if survey.water is not None else dry_ground(survey).height
+        try:
+            overlap = Overlap(cameras, survey.water, bed)
+        except ValueError as error:
+            raise SurveyError(str(error)) from error
+        chosen = overlap.cover(*plan.recipe.times_seen, area)
+        num_covered = int((overlap.seen.sum(axis=0) >= 2).sum())
+        points = num_covered * _cell_area(overlap.cells) / plan.gsd_m**2
+    if area is not None:
+        x0, y0, x1, y1 = grown(area, AREA_MARGIN_M)
+        points = min(points, (x1 - x0) * (y1 - y0) / plan.gsd_m**2)
+    is_bound = len(cameras) > _MOST_VIEWS
+    return Amounts(
+        photographs, pixels, pixels[chosen], points, plan.pose_choice, plan.field, plan.boxes, is_bound=is_bound
     )
 
 
@@ -245,34 +203,21 @@ def _limit_warning(workload: Workload) -> str | None:
     )
 
 
-def _disk_bytes(of_maps: np.ndarray, num_cells: float) -> int:
-    return int(_DISK_AT_LEAST + _DISK_OF_MAP * float(np.sum(of_maps)) + _DISK_OF_CELL * num_cells)
-
-
-def memory_of(pixels: np.ndarray, of_maps: np.ndarray, largest: int, num_cells: float, field: str) -> float:
-    """Peak memory [bytes]: that of the largest stage with the data that all stages hold.
-
-    Parameters
-    ----------
-    pixels, of_maps : (V,), (M,)
-        Pixels of each view, and of each that gets a height map.
-    largest : int
-        Pixels of the largest photograph.
-    num_cells : float
-        Cells of the bed.
-    field : "solver", "off" or a model of `fields.models.IN_LAYER`
-    """
-    everything, masks = float(np.sum(pixels)), _BYTES_OF_MASKS * float(np.sum(of_maps))
+def memory_of(amounts: Amounts) -> float:
+    """Peak memory [bytes]: that of the largest stage with the data that all stages hold."""
+    pixels, of_maps = amounts.view_px, amounts.map_px
+    everything, masks = float(pixels.sum()), _BYTES_OF_MASKS * float(of_maps.sum())
     held = _BYTES_OF_VIEW * everything + min(_BYTES_OF_COLOURS * everything, _MOST_COLOURS)
     # As they are, and smaller or with small holes closed.
     read = 2.0 * _kept(pixels, _READ)
-    maps = min(_BYTES_OF_MAPS * float(np.sum(of_maps)), _MOST_MAPS)
-    sweep = read + maps + _kept(pixels, _COMPARED) + _BYTES_OF_WORK * float(np.max(pixels))
-    of_field = num_cells if field in IN_LAYER else 0.0
+    maps = min(_BYTES_OF_MAPS * float(of_maps.sum()), _MOST_MAPS)
+    sweep = read + maps + _kept(pixels, _COMPARED) + _BYTES_OF_WORK * float(pixels.max())
+    of_field = amounts.points if amounts.field in IN_LAYER else 0.0
     trained = _BYTES_OF_FIELD * of_field + _BYTES_OF_RAYS * min(of_field, _RAYS_OF_CELLS)
-    solver = _kept(of_maps, _SURFACES) + _BYTES_OF_TILES + masks if field == "solver" else 0.0
-    bed = read + masks + POINT_BYTES * num_cells
-    return _BASE_BYTES + held + max(_BYTES_OF_DECODING * largest, sweep + trained, solver, bed)
+    solver = _kept(of_maps, _SURFACES) + _BYTES_OF_TILES + masks if amounts.field == "solver" else 0.0
+    bed = read + masks + POINT_BYTES * amounts.points
+    decoding = _BYTES_OF_DECODING * float(amounts.photographs_px.max())
+    return _BASE_BYTES + held + max(decoding, sweep + trained, solver, bed)
 
 
 def _kept(pixels: np.ndarray, of_what: tuple[float, float, int]) -> float:

@@ -34,10 +34,8 @@ from refract import FlatWater
 from survey.benchmark.benchmark import machine, run_bathynerf
 from survey.folder.survey import Survey, load_survey
 from survey.plan.choices import Choices
-from survey.plan.plan import make_plan
-from survey.plan.tile_choice import choose_tiles
+from survey.plan.run_plan import plan_run
 from survey.plan.tiling import ground_of, ray_skew_px
-from survey.plan.workload import workload_of
 from survey.simulate.staging.simulate import simulate
 from survey.water.surface import Departure
 
@@ -215,12 +213,12 @@ def kilometre(survey: Survey) -> dict:
     observations = replace(survey.observations, departure=departure)
     river = replace(survey, views=views, water=plane, config=config, observations=observations)
     chosen = Choices(quality="draft", memory="64GB")
-    plan = make_plan(river, chosen)
-    tiles = choose_tiles(river, plan, chosen, workload_of(river, plan))
+    plan, _, _ = plan_run(river, chosen)
+    (tiles,) = (each for each in plan.decisions if each.name == "tiles")
     return {
         "photographs": len(views), "off_one_plane_m": float(np.abs(over).max()),
         "miss_px": next(ray_skew_px(river, plan, ground_of(river, plan), [None]))[1],
-        "tiles": tiles.decision.choice, "reason": tiles.decision.reason,
+        "tiles": tiles.choice, "reason": tiles.reason,
     }  # fmt: skip
 
 

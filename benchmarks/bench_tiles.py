@@ -24,9 +24,10 @@ from evaluation import distance_to_mesh, is_reached
 from geo import read_cloud, read_reference
 from survey.benchmark.benchmark import machine, run_bathynerf
 from survey.folder.survey import load_survey
+from survey.plan.area import Tiling
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
-from survey.plan.tiling import RIM_GSD, Tiling, ground_of
+from survey.plan.tiling import RIM_GSD, ground_of
 
 STRIP_M = 0.5
 TOLERANCES_M = (0.2, 0.05)

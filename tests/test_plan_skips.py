@@ -60,7 +60,7 @@ def test_images_are_worked_on_at_the_scale_that_is_asked_for_if_it_is_halvings(t
     assert (whole.image_scale, half.image_scale) == (1.0, 0.5)
     assert half.gsd_m == pytest.approx(2.0 * whole.gsd_m)
     assert "set by --image-scale" in next(d.reason for d in half.decisions if d.name == "image scale")
-    with pytest.raises(SurveyError, match=r"image scale is 0.3, expected one of 1, 0.5, 0.25"):
+    with pytest.raises(SurveyError, match=r"image-scale is 0.3, expected one of 1, 0.5, 0.25"):
         make_plan(survey, Choices(device="cpu", image_scale=0.3))
 
 

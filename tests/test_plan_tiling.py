@@ -11,11 +11,12 @@ import pytest
 from survey.display.quantities import bytes_of, length, room, size
 from survey.errors import SurveyError
 from survey.plan import tile_choice
+from survey.plan.area import Tiling, inside
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
-from survey.plan.tile_choice import choose_tiles, window_pixels, with_free_cores
-from survey.plan.tiling import Tiling, ground_of, inside, ray_skew_px, tile_warnings
-from survey.plan.workload import workload_of
+from survey.plan.tile_choice import choose_tiles, window_pixels
+from survey.plan.tiling import ground_of, ray_skew_px, tile_warnings
+from survey.plan.workload import amounts_of_run, workload_of
 from survey.water.surface import Departure
 from tests.changed_survey import changed
 
@@ -60,20 +61,25 @@ def planned(shallow_survey):
     return shallow_survey, plan, workload_of(shallow_survey, plan)
 
 
+def tiles_for(survey, plan, chosen, workload, **options):
+    """`choose_tiles` with the amounts of the survey."""
+    return choose_tiles(survey, plan, chosen, workload, amounts_of_run(survey, plan), **options)
+
+
 def test_one_piece_where_memory_suffices_and_the_plan_says_why(planned, monkeypatch):
     monkeypatch.setattr(tile_choice.machine, "free_memory_bytes", lambda: 10_000_000_000)
-    found = choose_tiles(*planned[:2], Choices(), planned[2])
-    assert (found.tiling, found.decision.choice, found.memory_bytes) == (None, "1", planned[2].memory_bytes)
-    assert found.decision.reason.endswith("of memory, which is free")
-    own = choose_tiles(*planned[:2], Choices(memory="8GB"), planned[2])
-    assert own.decision.reason.endswith("of memory, which is within the 8.0 GB of --memory")
+    found = tiles_for(*planned[:2], Choices(), planned[2])
+    assert (found.tiling, found.decisions[0].choice, found.memory_bytes) == (None, "1", planned[2].memory_bytes)
+    assert found.decisions[0].reason.endswith("of memory, which is free")
+    own = tiles_for(*planned[:2], Choices(memory="8GB"), planned[2])
+    assert own.decisions[0].reason.endswith("of memory, which is within the 8.0 GB of --memory")
 
 
 def test_a_number_of_tiles_is_taken_as_it_is(planned):
-    found = choose_tiles(*planned[:2], Choices(tiles=3), planned[2])
+    found = tiles_for(*planned[:2], Choices(tiles=3), planned[2])
     assert len(found.tiling) == 3
-    assert found.decision.reason.startswith("set by --tiles, ")
-    assert choose_tiles(*planned[:2], Choices(tiles=1), planned[2]).tiling is None
+    assert found.decisions[0].reason.startswith("set by --tiles, ")
+    assert tiles_for(*planned[:2], Choices(tiles=1), planned[2]).tiling is None
 
 
 def test_less_memory_asks_for_more_tiles(planned):
@@ -81,19 +87,19 @@ def test_less_memory_asks_for_more_tiles(planned):
     # As if photographs were of 300 megapixels: windows are what the memory is for.
     plan = replace(plan, footprint_m=(2.0, 1.5))
     workload = replace(workload, memory_bytes=4_000_000_000)
-    many = choose_tiles(survey, plan, Choices(memory="600MB"), workload)
+    many = tiles_for(survey, plan, Choices(memory="600MB"), workload)
     assert len(many.tiling) > 1
     assert many.memory_bytes < 4e9
-    assert "600 MB are allowed (--memory); in tiles of " in many.decision.reason
+    assert "600 MB are allowed (--memory); in tiles of " in many.decisions[0].reason
     # An unfinished run goes on with its own tiles.
-    again = choose_tiles(survey, plan, Choices(memory="600MB"), workload, earlier=7)
+    again = tiles_for(survey, plan, Choices(memory="600MB"), workload, earlier=7)
     assert len(again.tiling) == 7
 
 
 def test_ground_smaller_than_a_photograph_is_in_tiles_where_memory_asks_for_them(planned):
     survey, plan, workload = planned
     plan, workload = replace(plan, footprint_m=(26.0, 19.0)), replace(workload, memory_bytes=4_000_000_000)
-    found = choose_tiles(survey, plan, Choices(memory="100MB"), workload)
+    found = tiles_for(survey, plan, Choices(memory="100MB"), workload)
     x, y = found.tiling.x, found.tiling.y
     assert len(found.tiling) > 1
     assert (x[1] - x[0]) * (y[1] - y[0]) >= 26.0 * 19.0 / 16.0
@@ -103,8 +109,8 @@ def test_a_run_that_has_to_be_in_one_piece_refuses_tiles(planned):
     survey, plan, workload = planned
     trained = replace(plan, field="mdw")
     with pytest.raises(SurveyError, match="--tiles 4, but a run with --field mdw is in one piece"):
-        choose_tiles(survey, trained, Choices(tiles=4), workload)
-    assert choose_tiles(survey, trained, Choices(), workload).tiling is None
+        tiles_for(survey, trained, Choices(tiles=4), workload)
+    assert tiles_for(survey, trained, Choices(), workload).tiling is None
     with pytest.raises(SurveyError, match="--tiles is 0"):
         Choices(tiles=0)
 
@@ -118,36 +124,36 @@ def test_the_ground_is_the_bounds_or_what_two_views_see(shallow_survey):
 
 
 def test_each_worker_has_a_tile_and_the_memory_of_one(planned):
-    found = choose_tiles(*planned[:2], Choices(workers=3, memory="8GB"), planned[2])
+    found = tiles_for(*planned[:2], Choices(workers=3, memory="8GB"), planned[2])
     assert len(found.tiling) >= found.workers == 3
-    assert (found.of_workers.choice, found.of_workers.reason) == ("3", "set by --workers")
-    alone = choose_tiles(*planned[:2], Choices(tiles=len(found.tiling), workers=1), planned[2])
+    assert (found.decisions[1].choice, found.decisions[1].reason) == ("3", "set by --workers")
+    alone = tiles_for(*planned[:2], Choices(tiles=len(found.tiling), workers=1), planned[2])
     assert found.memory_bytes == pytest.approx(3 * alone.memory_bytes)
-    few = choose_tiles(*planned[:2], Choices(tiles=2, workers=5), planned[2])
-    assert (few.workers, few.of_workers.reason) == (2, "--workers 5, but there are no more tiles")
+    few = tiles_for(*planned[:2], Choices(tiles=2, workers=5), planned[2])
+    assert (few.workers, few.decisions[1].reason) == (2, "--workers 5, but there are no more tiles")
 
 
 def test_a_small_ground_has_as_many_tiles_as_workers(planned):
     # Seven are no columns and rows of about square tiles.
-    found = choose_tiles(*planned[:2], Choices(workers=7, memory="8GB"), planned[2])
+    found = tiles_for(*planned[:2], Choices(workers=7, memory="8GB"), planned[2])
     assert len(found.tiling) >= found.workers == 7
 
 
 def test_workers_of_a_scheduler_have_memory_of_their_own(planned):
     survey, plan, workload = planned
     plan, workload = replace(plan, footprint_m=(2.0, 1.5)), replace(workload, memory_bytes=4_000_000_000)
-    there = choose_tiles(survey, plan, Choices(scheduler=AT, memory="8GB"), workload)
-    assert (len(there.tiling) >= 2, there.workers, there.of_workers.choice) == (True, 1, "of a scheduler")
-    eight = choose_tiles(survey, plan, Choices(scheduler=AT, workers=2, memory="600MB"), workload)
-    alone = choose_tiles(survey, plan, Choices(memory="600MB"), workload)
+    there = tiles_for(survey, plan, Choices(scheduler=AT, memory="8GB"), workload)
+    assert (len(there.tiling) >= 2, there.workers, there.decisions[1].choice) == (True, 1, "of a scheduler")
+    eight = tiles_for(survey, plan, Choices(scheduler=AT, workers=2, memory="600MB"), workload)
+    alone = tiles_for(survey, plan, Choices(memory="600MB"), workload)
     assert len(eight.tiling) == len(alone.tiling)
 
 
 def test_processes_are_chosen_only_where_the_caller_may_start_them(planned, monkeypatch):
     monkeypatch.setattr(tile_choice.machine, "num_cores", lambda: 8)
     chosen = Choices(tiles=3, memory="64GB")
-    assert choose_tiles(*planned[:2], chosen, planned[2]).workers == 1
-    assert with_free_cores(choose_tiles(*planned[:2], chosen, planned[2]), chosen).workers == 2
+    assert tiles_for(*planned[:2], chosen, planned[2]).workers == 1
+    assert tiles_for(*planned[:2], chosen, planned[2], chooses_workers=True).workers == 2
 
 
 AT = "tcp://one:8786"
@@ -165,15 +171,15 @@ AT = "tcp://one:8786"
 def test_workers_for_one_piece_are_refused(planned, chosen, field, said):
     survey, plan, workload = planned
     with pytest.raises(SurveyError, match=said):
-        choose_tiles(survey, replace(plan, field=field), chosen, workload)
+        tiles_for(survey, replace(plan, field=field), chosen, workload)
 
 
 def test_workers_are_refused_in_the_plan_where_dask_is_missing(planned, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     for chosen in (Choices(workers=2), Choices(scheduler=AT)):
         with pytest.raises(SurveyError, match=r"pip install 'bathynerf\[cluster\]'"):
-            choose_tiles(*planned[:2], chosen, planned[2])
-    assert choose_tiles(*planned[:2], Choices(tiles=2, workers=1), planned[2]).workers == 1
+            tiles_for(*planned[:2], chosen, planned[2])
+    assert tiles_for(*planned[:2], Choices(tiles=2, workers=1), planned[2]).workers == 1
 
 
 def with_water(planned, over):
@@ -188,21 +194,21 @@ def with_water(planned, over):
 
 def test_water_near_a_plane_needs_no_tiles(planned):
     survey, plan, workload = with_water(planned, lambda x, y: 0.02 * np.sin(x))
-    found = choose_tiles(survey, plan, Choices(memory="8GB"), workload)
+    found = tiles_for(survey, plan, Choices(memory="8GB"), workload)
     assert found.tiling is None
-    assert not tile_warnings(survey, plan, None)
+    assert not tile_warnings(survey, plan)
 
 
 def test_water_far_from_a_plane_gets_tiles_and_the_plan_says_why(planned):
     survey, plan, workload = with_water(planned, lambda x, y: 3.0 * np.tanh(y / 4.0))
     plan = replace(plan, footprint_m=(2.0, 1.5), gsd_m=0.02)
-    found = choose_tiles(survey, plan, Choices(memory="8GB"), workload)
+    found = tiles_for(survey, plan, Choices(memory="8GB"), workload)
     assert len(found.tiling) > 1
-    assert found.decision.reason.startswith("rays of a point bent at one plane are skew by up to ")
+    assert found.decisions[0].reason.startswith("rays of a point bent at one plane are skew by up to ")
     ground = ground_of(survey, plan)
     (_, in_one), (_, in_tiles) = ray_skew_px(survey, plan, ground, [None, found.tiling])
     assert in_tiles < 0.5 * in_one
-    assert "are skew by up to" in tile_warnings(survey, plan, None)[0]
+    assert "are skew by up to" in tile_warnings(survey, plan)[0]
 
 
 def test_rays_miss_by_what_snell_says(planned):
@@ -217,8 +223,8 @@ def test_rays_miss_by_what_snell_says(planned):
 
 def test_tiles_larger_than_a_local_frame_serves_for_are_warned_of(planned):
     survey, plan, _ = planned
-    assert not tile_warnings(survey, plan, Tiling((0.0, 1000.0, 2000.0), (0.0, 500.0), 0.2))
-    (warning,) = tile_warnings(survey, plan, Tiling((0.0, 1500.0, 3000.0), (0.0, 500.0), 0.2))
+    assert not tile_warnings(survey, replace(plan, tiling=Tiling((0.0, 1000.0, 2000.0), (0.0, 500.0), 0.2)))
+    (warning,) = tile_warnings(survey, replace(plan, tiling=Tiling((0.0, 1500.0, 3000.0), (0.0, 500.0), 0.2)))
     assert warning.startswith(f"tiles are {length(1500.0)} wide, expected at most {length(1000.0)}")
 
 

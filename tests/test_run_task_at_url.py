@@ -37,7 +37,7 @@ def test_a_task_fetches_what_it_needs_and_leaves_its_result_at_the_url(tmp_path,
     (tmp_path / "adjust-1a" / "a.txt").write_text("needed")
     remote.put_folder(tmp_path / "adjust-1a", "stages/adjust-1a")
     block = SimpleNamespace(saturated=[0.0] * 4)
-    job = SimpleNamespace(survey=survey, chosen=None, planned=None, bed_search=None, block=block)
+    job = SimpleNamespace(survey=survey, chosen=None, plan=None, bed_search=None, block=block)
     name = put_job(job, remote, tmp_path, "sweep")
     assert len(remote.files(PHOTOGRAPHS)) == 4
     seen = {}

@@ -11,11 +11,10 @@ import pytest
 
 from geo.frames import LocalFrame
 from survey.control.points import Control, ControlPoint
-from survey.plan.area import flattened, limits
+from survey.plan.area import Tiling, flattened, inside, limits
 from survey.plan.choices import USUAL
 from survey.plan.heights import dry_ground
 from survey.plan.recipe import RECIPES, required_views
-from survey.plan.tiling import Tiling, inside
 from survey.progress import Progress
 from survey.run import stage_range
 from survey.run.job import Job
@@ -128,7 +127,7 @@ def dry_job(far, tmp_path):
     x = aside.centre[0]
     with Progress(verbosity=-1) as progress:
         job = Job(survey, USUAL, progress, scratch=tmp_path)
-        job.tiling = Tiling((x - 20.0, x + 300.0, x + 800.0), (-100.0, 200.0), 0.2)
+        job.plan = replace(job.plan, tiling=Tiling((x - 20.0, x + 300.0, x + 800.0), (-100.0, 200.0), 0.2))
         yield job
 
 
@@ -187,7 +186,7 @@ def test_tiles_choose_more_views_under_glitter(monkeypatch):
         return Tile(is_void=False, windows=[SimpleNamespace(view=7)], range_of_heights=lambda: (-2.0, 0.0), release=int)
 
     monkeypatch.setattr(stage_range, "TileJob", tile)
-    plan = SimpleNamespace(recipe=RECIPES["draft"])
-    job = SimpleNamespace(tiling=[0], plan=plan, limits=(-3.0, 1.0), survey=SimpleNamespace(views=[]))
+    plan = SimpleNamespace(recipe=RECIPES["draft"], tiling=[0])
+    job = SimpleNamespace(plan=plan, limits=(-3.0, 1.0), survey=SimpleNamespace(views=[]))
     bounds, views = stage_range._of_tiles(job, lambda share: None)
     assert (bounds, views, asked) == ([(-2.0, 0.0)], [7], [required_views((0.5, 0.5), RECIPES["draft"].times_seen)])

@@ -12,7 +12,7 @@ from fields.device import choose_device
 from fields.image_store import GreyImages
 from fields.sweep.map_points import places_in_plan
 from fields.sweep.maps import HeightMap
-from survey.plan.tiling import Tiling, inside
+from survey.plan.area import Tiling, inside
 from survey.run.stored import ArrayFiles
 from survey.run.stored_maps import load_masks, save_masks
 from survey.run.windows import Outlines, windows_of

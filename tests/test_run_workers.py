@@ -350,7 +350,7 @@ def test_each_job_is_saved_under_a_name_of_its_own_with_absolute_paths(shallow_s
     view = replace(shallow_survey.views[0], path=Path("images/a.jpg"), mask_path=Path("masks/a.png"))
     survey = replace(shallow_survey, views=(view,))
     block = SimpleNamespace(images=[], saturated=[])
-    job = SimpleNamespace(survey=survey, chosen=None, planned=None, bed_search=None, block=block)
+    job = SimpleNamespace(survey=survey, chosen=None, plan=None, bed_search=None, block=block)
     first, second = (save_job(job, tmp_path, "sweep") for _ in range(2))
     assert first != second
     stored = pickle.loads(second.read_bytes())[0].views[0]

@@ -6,6 +6,7 @@ for all of it at once: overlap, heights, amounts of work.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import TYPE_CHECKING, Protocol
@@ -21,6 +22,9 @@ from survey.plan.heights import dry_ground, height_range
 
 if TYPE_CHECKING:
     from geo.frames import LocalFrame
+
+# x0, y0, x1, y1 [m], local.
+Area = tuple[float, float, float, float]
 
 # A survey over which the level surface falls by less than this [m] needs no flattening; over a kilometre it is 2 cm.
 _LEAST_DROP_M = 0.05
@@ -103,7 +107,7 @@ class Georeferenced(Protocol):
     def bounds(self) -> tuple[float, float, float, float] | None: ...
 
 
-def local_area(survey: Georeferenced) -> tuple[float, float, float, float] | None:
+def local_area(survey: Georeferenced) -> Area | None:
     """The bounds of the survey as (x0, y0, x1, y1) [m], local, that hold them; None where it has none."""
     if survey.bounds is None:
         return None
@@ -128,12 +132,59 @@ def beyond_bounds(survey: Georeferenced) -> float:
     return float(((corners[:, None] - ring) * outwards).sum(axis=2).max())
 
 
-def grown(area: tuple[float, float, float, float], margin: float) -> tuple[float, float, float, float]:
+def grown(area: Area, margin: float) -> Area:
     """An area (x0, y0, x1, y1) [m] with a margin [m] on every side."""
     return (area[0] - margin, area[1] - margin, area[2] + margin, area[3] + margin)
 
 
-def within(xyz: np.ndarray, area: tuple[float, float, float, float]) -> np.ndarray:
+@dataclass(frozen=True)
+class Tiling:
+    """Tiles of a rectangle, row by row from the south-west."""
+
+    # x, y [m], local: lines between the tiles, the outer ones included, rising
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+    rim: float  # [m]: by which the maps of a tile reach into its neighbours
+
+    @staticmethod
+    def of(ground: Area, count: int, rim: float) -> Tiling:
+        """Equal tiles of a ground (x0, y0, x1, y1), as square as their number allows."""
+        width, height = ground[2] - ground[0], ground[3] - ground[1]
+        pairs = [(n, count // n) for n in range(1, count + 1) if count % n == 0]
+        columns, rows = min(pairs, key=lambda pair: abs(math.log(width / pair[0] * pair[1] / height)))
+        x, y = np.linspace(ground[0], ground[2], columns + 1), np.linspace(ground[1], ground[3], rows + 1)
+        return Tiling(tuple(x.tolist()), tuple(y.tolist()), rim)
+
+    def __len__(self) -> int:
+        return (len(self.x) - 1) * (len(self.y) - 1)
+
+    def _lines(self, number: int) -> tuple[int, int]:
+        row, column = divmod(number, len(self.x) - 1)
+        return row, column
+
+    def cell(self, number: int) -> Area:
+        """Rectangle of the points of a tile, its west and south sides included; without end at the outer sides."""
+        row, column = self._lines(number)
+        x, y = (-math.inf, *self.x[1:-1], math.inf), (-math.inf, *self.y[1:-1], math.inf)
+        return x[column], y[row], x[column + 1], y[row + 1]
+
+    def ground(self, number: int, margin: float) -> Area:
+        """Rectangle of a tile with a margin [m] at the sides where another tile follows."""
+        row, column = self._lines(number)
+        west, south, east, north = (
+            margin if is_inner else 0.0
+            for is_inner in (column > 0, row > 0, column + 2 < len(self.x), row + 2 < len(self.y))
+        )
+        return self.x[column] - west, self.y[row] - south, self.x[column + 1] + east, self.y[row + 1] + north
+
+
+def inside(xy: np.ndarray, cell: Area) -> np.ndarray:
+    """Mask of the places (..., 2) in a rectangle whose west and south sides belong to it."""
+    x, y = xy[..., 0], xy[..., 1]
+    return (x >= cell[0]) & (y >= cell[1]) & (x < cell[2]) & (y < cell[3])
+
+
+def within(xyz: np.ndarray, area: Area) -> np.ndarray:
     """Points (N, 3) over an area (x0, y0, x1, y1), as (N,) bool."""
     return (xyz[:, 0] >= area[0]) & (xyz[:, 1] >= area[1]) & (xyz[:, 0] <= area[2]) & (xyz[:, 1] <= area[3])
 
@@ -162,7 +213,7 @@ def require_seen(survey: Survey) -> None:
     )
 
 
-def _places(survey: Survey, area: tuple[float, float, float, float]) -> list[np.ndarray]:
+def _places(survey: Survey, area: Area) -> list[np.ndarray]:
     """Sample places (N, 3) [m], local, of an area at several heights of the bed."""
     x, y = np.meshgrid(*(np.linspace(area[i], area[i + 2], _PLACES) for i in (0, 1)))
     plan = np.column_stack([x.ravel(), y.ravel()])

@@ -90,9 +90,8 @@ def check_survey(
     survey = checked.survey
     workload: Workload | str
     try:
-        planned = plan_run(survey, chosen, aim=aim, chooses_workers=chooses_workers)
-        plan, workload = planned.plan, planned.workload
-        warnings = (*checked.ordered_warnings, *planned.warnings, *room_warnings(workload, folder / RUN_FOLDER))
+        plan, workload, of_tiles = plan_run(survey, chosen, aim=aim, chooses_workers=chooses_workers)
+        warnings = (*checked.ordered_warnings, *of_tiles, *room_warnings(workload, folder / RUN_FOLDER))
     except SurveyError as error:
         if survey.provenance.reprojection is None:
             raise

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -10,13 +10,16 @@ from fields.skips import SKIPS, Skips
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
-from survey.plan.area import flattened
+from survey.plan.area import Tiling, flattened
 from survey.plan.choices import USUAL, Choices
 from survey.plan.decisions import Decision, finer_passes, lens_terms, pixels, pose_choice, refraction
 from survey.plan.heights import dry_ground, in_words
 from survey.plan.recipe import RECIPES, Recipe, camera_height_m, gsd_m, image_decision, image_scale_of
 from survey.water.surface import EARTH, Departure
 from survey.water.tides import MOST_SHIFT_PX
+
+# Decisions that follow from the photographs alone, or were made before the run.
+OF_RUN = ("aim", "tiles", "workers")
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,10 @@ class Plan:
         Why, in words.
     skips : Skips
         Work to skip that the scene does not need.
+    tiling : Tiling, optional
+        Tiles of the ground; None for one piece.
+    workers : int
+        Processes that compute tiles; 1 for that of the run itself.
     """
 
     quality: str
@@ -67,6 +74,8 @@ class Plan:
     pose_choice: str = "fixed"
     pose_reason: str = ""
     skips: Skips = SKIPS
+    tiling: Tiling | None = None
+    workers: int = 1
 
     @property
     def refines_points_only(self) -> bool:
@@ -75,9 +84,16 @@ class Plan:
 
     def as_dict(self) -> dict:
         """Plain numbers, texts and lists, to be saved with the run."""
-        values = asdict(self)
+        values = asdict(replace(self, tiling=None))
         poses, skips = (values.pop("pose_choice"), values.pop("pose_reason")), values.pop("skips")
+        del values["tiling"], values["workers"]
         return {**values, "poses": poses, "skips": skips}
+
+    def again(self, survey: Survey, chosen: Choices) -> Plan:
+        """The plan for a survey of the same photographs, e.g. with adjusted water; tiles stay."""
+        kept = tuple(each for each in self.decisions if each.name in OF_RUN)
+        made = make_plan(survey, chosen)
+        return replace(made, decisions=(*made.decisions, *kept), tiling=self.tiling, workers=self.workers)
 
 
 def make_plan(survey: Survey, chosen: Choices = USUAL) -> Plan:

@@ -15,12 +15,12 @@ from fields.sweep.views import ground_points
 from survey import machine
 from survey.display.quantities import bytes_of, length, room, size
 from survey.errors import SurveyError
-from survey.plan.area import flattened
+from survey.plan.area import Area, Tiling, flattened
 from survey.plan.decisions import Decision
 from survey.plan.heights import dry_ground
 from survey.plan.sweep_block import camera_of
-from survey.plan.tiling import FRAME_M, MOST_SKEW_PX, RIM_GSD, Area, Tiling, ground_of, ray_skew_px
-from survey.plan.workload import POINT_BYTES, amounts_of_run, memory_of
+from survey.plan.tiling import FRAME_M, MOST_SKEW_PX, RIM_GSD, ground_of, ray_skew_px
+from survey.plan.workload import POINT_BYTES, memory_of
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey
@@ -54,24 +54,12 @@ _REPORT_BYTES = 480e6
 
 @dataclass(frozen=True)
 class TileChoice:
-    """Tiles of a run."""
+    """Tiles of a run, and the processes that compute them."""
 
     tiling: Tiling | None  # None for one piece
-    decision: Decision
+    decisions: tuple[Decision, ...]  # On tiles, and on workers where there are tiles and several were asked for
     memory_bytes: float  # At the peak of the run, of all its processes
-    workers: int = 1  # Processes that compute tiles; 1 for that of the run itself
-    # None where there is one piece, or one process because nothing else was asked for
-    of_workers: Decision | None = None
-
-    @staticmethod
-    def in_one_piece(workload: Workload, reason: str) -> TileChoice:
-        """No tiles, for a reason."""
-        return TileChoice(None, Decision("tiles", "1", reason), float(workload.memory_bytes))
-
-    @property
-    def decisions(self) -> tuple[Decision, ...]:
-        """Lines of the plan."""
-        return (self.decision,) if self.of_workers is None else (self.decision, self.of_workers)
+    workers: int = 1  # 1 for the process of the run itself
 
 
 def choose_tiles(
@@ -79,30 +67,47 @@ def choose_tiles(
     plan: Plan,
     chosen: Choices,
     workload: Workload,
+    amounts: Amounts,
     *,
     earlier: int | None = None,
-    amounts: Amounts | None = None,
+    chooses_workers: bool = False,
 ) -> TileChoice:
-    """Tiles of a survey by its memory, and as many processes for them as are asked for.
+    """Tiles of a survey by its memory, and processes for them.
 
-    ``earlier`` is the number of tiles of an unfinished run that goes on; ``amounts`` are `amounts_of_run`, where known.
+    Parameters
+    ----------
+    workload : Workload
+        In one piece.
+    amounts : Amounts
+        Those of the run.
+    earlier : int, optional
+        Number of tiles of an unfinished run that goes on.
+    chooses_workers : bool
+        Take as many processes as the machine has room for, where no number is asked for.
     """
     require_dask(chosen)
+    why = ""
     if plan.field in IN_LAYER:
-        reason = f"a run with --field {plan.field} is in one piece"
+        why = f"a run with --field {plan.field} is in one piece"
         if chosen.tiles is not None and chosen.tiles > 1:
-            raise SurveyError(f"--tiles {chosen.tiles}, but {reason}; leave one out")
-        _refuse_workers(chosen, reason)
-        return TileChoice.in_one_piece(workload, reason)
-    if chosen.tiles == 1:
-        _refuse_workers(chosen, "--tiles 1 is one piece")
-        return TileChoice.in_one_piece(workload, "set by --tiles")
-    amounts = amounts_of_run(survey, plan) if amounts is None else amounts
+            raise SurveyError(f"--tiles {chosen.tiles}, but {why}; leave one out")
+    elif chosen.tiles == 1:
+        why = "--tiles 1 is one piece"
+    if why:
+        if (asked := _asks_for_workers(chosen)) is not None:
+            raise SurveyError(f"{asked}, but {why}; leave one out")
+        return _one_piece(workload, "set by --tiles" if chosen.tiles == 1 else why)
     if chosen.tiles is None:
-        return _with_workers(_as_needed(survey, plan, chosen, workload, amounts, earlier), chosen)
-    tiling = Tiling.of(ground_of(survey, plan), chosen.tiles, RIM_GSD * plan.gsd_m)
-    decision = Decision("tiles", str(chosen.tiles), f"set by --tiles, {_size_of(tiling)} each")
-    return _with_workers(TileChoice(tiling, decision, _memory(survey, plan, tiling, amounts)), chosen)
+        found = _as_needed(survey, plan, chosen, workload, amounts, earlier)
+    else:
+        tiling = Tiling.of(ground_of(survey, plan), chosen.tiles, RIM_GSD * plan.gsd_m)
+        decision = Decision("tiles", str(chosen.tiles), f"set by --tiles, {_size_of(tiling)} each")
+        found = TileChoice(tiling, (decision,), _memory(survey, plan, tiling, amounts))
+    return found if found.tiling is None else _with_workers(found, found.tiling, chosen, chooses_workers)
+
+
+def _one_piece(workload: Workload, reason: str) -> TileChoice:
+    return TileChoice(None, (Decision("tiles", "1", reason),), float(workload.memory_bytes))
 
 
 def _as_needed(
@@ -119,19 +124,19 @@ def _as_needed(
     if one <= budget and max(for_workers, for_geometry) == 1:
         # How much is free changes from one moment to the next, the plan of a survey does not.
         is_free = "free" if chosen.memory is None else f"within the {room(budget)} of --memory"
-        return TileChoice.in_one_piece(workload, f"{in_one}, which is {is_free}")
+        return _one_piece(workload, f"{in_one}, which is {is_free}")
     needed = "one for each worker at least" if one <= budget else f"{in_one}, and {room(budget)} {source}"
     if for_geometry > for_workers:
         needed = why
     # Workers of a scheduler have memory of their own.
     budget /= 1 if chosen.scheduler is not None else chosen.workers or 1
-    best = TileChoice.in_one_piece(workload, f"{needed}; the ground is too small for tiles")
+    best = _one_piece(workload, f"{needed}; the ground is too small for tiles")
     for count in _candidates(ground, plan, for_workers, for_geometry, earlier):
         tiling = Tiling.of(ground, count, RIM_GSD * plan.gsd_m)
         memory = _memory(survey, plan, tiling, amounts)
         if best.tiling is None or memory < 0.98 * best.memory_bytes:
             reason = f"{needed}; in tiles of {_size_of(tiling)} about {size(memory)}"
-            best = TileChoice(tiling, Decision("tiles", str(count), reason), memory)
+            best = TileChoice(tiling, (Decision("tiles", str(count), reason),), memory)
         if memory <= budget:
             break
     return best
@@ -144,7 +149,7 @@ def _candidates(ground: Area, plan: Plan, for_workers: int, for_geometry: int, e
     of_geometry = [for_geometry] if for_geometry == least > 1 else []
     counts = [*([] if earlier is None else [earlier]), *of_geometry, *_counts(ground, most)]
     # About square ones may all be fewer than there are workers.
-    return [count for count in counts if count >= least] or ([least] if least > 1 else [])
+    return [count for count in counts if count >= max(least, 2)] or ([least] if least > 1 else [])
 
 
 def _most_tiles(ground: Area, plan: Plan, least_footprints: float = _LEAST_FOOTPRINTS) -> int:
@@ -184,12 +189,6 @@ def require_dask(chosen: Choices) -> None:
         raise SurveyError(NO_DASK)
 
 
-def _refuse_workers(chosen: Choices, why: str) -> None:
-    asked = _asks_for_workers(chosen)
-    if asked is not None:
-        raise SurveyError(f"{asked}, but {why}; leave one out")
-
-
 def _asks_for_workers(chosen: Choices) -> str | None:
     """Name of the option that asks for worker processes."""
     if chosen.scheduler is not None:
@@ -197,39 +196,23 @@ def _asks_for_workers(chosen: Choices) -> str | None:
     return None if chosen.workers in (None, 1) else f"--workers {chosen.workers}"
 
 
-def _with_workers(choice: TileChoice, chosen: Choices) -> TileChoice:
-    """The choice of tiles with the processes that are asked for."""
-    if choice.tiling is None:
-        return choice
+def _with_workers(found: TileChoice, tiling: Tiling, chosen: Choices, chooses: bool) -> TileChoice:
+    """Tiles with the processes that are asked for, or else as many as the machine has room for."""
     if chosen.scheduler is not None:
-        return replace(
-            choice, of_workers=Decision("workers", "of a scheduler", f"set by --scheduler {chosen.scheduler}")
-        )
-    if chosen.workers is None:
-        return choice
-    number, reason = min(chosen.workers, len(choice.tiling)), "set by --workers"
-    if number < chosen.workers:
-        reason = f"--workers {chosen.workers}, but there are no more tiles"
-    return _of_processes(choice, number, reason)
-
-
-def with_free_cores(choice: TileChoice, chosen: Choices) -> TileChoice:
-    """The choice of tiles with as many processes as the machine has room for, where no number is asked for."""
-    if choice.tiling is None or chosen.scheduler is not None or chosen.workers is not None:
-        return choice
-    cores = machine.num_cores()
-    number = min(cores // _CORES_OF_WORKER, len(choice.tiling), int(_budget(chosen)[0] // choice.memory_bytes))
-    if number < 2 or not has_dask():
-        return choice
-    each = size(choice.memory_bytes)
-    return _of_processes(
-        choice, number, f"{cores} cores, of which a process uses {_CORES_OF_WORKER}, and {each} for each"
-    )
-
-
-def _of_processes(choice: TileChoice, number: int, reason: str) -> TileChoice:
-    found = Decision("workers", str(number), reason)
-    return replace(choice, workers=number, of_workers=found, memory_bytes=number * choice.memory_bytes)
+        decision = Decision("workers", "of a scheduler", f"set by --scheduler {chosen.scheduler}")
+        return replace(found, decisions=(*found.decisions, decision))
+    if chosen.workers is not None:
+        number, reason = min(chosen.workers, len(tiling)), "set by --workers"
+        if number < chosen.workers:
+            reason = f"--workers {chosen.workers}, but there are no more tiles"
+    else:
+        cores = machine.num_cores()
+        number = min(cores // _CORES_OF_WORKER, len(tiling), int(_budget(chosen)[0] // found.memory_bytes))
+        if not chooses or number < 2 or not has_dask():
+            return found
+        reason = f"{cores} cores, of which a process uses {_CORES_OF_WORKER}, and {size(found.memory_bytes)} for each"
+    decisions = (*found.decisions, Decision("workers", str(number), reason))
+    return TileChoice(tiling, decisions, number * found.memory_bytes, number)
 
 
 def _counts(ground: tuple[float, float, float, float], most: int) -> list[int]:

@@ -8,16 +8,14 @@ exceeds a share of a pixel, photographs no longer match.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fields.sweep.block import Overlap
 from survey.display.quantities import length
-from survey.plan.area import AREA_MARGIN_M, flattened, grown, local_area
+from survey.plan.area import AREA_MARGIN_M, Area, Tiling, flattened, grown, local_area
 from survey.plan.heights import dry_ground
 from survey.plan.sweep_block import camera_of
 from survey.water.tides import GRAZING_DEG
@@ -25,8 +23,6 @@ from survey.water.tides import GRAZING_DEG
 if TYPE_CHECKING:
     from survey.folder.survey import Survey
     from survey.plan.plan import Plan
-
-Area = tuple[float, float, float, float]
 
 # Overlap of maps beyond a tile [ground sampling distances]: windows of the solver with their halo (8), and the
 # neighbourhood of points (4). Windows of the sweep are added, in pixels of each photograph.
@@ -37,53 +33,6 @@ MOST_SKEW_PX = 0.25
 FRAME_M = 1000.0
 # Places along each side of a tile.
 _PLACES = 16
-
-
-@dataclass(frozen=True)
-class Tiling:
-    """Tiles of a rectangle, row by row from the south-west."""
-
-    # x, y [m], local: lines between the tiles, the outer ones included, rising
-    x: tuple[float, ...]
-    y: tuple[float, ...]
-    rim: float  # [m]: by which the maps of a tile reach into its neighbours
-
-    @staticmethod
-    def of(ground: Area, count: int, rim: float) -> Tiling:
-        """Equal tiles of a ground (x0, y0, x1, y1), as square as their number allows."""
-        width, height = ground[2] - ground[0], ground[3] - ground[1]
-        pairs = [(n, count // n) for n in range(1, count + 1) if count % n == 0]
-        columns, rows = min(pairs, key=lambda pair: abs(math.log(width / pair[0] * pair[1] / height)))
-        x, y = np.linspace(ground[0], ground[2], columns + 1), np.linspace(ground[1], ground[3], rows + 1)
-        return Tiling(tuple(x.tolist()), tuple(y.tolist()), rim)
-
-    def __len__(self) -> int:
-        return (len(self.x) - 1) * (len(self.y) - 1)
-
-    def _lines(self, number: int) -> tuple[int, int]:
-        row, column = divmod(number, len(self.x) - 1)
-        return row, column
-
-    def cell(self, number: int) -> Area:
-        """Rectangle of the points of a tile, its west and south sides included; without end at the outer sides."""
-        row, column = self._lines(number)
-        x, y = (-math.inf, *self.x[1:-1], math.inf), (-math.inf, *self.y[1:-1], math.inf)
-        return x[column], y[row], x[column + 1], y[row + 1]
-
-    def ground(self, number: int, margin: float) -> Area:
-        """Rectangle of a tile with a margin [m] at the sides where another tile follows."""
-        row, column = self._lines(number)
-        west, south, east, north = (
-            margin if is_inner else 0.0
-            for is_inner in (column > 0, row > 0, column + 2 < len(self.x), row + 2 < len(self.y))
-        )
-        return self.x[column] - west, self.y[row] - south, self.x[column + 1] + east, self.y[row + 1] + north
-
-
-def inside(xy: np.ndarray, cell: Area) -> np.ndarray:
-    """Mask of the places (..., 2) in a rectangle whose west and south sides belong to it."""
-    x, y = xy[..., 0], xy[..., 1]
-    return (x >= cell[0]) & (y >= cell[1]) & (x < cell[2]) & (y < cell[3])
 
 
 def ground_of(survey: Survey, plan: Plan) -> Area:
@@ -127,9 +76,9 @@ def ray_skew_px(
         yield tiling, most * per_m / plan.gsd_m
 
 
-def tile_warnings(survey: Survey, plan: Plan, tiling: Tiling | None) -> tuple[str, ...]:
+def tile_warnings(survey: Survey, plan: Plan) -> tuple[str, ...]:
     """Warnings where a plane or a local frame is not accurate enough for a tile."""
-    return (*_water_warnings(survey, plan, tiling), *_frame_warnings(tiling))
+    return (*_water_warnings(survey, plan), *_frame_warnings(plan.tiling))
 
 
 def _frame_warnings(tiling: Tiling | None) -> tuple[str, ...]:
@@ -144,15 +93,16 @@ def _frame_warnings(tiling: Tiling | None) -> tuple[str, ...]:
     )
 
 
-def _water_warnings(survey: Survey, plan: Plan, tiling: Tiling | None) -> tuple[str, ...]:
+def _water_warnings(survey: Survey, plan: Plan) -> tuple[str, ...]:
     """A warning where the planes of the tiles do not approximate the water well enough."""
     if survey.water is None or survey.observations.departure is None:
         return ()
-    _, px = next(ray_skew_px(survey, plan, ground_of(survey, plan), [tiling]))
+    _, px = next(ray_skew_px(survey, plan, ground_of(survey, plan), [plan.tiling]))
     if px <= MOST_SKEW_PX:
         return ()
+    planes = "one plane" if plan.tiling is None else "the planes of the tiles"
     return (
-        f"rays bent at {'one plane' if tiling is None else 'the planes of the tiles'} for the water of [water] surface "
+        f"rays bent at {planes} for the water of [water] surface "
         f"are skew by up to {px:.2g} px, expected at most {MOST_SKEW_PX:g}: heights there may be wrong or "
         "missing; take more tiles (--tiles), or photographs that look down more steeply",
     )

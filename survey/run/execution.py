@@ -122,8 +122,8 @@ class TileWorkers:
         return workers
 
     def _start(self) -> Workers:
-        chosen, tiles = self._job.chosen, self._job.tiles
-        number = (chosen.workers or 1) if chosen.scheduler is not None else tiles.workers
+        chosen = self._job.chosen
+        number = (chosen.workers or 1) if chosen.scheduler is not None else self._job.plan.workers
         needs = WorkerNeeds(
             self._run.stages_path,
             self._job.survey.views[0].path,
@@ -136,7 +136,7 @@ class TileWorkers:
 @contextmanager
 def workers_of(job: Job, run: RunDir) -> Iterator[TileWorkers | None]:
     """Workers of a run; None where its own process computes all."""
-    if job.tiling is None or (job.tiles.workers < 2 and job.chosen.scheduler is None):
+    if job.plan.tiling is None or (job.plan.workers < 2 and job.chosen.scheduler is None):
         yield None
         return
     with TileWorkers(job, run) as workers:

@@ -16,7 +16,7 @@ from survey.errors import SurveyError
 from survey.files.toml_table import table_of
 from survey.photos.images import ImageStore
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
-from survey.plan.run_plan import RunPlan, plan_run
+from survey.plan.run_plan import plan_run
 from survey.plan.sweep_block import camera_of, cameras_of_block, load_block
 from survey.run.stored import ArrayFiles
 from survey.run.windows import BedSearch, Outlines
@@ -29,8 +29,9 @@ if TYPE_CHECKING:
     from fields.sweep.maps import HeightMap
     from refract import PinholeCamera
     from survey.folder.survey import Survey
+    from survey.plan.area import Area
     from survey.plan.choices import Choices
-    from survey.plan.tiling import Area, Tiling
+    from survey.plan.plan import Plan
     from survey.progress import Progress
 
 
@@ -48,10 +49,6 @@ class Job:
         Where structure from motion keeps its files.
     scratch : Path or None
         Folder for photographs that do not stay in memory; needed for tiles.
-    tiling : Tiling or None
-        Of a survey that is worked on in tiles.
-    tiles : TileChoice
-        The same with its reasons, and how many processes compute them.
     survey_job : Job
         Itself; of a tile the job of the whole survey.
     bed_search : BedSearch or None
@@ -68,16 +65,14 @@ class Job:
         chosen: Choices,
         progress: Progress,
         *,
-        planned: RunPlan | None = None,
+        plan: Plan | None = None,
         workspace: Path | None = None,
         scratch: Path | None = None,
     ):
         self.survey, self.chosen, self.progress = survey, chosen, progress
         self.workspace, self.scratch = workspace, scratch
         self.survey_job: Job = self
-        self.planned = plan_run(survey, chosen) if planned is None else planned
-        self.plan, self.tiles = self.planned.plan, self.planned.tiles
-        self.tiling: Tiling | None = self.tiles.tiling
+        self.plan = plan_run(survey, chosen)[0] if plan is None else plan
         self.waits_for_kernels = Event()
         self.bed_search: BedSearch | None = None
         self.parts: Sequence[Job] = (self,)
@@ -89,7 +84,7 @@ class Job:
         """Replace the survey by one of the same photographs, e.g. with adjusted water."""
         before = self._hashes_of_rays()
         self.survey = survey
-        self.plan = self.planned.again(survey, self.chosen)
+        self.plan = self.plan.again(survey, self.chosen)
         if self._hashes_of_rays() != before:
             for name in ("block", "bound", "cameras", "outlines"):
                 self.__dict__.pop(name, None)
@@ -117,9 +112,9 @@ class Job:
     def block(self) -> Block:
         """The grey images with their cameras, loaded when the first stage needs them."""
         with self.progress.stage("Images", len(self.survey.views)) as stage:
-            store_array = None if self.tiling is None or self.scratch is None else ArrayFiles(self.scratch)
+            store_array = None if self.plan.tiling is None or self.scratch is None else ArrayFiles(self.scratch)
             block = load_block(self.survey, self.plan, stage.advance, self.photographs, store_array)
-        if self.bed_search is not None and self.tiling is None:
+        if self.bed_search is not None and self.plan.tiling is None:
             block.set_overlap_height(0.5 * sum(self.bed_search.bound))
         return block
 
@@ -256,7 +251,7 @@ class Job:
             "water_settings": lambda: (_settings_of(survey), survey.observations.tide),
             "heights": lambda: self.limits,
             "area": lambda: local_area(survey),
-            "tiles": lambda: self.tiling,
+            "tiles": lambda: self.plan.tiling,
             "frame": lambda: survey.frame,
             "name": lambda: survey.name,
             "size": lambda: plan.image_scale,

@@ -24,12 +24,12 @@ from survey.folder.survey import Survey, load_survey
 from survey.plan.check import Checked, require_processable
 from survey.plan.choices import Choices, choices_of
 from survey.plan.decisions import require_placeable
-from survey.plan.plan import device_decision
-from survey.plan.run_plan import RunPlan, plan_run
+from survey.plan.plan import Plan, device_decision
+from survey.plan.run_plan import plan_run
 from survey.plan.tile_choice import SHARED, require_dask
-from survey.plan.workload import require_room, workload_of_images
+from survey.plan.workload import Workload, require_room, workload_of_images
 from survey.progress import Progress, opened
-from survey.run.aim import AimedPlan, plan_for_aim
+from survey.run.aim import plan_for_aim
 from survey.run.execution import run_stages, workers_of
 from survey.run.folder import RunDir
 from survey.run.job import Job
@@ -97,9 +97,15 @@ def process(
         gone_s = time.monotonic() - began
         aimed = plan_for_aim(survey, chosen, gone_s=gone_s, refuses=checked.survey is not None)
         chosen, earlier = aimed.chosen, run.latest_stage_json(SHARED).get("tiles")
-        planned = plan_run(survey, chosen, aim=aimed.decision, chooses_workers=chooses_workers, earlier_tiles=earlier)
-        _announce(planned, aimed, survey, run, progress)
-        job = Job(survey, chosen, progress, planned=planned, workspace=run.sfm_path, scratch=run.scratch_path)
+        plan, workload, warnings = plan_run(
+            survey, chosen, aim=aimed.decision, chooses_workers=chooses_workers, earlier_tiles=earlier
+        )
+        if chosen.has_aim:
+            progress.note(f"asked: {chosen.aim}")
+        _announce(survey, plan, workload, progress)
+        for text in (*aimed.warnings, *warnings, *require_room(workload, run.path)):
+            progress.warn(text)
+        job = Job(survey, chosen, progress, plan=plan, workspace=run.sfm_path, scratch=run.scratch_path)
         # The report takes half a second to import, beside the kernels of the sweep; if it fails, it does so below.
         Thread(target=_import_products, args=(job,), daemon=True).start()
         result = run.open_result(job.plan.quality)
@@ -143,18 +149,13 @@ def _with_poses(checked: Checked, chosen: Choices, run: RunDir, progress: Progre
         return load_survey(found.folder, found=found, workspace=run.sfm_path, report=progress.note)
 
 
-def _announce(planned: RunPlan, aimed: AimedPlan, survey: Survey, run: RunDir, progress: Progress) -> None:
-    """Print plan and workload; raise where memory or disk cannot suffice."""
-    plan, workload = planned.plan, planned.workload
-    if aimed.chosen.has_aim:
-        progress.note(f"asked: {aimed.chosen.aim}")
+def _announce(survey: Survey, plan: Plan, workload: Workload, progress: Progress) -> None:
     progress.note(f"{survey.name}: {len(survey.views)} views, a pixel covers {length(plan.gsd_m)} of the ground")
     progress.notes(f"assumed: {text}" for text in survey.findings.assumptions)
+    for text in survey.findings.warnings:
+        progress.warn(text)
     progress.notes(f"plan: {decision.name}: {decision.choice} ({decision.reason})" for decision in plan.decisions)
     progress.note(f"workload: {workload}")
-    warnings = (*aimed.warnings, *survey.findings.warnings, *planned.warnings)
-    for text in (*warnings, *require_room(workload, run.path)):
-        progress.warn(text)
     progress.expect(workload.parts_s)
 
 

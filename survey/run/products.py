@@ -174,7 +174,7 @@ def _facts(
         coverage=_coverage(survey, stored, cells),
         cells=cells,
         headers={view.name: read_exif(view.path) for view in survey.views},
-        notes=tile_warnings(survey, plan, finished.job.tiling),
+        notes=tile_warnings(survey, plan),
     )
 
 

@@ -24,7 +24,7 @@ def options_of(job: Job, truth: Truth) -> dict:
         "image_scale": plan.image_scale,
         "calibrate_water": chosen.calibrate_water,
         "true_colour": chosen.true_colour,
-        "tiles": 1 if job.tiling is None else len(job.tiling),
+        "tiles": 1 if job.plan.tiling is None else len(job.plan.tiling),
         **({"target_std_m": chosen.target_std_m, "time_budget_s": chosen.time_budget_s} if chosen.has_aim else {}),
         "command": command_of(job, truth),
     }

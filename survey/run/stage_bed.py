@@ -32,8 +32,8 @@ from survey.display.column import median
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.photos.intersection import equations_of_lines
+from survey.plan.area import inside
 from survey.plan.sweep_block import device_word
-from survey.plan.tiling import inside
 from survey.progress import shares
 from survey.run.job import colour_of
 from survey.run.points import RefinedMaps, adjustment_of, bed_points, is_placed, with_std_of_block

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from fields.volume.photographs import Photographs
     from fields.volume.train import VolumeFigures
     from refract import FlatWater, PinholeCamera
-    from survey.plan.tiling import Area
+    from survey.plan.area import Area
     from survey.run.job import Job
     from survey.run.stored_field import RestoredField
 

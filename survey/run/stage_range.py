@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 def find_range(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
     """Find the bound by thumbnails, and the views that cover the bed; tile by tile where these have local frames."""
-    tiles = 1 if job.tiling is None else len(job.tiling)
-    if job.tiling is not None and has_frames(job.tiling):
+    tiles = 1 if job.plan.tiling is None else len(job.plan.tiling)
+    if job.plan.tiling is not None and has_frames(job.plan.tiling):
         with job.progress.stage("Range of heights", tiles) as stage:
             bounds, views = _of_tiles(job, stage.advance)
         write_json(folder / SHARED, {"bounds": bounds, "views": views, "tiles": tiles})
@@ -43,7 +43,7 @@ def _of_tiles(job: Job, advance: Callable[[float], None]) -> tuple[list[tuple[fl
     found: dict[int, tuple[float, float]] = {}
     views: set[int] = set()
     why: SurveyError | None = None
-    count = len(job.tiling or ())
+    count = len(job.plan.tiling or ())
     for number in range(count):
         tile = TileJob(job, number, BedSearch(job.limits, list(range(len(job.survey.views)))))
         if not tile.is_void:
@@ -71,9 +71,9 @@ def use_range(job: Job, folder: Path) -> None:
         found["views"],
         tuple((low, high) for low, high in bounds) if "bounds" in found else None,
     )
-    if job.tiling is None:
+    if job.plan.tiling is None:
         job.search_bed(search)
         return
-    tiles = [TileJob(job, number, search) for number in range(len(job.tiling))]
+    tiles = [TileJob(job, number, search) for number in range(len(job.plan.tiling))]
     # To find the windows takes workers as long as this process.
     job.search_bed(replace(search, windows=tuple(tile.windows for tile in tiles)), tiles)

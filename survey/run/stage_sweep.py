@@ -23,8 +23,7 @@ from fields.sweep.view_pass import SweepSettings
 from fields.sweep.wide_windows import wet_pairs, with_wide_windows
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
-from survey.plan.area import grown, plane_name
-from survey.plan.tiling import inside
+from survey.plan.area import grown, inside, plane_name
 from survey.progress import shares
 from survey.run.stored_maps import IN_MEMORY, LiveMaps, Stored, map_store, save_maps, save_masks
 

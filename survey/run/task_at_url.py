@@ -48,7 +48,7 @@ def put_job(job: Job, remote: Remote, scratch: Path, stage: str) -> str:
         for view in job.survey.views
     ]
     survey = replace(job.survey, views=tuple(views))
-    parts = survey, job.chosen, job.planned, job.bed_search, job.block.saturated
+    parts = survey, job.chosen, job.plan, job.bed_search, job.block.saturated
     of_names = {_worker_name(source): source for source in sources.values()}
     name = f"{JOBS}/{stage}-{uuid.uuid4().hex}.pickle"
     path = scratch / f"{stage}-{uuid.uuid4().hex}.pickle"
@@ -138,7 +138,7 @@ class _WorkerJob:
     def __init__(self, parts: tuple, sources: Mapping[str, Source]):
         self._sources, self._scratch = sources, TemporaryDirectory(prefix="bathynerf-")
         self._folder = Path(self._scratch.name)
-        survey, chosen, planned, search, saturated = parts
+        survey, chosen, plan, search, saturated = parts
         views = tuple(
             replace(
                 view,
@@ -148,7 +148,7 @@ class _WorkerJob:
             for view in survey.views
         )
         self._images = _Decoded(views, self._folder / "grey")
-        self._job = WorkerJob(replace(survey, views=views), chosen, planned, search, self._images, saturated)
+        self._job = WorkerJob(replace(survey, views=views), chosen, plan, search, self._images, saturated)
         survey_job = self._job.survey_job
         self._images.scale, camera = survey_job.plan.image_scale, survey_job.cameras[0]
         self._images.size = camera.width, camera.height

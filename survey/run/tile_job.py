@@ -14,9 +14,9 @@ from fields.image_store import GreyImages
 from fields.sweep.block import Block
 from fields.sweep.views import ground_points
 from survey.errors import SurveyError
-from survey.plan.area import flattened, grown, limits
+from survey.plan.area import Area, flattened, grown, limits
 from survey.plan.sweep_block import backend
-from survey.plan.tiling import Area, places_of
+from survey.plan.tiling import places_of
 from survey.run.job import Job
 from survey.run.windows import (
     BedSearch,
@@ -57,15 +57,14 @@ class TileJob(Job):
     bed_search: BedSearch
 
     def __init__(self, survey_job: Job, number: int, found: BedSearch):
-        if survey_job.tiling is None:
+        if (tiling := survey_job.plan.tiling) is None:
             raise ValueError("expected a job with tiles")
-        self.survey_job, self.number, self.bed_search = survey_job, number, found
-        self.tiling, self.tiles = survey_job.tiling, survey_job.tiles
+        self.survey_job, self.number, self.bed_search, self._tiling = survey_job, number, found, tiling
         survey, self._moved = survey_job.survey, None
-        if has_frames(survey_job.tiling):
+        if has_frames(tiling):
             frame, ground = (
-                frame_of_tile(survey.frame, survey_job.tiling, number),
-                survey_job.tiling.ground(number, 0.0),
+                frame_of_tile(survey.frame, tiling, number),
+                tiling.ground(number, 0.0),
             )
             self._moved = frame.from_frame(survey.frame)
             survey = survey_in_frame(survey, frame, grown(ground, max(survey_job.plan.footprint_m)))
@@ -88,7 +87,7 @@ class TileJob(Job):
             for w in self.windows
         )
         self.survey, self.chosen = replace(survey, views=views), survey_job.chosen
-        self.progress: Any = _ProgressOfTile(survey_job.progress, number, len(survey_job.tiling))
+        self.progress: Any = _ProgressOfTile(survey_job.progress, number, len(tiling))
         self.workspace, self.scratch = None, None
         self.waits_for_kernels = survey_job.waits_for_kernels
         self._hashed, self._hashed_of = {}, (None, None)
@@ -158,12 +157,6 @@ class TileJob(Job):
         if self._moved is None:
             return xyz
         return (xyz - self._moved.shift) @ self._moved.rotation
-
-    @property
-    def _tiling(self):
-        if self.tiling is None:
-            raise ValueError("expected a job with tiles")
-        return self.tiling
 
     @property
     def limits(self) -> tuple[float, float]:

@@ -20,13 +20,12 @@ from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera
 from survey.photos.cameras import View
 from survey.photos.images import ImageStore
-from survey.plan.area import within
-from survey.plan.tiling import Area
+from survey.plan.area import Area, within
 
 if TYPE_CHECKING:
     from geo.similarity import Similarity
     from survey.folder.survey import Survey
-    from survey.plan.tiling import Tiling
+    from survey.plan.area import Tiling
     from survey.water.surface import Departure
 
 # Windows begin at whole pixels of images at a quarter of the size. Their rows there are whole vectors of 16 pixels:

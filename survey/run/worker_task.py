@@ -24,7 +24,7 @@ from survey.stage_key import code_hash
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey
-    from survey.plan.run_plan import RunPlan
+    from survey.plan.plan import Plan
     from survey.run.job import Job
     from survey.run.tile_job import TileJob
     from survey.run.windows import BedSearch
@@ -51,7 +51,7 @@ def save_job(job: Job, folder: Path, stage: str) -> Path:
     """
     block = job.block
     path = folder / f"{stage}-{uuid.uuid4().hex}.pickle"
-    parts = with_absolute_paths(job.survey), job.chosen, job.planned, job.bed_search, block.images, block.saturated
+    parts = with_absolute_paths(job.survey), job.chosen, job.plan, job.bed_search, block.images, block.saturated
     with write_whole(path) as stream:
         stream.write(pickle.dumps(parts))
     return path.absolute()
@@ -80,15 +80,14 @@ class WorkerJob:
     """Job of a survey on a worker, made of its parts; ``images`` are `GreyImages` of the whole photographs."""
 
     def __init__(
-        self, survey: Survey, chosen: Any, planned: RunPlan, search: BedSearch, images: Any, saturated: Sequence[float]
+        self, survey: Survey, chosen: Any, plan: Plan, search: BedSearch, images: Any, saturated: Sequence[float]
     ):
         from fields.sweep.block import Block
         from survey.plan.sweep_block import backend, cameras_of_block
         from survey.run.job import Job
 
         # The device is that of the worker.
-        planned = replace(planned, plan=planned.again(survey, chosen))
-        self.survey_job = Job(survey, chosen, cast(Any, _RecordedProgress()), planned=planned)
+        self.survey_job = Job(survey, chosen, cast(Any, _RecordedProgress()), plan=plan.again(survey, chosen))
         self._search = search
         cameras, plan = cameras_of_block(survey, self.survey_job.plan), self.survey_job.plan
         self.survey_job.__dict__["block"] = Block(

@@ -51,7 +51,7 @@ def survey_of_mapped(block: DrawnBlock, blocks: list[pycolmap.Reconstruction]) -
     names, frame = names_of(block), LocalFrame(parse_crs(CRS), ORIGIN)
     gps = GpsPositions(frame, dict(zip(names, block.positions, strict=True)), ())
     sensors = [CameraBody(tuple(names), (block.lens.width, block.lens.height), block.stated_lens.focal[0])]
-    placed = place_by_gps(FreeBlocks(without_shared_images(blocks), ()), gps, {name: name for name in names}, sensors)
+    placed = place_by_gps(FreeBlocks(without_shared_images(blocks), ()), gps, sensors)
     up = np.array(placed.frame.origin) - ORIGIN
     found = {name: pose for part in placed.blocks for name, pose in sfm_block.poses_of(part).items()}
     posed = [name for name in names if name in found]

@@ -10,25 +10,28 @@ from small_survey import E0, LEVEL, N0
 
 from geo.frames import LocalFrame
 from refract.lens import Lens
+from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
-from survey.sfm.poses import UnposedPhotographs, image_names
+from survey.sfm.poses import SfmResult
 
 
 def solved(monkeypatch, names):
     """Put a solver in the place of structure from motion, which has tests of its own; returns its calls."""
     calls = []
 
-    def solve_poses(given, crs, workspace, *, control, spare_control, report):
-        focal_px = given.focal_px
-        calls.append((given.paths, workspace, given.gps_height, given.size_px, focal_px))
+    def solve_poses(images, headers, cameras, crs, workspace, *, level_m, control, spare_control, report):
+        focal_px = cameras.focal_px
+        calls.append((list(images.values()), workspace, cameras.gps_height, cameras.size_px, focal_px))
         frame = LocalFrame(crs, (E0, N0, LEVEL))
         lens = Lens("SIMPLE_RADIAL", (focal_px or 90.0, 32.0, 24.0, -0.01), 64, 48)
         down = np.diag([1.0, -1.0, -1.0])
-        views = [(name, lens, np.array([3.0 * i, 0.0, 20.0]), down) for i, name in enumerate(names)]
+        views = tuple(
+            View(name, images[name], lens.camera(np.array([3.0 * i, 0.0, 20.0]), down), lens)
+            for i, name in enumerate(names)
+        )
         ties = TiePoints(np.array([[1.0, 0.0, -2.0]]), np.zeros(3, int), np.arange(3), np.full((3, 2), 9.5))
         residuals = np.zeros((len(views), 3))
-        return SimpleNamespace(frame=frame, views=views, notes=["placed by GPS"], ties=ties, gps_residual_m=residuals)
+        return SfmResult(frame, views, ("placed by GPS",), residuals, ties)
 
-    there = SimpleNamespace(solve_poses=solve_poses, image_names=image_names, UnposedPhotographs=UnposedPhotographs)
-    monkeypatch.setitem(sys.modules, "survey.sfm.poses", there)
+    monkeypatch.setitem(sys.modules, "survey.sfm.poses", SimpleNamespace(solve_poses=solve_poses))
     return calls

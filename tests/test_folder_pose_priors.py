@@ -224,5 +224,5 @@ def test_photographs_of_two_cameras_get_a_lens_for_each(tmp_path, told_by):
     headers = {
         name: replace(head, **{told_by: f"camera {i % 2}"}) for i, (name, head) in enumerate(found.headers.items())
     }
-    sensors = sensors_of(headers, {name: name for name in headers}, None)
+    sensors = sensors_of(headers, None)
     assert [sensor.names for sensor in sensors] == [("0000.jpg", "0002.jpg"), ("0001.jpg", "0003.jpg")]

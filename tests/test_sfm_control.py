@@ -54,11 +54,11 @@ def block_control(posed: dict[str, BlockView], num: int = 6, places: np.ndarray 
 
 def posed_block(rng) -> tuple[dict[str, BlockView], BlockControl]:
     """A block in a frame of its own, and its control."""
-    block, centres = synthetic_block(rng)
-    control = block_control(views_of_block(block, {name: name for name in centres}))
+    block, _ = synthetic_block(rng)
+    control = block_control(views_of_block(block))
     rotation = Rotation.random(rng=rng).as_matrix()
     sfm_block.transform(block, Similarity(0.07, rotation, np.array([3.0, -2.0, 9.0])))
-    return views_of_block(block, {name: name for name in centres}), control
+    return views_of_block(block), control
 
 
 def with_place(control: BlockControl, number: int, shift) -> BlockControl:
@@ -74,14 +74,13 @@ def first(control: BlockControl, num: int) -> BlockControl:
 @pytest.mark.parametrize("num", [3, 4, 6])
 def test_a_block_without_positions_is_placed_by_its_control(rng, num):
     block, centres = synthetic_block(rng)
-    names = {f"flight {name}": name for name in centres}
-    control = block_control(views_of_block(block, names), num)
+    control = block_control(views_of_block(block), num)
     sfm_block.transform(block, Similarity(0.05, Rotation.random(rng=rng).as_matrix(), np.array([7.0, 1.0, -4.0])))
-    sensor = CameraBody(tuple(names.values()), (800, 600), 900.0)
-    placed = place_by_control(FreeBlocks((block,), ()), control, names, [sensor])
+    sensor = CameraBody(tuple(centres), (800, 600), 900.0)
+    placed = place_by_control(FreeBlocks((block,), ()), control, [sensor])
     origin = np.array(placed.frame.origin) - FRAME.origin
-    for alias, (centre, _) in sfm_block.poses_of(placed.blocks[0]).items():
-        np.testing.assert_allclose(centre + origin, centres[alias], atol=1e-6)
+    for name, (centre, _) in sfm_block.poses_of(placed.blocks[0]).items():
+        np.testing.assert_allclose(centre + origin, centres[name], atol=1e-6)
     assert "placed by control points alone (gcp0, gcp1, gcp2" in placed.notes[-1]
 
 
@@ -127,8 +126,8 @@ def test_swapped_columns_are_said(rng):
         fit_control(swapped, posed)
     # Flat ground fits from below.
     flat = tuple(replace(point, local=point.local * [1.0, 1.0, 0.0]) for point in control.points)
-    block, centres = synthetic_block(rng)
-    true = views_of_block(block, {name: name for name in centres})
+    block, _ = synthetic_block(rng)
+    true = views_of_block(block)
     level = block_control(true, places=PLACES * [1.0, 1.0, 0.0])
     assert len(fit_control(replace(level, points=flat), true).used) == 6
     turned = tuple(replace(point, local=point.local[[1, 0, 2]]) for point in flat)
@@ -162,8 +161,8 @@ def test_too_little_control_is_refused_with_what_was_found(rng):
 
 
 def test_points_on_one_line_place_a_block_but_for_its_roll(rng):
-    block, centres = synthetic_block(rng)
-    posed = views_of_block(block, {name: name for name in centres})
+    block, _ = synthetic_block(rng)
+    posed = views_of_block(block)
     line = np.linspace([-20.0, -15.0, 0.0], [20.0, 15.0, 1.0], 4)
     fit = fit_control(block_control(posed, 4, line), posed)
     assert fit.line is not None

@@ -29,15 +29,13 @@ class Apart:
         self.blocks, self.centres, self.controls = [], {}, []
         for first, at in ((0, (0.0, 0.0)), (18, APART)):
             block, centres = synthetic_block(rng, first=first, at=at, tilt_deg=8.0)
-            names = {name: name for name in centres}
-            control = block_control(views_of_block(block, names), places=PLACES + np.array([*at, 0.0]))
+            control = block_control(views_of_block(block), places=PLACES + np.array([*at, 0.0]))
             self.controls.append(_named(control, f"at{first}"))
             turn = Rotation.random(rng=rng).as_matrix()
             sfm_block.transform(block, Similarity(rng.uniform(0.02, 3.0), turn, rng.normal(0.0, 20.0, 3)))
             self.blocks.append(block)
             self.centres |= centres
-        self.names = {name: name for name in self.centres}
-        self.sensors = [CameraBody(tuple(self.names), (800, 600), 900.0)]
+        self.sensors = [CameraBody(tuple(self.centres), (800, 600), 900.0)]
         self.free = FreeBlocks(tuple(self.blocks), ("some are left out",))
 
     def gps(self, rng: np.random.Generator, std: float, names=None) -> GpsPositions:
@@ -67,7 +65,7 @@ def _both(first: BlockControl, second: BlockControl) -> BlockControl:
 def test_every_block_is_placed_by_its_own_positions(seed):
     rng = np.random.default_rng(seed)
     apart, std = Apart(rng), [0.0, 0.02, 0.3][seed % 3]
-    placed = place_by_gps(apart.free, apart.gps(rng, std), apart.names, apart.sensors)
+    placed = place_by_gps(apart.free, apart.gps(rng, std), apart.sensors)
     assert [block.num_reg_images() for block in placed.blocks] == [18, 18]
     # 18 positions tell the place of a block 20 m wide to half of their std, and its tilt to 1.3 of it at the border.
     assert apart.worst(placed) < 1e-6 + 5.0 * std
@@ -77,15 +75,15 @@ def test_every_block_is_placed_by_its_own_positions(seed):
 def test_every_block_is_placed_by_its_own_control(rng):
     apart = Apart(rng)
     control = _both(*apart.controls)
-    placed = place_by_control(apart.free, control, apart.names, apart.sensors)
+    placed = place_by_control(apart.free, control, apart.sensors)
     assert apart.worst(placed) < 1e-6
     assert [note.count("at18 gcp") for note in placed.notes][-1] == 6
 
 
 def test_a_block_whose_positions_are_lost_is_placed_by_its_control(rng):
     apart = Apart(rng)
-    gps = apart.gps(rng, 0.0, [name for name in apart.names if name < "20"])
-    args = (apart.free, gps, apart.names, apart.sensors)
+    gps = apart.gps(rng, 0.0, [name for name in apart.centres if name < "20"])
+    args = (apart.free, gps, apart.sensors)
     placed = place_by_gps(*args, spare=apart.controls[1])
     assert len(placed.blocks) == 2
     assert apart.worst(placed) < 1e-6
@@ -96,13 +94,13 @@ def test_a_block_whose_positions_are_lost_is_placed_by_its_control(rng):
 @pytest.mark.parametrize("lost", [0, 1])
 def test_a_block_that_nothing_places_is_left_out_by_name_whichever_it_is(rng, lost):
     apart = Apart(rng)
-    known = [name for name in apart.names if (name < "18") == (lost == 1)]
-    placed = place_by_gps(apart.free, apart.gps(rng, 0.0, known), apart.names, apart.sensors)
+    known = [name for name in apart.centres if (name < "18") == (lost == 1)]
+    placed = place_by_gps(apart.free, apart.gps(rng, 0.0, known), apart.sensors)
     assert [set(sfm_block.poses_of(block)) for block in placed.blocks] == [set(known)]
     assert apart.worst(placed) < 1e-6
     (note,) = [note for note in placed.notes if "form a separate block" in note]
     assert "0 of 18 images that structure from motion placed have a GPS position" in note
-    assert f"left out: {sorted(set(apart.names) - set(known))[0]}" in note
+    assert f"left out: {sorted(set(apart.centres) - set(known))[0]}" in note
 
 
 def test_a_block_that_neither_positions_nor_control_place_says_what_both_lack(rng):
@@ -111,19 +109,19 @@ def test_a_block_that_neither_positions_nor_control_place_says_what_both_lack(rn
     control = apart.controls[0]
     two = replace(control, points=control.points[:2], slack=control.slack[:2])
     with pytest.raises(PosesError, match=r"2 of 18 images .* GPS position.*nor can control place it: 2 of 2 control"):
-        place_by_gps(FreeBlocks(apart.free.blocks[:1], ()), gps, apart.names, apart.sensors, spare=two)
+        place_by_gps(FreeBlocks(apart.free.blocks[:1], ()), gps, apart.sensors, spare=two)
 
 
 def test_where_nothing_places_any_block_the_largest_says_why(rng):
     apart = Apart(rng)
     with pytest.raises(PosesError, match=r"2 of 18 images .* have a GPS position, .*some are left out"):
-        place_by_gps(apart.free, apart.gps(rng, 0.0, ["00.jpg", "01.jpg"]), apart.names, apart.sensors)
+        place_by_gps(apart.free, apart.gps(rng, 0.0, ["00.jpg", "01.jpg"]), apart.sensors)
 
 
 def test_all_images_of_a_sensor_have_one_lens(rng):
     apart = Apart(rng)
     sfm_block.set_focal(apart.blocks[1], "18.jpg", 921.0)
-    placed = place_by_gps(apart.free, apart.gps(rng, 0.0), apart.names, apart.sensors)
+    placed = place_by_gps(apart.free, apart.gps(rng, 0.0), apart.sensors)
     lenses = {sfm_block.lens_of(block, name) for block in placed.blocks for name in sfm_block.poses_of(block)}
     assert len(lenses) == 1
 

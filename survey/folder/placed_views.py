@@ -168,16 +168,14 @@ def views_of_photographs(
     found: Found, workspace: Path | None, report: Callable[[str], None] | None
 ) -> tuple[PlacedViews, Findings]:
     """The views that structure from motion places."""
-    solved = solve_views(found, workspace, report)
+    solved, rejected, findings = solve_views(found, workspace, report)
     frame = solved.frame
-    views = sorted(solved.views, key=lambda view: view.name)
-    ties = solved.ties.renumbered(np.array([views.index(view) for view in solved.views]))
-    views, of_images = _with_images(found, views, None)
-    priors: Mapping[str, PosePrior] = priors_of_gps(found, frame, views, solved.rejected)
+    views, of_images = _with_images(found, list(solved.views), None)
+    priors: Mapping[str, PosePrior] = priors_of_gps(found, frame, views, rejected)
     control, checkpoints, of_control = place_control(found.control, frame, [view.name for view in views])
-    findings = Findings(tuple(solved.assumptions), tuple(solved.warnings)) + of_images + of_control
+    findings += of_images + of_control
     priors = priors if control is None else _held_by_control(priors)
-    block, of_parts = checked_parts(found, frame, ControlledBlock(views, ties, control, priors))
+    block, of_parts = checked_parts(found, frame, ControlledBlock(views, solved.ties, control, priors))
     placed = PlacedViews(
         found, frame, block.views, block.ties.start, block.ties, None, None, block.priors, block.control, checkpoints
     )

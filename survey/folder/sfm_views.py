@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,11 +12,10 @@ from pyproj import CRS
 from scipy.spatial import KDTree
 
 from geo.crs import EARTH_RADIUS_M, height_unit_m, middle_lon_lat
-from geo.frames import LocalFrame
 from refract.lens import Lens
 from survey.control.local_control import require_near
 from survey.display.quantities import distance_text, named
-from survey.errors import FILE_NAME, ControlError, ImageError, PosesError
+from survey.errors import FILE_NAME, ControlError, Findings, ImageError, PosesError
 from survey.folder.checked_control import control_of_block, may_hold_roll, require_placing_control, with_two_marks
 from survey.folder.faults import (
     above_start_of,
@@ -41,7 +39,7 @@ from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.photos.images import require_all_complete
 from survey.photos.pixels import HEIC_SUFFIXES
-from survey.photos.poses import TiePoints, least_track
+from survey.photos.poses import least_track
 from survey.settings.config import SurveyConfig
 from survey.sfm.control_fit import line_of_control
 from survey.sfm.datum import require_accurate
@@ -52,7 +50,7 @@ from survey.sfm.settings import one_focal, require_mapper, require_size, require
 from survey.words import RUN_FOLDER, SFM_FOLDER
 
 if TYPE_CHECKING:
-    from survey.sfm.poses import UnposedPhotographs
+    from survey.sfm.poses import SfmResult
 
 # Heights in EXIF are not off by more standard deviations of what they have in common.
 _MOST_STD = 3.0
@@ -94,20 +92,6 @@ def _most_over_water(places: np.ndarray) -> float:
     base = float(np.median(KDTree(metres).query(metres, k=2)[0][:, 1])) if len(places) > 1 else 0.0
     by_overlap = base / ((1.0 - USUAL_OVERLAP) * _SHORT_SIDE)
     return float(np.clip(MOST_OF_OVERLAP * by_overlap, DRONE_HEIGHT_M, AIRCRAFT_HEIGHT_M))
-
-
-@dataclass(frozen=True)
-class SolvedViews:
-    """Views that structure from motion placed."""
-
-    frame: LocalFrame
-    views: tuple[View, ...]
-    ties: TiePoints  # The points that three views or more see, on straight rays; views are numbered as in `views`
-    # assumptions, warnings: sentences
-    assumptions: tuple[str, ...]
-    warnings: tuple[str, ...]
-    # Names of photographs whose GPS positions the block contradicts: they count for nothing before the adjustment
-    rejected: frozenset[str] = frozenset()
 
 
 def require_solvable(found: Found) -> list[str]:
@@ -181,65 +165,46 @@ def _spans_area(found: Found) -> bool:
     return line_of_control(with_two_marks(control)) is None
 
 
-def solve_views(found: Found, workspace: Path | None, report: Callable[[str], None] | None) -> SolvedViews:
-    """The result of structure from motion."""
+def solve_views(
+    found: Found, workspace: Path | None, report: Callable[[str], None] | None
+) -> tuple[SfmResult, set[str], Findings]:
+    """The result of structure from motion, and names of photographs whose GPS positions it contradicts.
+
+    These positions count for nothing before the adjustment.
+    """
     warnings = require_solvable(found)
     # Slow to import, and needed only without poses.
-    from survey.sfm.poses import image_names, solve_poses
+    from survey.sfm.poses import solve_poses
 
-    names = {path.absolute(): name for name, path in found.images.items()}
-    name_of = {alias: names[path] for alias, path in image_names(list(found.images.values())).items()}
-    views_of = {name: alias for alias, name in name_of.items()}
-    control = placing_control(found)
-    # Of blocks that fall apart, positions may place one and control another.
-    spare = control_of_block(found) if control is None else None
+    control, water = placing_control(found), found.config.water
     result = solve_poses(
-        _photographs(found),
+        found.images,
+        found.headers,
+        found.config.cameras,
         found.crs,
         workspace or found.folder / RUN_FOLDER / SFM_FOLDER,
-        control=None if control is None else control.with_views(views_of),
-        spare_control=None if spare is None else spare.with_views(views_of),
+        level_m=None if water is None else water.level_m,
+        control=control,
+        # Of blocks that fall apart, positions may place one and control another.
+        spare_control=control_of_block(found) if control is None else None,
         report=report,
     )
-    views = []
-    for alias, lens, centre, cam_from_local in result.views:
-        name = name_of[alias]
-        views.append(View(name, found.images[name], lens.camera(centre, cam_from_local), lens))
-    if len(views) < (least := least_track(len(found.images))):
+    if len(result.views) < (least := least_track(len(found.images))):
         raise PosesError(
-            f"structure from motion found the poses of {len(views)} of {len(found.images)} images, expected at least "
-            f"{least}; give poses made elsewhere in [cameras] poses"
+            f"structure from motion found the poses of {len(result.views)} of {len(found.images)} images, expected at "
+            f"least {least}; give poses made elsewhere in [cameras] poses"
         )
-    solved = {view.name for view in views}
-    without = [name for name in found.images if name not in solved]
-    warnings += named(without, "image", "without a pose, left out")
-    rejected = _rejected_positions(views, result.gps_residual_m)
+    solved = {view.name for view in result.views}
+    warnings += named([name for name in found.images if name not in solved], "image", "without a pose, left out")
+    rejected = _rejected_positions(result.views, result.gps_residual_m)
     parts = [f"{name} (by {distance_text(metres)})" for name, metres in rejected.items()]
     warnings += named(
         parts, "GPS position", "that the block contradicts on straight rays, left out before the adjustment"
     )
-    return SolvedViews(
-        result.frame, tuple(views), result.ties, tuple(result.notes), tuple(warnings), frozenset(rejected)
-    )
+    return result, set(rejected), Findings(tuple(result.notes), tuple(warnings))
 
 
-def _photographs(found: Found) -> UnposedPhotographs:
-    """The photographs of a survey as structure from motion takes them."""
-    from survey.sfm.poses import UnposedPhotographs
-
-    cameras, water = found.config.cameras, found.config.water
-    return UnposedPhotographs(
-        list(found.images.values()),
-        {path: found.headers[name] for name, path in found.images.items()},
-        cameras.gps_height,
-        cameras.size_px,
-        cameras.focal_px,
-        cameras.mapper,
-        None if water is None else water.level_m,
-    )
-
-
-def _rejected_positions(views: list[View], residuals: np.ndarray) -> dict[str, float]:
+def _rejected_positions(views: Sequence[View], residuals: np.ndarray) -> dict[str, float]:
     """Distance [m] of each GPS position that the block contradicts, by name; ``residuals`` (V, 3) [m]."""
     return {
         view.name: float(np.linalg.norm(residual))

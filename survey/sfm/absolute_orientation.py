@@ -59,7 +59,6 @@ Placement = Callable[["pycolmap.Reconstruction"], str]
 def place_by_gps(
     free: FreeBlocks,
     gps: GpsPositions,
-    alias_of: Mapping[str, str],
     sensors: list[CameraBody],
     spare: BlockControl | None = None,
     attitudes: Mapping[str, np.ndarray] | None = None,
@@ -68,73 +67,50 @@ def place_by_gps(
 
     Parameters
     ----------
-    alias_of : mapping of name to name in the block
     spare : BlockControl, optional
-        For the blocks that positions cannot place, and for the roll of those on one line; its views have the names that
-        are keys of `alias_of`.
+        For the blocks that positions cannot place, and for the roll of those on one line.
     attitudes : mapping of name to (3, 3), optional
         Cam from local, as XMP has them.
     """
-    positions = {alias_of[name]: position for name, position in gps.local.items()}
-    turned = _by_alias(attitudes, alias_of)
     nearby = None if spare is None else spare.in_frame(gps.frame)
 
     def by_positions(block: pycolmap.Reconstruction) -> str:
-        trusted = _to_positions(block, positions)
+        trusted = _to_positions(block, gps.local)
         std = gps_std(_residuals(block, trusted))
         message = (
             f"{len(trusted)} GPS positions differ from it by about {std[0]:.2f} m east and north and {std[2]:.2f} m "
-            "up, "
-            "before the adjustment"
+            "up, before the adjustment"
         )
         line = line_of(list(trusted.values()), float(std.max()))
         if line is None:
             return message
         # Control over an area is the better start.
-        if nearby is not None and (by_control := _by_area(nearby, block, alias_of)) is not None:
+        if nearby is not None and (by_control := _by_area(nearby, block)) is not None:
             return by_control
-        intersections = None if nearby is None else intersect_marks(nearby, views_of_block(block, alias_of))
-        return f"{message}; {line.describe(len(trusted))}: {_roll(block, line, turned, intersections)}"
+        intersections = None if nearby is None else intersect_marks(nearby, views_of_block(block))
+        return f"{message}; {line.describe(len(trusted))}: {_roll(block, line, attitudes or {}, intersections)}"
 
     placements: list[Placement] = [by_positions]
     if spare is not None:
-        placements.append(_placement_by_control(spare, gps.frame, alias_of, turned))
-    placed = _place(free, placements, gps.frame, alias_of, sensors)
+        placements.append(_placement_by_control(spare, gps.frame, attitudes or {}))
+    placed = _place(free, placements, gps.frame, sensors)
     return replace(placed, notes=(*gps.notes, *placed.notes))
 
 
 def place_by_control(
     free: FreeBlocks,
     control: BlockControl,
-    alias_of: Mapping[str, str],
     sensors: list[CameraBody],
     attitudes: Mapping[str, np.ndarray] | None = None,
 ) -> PlacedBlocks:
-    """Place blocks by control points; the blocks are changed.
-
-    Parameters
-    ----------
-    control : BlockControl
-        Its views have the names that are keys of `alias_of`.
-    alias_of : mapping of name to name in the block
-    attitudes
-        As for `place_by_gps`.
-    """
-    placement = _placement_by_control(control, control.frame, alias_of, _by_alias(attitudes, alias_of))
-    return _place(free, [placement], control.frame, alias_of, sensors)
+    """Place blocks by control points; the blocks are changed. Attitudes are as for `place_by_gps`."""
+    placement = _placement_by_control(control, control.frame, attitudes or {})
+    return _place(free, [placement], control.frame, sensors)
 
 
-def _by_alias(attitudes: Mapping[str, np.ndarray] | None, alias_of: Mapping[str, str]) -> dict[str, np.ndarray]:
-    return {alias_of[name]: attitude for name, attitude in (attitudes or {}).items() if name in alias_of}
-
-
-def _placement_by_control(
-    control: BlockControl, frame: LocalFrame, alias_of: Mapping[str, str], attitudes: Mapping[str, np.ndarray]
-) -> Placement:
+def _placement_by_control(control: BlockControl, frame: LocalFrame, attitudes: Mapping[str, np.ndarray]) -> Placement:
     def by_control(block: pycolmap.Reconstruction) -> str:
-        fit = fit_control(
-            control if frame is control.frame else control.in_frame(frame), views_of_block(block, alias_of)
-        )
+        fit = fit_control(control if frame is control.frame else control.in_frame(frame), views_of_block(block))
         message = _onto_control(block, fit)
         if fit.line is None:
             return message
@@ -143,10 +119,10 @@ def _placement_by_control(
     return by_control
 
 
-def _by_area(control: BlockControl, block: pycolmap.Reconstruction, alias_of: Mapping[str, str]) -> str | None:
+def _by_area(control: BlockControl, block: pycolmap.Reconstruction) -> str | None:
     """Transform a block onto control that spans an area, and describe it; None where that cannot place it."""
     try:
-        fit = fit_control(control, views_of_block(block, alias_of))
+        fit = fit_control(control, views_of_block(block))
     except ControlError:
         return None
     return _onto_control(block, fit) if fit.line is None else None
@@ -168,7 +144,6 @@ def _place(
     free: FreeBlocks,
     placements: Sequence[Placement],
     frame: LocalFrame,
-    alias_of: Mapping[str, str],
     sensors: list[CameraBody],
 ) -> PlacedBlocks:
     """Place each block by the first method that can; where no block can be placed, raise for the largest."""
@@ -179,16 +154,15 @@ def _place(
             by = _first_that_places(placements, block)
         except (PosesError, ControlError) as error:
             refusals.append(error)
-            lost = [name for name, alias in alias_of.items() if alias in sfm_block.poses_of(block)]
+            lost = list(sfm_block.poses_of(block))
             notes.append(
                 f"{len(lost)} photographs form a separate block without common points, which cannot be placed: "
-                f"{error}; "
-                f"left out: {listed(lost)}"
+                f"{error}; left out: {listed(lost)}"
             )
             continue
         notes += _reset(block, sensors)
         placed.append(block)
-        found.append(f"{_found(block, len(alias_of))}; {by}")
+        found.append(f"{_found(block, sum(len(sensor.names) for sensor in sensors))}; {by}")
     if not placed:
         # Without what was said of the largest: that is raised.
         raise type(refusals[0])("; ".join([str(refusals[0]), *free.notes])) from refusals[0]
@@ -220,39 +194,33 @@ def _share_lenses(blocks: Sequence[pycolmap.Reconstruction], sensors: Sequence[C
         lens = None
         for block in blocks:
             poses = sfm_block.poses_of(block)
-            for alias in (alias for alias in sensor.names if alias in poses):
-                lens = sfm_block.lens_of(block, alias) if lens is None else lens
-                sfm_block.set_lens(block, alias, lens.params)
+            for name in (name for name in sensor.names if name in poses):
+                lens = sfm_block.lens_of(block, name) if lens is None else lens
+                sfm_block.set_lens(block, name, lens.params)
 
 
-def views_of_block(block: pycolmap.Reconstruction, alias_of: Mapping[str, str]) -> dict[str, BlockView]:
-    """The photographs of a block by their own names."""
-    poses = sfm_block.poses_of(block)
-    return {
-        name: BlockView(sfm_block.lens_of(block, alias), *poses[alias])
-        for name, alias in alias_of.items()
-        if alias in poses
-    }
+def views_of_block(block: pycolmap.Reconstruction) -> dict[str, BlockView]:
+    """The photographs of a block by their names."""
+    return {name: BlockView(sfm_block.lens_of(block, name), *pose) for name, pose in sfm_block.poses_of(block).items()}
 
 
 def _to_positions(block: pycolmap.Reconstruction, positions: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Transform a block into local by the GPS positions; return those that agree with it."""
-    centres = {alias: centre for alias, (centre, _) in sfm_block.poses_of(block).items() if alias in positions}
+    centres = {name: centre for name, (centre, _) in sfm_block.poses_of(block).items() if name in positions}
     num = block.num_reg_images()
     if len(centres) < (least := least_track(num)):
         raise PosesError(
             f"{len(centres)} of {num} images that structure from motion placed have a GPS position, "
             f"expected at least {least}; {GIVE_POSES}"
         )
-    ours, gps = np.array(list(centres.values())), np.array([positions[alias] for alias in centres])
+    ours, gps = np.array(list(centres.values())), np.array([positions[name] for name in centres])
     if num == 2:
         # Which leave the roll about their line open, and tell no wrong one.
         similarity, agree = fit_similarity(ours, gps), np.ones(num, dtype=bool)
     else:
         similarity, agree = robust_similarity(ours, gps)
     sfm_block.transform(block, similarity)
-    trusted = {alias: positions[alias] for alias, good in zip(centres, agree, strict=True) if good}
-    return trusted
+    return {name: positions[name] for name, good in zip(centres, agree, strict=True) if good}
 
 
 def _roll(
@@ -263,10 +231,10 @@ def _roll(
 ) -> str:
     """Roll a block about the line of its positions by attitudes, control or the ground; returns which of them."""
     poses, across = sfm_block.poses_of(block), LineAxes.of(line)
-    with_attitude = [alias for alias in poses if alias in attitudes]
+    with_attitude = [name for name in poses if name in attitudes]
     if with_attitude:
-        ours = np.array([poses[alias][1] for alias in with_attitude])
-        angle = roll_by_attitudes(across, ours, np.array([attitudes[alias] for alias in with_attitude]))
+        ours = np.array([poses[name][1] for name in with_attitude])
+        angle = roll_by_attitudes(across, ours, np.array([attitudes[name] for name in with_attitude]))
         sfm_block.transform(block, across.rolled(angle))
         return f"the initial roll is that of the attitudes of {len(with_attitude)} photographs in XMP"
     if intersections is not None and intersections.points:
@@ -276,13 +244,13 @@ def _roll(
             f"the initial roll is that by the control points {listed([point.name for point in intersections.points])}"
         )
     rotations = np.array([rotation for _, rotation in poses.values()])
-    angle = roll_by_ground(across, rotations, sfm_block.points_of(block)[0])
+    angle = roll_by_ground(across, rotations, sfm_block.points_of(block))
     sfm_block.transform(block, across.rolled(angle))
     return "at the initial roll photographs look straight down across it"
 
 
 def _reset(block: pycolmap.Reconstruction, sensors: list[CameraBody]) -> list[str]:
-    return reset_focals(block, {alias: sensor.focal_px for sensor in sensors for alias in sensor.names})[1]
+    return reset_focals(block, {name: sensor.focal_px for sensor in sensors for name in sensor.names})[1]
 
 
 def reset_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | None]) -> tuple[bool, list[str]]:
@@ -305,9 +273,9 @@ def reset_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | N
     mean = axes.mean(axis=0) / np.linalg.norm(axes.mean(axis=0))
     if np.degrees(np.arccos(np.clip(axes @ mean, -1.0, 1.0))).max() > _PARALLEL_DEG:
         return False, []
-    found = {alias: sfm_block.focal_of(block, alias) for alias in poses}
-    in_exif = {alias: focal for alias in found if (focal := nominal[alias]) is not None}
-    wrong = [alias for alias, focal in in_exif.items() if abs(found[alias] / focal - 1.0) > _FOCAL_SHARE]
+    found = {name: sfm_block.focal_of(block, name) for name in poses}
+    in_exif = {name: focal for name in found if (focal := nominal[name]) is not None}
+    wrong = [name for name, focal in in_exif.items() if abs(found[name] / focal - 1.0) > _FOCAL_SHARE]
     scales, notes = "heights and depths scale with it", []
     if not in_exif:
         notes.append(
@@ -321,20 +289,20 @@ def reset_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | N
         f"focal length in EXIF, {in_exif[wrong[0]]:.0f} px, is kept instead of the solved {found[wrong[0]]:.0f} px; "
         f"{scales}, so give [cameras] focal_px if it is known better"
     )
-    for alias in wrong:
-        sfm_block.set_focal(block, alias, in_exif[alias])
+    for name in wrong:
+        sfm_block.set_focal(block, name, in_exif[name])
     return True, notes
 
 
 def _residuals(block: pycolmap.Reconstruction, positions: Mapping[str, np.ndarray]) -> np.ndarray:
     poses = sfm_block.poses_of(block)
-    return np.array([poses[alias][0] - position for alias, position in positions.items()])
+    return np.array([poses[name][0] - position for name, position in positions.items()])
 
 
 def _lowered(frame: LocalFrame, blocks: Sequence[pycolmap.Reconstruction]) -> LocalFrame:
     """The same frame with its origin at the height of the ground; the blocks go with it."""
     unit = height_unit_m(frame.crs)
-    heights = np.concatenate([sfm_block.points_of(block)[0][:, 2] for block in blocks])
+    heights = np.concatenate([sfm_block.points_of(block)[:, 2] for block in blocks])
     drop = math.floor(float(np.median(heights)) / unit)
     for block in blocks:
         sfm_block.transform(block, Similarity(1.0, np.eye(3), np.array([0.0, 0.0, -drop * unit])))
@@ -344,7 +312,7 @@ def _lowered(frame: LocalFrame, blocks: Sequence[pycolmap.Reconstruction]) -> Lo
 
 def _found(block: pycolmap.Reconstruction, num: int) -> str:
     poses = sfm_block.poses_of(block)
-    focals = sorted({round(sfm_block.focal_of(block, alias), 1) for alias in poses})
+    focals = sorted({round(sfm_block.focal_of(block, name), 1) for name in poses})
     return (
         f"structure from motion placed {len(poses)} of {num} images with {block.num_points3D()} points, "
         f"{block.compute_mean_reprojection_error():.2f} px, focal length {', '.join(map(str, focals[:4]))} px"

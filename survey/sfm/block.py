@@ -241,12 +241,9 @@ def transform(block: pycolmap.Reconstruction, similarity: Similarity) -> None:
     block.transform(colmap.Sim3d(similarity.scale, rotation, similarity.shift))
 
 
-def points_of(block: pycolmap.Reconstruction) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points (N, 3) in the frame of the block, the number of images (N,) that see each, and errors (N,) [px]."""
-    points = [block.points3D[number] for number in sorted(block.points3D)]
-    xyz = np.array([point.xyz for point in points], dtype=np.float64).reshape(-1, 3)
-    num_views = np.array([point.track.length() for point in points], dtype=np.int64)
-    return xyz, num_views, np.array([point.error for point in points], dtype=np.float64)
+def points_of(block: pycolmap.Reconstruction) -> np.ndarray:
+    """Points (N, 3) in the frame of the block."""
+    return np.array([block.points3D[number].xyz for number in sorted(block.points3D)]).reshape(-1, 3)
 
 
 def tracks_of(block: pycolmap.Reconstruction, names: Sequence[str]) -> TiePoints:
@@ -276,16 +273,6 @@ def tracks_of(block: pycolmap.Reconstruction, names: Sequence[str]) -> TiePoints
         np.array(pixel, dtype=np.float64).reshape(-1, 2),
         least,
     )
-
-
-def write_block(block: pycolmap.Reconstruction, folder: Path) -> None:
-    """Write a block as a binary COLMAP model into an existing folder."""
-    block.write_binary(folder)
-
-
-def read_block(folder: Path) -> pycolmap.Reconstruction:
-    """A block that `write_block` wrote, to the last bit."""
-    return solver().Reconstruction(folder)
 
 
 def poses_of(block: pycolmap.Reconstruction) -> dict[str, tuple[np.ndarray, np.ndarray]]:

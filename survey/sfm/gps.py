@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import EGM96_HEIGHT, has_height, is_geographic, parse_crs, vertical_crs
+from geo.crs import has_height, is_geographic, parse_crs, vertical_crs
 from geo.frames import LocalFrame
 from geo.transformation import WGS84, Transformation, height_scale, lon_lat
 from survey.errors import FILE_NAME, ConfigError, PosesError
-from survey.photos.exif import Exif, utm_code_of
+from survey.photos.exif import Exif
 from survey.photos.poses import least_track
 from survey.sfm.datum import WELL_KNOWN_M, DatumStd, area_at, height_transformer, plan_std
 from survey.words import GEO_TXT
@@ -34,14 +34,14 @@ class GpsPositions:
     notes: tuple[str, ...]  # sentences: what was assumed
 
 
-def gps_positions(headers: Mapping[str, Exif], crs: CRS | None, gps_height: str) -> GpsPositions:
+def gps_positions(headers: Mapping[str, Exif], crs: CRS, gps_height: str) -> GpsPositions:
     """Positions of photographs, in a local frame of their own.
 
     Parameters
     ----------
     headers : mapping of name to Exif
-    crs : pyproj.CRS or None
-        With a vertical part. None: the UTM zone of the positions with heights above EGM96.
+    crs : pyproj.CRS
+        With a vertical part.
     gps_height : "crs" or "ellipsoidal"
         What the heights in EXIF are: heights in crs, taken as they are, or heights above the WGS 84 ellipsoid,
         for which the grid of the geoid under crs has to be installed.
@@ -54,14 +54,8 @@ def gps_positions(headers: Mapping[str, Exif], crs: CRS | None, gps_height: str)
             f"a height{what_is_missing(headers)}, expected at least {least} to place the survey on Earth; "
             f"{_GIVE_POSES}"
         )
-    notes = []
-    if crs is None:
-        code = f"EPSG:{utm_code_of(headers)}+{EGM96_HEIGHT}"
-        crs = parse_crs(code)
-        notes.append(f'crs = "{code}", the UTM zone of the GPS positions with heights above mean sea level (EGM96)')
     crs = parse_crs(crs)
-    positions, of_heights = positions_in_crs(headers, crs, gps_height)
-    notes += of_heights
+    positions, notes = positions_in_crs(headers, crs, gps_height)
     points = np.array(list(positions.values()))
     frame = LocalFrame(crs, _origin(crs, points))
     missing = len(headers) - num_with_height

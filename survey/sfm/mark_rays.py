@@ -28,17 +28,13 @@ class BlockControl:
 
     frame: LocalFrame  # That of `ControlPoint.local`
     points: tuple[ControlPoint, ...]  # Control, no check points
-    marks: tuple[Mark, ...]  # Their views have the names that the block has for them
+    marks: tuple[Mark, ...]
     slack: np.ndarray  # (points,) [m]: by how much straight rays may miss a point: those under water seem to lie higher
 
     def in_frame(self, frame: LocalFrame) -> BlockControl:
         """The same in another local frame of the same crs."""
         points = tuple(replace(point, local=frame.local_from_crs(np.array(point.crs))) for point in self.points)
         return replace(self, frame=frame, points=points)
-
-    def with_views(self, names: Mapping[str, str]) -> BlockControl:
-        """The same with other names of views."""
-        return replace(self, marks=tuple(replace(mark, view=names[mark.view]) for mark in self.marks))
 
 
 @dataclass(frozen=True)

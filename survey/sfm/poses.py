@@ -7,10 +7,9 @@ point, the result, and the solved blocks, which are stored, in their own frames,
 
 from __future__ import annotations
 
-import os
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -23,37 +22,26 @@ from pyproj import CRS
 from geo.crs import height_unit_m
 from geo.files import reporting_disk_errors
 from geo.frames import LocalFrame
-from refract.lens import Lens
-from survey.errors import ImageError, SurveyError
+from survey.errors import SurveyError
 from survey.files.json_values import read_json_object, write_json
 from survey.files.outputs import locked
+from survey.photos.cameras import View
 from survey.photos.exif import Exif, read_exif
 from survey.photos.poses import TiePoints
+from survey.settings.config import CamerasConfig
 from survey.sfm import block as sfm_block
 from survey.sfm.absolute_orientation import PlacedBlocks, place_by_control, place_by_gps
 from survey.sfm.gps import gps_positions, positions_in_crs
 from survey.sfm.gps_fit import attitudes_of
 from survey.sfm.mark_rays import BlockControl
 from survey.sfm.pairs import image_pairs
-from survey.sfm.settings import mapper_of, one_focal, require_mapper, require_size
-from survey.sfm.solve import FreeBlocks, Photographs, aliases, sensors_of, solve
+from survey.sfm.settings import mapper_of, one_focal, require_mapper, solver
+from survey.sfm.solve import FreeBlocks, Photographs, sensors_of, solve
 from survey.stage_key import code_hash, stage_key
-from survey.words import Mapper
-
-__all__ = ["FreeViews", "SfmResult", "SfmView", "blocks_of", "image_names", "seconds_of_solve", "solve_poses"]
 
 _RECORD, _MODEL, _WORK = "solved.json", "model", ".work.part"
 # Features and matches of an image take about 2 MB in the database.
 _BYTES_PER_IMAGE, _BYTES_AT_LEAST = 4_000_000, 50_000_000
-
-
-class SfmView(NamedTuple):
-    """A photograph with its solved pose."""
-
-    name: str  # Path of the image below the folder that all images have in common, with forward slashes
-    lens: Lens
-    centre: np.ndarray  # (3,) float64 [m], local
-    cam_from_local: np.ndarray  # (3, 3) float64
 
 
 @dataclass(frozen=True)
@@ -62,36 +50,21 @@ class SfmResult:
 
     # Origin: median GPS position or control point, at the height of the middle point of the block, rounded
     frame: LocalFrame
-    views: tuple[SfmView, ...]  # In order of names; images that could not be placed are left out
-    notes: list[str]  # list of sentences: what was assumed, found and left out
-    points: np.ndarray  # (N, 3) float64 [m], local: matched points, on straight rays
-    num_views: np.ndarray  # (N,) int64
-    error_px: np.ndarray  # (N,) float64: mean reprojection error of a point
+    views: tuple[View, ...]  # In order of names; images that could not be placed are left out
+    notes: tuple[str, ...]  # sentences: what was assumed, found and left out
     # (len(views), 3) float64 [m], local: camera centre minus GPS position; NaN for images without one
     gps_residual_m: np.ndarray
     ties: TiePoints  # Those of the points that three images or more see; its views are numbered as in `views`
 
 
-@dataclass(frozen=True)
-class UnposedPhotographs:
-    """Photographs without poses, with their metadata."""
-
-    paths: Sequence[Path]
-    # mapping of path to Exif, optional: with positions that a table gives; default: what the images themselves have
-    headers: Mapping[Path, Exif] | None = None
-    gps_height: str = "crs"  # "crs" or "ellipsoidal": what the heights in EXIF count from
-    size_px: tuple[int, int] | None = None  # (width, height), optional: that all images must have
-    # float, optional: of a calibration; it is kept. Without it, the one in EXIF is where the search starts.
-    focal_px: float | tuple[float, float] | None = None
-    mapper: str = Mapper.auto.value
-    level_m: float | None = None  # Of the water or the ground, about, in the heights of crs; it tells footprints
-
-
 def solve_poses(
-    photographs: UnposedPhotographs,
-    crs: CRS | None,
+    images: Mapping[str, Path],
+    headers: Mapping[str, Exif],
+    cameras: CamerasConfig,
+    crs: CRS,
     workspace: Path,
     *,
+    level_m: float | None = None,
     control: BlockControl | None = None,
     spare_control: BlockControl | None = None,
     report: Callable[[str], None] | None = None,
@@ -100,12 +73,17 @@ def solve_poses(
 
     Parameters
     ----------
-    crs : pyproj.CRS or None
-        With a vertical part; None: UTM with heights above EGM96, said in the notes.
+    images, headers : mapping of name to Path, to Exif
+    cameras : CamerasConfig
+        A focal length that it has is kept; without it, the one in EXIF is where the search starts.
+    crs : pyproj.CRS
+        With a vertical part.
     workspace : Path
         Keeps the solved block, which is used again while images and settings are the same.
+    level_m : float, optional
+        Of the water or the ground, about, in the heights of crs; it tells footprints.
     control : BlockControl, optional
-        Places blocks instead of GPS positions; its views have the names of `image_names`.
+        Places blocks instead of GPS positions.
     spare_control : BlockControl, optional
         Places the blocks that GPS positions cannot.
     report : callable, optional
@@ -116,28 +94,25 @@ def solve_poses(
     The same images on the same kind of computer give the same poses: seeds and threads are fixed.
     """
     note = report or (lambda _text: None)
-    images, gps_height = image_names(photographs.paths), photographs.gps_height
-    given = {path.absolute(): header for path, header in (photographs.headers or {}).items()}
-    known = {name: given[path] if path in given else read_exif(path) for name, path in images.items()}
-    require_size(images, known, photographs.size_px)
-    focal_px = one_focal(photographs.focal_px)
+    images = dict(sorted(images.items()))
+    headers = {name: headers[name] for name in images}
+    focal_px, attitudes = one_focal(cameras.focal_px), attitudes_of(headers)
     place: Callable[..., PlacedBlocks]
     if control is None:
-        gps = gps_positions(known, crs, gps_height)
-        frame, place = gps.frame, partial(place_by_gps, gps=gps, spare=spare_control, attitudes=attitudes_of(known))
+        gps = gps_positions(headers, crs, cameras.gps_height)
+        frame, place = gps.frame, partial(place_by_gps, gps=gps, spare=spare_control, attitudes=attitudes)
     else:
-        frame, place = control.frame, partial(place_by_control, control=control, attitudes=attitudes_of(known))
-    positions, _ = positions_in_crs(known, frame.crs, gps_height)
+        frame, place = control.frame, partial(place_by_control, control=control, attitudes=attitudes)
+    positions, _ = positions_in_crs(headers, crs, cameras.gps_height)
     local = {name: frame.local_from_crs(position) for name, position in positions.items()}
-    ground = None if photographs.level_m is None else _ground(frame, photographs.level_m)
-    mapper, why = mapper_of(len(images), photographs.mapper)
+    ground = None if level_m is None else _ground(frame, level_m)
+    mapper, why = mapper_of(len(images), cameras.mapper)
     note(f"plan: mapper: {mapper} ({why})")
-    free = _solved(Photographs(images, known, local, focal_px, mapper, ground), workspace, note)
-    alias_of = aliases(images)
+    free = _solved(Photographs(images, headers, local, focal_px, mapper, ground), workspace, note)
     by = "their GPS positions" if control is None else f"{len(control.points)} control points"
     note(f"structure from motion: {free.num_images} images are placed by {by}")
-    placed = place(free, alias_of=alias_of, sensors=sensors_of(known, alias_of, focal_px))
-    return _result(placed, positions, alias_of)
+    placed = place(free, sensors=sensors_of(headers, focal_px))
+    return _result(placed, positions, images)
 
 
 def _ground(frame: LocalFrame, level_m: float) -> float:
@@ -146,8 +121,7 @@ def _ground(frame: LocalFrame, level_m: float) -> float:
     return float(frame.local_from_crs(np.array([east, north, level_m / height_unit_m(frame.crs)]))[2])
 
 
-@dataclass(frozen=True)
-class FreeViews:
+class FreeViews(NamedTuple):
     """Photographs that structure from motion placed, in a frame of their own."""
 
     # dict of name to (centre (3,), rotation (3, 3) from that frame to cam): in order of names
@@ -182,15 +156,12 @@ def blocks_of(
     """
     require_mapper(mapper)
     headers = {name: read_exif(path) for name, path in images.items()}
-    found = []
     mapper, why = mapper_of(len(images), mapper)
     report(f"plan: mapper: {mapper} ({why})")
-    for block in _solved(Photographs(images, headers, positions, focal_px, mapper), workspace, report).blocks:
-        by_alias = sfm_block.poses_of(block)
-        alias_of = {name: alias for name, alias in aliases(images).items() if alias in by_alias}
-        poses = {name: by_alias[alias] for name, alias in alias_of.items()}
-        found.append(FreeViews(poses, sfm_block.tracks_of(block, list(alias_of.values()))))
-    return found
+    free = _solved(Photographs(images, headers, positions, focal_px, mapper), workspace, report)
+    poses = [sfm_block.poses_of(block) for block in free.blocks]
+    ties = [sfm_block.tracks_of(block, list(own)) for block, own in zip(free.blocks, poses, strict=True)]
+    return [FreeViews(*of_block) for of_block in zip(poses, ties, strict=True)]
 
 
 def _solved(photographs: Photographs, workspace: Path, report: Callable[[str], None]) -> FreeBlocks:
@@ -215,15 +186,6 @@ def _solved(photographs: Photographs, workspace: Path, report: Callable[[str], N
                 free = solve(photographs, work, report)
                 _store(workspace, key, work, free, time.monotonic() - start)
     return free
-
-
-def image_names(paths: Sequence[Path]) -> dict[str, Path]:
-    """Images by their path below the folder that they have in common, in order of names."""
-    if not paths:
-        raise ImageError("structure from motion got no images, expected at least three")
-    paths = [Path(path).absolute() for path in paths]
-    folder = Path(os.path.commonpath([path.parent for path in paths]))
-    return dict(sorted((path.relative_to(folder).as_posix(), path) for path in paths))
 
 
 def _make_folder(folder: Path) -> Path:
@@ -260,7 +222,7 @@ def _stored(workspace: Path, key: str) -> FreeBlocks | None:
     if record.get("key") != key or not (workspace / _MODEL).is_dir():
         return None
     folders = [workspace / _MODEL / str(number) for number in range(record["blocks"])]
-    return FreeBlocks(tuple(sfm_block.read_block(folder) for folder in folders), tuple(record["notes"]))
+    return FreeBlocks(tuple(solver().Reconstruction(folder) for folder in folders), tuple(record["notes"]))
 
 
 def _store(workspace: Path, key: str, work: Path, free: FreeBlocks, seconds: float) -> None:
@@ -270,24 +232,24 @@ def _store(workspace: Path, key: str, work: Path, free: FreeBlocks, seconds: flo
     for number, block in enumerate(free.blocks):
         model = work / _MODEL / str(number)
         model.mkdir(parents=True)
-        sfm_block.write_block(block, model)
+        block.write_binary(model)
     (work / _MODEL).rename(workspace / _MODEL)
     record = {"key": key, "blocks": len(free.blocks), "notes": free.notes, "seconds": round(seconds, 3)}
     write_json(workspace / _RECORD, record)
 
 
-def _result(placed: PlacedBlocks, positions: Mapping[str, np.ndarray], alias_of: Mapping[str, str]) -> SfmResult:
-    frame = placed.frame
-    block_of = {alias: block for block in placed.blocks for alias in sfm_block.poses_of(block)}
-    poses = {alias: pose for block in placed.blocks for alias, pose in sfm_block.poses_of(block).items()}
-    posed = {name: alias for name, alias in alias_of.items() if alias in poses}
-    views = tuple(
-        SfmView(name, sfm_block.lens_of(block_of[alias], alias), *poses[alias]) for name, alias in posed.items()
-    )
+def _result(placed: PlacedBlocks, positions: Mapping[str, np.ndarray], images: Mapping[str, Path]) -> SfmResult:
+    frame, views = placed.frame, []
+    for block in placed.blocks:
+        for name, pose in sfm_block.poses_of(block).items():
+            lens = sfm_block.lens_of(block, name)
+            views.append(View(name, images[name], lens.camera(*pose), lens))
+    views.sort(key=lambda view: view.name)
     lost = np.full(3, np.nan)
-    measured = np.array([frame.local_from_crs(positions[name]) if name in positions else lost for name in posed])
-    of_points = [sfm_block.points_of(block) for block in placed.blocks]
-    points, num_views, error_px = (np.concatenate(column) for column in zip(*of_points, strict=True))
-    residuals = np.array([view.centre for view in views]) - measured
-    ties = TiePoints.together([sfm_block.tracks_of(block, list(posed.values())) for block in placed.blocks])
-    return SfmResult(frame, views, list(placed.notes), points, num_views, error_px, residuals, ties)
+    residuals = [
+        view.camera.centre - (frame.local_from_crs(positions[view.name]) if view.name in positions else lost)
+        for view in views
+    ]
+    names = [view.name for view in views]
+    ties = TiePoints.together([sfm_block.tracks_of(block, names) for block in placed.blocks])
+    return SfmResult(frame, tuple(views), placed.notes, np.array(residuals), ties)

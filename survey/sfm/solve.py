@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -81,20 +81,15 @@ def _rounded_up(height_m: float) -> float:
 
 @dataclass(frozen=True)
 class FreeBlocks:
-    """FreeBlocks blocks: they share no images and no points, and each has a frame of its own."""
+    """Blocks that share no images and no points; each has a frame of its own."""
 
-    blocks: tuple[pycolmap.Reconstruction, ...]  # The largest first; their images have the names of `aliases`
+    blocks: tuple[pycolmap.Reconstruction, ...]  # The largest first; their images have the names of the photographs
     notes: tuple[str, ...]  # sentences: what was left out
 
     @property
     def num_images(self) -> int:
         """Number of images with a pose in their block."""
         return sum(block.num_reg_images() for block in self.blocks)
-
-
-def aliases(images: Mapping[str, Path]) -> dict[str, str]:
-    """Names for pycolmap's lists of pairs: without spaces, in one folder, in the order of the images."""
-    return {name: f"{i:06d}{path.suffix.lower()}" for i, (name, path) in enumerate(images.items())}
 
 
 def solve(photographs: Photographs, work: Path, report: Callable[[str], None]) -> FreeBlocks:
@@ -108,33 +103,34 @@ def solve(photographs: Photographs, work: Path, report: Callable[[str], None]) -
     report : callable
         Called with a sentence on the progress.
     """
-    alias_of = aliases(photographs.images)
-    blocks = _blocks(photographs, alias_of, work, report)
-    separate = without_shared_images(blocks)
-    return FreeBlocks(separate, tuple(left_out(separate, alias_of)))
+    separate = without_shared_images(_blocks(photographs, work, report))
+    return FreeBlocks(separate, tuple(left_out(separate, list(photographs.images))))
 
 
-def sensors_of(headers: Mapping[str, Exif], alias_of: Mapping[str, str], focal_px: float | None) -> list[CameraBody]:
+def sensors_of(headers: Mapping[str, Exif], focal_px: float | None) -> list[CameraBody]:
     """The cameras that took the images: bodies with one lens at one zoom."""
     groups: dict[tuple, list[str]] = {}
     for name, header in headers.items():
         lens = (header.camera, header.serial, header.size_px, header.focal_px, header.focal_warning)
-        groups.setdefault(lens, []).append(alias_of[name])
+        groups.setdefault(lens, []).append(name)
     return [
         CameraBody(tuple(names), size, focal_px if focal_px is not None else exif_focal)
         for (_camera, _serial, size, exif_focal, _warning), names in groups.items()
     ]
 
 
-def _blocks(
-    photographs: Photographs, alias_of: Mapping[str, str], work: Path, report: Callable[[str], None]
-) -> list[pycolmap.Reconstruction]:
+def _blocks(photographs: Photographs, work: Path, report: Callable[[str], None]) -> list[pycolmap.Reconstruction]:
+    # In pycolmap's lists of pairs names have no spaces.
+    alias_of = {name: f"{i:06d}{path.suffix.lower()}" for i, (name, path) in enumerate(photographs.images.items())}
     folder = work / "images"
     folder.mkdir()
     for name, alias in alias_of.items():
         (folder / alias).symlink_to(photographs.images[name].absolute())
     places = {alias_of[name]: place for name, place in photographs.places.items()}
-    sensors = sensors_of(photographs.headers, alias_of, photographs.focal_px)
+    sensors = [
+        replace(sensor, names=tuple(alias_of[name] for name in sensor.names))
+        for sensor in sensors_of(photographs.headers, photographs.focal_px)
+    ]
     of_pairs = sfm_block.match_photographs(folder, sensors, places, work, report)
     unknown = "; its progress is not known until it ends" if photographs.mapper in WITHOUT_PROGRESS else ""
     report(f"structure from motion: poses, by {photographs.mapper} mapping{unknown}")
@@ -145,6 +141,9 @@ def _blocks(
             f"structure from motion placed {placed} of {len(alias_of)} images, expected at least {least}: too "
             f"few features match; fly with 70 % overlap over textured ground, or {GIVE_POSES}"
         )
+    name_of = {alias: name for name, alias in alias_of.items()}
+    for image in (image for block in blocks for image in block.images.values()):
+        image.name = name_of[image.name]
     return blocks
 
 
@@ -161,11 +160,11 @@ def without_shared_images(blocks: Sequence[pycolmap.Reconstruction]) -> tuple[py
     return tuple(separate)
 
 
-def left_out(blocks: Sequence[pycolmap.Reconstruction], alias_of: Mapping[str, str]) -> list[str]:
-    """A sentence on the images that no block has, by their own names; none if they have all."""
-    placed = {alias for block in blocks for alias in sfm_block.poses_of(block)}
-    names = [name for name, alias in alias_of.items() if alias not in placed]
-    return [f"some images match too little; left out: {listed(names)}"] if names else []
+def left_out(blocks: Sequence[pycolmap.Reconstruction], names: Sequence[str]) -> list[str]:
+    """A sentence on the images that no block has; none if they have all."""
+    placed = {name for block in blocks for name in sfm_block.poses_of(block)}
+    lost = [name for name in names if name not in placed]
+    return [f"some images match too little; left out: {listed(lost)}"] if lost else []
 
 
 def listed(names: Sequence[str]) -> str:

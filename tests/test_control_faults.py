@@ -47,7 +47,7 @@ FAULTS = {
     "no marks": ({"points__csv": table()}, "names points without marks"),
     "no coordinates": ({"marks__csv": marks()}, "names no file with coordinates"),
     "unknown points": ({"points__csv": table(), "marks__csv": marks(("q",))}, "no point with coordinates is called q"),
-    "unknown system": ({"points__csv": "# CoordinateSystem: PROJCS[\n" + table()}, "CRS PROJCS.* is not"),
+    "unknown system": ({"points__csv": "# CoordinateSystem: PROJCS[\n" + table()}, '"PROJCS.* is not'),
     "latin-1": ({"gcp_list__txt": odm().replace("p1", "Fähre").encode("latin-1")}, "is not UTF-8"),
     "latin-1 under another name": ({"ground__txt": odm().replace("p1", "Fähre").encode("latin-1")}, "is not UTF-8"),
     "space in a name": (

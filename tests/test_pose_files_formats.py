@@ -221,7 +221,7 @@ def test_a_lens_that_no_image_uses_refuses_no_model(tmp_path, model, num):
 )
 def test_a_spoilt_model_is_refused_with_the_file_and_the_image(tmp_path, images, words):
     with pytest.raises(PosesError) as error:
-        colmap.read_model(write_model(tmp_path / "m", images))
+        read_poses(write_model(tmp_path / "m", images))
     assert words in str(error.value)
 
 
@@ -256,7 +256,7 @@ def test_a_spoilt_table_is_refused_with_the_line_and_the_column(tmp_path, table,
     path = tmp_path / "cameras.csv"
     path.write_text(table)
     with pytest.raises(PosesError) as error:
-        opk_csv.read_opk_csv(path)
+        read_poses(path)
     assert words in str(error.value)
     assert str(path) in str(error.value)
 

@@ -10,30 +10,22 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from pyproj import CRS
-from pyproj.exceptions import CRSError
 
 from survey.control.points import Content, ControlFormat, GivenMark, GivenPoint, require_std
 from survey.errors import ControlError
 from survey.files.csv_table import number_of
-from survey.files.xml_tree import read_xml
+from survey.files.foreign import begins_with
+from survey.files.xml_tree import crs_of_chunk, read_chunk
 
 _AXES, _STDS = ("x", "y", "z"), ("sx", "sy", "sz")
-_EXPORT = "in Metashape, File > Export > Export Markers writes them"
 
 
 def read_metashape_xml(path: Path) -> Content:
     """Points that have coordinates, and the marks that were set or confirmed by hand."""
-    root = read_xml(path, "the markers", ControlError)
-    chunks = [chunk for chunk in (*root.iter("chunk"), root) if chunk.find(".//marker") is not None]
-    if not chunks:
-        raise ControlError(f"{path} has no markers, expected those of Metashape; {_EXPORT}")
-    chunks = [chunk for chunk in chunks if chunk is not root] or [root]
-    if len(chunks) > 1:
-        raise ControlError(f"{path} has markers of {len(chunks)} chunks, expected one; export one of them alone")
-    (chunk,) = chunks
+    chunk = read_chunk(path, "marker", "markers", ControlError)
     images = {camera.get("id", ""): camera.get("label", "") for camera in chunk.iter("camera")}
     names = {marker.get("id", ""): marker.get("label", "") for marker in chunk.iter("marker") if marker.get("label")}
-    crs = _crs_of(chunk, path)
+    crs = crs_of_chunk(chunk, "markers", path, ControlError)
     points = [
         _point(marker, reference, path, crs)
         for marker in chunk.iter("marker")
@@ -78,20 +70,6 @@ def _mark(
     return GivenMark(names[key], images[camera], where, (_number(location, "x", where), _number(location, "y", where)))
 
 
-def _crs_of(chunk: Element, path: Path) -> CRS | None:
-    """The CRS of the reference of the markers, or of the chunk; None where it has none, or one of its own."""
-    text = next((tag.text for key in ("markers/reference", "reference") if (tag := chunk.find(key)) is not None), None)
-    if not text or not text.strip() or "LOCAL_CS" in text:
-        return None
-    try:
-        return CRS.from_user_input(text.strip())
-    except CRSError as error:
-        raise ControlError(
-            f'{path}: the reference "{text.strip()}" is not a known CRS; set one in Metashape and export '
-            "the markers again"
-        ) from error
-
-
 def _is_true(element: Element, key: str) -> bool:
     return element.get(key, "true").casefold() not in ("false", "0")
 
@@ -105,10 +83,7 @@ def _number(element: Element, key: str, where: str) -> float:
 
 
 def _is_xml(path: Path) -> bool:
-    if path.suffix.casefold() == ".xml":
-        return True
-    with path.open("rb") as file:
-        return file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
+    return path.suffix.casefold() == ".xml" or begins_with(path, b"<")
 
 
 FORMAT = ControlFormat(name="markers of Metashape (.xml)", recognises=_is_xml, read=read_metashape_xml)

@@ -11,6 +11,7 @@ from pyproj import CRS
 
 from survey.control.points import Content, ControlFormat, GivenMark, GivenPoint
 from survey.errors import ControlError
+from survey.files.foreign import begins_with
 from survey.files.json_values import finite_number, finite_numbers, read_foreign_json
 
 _LONGITUDE, _LATITUDE, _ALTITUDE = "longitude", "latitude", "altitude"
@@ -63,10 +64,7 @@ def _marks(each: dict, where: str) -> list[GivenMark]:
 
 
 def _is_opensfm_json(path: Path) -> bool:
-    if path.suffix.casefold() != ".json":
-        return False
-    with path.open("rb") as stream:
-        return stream.read(1).strip() in (b"{", b"\xef", b"")
+    return path.suffix.casefold() == ".json" and begins_with(path, b"{")
 
 
 FORMAT = ControlFormat(

@@ -38,18 +38,21 @@ def crs_of_comment(path: Path, error: type[SurveyError]) -> CRS | None:
     """
     lines = (line.strip() for _, line in text_lines(path, error))
     found = next((named for line in lines if (named := _crs_named(line)) is not None), None)
-    found = found or _crs_of_column(path, error)
-    if found is None or "LOCAL_CS" in found:
+    remedy = "correct the comment, or remove it where coordinates are in the crs of survey.toml"
+    crs = crs_of_text(found or _crs_of_column(path, error), str(path), remedy, error)
+    # A comment on what heights count from does not tell where places are.
+    return None if crs is None or (crs.is_vertical and not crs.is_compound) else crs
+
+
+def crs_of_text(text: str | None, where: str, remedy: str, error: type[SurveyError]) -> CRS | None:
+    """The CRS that a file names at a place; None where it names none, or one of the site alone."""
+    text = (text or "").strip()
+    if not text or any(local in text for local in ("LOCAL_CS", "ENGCRS")):
         return None
     try:
-        crs = crs_of(found.strip())
+        return crs_of(text)
     except CRSError as wrong:
-        raise error(
-            f"{path}: the CRS {found} of a comment is not a known CRS; correct the comment, or remove it "
-            "where coordinates are in the crs of survey.toml"
-        ) from wrong
-    # A comment on what heights count from does not tell where places are.
-    return None if crs.is_vertical and not crs.is_compound else crs
+        raise error(f'{where}: "{text}" is not a known CRS; {remedy}') from wrong
 
 
 def _crs_of_column(path: Path, error: type[SurveyError]) -> str | None:

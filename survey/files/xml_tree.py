@@ -9,7 +9,10 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
+from pyproj import CRS
+
 from survey.errors import SurveyError
+from survey.files.crs_lines import crs_of_text
 
 # No file of a program is nested further; a tree is walked by recursion.
 _DEEPEST = 100
@@ -52,3 +55,23 @@ def read_xml(path: Path, content: str, error: type[SurveyError]) -> Element:
     except OSError as problem:
         raise error(f"{path} cannot be read ({problem.strerror}); correct its name or its permissions") from problem
     return builder.close()
+
+
+def read_chunk(path: Path, inner: str, content: str, error: type[SurveyError]) -> Element:
+    """The one chunk of an XML file of Metashape that has elements of this path in it; its root if that alone has."""
+    root = read_xml(path, f"the {content}", error)
+    chunks = [chunk for chunk in root.iter("chunk") if chunk.find(f".//{inner}") is not None]
+    if not chunks and root.find(f".//{inner}") is not None:
+        return root
+    if not chunks:
+        raise error(f"{path} has no {content}, expected those of Metashape; export them again")
+    if len(chunks) > 1:
+        raise error(f"{path} has {content} of {len(chunks)} chunks, expected one; export one of them alone")
+    return chunks[0]
+
+
+def crs_of_chunk(chunk: Element, content: str, path: Path, error: type[SurveyError]) -> CRS | None:
+    """The CRS of the reference of the cameras or markers of a chunk, or of the chunk; None without one on Earth."""
+    places = (chunk.find(f"{content}/reference"), chunk.find("reference"))
+    text = next((tag.text for tag in places if tag is not None), None)
+    return crs_of_text(text, f"{path}: the reference", f"set one in Metashape and export the {content} again", error)

@@ -31,7 +31,7 @@ class DuplicatePose(PosesError):
     def __init__(self, name_in_file: str, where: str):
         super().__init__(
             f"{where}: image {name_in_file} has a second pose; keep one of the two, or, if they are of two "
-            "photographs in different folders, write the folder before the name"
+            "photographs, rename these, or write their folders before the name"
         )
         self.name_in_file = name_in_file
 
@@ -71,6 +71,7 @@ class Pose:
     cam_from_world: np.ndarray
     lens: Lens | None = None  # None if the file has no lens
     given: GivenPosition | None = None  # None where the file does not say how well the position was known beforehand
+    where: str = ""  # The file and line, for messages; empty: the file alone
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,12 @@ def enu_from_yaw_pitch_roll(yaw: float, pitch: float, roll: float) -> np.ndarray
     return east_north_up @ about_down @ about_right @ about_forward @ aircraft_from_cam
 
 
+def is_rotation(matrix: np.ndarray, tolerance: float) -> bool:
+    """Whether a matrix (3, 3) is a rotation but for rounding; one of numbers that overflow is none."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.abs(matrix @ matrix.T - np.eye(3)).max() <= tolerance and np.linalg.det(matrix) > 0.0)
+
+
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     """The rotation (3, 3) nearest to a rotation with rounding errors (by singular values)."""
     u, _, vt = np.linalg.svd(matrix)

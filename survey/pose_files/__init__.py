@@ -11,7 +11,7 @@ from pathlib import Path
 
 from survey.errors import PosesError
 from survey.files.foreign import instead_of
-from survey.photos.poses import FileTies, PoseFile
+from survey.photos.poses import DuplicatePose, FileTies, PoseFile
 from survey.pose_files import colmap, exterior_text, metashape, nerfstudio, opensfm, opk_csv, pix4d
 from survey.pose_files.format import Format
 
@@ -77,6 +77,11 @@ def read_poses(path: Path) -> PoseFile:
     file = known.read(path)
     if not file.poses:
         raise PosesError(f"{path} has no poses, expected those of the photographs; correct it or give another file")
+    names = set[str]()
+    for pose in file.poses:
+        if pose.name in names:
+            raise DuplicatePose(pose.name, pose.where or str(path))
+        names.add(pose.name)
     return file
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from refract.lens import MODELS, Lens, LensError
 from survey.errors import PosesError
-from survey.photos.poses import DuplicatePose, FileTies, Pose, PoseFile, PoseFrame
+from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame
 from survey.photos.rotations import rotation_from_quaternion
 from survey.pose_files.format import Format
 
@@ -167,7 +167,7 @@ def read_model(folder: Path) -> PoseFile:
     suffix = _suffix(folder)
     cameras, lenses = _read(folder / f"cameras{suffix}"), dict[int, Lens]()
     path = folder / f"images{suffix}"
-    poses: dict[str, Pose] = {}
+    poses: list[Pose] = []
     for image in _read(path):
         name = image.name
         if not np.isfinite(image.pose).all() or not np.any(image.pose[:4]):
@@ -180,8 +180,6 @@ def read_model(folder: Path) -> PoseFile:
                 f"{path}: image {name} has the camera {image.camera}, which cameras{suffix} does not have; write "
                 "the model again"
             )
-        if image.name in poses:
-            raise DuplicatePose(image.name, str(path))
         if image.camera not in lenses:
             try:
                 lenses[image.camera] = lens_of(*cameras[image.camera])
@@ -189,8 +187,8 @@ def read_model(folder: Path) -> PoseFile:
                 raise PosesError(f"{folder / f'cameras{suffix}'}: {error}") from error
         cam_from_local = rotation_from_quaternion(*image.pose[:4])
         centre = -cam_from_local.T @ np.array(image.pose[4:])
-        poses[image.name] = Pose(image.name, centre, cam_from_local, lenses[image.camera])
-    return PoseFile(tuple(poses.values()), PoseFrame.LOCAL, tool=None if _is_own(folder) else "COLMAP")
+        poses.append(Pose(image.name, centre, cam_from_local, lenses[image.camera], where=str(path)))
+    return PoseFile(tuple(poses), PoseFrame.LOCAL, tool=None if _is_own(folder) else "COLMAP")
 
 
 def _is_own(folder: Path) -> bool:

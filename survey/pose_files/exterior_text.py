@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
 from survey.errors import PosesError
 from survey.files.csv_table import number_of, text_lines
-from survey.photos.poses import DuplicatePose, Pose, PoseFile, PoseFrame
+from survey.photos.poses import Pose, PoseFile, PoseFrame
 from survey.photos.rotations import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.pose_files.format import Format
 from survey.words import GEO_TXT
@@ -29,7 +30,7 @@ _EXPECTED = "expected name, x, y, z, omega, phi, kappa"
 
 def read_exterior_text(path: Path) -> PoseFile:
     """Poses in crs from the lines of a file that are neither empty nor headings."""
-    poses: dict[str, Pose] = {}
+    poses: list[Pose] = []
     heading, unit, tool = "", 1.0, None
     for number, line in text_lines(path, PosesError):
         where = f"{path}, line {number}"
@@ -38,16 +39,13 @@ def read_exterior_text(path: Path) -> PoseFile:
             unit = 0.9 if "gon" in heading.split() or "[gon]" in heading or "(gon)" in heading else 1.0
             tool = "Metashape" if "photoid" in heading else None
         elif line.strip() and not line.lstrip().startswith("#"):
-            name, values = _split(line, where)
-            if name in poses:
-                raise DuplicatePose(name, where)
-            poses[name] = _pose(name, values, unit, where)
+            poses.append(_pose(*_split(line, where), unit, where))
     if heading.lstrip("# ").startswith(("epsg:", "+proj", "wgs84")):
         raise PosesError(
             f"{path} begins with a CRS, as OpenDroneMap's geo.txt does, whose angles are not poses: under the name "
             f"{GEO_TXT} its positions are used without being named; {_EXPECTED}"
         )
-    return PoseFile(tuple(poses.values()), PoseFrame.GRID, tool=tool)
+    return PoseFile(tuple(poses), PoseFrame.GRID, tool=tool)
 
 
 def _pose(name: str, values: list[float], unit: float, where: str) -> Pose:
@@ -65,7 +63,7 @@ def _pose(name: str, values: list[float], unit: float, where: str) -> Pose:
                 f"{where}: the nine numbers of its rotation are not those of omega, phi and kappa, expected the "
                 "rotation from the grid into photo axes (x right, y up); export the cameras again as omega, phi, kappa"
             )
-    return Pose(name, np.array(values[:3]), (grid_from_photo @ CAM_FROM_OPK_CAM).T)
+    return Pose(name, np.array(values[:3]), (grid_from_photo @ CAM_FROM_OPK_CAM).T, where=where)
 
 
 def _split(line: str, where: str) -> tuple[str, list[float]]:
@@ -97,31 +95,21 @@ def is_exterior_text(path: Path) -> bool:
 
     A heading that names them in another order makes it a table.
     """
-    if not path.is_file() or path.suffix.casefold() not in _SUFFIXES:
-        return False
+    heading = _heading_of(path)
+    return heading is not None and (_ORDER.search(heading) is not None or "omega" not in heading)
+
+
+def _heading_of(path: Path) -> str | None:
+    """The lines before the first pose, in lower case; None where a file has no pose."""
     heading = ""
-    try:
-        for _, line in text_lines(path, PosesError):
-            if not _is_heading(line):
-                _split(line, "")
-                return _ORDER.search(heading) is not None or "omega" not in heading
-            heading += line.casefold() + "\n"
-    except PosesError:
-        pass
-    return False
-
-
-def _names_angles(path: Path) -> bool:
-    """Whether a heading names the angles: other lists of positions have as many numbers."""
-    try:
-        for _, line in text_lines(path, PosesError):
-            if not _is_heading(line):
-                return False
-            if "omega" in line.casefold():
-                return True
-    except PosesError:
-        pass
-    return False
+    if path.is_file() and path.suffix.casefold() in _SUFFIXES:
+        with suppress(PosesError):
+            for _, line in text_lines(path, PosesError):
+                if not _is_heading(line):
+                    _split(line, "")
+                    return heading
+                heading += line.casefold() + "\n"
+    return None
 
 
 FORMAT = Format(
@@ -129,7 +117,11 @@ FORMAT = Format(
     find=lambda folder: sorted(
         path
         for path in folder.iterdir()
-        if is_exterior_text(path) and _names_angles(path) and "calibrated_" not in path.name and path.name != GEO_TXT
+        # Other lists of positions have as many numbers, and no heading that names the angles.
+        if is_exterior_text(path)
+        and "omega" in (_heading_of(path) or "")
+        and "calibrated_" not in path.name
+        and path.name != GEO_TXT
     ),
     recognises=is_exterior_text,
     read=read_exterior_text,

@@ -5,13 +5,17 @@ The one place for all formats: a reader names the keys that it reads, and what i
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from refract.lens import LensError
+from refract.lens import Lens, LensError
+from survey.errors import PosesError
+from survey.files.csv_table import number_of
+from survey.files.json_values import finite_number
 from survey.photos.poses import FileTies, PoseFile
 
 # Names of coefficients, what only says which lens it is, and words in the names of keys that are about a lens.
@@ -37,6 +41,41 @@ class Format:
     files: Callable[[Path], list[Path]] | None = None
     # tie points that came with the poses, in their frame; None where none came; raises PosesError
     read_ties: Callable[[Path], FileTies | None] | None = None
+
+
+def numbers_in(cells: Sequence[str], count: int, where: str, remedy: str) -> list[float]:
+    """The finite numbers in texts, so many of them; PosesError where they are not."""
+    found = [number_of(cell) for cell in cells]
+    if len(found) != count or not all(map(math.isfinite, found)):
+        raise PosesError(f'{where}: "{" ".join(cells)}" was found, expected {count} finite numbers; {remedy}')
+    return found
+
+
+def lens_number(values: Mapping[str, Any], key: str, default: float | None = None) -> float:
+    """A finite number of a lens in JSON; LensError where it is none."""
+    found = finite_number(values.get(key, default))
+    if found is None:
+        raise LensError(f"{key} is {values.get(key)}, expected a finite number; correct it")
+    return found
+
+
+def lens_size(values: Mapping[str, Any], width: str, height: str) -> tuple[int, int]:
+    """Width and height [px] of a photograph in JSON; LensError where they are no whole numbers."""
+    w, h = lens_number(values, width), lens_number(values, height)
+    if not (w.is_integer() and h.is_integer()):
+        raise LensError(f"the image has {w:g} x {h:g} pixels, expected whole numbers; correct it")
+    return int(w), int(h)
+
+
+def brown_lens(
+    inner: Sequence[float], size: tuple[int, int], *, k3: float = 0.0, k4: float = 0.0, shear: float = 0.0
+) -> Lens:
+    """The model of fewest parameters for Brown's distortion; ``inner`` are fx, fy, cx, cy, k1, k2, p1, p2 of OpenCV."""
+    if k4 or shear:
+        return Lens("BROWN_AFFINE", (*inner, k3, k4, shear), *size)
+    if k3:
+        return Lens("FULL_OPENCV", (*inner, k3, 0.0, 0.0, 0.0), *size)
+    return Lens("OPENCV", tuple(inner), *size)
 
 
 def require_understood(

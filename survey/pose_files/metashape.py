@@ -15,17 +15,15 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 from pyproj import CRS
-from pyproj.exceptions import CRSError
 
-from geo.crs import crs_of
 from refract.lens import Lens, LensError
 from survey.display.quantities import distance_text, named
 from survey.errors import PosesError
 from survey.files.csv_table import number_of
-from survey.files.xml_tree import read_xml
+from survey.files.xml_tree import crs_of_chunk, read_chunk
 from survey.photos.poses import GivenPosition, Pose, PoseFile, PoseFrame
-from survey.photos.rotations import nearest_rotation
-from survey.pose_files.format import Format, require_understood
+from survey.photos.rotations import is_rotation, nearest_rotation
+from survey.pose_files.format import Format, brown_lens, numbers_in, require_understood
 
 # What is read of a calibration, and when it was made.
 _READ = ("resolution", "f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "date")
@@ -68,12 +66,8 @@ def read_lens(sensor: Element) -> Lens:
         return Lens("OPENCV_FISHEYE", (f + b1, f, cx, cy, k1, k2, k3, k4), width, height)
     if kind != "frame":
         raise LensError(f"a lens of the type {kind} is not supported, expected frame or fisheye; {_REMEDY}")
-    inner = (f + b1, f, cx, cy, k1, k2, p1, p2)
-    if k4 or b2:
-        return Lens("BROWN_AFFINE", (*inner, k3, k4, b2 / (f + b1) if f + b1 else math.nan), width, height)
-    if k3:
-        return Lens("FULL_OPENCV", (*inner, k3, 0.0, 0.0, 0.0), width, height)
-    return Lens("OPENCV", inner, width, height)
+    shear = 0.0 if not b2 else b2 / (f + b1) if f + b1 else math.nan
+    return brown_lens((f + b1, f, cx, cy, k1, k2, p1, p2), (width, height), k3=k3, k4=k4, shear=shear)
 
 
 def _number(calibration: Element, key: str) -> float:
@@ -93,12 +87,12 @@ def _whole(text: str | None, key: str) -> int:
 
 def read_metashape(path: Path) -> PoseFile:
     """Poses and lenses of the cameras that are aligned and enabled."""
-    chunk = _chunk(path)
+    chunk = read_chunk(path, "camera/transform", "aligned cameras", PosesError)
     sensors = {sensor.get("id", ""): sensor for sensor in chunk.iter("sensor")}
     lenses: dict[str, Lens] = {}
     transforms = _transforms(chunk, path)
-    crs = _crs_of(chunk, path)
-    poses: dict[str, Pose] = {}
+    crs = crs_of_chunk(chunk, "cameras", path, PosesError)
+    poses: list[Pose] = []
     disabled, unplaced, nameless, components = [], [], [], set()
     # Of a series in time: other photographs of the same cameras.
     of_frames = {photo for frames in chunk.iter("frames") for photo in frames.iter("camera")}
@@ -117,15 +111,11 @@ def read_metashape(path: Path) -> PoseFile:
             unplaced.append(name)
             continue
         where = f'{path}, camera "{name}"'
-        if name in poses:
-            raise PosesError(
-                f"{where}: a second camera has the same label; rename the images, and export the cameras again"
-            )
         sensor = camera.get("sensor_id", "")
         if sensor not in lenses:
             lenses[sensor] = _lens(sensors.get(sensor), where)
         given = _given(camera, sensors[sensor], where, crs)
-        poses[name] = _pose(name, matrix, transforms[component], lenses[sensor], given, where)
+        poses.append(_pose(name, matrix, transforms[component], lenses[sensor], given, where))
         components.add(component)
     if not poses:
         raise _without_poses(path, are_nameless=bool(nameless))
@@ -135,9 +125,9 @@ def read_metashape(path: Path) -> PoseFile:
         *named(nameless, "camera", f"without a label in {path.name}, left out"),
         *_warnings(chunk, path, num_components=len(components)),
     )
-    is_earth = _is_on_earth(poses.values(), crs, path)
+    is_earth = _is_on_earth(poses, crs, path)
     frame = PoseFrame.GEOCENTRIC if is_earth else PoseFrame.LOCAL
-    return PoseFile(tuple(poses.values()), frame, crs, "Metashape", warnings=warnings)
+    return PoseFile(tuple(poses), frame, crs, "Metashape", warnings=warnings)
 
 
 def _without_poses(path: Path, *, are_nameless: bool) -> PosesError:
@@ -176,18 +166,6 @@ def _warnings(chunk: Element, path: Path, *, num_components: int) -> Iterator[st
             f"Metashape compensated a rolling shutter in {path.name}: its poses are those of the middle of each "
             "exposure, and rows count as exposed at once unless [cameras] rolling_shutter_s gives the readout"
         )
-
-
-def _chunk(path: Path) -> Element:
-    root = read_xml(path, "the cameras", PosesError)
-    chunks = [chunk for chunk in root.iter("chunk") if chunk.find(".//camera/transform") is not None]
-    if not chunks and root.find(".//camera/transform") is not None:
-        return root
-    if not chunks:
-        raise PosesError(f"{path} has no aligned cameras, expected those of a chunk of Metashape; {_EXPORT}")
-    if len(chunks) > 1:
-        raise PosesError(f"{path} has cameras of {len(chunks)} chunks, expected one; export one of them alone")
-    return chunks[0]
 
 
 def _transforms(chunk: Element, path: Path) -> dict[str, np.ndarray]:
@@ -233,14 +211,12 @@ def _pose(
 ) -> Pose:
     chunk_from_cam = _numbers(matrix, 16, where).reshape(4, 4)
     # Numbers that overflow are not finite, and no rotation.
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         world_from_cam = world_from_chunk @ chunk_from_cam
-        turn = world_from_cam[:3, :3]
-        size = float(np.cbrt(np.linalg.det(turn)))
-        is_rotation = 0.0 < size < np.inf and np.abs(turn.T @ turn / size**2 - np.eye(3)).max() <= _ROUNDED
-    if not is_rotation or not np.isfinite(world_from_cam).all():
+        turn = world_from_cam[:3, :3] / np.cbrt(np.linalg.det(world_from_cam[:3, :3]))
+    if not np.isfinite(world_from_cam).all() or not is_rotation(turn, _ROUNDED):
         raise PosesError(f"{where}: its transform is not a rotation with a scale; {_EXPORT}")
-    return Pose(name, world_from_cam[:3, 3], nearest_rotation(turn / size).T, lens, given)
+    return Pose(name, world_from_cam[:3, 3], nearest_rotation(turn).T, lens, given, where)
 
 
 def _lens(sensor: Element | None, where: str) -> Lens:
@@ -266,24 +242,10 @@ def _given(camera: Element, sensor: Element, where: str, crs: CRS | None) -> Giv
     stds = [reference.get(key) or same for key, same in zip(("sx", "sy", "sz"), both, strict=True)]
     if any(std is None for std in stds):
         return None
-    values = [_finite(text, where) for text in (*(reference.get(key, "") for key in "xyz"), *stds)]
+    values = numbers_in([*(reference.get(key, "") for key in "xyz"), *filter(None, stds)], 6, where, _EXPORT)
     if min(values[3:]) <= 0.0:
         raise PosesError(f"{where}: the accuracy of its reference is {values[3:]} m, expected above 0; {_EXPORT}")
     return GivenPosition(np.array(values[:3]), np.array(values[3:]))
-
-
-def _crs_of(chunk: Element, path: Path) -> CRS | None:
-    """The CRS of the chunk; None where it has none, or local coordinates."""
-    text = next((tag.text for key in ("cameras/reference", "reference") if (tag := chunk.find(key)) is not None), None)
-    text = (text or "").strip()
-    if not text or text.startswith(("LOCAL_CS", "ENGCRS")):
-        return None
-    try:
-        return crs_of(text)
-    except CRSError as error:
-        raise PosesError(
-            f'{path}: the reference "{text}" is not a known CRS; set one in Metashape and export the cameras again'
-        ) from error
 
 
 def _is_on_earth(poses, crs: CRS | None, path: Path) -> bool:
@@ -299,21 +261,11 @@ def _is_on_earth(poses, crs: CRS | None, path: Path) -> bool:
 
 
 def _numbers(element: Element | None, count: int, where: str) -> np.ndarray:
-    texts = [] if element is None else _texts(element)
-    if len(texts) != count:
-        raise PosesError(f"{where}: {len(texts)} numbers were found, expected {count}; {_EXPORT}")
-    return np.array([_finite(text, where) for text in texts])
+    return np.array(numbers_in([] if element is None else _texts(element), count, where, _EXPORT))
 
 
 def _texts(element: Element) -> list[str]:
     return (element.text or "").replace(",", " ").split()
-
-
-def _finite(text: str | None, where: str) -> float:
-    value = number_of(text or "")
-    if not math.isfinite(value):
-        raise PosesError(f"{where}: {text or 'nothing'} was found, expected a finite number; {_EXPORT}")
-    return value
 
 
 def _is_true(text: str | None, default: str = "true") -> bool:

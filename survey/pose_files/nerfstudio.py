@@ -9,10 +9,11 @@ import numpy as np
 
 from refract.lens import Lens, LensError
 from survey.errors import PosesError
+from survey.files.foreign import begins_with
 from survey.files.json_values import finite_number, finite_numbers, read_foreign_json
-from survey.photos.poses import DuplicatePose, Pose, PoseFile, PoseFrame
-from survey.photos.rotations import nearest_rotation
-from survey.pose_files.format import Format, require_understood
+from survey.photos.poses import Pose, PoseFile, PoseFrame
+from survey.photos.rotations import is_rotation, nearest_rotation
+from survey.pose_files.format import Format, brown_lens, lens_number, lens_size, require_understood
 
 _NAME = "transforms.json"
 _EXPORT = "write it again with ns-process-data"
@@ -38,24 +39,22 @@ def read_nerfstudio(path: Path) -> PoseFile:
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
         raise PosesError(f"{path} has no list of frames, expected that of nerfstudio; {_EXPORT}")
     applied, scale = _applied(path, data)
-    poses: dict[str, Pose] = {}
+    poses: list[Pose] = []
     for frame in frames:
         name = frame.get("file_path")
         if not isinstance(name, str) or not name:
             raise PosesError(f"{path}: a frame has no file_path, expected the name of its image; {_EXPORT}")
         where = f"{path}, frame {name}"
-        if name in poses:
-            raise DuplicatePose(name, str(path))
         try:
             lens = _lens(_with_root(data, frame))
         except LensError as error:
             raise PosesError(f"{where}: {error}") from error
-        poses[name] = _pose(name, frame, lens, applied, scale, where)
+        poses.append(_pose(name, frame, lens, applied, scale, where))
     notes = () if "applied_transform" in data else (
         f"{path.name} has no applied_transform: its axes are taken as those of [local]",
     )  # fmt: skip
     tool = "the program behind nerfstudio"
-    return PoseFile(tuple(poses.values()), PoseFrame.LOCAL, None, tool, _masks(path, frames), notes)
+    return PoseFile(tuple(poses), PoseFrame.LOCAL, None, tool, _masks(path, frames), notes)
 
 
 def _pose(name: str, frame: dict, lens: Lens, applied: np.ndarray, scale: float, where: str) -> Pose:
@@ -63,7 +62,7 @@ def _pose(name: str, frame: dict, lens: Lens, applied: np.ndarray, scale: float,
     if saved_from_cam is None or not np.array_equal(saved_from_cam[3], [0.0, 0.0, 0.0, 1.0]):
         raise PosesError(f"{where}: its transform_matrix is not a 4 x 4 matrix of a pose; {_EXPORT}")
     rotation = saved_from_cam[:3, :3]
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROUNDED or np.linalg.det(rotation) < 0.0:
+    if not is_rotation(rotation, _ROUNDED):
         raise PosesError(f"{where}: its transform_matrix is not a rotation and a position; {_EXPORT}")
     turn = applied[:, :3]
     centre = turn.T @ (saved_from_cam[:3, 3] / scale - applied[:, 3])
@@ -74,8 +73,7 @@ def _applied(path: Path, data: dict) -> tuple[np.ndarray, float]:
     """Transform of the converter: saved = scale * (rotation @ original + shift); a matrix (3, 4), and the scale."""
     given = data.get("applied_transform", [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]])
     applied, scale = _matrix(given, 3), finite_number(data.get("applied_scale", 1.0))
-    turn = np.zeros((3, 3)) if applied is None else applied[:, :3]
-    if applied is None or np.abs(turn @ turn.T - np.eye(3)).max() > _ROUNDED or np.linalg.det(turn) < 0.0:
+    if applied is None or not is_rotation(applied[:, :3], _ROUNDED):
         raise PosesError(f"{path}: applied_transform is not a 3 x 4 matrix of a rotation and a shift; {_EXPORT}")
     if scale is None or scale <= 0.0:
         raise PosesError(f"{path}: applied_scale is {scale}, expected a number above 0; {_EXPORT}")
@@ -109,34 +107,20 @@ def _lens(values: dict) -> Lens:
         model = "OPENCV_FISHEYE"
     if model not in _SUPPORTED:
         raise LensError(f"camera model {model} is not supported, expected one of {', '.join(_SUPPORTED)}")
-    width, height = _number(values, "w"), _number(values, "h")
-    if not (width.is_integer() and height.is_integer() and max(width, height) < 1e9):
-        raise LensError(f"the image has {width:g} x {height:g} pixels, expected whole numbers; correct it")
-    fx = _number(values, "fl_x", _by_angle(values, "camera_angle_x", width))
-    fy = _number(values, "fl_y", _by_angle(values, "camera_angle_y", height) or fx)
-    cx, cy = _number(values, "cx", 0.5 * width), _number(values, "cy", 0.5 * height)
-    k1, k2, k3, k4, p1, p2 = (_number(values, key, 0.0) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
-    size = (int(width), int(height))
+    size = width, height = lens_size(values, "w", "h")
+    fx = lens_number(values, "fl_x", _by_angle(values, "camera_angle_x", width))
+    fy = lens_number(values, "fl_y", _by_angle(values, "camera_angle_y", height) or fx)
+    cx, cy = lens_number(values, "cx", 0.5 * width), lens_number(values, "cy", 0.5 * height)
+    k1, k2, k3, k4, p1, p2 = (lens_number(values, key, 0.0) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
     if model == "OPENCV_FISHEYE":
         return Lens(model, (fx, fy, cx, cy, k1, k2, k3, k4), *size)
-    if k4:
-        return Lens("BROWN_AFFINE", (fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, 0.0), *size)
-    if k3:
-        return Lens("FULL_OPENCV", (fx, fy, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0), *size)
-    return Lens("OPENCV", (fx, fy, cx, cy, k1, k2, p1, p2), *size)
+    return brown_lens((fx, fy, cx, cy, k1, k2, p1, p2), size, k3=k3, k4=k4)
 
 
 def _by_angle(values: dict, key: str, side: float) -> float | None:
     """A focal length [px] by the field of view [rad] across a side; None where it is not given."""
     angle = finite_number(values.get(key))
     return None if angle is None or not 0.0 < angle < math.pi else 0.5 * side / math.tan(0.5 * angle)
-
-
-def _number(values: dict, key: str, default: float | None = None) -> float:
-    found = finite_number(values.get(key, default))
-    if found is None:
-        raise LensError(f"{key} is {values.get(key)}, expected a finite number; give it")
-    return found
 
 
 def _masks(path: Path, frames: list[dict]) -> Path | None:
@@ -150,10 +134,7 @@ def _masks(path: Path, frames: list[dict]) -> Path | None:
 
 def is_nerfstudio(path: Path) -> bool:
     """Whether a path is an object in JSON, by its first character."""
-    if not path.is_file() or path.suffix.casefold() != ".json":
-        return False
-    with path.open("rb") as file:
-        return file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{")
+    return path.is_file() and path.suffix.casefold() == ".json" and begins_with(path, b"{")
 
 
 FORMAT = Format(

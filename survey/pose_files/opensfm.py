@@ -19,9 +19,10 @@ from scipy.spatial.transform import Rotation
 from geo.projection import enu_from_geocentric, geocentric_from_geodetic
 from refract.lens import Lens, LensError
 from survey.errors import PosesError
-from survey.files.json_values import finite_number, finite_numbers, read_foreign_json
+from survey.files.foreign import begins_with
+from survey.files.json_values import finite_numbers, read_foreign_json
 from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame
-from survey.pose_files.format import Format, require_understood
+from survey.pose_files.format import Format, brown_lens, lens_number, lens_size, require_understood
 
 _TOPOCENTRIC, _PLAIN, _GRID = "reconstruction.topocentric.json", "reconstruction.json", "reconstruction.geocoords.json"
 _REFERENCE, _TRACKS = "reference_lla.json", "tracks.csv"
@@ -223,10 +224,7 @@ def is_opensfm(path: Path) -> bool:
     """Whether a path is a reconstruction, a list in JSON, or a folder that has one."""
     if path.is_dir():
         return len(_files_in(path)) == 1
-    if path.suffix.casefold() != ".json":
-        return False
-    with path.open("rb") as file:
-        return file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"[")
+    return path.suffix.casefold() == ".json" and begins_with(path, b"[")
 
 
 FORMAT = Format(
@@ -251,23 +249,11 @@ def read_lens(camera: dict) -> Lens:
     lens = {key: value for key, value in camera.items() if not key.endswith("_prior")}
     known = (*_COMMON, *(_FISHEYE if kind.startswith("fisheye") else _BROWN))
     require_understood(lens, known, remedy="reconstruct with --camera-lens brown or fisheye", are_all_of_lens=True)
-    width, height = (_number(camera, key) for key in ("width", "height"))
-    if not (width.is_integer() and height.is_integer()):
-        raise LensError(f"the image has {width:g} x {height:g} pixels, expected whole numbers; correct it")
-    longer = max(width, height)
-    fx, fy = (longer * _number(camera, key if key in camera else "focal") for key in ("focal_x", "focal_y"))
-    cx, cy = (longer * _number(camera, key, 0.0) + 0.5 * side for key, side in (("c_x", width), ("c_y", height)))
+    size = width, height = lens_size(camera, "width", "height")
+    longer = max(size)
+    fx, fy = (longer * lens_number(camera, key if key in camera else "focal") for key in ("focal_x", "focal_y"))
+    cx, cy = (longer * lens_number(camera, key, 0.0) + 0.5 * side for key, side in (("c_x", width), ("c_y", height)))
     if kind.startswith("fisheye"):
-        coefficients = [_number(camera, key, 0.0) for key in _FISHEYE]
-        return Lens("OPENCV_FISHEYE", (fx, fy, cx, cy, *coefficients), int(width), int(height))
-    k1, k2, p1, p2, k3 = (_number(camera, key, 0.0) for key in _BROWN)
-    if k3 == 0.0:
-        return Lens("OPENCV", (fx, fy, cx, cy, k1, k2, p1, p2), int(width), int(height))
-    return Lens("FULL_OPENCV", (fx, fy, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0), int(width), int(height))
-
-
-def _number(camera: dict, key: str, default: float | None = None) -> float:
-    found = finite_number(camera.get(key, default))
-    if found is None:
-        raise LensError(f"{key} is {camera.get(key)}, expected a finite number; correct it")
-    return found
+        return Lens("OPENCV_FISHEYE", (fx, fy, cx, cy, *(lens_number(camera, key, 0.0) for key in _FISHEYE)), *size)
+    k1, k2, p1, p2, k3 = (lens_number(camera, key, 0.0) for key in _BROWN)
+    return brown_lens((fx, fy, cx, cy, k1, k2, p1, p2), size, k3=k3)

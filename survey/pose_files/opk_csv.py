@@ -16,7 +16,7 @@ from pyproj import CRS
 from survey.errors import PosesError
 from survey.files.crs_lines import crs_of_comment
 from survey.files.csv_table import Row, Table, column_names, text_lines, words_of
-from survey.photos.poses import DuplicatePose, GivenPosition, Pose, PoseFile, PoseFrame
+from survey.photos.poses import GivenPosition, Pose, PoseFile, PoseFrame
 from survey.photos.rotations import CAM_FROM_OPK_CAM, enu_from_yaw_pitch_roll, grid_from_opk
 from survey.pose_files.format import Format, is_lens_key
 
@@ -59,12 +59,7 @@ def read_opk_csv(path: Path) -> PoseFile:
     columns = _columns(table.names) or dict(zip(COLUMNS, COLUMNS, strict=True))
     names, units = tuple(columns.values()), table.units
     rows = table.rows(names, ("std", *_STDS))
-    poses: dict[str, Pose] = {}
-    for row in rows:
-        pose = _pose(row, names, units)
-        if pose.name in poses:
-            raise DuplicatePose(pose.name, row.where)
-        poses[pose.name] = pose
+    poses = [_pose(row, names, units) for row in rows]
     of_lens = [column.cell for column in table.columns if is_lens_key(column.cell)]
     warning = f"columns of a lens in {path.name} ({', '.join(of_lens[:10])}) are not read: give it in [cameras]"
     warnings = (warning,) if of_lens else ()
@@ -83,7 +78,7 @@ def read_opk_csv(path: Path) -> PoseFile:
         down = "-90 looks" if is_of_gimbal else "0 looks"
         notes = (f"yaw in {path.name} counts from {north}, and a pitch of {down} straight down",)
     return PoseFile(
-        tuple(poses.values()),
+        tuple(poses),
         frame,
         crs,
         notes=notes,
@@ -116,7 +111,7 @@ def _pose(row: Row, names: tuple[str, ...], units: Mapping[str, float]) -> Pose:
     else:
         lift = math.radians(_GIMBAL_DOWN_DEG) if names[4] == "gimbal_yaw" else 0.0
         world_from_cam = enu_from_yaw_pitch_roll(angles[0], angles[1] - lift, angles[2])
-    return Pose(row.text("image"), centre, world_from_cam.T, given=_given(row, centre, units))
+    return Pose(row.text("image"), centre, world_from_cam.T, given=_given(row, centre, units), where=row.where)
 
 
 def _given(row: Row, centre: np.ndarray, units: Mapping[str, float]) -> GivenPosition | None:

@@ -13,15 +13,15 @@ from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
-from pyproj.exceptions import CRSError
 
-from geo.crs import crs_of, has_height, horizontal_crs, horizontal_unit
+from geo.crs import has_height, horizontal_crs, horizontal_unit
 from refract.lens import Lens, LensError
 from survey.errors import PosesError
+from survey.files.crs_lines import crs_of_text
 from survey.files.csv_table import text_lines
-from survey.photos.poses import DuplicatePose, Pose, PoseFile, PoseFrame
-from survey.photos.rotations import CAM_FROM_OPK_CAM, grid_from_opk, nearest_rotation
-from survey.pose_files.format import Format
+from survey.photos.poses import Pose, PoseFile, PoseFrame
+from survey.photos.rotations import CAM_FROM_OPK_CAM, grid_from_opk, is_rotation, nearest_rotation
+from survey.pose_files.format import Format, brown_lens, numbers_in
 
 _EXTERNAL, _CAMERAS = "_calibrated_external_camera_parameters.txt", "_calibrated_camera_parameters.txt"
 _OFFSET, _MAP = "_offset.xyz", "_wkt.prj"
@@ -56,10 +56,6 @@ def read_pix4d(path: Path) -> PoseFile:
     else:
         offset = _offset(path.with_name(stem + _OFFSET), path)
         poses = [Pose(name, one.local + offset, one.cam_from_grid, one.lens) for name, one in cameras.items()]
-    names = [pose.name for pose in poses]
-    twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
-    if twice is not None:
-        raise DuplicatePose(twice, str(path))
     notes: tuple[str, ...] = ()
     unit_m = None
     if crs is not None:
@@ -79,7 +75,7 @@ def _external(path: Path) -> Iterator[tuple[str, str, list[float]]]:
             continue
         if len(cells) < 7:
             raise PosesError(f"{where}: {len(cells)} values were found, expected a name and six numbers; {_EXPORT}")
-        yield where, line.strip().rsplit(None, 6)[0], _numbers(cells[-6:], 6, where)
+        yield where, line.strip().rsplit(None, 6)[0], numbers_in(cells[-6:], 6, where, _EXPORT)
 
 
 def _external_pose(name: str, numbers: list[float], where: str, camera: _Camera | None) -> Pose:
@@ -120,19 +116,13 @@ def _camera(where: str, title: str, lines: list[str]) -> _Camera:
     size = title.rsplit(None, 2)[1:]
     if len(size) != 2 or not all(text.isdecimal() and len(text) < 10 for text in size):
         raise PosesError(f'{where}: "{title}" was found, expected a name, width and height; {_EXPORT}')
-    inner = np.array([_numbers(line.split(), 3, where) for line in lines[1:4]])
-    k1, k2, k3 = _numbers(lines[4].split(), 3, where)
-    p1, p2 = _numbers(lines[5].split(), 2, where)
-    local = np.array(_numbers(lines[6].split(), 3, where))
-    rotation = np.array([_numbers(line.split(), 3, where) for line in lines[7:10]])
-    # Numbers beyond those of a rotation would overflow in its product.
-    is_rotation = np.abs(rotation).max() < 2.0 and np.abs(rotation @ rotation.T - np.eye(3)).max() <= _AGREE
-    if not is_rotation or inner[0, 1] != 0.0 or inner[2].tolist() != [0, 0, 1]:
+    rows = [numbers_in(line.split(), 2 if i == 4 else 3, where, _EXPORT) for i, line in enumerate(lines[1:])]
+    inner, (k1, k2, k3), (p1, p2), local, rotation = (rows[:3], rows[3], rows[4], np.array(rows[5]), np.array(rows[6:]))
+    if not is_rotation(rotation, _AGREE) or inner[0][1] != 0.0 or inner[2] != [0.0, 0.0, 1.0]:
         raise PosesError(f"{where}: its matrices are not a rotation and a camera without skew; {_EXPORT}")
-    params = (inner[0, 0], inner[1, 1], inner[0, 2], inner[1, 2], k1, k2, p1, p2)
-    width, height = (int(text) for text in size)
+    params = (inner[0][0], inner[1][1], inner[0][2], inner[1][2], k1, k2, p1, p2)
     try:
-        lens = Lens("FULL_OPENCV", (*map(float, params), k3, 0.0, 0.0, 0.0), width, height)
+        lens = brown_lens(params, (int(size[0]), int(size[1])), k3=k3)
     except LensError as error:
         raise PosesError(f"{where}: {error}") from error
     return _Camera(lens, local, nearest_rotation(rotation))
@@ -144,29 +134,15 @@ def _offset(path: Path, wanted_by: Path) -> np.ndarray:
             f"{wanted_by} has positions less an offset, and {path.name} is not beside it; put it there, or "
             f"*{_EXTERNAL}, which has full positions"
         )
-    return np.array(_numbers([cell for _, line in text_lines(path, PosesError) for cell in line.split()], 3, str(path)))
+    cells = [cell for _, line in text_lines(path, PosesError) for cell in line.split()]
+    return np.array(numbers_in(cells, 3, str(path), _EXPORT))
 
 
 def _crs(path: Path) -> CRS | None:
     if not path.is_file():
         return None
-    text = " ".join(line for _, line in text_lines(path, PosesError)).strip()
-    if not text or text.startswith("LOCAL_CS"):
-        return None
-    try:
-        return crs_of(text)
-    except CRSError as error:
-        raise PosesError(f'{path}: "{text}" is not a known CRS; correct or remove it') from error
-
-
-def _numbers(cells: list[str], count: int, where: str) -> list[float]:
-    try:
-        found = [float(cell) for cell in cells]
-    except ValueError:
-        found = [math.nan]
-    if len(found) != count or not all(map(math.isfinite, found)):
-        raise PosesError(f'{where}: "{" ".join(cells)}" was found, expected {count} finite numbers; {_EXPORT}')
-    return found
+    text = " ".join(line for _, line in text_lines(path, PosesError))
+    return crs_of_text(text, str(path), "correct or remove it", PosesError)
 
 
 def _stem(path: Path) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import textwrap
-from collections.abc import Iterable
 from enum import StrEnum
 from typing import IO
 
@@ -42,10 +41,9 @@ FIELDS = ("auto", "solver", "boxes", "off", *IN_LAYER)
 REPLACED = {"slab": "mdw"}
 
 
-def expected_of(words: Iterable[str], word: str) -> str:
-    """What an error about an unknown word expects: the known ones, and the one that took its place."""
-    instead = f"; {REPLACED[word]} has taken the place of {word}" if word in REPLACED else ""
-    return f"expected one of {', '.join(words)}{instead}"
+def instead_of_word(word: object) -> str:
+    """The end of an error about an unknown word: the one that took its place, if there is one."""
+    return f"; {REPLACED[word]} has taken the place of {word}" if isinstance(word, str) and word in REPLACED else ""
 
 
 class Poses(StrEnum):

@@ -68,8 +68,8 @@ def test_what_nobody_says_is_the_default_and_words_are_plain():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"target_std_m": 0.0}, "--target-std is 0, expected a number above zero"),
-        ({"time_budget_s": -5.0}, "--time-budget is -5, expected a number above zero"),
+        ({"target_std_m": 0.0}, "--target-std is 0, expected a standard deviation in metres above 0"),
+        ({"time_budget_s": -5.0}, "--time-budget is -5, expected the seconds that a run may take, above 0"),
         ({"time_budget_s": float("nan")}, "--time-budget is nan"),
         (
             {"target_std_m": 0.01, "quality": "fine"},
@@ -107,7 +107,11 @@ def test_the_environment_and_the_file_read_each_key_in_the_same_way(name):
         ("QUALITY", "best", 'BATHYNERF_PROCESS_QUALITY is "best", expected one of draft, standard, fine'),
         ("TARGET_STD_M", "small", "BATHYNERF_PROCESS_TARGET_STD_M is 'small', expected a standard deviation"),
         ("TARGET_STD_M", "nan", "BATHYNERF_PROCESS_TARGET_STD_M is nan, expected"),
-        ("TIME_BUDGET_S", "0", "BATHYNERF_PROCESS_TIME_BUDGET_S is 0, expected a number above zero"),
+        (
+            "TIME_BUDGET_S",
+            "0",
+            "BATHYNERF_PROCESS_TIME_BUDGET_S is 0, expected the seconds that a run may take",
+        ),
         ("IMAGE_SCALE", "0.3", "expected one of 1, 0.5, 0.25"),
         ("TRUE_COLOUR", "yes", "expected true or false"),
     ],
@@ -120,10 +124,10 @@ def test_a_wrong_variable_is_named(variable, text, words):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ('quality = "best"', '[process] quality is "best", expected one of draft, standard, fine'),
+        ('quality = "best"', 'process.quality is "best", expected one of draft, standard, fine'),
         ('field = "slab"', "off, mdw, m, dw, vm; mdw has taken the place of slab"),
-        ("image_scale = 0.3", "[process] image_scale is 0.3, expected one of 1, 0.5"),
-        ("target_std_m = -1", "[process] target_std_m is -1, expected a number above zero"),
+        ("image_scale = 0.3", "process.image_scale is 0.3, expected one of 1, 0.5"),
+        ("target_std_m = -1", "process.target_std_m is -1, expected a standard deviation in metres above 0"),
         ('quality = "fine"\ntime_budget_s = 300', "[process] time_budget_s and [process] quality are given, but"),
         ("qualty = 1", "the nearest known one is [process] quality"),
         ("true_colour = 1", "process.true_colour is 1, expected true or false"),

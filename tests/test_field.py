@@ -125,9 +125,9 @@ def test_a_folder_with_other_files_is_left_alone(folder, run):
     ("wrong", "said"),
     [
         ({"model": "gaussians"}, "there is no model gaussians; expected one of mdw"),
-        ({"steps": 0}, "steps is 0, expected at least 1"),
-        ({"image_scale": 2.0}, "the image scale is 2, expected more than 0 and at most 1"),
-        ({"density": -1.0}, "the density is -1, expected more than 0"),
+        ({"steps": 0}, "steps is 0, expected a number of at least 1"),
+        ({"image_scale": 2.0}, "image_scale is 2, expected a number above 0 and at most 1"),
+        ({"density": -1.0}, "density is -1, expected a number above 0"),
     ],
 )
 def test_options_without_sense_are_refused(wrong, said):
@@ -220,7 +220,7 @@ def test_the_survey_says_what_no_option_does(folder, run):
     ("text", "said"),
     [
         ("[field]\nstep = 3", r"unknown key step in \[field\]; the nearest known one is \[field\] steps"),
-        ("[field.losses]\nncc = -1.0", r"field\.losses\.ncc is -1, expected 0 or more"),
+        ("[field.losses]\nncc = -1.0", r"field\.losses\.ncc is -1, expected a number of at least 0"),
         ("[field.losses]\npatch_px = 1", r"field\.losses\.patch_px is 1, expected 3 pixels or more"),
     ],
 )

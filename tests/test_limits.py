@@ -42,7 +42,9 @@ def test_of_a_long_key_or_value_start_and_end_are_shown(tmp_path, line):
 @pytest.mark.parametrize("number", [10**5, 10**9, 10**18])
 def test_numbers_of_tiles_and_processes_have_limits(tmp_path, option, number):
     folder = small_survey(tmp_path / "s")
-    assert f"--{option} is {number}, expected a number from 1 to" in refused("process", folder, f"--{option}", number)
+    assert f"--{option} is {number}, expected a number of at least 1 and at most 1" in refused(
+        "process", folder, f"--{option}", number
+    )
 
 
 @pytest.mark.parametrize("nested", NESTED)

@@ -377,9 +377,9 @@ def test_dry_ground_is_where_points_are_known_and_a_guess_is_named_as_one(tmp_pa
 
 def test_an_unknown_quality_or_device_is_refused_with_the_known_ones(tmp_path):
     survey = load_survey(small_survey(tmp_path / "s"))
-    with pytest.raises(SurveyError, match='quality is "best", expected one of draft, standard, fine'):
+    with pytest.raises(SurveyError, match='--quality is "best", expected one of draft, standard, fine'):
         make_plan(survey, Choices(quality="best"))
-    with pytest.raises(SurveyError, match='device is "tpu", expected one of auto, cpu, cuda'):
+    with pytest.raises(SurveyError, match='--device is "tpu", expected one of auto, cpu, cuda'):
         make_plan(survey, Choices(device="tpu"))
 
 

@@ -24,7 +24,7 @@ from survey.errors import ConfigError
 from survey.report.collect import figures_of
 from survey.report.page import is_our_pdf, render_page, write_pdf
 from survey.report.seen_cells import coverage_of
-from survey.settings.config import ReportConfig
+from survey.settings.config import parse_config
 
 FOOT = 0.3048
 US_FOOT = 1200.0 / 3937.0
@@ -60,7 +60,7 @@ def test_feet_are_those_of_the_crs_unless_metres_are_asked_for(units, crs, foot)
 
 def test_other_units_are_refused():
     with pytest.raises(ConfigError, match="yards"):
-        ReportConfig(units="yards")
+        parse_config('[report]\nunits = "yards"')
 
 
 def test_a_page_in_feet_has_the_figures_of_that_in_metres(plane_report):

@@ -30,7 +30,7 @@ EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
      ({"height_m": 'height_m = "high"'}, "flight.height_m is 'high', expected a finite number"),
      ({"kind": 'kind = "lava"'}, 'bed.kind is "lava", expected one of drawn, plane, mesh'),
      ({"kind": 'kind = "mesh"'}, 'give file = "..."'),
-     ({"texel_m": "texel_m = 0.0"}, "texture.texel_m is 0, expected a number above zero"),
+     ({"texel_m": "texel_m = 0.0"}, "texture.texel_m is 0, expected a number above 0"),
      ({"texel_m": "texel_m = 0.0001"}, r"texels for what the cameras see; give 0\.00\d or more"),
      ({"focal_px": "focal_mm = 24.0"}, "focal_px, or focal_mm and sensor_mm"),
      ({"focal_px": 'focal_px = 160.0\nmodel = "OPENCV"'}, "expected 4 for OPENCV: k1, k2, p1, p2"),
@@ -41,8 +41,8 @@ EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
      ({"crs": 'crs = "EPSG:25832+7837"\nseed = -1'}, "seed is -1, expected a whole number from zero on"),
      ({"mode": 'mode = "fast"'}, "expected one of direct, physical"),
      ({"kind": 'kind = "plane"\nsmoothing = -1'}, "bed.smoothing is -1, expected a number of passes"),
-     ({"noise": "noise = -1.0"}, "sensor.noise is -1, expected zero or more"),
-     ({"noise": "exposure = 0.0"}, "sensor.exposure is 0, expected a number above zero"),
+     ({"noise": "noise = -1.0"}, "sensor.noise is -1, expected a number of at least 0"),
+     ({"noise": "exposure = 0.0"}, "sensor.exposure is 0, expected a number above 0"),
      ({"[area]": "[area"}, "not valid TOML")],
 )  # fmt: skip
 def test_what_is_wrong_in_a_scene_file_is_named_with_the_mend(tmp_path, change, named):

@@ -28,7 +28,7 @@ from survey.machine import memory_bytes, num_cores
 from survey.progress import current
 from survey.run.folder import versions
 from survey.stage_key import code_hash
-from survey.words import expected_of
+from survey.words import instead_of_word
 
 _BATHYNERF = (sys.executable, "-c", "from survey.commands.app import main; main()")
 _ROOT = Path(survey.__file__).resolve().parent.parent
@@ -157,7 +157,9 @@ class Settings:
     def __post_init__(self):
         unknown = [name for name in self.methods if name not in METHODS]
         if unknown:
-            raise SurveyError(f"--method is {unknown[0]}, {expected_of(METHODS, unknown[0])}")
+            raise SurveyError(
+                f"--method is {unknown[0]}, expected one of {', '.join(METHODS)}{instead_of_word(unknown[0])}"
+            )
         strange = [name for name in self.poses if name not in POSES]
         if strange:
             raise SurveyError(f"--poses is {strange[0]}, expected one of {', '.join(POSES)}")

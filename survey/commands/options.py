@@ -118,7 +118,6 @@ def asked_of_environment(environ: Mapping[str, str] = os.environ) -> ProcessConf
         name = names[variable]
         try:
             asked = replace(asked, **{name: getattr(parse_values({name: _value(text)}, ProcessConfig), name)})
-            asked.require_sane()
             asked.require_one_kind()
         except ConfigError as error:
             reason = str(error).replace("[process] has", "it has").replace("[process] ", "").replace(name, variable, 1)

@@ -1,24 +1,25 @@
 """Tables of a TOML file as frozen dataclasses, their keys and types checked, and the JSON schema of a table.
 
 A dataclass is the schema of a table: its fields are the known keys, their types those of the values, their defaults
-the values of missing keys. Its ``__post_init__`` checks ranges and how keys go together.
+the values of missing keys, with words and ranges (`key`). Its ``__post_init__`` checks how keys go together.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import difflib
+import operator
 import re
 import tomllib
 import types
 import typing
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from survey.errors import ConfigError
 from survey.files.limits import LARGEST
-from survey.words import expected_of
+from survey.words import instead_of_word
 
 # Bytes of settings at most; those with all keys and comments have 10 kB.
 _MOST_BYTES = 1_000_000
@@ -30,9 +31,14 @@ _KINDS = {
 }
 # Share of letters that two near names have in common, in order: "level" and "level_m", not "gcp" and "gps_height".
 _NEAR = 0.6
-# Metadata of a field: a description of valid values, for the error message; all of them, where they are few; the option
-# of the command line that sets it; True where it is an option alone and no key of the table.
-EXPECTED, ONE_OF, OPTION, OPTION_ALONE = "expected", "one_of", "option", "option_alone"
+# Metadata of a field: a description of valid values, for the error message; all of them, where they are few; limits of
+# its numbers, by their words in a schema; the option of the command line that sets it; True where it is an option alone
+# and no key of the table.
+EXPECTED, ONE_OF, LIMITS, OPTION, OPTION_ALONE = "expected", "one_of", "limits", "option", "option_alone"
+_HOLDS: dict[str, Callable[[float, float], bool]] = {
+    "exclusiveMinimum": operator.gt, "minimum": operator.ge, "exclusiveMaximum": operator.lt, "maximum": operator.le,
+}  # fmt: skip
+_WORD_OF_LIMIT = dict(zip(("above", "least", "below", "most"), _HOLDS, strict=True))
 # Metadata of a field whose record has keys of the table that it stands in, those that belong together.
 INLINE = {"inline": True}
 # A number in any form; signs that backslashes of a path become.
@@ -40,12 +46,35 @@ _NUMBER, _CONTROL = re.compile(r"[+-]?[\d.,' ]*\d[\d.,' ]*(\s*[A-Za-z%°]+)?"), 
 _SCHEMA_KINDS = {float: "number", int: "integer", bool: "boolean", str: "string"}
 
 
-def key(default: Any, expected: str, *, one_of: Iterable[Any] = ()) -> Any:
+def key(default: Any, expected: str = "", *, one_of: Iterable[Any] = (), **limits: float) -> Any:
     """A field of a table with its own wording of what is expected, e.g. "[width, height] in pixels".
 
-    The values that are known, where they are few, are for the schema; who reads the table checks them.
+    Parameters
+    ----------
+    expected : str
+        Follows "expected"; default: the words in `one_of`, or what the type says.
+    one_of : iterable
+        The values that are known, where they are few.
+    limits : above, least, below, most
+        Of a number, or of each in a list.
     """
-    return dataclasses.field(default=default, metadata={EXPECTED: expected, ONE_OF: tuple(one_of)})
+    return dataclasses.field(default=default, metadata=_metadata(expected, one_of, limits))
+
+
+def _metadata(expected: str, one_of: Iterable[Any], limits: Mapping[str, float]) -> dict[str, Any]:
+    words = tuple(one_of)
+    listed = ", ".join(f"{word:g}" if isinstance(word, float) else str(word) for word in words)
+    return {
+        EXPECTED: expected or (f"one of {listed}" if words else ""),
+        ONE_OF: words,
+        LIMITS: {_WORD_OF_LIMIT[name]: limit for name, limit in limits.items()},
+    }
+
+
+def std_key(most: float, unit: str, example: str, form: str = "") -> Any:
+    """A field for a standard deviation, or for one of each direction: ``form`` then says which."""
+    of = f"{most:g} {unit}".strip() + (f", {form}" if form else "")
+    return key(None, f"a standard deviation above 0 and at most {of}; {example}", above=0.0, most=most)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,19 +98,17 @@ def option(
     expected: str = "",
     one_of: Iterable[Any] = (),
     alone: bool = False,
+    **limits: float,
 ) -> Any:
     """A field that an option of the command line sets, and, unless it is `alone`, a key of a table, as `key` has it.
 
-    Where a few words are known and nothing else is said, the placeholder and what is expected are made of them.
+    Where a few words are known and nothing else is said, the placeholder is made of them, too.
     """
     words = tuple(one_of)
-    metadata = {
-        EXPECTED: expected or (f"one of {', '.join(words)}" if words else ""),
-        ONE_OF: words,
-        OPTION: Option(panel, metavar or "|".join(words) or None, help, name),
-        OPTION_ALONE: alone,
-    }
-    return dataclasses.field(default=default, metadata=metadata)
+    made = Option(panel, metavar or "|".join(words) or None, help, name)
+    return dataclasses.field(
+        default=default, metadata={**_metadata(expected, words, limits), OPTION: made, OPTION_ALONE: alone}
+    )
 
 
 def keys_of(record: Any) -> Iterator[dataclasses.Field]:
@@ -167,17 +194,33 @@ def parse_values(values: Mapping[str, Any], kind: type) -> Any:
     return _Reader(kind, {}, {}).table(kind, "", dict(values))
 
 
-def require_one_of(key: str, value: str, known: Collection[str]) -> None:
-    """Raise ConfigError unless a word is known."""
-    if value not in known:
-        raise ConfigError(f'{key} is "{value}", {expected_of(known, value)}')
+def require_valid(record: Any, table: type, name_of: Callable[[dataclasses.Field], str]) -> None:
+    """Raise ConfigError where a value that no file gave is none that its key in a table takes."""
+    for field in dataclasses.fields(table):
+        if (value := getattr(record, field.name, None)) is not None:
+            _require_valid(field, name_of(field), value)
 
 
-def require_positive(where: str, **values: float | None) -> None:
-    """Raise ConfigError unless all numbers that are given are above zero."""
-    for name, value in values.items():
-        if value is not None and not value > 0.0:
-            raise ConfigError(f"{where}.{name} is {value:g}, expected a number above zero")
+def _require_valid(field: dataclasses.Field, name: str, value: Any) -> None:
+    words, limits = field.metadata.get(ONE_OF), field.metadata.get(LIMITS, {})
+    if words and value not in words:
+        raise ConfigError(f"{name} is {_shown(value)}, expected {field.metadata[EXPECTED]}{instead_of_word(value)}")
+    numbers = value if isinstance(value, tuple) else (value,)
+    if not all(_HOLDS[word](number, limit) for word, limit in limits.items() for number in numbers):
+        expected = field.metadata[EXPECTED] or _words_of_limits(limits)
+        raise ConfigError(f"{name} is {_shown(value)}, expected {expected}")
+
+
+def _shown(value: float | str | tuple) -> str:
+    if isinstance(value, tuple):
+        return str(list(value))
+    return f'"{value}"' if isinstance(value, str) else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _words_of_limits(limits: Mapping[str, float]) -> str:
+    """Limits in words, e.g. "a number above 0 and at most 1"."""
+    said = {"exclusiveMinimum": "above", "minimum": "of at least", "exclusiveMaximum": "below", "maximum": "at most"}
+    return "a number " + " and ".join(f"{said[word]} {limit:g}" for word, limit in limits.items())
 
 
 @dataclasses.dataclass(frozen=True)
@@ -208,6 +251,7 @@ class _Reader:
             expected = field.metadata.get(EXPECTED) or _words(hints[name])
             if name in values:
                 found[name] = self._value(hints[name], dotted, values[name], expected)
+                _require_valid(field, dotted, found[name])
             elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
                 raise ConfigError(f"{dotted} is missing, expected {expected}; add it")
         return kind(**found)
@@ -351,7 +395,7 @@ def _is_required(field: dataclasses.Field) -> bool:
 
 
 def _key(kind: Any, field: dataclasses.Field) -> dict[str, Any]:
-    schema = _value(kind)
+    schema = _value(kind, field.metadata.get(LIMITS, {}))
     if field.metadata.get(ONE_OF):
         schema = {"enum": list(field.metadata[ONE_OF])}
     if field.metadata.get(EXPECTED):
@@ -361,14 +405,14 @@ def _key(kind: Any, field: dataclasses.Field) -> dict[str, Any]:
     return schema
 
 
-def _value(kind: Any) -> dict[str, Any]:
+def _value(kind: Any, limits: Mapping[str, float]) -> dict[str, Any]:
     if isinstance(kind, types.UnionType):
-        schemas = [_value(part) for part in typing.get_args(kind) if part is not type(None)]
+        schemas = [_value(part, limits) for part in typing.get_args(kind) if part is not type(None)]
         return schemas[0] if len(schemas) == 1 else {"anyOf": schemas}
     if dataclasses.is_dataclass(kind):
         return _table(typing.cast("type", kind))
     if typing.get_origin(kind) is tuple:
         parts = typing.get_args(kind)
         length = {} if parts[-1] is Ellipsis else {"minItems": len(parts), "maxItems": len(parts)}
-        return {"type": "array", "items": _value(parts[0]), **length}
-    return {"type": _SCHEMA_KINDS[kind]}
+        return {"type": "array", "items": _value(parts[0], limits), **length}
+    return {"type": _SCHEMA_KINDS[kind], **limits}

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Any
 
-from survey.display.quantities import length
-from survey.files.toml_table import OPTION
+from survey.display.quantities import bytes_of, length
+from survey.files.toml_table import OPTION, require_valid
 from survey.settings.tables import ProcessConfig
 from survey.words import Device, Poses, Quality
 
@@ -59,7 +59,9 @@ class Choices(ProcessConfig):
     true_colour: bool = False
 
     def __post_init__(self) -> None:
-        self.require_sane(option_of)
+        require_valid(self, ProcessConfig, lambda field: option_of(field.name))
+        if self.memory is not None:
+            bytes_of(self.memory)
 
     @property
     def aim(self) -> str:

@@ -13,9 +13,9 @@ import tomli_w
 from survey.errors import FILE_NAME, ConfigError
 from survey.files.entries import require_plain, require_plain_entries
 from survey.files.remote import is_url, local_name
-from survey.files.toml_table import key, parse_toml, read_toml, require_one_of, require_positive, table_of
-from survey.settings.tables import ControlConfig, FieldConfig, ProcessConfig, require_std
-from survey.settings.water import WaterConfig, require_sane
+from survey.files.toml_table import key, parse_toml, read_toml, std_key, table_of
+from survey.settings.tables import ControlConfig, FieldConfig, ProcessConfig
+from survey.settings.water import WaterConfig, require_slope
 from survey.words import Mapper
 
 # The slowest sensors of drones read a whole frame in a tenth of a second.
@@ -71,38 +71,47 @@ class CamerasConfig:
 
     poses: str | None = None
     model: str | None = None
-    size_px: tuple[int, int] | None = key(None, "[width, height] in whole pixels")
-    focal_px: float | tuple[float, float] | None = key(None, "one focal length or [fx, fy] in pixels")
+    size_px: tuple[int, int] | None = key(None, "[width, height] in whole pixels", least=1)
+    focal_px: float | tuple[float, float] | None = key(None, "one focal length or [fx, fy] in pixels, above 0", above=0)
     principal_point_px: tuple[float, float] | None = key(None, "[x, y] in pixels")
     distortion: tuple[float, ...] | None = key(None, "a list of coefficients, e.g. [k1, k2, p1, p2]")
-    gps_height: str = key("crs", "crs or ellipsoidal: what heights in EXIF are", one_of=("crs", "ellipsoidal"))
-    mapper: str = key(
-        Mapper.auto.value, "one of auto, incremental, hierarchical, global: how poses are found", one_of=Mapper
+    gps_height: str = key(
+        "crs", "crs (heights in EXIF are heights in crs) or ellipsoidal", one_of=("crs", "ellipsoidal")
     )
-    position_std_m: float | tuple[float, float, float] | None = key(None, "one number or [east, north, up] in metres")
-    rotation_std_deg: float | tuple[float, float, float] | None = key(
-        None, "one number or [omega, phi, kappa] in degrees"
+    mapper: str = key(Mapper.auto.value, one_of=Mapper)
+    position_std_m: float | tuple[float, float, float] | None = std_key(
+        100.0, "metres", "GPS has about 3, with corrections 0.03", "one number or [east, north, up]"
     )
-    rolling_shutter_s: float | None = key(None, "the seconds from the first to the last row of an exposure")
-    rolling_shutter_std_s: float | None = key(None, "the standard deviation of rolling_shutter_s in seconds")
-    speed_m_s: float | None = key(None, "the speed along the flight lines in metres per second")
+    rotation_std_deg: float | tuple[float, float, float] | None = std_key(
+        45.0,
+        "degrees",
+        "poses of an adjusted block have about 0.01, the angles of a gimbal 1",
+        "one number or [omega, phi, kappa]",
+    )
+    rolling_shutter_s: float | None = key(
+        None,
+        f"seconds from the first to the last row, at most {_LONGEST_READOUT_S:g}; cameras of drones need about 0.01 to "
+        "0.08, and a mechanical shutter 0",
+        least=0.0,
+        most=_LONGEST_READOUT_S,
+    )
+    rolling_shutter_std_s: float | None = std_key(
+        _LONGEST_READOUT_S, "seconds", "0.02 if the readout is nearly unknown"
+    )
+    speed_m_s: float | None = key(
+        None,
+        f"metres per second along the flight lines, above 0 and at most {_FASTEST_M_S:g}",
+        above=0.0,
+        most=_FASTEST_M_S,
+    )
 
     def __post_init__(self):
-        self._require_stds()
-        require_one_of("cameras.mapper", self.mapper, tuple(Mapper))
-        if self.size_px is not None and min(self.size_px) < 1:
-            raise ConfigError(f"cameras.size_px is {list(self.size_px)}, expected [width, height] in whole pixels")
-        focal = self.focal_px if isinstance(self.focal_px, tuple) else (self.focal_px,)
-        for value in focal:
-            require_positive("cameras", focal_px=value)
+        for name in ("rolling_shutter_std_s", "speed_m_s"):
+            if getattr(self, name) is not None and self.rolling_shutter_s is None:
+                raise ConfigError(f"[cameras] {name} is given without rolling_shutter_s, which it describes; give both")
         if self.distortion is not None and self.model is None:
             raise ConfigError(
                 '[cameras] distortion is given without model; give e.g. model = "OPENCV" with k1, k2, p1, p2'
-            )
-        if self.gps_height not in ("crs", "ellipsoidal"):
-            raise ConfigError(
-                f'[cameras] gps_height is "{self.gps_height}", expected "crs" (EXIF heights are heights in crs) or '
-                '"ellipsoidal"'
             )
         if self.principal_point_px is not None and self.size_px is not None:
             inside = all(0.0 < p < s for p, s in zip(self.principal_point_px, self.size_px, strict=True))
@@ -116,39 +125,6 @@ class CamerasConfig:
     def rolls(self) -> bool:
         """Whether the shutter rolls, by a readout or by one that is to be found."""
         return bool(self.rolling_shutter_s) or self.rolling_shutter_std_s is not None
-
-    def _require_stds(self) -> None:
-        require_std(
-            "[cameras] position_std_m", self.position_std_m, 100.0, "metres", "GPS has about 3, with corrections 0.03"
-        )
-        require_std(
-            "[cameras] rotation_std_deg",
-            self.rotation_std_deg,
-            45.0,
-            "degrees",
-            "poses of an adjusted block have about 0.01, the angles of a gimbal 1",
-        )
-        require_std(
-            "[cameras] rolling_shutter_std_s",
-            self.rolling_shutter_std_s,
-            _LONGEST_READOUT_S,
-            "seconds",
-            "0.02 if the readout is nearly unknown",
-        )
-        readout, speed = self.rolling_shutter_s, self.speed_m_s
-        if readout is not None and not 0.0 <= readout <= _LONGEST_READOUT_S:
-            raise ConfigError(
-                f"[cameras] rolling_shutter_s is {readout:g}, expected seconds from the first to the last row, at most "
-                f"{_LONGEST_READOUT_S:g}; cameras of drones need about 0.01 to 0.08, and a mechanical shutter 0"
-            )
-        if speed is not None and not 0.0 < speed <= _FASTEST_M_S:
-            raise ConfigError(
-                f"[cameras] speed_m_s is {speed:g}, expected metres per second along the flight lines, above 0 and at "
-                f"most {_FASTEST_M_S:g}"
-            )
-        for name in ("rolling_shutter_std_s", "speed_m_s"):
-            if getattr(self, name) is not None and readout is None:
-                raise ConfigError(f"[cameras] {name} is given without rolling_shutter_s, which it describes; give both")
 
 
 @dataclass(frozen=True)
@@ -177,11 +153,8 @@ class AreaConfig:
 class LocalConfig:
     """[local]: the topocentric frame that COLMAP poses are in; its origin in crs."""
 
-    frame: str = key(_TOPOCENTRIC, "the only frame there is", one_of=(_TOPOCENTRIC,))
+    frame: str = key(_TOPOCENTRIC, one_of=(_TOPOCENTRIC,))
     origin: tuple[float, float, float] | None = key(None, "[easting, northing, height]")
-
-    def __post_init__(self):
-        require_one_of("local.frame", self.frame, (_TOPOCENTRIC,))
 
 
 @dataclass(frozen=True)
@@ -190,11 +163,7 @@ class ReportConfig:
 
     project: str | None = None
     operator: str | None = None  # who surveyed: a person, a company
-    units: str | None = None  # of lengths in the report, "metres" or "feet"; default: feet where crs has them
-
-    def __post_init__(self):
-        if self.units not in (None, METRES, FEET):
-            raise ConfigError(f'[report] units = "{self.units}", expected "{METRES}" or "{FEET}"')
+    units: str | None = key(None, one_of=(METRES, FEET))  # of lengths in the report; default: feet where crs has them
 
 
 @dataclass(frozen=True)
@@ -248,8 +217,8 @@ def parse_config(text: str) -> SurveyConfig:
     """The settings in a text in TOML; see `read_config`."""
     config = parse_toml(text, SurveyConfig, synonyms=_SYNONYMS, not_yet=_NOT_YET)
     if config.water is not None:
-        require_sane(config.water)
-    config.process.require_sane()
+        slope = (config.water.slope_east, config.water.slope_north)
+        require_slope(slope, "[water] slope_east and slope_north are", "correct them")
     config.process.require_one_kind()
     return config
 

@@ -1,4 +1,4 @@
-"""[process], [control] and [field] of survey.toml, and the standard deviations of all tables.
+"""[process], [control] and [field] of survey.toml.
 
 [process] has the options of a run, [field] those of `bathynerf field`, which trains a radiance field on a run; options
 of the command line take precedence over the environment, and both over these tables. [control] names files of control
@@ -8,46 +8,19 @@ points, their marks, check points, and an earlier survey.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from fields.models import MODELS, Rule
-from survey.display.quantities import bytes_of
 from survey.errors import ConfigError
-from survey.files.toml_table import ONE_OF, key, option, require_one_of
+from survey.files.limits import LARGEST
+from survey.files.toml_table import key, option, std_key
 from survey.words import FIELDS, SCALES, Device, Drop, Poses, Quality
 
-# Ten thousand square kilometres in tiles of the largest size; workers of the largest clusters of Dask.
-_MOST_TILES, _MOST_WORKERS = 10_000, 1_000
 # Of three numbers each counts for one axis.
 Std = float | tuple[float, float, float]
-
-
-def require_std(name: str, value: Std | tuple[float, float] | None, most: float, unit: str, example: str) -> None:
-    """Raise ConfigError unless all standard deviations that are given are above zero and at most `most`.
-
-    Parameters
-    ----------
-    name : str
-        Of the key, with its table, e.g. "[water] level_std_m".
-    value : float, tuple of float or None
-    most : float
-        In `unit`.
-    unit : str
-        As in "metres"; empty for numbers without a unit.
-    example : str
-        What typical values are, as a part of a sentence.
-    """
-    for number in value if isinstance(value, tuple) else (value,):
-        if number is not None and not 0.0 < number <= most:
-            shown = list(value) if isinstance(value, tuple) else value
-            of = f" {unit}" if unit else ""
-            raise ConfigError(
-                f"{name} is {shown}, expected a standard deviation above 0 and at most {most:g}{of}; {example}"
-            )
 
 
 def per_axis(value: Std) -> tuple[float, float, float]:
@@ -60,6 +33,8 @@ AIM, HOW = "How well, or how fast", "How it is computed"
 _aim, _how, _water = (partial(option, panel) for panel in (AIM, HOW, "Water"))
 # An aim chooses quality, field and image scale itself, so that both kinds exclude each other.
 _RECIPE, _AIM = ("quality", "field", "image_scale"), ("target_std_m", "time_budget_s")
+# Ten thousand square kilometres in tiles of the largest size; workers of the largest clusters of Dask.
+_MOST_TILES, _MOST_WORKERS = 10_000, 1_000
 
 
 @dataclass(frozen=True)
@@ -71,13 +46,17 @@ class PlanOptions:
         "METRES",
         "Least work foreseen to reach this standard deviation on 95 % of the ground.",
         name="--target-std",
-        expected="a standard deviation in metres, in place of a quality",
+        expected="a standard deviation in metres above 0, in place of a quality",
+        above=0.0,
+        most=LARGEST,
     )
     time_budget_s: float | None = _aim(
         "SECONDS",
         "Best result foreseen to take no longer than this.",
         name="--time-budget",
-        expected="the seconds that a run may take, in place of a quality",
+        expected="the seconds that a run may take, above 0, in place of a quality",
+        above=0.0,
+        most=LARGEST,
     )
     device: str | None = _how(None, "Where to compute; default: auto.", one_of=Device)
     field: str | None = _how(None, "What refines the heights; default: auto.", one_of=FIELDS)
@@ -87,7 +66,6 @@ class PlanOptions:
     image_scale: float | None = _how(
         "SCALE",
         "Work on images at 1, 0.5, 0.25, ...; default: by size and quality.",
-        expected="1, 0.5, 0.25, ...",
         one_of=SCALES,
     )
 
@@ -98,11 +76,13 @@ class ProcessConfig(PlanOptions):
 
     calibrate_water: bool | None = _water(None, "First estimate the water from the photographs.")
     true_colour: bool | None = _water(None, "Give points the colour of the bed without the water.")
-    tiles: int | None = _how("NUMBER", "Tiles of the ground; default: by the memory.")
+    tiles: int | None = _how("NUMBER", "Tiles of the ground; default: by the memory.", least=1, most=_MOST_TILES)
     memory: str | None = _how(
         "SIZE", "Memory for the run, e.g. 8GB; default: most of the free one.", expected="a size such as 8GB"
     )
-    workers: int | None = _how("NUMBER", "Processes for tiles; default: by tiles, cores, memory.")
+    workers: int | None = _how(
+        "NUMBER", "Processes for tiles; default: by tiles, cores, memory.", least=1, most=_MOST_WORKERS
+    )
     scheduler: str | None = _how(
         "ADDRESS",
         "Dask scheduler whose workers compute tiles, features and matches.",
@@ -130,26 +110,6 @@ class ProcessConfig(PlanOptions):
     def _says(self, names: tuple[str, ...]) -> bool:
         return any(getattr(self, name) not in (None, "auto") for name in names)
 
-    def require_sane(self, named: Callable[[str], str] = "[process] {}".format) -> None:
-        """Raise ConfigError at a word or number that is not known; ``named`` tells what a key is called where it is."""
-        for field in dataclasses.fields(ProcessConfig):
-            value, words = getattr(self, field.name), field.metadata[ONE_OF]
-            if isinstance(value, str) and words:
-                require_one_of(named(field.name), value, words)
-        if self.image_scale is not None and self.image_scale not in SCALES:
-            known = ", ".join(f"{each:g}" for each in SCALES)
-            raise ConfigError(f"{named('image_scale')} is {self.image_scale:g}, expected one of {known}")
-        for name in _AIM:
-            value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0.0):
-                raise ConfigError(f"{named(name)} is {value:g}, expected a number above zero")
-        for name, most in (("tiles", _MOST_TILES), ("workers", _MOST_WORKERS)):
-            number = getattr(self, name)
-            if number is not None and not 1 <= number <= most:
-                raise ConfigError(f"{named(name)} is {number}, expected a number from 1 to {most}")
-        if self.memory is not None:
-            bytes_of(self.memory)
-
     def require_one_kind(self, named: Callable[[str], str] = "[process] {}".format) -> None:
         """Raise ConfigError where an aim and a recipe are asked for."""
         if self.has_aim and self._says(_RECIPE):
@@ -162,6 +122,7 @@ class ProcessConfig(PlanOptions):
 
 # Default std of points measured by GNSS with corrections or a total station, and of marks set by hand.
 DEFAULT_STD_M, DEFAULT_MARKS_STD_PX = 0.01, 0.5
+_PER_DIRECTION = "one number or [horizontal, vertical]"
 
 
 @dataclass(frozen=True)
@@ -170,11 +131,15 @@ class ControlConfig:
 
     gcps: str | tuple[str, ...] | None = key(None, 'a file, e.g. "gcp_list.txt", or a list of files')
     checkpoints: str | None = None  # CSV of points that are only reported: name, easting, northing, height
-    std_m: float | tuple[float, float] | None = key(None, "one number or [horizontal, vertical] in metres")
+    std_m: float | tuple[float, float] | None = std_key(
+        10.0, "metres", "GNSS with corrections has about 0.01 to 0.03", _PER_DIRECTION
+    )
     marks: str | None = None  # where photographs show the points, unless gcps says it: a CSV, or Metashape's XML
-    marks_std_px: float | None = None
+    marks_std_px: float | None = std_key(50.0, "pixels", "marks set by hand have about 0.5")
     reference: str | None = None  # an earlier survey, on whose dry ground the block is placed: cloud, mesh or GeoTIFF
-    reference_std_m: float | tuple[float, float] | None = key(None, "one number or [horizontal, vertical] in metres")
+    reference_std_m: float | tuple[float, float] | None = std_key(
+        10.0, "metres", "airborne lidar has about 0.1", _PER_DIRECTION
+    )
     stable: str | None = None  # A vector file: polygons of its ground that did not change
 
     def __post_init__(self):
@@ -184,14 +149,11 @@ class ControlConfig:
             raise ConfigError(
                 "[control] marks is given without gcps; name the file of the points' coordinates in gcps too"
             )
-        require_std("[control] std_m", self.std_m, 10.0, "metres", "GNSS with corrections has about 0.01 to 0.03")
         if self.reference is None and (self.reference_std_m is not None or self.stable is not None):
             raise ConfigError(
                 "[control] reference_std_m and stable belong to a reference, and none is given; name its file in "
                 "reference, or remove them"
             )
-        require_std("[control] reference_std_m", self.reference_std_m, 10.0, "metres", "airborne lidar has about 0.1")
-        require_std("[control] marks_std_px", self.marks_std_px, 50.0, "pixels", "marks set by hand have about 0.5")
 
     @property
     def gcp_files(self) -> tuple[str, ...]:
@@ -218,35 +180,29 @@ def per_direction(std_m: float | tuple[float, float] | None) -> tuple[float, flo
 class LossesConfig:
     """[field.losses]: weights of the terms added to the squared error of the colours; 0 leaves a term out."""
 
-    transparency: float = 0.0  # light that passes the bed
-    distortion: float = 0.0  # spread of the weights along a ray (mip-NeRF 360)
-    orientation: float = 0.0  # surfaces that face away (Ref-NeRF)
+    transparency: float = key(0.0, least=0.0)  # light that passes the bed
+    distortion: float = key(0.0, least=0.0)  # spread of the weights along a ray (mip-NeRF 360)
+    orientation: float = key(0.0, least=0.0)  # surfaces that face away (Ref-NeRF)
     # density, gaussian_density: density between empty and full (Inf-NeRF), with Gaussians in place of nodes
-    density: float = 0.0
-    gaussian_density: float = 0.0
+    density: float = key(0.0, least=0.0)
+    gaussian_density: float = key(0.0, least=0.0)
     # printed_density, printed_gaussian_density: both as printed; empty: all that is not empty (Inf-NeRF)
-    printed_density: float = 0.0
-    printed_gaussian_density: float = 0.0
-    empty: float = 0.0
+    printed_density: float = key(0.0, least=0.0)
+    printed_gaussian_density: float = key(0.0, least=0.0)
+    empty: float = key(0.0, least=0.0)
     # virtual_views, ncc, ssim, smooth_normals: on patches and views beside the photographs' own (MonoPatchNeRF)
-    virtual_views: float = 0.0
-    ncc: float = 0.0
-    ssim: float = 0.0
-    smooth_normals: float = 0.0
-    virtual_patches: float = 0.0
-    huber: float = 0.0  # limit of Huber's loss of the colours (MonoPatchNeRF: 0.1); 0: the squared error
+    virtual_views: float = key(0.0, least=0.0)
+    ncc: float = key(0.0, least=0.0)
+    ssim: float = key(0.0, least=0.0)
+    smooth_normals: float = key(0.0, least=0.0)
+    virtual_patches: float = key(0.0, least=0.0)
+    # Limit of Huber's loss of the colours (MonoPatchNeRF: 0.1); 0: the squared error
+    huber: float = key(0.0, least=0.0)
     # depth, normal: departures from monocular depth and normals (MonoSDF); need `monocular`
-    depth: float = 0.0
-    normal: float = 0.0
-    predicted_normal: float = 0.0  # of normals that a head predicts (MonoPatchNeRF); needs `monocular`
-    patch_px: int | None = None  # side of the patches; default: 8
-
-    def __post_init__(self):
-        for name, value in dataclasses.asdict(self).items():
-            if value is not None and value < 0.0:
-                raise ConfigError(f"field.losses.{name} is {value:g}, expected 0 or more")
-        if self.patch_px is not None and self.patch_px < 3:
-            raise ConfigError(f"field.losses.patch_px is {self.patch_px}, expected 3 pixels or more")
+    depth: float = key(0.0, least=0.0)
+    normal: float = key(0.0, least=0.0)
+    predicted_normal: float = key(0.0, least=0.0)  # of normals that a head predicts (MonoPatchNeRF); needs `monocular`
+    patch_px: int | None = key(None, "3 pixels or more", least=3)  # side of the patches; default: 8
 
 
 _training, _data, _results = (partial(option, panel) for panel in ("Training", "Training data", "Results"))
@@ -261,10 +217,10 @@ class FieldConfig:
         f"{', '.join(MODELS)}, or package.module:Class; default: mdw.",
         expected="a model of bathynerf field",
     )
-    steps: int | None = _training("N", "Training steps; default: 2000.")
-    rays: int | None = _training("N", "Rays per step; default: 4096.")
-    samples: int | None = _training("N", "Samples per ray; default: 48.")
-    cells: int | None = _training("N", "Cells along the longest edge, finest scale; default: 256.")
+    steps: int | None = _training("N", "Training steps; default: 2000.", least=1)
+    rays: int | None = _training("N", "Rays per step; default: 4096.", least=1)
+    samples: int | None = _training("N", "Samples per ray; default: 48.", least=2)
+    cells: int | None = _training("N", "Cells along the longest edge, finest scale; default: 256.", least=8)
     appearance: bool | None = _training(None, "Learn an appearance per photograph.", name="--appearance")
     submodules: str | None = _training(
         "NxM",
@@ -283,14 +239,16 @@ class FieldConfig:
     )
     seed: int = _training("N", "Seed of random numbers.", default=0, alone=True)
     bounds: tuple[float, float, float, float] | None = _data("E0 N0 E1 N1", "Part of the bed, in crs.", alone=True)
-    image_scale: float | None = _data("S", "Scale of photographs, 0 to 1; default: 2 pixels a cell.")
-    held_every: int | None = _data("N", "Hold out every Nth photograph for testing.")
+    image_scale: float | None = _data(
+        "S", "Scale of photographs, 0 to 1; default: 2 pixels a cell.", above=0.0, most=1.0
+    )
+    held_every: int | None = _data("N", "Hold out every Nth photograph for testing.", least=2)
     survey: str | None = _data("DIR", "Survey folder, if it was moved since the run.", alone=True)
     rule: Rule = _results(  # noqa: RUF009 (makes a field)
         "RULE", "Surface by median, mode or density.", name="--extract", default=Rule.median, alone=True
     )
     # Default: half of the light is stopped within a cell
-    density: float | None = _results("D", "Least density of the surface [1/m].", alone=True)
+    density: float | None = _results("D", "Least density of the surface [1/m].", alone=True, above=0.0, most=LARGEST)
     drop: str | None = _results(
         "HOW",
         "How views drop submodules: geometry, network, none.",

@@ -6,8 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from survey.errors import ConfigError
-from survey.files.toml_table import INLINE, key
-from survey.settings.tables import require_std
+from survey.files.toml_table import INLINE, key, std_key
 
 MOST_LEVEL_STD_M = 10.0
 # Slope of a water surface at most: steeper than 0.065 a stream is a cascade, white water that shows no bed
@@ -38,27 +37,26 @@ class LevelSources:
 class LevelRate:
     """Rate of [water] at which the level rises."""
 
-    level_rate_m_per_h: float | None = None  # the level then holds at level_time
-    level_rate_std_m_per_h: float | None = None  # its standard deviation; then the adjustment finds it
+    level_rate_m_per_h: float | None = key(  # the level then holds at level_time
+        None,
+        f"metres per hour, at most {MOST_RATE_M_PER_H:g} up or down; tides have up to 3",
+        least=-MOST_RATE_M_PER_H,
+        most=MOST_RATE_M_PER_H,
+    )
+    # Where it is given, the adjustment finds the rate
+    level_rate_std_m_per_h: float | None = std_key(
+        MOST_RATE_M_PER_H, "metres per hour", "0.3 if the tide is nearly unknown"
+    )
     level_time: str | None = key(None, "a time with its zone, e.g. 2024-06-01T10:30:00Z")
 
     def __post_init__(self):
         rate = self.level_rate_m_per_h
         if rate is None and self.level_time is not None:
             raise ConfigError("[water] level_time is given without level_rate_m_per_h, to which it belongs; give both")
-        require_std(
-            "[water] level_rate_std_m_per_h", self.level_rate_std_m_per_h, MOST_RATE_M_PER_H, "metres per hour",
-            "0.3 if the tide is nearly unknown",
-        )  # fmt: skip
         if rate is None and self.level_rate_std_m_per_h is not None:
             raise ConfigError(
                 "[water] level_rate_std_m_per_h is given without level_rate_m_per_h, to which it belongs; give both, "
                 "0 if nothing is known"
-            )
-        if rate is not None and abs(rate) > MOST_RATE_M_PER_H:
-            raise ConfigError(
-                f"[water] level_rate_m_per_h is {rate:g}, expected metres per hour, at most {MOST_RATE_M_PER_H:g} up "
-                "or down; tides have up to 3"
             )
 
 
@@ -66,7 +64,12 @@ class LevelRate:
 class Medium:
     """Light or water that the index in [water] belongs to; nothing in a loaded survey."""
 
-    index_wavelength_nm: float | None = None  # 589.3 for an index from a handbook; docs/light.md
+    index_wavelength_nm: float | None = key(
+        None,
+        "400 to 700, the wavelengths of light; an index from a handbook belongs to 589.3",
+        least=400.0,
+        most=700.0,
+    )
     temperature_c: float | None = None
     salinity_psu: float | None = None
 
@@ -80,12 +83,6 @@ class Medium:
             raise ConfigError(
                 "[water] has salinity_psu without temperature_c; give temperature_c too, or refractive_index"
             )
-        wavelength = self.index_wavelength_nm
-        if wavelength is not None and not 400.0 <= wavelength <= 700.0:
-            raise ConfigError(
-                f"[water] index_wavelength_nm is {wavelength:g}, expected 400 to 700, the wavelengths of light; an "
-                "index from a handbook belongs to 589.3"
-            )
 
 
 @dataclass(frozen=True)
@@ -93,17 +90,16 @@ class WaterColour:
     """Colour of [water]."""
 
     absorption_per_m: tuple[float, float, float] | None = key(
-        None, "[red, green, blue], the absorption coefficient in 1/m, e.g. [0.3, 0.07, 0.05]"
+        None, "[red, green, blue], the absorption coefficient in 1/m, none below 0, e.g. [0.3, 0.07, 0.05]", least=0.0
     )
     veiling_light: tuple[float, float, float] | None = key(
-        None, "[red, green, blue], linear light of endless water, 1 for white, e.g. [0.03, 0.17, 0.2]"
+        None,
+        "[red, green, blue], linear light of endless water, 0 for none, 1 for white, e.g. [0.03, 0.17, 0.2]",
+        least=0.0,
     )
 
     def __post_init__(self):
         known = {name: value for name, value in vars(self).items() if value is not None}
-        for name, value in known.items():
-            if min(value) < 0.0:
-                raise ConfigError(f"water.{name} is {list(value)}, expected [red, green, blue], none below zero")
         if len(known) == 1:
             raise ConfigError(
                 f"[water] has {next(iter(known))} alone, expected absorption_per_m and veiling_light together; give "
@@ -119,23 +115,22 @@ class WaterConfig:
     level_at: tuple[float, float] | None = key(None, "[easting, northing]")
     slope_east: float = 0.0
     slope_north: float = 0.0
-    refractive_index: float | None = None  # of the light that is matched, unless index_wavelength_nm tells another
+    # Of the light that is matched, unless index_wavelength_nm tells another
+    refractive_index: float | None = key(
+        None, "1.0 to 1.6 relative to air; fresh water has 1.333, sea water 1.340", least=1.0, most=1.6
+    )
     medium: Medium = field(default_factory=Medium, metadata=INLINE)
     colour: WaterColour = field(default_factory=WaterColour, metadata=INLINE)
     sources: LevelSources = field(default_factory=LevelSources, metadata=INLINE)
     rate: LevelRate = field(default_factory=LevelRate, metadata=INLINE)
     gauge_zero_m: float | None = None  # height in crs from which the readings of the gauge count
     layer: str | None = None  # of the file of points or lines, the one that is the water
-    level_std_m: float | None = None  # standard deviations, for the adjustment
-    index_std: float | None = None
-    slope_std: float | None = None
+    # Standard deviations, for the adjustment
+    level_std_m: float | None = std_key(MOST_LEVEL_STD_M, "metres", "a staff has about 0.02, a gauge 0.01")
+    index_std: float | None = std_key(0.1, "", "temperature and salinity give the index to 0.0005")
+    slope_std: float | None = std_key(0.2, "metres per metre", "a river slopes by 0.001 to 0.01")
 
     def __post_init__(self):
-        require_std(
-            "[water] level_std_m", self.level_std_m, MOST_LEVEL_STD_M, "metres", "a staff has about 0.02, a gauge 0.01"
-        )
-        require_std("[water] index_std", self.index_std, 0.1, "", "temperature and salinity give the index to 0.0005")
-        require_std("[water] slope_std", self.slope_std, 0.2, "metres per metre", "a river slopes by 0.001 to 0.01")
         self._require_one_level()
         self._require_one_tide()
         self._require_one_index()
@@ -215,16 +210,6 @@ class WaterConfig:
                 "[water] has index_wavelength_nm without refractive_index, whose wavelength it states; give both, or "
                 "temperature_c alone"
             )
-
-
-def require_sane(water: WaterConfig) -> None:
-    """Raise ConfigError if a number is out of range; estimated ones may be, and their verdict reports it."""
-    if water.refractive_index is not None and not 1.0 <= water.refractive_index <= 1.6:
-        raise ConfigError(
-            f"[water] refractive_index is {water.refractive_index:g}, expected 1.0 to 1.6 relative to air; fresh water "
-            "has 1.333, sea water 1.340"
-        )
-    require_slope((water.slope_east, water.slope_north), "[water] slope_east and slope_north are", "correct them")
 
 
 def require_slope(slope: tuple[float, float], source: str, remedy: str) -> None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field
 from datetime import datetime
 from pathlib import Path
 
 from survey.errors import ConfigError
-from survey.files.toml_table import key, parse_toml, read_toml, require_one_of, require_positive
+from survey.files.toml_table import key, parse_toml, read_toml
 from survey.simulate.flight.patterns import FlightSettings
 
 BEDS = ("drawn", "plane", "mesh", "cloud")
@@ -21,42 +21,35 @@ _ONE_FOCAL = "camera: give focal_px, or focal_mm and sensor_mm, and not both"
 class BedSettings:
     """[bed]: the shape of the ground."""
 
-    kind: str = "drawn"
+    kind: str = key("drawn", one_of=BEDS)
     file: str | None = None
-    frame: str = "crs"  # of the file: "crs", or "local" [m] about the origin
-    depth_m: float = 2.5  # drawn, plane: mean depth below the origin
+    frame: str = key("crs", one_of=("crs", "local"))  # of the file: "crs", or "local" [m] about the origin
+    depth_m: float = key(2.5, above=0)  # drawn, plane: mean depth below the origin
     shore: bool = False  # drawn: a bank that rises out of the water in the north
     bodies: bool = False  # drawn: a boat, an amphora, rocks
-    cell_m: float = 0.025  # drawn: between its vertices
-    spacing_m: float | None = None  # cloud: thinned to one point per cell of this size first
-    smoothing: int = 0  # cloud: passes of Laplacian smoothing
+    cell_m: float = key(0.025, above=0)  # drawn: between its vertices
+    spacing_m: float | None = key(None, above=0)  # cloud: thinned to one point per cell of this size first
+    smoothing: int = key(0, "a number of passes, zero or more", least=0)  # cloud: passes of Laplacian smoothing
 
     def __post_init__(self):
-        require_one_of("bed.kind", self.kind, BEDS)
-        require_one_of("bed.frame", self.frame, ("crs", "local"))
         from_file = self.kind in ("mesh", "cloud")
         if from_file != (self.file is not None):
             remedy = (
                 f'give file = "..." for kind = "{self.kind}"' if from_file else 'remove file, or give kind = "mesh"'
             )
             raise ConfigError(f"bed.kind {self.kind} does not go with bed.file {self.file}; {remedy}")
-        require_positive("bed", depth_m=self.depth_m, cell_m=self.cell_m, spacing_m=self.spacing_m)
-        if self.smoothing < 0:
-            raise ConfigError(f"bed.smoothing is {self.smoothing}, expected a number of passes, zero or more")
 
 
 @dataclass(frozen=True)
 class TextureSettings:
     """[texture]: albedo of the bed."""
 
-    kind: str = "sand"
+    kind: str = key("sand", one_of=TEXTURES)
     file: str | None = None  # image: laid over the bed from above
-    texel_m: float = 0.01  # sand: resolution; image: size of its pixels on the ground
-    square_m: float = 0.5  # checker: side of a square
+    texel_m: float = key(0.01, above=0)  # sand: resolution; image: size of its pixels on the ground
+    square_m: float = key(0.5, above=0)  # checker: side of a square
 
     def __post_init__(self):
-        require_one_of("texture.kind", self.kind, TEXTURES)
-        require_positive("texture", texel_m=self.texel_m, square_m=self.square_m)
         if (self.kind == "image") != (self.file is not None):
             raise ConfigError(
                 f'texture.kind {self.kind} does not go with texture.file {self.file}; kind = "image" needs a file'
@@ -70,30 +63,23 @@ class ObjectSettings:
     file: str
     at: tuple[float, float]  # [m] east and north of the origin
     above_bed_m: float = 0.0  # its lowest point
-    scale: float = 1.0
+    scale: float = key(1.0, above=0)
     yaw_deg: float = 0.0  # counter-clockwise, seen from above
     pitch_deg: float = 0.0
     heel_deg: float = 0.0
-    up: str = "z"  # the axis of the file that points up; of glTF it is known
+    up: str = key("z", one_of=("y", "z"))  # the axis of the file that points up; of glTF it is known
     colour: tuple[float, float, float] = (0.42, 0.29, 0.18)  # linear albedo, speckled, where the file has none
-    texel_m: float = 0.01  # resolution of the speckle
-
-    def __post_init__(self):
-        require_one_of("objects.up", self.up, ("y", "z"))
-        require_positive("objects", scale=self.scale, texel_m=self.texel_m)
+    texel_m: float = key(0.01, above=0)  # resolution of the speckle
 
 
 @dataclass(frozen=True)
 class WaveSettings:
     """[[water.waves]]: one train of sinusoidal waves."""
 
-    amplitude_m: float
-    length_m: float
+    amplitude_m: float = key(MISSING, above=0)
+    length_m: float = key(MISSING, above=0)
     toward_deg: float = 0.0  # clockwise from north
     phase_deg: float = 0.0  # at the origin
-
-    def __post_init__(self):
-        require_positive("water.waves", amplitude_m=self.amplitude_m, length_m=self.length_m)
 
 
 @dataclass(frozen=True)
@@ -103,23 +89,17 @@ class WaterSettings:
     level_m: float | None = None  # height in crs at the origin; default: the height of the origin
     slope_east: float = 0.0
     slope_north: float = 0.0
-    refractive_index: float = 1.333
-    absorption: tuple[float, float, float] = (0.17, 0.042, 0.055)  # [1/m], red, green, blue
-    scattering: float = 0.2  # [1/m]
-    asymmetry: float = 0.92  # mean cosine of scattering
+    refractive_index: float = key(1.333, "1.0 to 1.6; fresh: 1.333", least=1.0, most=1.6)
+    absorption: tuple[float, float, float] = key(
+        (0.17, 0.042, 0.055), "[red, green, blue], zero or more, in 1/m", least=0
+    )
+    scattering: float = key(0.2, "zero or more, in 1/m", least=0)
+    # Mean cosine of scattering
+    asymmetry: float = key(0.92, "above 0 (isotropic) and below 1", above=0, below=1)
     waves: tuple[WaveSettings, ...] = ()
     heights: str | None = None  # file of points or a raster of the surface, in crs, instead of a plane
 
     def __post_init__(self):
-        if not 1.0 <= self.refractive_index <= 1.6:
-            raise ConfigError(f"water.refractive_index is {self.refractive_index:g}, expected 1.0 to 1.6; fresh: 1.333")
-        if min(*self.absorption, self.scattering) < 0.0:
-            raise ConfigError(
-                f"water.absorption is {list(self.absorption)} and water.scattering {self.scattering:g}, expected "
-                "zero or more, in 1/m"
-            )
-        if not 0.0 < self.asymmetry < 1.0:
-            raise ConfigError(f"water.asymmetry is {self.asymmetry:g}, expected above 0 (isotropic) and below 1")
         if self.waves and self.heights is not None:
             raise ConfigError("water.waves and water.heights contradict each other; keep one")
 
@@ -128,20 +108,15 @@ class WaterSettings:
 class LightSettings:
     """[light]: sky and sun."""
 
-    sky: str = "clear"
-    sun_share: float = 0.4  # of the light on level ground
+    sky: str = key("clear", one_of=("clear", "overcast"))
+    # Of the light on level ground
+    sun_share: float = key(0.4, "0 (no sun) to below 1", least=0, below=1)
     time: str | None = key(None, 'a time with its zone, e.g. "2026-07-14T09:30+02:00"')  # instead of the next two
-    sun_elevation_deg: float | None = None  # default: 57
+    sun_elevation_deg: float | None = key(None, "5 to 90", least=5, most=90)  # default: 57
     sun_azimuth_deg: float | None = None  # clockwise from north; default: 56
-    sun_diameter_deg: float = 0.53
+    sun_diameter_deg: float = key(0.53, above=0)
 
     def __post_init__(self):
-        require_one_of("light.sky", self.sky, ("clear", "overcast"))
-        if not 0.0 <= self.sun_share < 1.0:
-            raise ConfigError(f"light.sun_share is {self.sun_share:g}, expected 0 (no sun) to below 1")
-        if self.sun_elevation_deg is not None and not 5.0 <= self.sun_elevation_deg <= 90.0:
-            raise ConfigError(f"light.sun_elevation_deg is {self.sun_elevation_deg:g}, expected 5 to 90")
-        require_positive("light", sun_diameter_deg=self.sun_diameter_deg)
         if self.time is not None and (self.sun_elevation_deg is not None or self.sun_azimuth_deg is not None):
             raise ConfigError("light.time gives the position of the sun; remove sun_elevation_deg and sun_azimuth_deg")
         _ = self.known_time
@@ -164,10 +139,10 @@ class LightSettings:
 class CameraSettings:
     """[camera]: the lens, in COLMAP's models."""
 
-    size_px: tuple[int, int]
-    focal_px: float | None = None
-    focal_mm: float | None = None  # with sensor_mm instead of focal_px
-    sensor_mm: float | None = None  # width of the sensor
+    size_px: tuple[int, int] = key(MISSING, "[width, height], at least 16 pixels a side", least=16)
+    focal_px: float | None = key(None, above=0)
+    focal_mm: float | None = key(None, above=0)  # with sensor_mm instead of focal_px
+    sensor_mm: float | None = key(None, above=0)  # width of the sensor
     principal_point_px: tuple[float, float] | None = None
     model: str = "PINHOLE"
     distortion: tuple[float, ...] = ()
@@ -176,9 +151,6 @@ class CameraSettings:
         by_mm = self.focal_mm is not None and self.sensor_mm is not None
         if (self.focal_px is None) != by_mm:
             raise ConfigError(_ONE_FOCAL)
-        require_positive("camera", focal_px=self.focal_px, focal_mm=self.focal_mm, sensor_mm=self.sensor_mm)
-        if min(self.size_px) < 16:
-            raise ConfigError(f"camera.size_px is {list(self.size_px)}, expected at least 16 pixels a side")
 
     @property
     def known_focal_px(self) -> float:
@@ -194,18 +166,14 @@ class CameraSettings:
 class SensorSettings:
     """[sensor]: noise, exposure and motion blur."""
 
-    noise: float = 1.0  # [grey levels]
-    photons_at_white: float = 0.0  # 0: no shot noise
-    exposure: float = 1.0
-    exposure_drift: float = 0.0  # step of the logarithm from image to image
-    blur_m: float = 0.0  # flown while the shutter is open
-    shutter_s: float | None = None  # open for so long, at flight.speed_m_s: instead of blur_m
+    noise: float = key(1.0, least=0)  # [grey levels]
+    photons_at_white: float = key(0.0, least=0)  # 0: no shot noise
+    exposure: float = key(1.0, above=0)
+    exposure_drift: float = key(0.0, least=0)  # step of the logarithm from image to image
+    blur_m: float = key(0.0, least=0)  # flown while the shutter is open
+    shutter_s: float | None = key(None, above=0)  # open for so long, at flight.speed_m_s: instead of blur_m
 
     def __post_init__(self):
-        require_positive("sensor", shutter_s=self.shutter_s, exposure=self.exposure)
-        for name in ("noise", "photons_at_white", "exposure_drift", "blur_m"):
-            if getattr(self, name) < 0.0:
-                raise ConfigError(f"sensor.{name} is {getattr(self, name):g}, expected zero or more")
         if self.shutter_s is not None and self.blur_m != 0.0:
             raise ConfigError("sensor.shutter_s and sensor.blur_m say the same; keep one")
 
@@ -214,23 +182,16 @@ class SensorSettings:
 class RenderSettings:
     """[render]: light transport."""
 
-    mode: str = "physical"
-    samples: int = 64  # rays per pixel
-    max_bounces: int = 12
-
-    def __post_init__(self):
-        require_one_of("render.mode", self.mode, MODES)
-        require_positive("render", samples=self.samples, max_bounces=self.max_bounces)
+    mode: str = key("physical", one_of=MODES)
+    samples: int = key(64, above=0)  # rays per pixel
+    max_bounces: int = key(12, above=0)
 
 
 @dataclass(frozen=True)
 class AreaSettings:
     """[area]: the area flown over and evaluated."""
 
-    size_m: tuple[float, float]  # east and north, about the origin
-
-    def __post_init__(self):
-        require_positive("area", size_m=min(self.size_m))
+    size_m: tuple[float, float] = key(MISSING, "[east, north], above 0, about the origin", above=0)
 
 
 @dataclass(frozen=True)
@@ -243,7 +204,7 @@ class SceneSettings:
     camera: CameraSettings
     flight: FlightSettings
     name: str = "simulated"
-    seed: int = 1
+    seed: int = key(1, "a whole number from zero on", least=0)
     bed: BedSettings = field(default_factory=BedSettings)
     texture: TextureSettings = field(default_factory=TextureSettings)
     objects: tuple[ObjectSettings, ...] = ()
@@ -253,8 +214,6 @@ class SceneSettings:
     render: RenderSettings = field(default_factory=RenderSettings)
 
     def __post_init__(self):
-        if self.seed < 0:
-            raise ConfigError(f"seed is {self.seed}, expected a whole number from zero on")
         if self.sensor.shutter_s is not None and self.flight.speed_m_s is None:
             raise ConfigError("sensor.shutter_s is given without flight.speed_m_s; give both, or sensor.blur_m")
 

@@ -8,18 +8,16 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from fields.models import Rule, maker
 from fields.volume.losses import Losses, PatchWeights, PriorWeights
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun, survey_folder
+from survey.files.toml_table import require_valid
 from survey.run.stored_field import VolumeRecipe
 from survey.settings.config import settings_of
 from survey.settings.tables import FieldConfig, LossesConfig
 from survey.volume.monocular import priors_hash
 from survey.volume.scene import SceneOptions
-from survey.words import Drop
 
 # Weights of depth and of normals (MonoSDF, Yu et al. 2022).
 MONOCULAR = (0.1, 0.05)
@@ -46,18 +44,9 @@ class VolumeOptions(FieldConfig):
             maker(self.model)
         except ValueError as error:
             raise SurveyError(str(error)) from error
-        for name, least in (("steps", 1), ("rays", 1), ("samples", 2), ("cells", 8), ("held_every", 2)):
-            value = getattr(self, name)
-            if value is not None and value < least:
-                raise SurveyError(f"{name} is {value}, expected at least {least}")
-        if self.image_scale is not None and not 0.0 < self.image_scale <= 1.0:
-            raise SurveyError(f"the image scale is {self.image_scale:g}, expected more than 0 and at most 1")
+        require_valid(self, FieldConfig, lambda each: each.name)
         if self.submodules is not None and not re.fullmatch("[1-9][0-9]{0,3}(x[1-9][0-9]{0,3})?", self.submodules):
             raise SurveyError(f"submodules is {self.submodules}, expected a number, or 3x2: along east and along north")
-        if self.drop is not None and self.drop not in tuple(Drop):
-            raise SurveyError(f"drop is {self.drop}, expected one of {', '.join(Drop)}")
-        if self.density is not None and not 0.0 < self.density < np.inf:
-            raise SurveyError(f"the density is {self.density:g}, expected more than 0, in 1/m")
         for option, needed in self._without_effect():
             raise SurveyError(f"{option} has no effect without {needed}; give both or leave it out")
         if self.monocular is None and (self.losses.depth or self.losses.normal or self.losses.predicted_normal):

@@ -14,8 +14,9 @@ from survey.adjust.result.adjustment import Adjustment
 from survey.control.points import Control, ControlPoint, Mark
 from survey.folder.local_frame import water_plane
 from survey.folder.motion import BY_XMP, Velocity
+from survey.folder.observations import Observations
 from survey.folder.pose_priors import PosePrior
-from survey.folder.survey import Observations, Survey
+from survey.folder.survey import Survey
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
 from survey.settings.config import CamerasConfig, SurveyConfig, WaterConfig

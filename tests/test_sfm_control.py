@@ -12,13 +12,14 @@ from synthetic_block import synthetic_block
 from geo.crs import parse_crs
 from geo.frames import LocalFrame
 from geo.similarity import Similarity
+from refract import PinholeCamera
 from survey.control.points import ControlPoint, Mark
 from survey.errors import ControlError
 from survey.sfm import block as sfm_block
 from survey.sfm.absolute_orientation import place_by_control, views_of_block
 from survey.sfm.block import CameraBody
 from survey.sfm.control_fit import fit_control
-from survey.sfm.mark_rays import BlockControl, BlockView, intersect_marks
+from survey.sfm.mark_rays import BlockControl, intersect_marks
 from survey.sfm.solve import FreeBlocks
 
 FRAME = LocalFrame(parse_crs("EPSG:25832+5778"), (500000.0, 5200000.0, 100.0))
@@ -35,7 +36,7 @@ PLACES = np.array(
 )
 
 
-def block_control(posed: dict[str, BlockView], num: int = 6, places: np.ndarray = PLACES) -> BlockControl:
+def block_control(posed: dict[str, PinholeCamera], num: int = 6, places: np.ndarray = PLACES) -> BlockControl:
     """Control at true places with exact marks in the first five views that show it, of a block at its true place."""
     points = tuple(
         ControlPoint(f"gcp{k}", (0.0, 0.0, 0.0), place.copy(), np.full(3, 0.01)) for k, place in enumerate(places[:num])
@@ -44,15 +45,15 @@ def block_control(posed: dict[str, BlockView], num: int = 6, places: np.ndarray 
     for point in points:
         shown = []
         for name, view in posed.items():
-            pixel = view.lens.pinhole(view.centre, view.rotation).project(point.local[None], None)[0]
-            if ((pixel > 5.0) & (pixel < (view.lens.width - 5.0, view.lens.height - 5.0))).all():
+            pixel = view.project(point.local[None], None)[0]
+            if ((pixel > 5.0) & (pixel < (view.width - 5.0, view.height - 5.0))).all():
                 shown.append(Mark(point.name, name, tuple(pixel.tolist())))
         # The first and the last ones: rays that open.
         marks += [*shown[:3], *shown[-2:]] if len(shown) > 5 else shown
     return BlockControl(FRAME, points, tuple(marks), np.zeros(len(points)))
 
 
-def posed_block(rng) -> tuple[dict[str, BlockView], BlockControl]:
+def posed_block(rng) -> tuple[dict[str, PinholeCamera], BlockControl]:
     """A block in a frame of its own, and its control."""
     block, _ = synthetic_block(rng)
     control = block_control(views_of_block(block))

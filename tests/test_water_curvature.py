@@ -15,7 +15,8 @@ from geo.crs import parse_crs
 from geo.frames import LocalFrame
 from refract import FlatWater
 from refract.curved import CurvedWater
-from survey.folder.placed_views import PlacedViews, shifted_above_water
+from survey.folder.observations import Observations, PlacedViews
+from survey.folder.placed_views import shifted_above_water
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
 from survey.run.stage_bed import through_surface
@@ -111,7 +112,7 @@ def test_low_flights_kilometres_away_are_over_their_water(up, is_lifted):
     departure = still_water(FRAME, PLANE, np.array([view.camera.centre for view in views]))
     priors = {"0": SimpleNamespace(position=there, common_up_std=30.0)}
     ties = TiePoints(there + np.zeros((10, 3)), *[np.zeros(0, dtype=int)] * 2, np.zeros((0, 2)))
-    placed = PlacedViews(None, FRAME, views, ties.start, ties, None, None, priors, None, ())
+    placed = PlacedViews(None, FRAME, views, Observations(ties.start, ties, priors))
     moved, said = shifted_above_water(placed, PLANE, departure)
     assert bool(said.warnings) == is_lifted
     assert (moved.views is views) != is_lifted

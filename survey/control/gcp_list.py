@@ -11,9 +11,10 @@ from pathlib import Path, PurePosixPath
 
 from survey.control.points import Content, ControlFormat, GivenMark, GivenPoint, is_check_role
 from survey.errors import ControlError
-from survey.files.crs_lines import is_odm_crs, odm_crs
+from survey.files.crs_lines import is_odm_crs, odm_lines
 from survey.files.csv_table import number_of, text_lines
 from survey.photos.exif import SUFFIXES
+from survey.words import GCP_LIST
 
 _FORM = "x y z px py image name"
 _NUMBERS = ("x", "y", "z", "px", "py")
@@ -23,15 +24,10 @@ _HALF_A_PIXEL = 0.5
 
 def read_gcp_list(path: Path) -> Content:
     """Points and marks."""
-    lines = [(n, line) for n, line in text_lines(path, ControlError) if is_of_content(line)]
-    if not lines:
-        raise ControlError(f"{path} is empty, expected a line with its CRS, then lines {_FORM}; write it again")
-    number, header = lines[0]
-    crs = odm_crs(header.strip(), f"{path}, line {number}", "gcp_list.txt", ControlError)
+    crs, lines = odm_lines(path, GCP_LIST, _FORM, ControlError)
     name_of: dict[tuple[float, ...], str] = {}
     points, marks = [], []
-    for number, line in lines[1:]:
-        where = f"{path}, line {number}"
+    for where, line in lines:
         values, image, words = _parts(line, where)
         _require_whole_name(image, words, where)
         place = (values[0], values[1], values[2])
@@ -109,6 +105,6 @@ def _is_gcp_list(path: Path) -> bool:
 
 FORMAT = ControlFormat(
     name="OpenDroneMap's gcp_list.txt",
-    recognises=lambda path: path.name.casefold() == "gcp_list.txt" or _is_gcp_list(path),
+    recognises=lambda path: path.name.casefold() == GCP_LIST or _is_gcp_list(path),
     read=read_gcp_list,
 )

@@ -119,8 +119,8 @@ def with_swapped_axes(point: GivenPoint, crs: CRS) -> GivenPoint | None:
 class MergedControl:
     """Control points with marks, coordinates in the crs of the survey."""
 
-    points: tuple[GivenPoint, ...]  # Each name once, each with a mark at least
-    marks: tuple[Mark, ...]  # In order of points and of photographs
+    points: tuple[GivenPoint, ...] = ()  # Each name once, each with a mark at least
+    marks: tuple[Mark, ...] = ()  # In order of points and of photographs
     unmarked: tuple[GivenPoint, ...] = ()  # Check points that no photograph needs to show
 
 

@@ -206,10 +206,12 @@ def foot_m(units: str | None, crs: CRS) -> float | None:
     return _FOOT if units == "feet" else None
 
 
-def named(names: list[str], noun: str, what: str) -> list[str]:
+def named(names: Sequence[str], noun: str, what: str) -> list[str]:
     """A warning that counts and names items, as "2 images without a pose, left out: a.jpg, b.jpg"; none of none."""
-    if not names:
-        return []
-    more = f" and {len(names) - 10} more" if len(names) > 10 else ""
-    plural = "s" if len(names) > 1 else ""
-    return [f"{len(names)} {noun}{plural} {what}: {', '.join(names[:10])}{more}"]
+    return [f"{len(names)} {noun}{'s' if len(names) > 1 else ''} {what}: {listed(names)}"] if names else []
+
+
+def listed(names: Sequence[str], most: int = 10) -> str:
+    """The first of some names, and how many more there are."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more

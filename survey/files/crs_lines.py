@@ -77,6 +77,19 @@ def is_odm_crs(line: str) -> bool:
     return "+proj" in line or any(known.fullmatch(line) for known in (_UTM, _EPSG, _WGS84))
 
 
+def odm_lines(path: Path, name: str, form: str, error: type[SurveyError]) -> tuple[CRS, list[tuple[str, str]]]:
+    """The CRS in the first line of a file of OpenDroneMap, and the lines after it, each behind its place in the file.
+
+    Lines that are empty or comments (#) are left out; ``name`` and ``form`` are those of the file, for errors.
+    """
+    every = ((f"{path}, line {number}", line.strip()) for number, line in text_lines(path, error))
+    lines = [(where, line) for where, line in every if line and not line.startswith("#")]
+    if not lines:
+        raise error(f"{path} is empty, expected a line with its CRS, then lines {form}; write it again")
+    (where, first), *others = lines
+    return odm_crs(first, where, name, error), others
+
+
 def odm_crs(line: str, where: str, name: str, error: type[SurveyError]) -> CRS:
     """The CRS that a line names, without blanks around it; ``where`` and ``name`` tell line and file in an error."""
     if _WGS84.fullmatch(line):

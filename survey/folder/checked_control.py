@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geo.crs import height_unit_m, is_geographic
+from geo.crs import height_unit_m
 from geo.errors import PlaceMismatch
 from geo.frames import LocalFrame
 from geo.similarity import Similarity
@@ -18,6 +17,7 @@ from survey.control.points import Control, ControlPoint
 from survey.display.quantities import named
 from survey.errors import FILE_NAME, ControlError, Findings, PosesError
 from survey.folder.found import Found
+from survey.folder.observations import PlacedViews
 from survey.folder.pose_priors import GPS_STD_M, PosePrior
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints, connected_parts, least_track
@@ -33,7 +33,7 @@ from survey.sfm.control_fit import (
 )
 from survey.sfm.gps import is_whole, what_is_missing
 from survey.sfm.gps_fit import ROLL_REMEDY
-from survey.sfm.mark_rays import BlockControl, BlockView, Intersections, intersect_marks
+from survey.sfm.mark_rays import BlockControl, Intersections, intersect_marks
 from survey.words import GEO_TXT
 
 # On straight rays the bed seems higher than it is by about a quarter of its depth.
@@ -49,27 +49,22 @@ _FEWEST_TO_TEST = 4
 
 def control_of_block(found: Found) -> BlockControl | None:
     """The control points of a survey in a local frame of their own; None where there are none."""
-    if found.control is None or found.control.merged is None:
-        return None
-    merged = found.control.merged
-    given = [point for point in merged.points if not point.is_check]
+    given = found.control.given
     if not given:
         return None
-    e, n, h = np.median([point.place for point in given], axis=0).tolist()
-    digits = 5 if is_geographic(found.crs) else 0
     try:
-        frame = LocalFrame(found.crs, (round(e, digits), round(n, digits), float(math.floor(h))))
+        frame = LocalFrame.about(found.crs, [point.place for point in given])
     except PlaceMismatch as error:
         raise ControlError(f"control points (first in {given[0].where}) cannot be in crs: {error}") from error
     control = control_in_local(
-        merged, frame, list(found.images), per_direction(found.control.config.std_m), marks_std_px=1.0
+        found.control.merged, frame, list(found.images), per_direction(found.control.config.std_m), marks_std_px=1.0
     )
     return None if control is None else control_for_block(control, frame, found)
 
 
 def require_placing_control(found: Found) -> BlockControl:
     """The control of a survey without GPS positions and poses."""
-    require_metres(() if found.control is None else found.control.points, found.crs)
+    require_metres(found.control.points, found.crs)
     control = control_of_block(found)
     num = sum(header.lat_lon_height is not None for header in found.headers.values())
     num_whole = sum(is_whole(header.lat_lon_height) for header in found.headers.values())
@@ -133,27 +128,18 @@ class CheckedControl:
     move: Similarity | None  # Transforms the block to its control, where its positions contradict the control
 
 
-@dataclass(frozen=True)
-class ControlledBlock:
-    """A block of structure from motion with its control."""
-
-    views: list[View]
-    ties: TiePoints
-    control: Control | None  # None without any, or where none is left
-    priors: Mapping[str, PosePrior]  # By name of view
-
-
-def checked_parts(found: Found, frame: LocalFrame, block: ControlledBlock) -> tuple[ControlledBlock, Findings]:
+def checked_parts(block: PlacedViews) -> tuple[PlacedViews, Findings]:
     """The block with its control tested against each of its parts by itself, and moved to it where it has to be.
 
     Parts share no points: each has a place, a tilt and a scale of its own.
     """
-    views, ties, control = block.views, block.ties, block.control
-    if control is None:
+    views, seen = block.views, block.observations
+    ties, control = seen.ties, seen.control
+    if control is None or ties is None:
         return block, Findings()
     # Views that share no point with two others have no part of their own.
     part = np.maximum(connected_parts(len(views), ties.point, ties.view), 0)
-    moved_views, priors, marks = list(views), dict(block.priors), []
+    moved_views, priors, marks = list(views), dict(seen.priors), []
     refusals: list[ControlError] = []
     findings = Findings()
     for number in range(int(part.max()) + 1):
@@ -164,7 +150,7 @@ def checked_parts(found: Found, frame: LocalFrame, block: ControlledBlock) -> tu
             continue
         own_priors = {name: prior for name, prior in priors.items() if name in names}
         try:
-            checked, of_part = checked_control(found, frame, [views[k] for k in members], own, own_priors)
+            checked, of_part = checked_control(block.found, block.frame, [views[k] for k in members], own, own_priors)
         except ControlError as error:
             refusals.append(error)
             continue
@@ -184,7 +170,8 @@ def checked_parts(found: Found, frame: LocalFrame, block: ControlledBlock) -> tu
     order = {mark: place for place, mark in enumerate(control.marks)}
     marks.sort(key=order.__getitem__)
     left = replace(control, points=points, marks=tuple(marks)) if points else None
-    return ControlledBlock(moved_views, ties, left, priors), findings
+    seen = replace(seen, points=ties.start, ties=ties, control=left, priors=priors)
+    return replace(block, views=moved_views, observations=seen), findings
 
 
 def _of_views(control: Control, names: set[str]) -> Control:
@@ -203,7 +190,7 @@ def checked_control(
 ) -> tuple[CheckedControl, Findings]:
     """Test control against the block; warnings name what is left out."""
     block = control_for_block(control, frame, found)
-    posed = {view.name: BlockView(view.lens, view.camera.centre, view.camera.cam_from_local) for view in views}
+    posed = {view.name: view.camera for view in views}
     intersections = intersect_marks(block, posed)
     require_consistent_marks(block, posed, intersections)
     fit = fit_majority(intersections, posed) if _can_be_compared(intersections) else None

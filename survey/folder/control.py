@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -59,19 +59,19 @@ _TIMES = 10.0
 class FoundControl:
     """Contents of the files of [control], in the crs of the survey."""
 
-    config: ControlConfig  # With standard deviations, where there are control points
-    merged: MergedControl | None  # None without control points
-    checkpoints: tuple[GivenPoint, ...]
+    config: ControlConfig = field(default_factory=ControlConfig)  # With stds, where there are control points
+    merged: MergedControl = field(default_factory=MergedControl)
+    checkpoints: tuple[GivenPoint, ...] = ()
 
     @property
     def points(self) -> tuple[GivenPoint, ...]:
         """Control and check points."""
-        return (*(() if self.merged is None else self.merged.points), *self.checkpoints)
+        return (*self.merged.points, *self.checkpoints)
 
     @property
-    def num_given(self) -> int:
-        """Number of control points that the block is adjusted to."""
-        return 0 if self.merged is None else sum(not point.is_check for point in self.merged.points)
+    def given(self) -> tuple[GivenPoint, ...]:
+        """Control points that the block is adjusted to."""
+        return tuple(point for point in self.merged.points if not point.is_check)
 
 
 def find_control(
@@ -95,7 +95,7 @@ def find_control(
         checkpoints, findings = in_crs(given, crs)
         findings += Findings(warnings=accuracy_warnings(folder / config.checkpoints, ControlError))
     if not config.gcp_files:
-        found = FoundControl(config, None, tuple(checkpoints))
+        found = FoundControl(config, checkpoints=tuple(checkpoints))
         return found, findings + Findings(warnings=_doubts(found, crs, level))
     contents = [read_control(folder / name) for name in config.gcp_files]
     if config.marks is not None:
@@ -115,7 +115,7 @@ def _doubts(found: FoundControl, crs: CRS, level: float | None) -> tuple[str, ..
     places = np.array([point.place for point in found.points]).reshape(-1, 3)
     several = several_heights([point.name for point in found.points], places, height_unit_m(crs))
     warnings = named(several, "place", "of control with several heights, of which one is true at most")
-    given = [point.place for point in (found.merged.points if found.merged else ()) if not point.is_check]
+    given = [point.place for point in found.given]
     if given and found.checkpoints:
         unit = np.array([*metres_per_unit(crs, places), height_unit_m(crs)])
         checks = np.array([point.place for point in found.checkpoints])
@@ -165,13 +165,11 @@ def _with_stds(config: ControlConfig, merged: MergedControl) -> tuple[ControlCon
 
 
 def place_control(
-    found: FoundControl | None, frame: LocalFrame, views: Sequence[str]
+    found: FoundControl, frame: LocalFrame, views: Sequence[str]
 ) -> tuple[Control | None, tuple[Checkpoint, ...], Findings]:
     """Control and check points in the local frame of the views that have a pose, by name."""
-    if found is None:
-        return None, (), Findings()
     checkpoints = checkpoints_in_local(found.checkpoints, frame)
-    if found.merged is None:
+    if not found.merged.points:
         return None, checkpoints, Findings()
     std, marks_std_px = per_direction(found.config.std_m), found.config.marks_std_px
     if marks_std_px is None:

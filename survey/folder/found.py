@@ -6,7 +6,7 @@ Image headers are checked here as well: rotation, several pages.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -57,7 +57,7 @@ class Found:
     # assumptions, warnings: sentences
     assumptions: tuple[str, ...]
     warnings: tuple[str, ...]
-    control: FoundControl | None = None  # Control and check points in crs; None where survey.toml names none
+    control: FoundControl = field(default_factory=FoundControl)  # Control and check points in crs
     # What was measured of the water level; clicks in photographs are not among them before the poses are known
     levels: tuple[LevelObservation, ...] = ()
     tide: Tide | None = None  # How the level moved; None where nothing is said of it

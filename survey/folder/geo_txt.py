@@ -19,12 +19,11 @@ from geo.crs import has_height, height_unit_m, horizontal_crs, horizontal_unit, 
 from geo.transformation import lon_lat
 from survey.display.quantities import named
 from survey.errors import Findings, PosesError
-from survey.files.crs_lines import odm_crs
-from survey.files.csv_table import number_of, text_lines
+from survey.files.crs_lines import odm_lines
+from survey.files.csv_table import number_of
 from survey.folder.plausible import SAME_PLACE_M
 from survey.photos.exif import SUFFIXES, Exif, TablePlace
 from survey.photos.names import ImageNames
-from survey.settings.tables import require_std
 from survey.words import GEO_TXT
 
 _FORM = "image x y [z] [omega phi kappa] [horizontal accuracy] [vertical accuracy]"
@@ -143,18 +142,10 @@ def _replaced(path: Path, crs: CRS, headers: Mapping[str, Exif], line_of: Mappin
 
 
 def _read(path: Path) -> tuple[CRS, list[_Line]]:
-    lines = [
-        (number, line.strip())
-        for number, line in text_lines(path, PosesError)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
+    crs, lines = odm_lines(path, GEO_TXT, _FORM, PosesError)
     if not lines:
-        raise PosesError(f"{path} is empty, expected a line with its CRS, then lines {_FORM}; write it again")
-    number, first = lines[0]
-    crs = odm_crs(first, f"{path}, line {number}", GEO_TXT, PosesError)
-    if len(lines) == 1:
         raise PosesError(f"{path} has no line after its CRS, expected lines {_FORM}; complete it, or remove it")
-    return crs, [_line(line, f"{path}, line {number}") for number, line in lines[1:]]
+    return crs, [_line(line, where) for where, line in lines]
 
 
 def _line(text: str, where: str) -> _Line:
@@ -184,5 +175,9 @@ def _std(accuracies: list[float], where: str) -> tuple[float, float, float] | No
     across, up = accuracies
     if across == up == 0.0:
         return None
-    require_std(f"{where}: the accuracy", (across, up), _MOST_STD_M, "metres", "leave both out if they are not known")
+    if not (0.0 < across <= _MOST_STD_M and 0.0 < up <= _MOST_STD_M):
+        raise PosesError(
+            f"{where}: the accuracy is {accuracies}, expected a standard deviation above 0 and at most {_MOST_STD_M:g} "
+            "metres; leave both out if they are not known"
+        )
     return across, across, up

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
 
-from geo.crs import height_unit_m, is_geographic
+from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.errors import FILE_NAME, ConfigError, Findings, PosesError
@@ -39,7 +38,9 @@ def views_in_local(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Loc
         return frame, [_view(found, pose, pose.centre, pose.cam_from_world) for pose in poses]
     in_crs = points_in_crs(file, centres, found.crs, found.config.cameras.gps_height)
     known = np.isfinite(in_crs).all(axis=1)
-    frame = LocalFrame(found.crs, _origin(found, in_crs[known] if known.any() else in_crs))
+    water, places = found.config.water, in_crs[known] if known.any() else in_crs
+    ground = places[:, 2].min() if water is None else water.known_level_m / height_unit_m(found.crs)
+    frame = LocalFrame.about(found.crs, places, ground)
     local = frame.local_from_crs(in_crs)
     lost = ~np.isfinite(local).all(axis=1)
     if lost.any():
@@ -58,17 +59,6 @@ def _view(found: Found, pose: Pose, centre: np.ndarray, cam_from_local: np.ndarr
     if pose.lens is None:
         raise ValueError(f"the pose of {pose.name} has no lens; expected what `with_lenses` returns")
     return View(pose.name, found.images[pose.name], pose.lens.camera(centre, cam_from_local), pose.lens)
-
-
-def _origin(found: Found, centres: np.ndarray) -> tuple[float, float, float]:
-    # The median, so that one wrong position does not move the frame of the others.
-    e, n, _ = np.median(centres, axis=0)
-    digits = 5 if is_geographic(found.crs) else 0
-    if found.config.water is not None:
-        height = found.config.water.known_level_m / height_unit_m(found.crs)
-    else:
-        height = centres[:, 2].min()
-    return (round(float(e), digits), round(float(n), digits), float(math.floor(height)))
 
 
 def with_level_of_points(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,7 @@ from survey.folder import local_frame
 from survey.folder.faults import angle_warnings
 from survey.folder.found import MIN_VIEWS, Found, below, larger_poses
 from survey.folder.gps_placement import PlacedPoses, place_poses
+from survey.folder.observations import Observations, PlacedViews, Provenance
 from survey.folder.pose_frames import (
     TiePointMisfit,
     given_in_local,
@@ -28,7 +29,7 @@ from survey.folder.pose_frames import (
     reprojection,
     transformation_into_crs,
 )
-from survey.folder.pose_priors import PosePrior, priors_of_gps, priors_of_poses
+from survey.folder.pose_priors import priors_of_gps, priors_of_poses
 from survey.folder.unused_keys import Circumstances, unused_keys
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
@@ -180,24 +181,8 @@ def _focal(cameras: CamerasConfig, headers: dict[str, Exif]) -> tuple[tuple[floa
     return (found[0], found[0]), Findings((message,))
 
 
-@dataclass(frozen=True)
-class FilePoses:
-    """Contents of the poses file of a survey, in its local frame."""
-
-    found: Found  # The contents of the survey folder, with the level that clicks in the photographs give
-    frame: LocalFrame
-    views: list[View]
-    # (N, 3) float64 [m], local, or None: tie points that three photographs see; None where none came
-    points: np.ndarray | None
-    # tool, masks: See `PoseFile`
-    tool: str | None
-    masks: Path | None
-    reprojection: TiePointMisfit | None  # None where the file does not say where the photographs show its points
-    priors: dict[str, PosePrior]  # dict of name to PosePrior
-
-
-def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
-    """Read the poses file of a survey."""
+def read_file_poses(found: Found, path: Path) -> tuple[PlacedViews, Path | None, Findings]:
+    """Read the poses file of a survey; also the folder of masks that its program used."""
     try:
         file = read_poses(path)
     except DuplicatePose as error:
@@ -230,9 +215,8 @@ def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
             f"{file.tool} ignores refraction: tie points under water have biased its poses; the plan says whether they "
             "are refined, and with [cameras] position_std_m they are in any case"
         )
-    if found.control is not None:
-        centres = np.array([view.camera.centre for view in views])
-        warnings += require_near(found.control.points, frame.crs_from_local(centres), frame.crs)
+    centres = np.array([view.camera.centre for view in views])
+    warnings += require_near(found.control.points, frame.crs_from_local(centres), frame.crs)
     by_name = {view.name: view for view in views}
     points, misses = _ties(
         found, path, placed, frame, {file_name: by_name[pose.name] for file_name, pose in paired.items()}
@@ -241,8 +225,8 @@ def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
         priors = priors_of_poses(found.config.cameras, views, _given(found, file, poses, frame), datum)
     else:
         priors = {name: replace(prior, attitude=None) for name, prior in priors_of_gps(found, frame, views).items()}
-    of_file = FilePoses(found, frame, views, points, file.tool, file.masks, misses, priors)
-    return of_file, findings + Findings(warnings=tuple(warnings))
+    placed_views = PlacedViews(found, frame, views, Observations(points, priors=priors), Provenance(file.tool, misses))
+    return placed_views, file.masks, findings + Findings(warnings=tuple(warnings))
 
 
 def _datum(found: Found, file: PoseFile) -> tuple[DatumStd, Findings]:
@@ -252,7 +236,7 @@ def _datum(found: Found, file: PoseFile) -> tuple[DatumStd, Findings]:
         return EXACT, Findings()
     std = found.config.cameras.position_std_m
     stated = 0.0 if std is None else max(per_axis(std)[:2])
-    require_accurate(transformation, stated, "the poses", 0 if found.control is None else found.control.num_given)
+    require_accurate(transformation, stated, "the poses", len(found.control.given))
     warning = transformation.warning("the poses")
     return DatumStd(plan_std(transformation)), Findings(warnings=() if warning is None else (warning,))
 

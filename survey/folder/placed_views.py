@@ -5,32 +5,29 @@ A block whose positions lie below its water, as with barometric heights, gets in
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from geo.frames import LocalFrame
 from refract import FlatWater
-from survey.control.points import Checkpoint, Control
 from survey.display.quantities import named
 from survey.errors import Findings, ImageError
-from survey.folder.checked_control import ControlledBlock, checked_parts
+from survey.folder.checked_control import checked_parts
 from survey.folder.control import place_control
 from survey.folder.found import Found
 from survey.folder.local_frame import over_points
+from survey.folder.observations import Observations, PlacedViews
 from survey.folder.pairing import read_file_poses, require_image
 from survey.folder.plausible import most_over_water
-from survey.folder.pose_frames import TiePointMisfit
-from survey.folder.pose_priors import PosePrior, common_up_std, priors_of_gps
+from survey.folder.pose_priors import common_up_std, priors_of_gps
 from survey.folder.sfm_views import solve_views
 from survey.photos.cameras import View
 from survey.photos.exif import SUFFIXES
 from survey.photos.images import is_hidden, read_mask, require_all_complete
 from survey.photos.names import MASK_ENDING, ImageNames
 from survey.photos.pixels import open_image, stored_size
-from survey.photos.poses import TiePoints
 from survey.water.surface import Departure, height_above
 
 # Masks that are checked for inversion; decoding thousands would take minutes.
@@ -134,34 +131,12 @@ def _warnings(views: Sequence[View]) -> list[str]:
     ]
 
 
-@dataclass(frozen=True)
-class PlacedViews:
-    """Views that a poses file or structure from motion placed."""
-
-    found: Found  # The contents of the survey folder, with the level that clicks give where a poses file places these
-    frame: LocalFrame
-    views: list[View]  # Sorted by name, with their masks
-    # points, ties, tool, reprojection, priors, control, checkpoints: See `survey.folder.survey.Survey`
-    points: np.ndarray | None
-    ties: TiePoints | None
-    tool: str | None
-    reprojection: TiePointMisfit | None
-    priors: Mapping[str, PosePrior]
-    control: Control | None
-    checkpoints: tuple[Checkpoint, ...]
-
-
 def views_of_file(found: Found, path: Path) -> tuple[PlacedViews, Findings]:
     """Views with the poses of a file."""
-    file, findings = read_file_poses(found, path)
-    found, frame = file.found, file.frame
-    views, of_images = _with_images(found, file.views, file.masks)
-    control, checkpoints, of_control = place_control(found.control, frame, [view.name for view in views])
-    priors = file.priors if control is None else _held_by_control(file.priors)
-    placed = PlacedViews(
-        found, frame, views, file.points, None, file.tool, file.reprojection, priors, control, checkpoints
-    )
-    return placed, findings + of_images + of_control
+    placed, masks, findings = read_file_poses(found, path)
+    placed, added = _with_images(placed, masks)
+    placed, of_control = _with_control(placed)
+    return placed, findings + added + of_control
 
 
 def views_of_photographs(
@@ -169,30 +144,33 @@ def views_of_photographs(
 ) -> tuple[PlacedViews, Findings]:
     """The views that structure from motion places."""
     solved, rejected, findings = solve_views(found, workspace, report)
-    frame = solved.frame
-    views, of_images = _with_images(found, list(solved.views), None)
-    priors: Mapping[str, PosePrior] = priors_of_gps(found, frame, views, rejected)
-    control, checkpoints, of_control = place_control(found.control, frame, [view.name for view in views])
-    findings += of_images + of_control
-    priors = priors if control is None else _held_by_control(priors)
-    block, of_parts = checked_parts(found, frame, ControlledBlock(views, solved.ties, control, priors))
-    placed = PlacedViews(
-        found, frame, block.views, block.ties.start, block.ties, None, None, block.priors, block.control, checkpoints
+    placed, added = _with_images(PlacedViews(found, solved.frame, list(solved.views)), None)
+    priors = priors_of_gps(found, placed.frame, placed.views, rejected)
+    placed = replace(placed, observations=Observations(solved.ties.start, solved.ties, priors))
+    placed, of_control = _with_control(placed)
+    placed, of_parts = checked_parts(placed)
+    return placed, findings + added + of_control + of_parts
+
+
+def _with_control(placed: PlacedViews) -> tuple[PlacedViews, Findings]:
+    """Views with their control and check points; where control places the block, priors are `held_by_control`."""
+    control, checkpoints, findings = place_control(
+        placed.found.control, placed.frame, [view.name for view in placed.views]
     )
-    return placed, findings + of_parts
+    priors = placed.observations.priors
+    if control is not None:
+        priors = {name: prior.held_by_control() for name, prior in priors.items()}
+    seen = replace(placed.observations, priors=priors, control=control, checkpoints=checkpoints)
+    return replace(placed, observations=seen), findings
 
 
-def _held_by_control(priors: Mapping[str, PosePrior]) -> dict[str, PosePrior]:
-    return {name: prior.held_by_control() for name, prior in priors.items()}
-
-
-def _with_images(found: Found, views: list[View], masks: Path | None) -> tuple[list[View], Findings]:
+def _with_images(placed: PlacedViews, masks: Path | None) -> tuple[PlacedViews, Findings]:
     """Views by name with their masks; images must have the size of their lens."""
-    views, findings = with_masks(found, sorted(views, key=lambda view: view.name), masks)
+    views, findings = with_masks(placed.found, sorted(placed.views, key=lambda view: view.name), masks)
     for view in views:
-        require_image(view, found.headers[view.name])
+        require_image(view, placed.found.headers[view.name])
     require_all_complete([path for view in views for path in (view.path, view.mask_path) if path is not None])
-    return views, findings
+    return replace(placed, views=views), findings
 
 
 def shifted_above_water(
@@ -203,7 +181,8 @@ def shifted_above_water(
     Only if positions share an unknown height error, which the adjustment estimates from the water. A warning says by
     how much.
     """
-    if water is None or placed.ties is None or placed.control is not None or common_up_std(placed.priors) == 0.0:
+    seen = placed.observations
+    if water is None or seen.ties is None or seen.control is not None or common_up_std(seen.priors) == 0.0:
         return placed, Findings()
     views = placed.views
     centres = np.array([view.camera.centre for view in views])
@@ -213,13 +192,14 @@ def shifted_above_water(
         return placed, Findings()
     x, y, _ = np.median(centres, axis=0).tolist()
     level = float(water.height(x, y)) + (0.0 if departure is None else float(departure.at(np.array([[x, y]]))[0][0]))
-    up = level - over_points(placed.ties.start, centres)
+    up = level - over_points(seen.ties.start, centres)
     message = "under the water" if over.min() <= 0.0 else f"more than {most_m:.0f} m over the water"
     warning = (
         f"the heights of their positions put the cameras {message} ({over.min():.1f} to {over.max():.1f} m over it): "
         "the height of the block is taken from the water level; check level_m and its vertical datum"
     )
     shift = np.array([0.0, 0.0, up])
-    ties = replace(placed.ties, start=placed.ties.start + shift)
+    ties = replace(seen.ties, start=seen.ties.start + shift)
+    seen = replace(seen, points=ties.start, ties=ties)
     views = [replace(view, camera=replace(view.camera, centre=view.camera.centre + shift)) for view in views]
-    return replace(placed, views=views, ties=ties, points=ties.start), Findings(warnings=(warning,))
+    return replace(placed, views=views, observations=seen), Findings(warnings=(warning,))

@@ -102,7 +102,7 @@ def require_solvable(found: Found) -> list[str]:
     require_level_fits_exif(found.config, found.headers, found.crs)
     for transform in transforms_into_crs(found.headers, found.crs, cameras.gps_height):
         std = best_plan_std(cameras, [found.headers[name] for name in transform.names])
-        require_accurate(transform.plan, std, transform.label, 0 if found.control is None else found.control.num_given)
+        require_accurate(transform.plan, std, transform.label, len(found.control.given))
     require_size(found.images, found.headers, cameras.size_px)
     focal = one_focal(cameras.focal_px)
     require_focal(found)
@@ -112,7 +112,7 @@ def require_solvable(found: Found) -> list[str]:
     warnings: list[str] = []
     if positions:
         cameras_crs = np.array(list(positions.values()))
-        warnings += [] if found.control is None else require_near(found.control.points, cameras_crs, found.crs)
+        warnings += require_near(found.control.points, cameras_crs, found.crs)
         if found.config.water is not None and found.config.water.level_m is not None:
             over_water = cameras_crs[:, 2] * height_unit_m(found.crs) - found.config.water.level_m
             over = dict(zip(positions, over_water.tolist(), strict=True))

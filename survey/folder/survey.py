@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -13,8 +13,7 @@ from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from geo.transformation import lon_lat
 from refract import FlatWater
-from survey.control.points import Checkpoint, Control, StableGround
-from survey.errors import FILE_NAME, Findings, GivenValueTest, SurveyError
+from survey.errors import FILE_NAME, Findings, SurveyError
 from survey.folder import local_frame
 from survey.folder.control import checkpoint_warnings, mark_warnings, read_ground
 from survey.folder.faults import (
@@ -26,20 +25,19 @@ from survey.folder.faults import (
     start_height_warnings,
 )
 from survey.folder.found import Found, find_survey
-from survey.folder.motion import Velocity, shutter_warnings, velocities_of, with_motion
-from survey.folder.placed_views import PlacedViews, shifted_above_water, views_of_file, views_of_photographs
+from survey.folder.motion import shutter_warnings, velocities_of, with_motion
+from survey.folder.observations import Observations, PlacedViews, Provenance
+from survey.folder.placed_views import shifted_above_water, views_of_file, views_of_photographs
 from survey.folder.plausible import place_warnings, require_plausible
-from survey.folder.pose_frames import TiePointMisfit
-from survey.folder.pose_priors import PosePrior, common_plan_std
+from survey.folder.pose_priors import common_plan_std
 from survey.folder.positions import far_from_others
 from survey.photos.cameras import View, metres_per_px
 from survey.photos.images import load_image, load_mask
-from survey.photos.poses import TiePoints
 from survey.settings.config import SurveyConfig, WaterConfig
 from survey.water.level import with_level_of_clicks, with_plane_of_surface
 from survey.water.level_observation import LevelObservation, water_place_warnings
 from survey.water.surface import Departure, height_above, still_water
-from survey.water.tides import Tide, with_tides
+from survey.water.tides import with_tides
 
 __all__ = [
     "Found",
@@ -52,55 +50,6 @@ __all__ = [
     "load_mask",
     "load_survey",
 ]
-
-
-@dataclass(frozen=True)
-class Observations:
-    """Measurements of a survey besides its photographs."""
-
-    # (N, 3) float64 [m], local, or None: matched points with three observations or more, on straight rays, or those of
-    # an adjustment with bent rays; None where the poses came without any
-    points: np.ndarray | None = field(default=None, compare=False, repr=False)
-    # These points with their observations, in pixels of the original photographs, where structure from motion found
-    # them
-    ties: TiePoints | None = field(default=None, compare=False, repr=False)
-    # dict of name to PosePrior: prior of the pose of each view
-    priors: Mapping[str, PosePrior] = field(default_factory=dict, compare=False, repr=False)
-    control: Control | None = field(default=None, compare=False, repr=False)  # Control points that the photographs show
-    # Points that results are compared with; none where there is no file of them
-    checkpoints: tuple[Checkpoint, ...] = field(default=(), compare=False, repr=False)
-    # Measurements of the water level; the settings have their mean and its standard deviation
-    levels: tuple[LevelObservation, ...] = field(default=(), compare=False, repr=False)
-    # dict of name to Velocity: of the views for which one is known
-    velocities: Mapping[str, Velocity] = field(default_factory=dict, compare=False, repr=False)
-    # Change of the level from photograph to photograph; cameras have it where it matters (`PinholeCamera.tide`). None
-    # where it is not known
-    tide: Tide | None = field(default=None, compare=False, repr=False)
-    # Dry ground of an earlier survey, to which the block is aligned
-    ground: StableGround | None = field(default=None, compare=False, repr=False)
-    # Departure of the water from its plane; None where none is given
-    departure: Departure | None = field(default=None, compare=False, repr=False)
-
-
-@dataclass(frozen=True)
-class Provenance:
-    """Sources of poses, level and index of a survey, and their fit to the photographs."""
-
-    # The program that adjusted the poses of the poses file on straight rays; None where there is no file, or none is
-    # named
-    tool: str | None = None
-    # Reprojection error of the tie points of the poses file; None where there are none
-    reprojection: TiePointMisfit | None = None
-    # Reprojection misfit between photographs under the given poses [px]; below 0 where too little matches, None before
-    # it is measured
-    pose_misfit_px: float | None = None
-    # What a sample of photographs contradicts, of the given water or lens, under poses that it confirms
-    contradiction: GivenValueTest | None = None
-    is_adjusted: bool = False  # Whether views, water and points are those of an adjustment with bent rays
-    is_level_known: bool = True  # Whether survey.toml gives the level of the water; else that of the survey is a guess
-    # Whether survey.toml determines the index of the water; else the settings have an assumed one with a matching
-    # standard deviation
-    is_index_known: bool = True
 
 
 @dataclass(frozen=True)
@@ -178,8 +127,8 @@ def load_survey(
     ground, added = read_ground(
         found.folder, water.config, placed.frame, _seen(placed), water.above, is_level_known=water.is_level_known
     )
-    findings += added
-    findings += Findings(warnings=tuple(_warnings(placed, water)))
+    findings += added + Findings(warnings=tuple(_warnings(placed, water)))
+    is_index_known = found.config.water is None or found.config.water.states_index
     return Survey(
         name=found.name,
         folder=found.folder,
@@ -187,24 +136,15 @@ def load_survey(
         views=tuple(placed.views),
         water=water.plane,
         config=_with_poses_name(water.config, found),
-        observations=Observations(
-            placed.points,
-            placed.ties,
-            placed.priors,
-            placed.control,
-            placed.checkpoints,
-            water.levels,
-            velocities,
-            tide,
-            ground,
-            water.departure,
+        observations=replace(
+            placed.observations,
+            levels=water.levels,
+            velocities=velocities,
+            tide=tide,
+            ground=ground,
+            departure=water.departure,
         ),
-        provenance=Provenance(
-            placed.tool,
-            placed.reprojection,
-            is_level_known=water.is_level_known,
-            is_index_known=found.config.water is None or found.config.water.states_index,
-        ),
+        provenance=replace(placed.provenance, is_level_known=water.is_level_known, is_index_known=is_index_known),
         findings=findings,
     )
 
@@ -238,7 +178,7 @@ def _local_water(placed: PlacedViews) -> tuple[_LocalWater, Findings]:
         cameras = lon_lat(found.crs, frame.crs_from_local(_centres(views)))
         findings = Findings(warnings=tuple(water_place_warnings(found.crs, cameras, config.water, levels)))
     if config.water is not None and config.water.level_m is None:
-        config, of_points = local_frame.with_level_of_points(config, frame, views, placed.points)
+        config, of_points = local_frame.with_level_of_points(config, frame, views, placed.observations.points)
         is_level_known, findings = False, findings + of_points
     config, of_surface = with_plane_of_surface(config, levels, views, frame)
     config, plane, of_plane = local_frame.water_in_local(config, frame, views)
@@ -263,8 +203,8 @@ def _centres(views: list[View]) -> np.ndarray:
 
 def _seen(placed: PlacedViews) -> np.ndarray:
     """Cameras and matched points (N, 3) [m], local: as far as a survey reaches."""
-    centres = _centres(placed.views)
-    return centres if placed.points is None else np.concatenate([centres, placed.points])
+    centres, points = _centres(placed.views), placed.observations.points
+    return centres if points is None else np.concatenate([centres, points])
 
 
 def _warnings(placed: PlacedViews, water: _LocalWater) -> list[str]:
@@ -273,10 +213,11 @@ def _warnings(placed: PlacedViews, water: _LocalWater) -> list[str]:
     A focal length comes first, as others follow from it. What does not need poses was held against the GPS positions
     before structure from motion already.
     """
-    found, frame, views = placed.found, placed.frame, placed.views
+    found, frame, views, seen = placed.found, placed.frame, placed.views, placed.observations
     centres, is_posed = _centres(views), found.poses_path is not None
     above = None if water.above is None else water.above(centres)
-    require_plausible(frame, views, above, water.config, found.headers, see_points=placed.reprojection is not None)
+    see_points = placed.provenance.reprojection is not None
+    require_plausible(frame, views, above, water.config, found.headers, see_points=see_points)
     warnings = require_focal_lengths({view.name: view.lens for view in views}, found.headers) if is_posed else []
     warnings += require_apart(views, above) + place_warnings(frame, views, above, found.headers)
     if len(views) == 2:
@@ -292,12 +233,12 @@ def _warnings(placed: PlacedViews, water: _LocalWater) -> list[str]:
     warnings += far_from_others(np.array(names), centres[:, :2], heights, "pose")
     headers = {name: found.headers[name] for name in names}
     warnings += shutter_warnings(water.config.cameras, headers, metres_per_px(views, water.plane))
-    if placed.control is not None:
-        warnings += mark_warnings(placed.control, views, water.plane)
+    if seen.control is not None:
+        warnings += mark_warnings(seen.control, views, water.plane)
     if above is not None and water.config.water is not None:
         level_m, at = water.config.water.known_level_m, place_of(crs, np.median(in_crs, axis=0))
         over_water = dict(zip(names, above.tolist(), strict=True))
         warnings += low_flight_warnings(above, level_m, at, crs)
         warnings += start_height_warnings(over_water, headers, level_m, at, crs)
         warnings += exif_height_warnings(dict(zip(names, heights.tolist(), strict=True)), headers)
-    return warnings + checkpoint_warnings(placed.checkpoints, views, water.plane, water.departure)
+    return warnings + checkpoint_warnings(seen.checkpoints, views, water.plane, water.departure)

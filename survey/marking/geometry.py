@@ -150,14 +150,14 @@ def poses_to_mark(found: Found, run: Path | None) -> tuple[PosedSurvey | None, s
 def _of_file(found: Found, path: Path) -> PosedSurvey:
     """The photographs with the poses of the survey's poses file, without the checks of `check`."""
     try:
-        file, _ = read_file_poses(found, path)
+        placed, *_ = read_file_poses(found, path)
     except SurveyError:
         if found.config.water is None or found.config.water.sources.clicks is None:
             raise
         # Clicks that tell no level yet.
         found = replace(found, config=replace(found.config, water=None))
-        file, _ = read_file_poses(found, path)
-    found, frame, views = file.found, file.frame, file.views
+        placed, *_ = read_file_poses(found, path)
+    found, frame, views = placed.found, placed.frame, placed.views
     places = {view.name: view.camera.centre for view in views}
     velocities = velocities_of(places, found.headers, found.config.cameras.speed_m_s)
     views, _ = with_motion(views, velocities, found.config.cameras)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -16,11 +14,7 @@ def grid_from_opk(omega: float, phi: float, kappa: float) -> np.ndarray:
 
     ``Rx(omega) Ry(phi) Rz(kappa)``, angles in radians.
     """
-    co, so, cp, sp, ck, sk = (f(a) for a in (omega, phi, kappa) for f in (math.cos, math.sin))
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, co, -so], [0.0, so, co]])
-    about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
-    about_z = np.array([[ck, -sk, 0.0], [sk, ck, 0.0], [0.0, 0.0, 1.0]])
-    return about_x @ about_y @ about_z
+    return Rotation.from_euler("XYZ", (omega, phi, kappa)).as_matrix()
 
 
 def rotation_from_quaternion(w: float, x: float, y: float, z: float) -> np.ndarray:
@@ -34,14 +28,10 @@ def enu_from_yaw_pitch_roll(yaw: float, pitch: float, roll: float) -> np.ndarray
     At 0, 0, 0 the camera looks straight down with the top of its image to the north. Yaw turns it clockwise, seen from
     above; pitch lifts the view forward, to the horizon at 90 degrees; roll lowers the right side.
     """
-    cy, sy, cp, sp, cr, sr = (f(a) for a in (yaw, pitch, roll) for f in (math.cos, math.sin))
-    about_down = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
-    about_right = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
-    about_forward = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
     # Aircraft axes: forward, right, down, in north, east, down.
     east_north_up = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     aircraft_from_cam = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    return east_north_up @ about_down @ about_right @ about_forward @ aircraft_from_cam
+    return east_north_up @ Rotation.from_euler("ZYX", (yaw, pitch, roll)).as_matrix() @ aircraft_from_cam
 
 
 def is_rotation(matrix: np.ndarray, tolerance: float) -> bool:

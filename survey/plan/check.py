@@ -214,7 +214,7 @@ def _shared_error(found: Found) -> list[tuple[str, str]]:
     """Row on the common error of heights in EXIF, where the level of the water places the block."""
     std = common_up_std_of_exif(found.config.cameras, found.headers, found.datum)
     water = found.config.water
-    if std == 0.0 or found.control is not None or water is None or water.level_m is None:
+    if std == 0.0 or found.config.control.files or water is None or water.level_m is None:
         return []
     is_stated = found.config.cameras.position_std_m is not None
     unless = "" if is_stated else f", unless positions prove good to {WELL_KNOWN_M:g} m and agree with it"

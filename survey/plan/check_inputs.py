@@ -31,12 +31,10 @@ GIVE_LEVEL = (
 _NO_CLOUD = f"they hardly ever determine the level, without which there is no cloud; {GIVE_LEVEL}"
 
 
-def control_rows(control: FoundControl | None) -> list[tuple[str, str]]:
+def control_rows(control: FoundControl) -> list[tuple[str, str]]:
     """Rows on the files of [control]; none where there are none."""
     rows: list[tuple[str, str]] = []
-    if control is None:
-        return rows
-    if control.merged is not None:
+    if control.merged.points:
         points, marks = control.merged.points, control.merged.marks
         num_check = sum(point.is_check for point in points)
         checks = f", {num_check} of them check points" if num_check else ""
@@ -68,7 +66,7 @@ def mark_rows(survey: Survey) -> list[tuple[str, str]]:
 
 def _stds(control: FoundControl) -> str:
     """Standard deviations of points and marks, with their source."""
-    points = () if control.merged is None else control.merged.points
+    points = control.merged.points
     of_file = [point.std_m for point in points if point.std_m is not None]
     parts = []
     if of_file:

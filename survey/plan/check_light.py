@@ -11,6 +11,7 @@ import numpy as np
 from geo.crs import EARTH_RADIUS_M, height_unit_m, middle_lon_lat
 from geo.sun import Sun, sun_at
 from refract import PinholeCamera
+from survey.display.quantities import listed
 from survey.folder.faults import above_start_of, place_of
 from survey.folder.found import Found
 from survey.folder.motion import velocities_of
@@ -134,10 +135,9 @@ def sharpness_text(found: Found) -> str:
     blurred = {name: float(value) for name, value in zip(clear, sharp, strict=True) if value < LEAST_SHARP}
     parts, advice = [], []
     if plain:
-        more = f" and {len(plain) - _MOST_NAMED} more" if len(plain) > _MOST_NAMED else ""
         verb = "is" if len(plain) == 1 else "are"
-        named = ", ".join(plain[:_MOST_NAMED])
-        parts.append(f"{len(plain)} {of} {verb} black or of one colour all over, and show nothing: {named}{more}")
+        named = listed(plain, _MOST_NAMED)
+        parts.append(f"{len(plain)} {of} {verb} black or of one colour all over, and show nothing: {named}")
         advice.append("take these out of the image folder")
     if white:
         worst = _named([(name, f"{100.0 * white[name]:.0f} %") for name in sorted(white, key=lambda n: -white[n])])
@@ -159,8 +159,7 @@ def sharpness_text(found: Found) -> str:
 
 def _named(worst: list[tuple[str, str]]) -> str:
     """The first of many photographs by name, with their fault."""
-    more = f" and {len(worst) - _MOST_NAMED} more" if len(worst) > _MOST_NAMED else ""
-    return ", ".join(f"{name} ({value})" for name, value in worst[:_MOST_NAMED]) + more
+    return listed([f"{name} ({value})" for name, value in worst], _MOST_NAMED)
 
 
 def _some(found: Found) -> list[str]:

@@ -16,6 +16,8 @@ import numpy as np
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from geo.similarity import Similarity, fit_similarity, robust_similarity
+from refract import PinholeCamera
+from survey.display.quantities import listed
 from survey.errors import ControlError, PosesError, SurveyError
 from survey.photos.poses import least_track
 from survey.sfm import block as sfm_block
@@ -31,8 +33,8 @@ from survey.sfm.gps_fit import (
     roll_by_control,
     roll_by_ground,
 )
-from survey.sfm.mark_rays import BlockControl, BlockView, Intersections, intersect_marks
-from survey.sfm.solve import GIVE_POSES, FreeBlocks, listed
+from survey.sfm.mark_rays import BlockControl, Intersections, intersect_marks
+from survey.sfm.solve import GIVE_POSES, FreeBlocks
 
 if TYPE_CHECKING:
     import pycolmap
@@ -199,9 +201,9 @@ def _share_lenses(blocks: Sequence[pycolmap.Reconstruction], sensors: Sequence[C
                 sfm_block.set_lens(block, name, lens.params)
 
 
-def views_of_block(block: pycolmap.Reconstruction) -> dict[str, BlockView]:
-    """The photographs of a block by their names."""
-    return {name: BlockView(sfm_block.lens_of(block, name), *pose) for name, pose in sfm_block.poses_of(block).items()}
+def views_of_block(block: pycolmap.Reconstruction) -> dict[str, PinholeCamera]:
+    """The cameras of a block by the names of their photographs."""
+    return {name: sfm_block.lens_of(block, name).camera(*pose) for name, pose in sfm_block.poses_of(block).items()}
 
 
 def _to_positions(block: pycolmap.Reconstruction, positions: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -14,10 +14,12 @@ from math import comb
 import numpy as np
 
 from geo.similarity import Similarity, fit_similarity, robust_similarity
+from refract import PinholeCamera
 from survey.control.points import ControlPoint
+from survey.display.quantities import listed
 from survey.errors import ControlError
 from survey.sfm.gps_fit import PositionLine
-from survey.sfm.mark_rays import BlockControl, BlockView, Intersections, intersect_marks, swapped_marks
+from survey.sfm.mark_rays import BlockControl, Intersections, intersect_marks, swapped_marks
 
 MIN_POINTS = 3
 # A block may miss its control by this share of the distance to the cameras, and this many standard deviations of it.
@@ -46,12 +48,12 @@ class ControlFit:
         return tuple(point.name for point in self.intersections.points if point.name not in self.wrong)
 
 
-def fit_control(control: BlockControl, views: Mapping[str, BlockView]) -> ControlFit:
+def fit_control(control: BlockControl, views: Mapping[str, PinholeCamera]) -> ControlFit:
     """Place a block by its control points.
 
     Parameters
     ----------
-    views : name to BlockView, in the frame of the block
+    views : name to PinholeCamera, in the frame of the block
     """
     intersections = intersect_marks(control, views)
     require_consistent_marks(control, views, intersections)
@@ -94,7 +96,7 @@ def coordinates(intersections: Intersections) -> tuple[np.ndarray, np.ndarray]:
     return np.array([point.local for point in points]), np.array([point.std for point in points])
 
 
-def fit_majority(intersections: Intersections, views: Mapping[str, BlockView]) -> ControlFit:
+def fit_majority(intersections: Intersections, views: Mapping[str, PinholeCamera]) -> ControlFit:
     """The similarity that most of at least three points agree on."""
     control_xyz, std = coordinates(intersections)
     best = _agreements(intersections, control_xyz, std)
@@ -121,7 +123,7 @@ def fit_majority(intersections: Intersections, views: Mapping[str, BlockView]) -
 
 
 def require_consistent_marks(
-    control: BlockControl, views: Mapping[str, BlockView], intersections: Intersections
+    control: BlockControl, views: Mapping[str, PinholeCamera], intersections: Intersections
 ) -> None:
     """Raise where marks that contradict each other outnumber those that agree, by their points."""
     if len(intersections.inconsistent) > len(intersections.points):
@@ -194,23 +196,23 @@ def _limits(intersections: Intersections, std: np.ndarray, scale: float) -> np.n
 
 
 def _is_below(
-    similarity: Similarity, intersections: Intersections, good: np.ndarray, views: Mapping[str, BlockView]
+    similarity: Similarity, intersections: Intersections, good: np.ndarray, views: Mapping[str, PinholeCamera]
 ) -> bool:
     """Whether most cameras lie lower than the points that they show."""
     heights = similarity(np.array([view.centre for view in views.values()]))[:, 2]
     return bool(np.median(heights) < np.median(similarity(intersections.places[good])[:, 2]))
 
 
-def _too_few(control: BlockControl, views: Mapping[str, BlockView], intersections: Intersections) -> str:
+def _too_few(control: BlockControl, views: Mapping[str, PinholeCamera], intersections: Intersections) -> str:
     causes = []
     if intersections.points:
-        causes.append(f"usable: {_listed([point.name for point in intersections.points])}")
+        causes.append(f"usable: {listed([point.name for point in intersections.points])}")
     if intersections.single:
         causes.append(
-            f"with a mark in fewer than two placed photographs, or from one direction: {_listed(intersections.single)}"
+            f"with a mark in fewer than two placed photographs, or from one direction: {listed(intersections.single)}"
         )
     if intersections.inconsistent:
-        causes.append(f"with marks whose rays do not intersect: {_listed(intersections.inconsistent)}")
+        causes.append(f"with marks whose rays do not intersect: {listed(intersections.inconsistent)}")
     causes.append(f"{len(views)} photographs are placed")
     remedy = "mark more points in more photographs, or correct the marks"
     if len(intersections.inconsistent) > 1 and len(intersect_marks(swapped_marks(control), views).points) >= MIN_POINTS:
@@ -241,9 +243,4 @@ def _contradiction(intersections: Intersections, control_xyz: np.ndarray, std: n
 
 
 def _left_of(intersections: Intersections, good: np.ndarray) -> str:
-    return _listed([intersections.points[i].name for i in np.flatnonzero(~good)])
-
-
-def _listed(names) -> str:
-    more = f" and {len(names) - 10} more" if len(names) > 10 else ""
-    return ", ".join(names[:10]) + more
+    return listed([intersections.points[i].name for i in np.flatnonzero(~good)])

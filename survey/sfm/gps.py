@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import has_height, is_geographic, parse_crs, vertical_crs
+from geo.crs import has_height, parse_crs, vertical_crs
 from geo.frames import LocalFrame
 from geo.transformation import WGS84, Transformation, height_scale, lon_lat
 from survey.errors import FILE_NAME, ConfigError, PosesError
@@ -57,7 +57,7 @@ def gps_positions(headers: Mapping[str, Exif], crs: CRS, gps_height: str) -> Gps
     crs = parse_crs(crs)
     positions, notes = positions_in_crs(headers, crs, gps_height)
     points = np.array(list(positions.values()))
-    frame = LocalFrame(crs, _origin(crs, points))
+    frame = LocalFrame.about(crs, points)
     missing = len(headers) - num_with_height
     if missing:
         notes.append(
@@ -213,10 +213,3 @@ def _in_crs(crs: CRS, source: _Source, places: np.ndarray, gps_height: str) -> t
     )
     metres = places[:, 2] * height_scale(source.crs, _WGS84_3D, message)
     return np.stack([east, north, to_height.transform(lon, lat, metres)[2]], axis=-1), [taken]
-
-
-def _origin(crs: CRS, points: np.ndarray) -> tuple[float, float, float]:
-    # The median, so that one wrong position does not move the frame of the others.
-    e, n, h = (float(v) for v in np.median(points, axis=0))
-    digits = 5 if is_geographic(crs) else 0
-    return (round(e, digits), round(n, digits), float(math.floor(h)))

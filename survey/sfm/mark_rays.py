@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from geo.frames import LocalFrame
-from refract.lens import Lens, undistorted
+from refract import PinholeCamera
 from survey.control.points import ControlPoint, Mark
 from survey.photos.intersection import equations_of_lines
 
@@ -37,16 +37,6 @@ class BlockControl:
         return replace(self, frame=frame, points=points)
 
 
-@dataclass(frozen=True)
-class BlockView:
-    """A photograph of a block."""
-
-    lens: Lens
-    # centre, rotation (3,), (3, 3): in the frame of the block; from that to cam
-    centre: np.ndarray
-    rotation: np.ndarray
-
-
 @dataclass(frozen=True, eq=False)
 class Intersections:
     """Intersections of the rays of marks, by control point."""
@@ -61,7 +51,7 @@ class Intersections:
     single: tuple[str, ...]
 
 
-def intersect_marks(control: BlockControl, views: Mapping[str, BlockView]) -> Intersections:
+def intersect_marks(control: BlockControl, views: Mapping[str, PinholeCamera]) -> Intersections:
     """Intersections of the rays of the marks of each point in a block."""
     marks_of: dict[str, list[Mark]] = {point.name: [] for point in control.points}
     for mark in control.marks:
@@ -101,7 +91,7 @@ def swapped_marks(control: BlockControl) -> BlockControl:
     return replace(control, marks=tuple(replace(mark, pixel=mark.pixel[::-1]) for mark in control.marks))
 
 
-def _majority_point(marks: list[Mark], views: Mapping[str, BlockView]) -> tuple[np.ndarray | None, np.ndarray]:
+def _majority_point(marks: list[Mark], views: Mapping[str, PinholeCamera]) -> tuple[np.ndarray | None, np.ndarray]:
     """The point (3,) that most of the rays of some marks intersect, and which do (N,) bool.
 
     No place where that is not a majority, or all that meet come from one direction.
@@ -127,16 +117,12 @@ def _majority_point(marks: list[Mark], views: Mapping[str, BlockView]) -> tuple[
     return place, best
 
 
-def _rays(marks: list[Mark], views: Mapping[str, BlockView]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _rays(marks: list[Mark], views: Mapping[str, PinholeCamera]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Origins and directions (N, 3) of the rays of marks, and the angle (N,) [rad] that makes one wrong."""
     posed = [views[mark.view] for mark in marks]
-    origins = np.array([view.centre for view in posed])
-    rays = np.empty_like(origins)
-    for number, (mark, view) in enumerate(zip(marks, posed, strict=True)):
-        x, y = undistorted(view.lens, np.array([mark.pixel]))[0]
-        rays[number] = np.array([x, y, 1.0]) @ view.rotation
-    wrong = np.array([_WRONG_SHARE * max(view.lens.width, view.lens.height) / view.lens.focal[0] for view in posed])
-    return origins, rays / np.linalg.norm(rays, axis=1, keepdims=True), wrong
+    rays = np.array([camera.directions(mark.pixel) for camera, mark in zip(posed, marks, strict=True)])
+    wrong = np.array([_WRONG_SHARE * max(camera.width, camera.height) / camera.fx for camera in posed])
+    return np.array([camera.centre for camera in posed]), rays, wrong
 
 
 def _nearest_to_rays(origins: np.ndarray, rays: np.ndarray) -> np.ndarray | None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from survey.display.quantities import listed
 from survey.errors import FILE_NAME, PosesError
 from survey.photos.exif import Exif
 from survey.photos.poses import least_track
@@ -24,7 +25,6 @@ from survey.sfm.pairs import LEAST_HEIGHT_M, Place
 if TYPE_CHECKING:
     import pycolmap
 
-_MAX_NAMED = 16
 # The height of the cameras over a level is rounded up by steps of this factor.
 _STEP = 1.1
 GIVE_POSES = f"give poses made elsewhere in [cameras] poses in {FILE_NAME}"
@@ -165,9 +165,3 @@ def left_out(blocks: Sequence[pycolmap.Reconstruction], names: Sequence[str]) ->
     placed = {name for block in blocks for name in sfm_block.poses_of(block)}
     lost = [name for name in names if name not in placed]
     return [f"some images match too little; left out: {listed(lost)}"] if lost else []
-
-
-def listed(names: Sequence[str]) -> str:
-    """The first names of a list, and how many more there are."""
-    more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
-    return ", ".join(names[:_MAX_NAMED]) + more

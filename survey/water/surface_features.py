@@ -19,6 +19,7 @@ from geo.features import GEOJSON, Feature, layers_of, read_features
 from geo.reproject import has_same_heights
 from geo.transformation import WGS84, middle_of, transformed
 from geo.values import is_no_data_value
+from survey.display.quantities import listed
 from survey.errors import ConfigError
 from survey.files.csv_table import meaning, number_of, words_of
 
@@ -35,7 +36,6 @@ _LIKE_HEIGHTS = ("level", "height", "elev", "alt", "depth", "stage", "wse", "hoe
                  "z_", "_z")  # fmt: skip
 # Heights of the layers of one water differ by no more [m]: the waterline of a lake, in waves.
 _ONE_HEIGHT_M = 0.1
-_MOST_LAYERS_NAMED = 8
 
 
 @dataclass(frozen=True)
@@ -127,15 +127,14 @@ def require_one_water(path: Path, heights: Mapping[str, Sequence[float]], unit_m
     low, high = min(low for low, _ in ranges.values()), max(high for _, high in ranges.values())
     if (high - low) * unit_m <= _ONE_HEIGHT_M:
         return
-    listed = [
+    found = [
         f"{name or 'without a name'} ({low:.2f}" + (f" to {high:.2f})" if high > low else ")")
         for name, (low, high) in ranges.items()
     ]
-    more = f" and {len(listed) - _MOST_LAYERS_NAMED} more" if len(listed) > _MOST_LAYERS_NAMED else ""
     raise ConfigError(
-        f"{path} has {len(listed)} layers or codes of points, with the heights "
-        f"{', '.join(listed[:_MOST_LAYERS_NAMED])}{more}; give the one that is the water, e.g. [water] layer = "
-        f'"{min(ranges, key=lambda name: ranges[name][1] - ranges[name][0])}", or several as "a, b"'
+        f"{path} has {len(found)} layers or codes of points, with the heights {listed(found)}; give the one that is "
+        f'the water, e.g. [water] layer = "{min(ranges, key=lambda name: ranges[name][1] - ranges[name][0])}", or '
+        'several as "a, b"'
     )
 
 

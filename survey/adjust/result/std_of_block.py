@@ -33,7 +33,7 @@ from survey.adjust.result.std_common import (
     places_of,
     seen_places,
 )
-from survey.display.quantities import length
+from survey.display.quantities import length, listed
 from survey.photos.poses import connected_parts
 
 if TYPE_CHECKING:
@@ -272,8 +272,7 @@ def _runs(names: tuple[str, ...], views: np.ndarray) -> str:
     """Names of views (K,), ascending, those of neighbours as their first and last."""
     runs = np.split(views, np.flatnonzero(np.diff(views) > 1) + 1)
     spans = [names[run[0]] if len(run) == 1 else f"{names[run[0]]} to {names[run[-1]]}" for run in runs]
-    more = f" and {len(spans) - _MOST_RUNS} more" if len(spans) > _MOST_RUNS else ""
-    return ", ".join(spans[:_MOST_RUNS]) + more
+    return listed(spans, _MOST_RUNS)
 
 
 def _std(found: Adjustment, jacobian: np.ndarray) -> float:

@@ -13,8 +13,9 @@ from survey.adjust.result.foreseen import foreseen_section
 from survey.display.quantities import length
 from survey.errors import FILE_NAME, SurveyError
 from survey.folder.faults import place_of
+from survey.folder.observations import Observations
 from survey.folder.pose_priors import PosePrior
-from survey.folder.survey import Observations, Survey
+from survey.folder.survey import Survey
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
 from survey.plan.area import ASSUMED_DEPTH_M, in_the_middle

@@ -24,7 +24,7 @@ from torch import nn
 
 from fields.device import choose_device
 from fields.volume.appearance import appearance_vectors, match_appearance
-from fields.volume.losses import Losses, PatchWeights, PriorWeights
+from fields.volume.losses import Losses
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import Backdrop, NormalHead, VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
@@ -65,14 +65,6 @@ class Row:
     part: str = ""
 
 
-def patches(**weights: float) -> Losses:
-    return Losses(patches=PatchWeights(**weights))
-
-
-def priors(**weights: float) -> Losses:
-    return Losses(priors=PriorWeights(**weights))
-
-
 # Weights: those of the papers for transparency, distortion and density; else such that the gradient is about a fifth of
 # that of the colours after 240 steps.
 ROWS = {
@@ -91,16 +83,16 @@ ROWS = {
     "density, distortion, empty": Row(losses=Losses(printed_density=0.002, distortion=0.002, empty=0.001)),
     "orientation 0.004": Row(losses=Losses(orientation=0.004)),
     "virtual views 0.01": Row(losses=Losses(virtual_views=0.01)),
-    "length prior 0.0001": Row(losses=priors(length=0.0001)),
-    "monocular depth 0.01": Row(losses=priors(depth=0.01)),
-    "monocular normals 0.0001": Row(losses=priors(normal=0.0001)),
-    "predicted normals 0.0001": Row(losses=priors(predicted_normal=0.0001), part="normals"),
+    "length prior 0.0001": Row(losses=Losses(length=0.0001)),
+    "monocular depth 0.01": Row(losses=Losses(depth=0.01)),
+    "monocular normals 0.0001": Row(losses=Losses(normal=0.0001)),
+    "predicted normals 0.0001": Row(losses=Losses(predicted_normal=0.0001), part="normals"),
     # A loss of no weight to speak of: what drawing patches costs.
-    "patches of 8 px": Row(losses=patches(ncc=1e-12)),
-    "NCC 0.0003": Row("patches of 8 px", patches(ncc=0.0003)),
-    "SSIM 0.003": Row("patches of 8 px", patches(ssim=0.003)),
-    "virtual patches 0.0003": Row("patches of 8 px", patches(virtual=0.0003)),
-    "smooth normals 0.0001": Row("patches of 8 px", patches(smooth_normals=0.0001)),
+    "patches of 8 px": Row(losses=Losses(ncc=1e-12)),
+    "NCC 0.0003": Row("patches of 8 px", Losses(ncc=0.0003)),
+    "SSIM 0.003": Row("patches of 8 px", Losses(ssim=0.003)),
+    "virtual patches 0.0003": Row("patches of 8 px", Losses(virtual_patches=0.0003)),
+    "smooth normals 0.0001": Row("patches of 8 px", Losses(smooth_normals=0.0001)),
     # Behind the box as a rule is nothing: the last sample is opaque.
     "black behind": Row(part="black"),
     "one colour behind": Row(part="colour"),

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import AREA_MARGIN_DEG, EARTH_RADIUS_M, degrees_outside_area, is_geographic, parse_crs
+from geo.crs import AREA_MARGIN_DEG, EARTH_RADIUS_M, degrees_outside_area, parse_crs
 from geo.errors import PlaceMismatch
 from geo.projection import (
     MapProjection,
@@ -51,16 +51,6 @@ class LocalFrame:
     _origin_lon: float = field(init=False, repr=False, compare=False)
     _origin_geocentric: np.ndarray = field(init=False, repr=False, compare=False)
     _local_from_geocentric: np.ndarray = field(init=False, repr=False, compare=False)
-
-    @classmethod
-    def about(cls, crs: CRS, places, height: float | None = None) -> LocalFrame:
-        """The frame whose origin is rounded from the median of places (N, 3) in crs, at a height of its own if given.
-
-        The median, so that one wrong position does not move the frame of the others.
-        """
-        e, n, middle = np.median(places, axis=0).tolist()
-        digits = 5 if is_geographic(crs) else 0
-        return cls(crs, (round(e, digits), round(n, digits), float(math.floor(middle if height is None else height))))
 
     def __post_init__(self):
         def keep(name, value):

@@ -56,7 +56,7 @@ BAD_INPUT = {
         lambda folder: [(folder / "images" / f"000{i}.jpg").unlink() for i in (0, 1, 2)],
         ["only 1 of the 4 poses", "expected at least 2"],
     ),
-    "not yet": (spoil_toml(("level_at", "mask = 'm'\nlevel_at")), ["mask is not supported yet", "remove it"]),
+    "no key": (spoil_toml(("level_at", "mask = 'm'\nlevel_at")), ["unknown key mask in [water]", "remove it"]),
     "two levels": (spoil_toml(("level_at", "gauge = 'g.csv'\nlevel_at")), ["level_m and gauge", "keep one"]),
 }
 

@@ -37,7 +37,7 @@ def test_a_pipe_or_device_in_a_survey_is_named(tmp_path, monkeypatch, name, kind
     for verb, *options in VERBS:
         said = bathynerf(verb, folder, *options)
         assert said.exit_code == BAD_INPUT
-        assert f"{path} is a pipe, a socket or a device, expected a file or a folder; remove it" in said.stderr
+        assert f"{path} is a pipe, a socket or a device, expected a file or folder; remove it" in said.stderr
 
 
 @pytest.mark.parametrize("key", ['masks = "/dev/zero"', 'dir = "/dev/zero"'])

@@ -125,9 +125,9 @@ def test_what_may_not_be_written_to_is_refused(tmp_path):
 
 @pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="no folder of the system that takes no file")
 def test_a_folder_that_takes_no_file_is_refused_whoever_asks():
-    with pytest.raises(OutputError, match=r"/proc/self/task/x, but /proc/self/task (accepts no|is not)"):
+    with pytest.raises(OutputError, match=r"/proc/self/task/x, but /proc/self/task (takes no|is not)"):
         require_folder("--report", Path("/proc/self/task/x"), ReadFiles())
-    with pytest.raises(OutputError, match=r"/proc/self/task (accepts no|is not)"):
+    with pytest.raises(OutputError, match=r"/proc/self/task (takes no|is not)"):
         require_json(Path("/proc/self/task/x.json"), ReadFiles())
 
 

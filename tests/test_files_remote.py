@@ -137,7 +137,7 @@ def test_a_file_url_is_read_as_it_is_written(tmp_path):
 
 
 def test_what_is_missing_or_unknown_is_named(monkeypatch):
-    with pytest.raises(SurveyError, match=r"nope://x is of a kind that is not known .*name e\.g\. s3://"):
+    with pytest.raises(SurveyError, match=r"nope://x is of an unknown kind .*name e\.g\. s3://"):
         Remote("nope://x")
     monkeypatch.setitem(sys.modules, "fsspec", None)
     with pytest.raises(SurveyError, match=r"pip install 'bathynerf\[remote\]'"):

@@ -71,7 +71,7 @@ def test_a_survey_has_its_control_in_local_and_its_settings_say_what_was_assumed
         assert (point.local == survey.frame.local_from_crs(place)).all()
     assert survey.findings.assumptions == (
         "[control] std_m = 0.01, the standard deviation of control points in metres",
-        "[control] marks_std_px = 0.5, the standard deviation of their marks in pixels",
+        "[control] marks_std_px = 0.5, the std of their marks in pixels",
     )
     assert (survey.config.control.std_m, survey.config.control.marks_std_px) == (0.01, 0.5)
 

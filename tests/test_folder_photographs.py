@@ -164,7 +164,7 @@ def test_pages_and_rotation_are_said(tmp_path):
     first.save(folder / "images" / "0001.tif", save_all=True, append_images=[first])
     (folder / "images" / "0001.jpg").unlink()
     warnings = load_survey(folder).findings.warnings
-    assert any("EXIF marks 1 of 4 images as rotated; pixels are used as stored" in text for text in warnings)
+    assert any("EXIF marks 1 of 4 images as rotated; pixels and poses are taken as stored" in text for text in warnings)
     assert any("1 of 4 images have several pages, of which the first is used" in text for text in warnings)
 
 

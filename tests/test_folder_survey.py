@@ -383,7 +383,7 @@ def test_an_image_that_exif_marks_as_rotated_is_reported_as_used_as_stored(tmp_p
     folder = small_survey(tmp_path / "s")
     write_image(folder / "images" / "0001.jpg", Orientation=6)
     (first, *_) = load_survey(folder).findings.warnings
-    assert first.startswith("EXIF marks 1 of 4 images as rotated; pixels are used as stored")
+    assert first.startswith("EXIF marks 1 of 4 images as rotated; pixels and poses are taken as stored")
     (folder / "survey.toml").write_text(replaced(("[64, 48]", "[48, 64]"), ("[32.0, 24.0]", "[24.0, 32.0]")))
     write_image(folder / "images" / "0000.jpg", Orientation=6)
     with pytest.raises(ImageError, match=r"EXIF marks it as rotated, which is ignored here"):

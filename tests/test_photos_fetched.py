@@ -118,7 +118,7 @@ def test_photographs_come_from_s3(survey, monkeypatch):
 
 def test_a_url_without_images_and_masks_at_a_url_are_named(tmp_path):
     pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
-    with pytest.raises(ImageError, match=r"no images at .*; expected files ending in \.jpg.*put them there"):
+    with pytest.raises(ImageError, match=r"no images at .*, expected \.jpg.*put them there"):
         fetch_images(tmp_path.as_uri(), tmp_path / "here")
     with pytest.raises(ConfigError, match=r'masks is "s3://b/m", expected a folder; put masks beside the images'):
         parse_config('[images]\nmasks = "s3://b/m"\n')

@@ -248,7 +248,7 @@ def test_the_angles_of_nadir_and_oblique_surveys_are_doubted_only_as_radians(dat
 def test_angles_in_radians_are_doubted_and_degrees_are_not(tmp_path):
     assert with_angles(tmp_path / "degrees", strips()).findings.warnings == ()
     (warning,) = with_angles(tmp_path / "radians", np.radians(strips())).findings.warnings
-    assert warning.startswith("omega, phi and kappa are at most 3.1")
+    assert warning.startswith("omega, phi, kappa are at most 3.1")
     assert "expected degrees; they look like radians" in warning
 
 

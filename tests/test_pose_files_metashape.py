@@ -308,7 +308,7 @@ def test_a_camera_without_a_label_is_left_out_and_named_unless_its_file_is(tmp_p
     (tmp_path / "cameras.xml").write_text(with_photo)
     assert "/flight/0001.jpg" in [pose.name for pose in read_poses(tmp_path / "cameras.xml").poses]
     (tmp_path / "cameras.xml").write_text(re.sub(r'label="\d+.jpg"', "", text))
-    with pytest.raises(PosesError, match="no camera that is aligned has a label, expected the name of its image"):
+    with pytest.raises(PosesError, match="no aligned camera has a label, expected the name of its image"):
         read_poses(tmp_path / "cameras.xml")
 
 

@@ -237,7 +237,7 @@ def test_a_file_that_is_no_reconstruction_is_refused(tmp_path, text, words):
         ('"k1": -0.08', '"k1": NaN', "k1 is nan"),
         ('"k1": -0.08', '"k1": "x"', "k1 is x"),
         ('"camera": "v2 one"', '"camera": "v2 two"', "the camera of 0000.jpg is not in the file"),
-        ('"rotation": [', '"rotation": [NaN, ', "the pose of 0000.jpg is not a rotation"),
+        ('"rotation": [', '"rotation": [NaN, ', "the pose of 0000.jpg is not a finite rotation"),
         (f'"latitude": {LAT}', '"latitude": 95', "its reference is .* expected latitude"),
     ],
 )

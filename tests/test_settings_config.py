@@ -121,12 +121,6 @@ def test_an_unknown_key_is_refused_with_a_near_name_its_place_or_what_is_known(t
     assert str(error.value).endswith(("Correct or remove it", "Move it there, or remove it"))
 
 
-@pytest.mark.parametrize("key", ["mask"])
-def test_a_key_of_a_later_version_is_refused_with_what_to_give_instead(key):
-    with pytest.raises(ConfigError, match=rf"\[water\] {key} is not supported yet; .{{20,}}"):
-        parse_config(f"[water]\n{key} = 'file'")
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -178,7 +178,7 @@ def test_images_without_positions_are_told_what_to_give():
     headers |= {"4.jpg": head((46.9, 10.171, 2127.0))}
     gps = gps_positions(headers, parse_crs(UTM), "crs")
     assert sorted(gps.local) == ["0.jpg", "3.jpg", "4.jpg"]
-    assert "2 of 5 images have no GPS position" in gps.notes[-1]
+    assert "2 of 5 images have no position" in gps.notes[-1]
 
 
 def test_an_unknown_kind_of_gps_height_is_named():
@@ -212,7 +212,7 @@ def test_a_focal_length_that_parallel_views_cannot_tell_is_put_back(rng):
     block, centres = synthetic_block(rng, focal=1130.0)
     is_reset, notes = absolute_orientation.reset_focals(block, dict.fromkeys(centres, 889.0))
     assert is_reset
-    assert sfm_block.focal_of(block, "00.jpg") == 889.0
+    assert sfm_block.camera_of(block, "00.jpg").focal_length == 889.0
     assert "889 px, is kept instead of the solved 1130 px" in notes[0]
 
 
@@ -228,7 +228,7 @@ def test_other_focal_lengths_are_left_alone(rng, focal, tilt_deg, nominal, said)
     block, centres = synthetic_block(rng, focal=focal, tilt_deg=tilt_deg)
     is_reset, notes = absolute_orientation.reset_focals(block, dict.fromkeys(centres, nominal))
     assert not is_reset
-    assert sfm_block.focal_of(block, "00.jpg") == focal
+    assert sfm_block.camera_of(block, "00.jpg").focal_length == focal
     assert len(notes) == said
 
 
@@ -322,7 +322,7 @@ def test_stored_poses_that_do_not_belong_to_the_photographs_are_not_used_without
     (work / "solved.json").write_text('{"key": "of other photographs"}')
     with pytest.raises(PosesError):
         solved(paths, work, report=told.append)
-    assert "has poses of other photographs or settings" in told[1]
+    assert "has poses of other photographs, settings" in told[1]
 
 
 def test_settings_that_cannot_be_are_named(tmp_path, rng):

@@ -6,7 +6,6 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pycolmap
@@ -15,15 +14,14 @@ import pytest
 from geo.similarity import fit_similarity
 from survey.adjust.refine import adjust_survey
 from survey.adjust.starts import recover_poses
-from survey.errors import ConfigError, PosesError, SurveyError
+from survey.errors import PosesError, SurveyError
 from survey.folder.survey import Survey, load_survey
 from survey.sfm import block as sfm_block
 from survey.sfm import poses as sfm_poses
-from survey.sfm import settings as sfm_settings
 from survey.sfm import solve as sfm_solve
 from survey.sfm.block import MatchedPhotographs, reconstruct
 from survey.sfm.incremental import map_directly, pipeline_options
-from survey.sfm.settings import mapper_of, require_mapper
+from survey.sfm.settings import mapper_of
 from survey.sfm.solve import Photographs
 from survey.simulate.drawn import DrawnScene, draw_survey
 from survey.words import Mapper
@@ -178,19 +176,6 @@ def test_given_poses_that_are_found_anew_are_found_by_the_mapper_that_is_set(mon
             replace(survey, config=replace(survey.config, cameras=cameras)), tmp_path / "sfm", lambda _text: None
         )
     assert asked == [mapper]
-
-
-def test_a_mapper_that_the_installed_pycolmap_lacks_is_refused_in_a_sentence(monkeypatch):
-    monkeypatch.setattr(sfm_settings, "solver", lambda: SimpleNamespace())
-    require_mapper(Mapper.auto)
-    with pytest.raises(ConfigError, match=r'mapper is "hierarchical" in survey.toml, and pycolmap 4'):
-        require_mapper(Mapper.hierarchical)
-    # Its functions without its options are of an older one.
-    both = {"incremental_mapping": None, "IncrementalPipelineOptions": None, "global_mapping": None}
-    monkeypatch.setattr(sfm_settings, "solver", lambda: SimpleNamespace(**both))
-    require_mapper(Mapper.incremental)
-    with pytest.raises(ConfigError, match=r'mapper is "global" in survey.toml, and pycolmap 4\S+ does not have it'):
-        require_mapper(Mapper.global_)
 
 
 @pytest.mark.slow

@@ -120,7 +120,7 @@ def test_where_nothing_places_any_block_the_largest_says_why(rng):
 
 def test_all_images_of_a_sensor_have_one_lens(rng):
     apart = Apart(rng)
-    sfm_block.set_focal(apart.blocks[1], "18.jpg", 921.0)
+    sfm_block.camera_of(apart.blocks[1], "18.jpg").focal_length = 921.0
     placed = place_by_gps(apart.free, apart.gps(rng, 0.0), apart.sensors)
     lenses = {sfm_block.lens_of(block, name) for block in placed.blocks for name in sfm_block.poses_of(block)}
     assert len(lenses) == 1

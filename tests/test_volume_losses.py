@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import pytest
 import torch
@@ -23,8 +23,6 @@ from fields.volume.density_loss import (
 )
 from fields.volume.losses import (
     Losses,
-    PatchWeights,
-    PriorWeights,
     appearance_loss,
     distortion_loss,
     orientation_loss,
@@ -178,9 +176,7 @@ def test_what_is_not_empty_costs_its_opacity():
 
 
 SWITCHES = [
-    *(replace(Losses(), **{f.name: 1.0}) for f in fields(Losses) if f.name not in ("patches", "priors")),
-    *(Losses(patches=PatchWeights(size=4, **{name: 1.0})) for name in ("ncc", "ssim", "smooth_normals", "virtual")),
-    *(Losses(priors=PriorWeights(**{name: 1.0})) for name in ("length", "depth", "normal", "predicted_normal")),
+    *(Losses(patch_px=4, **{f.name: 1.0}) for f in fields(Losses) if f.name not in ("patch_px", "huber")),
 ]
 
 
@@ -221,4 +217,4 @@ def test_without_weights_nothing_is_added_and_nothing_drawn(trained_on):
     assert not total.requires_grad
     assert torch.equal(torch.get_rng_state(), state)
     assert Losses().patch == 1
-    assert Losses(patches=PatchWeights(size=6, ssim=0.1)).patch == 6
+    assert Losses(patch_px=6, ssim=0.1).patch == 6

@@ -175,7 +175,7 @@ def test_points_count_as_much_as_they_are_sure(tmp_path):
     stds = [each.std_m for each in points_of_surface(tmp_path / "p.csv", "shoreline", CRS)[0]]
     assert stds == [0.005, 0.03]
     (tmp_path / "p.csv").write_text("easting,northing,height,std\n1,2,3,0\n")
-    with pytest.raises(ConfigError, match="std is 0, expected a standard deviation above 0"):
+    with pytest.raises(ConfigError, match="std is 0, expected above 0 and at most"):
         points_of_surface(tmp_path / "p.csv", "shoreline", CRS)
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import torch
 from torch import Tensor
 
+from fields.models import LossWeights
 from fields.volume.density_loss import (
     density_loss,
     density_per_half,
@@ -36,65 +37,27 @@ from refract import WaterSurface
 
 
 @dataclass(frozen=True)
-class PatchWeights:
-    """Weights of losses on patches. With any of them training draws its paths as patches."""
+class Losses(LossWeights):
+    """The additional losses, with their weights."""
 
-    size: int = 8  # [px]
-    # ncc, ssim, smooth_normals, virtual: Of the losses of `fields.volume.prior_losses`
-    ncc: float = 0.0
-    ssim: float = 0.0
-    smooth_normals: float = 0.0
-    virtual: float = 0.0
-
-
-@dataclass(frozen=True)
-class PriorWeights:
-    """Weights of losses on priors, which the photographs must then carry; see `fields.volume.prior_losses`.
-
-    Attributes
-    ----------
-    length, depth, normal, predicted_normal : float
-        The last of predicted normals, those of the renderer's head; `normal` of those of density.
-    """
-
-    length: float = 0.0
-    depth: float = 0.0
-    normal: float = 0.0
-    predicted_normal: float = 0.0
-
-
-@dataclass(frozen=True)
-class Losses:
-    """Weights of the additional losses; 0 leaves a term out."""
-
-    # transparency, distortion, orientation, appearance: Of the losses in this file
-    transparency: float = 0.0
-    distortion: float = 0.0
-    orientation: float = 0.0
-    appearance: float = 0.0
-    # density, gaussian_density: Of `density_loss` and its Gaussian form; then both as printed, and the loss on what is
-    # not empty
-    density: float = 0.0
-    gaussian_density: float = 0.0
-    printed_density: float = 0.0
-    printed_gaussian_density: float = 0.0
-    empty: float = 0.0
-    virtual_views: float = 0.0  # Of `virtual_view_loss`
-    patches: PatchWeights = field(default_factory=PatchWeights)
-    priors: PriorWeights = field(default_factory=PriorWeights)
+    appearance: float = 0.0  # of the vectors of photographs
+    length: float = 0.0  # of lengths with a standard deviation, which the photographs must then carry
 
     @property
     def patch(self) -> int:
         """Side [px] of the patches that training has to draw; 1 for single pixels."""
-        patches = self.patches
-        return patches.size if patches.ncc or patches.ssim or patches.smooth_normals or patches.virtual else 1
+        return self._size if self.ncc or self.ssim or self.smooth_normals or self.virtual_patches else 1
+
+    @property
+    def _size(self) -> int:
+        return self.patch_px or 8
 
     def __call__(
         self, renderer: VolumeRenderer, paths: Paths, rendered: Rendered, cells: Cells, water: WaterSurface | None
     ) -> Tensor:
         """The weighted sum, a scalar."""
         batch = Batch(renderer, paths, rendered, cells)
-        size = self.patches.size
+        size = self._size
         terms: list[tuple[float, Callable[[], Tensor]]] = [
             (self.transparency, lambda: transparency_loss(rendered)),
             (self.distortion, lambda: distortion_loss(paths, rendered)),
@@ -109,17 +72,17 @@ class Losses:
             ),
             (self.empty, lambda: empty_loss(renderer.model, batch.cell)),
             (self.virtual_views, lambda: virtual_view_loss(renderer, paths, rendered, cells, water)),
-            (self.patches.ncc, lambda: ncc_loss(as_patches(rendered.rgb, size), as_patches(paths.rgb, size))),
-            (self.patches.ssim, lambda: ssim_loss(as_patches(rendered.rgb, size), as_patches(paths.rgb, size))),
+            (self.ncc, lambda: ncc_loss(as_patches(rendered.rgb, size), as_patches(paths.rgb, size))),
+            (self.ssim, lambda: ssim_loss(as_patches(rendered.rgb, size), as_patches(paths.rgb, size))),
             (
-                self.patches.smooth_normals,
+                self.smooth_normals,
                 lambda: smooth_normals_loss(as_patches(batch.normals, size), as_patches(paths.rgb, size)),
             ),
-            (self.patches.virtual, lambda: virtual_patch_loss(renderer, paths, rendered, cells, water, size)),
-            (self.priors.length, lambda: length_loss(paths, rendered)),
-            (self.priors.depth, lambda: relative_depth_loss(paths, rendered, renderer.model.box.edge)),
-            (self.priors.normal, lambda: normal_prior_loss(paths, batch.normals)),
-            (self.priors.predicted_normal, lambda: normal_prior_loss(paths, predicted_normals(rendered))),
+            (self.virtual_patches, lambda: virtual_patch_loss(renderer, paths, rendered, cells, water, size)),
+            (self.length, lambda: length_loss(paths, rendered)),
+            (self.depth, lambda: relative_depth_loss(paths, rendered, renderer.model.box.edge)),
+            (self.normal, lambda: normal_prior_loss(paths, batch.normals)),
+            (self.predicted_normal, lambda: normal_prior_loss(paths, predicted_normals(rendered))),
         ]
         return sum((weight * loss() for weight, loss in terms if weight), rendered.rgb.new_zeros(()))
 

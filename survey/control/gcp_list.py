@@ -67,9 +67,7 @@ def _parts(line: str, where: str) -> tuple[list[float], str, list[str]]:
     values = [number_of(cell) for cell in cells[:5]]
     for name, cell, value in zip(_NUMBERS, cells, values, strict=False):
         if not math.isfinite(value):
-            raise ControlError(
-                f"{where}: {name} is {cell}, expected a finite number; expected {_FORM}, correct the line"
-            )
+            raise ControlError(f"{where}: {name} is {cell}, expected a finite number in {_FORM}; correct it")
     return values, cells[5], cells[6:]
 
 

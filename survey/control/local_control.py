@@ -25,16 +25,21 @@ _MOST_SHOWN = 3
 _FAR, _FAR_HEIGHT_M, _FEWEST = 10.0, 30.0, 4
 
 
-def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) -> list[str]:
-    """Warnings about implausible heights of points, which like the cameras (N, 3) are in crs."""
+def require_near(points: Sequence[GivenPoint], cameras: np.ndarray | None, crs: CRS) -> list[str]:
+    """Warnings about implausible heights of points, which like the cameras (N, 3), if these are known, are in crs."""
     if not points:
         return []
     for point in points:
+        east, north, _ = point.place
+        message = f"{point.where}: the point {point.name} at {east:.10g}, {north:.10g}"
+        is_in_degrees = not is_geographic(crs) and abs(east) <= 180.0 and abs(north) <= 90.0
+        if cameras is None:
+            if is_in_degrees:
+                raise ControlError(_degrees(message, crs, ""))
+            continue
         distance = _distance_m(np.array(point.place), cameras, crs)
         if distance <= _FARTHEST_M:
             continue
-        east, north, _ = point.place
-        message = f"{point.where}: the point {point.name} at {east:.10g}, {north:.10g}"
         other = with_swapped_axes(point, crs)
         if other is not None and _distance_m(np.array(other.place), cameras, crs) <= _FARTHEST_M:
             raise ControlError(
@@ -42,26 +47,13 @@ def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) ->
                 "(or longitude and latitude) swapped; swap the two columns in the file"
             )
         middle = np.median(cameras, axis=0)
-        if _is_in_degrees(point, crs):
+        if is_in_degrees:
             raise ControlError(_degrees(message, crs, f", where the cameras are at {middle[0]:.10g}, {middle[1]:.10g}"))
         raise ControlError(
             f"{message} lies {distance_text(distance)} from the nearest camera, the cameras are at {middle[0]:.10g}, "
             f"{middle[1]:.10g} in {crs.name}; {_crs_advice(points, point, middle, crs)}"
         )
-    return _height_warnings(points, cameras, crs)
-
-
-def require_metres(points: Sequence[GivenPoint], crs: CRS) -> None:
-    """Raise where a point has degrees and crs has none; for points without cameras to lie near."""
-    for point in points:
-        if _is_in_degrees(point, crs):
-            east, north, _ = point.place
-            message = f"{point.where}: the point {point.name} at {east:.10g}, {north:.10g}"
-            raise ControlError(_degrees(message, crs, ""))
-
-
-def _is_in_degrees(point: GivenPoint, crs: CRS) -> bool:
-    return not is_geographic(crs) and abs(point.place[0]) <= 180.0 and abs(point.place[1]) <= 90.0
+    return [] if cameras is None else _height_warnings(points, cameras, crs)
 
 
 def _degrees(value: str, crs: CRS, where: str) -> str:

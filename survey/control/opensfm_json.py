@@ -42,9 +42,7 @@ def _point(each: dict, position: dict, where: str) -> GivenPoint:
     place = [finite_number(position.get(key)) for key in (_LONGITUDE, _LATITUDE, _ALTITUDE)]
     east, north, height = place
     if east is None or north is None or height is None or abs(east) > 180.0 or abs(north) > 90.0:
-        raise ControlError(
-            f"{where}: the position is {position}, expected latitude, longitude and altitude; correct it"
-        )
+        raise ControlError(f"{where}: position is {position}, expected latitude, longitude, altitude; correct it")
     is_check = each.get("role") == _CHECK
     return GivenPoint(each["id"], where, (east, north, height), CRS.from_epsg(4326), is_check=is_check)
 
@@ -56,9 +54,7 @@ def _marks(each: dict, where: str) -> list[GivenMark]:
         known = entry if isinstance(entry, dict) else {}
         at, image = finite_numbers(known.get("projection"), 2), known.get("shot_id")
         if at is None or not isinstance(image, str):
-            raise ControlError(
-                f"{where}: an observation is {entry}, expected shot_id and projection, two numbers; correct it"
-            )
+            raise ControlError(f"{where}: an observation is {entry}, expected shot_id and projection; correct it")
         marks.append(GivenMark(each["id"], image, where, (at[0], at[1]), is_normalised=True))
     return marks
 

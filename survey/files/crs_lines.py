@@ -110,7 +110,5 @@ def odm_crs(line: str, where: str, name: str, error: type[SurveyError]) -> CRS:
     except CRSError as wrong:
         raise error(f"{message} is not a known CRS, expected {_FORM}; correct it") from wrong
     if not (crs.is_projected or crs.is_geographic):
-        raise error(
-            f"{message} is {crs.name}, expected a CRS of a map or of longitude and latitude, {_FORM}; correct it"
-        )
+        raise error(f"{message} is {crs.name}, expected a CRS of a map or of degrees, {_FORM}; correct it")
     return crs

@@ -19,6 +19,4 @@ def require_plain(paths: Iterable[Path]) -> None:
     """Raise SurveyError where one of paths exists and is, or leads to, neither a file nor a folder."""
     for path in paths:
         if not path.is_file() and not path.is_dir() and path.exists():
-            raise SurveyError(
-                f"{path} is a pipe, a socket or a device, expected a file or a folder; remove it, or name another"
-            )
+            raise SurveyError(f"{path} is a pipe, a socket or a device, expected a file or folder; remove it")

@@ -133,9 +133,7 @@ def _require_permission(message: str, folder: Path) -> None:
     try:
         TemporaryFile(dir=folder).close()
     except OSError as error:
-        raise OutputError(
-            f"{message}but {folder} accepts no new file ({error.strerror}); name another place"
-        ) from error
+        raise OutputError(f"{message}but {folder} takes no new file ({error.strerror}); name another place") from error
 
 
 @contextmanager

@@ -233,9 +233,7 @@ def _refusals(url: str) -> Iterator[None]:
     except (SurveyError, GeoError):
         raise
     except ImportError as error:
-        raise SurveyError(
-            f"{url} needs a library that is not installed ({error}); for s3:// pip install 'bathynerf[remote]'"
-        ) from error
+        raise SurveyError(f"{url} needs a library ({error}); for s3:// pip install 'bathynerf[remote]'") from error
     except FileNotFoundError as error:
         raise SurveyError(f"{url} does not exist ({error}); make the bucket or folder, or correct the URL") from error
     except PermissionError as error:
@@ -247,9 +245,7 @@ def _refusals(url: str) -> Iterator[None]:
             remedy = "set its keys, for s3:// AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY or a profile"
             raise SurveyError(f"{url} asks for keys, and there are none ({error}); {remedy}") from error
         if isinstance(error, ValueError) and "rotocol" in str(error):
-            raise SurveyError(
-                f"{url} is of a kind that is not known ({error}); name e.g. s3://bucket/folder"
-            ) from error
+            raise SurveyError(f"{url} is of an unknown kind ({error}); name e.g. s3://bucket/folder") from error
         raise NotReached(
             f"{url} was not reached ({type(error).__name__}: {error}); check the URL, the network and the settings of "
             "the store, for s3:// AWS_ENDPOINT_URL, and run the same command again"

@@ -148,14 +148,12 @@ def read_toml(path: Path, parse: Callable[[str], Any]) -> Any:
         raise ConfigError(f"{path}: {error}") from error
 
 
-def parse_toml(
-    text: str, kind: type, *, synonyms: Mapping[str, str] | None = None, not_yet: Mapping[str, str] | None = None
-) -> Any:
+def parse_toml(text: str, kind: type, *, synonyms: Mapping[str, str] | None = None) -> Any:
     """A dataclass filled from a text in TOML.
 
     Types of its fields are float, int, bool, str, tuples of them, other dataclasses (tables), tuples of these (arrays
     of tables), or a union of these and None. ``synonyms``: what other programs call a key, to its dotted name here, as
-    ``{"gcp": "control.gcps"}``; ``not_yet``: planned keys that are not read, to advice on what to give instead.
+    ``{"gcp": "control.gcps"}``.
     """
     try:
         tables = tomllib.loads(text)
@@ -163,7 +161,7 @@ def parse_toml(
         raise ConfigError(f"not valid TOML: {error}; {_advice(text, error)}") from error
     except RecursionError as error:
         raise ConfigError("its tables and lists are nested too deeply for settings; correct it") from error
-    return _Reader(kind, synonyms or {}, not_yet or {}).table(kind, "", tables)
+    return _Reader(kind, synonyms or {}).table(kind, "", tables)
 
 
 _POINT = "write numbers with a decimal point and without separators, as 1234.5"
@@ -191,7 +189,7 @@ def _advice(text: str, error: tomllib.TOMLDecodeError) -> str:
 
 def parse_values(values: Mapping[str, Any], kind: type) -> Any:
     """A dataclass filled from values as TOML has them; see `parse_toml`."""
-    return _Reader(kind, {}, {}).table(kind, "", dict(values))
+    return _Reader(kind, {}).table(kind, "", dict(values))
 
 
 def require_valid(record: Any, table: type, name_of: Callable[[dataclasses.Field], str]) -> None:
@@ -227,7 +225,6 @@ def _words_of_limits(limits: Mapping[str, float]) -> str:
 class _Reader:
     root: type
     synonyms: Mapping[str, str]
-    not_yet: Mapping[str, str]
 
     def table(self, kind: type, where: str, values: Any) -> Any:
         """A dataclass from a table whose dotted name is `where`; empty for the whole file."""
@@ -254,7 +251,12 @@ class _Reader:
                 _require_valid(field, dotted, found[name])
             elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
                 raise ConfigError(f"{dotted} is missing, expected {expected}; add it")
-        return kind(**found)
+        try:
+            return kind(**found)
+        except ConfigError:
+            raise
+        except ValueError as error:
+            raise ConfigError(f"{where}.{error}") from error
 
     def _value(self, kind: Any, dotted: str, value: Any, expected: str) -> Any:
         if isinstance(kind, types.UnionType):
@@ -291,10 +293,6 @@ class _Reader:
     def _refuse(self, known: Sequence[str], where: str, name: str, value: Any) -> typing.NoReturn:
         """Raise ConfigError for an unknown key, with the right name, the nearest one, or all known keys."""
         dotted = f"{where}.{name}" if where else name
-        inner = [f"{dotted}.{other}" for other in value] if isinstance(value, dict) else []
-        for planned in (dotted, *inner):
-            if planned in self.not_yet:
-                raise ConfigError(f"{_place(planned)} is not supported yet; {self.not_yet[planned]}")
         is_table = isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))
         what = f"table [{dotted}]" if is_table else f"key {name}" + (f" in [{where}]" if where else "")
         # A table is compared with tables and a key with keys.
@@ -310,8 +308,7 @@ class _Reader:
         elif elsewhere and not is_here:
             remedy = f"it belongs to {_place(elsewhere[0])}. Move it there, or remove it"
         elif synonym is not None:
-            later = f", which is not supported yet: {self.not_yet[synonym]}" if synonym in self.not_yet else ""
-            remedy = f"that is {_place(synonym)} here{later}. Correct or remove it"
+            remedy = f"that is {_place(synonym)} here. Correct or remove it"
         else:
             listed = ", ".join(f"[{_join(where, other)}]" if is_table else other for other in same_kind)
             remedy = f"known are {listed or 'none'}. Correct or remove it"

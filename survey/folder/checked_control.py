@@ -12,7 +12,7 @@ from geo.crs import height_unit_m
 from geo.errors import PlaceMismatch
 from geo.frames import LocalFrame
 from geo.similarity import Similarity
-from survey.control.local_control import control_in_local, require_metres
+from survey.control.local_control import control_in_local, require_near
 from survey.control.points import Control, ControlPoint
 from survey.display.quantities import named
 from survey.errors import FILE_NAME, ControlError, Findings, PosesError
@@ -31,7 +31,7 @@ from survey.sfm.control_fit import (
     require_consistent_marks,
     spread_of,
 )
-from survey.sfm.gps import is_whole, what_is_missing
+from survey.sfm.gps import frame_about, is_whole, what_is_missing
 from survey.sfm.gps_fit import ROLL_REMEDY
 from survey.sfm.mark_rays import BlockControl, Intersections, intersect_marks
 from survey.words import GEO_TXT
@@ -53,7 +53,7 @@ def control_of_block(found: Found) -> BlockControl | None:
     if not given:
         return None
     try:
-        frame = LocalFrame.about(found.crs, [point.place for point in given])
+        frame = frame_about(found.crs, [point.place for point in given])
     except PlaceMismatch as error:
         raise ControlError(f"control points (first in {given[0].where}) cannot be in crs: {error}") from error
     control = control_in_local(
@@ -64,7 +64,7 @@ def control_of_block(found: Found) -> BlockControl | None:
 
 def require_placing_control(found: Found) -> BlockControl:
     """The control of a survey without GPS positions and poses."""
-    require_metres(found.control.points, found.crs)
+    require_near(found.control.points, None, found.crs)
     control = control_of_block(found)
     num = sum(header.lat_lon_height is not None for header in found.headers.values())
     num_whole = sum(is_whole(header.lat_lon_height) for header in found.headers.values())

@@ -158,9 +158,7 @@ def _with_stds(config: ControlConfig, merged: MergedControl) -> tuple[ControlCon
             assumptions.append(f"[control] std_m = {std_m:g}, the standard deviation of control points in metres")
     if marks_std_px is None:
         marks_std_px = DEFAULT_MARKS_STD_PX
-        assumptions.append(
-            f"[control] marks_std_px = {marks_std_px:g}, the standard deviation of their marks in pixels"
-        )
+        assumptions.append(f"[control] marks_std_px = {marks_std_px:g}, the std of their marks in pixels")
     return replace(config, std_m=std_m, marks_std_px=marks_std_px), tuple(assumptions)
 
 

@@ -147,10 +147,7 @@ def angle_warnings(poses: list[Pose], frame: PoseFrame) -> list[str]:
     if not (looks_down and has_level_rows):
         return []
     most = np.abs(angles).max()
-    return [
-        f"omega, phi and kappa are at most {most:.2f}, expected degrees; they look like radians: if they are, multiply "
-        "them by 57.29578"
-    ]
+    return [f"omega, phi, kappa are at most {most:.2f} and look like radians, expected degrees: multiply by 57.29578"]
 
 
 def _opk_deg(cam_from_grid: np.ndarray) -> tuple[float, float, float]:

@@ -9,7 +9,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
 from pyproj import CRS
 
 from geo.area_of_use import require_at
@@ -25,7 +24,7 @@ from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.folder.positions import position_warnings
 from survey.folder.shots import shot_warnings
 from survey.folder.unused_keys import Circumstances, unused_keys
-from survey.photos.exif import SUFFIXES, Exif, position_sources, read_exif, without_void_fixes
+from survey.photos.exif import SUFFIXES, Exif, exif_places, position_sources, read_exif, without_void_fixes
 from survey.photos.images import fetch_images, list_images, same_files
 from survey.photos.names import ImageNames
 from survey.pose_files import find_poses, find_unread, pose_files, read_poses
@@ -110,7 +109,7 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     transforms: list[PositionTransform] = []
     if poses_path is None:
         sources = f"the GPS positions in {position_sources(headers)}"
-        require_at(crs, _exif_places(headers), sources, f"crs in {FILE_NAME}")
+        require_at(crs, exif_places(headers), sources, f"crs in {FILE_NAME}")
         transforms = transforms_into_crs(headers, crs, config.cameras.gps_height)
     datum = smallest([DatumStd(plan_std(transform.plan), transform.up_std_m) for transform in transforms])
     found = Found(folder, config, crs, images, headers, poses_path, (), (), levels=levels, tide=tide, datum=datum)
@@ -122,12 +121,6 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     return replace(found, assumptions=findings.assumptions, warnings=findings.warnings)
 
 
-def _exif_places(headers: Mapping[str, Exif]) -> np.ndarray:
-    """Longitudes and latitudes (n, 2) [deg] of the photographs that have a position."""
-    places = [header.lat_lon_height[1::-1] for header in headers.values() if header.lat_lon_height is not None]
-    return np.array(places).reshape(-1, 2)
-
-
 def _warnings_of(found: Found, transforms: Sequence[PositionTransform]) -> Iterator[str]:
     """Warnings about photographs, positions and unused settings, before control is read."""
     config, headers = found.config, found.headers
@@ -137,7 +130,7 @@ def _warnings_of(found: Found, transforms: Sequence[PositionTransform]) -> Itera
         yield f"{copies} are copies of one photograph, which agree wherever they are compared: keep one"
     yield from shot_warnings(config, headers)
     if found.poses_path is None:
-        yield from water_place_warnings(found.crs, _exif_places(headers), config.water, found.levels)
+        yield from water_place_warnings(found.crs, exif_places(headers), config.water, found.levels)
     if config.water is None and not config.dry:
         yield infer.NO_WATER
     if found.poses_path is None:
@@ -172,9 +165,7 @@ def _poses_path(folder: Path, config: SurveyConfig, images: Collection[str]) -> 
     most = max(paths, key=lambda path: counts[path])
     said = ", ".join(f"{below(folder, path)} with {num} of {len(images)} photographs" for path, num in counts.items())
     if sorted(counts.values())[-2] == counts[most]:
-        raise ConfigError(
-            f"{folder} has several files of poses ({said}); name one of them in [cameras] poses in {FILE_NAME}"
-        )
+        raise ConfigError(f"{folder} has several files of poses ({said}); name one in [cameras] poses")
     return most, Findings((f"the poses are those in {below(folder, most)}, which has most: found were {said}",))
 
 
@@ -224,10 +215,7 @@ def head_warnings(headers: Mapping[str, Exif]) -> list[str]:
         such = [name for name, header in headers.items() if header.focal_warning == warning]
         warnings += named(such, "image", f"with {warning}; give [cameras] focal_px if it is known")
     if rotated:
-        warnings.append(
-            f"EXIF marks {rotated} of {num} images as rotated; pixels are used as stored and poses are assumed to "
-            "refer to them"
-        )
+        warnings.append(f"EXIF marks {rotated} of {num} images as rotated; pixels and poses are taken as stored")
     if paged:
         warnings.append(
             f"{paged} of {num} images have several pages, of which the first is used; if they are bands or other "

@@ -17,6 +17,7 @@ from survey.photos.poses import Pose, PoseFile, PoseFrame
 from survey.photos.texture import matched_light
 from survey.settings.config import SurveyConfig, WaterConfig
 from survey.settings.water import MOST_LEVEL_STD_M, Medium
+from survey.sfm.gps import frame_about
 from survey.water.index import ASSUMED_INDEX_STD, refractive_index
 
 # The search for an unknown level starts above this quantile of point heights, by this share of the flying height; few
@@ -40,7 +41,7 @@ def views_in_local(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Loc
     known = np.isfinite(in_crs).all(axis=1)
     water, places = found.config.water, in_crs[known] if known.any() else in_crs
     ground = places[:, 2].min() if water is None else water.known_level_m / height_unit_m(found.crs)
-    frame = LocalFrame.about(found.crs, places, ground)
+    frame = frame_about(found.crs, places, ground)
     local = frame.local_from_crs(in_crs)
     lost = ~np.isfinite(local).all(axis=1)
     if lost.any():
@@ -115,9 +116,7 @@ def water_plane(frame: LocalFrame, given: WaterConfig) -> FlatWater:
     point_crs = np.array([*given.known_level_at, given.known_level_m / height_unit_m(frame.crs)])
     point = frame.local_from_crs(point_crs)
     if not np.isfinite(point).all():
-        raise ConfigError(
-            f"[water] level_at is {list(given.known_level_at)}, which is not on the map of {frame.crs.name}"
-        )
+        raise ConfigError(f"[water] level_at is {list(given.known_level_at)}, not on the map of {frame.crs.name}")
     east, north, up = frame.local_from_grid(point_crs).T
     normal = np.cross(east + given.slope_east * up, north + given.slope_north * up)
     x, y, z = point.tolist()

@@ -46,7 +46,7 @@ from survey.sfm.datum import require_accurate
 from survey.sfm.gps import gps_positions, is_whole, positions_in_crs, transforms_into_crs
 from survey.sfm.gps_fit import MIN_STD_M, ROLL_REMEDY, is_contradicted, line_of
 from survey.sfm.mark_rays import BlockControl
-from survey.sfm.settings import one_focal, require_mapper, require_size, require_solver
+from survey.sfm.settings import one_focal, require_size, require_solver
 from survey.words import RUN_FOLDER, SFM_FOLDER
 
 if TYPE_CHECKING:
@@ -98,7 +98,6 @@ def require_solvable(found: Found) -> list[str]:
     """Warnings about a survey without poses that structure from motion can start with."""
     require_solver()
     cameras = found.config.cameras
-    require_mapper(cameras.mapper)
     require_level_fits_exif(found.config, found.headers, found.crs)
     for transform in transforms_into_crs(found.headers, found.crs, cameras.gps_height):
         std = best_plan_std(cameras, [found.headers[name] for name in transform.names])

@@ -64,7 +64,4 @@ def _several_days(config: SurveyConfig, headers: Mapping[str, Exif]) -> list[str
     if len(days) < 2:
         return []
     said = ", ".join(f"{day[0]:%Y-%m-%d}: {len(day)}" for day in days[:5])
-    return [
-        f"photographs of {len(days)} days ({said}) have one level of the water: give each its own in [water] "
-        "image_levels or gauge, or make each day a survey"
-    ]
+    return [f"photographs of {len(days)} days ({said}) have one level: give image_levels or gauge, or split the survey"]

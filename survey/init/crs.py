@@ -18,7 +18,6 @@ from geo.crs import (
     crs_code,
     has_height,
     horizontal_crs,
-    middle_lon_lat,
     parse_crs,
     utm_code,
     vertical_crs,
@@ -30,7 +29,7 @@ from survey.folder.found import Found
 from survey.folder.gps_placement import place_poses
 from survey.folder.pairing import pair
 from survey.folder.pose_frames import middle_of_geocentric, points_in_crs
-from survey.photos.exif import Exif, position_sources, utm_code_of
+from survey.photos.exif import Exif, middle_of, position_sources, utm_code_of
 from survey.photos.poses import PoseFile, PoseFrame
 from survey.photos.xmp import ELLIPSOIDAL
 from survey.sfm.datum import area_at, height_transformer
@@ -106,10 +105,8 @@ class FolderPhotographs:
     @property
     def lat_lon(self) -> tuple[float, float] | None:
         """Latitude and longitude of the survey [deg], by EXIF, else by geocentric poses; None without both."""
-        places = [header.lat_lon_height[1::-1] for header in self.headers.values() if header.lat_lon_height is not None]
-        if places:
-            lon, lat = middle_lon_lat(np.array(places)).tolist()
-            return lat, lon
+        if (middle := middle_of(self.headers)) is not None:
+            return middle
         if self.file is not None and self.file.frame is PoseFrame.GEOCENTRIC:
             lon, lat = middle_of_geocentric(self.file)
             return lat, lon

@@ -149,9 +149,7 @@ def _write_water(folder: Path, photographs: FolderPhotographs, answers: Answers,
         water.add_comments(
             "level_m = 12.34    # not known: found from the photographs, where oblique views cross; better give it"
         )
-    water.add_comments(
-        "refractive_index: not certain, taken as that of fresh water, 1.333 for a handbook; the sea has 1.340."
-    )
+    water.add_comments("refractive_index: not certain, taken as that of fresh water, 1.333; the sea has 1.340.")
 
 
 def _write_control(folder: Path, control: SettingsTable) -> None:

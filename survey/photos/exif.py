@@ -234,11 +234,23 @@ def position_sources(headers: Mapping[str, Exif]) -> str:
 
 def utm_code_of(headers: Mapping[str, Exif]) -> int | None:
     """EPSG code of the UTM zone (WGS 84) in which the GPS positions of photographs lie; None without positions."""
+    middle = middle_of(headers)
+    return None if middle is None else utm_code(*middle)
+
+
+def exif_places(headers: Mapping[str, Exif]) -> np.ndarray:
+    """Longitudes and latitudes (n, 2) [deg] of the photographs that have a position."""
     places = [header.lat_lon_height[1::-1] for header in headers.values() if header.lat_lon_height is not None]
-    if not places:
+    return np.array(places).reshape(-1, 2)
+
+
+def middle_of(headers: Mapping[str, Exif]) -> tuple[float, float] | None:
+    """Latitude and longitude [deg] of the middle of photographs; None without positions."""
+    places = exif_places(headers)
+    if not len(places):
         return None
-    lon, lat = middle_lon_lat(np.array(places)).tolist()
-    return utm_code(lat, lon)
+    lon, lat = middle_lon_lat(places).tolist()
+    return lat, lon
 
 
 def exif_of_png(path: Path) -> Image.Exif:

@@ -265,10 +265,7 @@ def fetch_images(url: str, folder: Path) -> None:
         return
     photographs = [name for name in tags if Path(name).suffix.lower() in SUFFIXES and not is_hidden(Path(name))]
     if not photographs:
-        raise ImageError(
-            f"no images at {url}; expected files ending in {', '.join(SUFFIXES)}: put them there, or correct "
-            "[images] dir in survey.toml"
-        )
+        raise ImageError(f"no images at {url}, expected {', '.join(SUFFIXES)}; put them there, or correct [images] dir")
     with reporting_disk_errors(folder):
         folder.mkdir(exist_ok=True)
     with reporting_disk_errors(folder):

@@ -60,9 +60,7 @@ def read_lens(sensor: Element) -> Lens:
         reach = math.hypot(width, height) / f if f > 0.0 else math.inf
         lost = 0.5 * abs(b2) * reach + 0.75 * f * max(abs(p1), abs(p2)) * reach**2
         if lost > _LOST_PX:
-            raise LensError(
-                f"p1, p2 and b2 of a fisheye lens move pixels by up to {lost:.2g} px, expected none; {_REMEDY}"
-            )
+            raise LensError(f"p1, p2, b2 of a fisheye move pixels by {lost:.2g} px, expected none; {_REMEDY}")
         return Lens("OPENCV_FISHEYE", (f + b1, f, cx, cy, k1, k2, k3, k4), width, height)
     if kind != "frame":
         raise LensError(f"a lens of the type {kind} is not supported, expected frame or fisheye; {_REMEDY}")
@@ -132,10 +130,7 @@ def read_metashape(path: Path) -> PoseFile:
 
 def _without_poses(path: Path, *, are_nameless: bool) -> PosesError:
     if are_nameless:
-        return PosesError(
-            f"{path}: no camera that is aligned has a label, expected the name of its image; name the cameras, then "
-            f"{_EXPORT}"
-        )
+        return PosesError(f"{path}: no aligned camera has a label, expected the name of its image; {_EXPORT}")
     return PosesError(
         f"{path} has no camera that is enabled, aligned and georeferenced; align the photos, set the reference of "
         f"the chunk and update it, then {_EXPORT}"

@@ -116,9 +116,7 @@ def _seen(
     except OSError as error:
         raise PosesError(f"{tracks} cannot be read ({error.strerror}); correct its permissions") from error
     except ValueError as error:
-        raise PosesError(
-            f"{tracks} is damaged ({error}), expected image, track, feature, x and y; remove it, or {_EXPORT}"
-        ) from error
+        raise PosesError(f"{tracks} is damaged ({error}), expected rows of tracks; remove it, or {_EXPORT}") from error
     table = np.array(found, dtype=np.float64).reshape(-1, 4)
     return table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2:]
 
@@ -167,10 +165,7 @@ def _topocentric_of(path: Path) -> Path:
 def _pose(block: _Block, name: str, shot: dict) -> Pose:
     rotation, translation = (finite_numbers(shot.get(key), 3) for key in ("rotation", "translation"))
     if rotation is None or translation is None:
-        raise PosesError(
-            f"{block.path}: the pose of {name} is not a rotation and translation of three finite numbers "
-            f"each; {_EXPORT}"
-        )
+        raise PosesError(f"{block.path}: the pose of {name} is not a finite rotation and translation; {_EXPORT}")
     cam_from_world = Rotation.from_rotvec(rotation).as_matrix()
     centre = -cam_from_world.T @ np.array(translation)
     if block.reference is not None:

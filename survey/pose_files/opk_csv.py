@@ -121,9 +121,7 @@ def _given(row: Row, centre: np.ndarray, units: Mapping[str, float]) -> GivenPos
     std_columns = [name if row.cells.get(name) else "std" for name in _STDS]
     values = np.array([row.number(name) * units.get(name, 1.0) for name in std_columns])
     if not (values > 0.0).all():
-        raise PosesError(
-            f"{row.where}: the accuracy of the position is {values.tolist()}, expected above 0; correct it"
-        )
+        raise PosesError(f"{row.where}: the accuracy is {values.tolist()}, expected above 0; correct it")
     return GivenPosition(centre, values)
 
 

@@ -94,9 +94,7 @@ def _cameras(path: Path) -> dict[str, _Camera]:
     lines = [(f"{path}, line {number}", line.strip()) for number, line in text_lines(path, PosesError)]
     head = next((i for i, (_, line) in enumerate(lines) if line.startswith(_LAST_OF_HEAD)), None)
     if head is None:
-        raise PosesError(
-            f'{path} has no line "{_LAST_OF_HEAD} ...", expected the calibrated cameras of Pix4D; {_EXPORT}'
-        )
+        raise PosesError(f'{path} has no line "{_LAST_OF_HEAD} ...", expected cameras of Pix4D; {_EXPORT}')
     for where, line in lines[: head + 1]:
         if any(word in line.casefold() for word in _OTHER_LENSES):
             raise PosesError(f'{where}: "{line}" is of another lens, expected a perspective one; {_EXPORT}')
@@ -105,9 +103,7 @@ def _cameras(path: Path) -> dict[str, _Camera]:
         block = lines[first : first + _LINES_OF_IMAGE]
         where, title = block[0]
         if len(block) < _LINES_OF_IMAGE:
-            raise PosesError(
-                f"{where}: {len(block)} lines of an image were found, expected {_LINES_OF_IMAGE}; {_EXPORT}"
-            )
+            raise PosesError(f"{where}: {len(block)} lines of an image, expected {_LINES_OF_IMAGE}; {_EXPORT}")
         found[title.rsplit(None, 2)[0]] = _camera(where, title, [line for _, line in block])
     return found
 

@@ -36,10 +36,6 @@ _SYNONYMS = {
     "extent": "area.bounds", "bbox": "area.bounds", "no_water": "dry", "is_dry": "dry",
 }  # fmt: skip
 
-# Keys that a later version will read, and what to do until then.
-_NOT_YET = {
-    "water.mask": "the sweep detects wet areas itself; remove it",
-}
 METRES, FEET = "metres", "feet"
 # What editors and file managers make of the name of the settings.
 _NEAR_NAMES = (FILE_NAME, *(f"{FILE_NAME}{ending}" for ending in (".txt", ".toml", ".bak")), "survey.tml")
@@ -207,15 +203,13 @@ def settings_of(folder: Path) -> SurveyConfig | None:
         raise ConfigError(f"{toml} is {what}, expected the settings of the survey; copy the file itself, or remove it")
     others = sorted(path.name for path in folder.iterdir() if path.name.casefold() in _NEAR_NAMES)
     if others:
-        raise ConfigError(
-            f"{folder} has {others[0]} and no {FILE_NAME}; rename it (Windows may hide the ending .txt), or remove it"
-        )
+        raise ConfigError(f"{folder} has {others[0]} and no {FILE_NAME}; rename it (Windows may hide .txt)")
     return None
 
 
 def parse_config(text: str) -> SurveyConfig:
     """The settings in a text in TOML; see `read_config`."""
-    config = parse_toml(text, SurveyConfig, synonyms=_SYNONYMS, not_yet=_NOT_YET)
+    config = parse_toml(text, SurveyConfig, synonyms=_SYNONYMS)
     if config.water is not None:
         slope = (config.water.slope_east, config.water.slope_north)
         require_slope(slope, "[water] slope_east and slope_north are", "correct them")

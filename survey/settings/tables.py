@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from fields.models import MODELS, Rule
+from fields.models import MODELS, LossWeights, Rule
 from survey.errors import ConfigError
 from survey.files.limits import LARGEST
 from survey.files.toml_table import key, option, std_key
@@ -146,9 +146,7 @@ class ControlConfig:
         if self.gcps == ():
             raise ConfigError("[control] gcps is an empty list, expected one file or more; name one or remove the key")
         if self.marks is not None and self.gcps is None:
-            raise ConfigError(
-                "[control] marks is given without gcps; name the file of the points' coordinates in gcps too"
-            )
+            raise ConfigError("[control] marks is given without gcps; name the file of the coordinates there")
         if self.reference is None and (self.reference_std_m is not None or self.stable is not None):
             raise ConfigError(
                 "[control] reference_std_m and stable belong to a reference, and none is given; name its file in "
@@ -174,35 +172,6 @@ def per_direction(std_m: float | tuple[float, float] | None) -> tuple[float, flo
     if std_m is None:
         raise ValueError("[control] std_m is not filled in; expected what `find_control` returns")
     return (std_m[0], std_m[0], std_m[1]) if isinstance(std_m, tuple) else (std_m, std_m, std_m)
-
-
-@dataclass(frozen=True)
-class LossesConfig:
-    """[field.losses]: weights of the terms added to the squared error of the colours; 0 leaves a term out."""
-
-    transparency: float = key(0.0, least=0.0)  # light that passes the bed
-    distortion: float = key(0.0, least=0.0)  # spread of the weights along a ray (mip-NeRF 360)
-    orientation: float = key(0.0, least=0.0)  # surfaces that face away (Ref-NeRF)
-    # density, gaussian_density: density between empty and full (Inf-NeRF), with Gaussians in place of nodes
-    density: float = key(0.0, least=0.0)
-    gaussian_density: float = key(0.0, least=0.0)
-    # printed_density, printed_gaussian_density: both as printed; empty: all that is not empty (Inf-NeRF)
-    printed_density: float = key(0.0, least=0.0)
-    printed_gaussian_density: float = key(0.0, least=0.0)
-    empty: float = key(0.0, least=0.0)
-    # virtual_views, ncc, ssim, smooth_normals: on patches and views beside the photographs' own (MonoPatchNeRF)
-    virtual_views: float = key(0.0, least=0.0)
-    ncc: float = key(0.0, least=0.0)
-    ssim: float = key(0.0, least=0.0)
-    smooth_normals: float = key(0.0, least=0.0)
-    virtual_patches: float = key(0.0, least=0.0)
-    # Limit of Huber's loss of the colours (MonoPatchNeRF: 0.1); 0: the squared error
-    huber: float = key(0.0, least=0.0)
-    # depth, normal: departures from monocular depth and normals (MonoSDF); need `monocular`
-    depth: float = key(0.0, least=0.0)
-    normal: float = key(0.0, least=0.0)
-    predicted_normal: float = key(0.0, least=0.0)  # of normals that a head predicts (MonoPatchNeRF); needs `monocular`
-    patch_px: int | None = key(None, "3 pixels or more", least=3)  # side of the patches; default: 8
 
 
 _training, _data, _results = (partial(option, panel) for panel in ("Training", "Training data", "Results"))
@@ -258,7 +227,7 @@ class FieldConfig:
     reference: Path | None = _results("FILE", "Mesh or cloud to compare with.", alone=True)  # noqa: RUF009
     cameras: Path | None = _results("FILE", "Poses of views to render.", alone=True)  # noqa: RUF009
     dry: bool = _results(None, "Render without the water.", name="--dry", default=False, alone=True)
-    losses: LossesConfig | None = None
+    losses: LossWeights | None = None
 
     def over(self, lower: FieldConfig) -> FieldConfig:
         """These, and what `lower` says of those that are open."""

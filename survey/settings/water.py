@@ -80,9 +80,7 @@ class Medium:
 
     def __post_init__(self):
         if self.named == ["salinity_psu"]:
-            raise ConfigError(
-                "[water] has salinity_psu without temperature_c; give temperature_c too, or refractive_index"
-            )
+            raise ConfigError("[water] has salinity_psu without temperature_c; give both, or refractive_index")
 
 
 @dataclass(frozen=True)
@@ -188,16 +186,12 @@ class WaterConfig:
         if self.layer is not None and not any(name in self.sources.named for name in files):
             raise ConfigError(f"[water] has layer without {', '.join(files)}, one of whose files has it; give both")
         if len(levels) > 1:
-            raise ConfigError(
-                f"[water] has {' and '.join(levels)}, each of which gives the height of the water; keep one"
-            )
+            raise ConfigError(f"[water] has {' and '.join(levels)}, each of which gives the level; keep one")
 
     def _require_one_tide(self) -> None:
         moving = [name for name in ("gauge", "image_levels") if name in self.sources.named]
         if self.rate.level_rate_m_per_h is not None and moving:
-            raise ConfigError(
-                f"[water] has level_rate_m_per_h and {moving[0]}, which describes how the level moves; keep one"
-            )
+            raise ConfigError(f"[water] has level_rate_m_per_h and {moving[0]}, both of a moving level; keep one")
 
     def _require_one_index(self) -> None:
         if self.refractive_index is not None and self.medium.named:

@@ -198,7 +198,7 @@ def _share_lenses(blocks: Sequence[pycolmap.Reconstruction], sensors: Sequence[C
             poses = sfm_block.poses_of(block)
             for name in (name for name in sensor.names if name in poses):
                 lens = sfm_block.lens_of(block, name) if lens is None else lens
-                sfm_block.set_lens(block, name, lens.params)
+                sfm_block.camera_of(block, name).params = list(lens.params)
 
 
 def views_of_block(block: pycolmap.Reconstruction) -> dict[str, PinholeCamera]:
@@ -242,9 +242,7 @@ def _roll(
     if intersections is not None and intersections.points:
         angle = roll_by_control(across, intersections.places, np.array([point.local for point in intersections.points]))
         sfm_block.transform(block, across.rolled(angle))
-        return (
-            f"the initial roll is that by the control points {listed([point.name for point in intersections.points])}"
-        )
+        return f"the initial roll is that by control ({listed([p.name for p in intersections.points])})"
     rotations = np.array([rotation for _, rotation in poses.values()])
     angle = roll_by_ground(across, rotations, sfm_block.points_of(block))
     sfm_block.transform(block, across.rolled(angle))
@@ -275,7 +273,7 @@ def reset_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | N
     mean = axes.mean(axis=0) / np.linalg.norm(axes.mean(axis=0))
     if np.degrees(np.arccos(np.clip(axes @ mean, -1.0, 1.0))).max() > _PARALLEL_DEG:
         return False, []
-    found = {name: sfm_block.focal_of(block, name) for name in poses}
+    found = {name: sfm_block.camera_of(block, name).focal_length for name in poses}
     in_exif = {name: focal for name in found if (focal := nominal[name]) is not None}
     wrong = [name for name, focal in in_exif.items() if abs(found[name] / focal - 1.0) > _FOCAL_SHARE]
     scales, notes = "heights and depths scale with it", []
@@ -292,7 +290,7 @@ def reset_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | N
         f"{scales}, so give [cameras] focal_px if it is known better"
     )
     for name in wrong:
-        sfm_block.set_focal(block, name, in_exif[name])
+        sfm_block.camera_of(block, name).focal_length = in_exif[name]
     return True, notes
 
 
@@ -314,7 +312,7 @@ def _lowered(frame: LocalFrame, blocks: Sequence[pycolmap.Reconstruction]) -> Lo
 
 def _found(block: pycolmap.Reconstruction, num: int) -> str:
     poses = sfm_block.poses_of(block)
-    focals = sorted({round(sfm_block.focal_of(block, name), 1) for name in poses})
+    focals = sorted({round(sfm_block.camera_of(block, name).focal_length, 1) for name in poses})
     return (
         f"structure from motion placed {len(poses)} of {num} images with {block.num_points3D()} points, "
         f"{block.compute_mean_reprojection_error():.2f} px, focal length {', '.join(map(str, focals[:4]))} px"

@@ -126,10 +126,7 @@ def match_photographs(
         pairs = image_pairs(names, places)
         lost = [name for name in names if name not in places]
         if lost and len(names) > ALL_PAIRS_UP_TO:
-            report(
-                f"structure from motion: {len(lost)} images without a position are matched with those that look like "
-                "them"
-            )
+            report(f"structure from motion: {len(lost)} images without a position are matched by likeness")
             pairs = sorted({*pairs, *_similar_pairs(database, names, lost)})
         report(f"structure from motion: matches of {len(pairs)} pairs{on}")
         _match_all(database, pairs, work, pool)
@@ -207,25 +204,15 @@ def _match(database: Path, pairs: Sequence[tuple[str, str]], work: Path, threads
     colmap.match_image_pairs(database, matching, pairing, verification, colmap.Device.cpu)
 
 
-def focal_of(block: pycolmap.Reconstruction, name: str) -> float:
-    """Focal length [px] of the camera of an image."""
-    return float(block.camera(block.find_image_with_name(name).camera_id).focal_length)
-
-
-def set_focal(block: pycolmap.Reconstruction, name: str, focal_px: float) -> None:
-    """Give the camera of an image another focal length [px]."""
-    block.camera(block.find_image_with_name(name).camera_id).focal_length = focal_px
+def camera_of(block: pycolmap.Reconstruction, name: str) -> pycolmap.Camera:
+    """The camera of an image, whose parameters may be set."""
+    return block.camera(block.find_image_with_name(name).camera_id)
 
 
 def lens_of(block: pycolmap.Reconstruction, name: str) -> Lens:
     """The lens of the camera of an image."""
-    camera = block.camera(block.find_image_with_name(name).camera_id)
+    camera = camera_of(block, name)
     return Lens(camera.model_name, tuple(float(p) for p in camera.params), camera.width, camera.height)
-
-
-def set_lens(block: pycolmap.Reconstruction, name: str, params: Sequence[float]) -> None:
-    """Give the camera of an image other parameters, those of `MODEL`."""
-    block.camera(block.find_image_with_name(name).camera_id).params = list(params)
 
 
 def drop_images(block: pycolmap.Reconstruction, names: Collection[str]) -> None:

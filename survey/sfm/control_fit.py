@@ -208,9 +208,7 @@ def _too_few(control: BlockControl, views: Mapping[str, PinholeCamera], intersec
     if intersections.points:
         causes.append(f"usable: {listed([point.name for point in intersections.points])}")
     if intersections.single:
-        causes.append(
-            f"with a mark in fewer than two placed photographs, or from one direction: {listed(intersections.single)}"
-        )
+        causes.append(f"with fewer than two marks, or from one direction: {listed(intersections.single)}")
     if intersections.inconsistent:
         causes.append(f"with marks whose rays do not intersect: {listed(intersections.inconsistent)}")
     causes.append(f"{len(views)} photographs are placed")

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import has_height, parse_crs, vertical_crs
+from geo.crs import has_height, is_geographic, parse_crs, vertical_crs
 from geo.frames import LocalFrame
 from geo.transformation import WGS84, Transformation, height_scale, lon_lat
 from survey.errors import FILE_NAME, ConfigError, PosesError
@@ -57,13 +57,21 @@ def gps_positions(headers: Mapping[str, Exif], crs: CRS, gps_height: str) -> Gps
     crs = parse_crs(crs)
     positions, notes = positions_in_crs(headers, crs, gps_height)
     points = np.array(list(positions.values()))
-    frame = LocalFrame.about(crs, points)
+    frame = frame_about(crs, points)
     missing = len(headers) - num_with_height
     if missing:
-        notes.append(
-            f"{missing} of {len(headers)} images have no GPS position with a height; the others place the block"
-        )
+        notes.append(f"{missing} of {len(headers)} images have no position with a height; the others place the block")
     return GpsPositions(frame, dict(zip(positions, frame.local_from_crs(points), strict=True)), tuple(notes))
+
+
+def frame_about(crs: CRS, places, height: float | None = None) -> LocalFrame:
+    """The frame whose origin is rounded from the median of places (N, 3) in crs, at a height of its own if given."""
+    # The median, so that one wrong position does not move the frame of the others.
+    e, n, middle = np.median(places, axis=0).tolist()
+    digits = 5 if is_geographic(crs) else 0
+    return LocalFrame(
+        crs, (round(e, digits), round(n, digits), float(math.floor(middle if height is None else height)))
+    )
 
 
 def what_is_missing(headers: Mapping[str, Exif]) -> str:
@@ -207,9 +215,6 @@ def _in_crs(crs: CRS, source: _Source, places: np.ndarray, gps_height: str) -> t
     lon, lat = lon_lat(source.crs, places).T
     to_height = height_transformer(crs, area_at(lon, lat))
     steps = [step for step in to_height.description.split(" + ") if not step.startswith("axis order change")]
-    taken = (
-        f'gps_height = "ellipsoidal": {message} are taken as heights above the WGS 84 ellipsoid '
-        f"({' + '.join(steps) or 'no change'})"
-    )
+    taken = f'gps_height = "ellipsoidal": {message} are over the ellipsoid ({" + ".join(steps) or "no change"})'
     metres = places[:, 2] * height_scale(source.crs, _WGS84_3D, message)
     return np.stack([east, north, to_height.transform(lon, lat, metres)[2]], axis=-1), [taken]

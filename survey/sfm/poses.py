@@ -35,7 +35,7 @@ from survey.sfm.gps import gps_positions, positions_in_crs
 from survey.sfm.gps_fit import attitudes_of
 from survey.sfm.mark_rays import BlockControl
 from survey.sfm.pairs import image_pairs
-from survey.sfm.settings import mapper_of, one_focal, require_mapper, solver
+from survey.sfm.settings import mapper_of, one_focal, solver
 from survey.sfm.solve import FreeBlocks, Photographs, sensors_of, solve
 from survey.stage_key import code_hash, stage_key
 
@@ -154,7 +154,6 @@ def blocks_of(
     mapper : str
         One of `survey.words.Mapper`.
     """
-    require_mapper(mapper)
     headers = {name: read_exif(path) for name, path in images.items()}
     mapper, why = mapper_of(len(images), mapper)
     report(f"plan: mapper: {mapper} ({why})")
@@ -178,9 +177,7 @@ def _solved(photographs: Photographs, workspace: Path, report: Callable[[str], N
             report(f"structure from motion: poses of {free.num_images} images from {workspace}")
         else:
             if (workspace / _RECORD).is_file():
-                report(
-                    f"structure from motion: {workspace} has poses of other photographs or settings, or by other code"
-                )
+                report(f"structure from motion: {workspace} has poses of other photographs, settings or code")
             with _work_folder(workspace, len(images)) as work:
                 start = time.monotonic()
                 free = solve(photographs, work, report)

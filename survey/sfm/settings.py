@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 
-from survey.errors import FILE_NAME, ConfigError, ImageError, SurveyError
+from survey.errors import FILE_NAME, ImageError, SurveyError
 from survey.photos.exif import Exif
 from survey.words import Mapper
 
@@ -24,12 +23,6 @@ MIN_IMAGES = 3
 _ERRORS_ONLY = 2
 # From so many photographs on the plan says why they are added one by one; so many were tried at most.
 LARGE, MEASURED = 500, 2080
-# What each mapper needs of pycolmap.
-_NEEDED = {
-    Mapper.incremental: ("incremental_mapping", "IncrementalPipelineOptions"),
-    Mapper.hierarchical: ("hierarchical_mapping", "HierarchicalPipelineOptions"),
-    Mapper.global_: ("global_mapping", "GlobalPipelineOptions"),
-}
 # Of two neighbours, most have each other: so many pairs come of a neighbour.
 _PAIRS_OF_NEIGHBOUR = 0.65
 
@@ -49,16 +42,6 @@ def mapper_of(num: int, asked: str) -> tuple[str, str]:
     beyond = f"; more than {MEASURED:,} were not tried" if num > MEASURED else ""
     why = f"{num:,} photographs are added one by one, which bends the block less than all at once{beyond}"
     return Mapper.incremental.value, why
-
-
-def require_mapper(mapper: str) -> None:
-    """Raise ConfigError where the installed pycolmap does not have the mapper that is asked for."""
-    if mapper == Mapper.auto or all(hasattr(solver(), name) for name in _NEEDED[Mapper(mapper)]):
-        return
-    raise ConfigError(
-        f'[cameras] mapper is "{mapper}" in {FILE_NAME}, and pycolmap {version("pycolmap")} does not have it, '
-        f"expected 4.2 or later; update it (pip install -U pycolmap), or leave mapper out"
-    )
 
 
 def pairs_about(num: int) -> int:

@@ -8,14 +8,14 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from fields.models import Rule, maker
-from fields.volume.losses import Losses, PatchWeights, PriorWeights
+from fields.models import LossWeights, Rule, maker
+from fields.volume.losses import Losses
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun, survey_folder
 from survey.files.toml_table import require_valid
 from survey.run.stored_field import VolumeRecipe
 from survey.settings.config import settings_of
-from survey.settings.tables import FieldConfig, LossesConfig
+from survey.settings.tables import FieldConfig
 from survey.volume.monocular import priors_hash
 from survey.volume.scene import SceneOptions
 
@@ -36,7 +36,7 @@ class VolumeOptions(FieldConfig):
     shell: bool = False
     from_scratch: bool = False
     # Where none of depth and normal has a weight, those of MonoSDF count with ``monocular``
-    losses: LossesConfig = field(default_factory=LossesConfig)
+    losses: LossWeights = field(default_factory=LossWeights)
     device: str = "auto"  # "auto", "cpu", "cuda" or "torch"
 
     def __post_init__(self):
@@ -89,17 +89,10 @@ class VolumeOptions(FieldConfig):
 
     def of_losses(self) -> Losses:
         """The weights of the losses."""
-        of, names = self.losses, {each.name for each in fields(Losses)}
-        depth, normal = of.depth, of.normal
-        if self.monocular is not None and not (depth or normal):
-            depth, normal = MONOCULAR
-        return Losses(
-            **{name: weight for name, weight in vars(of).items() if name in names},
-            patches=PatchWeights(
-                of.patch_px or PatchWeights.size, of.ncc, of.ssim, of.smooth_normals, of.virtual_patches
-            ),
-            priors=PriorWeights(depth=depth, normal=normal, predicted_normal=of.predicted_normal),
-        )
+        of = self.losses
+        if self.monocular is not None and not (of.depth or of.normal):
+            of = replace(of, depth=MONOCULAR[0], normal=MONOCULAR[1])
+        return Losses(**vars(of))
 
 
 def field_config(run: str | Path, survey: str | None) -> FieldConfig:

@@ -9,7 +9,6 @@ ConfigError.
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -21,8 +20,7 @@ from typing import Any
 from geo.stated import unit_named
 from survey.display.quantities import named
 from survey.errors import ConfigError, Findings
-from survey.files.csv_table import Table, meaning, number_of, text_lines, words_of
-from survey.files.limits import LARGEST
+from survey.files.csv_table import Row, Table, meaning, number_of, text_lines, words_of
 from survey.water.level_observation import MOST_STD_M, STD_M
 
 _WORDS = words_of({
@@ -81,10 +79,9 @@ class Series:
 class _Records:
     """Content of a file by the meaning of its columns."""
 
-    rows: list[tuple[str, dict[str, str]]]  # File and line, and the texts of the columns
+    rows: list[Row]
     units: Mapping[str, float]  # [m], of columns whose names state one
     zone: tzinfo | None  # That the name of the column of times states
-    decimal: str
     cells: Mapping[str, str]  # Names of the columns in the file
 
 
@@ -92,11 +89,12 @@ def read_series(path: Path, unit_m: float = 1.0, zero_m: float | None = None) ->
     """The readings of a file, over the zero of a gauge at this height [m]; a level without a unit has that of crs."""
     records = _of_json(path) if path.suffix.lower() in (".json", ".geojson") else _of_table(path)
     records = _of_one_parameter(records, path)
-    names = [name for name in _LEVELS if any(name in cells for _, cells in records.rows)]
+    names = [name for name in _LEVELS if any(name in row.cells for row in records.rows)]
     if not names:
         raise ConfigError(f"{path} has no readings, expected time,level, or a form of NOAA, PEGELONLINE or USGS")
     names, readings, empty = names[:1] if names == ["predicted"] else [n for n in names if n != "predicted"], [], []
-    for where, cells in records.rows:
+    for row in records.rows:
+        where, cells = row.where, row.cells
         if _RDB_WIDTH.fullmatch(cells.get("time", "")):
             continue
         texts = {name: cells.get(name, "") for name in names}
@@ -104,12 +102,12 @@ def read_series(path: Path, unit_m: float = 1.0, zero_m: float | None = None) ->
         if name is None:
             empty.append(where.rpartition(", ")[2])
             continue
-        number = _number(texts[name], records.decimal, where, name)
+        number = row.number(name)
         unit = _unit_of(records, cells, name, unit_m, path)
         zone = zone_of(cells["zone"]) if cells.get("zone") else records.zone
         moment = utc_of(" ".join(cells[part] for part in ("date", "time") if cells.get(part)), where, zone)
         is_marker = is_no_data_number(number) or number == number_of(cells.get("no_data", ""))
-        level, std = number * unit + (zero_m or 0.0), _std_of(cells.get("std", ""), records, where)
+        level, std = number * unit + (zero_m or 0.0), _std_of(row, records.units.get("std", 1.0))
         readings.append(Reading(where, moment, level, std, texts[name], is_marker))
     if len(readings) > 1 and all(later.time < earlier.time for earlier, later in pairwise(readings)):
         readings.reverse()
@@ -126,7 +124,7 @@ def read_series(path: Path, unit_m: float = 1.0, zero_m: float | None = None) ->
             f"the readings of {path.name} ({records.cells[names[0]]}) are taken as heights in crs: services count from "
             "the zero of the gauge or a chart datum; give [water] gauge_zero_m, its height in crs, 0 if it is that"
         )
-    kinds = {cells.get("kind", "").casefold()[:1] for _, cells in records.rows}
+    kinds = {row.cells.get("kind", "").casefold()[:1] for row in records.rows}
     return Series(path, tuple(readings), kinds == {"h", "l"}, Findings(warnings=tuple(warnings)))
 
 
@@ -154,10 +152,7 @@ def utc_of(text: str, where: str, zone: tzinfo | None = None) -> datetime:
             return moment.astimezone(UTC)
     except (ValueError, OverflowError) as error:
         raise ConfigError(f"{where}: {text!r} is not a time, expected e.g. 2024-06-01T10:30:00Z") from error
-    raise ConfigError(
-        f"{where}: {text} has no time zone; write Z for UTC or e.g. +02:00 after it, or name it in the "
-        "first line, as time (UTC)"
-    )
+    raise ConfigError(f"{where}: {text} has no time zone; write Z or +02:00 after it, or time (UTC) in the first line")
 
 
 def zone_of(text: str) -> tzinfo | None:
@@ -193,9 +188,8 @@ def _of_table(path: Path) -> _Records:
     levels = [name for name in _LEVELS if name in table.names] or ["level"]
     when = [name for name in ("date", "time") if name in table.names] or ["time"]
     others = ("std", "unit", "zone", "kind", "parameter", "no_data")
-    rows = [(row.where, row.cells) for row in table.rows(when + levels[:1], (*levels[1:], *others))]
-    cells = {column.name: column.cell for column in reversed(table.columns)}
-    return _Records(rows, table.units, zone, table.decimal, cells)
+    rows = table.rows(when + levels[:1], (*levels[1:], *others))
+    return _Records(rows, table.units, zone, {column.name: column.cell for column in reversed(table.columns)})
 
 
 def _descriptions(path: Path) -> dict[str, str]:
@@ -212,7 +206,7 @@ def _of_json(path: Path) -> _Records:
         found = list(_objects(content, {}, 0))
     except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"{path} is no JSON that can be read ({error}); fetch it again") from error
-    rows: list[tuple[str, dict[str, str]]] = []
+    rows: list[Row] = []
     units: dict[str, float] = {}
     cells: dict[str, str] = {}
     for n, item in enumerate(found, start=1):
@@ -222,8 +216,8 @@ def _of_json(path: Path) -> _Records:
             if name:
                 row[name], cells[name] = str(value), key
                 units |= {} if unit is None else {name: unit}
-        rows.append((f"{path}, reading {n}", row))
-    return _Records(rows, units, None, ".", cells)
+        rows.append(Row(f"{path}, reading {n}", row, ".", ConfigError))
+    return _Records(rows, units, None, cells)
 
 
 def _objects(node: Any, around: dict[str, Any], depth: int) -> Iterator[dict[str, Any]]:
@@ -254,8 +248,8 @@ def _scalars(node: dict[str, Any], depth: int) -> Iterator[tuple[str, Any]]:
 
 def _of_one_parameter(records: _Records, path: Path) -> _Records:
     """Records of the one parameter that has a unit of length, where a file has several."""
-    rows = [row for row in records.rows if not row[1].get("unit") or unit_named(row[1]["unit"]) is not None]
-    kinds = {cells.get("parameter", "") for _, cells in rows}
+    rows = [row for row in records.rows if not row.cells.get("unit") or unit_named(row.cells["unit"]) is not None]
+    kinds = {row.cells.get("parameter", "") for row in rows}
     if len(kinds) > 1:
         raise ConfigError(f"{path} has several series, {', '.join(sorted(kinds)[:6])}; keep the one of the water level")
     return replace(records, rows=rows)
@@ -274,15 +268,8 @@ def _unit_of(records: _Records, cells: Mapping[str, str], name: str, unit_m: flo
     )
 
 
-def _number(text: str, decimal: str, where: str, name: str) -> float:
-    number = number_of(text, decimal)
-    if not abs(number) <= LARGEST:
-        raise ConfigError(f"{where}: {name} is {text}, expected a finite number; correct or remove the line")
-    return number
-
-
-def _std_of(text: str, records: _Records, where: str) -> float:
-    std = STD_M["gauge"] if not text else _number(text, records.decimal, where, "std") * records.units.get("std", 1.0)
-    if not (0.0 < std <= MOST_STD_M and math.isfinite(std)):
-        raise ConfigError(f"{where}: std is {std:g}, expected metres above 0 and at most {MOST_STD_M:g}")
+def _std_of(row: Row, unit_m: float) -> float:
+    std = row.number("std") * unit_m if row.cells.get("std") else STD_M["gauge"]
+    if not 0.0 < std <= MOST_STD_M:
+        raise ConfigError(f"{row.where}: std is {std:g}, expected metres above 0 and at most {MOST_STD_M:g}")
     return std

@@ -138,9 +138,7 @@ def std_of(row: Row, source: str) -> float:
     """The standard deviation [m] of a row of a table, by default that of its source; ConfigError where it is none."""
     std = height_std(row, STD_M[source])
     if not 0.0 < std <= MOST_STD_M:
-        raise ConfigError(
-            f"{row.where}: std is {std:g}, expected a standard deviation above 0 and at most {MOST_STD_M:g} m"
-        )
+        raise ConfigError(f"{row.where}: std is {std:g}, expected above 0 and at most {MOST_STD_M:g} m; correct it")
     return std
 
 

@@ -36,7 +36,9 @@ from evaluation import distance_statistics, distance_to_mesh, image_quality, is_
 from evaluation.images.inputs import largest_rectangle
 from geo import read_cloud, read_reference
 from refract import FlatWater, PinholeCamera
-from survey.folder.survey import Survey, View, load_image, load_mask, load_survey
+from survey.folder.survey import Survey, load_survey
+from survey.photos.cameras import View
+from survey.photos.images import load_image, load_mask
 from survey.plan.area import local_area, within
 from survey.run.folder import RunDir
 from survey.run.stored import load_bed

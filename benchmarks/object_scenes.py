@@ -15,7 +15,8 @@ from fields.volume.paths import Box
 from fields.volume.photographs import Photographs
 from geo import read_reference
 from refract import FlatWater, PinholeCamera
-from survey.folder.survey import load_image, load_survey
+from survey.folder.survey import load_survey
+from survey.photos.images import load_image
 from survey.simulate.ground.ground import NOTHING, Ground, Material, place_object, plane, texture_of_bed
 from survey.simulate.ground.shapes import TriangleMesh
 from survey.simulate.light import Light

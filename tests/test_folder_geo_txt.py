@@ -12,10 +12,9 @@ from small_survey import E0, LEVEL, N0, rows_of, unposed, write_image
 
 from geo.errors import GeoError, PlaceMismatch, UnknownUnit
 from survey.errors import ConfigError, PosesError
-from survey.folder.found import survey_inputs
+from survey.folder.found import find_survey, survey_inputs
 from survey.folder.geo_txt import with_positions
 from survey.folder.pose_priors import accuracy_of_gps, common_up_std_of_exif
-from survey.folder.survey import find_survey
 from survey.init.crs import Answers
 from survey.init.draft import draft
 from survey.photos.exif import Exif, TablePlace, without_void_fixes

@@ -12,8 +12,9 @@ from small_survey import LEVEL, camera_lines, replaced, small_survey, write_imag
 
 from refract.lens import Lens
 from survey.errors import ConfigError, ControlError, PosesError
+from survey.folder.found import find_survey
 from survey.folder.infer import NO_WATER, config_of_images
-from survey.folder.survey import find_survey, load_survey
+from survey.folder.survey import load_survey
 from survey.photos.exif import Exif
 from survey.settings.config import SurveyConfig
 from survey.sfm.gps import gps_positions

@@ -12,8 +12,8 @@ from geo.errors import GeoError, MissingVerticalDatum
 from refract.media import converted_index
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
 from survey.folder.infer import NO_WATER
-from survey.folder.survey import load_image, load_survey
-from survey.photos.images import LUMA
+from survey.folder.survey import load_survey
+from survey.photos.images import LUMA, load_image
 from survey.settings.config import dump_config, parse_config
 
 # Over 30 m, grid metres and true ones differ by 0.0007 (scale and height) on a rise of 0.006 * 30 m, and level

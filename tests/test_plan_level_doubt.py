@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from small_survey import LEVEL, rows_of, small_survey, unposed
 
-from survey.folder.survey import find_survey, load_survey
+from survey.folder.found import find_survey
+from survey.folder.survey import load_survey
 from survey.photos.xmp import Motion
 from survey.plan.check import check_survey, require_processable
 from survey.plan.check_inputs import DOWN_DEG, level_warning

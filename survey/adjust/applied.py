@@ -19,7 +19,8 @@ from survey.adjust.block.state import Layout, State, enlarged
 from survey.adjust.result.adjustment import Adjustment
 from survey.folder.local_frame import water_plane
 from survey.folder.motion import rows_between
-from survey.folder.survey import Survey, View
+from survey.folder.survey import Survey
+from survey.photos.cameras import View
 from survey.photos.colmap_model import FILES, has_spaces, write_model
 from survey.photos.intersection import equations_of_lines
 from survey.photos.poses import TiePoints, least_track

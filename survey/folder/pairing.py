@@ -16,7 +16,7 @@ from geo.frames import LocalFrame
 from refract.lens import MODELS, Lens, LensError, coefficients_of
 from survey.control.local_control import require_near
 from survey.display.quantities import named
-from survey.errors import FILE_NAME, ConfigError, Findings, ImageError, PosesError
+from survey.errors import FILE_NAME, ConfigError, Findings, PosesError
 from survey.folder import local_frame
 from survey.folder.faults import angle_warnings
 from survey.folder.found import MIN_VIEWS, Found, below, larger_poses
@@ -34,6 +34,7 @@ from survey.folder.unused_keys import Circumstances, unused_keys
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.photos.names import ImageNames
+from survey.photos.pixels import require_pixels
 from survey.photos.poses import DuplicatePose, Pose, PoseFile, least_track
 from survey.pose_files import find_poses, read_poses, read_ties
 from survey.settings.config import CamerasConfig
@@ -86,14 +87,10 @@ def with_lenses(found: Found, poses: list[Pose]) -> tuple[list[Pose], Findings]:
 def require_image(view: View, header: Exif) -> None:
     """Raise ImageError where an image does not have the size of its camera."""
     expected = (view.lens.width, view.lens.height)
-    if header.size_px != expected:
-        remedy = "use the images that the poses were made from, or correct the size of the camera"
-        if header.orientation >= 5 and header.size_px == expected[::-1]:
-            remedy = "EXIF marks it as rotated, which is ignored here: rotate the pixels and remove the orientation tag"
-        raise ImageError(
-            f"{view.path} has {header.size_px[0]} x {header.size_px[1]} pixels, expected {expected[0]} x {expected[1]} "
-            f"as its camera has; {remedy}"
-        )
+    remedy = "use the images that the poses were made from, or correct the size of the camera"
+    if header.orientation >= 5 and header.size_px == expected[::-1]:
+        remedy = "EXIF marks it as rotated, which is ignored here: rotate the pixels and remove the orientation tag"
+    require_pixels(view.path, header.size_px, expected, "its camera", remedy)
 
 
 def lenses_from_config(cameras: CamerasConfig, headers: dict[str, Exif]) -> tuple[dict[str, Lens], Findings]:

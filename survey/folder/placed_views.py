@@ -27,7 +27,7 @@ from survey.photos.cameras import View
 from survey.photos.exif import SUFFIXES
 from survey.photos.images import is_hidden, read_mask, require_all_complete
 from survey.photos.names import MASK_ENDING, ImageNames
-from survey.photos.pixels import open_image, stored_size
+from survey.photos.pixels import open_image, require_pixels, stored_size
 from survey.water.surface import Departure, height_above
 
 # Masks that are checked for inversion; decoding thousands would take minutes.
@@ -111,11 +111,8 @@ def _require_sizes(views: Sequence[View]) -> None:
             continue
         with open_image(view.mask_path) as image:
             found, expected = stored_size(image), (view.lens.width, view.lens.height)
-        if found != expected:
-            raise ImageError(
-                f"the mask {view.mask_path} has {found[0]} x {found[1]} pixels, expected {expected[0]} x "
-                f"{expected[1]} as its photograph has; make it from the photograph as it is stored"
-            )
+        remedy = "make it from the photograph as it is stored"
+        require_pixels(f"the mask {view.mask_path}", found, expected, "its photograph", remedy)
 
 
 def _warnings(views: Sequence[View]) -> list[str]:

@@ -32,24 +32,11 @@ from survey.folder.plausible import place_warnings, require_plausible
 from survey.folder.pose_priors import common_plan_std
 from survey.folder.positions import far_from_others
 from survey.photos.cameras import View, metres_per_px
-from survey.photos.images import load_image, load_mask
 from survey.settings.config import SurveyConfig, WaterConfig
 from survey.water.level import with_level_of_clicks, with_plane_of_surface
 from survey.water.level_observation import LevelObservation, water_place_warnings
 from survey.water.surface import Departure, height_above, still_water
 from survey.water.tides import with_tides
-
-__all__ = [
-    "Found",
-    "Observations",
-    "Provenance",
-    "Survey",
-    "View",
-    "find_survey",
-    "load_image",
-    "load_mask",
-    "load_survey",
-]
 
 
 @dataclass(frozen=True)

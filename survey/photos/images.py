@@ -22,7 +22,7 @@ from survey.photos.cameras import View
 from survey.photos.complete import require_complete
 from survey.photos.exif import SUFFIXES
 from survey.photos.names import MASK_ENDING
-from survey.photos.pixels import read_grey, read_opaque, read_rgb
+from survey.photos.pixels import read_grey, read_opaque, read_rgb, require_pixels
 from survey.progress import current
 from survey.words import RUN_FOLDER
 
@@ -183,12 +183,8 @@ def read_mask(path: Path) -> np.ndarray:
 
 
 def _require_size(view: View, pixels: np.ndarray, *, path: Path | None = None) -> None:
-    found, expected = pixels.shape[1::-1], (view.camera.width, view.camera.height)
-    if found != expected:
-        raise ImageError(
-            f"{path or view.path} has {found[0]} x {found[1]} pixels, expected {expected[0]} x {expected[1]} as its "
-            "camera has; use the images that the poses were made from"
-        )
+    expected, remedy = (view.camera.width, view.camera.height), "use the images that the poses were made from"
+    require_pixels(path or view.path, pixels.shape[1::-1], expected, "its camera", remedy)
 
 
 def _shrink(pixels: np.ndarray, view: View, scale: float) -> np.ndarray:

@@ -142,6 +142,15 @@ def stored_size(image: Image.Image) -> tuple[int, int]:
     return (tags[_WIDTH], tags[_HEIGHT]) if image.format == "TIFF" else image.size
 
 
+def require_pixels(
+    name: str | Path, found: tuple[int, int], expected: tuple[int, int], whose: str, remedy: str
+) -> None:
+    """Raise ImageError where an image does not have this width and height [px], those of ``whose``."""
+    if found != expected:
+        (width, height), (w, h) = found, expected
+        raise ImageError(f"{name} has {width} x {height} pixels, expected {w} x {h} as {whose} has; {remedy}")
+
+
 def channel_bits(image: Image.Image) -> int:
     """Bits of one channel; 32 for floating point."""
     if image.mode[0] == "F":

@@ -16,7 +16,8 @@ import numpy as np
 from fields.sweep.views import coverage
 from geo.crs import height_unit_m
 from survey.errors import FILE_NAME, ConfigError
-from survey.folder.survey import Survey, View
+from survey.folder.survey import Survey
+from survey.photos.cameras import View
 from survey.photos.poses import least_track
 from survey.plan.heights import dry_ground, height_range
 

@@ -13,10 +13,11 @@ import numpy as np
 from geo.crs import height_unit_m
 from survey.display.quantities import length
 from survey.errors import SurveyError
+from survey.folder.found import Found, find_survey
 from survey.folder.motion import shutter_text
 from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors, common_up_std_of_exif
 from survey.folder.sfm_views import placing_control, require_solvable
-from survey.folder.survey import Found, Survey, find_survey, load_survey
+from survey.folder.survey import Survey, load_survey
 from survey.photos.exif import position_sources
 from survey.plan.area import require_seen
 from survey.plan.check_inputs import control_rows, level_warning, mark_rows, water_stds

@@ -23,7 +23,8 @@ from survey.plan.area import AREA_MARGIN_M, grown, local_area
 from survey.plan.heights import dry_ground
 
 if TYPE_CHECKING:
-    from survey.folder.survey import Survey, View
+    from survey.folder.survey import Survey
+    from survey.photos.cameras import View
     from survey.plan.plan import Plan
 
 # Memory [bytes] for photographs that are decoded side by side, and what a pixel of each takes meanwhile.

@@ -7,8 +7,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 
-from survey.errors import FILE_NAME, ImageError, SurveyError
+from survey.errors import FILE_NAME, SurveyError
 from survey.photos.exif import Exif
+from survey.photos.pixels import require_pixels
 from survey.words import Mapper
 
 # Longest side [px] of a photograph for the detection of features; larger ones are reduced.
@@ -69,12 +70,10 @@ def require_solver(module: str = "pycolmap") -> None:
 
 def require_size(images: Mapping[str, Path], headers: Mapping[str, Exif], size_px: tuple[int, int] | None) -> None:
     """Raise ImageError where an image does not have the size that the settings say."""
-    for name, header in headers.items():
-        if size_px is not None and header.size_px != tuple(size_px):
-            raise ImageError(
-                f"{images[name]} has {header.size_px[0]} x {header.size_px[1]} pixels, expected {size_px[0]} x "
-                f"{size_px[1]} as in [cameras] size_px in {FILE_NAME}; correct it, or leave the image out"
-            )
+    if size_px is not None:
+        remedy = f"correct it in {FILE_NAME}, or leave the image out"
+        for name, header in headers.items():
+            require_pixels(images[name], header.size_px, size_px, "[cameras] size_px", remedy)
 
 
 def one_focal(focal_px: float | tuple[float, float] | None) -> float | None:

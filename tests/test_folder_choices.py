@@ -82,7 +82,7 @@ def test_of_several_files_of_poses_the_one_with_most_photographs_is_taken_and_sa
             write_model(folder / name, [f"{i:04d}.jpg" for i in numbers])
     found = find_survey(folder)
     assert found.poses_path == folder / expected
-    (said,) = [text for text in found.assumptions if "the poses are those in" in text]
+    (said,) = [text for text in found.findings.assumptions if "the poses are those in" in text]
     for name, numbers in files.items():
         assert f"{name} with {len(numbers)} of 9 photographs" in said
 

@@ -80,7 +80,7 @@ def test_positions_and_accuracies_are_those_of_the_file_in_every_form(tmp_path, 
         expected[:, 2] = LEVEL + 20.0  # that of EXIF
     # Degrees with ten digits are 10 micrometres.
     assert np.abs(np.array([positions[name] for name in NAMES]) - expected).max() < 1e-4
-    (said_of,) = [sentence for sentence in found.assumptions if "geo.txt" in sentence]
+    (said_of,) = [sentence for sentence in found.findings.assumptions if "geo.txt" in sentence]
     assert said_of.startswith("positions of 4 of 4 images are those in geo.txt (")
     assert "instead of those in EXIF of 4, " in said_of
     has_std = tail in ("accuracies", "more")
@@ -88,7 +88,9 @@ def test_positions_and_accuracies_are_those_of_the_file_in_every_form(tmp_path, 
     good = "4 of 4 positions good to 0.02, 0.02 and 0.03 m east, north and up (geo.txt)"
     assert accuracy == (good if has_std else "4 of 4 positions of unknown accuracy (geo.txt)")
     assert (common_up_std_of_exif(CamerasConfig(), found.headers) == 0.0) is has_std
-    assert any("horizontal accuracy alone" in warning for warning in found.warnings) is (tail == "one accuracy")
+    assert any("horizontal accuracy alone" in warning for warning in found.findings.warnings) is (
+        tail == "one accuracy"
+    )
 
 
 @pytest.mark.parametrize("between", [" ", "   ", "\t"])
@@ -96,7 +98,7 @@ def test_positions_and_accuracies_are_those_of_the_file_in_every_form(tmp_path, 
 def test_the_file_is_found_beside_the_photographs_and_never_overwritten(tmp_path, where, between):
     folder = unposed(tmp_path / "s")
     (folder / where).write_text(geo_txt("EPSG:25832", ["z"], between=between))
-    assert "geo.txt" in find_survey(folder).assumptions[0].casefold()
+    assert "geo.txt" in find_survey(folder).findings.assumptions[0].casefold()
     assert survey_inputs(folder).same_as(folder / where) is not None
 
 
@@ -110,7 +112,9 @@ def test_check_and_init_name_the_file(tmp_path):
     assert "# Found: positions of 4 of 4 images are those in geo.txt (ETRS89 / UTM zone 32N)" in text
     assert tomllib.loads(text)["crs"].startswith("EPSG:25832+")
     found = find_survey(folder)
-    assert found.assumptions[1].startswith('crs = "EPSG:25832+5773", that of geo.txt, with heights taken as they are')
+    assert found.findings.assumptions[1].startswith(
+        'crs = "EPSG:25832+5773", that of geo.txt, with heights taken as they are'
+    )
 
 
 def test_the_angles_of_the_file_make_it_no_poses(tmp_path):
@@ -125,8 +129,8 @@ def test_photographs_and_lines_without_each_other_are_named(tmp_path):
     folder = unposed(tmp_path / "s")
     (folder / "geo.txt").write_text(geo_txt("EPSG:25832", ["z"], names=[*NAMES[:3], "other.jpg"]))
     found = find_survey(folder)
-    assert "1 image of geo.txt not among the photographs: other.jpg" in found.warnings
-    assert "1 image not in geo.txt, which keep what EXIF has: 0003.jpg" in found.warnings
+    assert "1 image of geo.txt not among the photographs: other.jpg" in found.findings.warnings
+    assert "1 image not in geo.txt, which keep what EXIF has: 0003.jpg" in found.findings.warnings
     positions, _ = positions_in_crs(found.headers, found.crs, "crs")
     assert list(positions) == NAMES
     assert abs(positions["0003.jpg"][2] - (LEVEL + 20.0)) < 1e-9
@@ -138,7 +142,7 @@ def test_names_are_those_of_the_photographs_by_the_rules_of_all_files(tmp_path):
     (folder / "geo.txt").write_text(
         geo_txt("EPSG:25832", ["z"], names=["0000", "0001.JPG", "images/0002.jpg", "a b.jpg"])
     )
-    assert "positions of 4 of 4" in find_survey(folder).assumptions[0]
+    assert "positions of 4 of 4" in find_survey(folder).findings.assumptions[0]
     for flight in ("a", "b"):
         write_image(folder / "images" / flight / "0009.jpg")
     (folder / "geo.txt").write_text(geo_txt("EPSG:25832", ["z"], names=["0009.jpg", *NAMES[:3]]))
@@ -149,7 +153,7 @@ def test_names_are_those_of_the_photographs_by_the_rules_of_all_files(tmp_path):
 def test_a_position_in_another_place_is_doubted(tmp_path):
     folder = unposed(tmp_path / "s")
     (folder / "geo.txt").write_text(geo_txt("EPSG:25832", ["z"], places=PLACES + np.array([3000.0, 0.0, 0.0])))
-    (warning,) = [text for text in find_survey(folder).warnings if "geo.txt" in text]
+    (warning,) = [text for text in find_survey(folder).findings.warnings if "geo.txt" in text]
     assert re.match(r"the positions in geo.txt lie (299|300)\d m \(median\) from those in EXIF", warning)
 
 

@@ -115,7 +115,7 @@ def test_the_control_points_of_opendronemap_tell_the_crs_where_nothing_else_does
     found = find_survey(folder)
     assert found.config.crs == "EPSG:32632+5773"
     assert found.control is not None
-    assert any("that of gcp_list.txt" in text for text in found.assumptions)
+    assert any("that of gcp_list.txt" in text for text in found.findings.assumptions)
     (folder / "gcp_list.txt").write_text("EPSG:4326\n10.1 47.9 584.2 30.0 20.0 0000.jpg a\n")
     with pytest.raises(ConfigError, match=r"not in a projected CRS .* \[control\] gcps"):
         find_survey(folder)

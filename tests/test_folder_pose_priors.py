@@ -171,7 +171,7 @@ def test_what_a_change_of_datums_costs_is_shared_by_all_positions_and_said(tmp_p
     frame = LocalFrame(found.crs, (624161.0, 308459.0, 2.0))
     priors = priors_of_gps(found, frame, views_of(found, frame))
     assert {prior.common_plan_std for prior in priors.values()} == {2.0} == {common_plan_std(priors)}
-    assert any("with an accuracy of 2 m by PROJ" in warning for warning in found.warnings)
+    assert any("with an accuracy of 2 m by PROJ" in warning for warning in found.findings.warnings)
     assert accuracy_of_gps(found.config.cameras, found.headers, found.datum) == accuracy_of_priors(priors)
     assert "plus 2 m in plan in common" in accuracy_of_priors(priors)
     # Where control decides they are widened by it.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from small_survey import TOML, small_survey, unposed
 
@@ -85,5 +83,5 @@ def test_surveys_with_and_without_poses_say_it(tmp_path):
         "[cameras] gps_height = ellipsoidal in survey.toml has no effect: it is that of GPS positions"
     )
     found = find_survey(unposed(tmp_path / "u", ("[water]", "[control]\nstd_m = 0.1\n[water]")))
-    assert any("[control] std_m = 0.1 in survey.toml has no effect" in text for text in found.warnings)
-    assert replace(found, warnings=()).poses_path is None
+    assert any("[control] std_m = 0.1 in survey.toml has no effect" in text for text in found.findings.warnings)
+    assert found.poses_path is None

@@ -53,9 +53,7 @@ class Found:
     images: dict[str, Path]
     headers: dict[str, Exif]  # name to Exif
     poses_path: Path | None  # None where structure from motion has to find the poses
-    # assumptions, warnings: sentences
-    assumptions: tuple[str, ...]
-    warnings: tuple[str, ...]
+    findings: Findings = field(default_factory=Findings)
     control: FoundControl = field(default_factory=FoundControl)  # Control and check points in crs
     # What was measured of the water level; clicks in photographs are not among them before the poses are known
     levels: tuple[LevelObservation, ...] = ()
@@ -89,12 +87,8 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
         fetch_images(config.images.dir, place)
     images = list_images(place, deep=config.images.dir != ".")
     poses_path, findings = _poses_path(folder, config, images)
-    headers = {name: read_exif(path) for name, path in images.items()}
-    table = find_geo_txt(folder, place)
-    if table is not None:
-        headers, added = with_positions(table, headers)
-        findings += added
-    headers = without_void_fixes(headers)
+    headers, added = read_headers(folder, place, images)
+    findings += added
     if not toml.is_file() or (config.crs is None and infer.says_no_place(config)):
         config, added = infer.config_of_images(folder, config, headers, poses_path)
         findings += added
@@ -112,13 +106,21 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
         require_at(crs, exif_places(headers), sources, f"crs in {FILE_NAME}")
         transforms = transforms_into_crs(headers, crs, config.cameras.gps_height)
     datum = smallest([DatumStd(plan_std(transform.plan), transform.up_std_m) for transform in transforms])
-    found = Found(folder, config, crs, images, headers, poses_path, (), (), levels=levels, tide=tide, datum=datum)
+    found = Found(folder, config, crs, images, headers, poses_path, levels=levels, tide=tide, datum=datum)
     findings += Findings(warnings=tuple(_warnings_of(found, transforms)))
     if config.control.files:
         control, added = find_control(folder, config.control, crs, headers, _one_level(config, crs))
         findings += added
         found = replace(found, control=control, config=replace(config, control=control.config))
-    return replace(found, assumptions=findings.assumptions, warnings=findings.warnings)
+    return replace(found, findings=findings)
+
+
+def read_headers(folder: Path, place: Path, images: Mapping[str, Path]) -> tuple[dict[str, Exif], Findings]:
+    """EXIF of the photographs in a place of a survey folder, with the positions of a table where there is one."""
+    headers, findings = {name: read_exif(path) for name, path in images.items()}, Findings()
+    if (table := find_geo_txt(folder, place)) is not None:
+        headers, findings = with_positions(table, headers)
+    return without_void_fixes(headers), findings
 
 
 def _warnings_of(found: Found, transforms: Sequence[PositionTransform]) -> Iterator[str]:

@@ -98,7 +98,7 @@ def load_survey(
         placed, added = views_of_photographs(found, workspace, report)
     else:
         placed, added = views_of_file(found, found.poses_path)
-    findings = Findings(found.assumptions, found.warnings) + added
+    findings = found.findings + added
     found, cameras = placed.found, placed.found.config.cameras
     places = {view.name: view.camera.centre for view in placed.views}
     velocities = velocities_of(places, found.headers, cameras.speed_m_s)

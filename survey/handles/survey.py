@@ -88,6 +88,6 @@ class Survey:
             ("crs", self.found.crs.name),
             ("photographs", len(self.found.images)),
             ("poses", "to be found from the photographs" if poses is None else poses.name),
-            *(("warning", text) for text in self.found.warnings),
+            *(("warning", text) for text in self.found.findings.warnings),
         ]
         return table_html(rows)

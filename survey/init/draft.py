@@ -8,15 +8,13 @@ from pathlib import Path
 from geo.files import write_whole
 from survey.control.points import GivenPoint
 from survey.control.reading import read_control
-from survey.errors import FILE_NAME, ConfigError, ControlError, Findings, OutputError, SurveyError
+from survey.errors import FILE_NAME, ConfigError, ControlError, OutputError, SurveyError
 from survey.files.entries import require_plain_entries
 from survey.files.json_values import write_json
 from survey.files.toml_table import schema_of
 from survey.folder import infer
-from survey.folder.found import Found
-from survey.folder.geo_txt import find_geo_txt, with_positions
+from survey.folder.found import Found, read_headers
 from survey.init.crs import Answers, FolderPhotographs, SettingsTable, write_crs, write_origin
-from survey.photos.exif import read_exif, without_void_fixes
 from survey.photos.images import list_images
 from survey.pose_files import find_poses, read_poses
 from survey.settings.config import SurveyConfig, parse_config
@@ -85,11 +83,7 @@ def draft(folder: Path, answers: Answers) -> str:
         images.set("dir", inferred.images.dir)
     if (folder / "masks").is_dir():
         images.set("masks", "masks", "black is left out")
-    headers = {name: read_exif(path) for name, path in found.items()}
-    table, findings = find_geo_txt(folder, folder / inferred.images.dir), Findings()
-    if table is not None:
-        headers, findings = with_positions(table, headers)
-    headers = without_void_fixes(headers)
+    headers, findings = read_headers(folder, folder / inferred.images.dir, found)
     poses = find_poses(folder)
     if poses:
         others = ", ".join(path.relative_to(folder).as_posix() for path in poses[1:])
@@ -109,9 +103,7 @@ def draft(folder: Path, answers: Answers) -> str:
         )
     crs = write_crs(photographs, answers, top, cameras)
     config = parse_config("\n".join(table.text() for table in (top, images, cameras)))
-    write_origin(
-        photographs, answers, Found(folder, config, crs, found, headers, photographs.poses_path, (), ()), local
-    )
+    write_origin(photographs, answers, Found(folder, config, crs, found, headers, photographs.poses_path), local)
     if answers.is_dry:
         top.set("dry", True, "no ground is under water")
     else:

@@ -61,7 +61,7 @@ def require_processable(folder: Path) -> Checked:
     """Test a survey as `check` and `process` do before any computation; nothing slow is imported."""
     found = find_survey(Path(folder))
     if found.poses_path is None:
-        warnings = (*found.warnings, *require_solvable(found))
+        warnings = (*found.findings.warnings, *require_solvable(found))
         return Checked(found, None, warnings, level_warning(found, None))
     survey = load_survey(folder, found=found)
     require_seen(survey)
@@ -174,7 +174,7 @@ def _without_poses(checked: Checked, chosen: Choices) -> list[CheckSection]:
     sizes = [header.size_px for header in found.headers.values()]
     workload = workload_of_images(sizes, chosen)
     warnings = (*checked.ordered_warnings, *room_warnings(workload, found.folder / RUN_FOLDER))
-    return _sections(_rows_without_poses(found), decisions, workload, found.assumptions, warnings)
+    return _sections(_rows_without_poses(found), decisions, workload, found.findings.assumptions, warnings)
 
 
 def _placed_by(found: Found) -> str:

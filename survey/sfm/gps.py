@@ -94,11 +94,10 @@ def positions_in_crs(headers: Mapping[str, Exif], crs: CRS, gps_height: str) -> 
     headers, crs, gps_height
         As for `gps_positions`.
     """
-    given = {name: _given(header) for name, header in headers.items() if is_whole(header.lat_lon_height)}
+    whole = {name: header for name, header in headers.items() if is_whole(header.lat_lon_height)}
     found: dict[str, np.ndarray] = {}
     notes: list[str] = []
-    for source in dict.fromkeys(source for source, _ in given.values()):
-        of_source = {name: place for name, (own, place) in given.items() if own == source}
+    for source, of_source in _by_source(whole).items():
         points, of_source_notes = _in_crs(crs, source, np.array(list(of_source.values())), gps_height)
         notes += of_source_notes
         if not np.isfinite(points).all():
@@ -108,7 +107,7 @@ def positions_in_crs(headers: Mapping[str, Exif], crs: CRS, gps_height: str) -> 
                 f"crs in {FILE_NAME}"
             )
         found |= dict(zip(of_source, points, strict=True))
-    return {name: found[name] for name in given}, notes
+    return {name: found[name] for name in whole}, notes
 
 
 @dataclass(frozen=True)
@@ -123,10 +122,8 @@ class PositionTransform:
 
 def transforms_into_crs(headers: Mapping[str, Exif], crs: CRS, gps_height: str) -> list[PositionTransform]:
     """Transformations of GPS positions into crs, one for each of their sources."""
-    given = {name: _given(header) for name, header in headers.items() if header.lat_lon_height is not None}
     transforms = []
-    for source in dict.fromkeys(source for source, _ in given.values()):
-        own = {name: place for name, (of, place) in given.items() if of == source}
+    for source, own in _by_source(headers).items():
         places = np.array(list(own.values()))
         up = _geoid_std(crs, source, places) if gps_height == "ellipsoidal" else 0.0
         plan = Transformation.between(source.crs, crs, places)
@@ -179,13 +176,16 @@ class _Source:
         return "" if self.name == _EXIF else f" in {self.name}"
 
 
-def _given(header: Exif) -> tuple[_Source, tuple[float, float, float]]:
-    """Source of the position of a photograph, and the position, easting or longitude first."""
-    if header.table_place is not None:
-        return _Source(header.table_place.source, header.table_place.crs), header.table_place.place
-    assert header.lat_lon_height is not None
-    lat, lon, height = header.lat_lon_height
-    return _Source(_EXIF, WGS84), (lon, lat, height)
+def _by_source(headers: Mapping[str, Exif]) -> dict[_Source, dict[str, tuple[float, float, float]]]:
+    """Positions of photographs, easting or longitude first, by source and name."""
+    found: dict[_Source, dict[str, tuple[float, float, float]]] = {}
+    for name, header in headers.items():
+        if (given := header.table_place) is not None:
+            found.setdefault(_Source(given.source, given.crs), {})[name] = given.place
+        elif header.lat_lon_height is not None:
+            lat, lon, height = header.lat_lon_height
+            found.setdefault(_Source(_EXIF, WGS84), {})[name] = (lon, lat, height)
+    return found
 
 
 def is_whole(position: tuple[float, float, float] | None) -> bool:

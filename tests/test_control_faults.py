@@ -20,7 +20,7 @@ EXTERNAL = "<!DOCTYPE d [<!ENTITY x SYSTEM 'http://example.invalid/x'>]>\n"
 FAULTS = {
     "empty": ({"gcp_list__txt": ""}, "gcp_list.txt is empty, expected points of GPX"),
     "only comments": ({"gcp_list__txt": "# nothing\n\n"}, "is empty, expected a line with its CRS"),
-    "no points": ({"gcp_list__txt": "EPSG:25832\n"}, "names no file with coordinates of points"),
+    "no points": ({"gcp_list__txt": "EPSG:25832\n"}, "gcps has no points; name a file with"),
     "no header": ({"gcp_list__txt": odm().split("\n", 1)[1]}, "line 1: .* is a line of a point, expected"),
     "header of no kind": ({"gcp_list__txt": odm(header="Gauss")}, 'line 1: "Gauss" is not a CRS that gcp_list.txt may'),
     "unknown code": ({"gcp_list__txt": odm(header="EPSG:999999")}, "is not a known CRS"),
@@ -45,7 +45,7 @@ FAULTS = {
     "wrong role": ({"points__csv": "name,x,y,z,role\na,1,2,3,both\n"}, 'the role is "both", expected control or check'),
     "wrong accuracy": ({"points__csv": "name,x,y,z,std\na,1,2,3,-1\n"}, "the standard deviations are -1, -1, -1"),
     "no marks": ({"points__csv": table()}, "names points without marks"),
-    "no coordinates": ({"marks__csv": marks()}, "names no file with coordinates"),
+    "no coordinates": ({"marks__csv": marks()}, "gcps has no points"),
     "unknown points": ({"points__csv": table(), "marks__csv": marks(("q",))}, "no point with coordinates is called q"),
     "unknown system": ({"points__csv": "# CoordinateSystem: PROJCS[\n" + table()}, '"PROJCS.* is not'),
     "latin-1": ({"gcp_list__txt": odm().replace("p1", "Fähre").encode("latin-1")}, "is not UTF-8"),

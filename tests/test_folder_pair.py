@@ -49,7 +49,7 @@ def test_two_photographs_with_nothing_but_a_lens_are_refused_with_what_would_pla
 
 def test_a_focal_length_that_nothing_tells_is_asked_for(tmp_path):
     pair = draw_pair(tmp_path / "pair", settings="rolling_shutter_s = 0.0\n", grey=True)
-    with pytest.raises(SurveyError, match=r"two photographs do not tell it; give \[cameras\] focal_px"):
+    with pytest.raises(SurveyError, match=r"two images tell none; give \[cameras\] focal_px"):
         load_survey(pair.folder)
 
 

@@ -356,7 +356,7 @@ def test_a_lens_is_taken_from_survey_toml_in_the_order_of_its_model(tmp_path, mo
 def test_masks_are_found_by_the_name_of_their_image(tmp_path):
     folder = small_survey(tmp_path / "s", toml=replaced(("[cameras]", "[images]\nmasks = 'masks'\n[cameras]")))
     (folder / "masks").mkdir()
-    with pytest.raises(ImageError, match=r"no mask in .* has the name of an image"):
+    with pytest.raises(ImageError, match=r"no mask in .* is named like an image"):
         load_survey(folder)
     for name in ("0000.png", "0001.jpg.png", "0002.jpg"):
         Image.new("L", (64, 48), 255).save(folder / "masks" / name)
@@ -376,7 +376,7 @@ def test_poses_far_from_the_positions_in_exif_are_doubted(tmp_path):
     toml = replaced((f"level_at = [{E0}, {N0}]", ""))
     (folder / "survey.toml").write_text(toml)
     (warning,) = load_survey(folder).findings.warnings
-    assert warning.startswith("the poses lie 100 m (median) from the GPS positions in EXIF; check crs")
+    assert warning.startswith("poses lie 100 m (median) from GPS positions; check crs")
 
 
 def test_an_image_that_exif_marks_as_rotated_is_reported_as_used_as_stored(tmp_path):

@@ -249,7 +249,7 @@ def test_angles_in_radians_are_doubted_and_degrees_are_not(tmp_path):
     assert with_angles(tmp_path / "degrees", strips()).findings.warnings == ()
     (warning,) = with_angles(tmp_path / "radians", np.radians(strips())).findings.warnings
     assert warning.startswith("omega, phi, kappa are at most 3.1")
-    assert "expected degrees; they look like radians" in warning
+    assert "look like radians, expected degrees" in warning
 
 
 @pytest.mark.parametrize("seed", range(20))

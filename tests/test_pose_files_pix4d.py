@@ -83,7 +83,7 @@ def test_positions_less_the_offset_do_with_it_and_not_without(tmp_path, block):
     survey = load(tmp_path, block, CAMERAS)
     assert most_missed_px(survey, block) < CLOSE_PX
     (tmp_path / "site_offset.xyz").unlink()
-    with pytest.raises(PosesError, match=r"less an offset, and site_offset\.xyz is not beside it"):
+    with pytest.raises(PosesError, match=r"lacks the offset in site_offset\.xyz; put that beside it"):
         read_poses(tmp_path / CAMERAS)
 
 

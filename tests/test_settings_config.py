@@ -157,7 +157,7 @@ def test_an_unknown_key_is_refused_with_a_near_name_its_place_or_what_is_known(t
             "focal_px is -900, expected one focal length or [fx, fy] in pixels, above",
         ),
         ("[cameras]\nfocal_px = [900]", "expected one focal length or [fx, fy]"),
-        ("[cameras]\ndistortion = [0.1]", "distortion is given without model"),
+        ("[cameras]\ndistortion = [0.1]", "distortion is without model"),
         ("[cameras]\nmodel = 'RADIAL'\ndistortion = 0.1", "expected a list of coefficients"),
         (
             "[cameras]\ngps_height = 'geoid'",

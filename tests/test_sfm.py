@@ -167,7 +167,7 @@ def test_the_grid_that_is_missing_is_one_of_the_geoid_and_not_of_horizontal_datu
 
 def test_a_vertical_datum_of_another_country_is_said_not_to_hold_at_the_place():
     headers = {f"{i}.jpg": head((53.8 + 1e-4 * i, 9.0, 30.0)) for i in range(3)}
-    with pytest.raises(ConfigError, match="PROJ does not have for the place of these photographs"):
+    with pytest.raises(ConfigError, match="PROJ does not have here"):
         gps_positions(headers, parse_crs("EPSG:25832+5703"), "ellipsoidal")
 
 

@@ -99,7 +99,7 @@ def test_a_block_that_nothing_places_is_left_out_by_name_whichever_it_is(rng, lo
     assert [set(sfm_block.poses_of(block)) for block in placed.blocks] == [set(known)]
     assert apart.worst(placed) < 1e-6
     (note,) = [note for note in placed.notes if "form a separate block" in note]
-    assert "0 of 18 images that structure from motion placed have a GPS position" in note
+    assert "0 of 18 solved images have GPS positions" in note
     assert f"left out: {sorted(set(apart.centres) - set(known))[0]}" in note
 
 

@@ -160,7 +160,7 @@ def test_cells_too_small_for_the_photographs_are_refused_before_any_folder(folde
     [
         ({"submodules": "2x0"}, "submodules is 2x0, expected a number, or 3x2"),
         ({"submodules": "two"}, "submodules is two, expected a number"),
-        ({"drop": "all"}, "drop is all, expected one of geometry, network, none"),
+        ({"drop": "all"}, 'drop is "all", expected geometry, network or none'),
     ],
 )
 def test_options_without_sense_are_refused(wrong, said):

@@ -171,10 +171,7 @@ def merge_control(
 
 def _points(given: Sequence[GivenPoint], crs: CRS) -> dict[str, GivenPoint]:
     if not given:
-        raise ControlError(
-            "[control] gcps names no file with coordinates of points, expected name,easting,northing,height; name one "
-            "beside the marks"
-        )
+        raise ControlError("[control] gcps has no points; name a file with name,easting,northing,height beside marks")
     same = _SAME_DEG if is_geographic(crs) else _SAME_M
     points: dict[str, GivenPoint] = {}
     for point in given:

@@ -75,10 +75,7 @@ def read_checkpoints(path: Path, level: float | None = None, survey_crs: CRS | N
         point = GivenPoint(row.cells.get("name") or str(i), row.where, _place(row), crs, is_check=True, units=stated)
         first = points.setdefault(point.name, point)
         if first is not point:
-            raise ControlError(
-                f"{row.where}: the check point {point.name} was there before, in {first.where}; remove one, "
-                "or give it another name"
-            )
+            raise ControlError(f"{row.where}: check point {point.name} is in {first.where} too; remove or rename one")
     return tuple(points.values())
 
 

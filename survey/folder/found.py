@@ -219,10 +219,7 @@ def head_warnings(headers: Mapping[str, Exif]) -> list[str]:
     if rotated:
         warnings.append(f"EXIF marks {rotated} of {num} images as rotated; pixels and poses are taken as stored")
     if paged:
-        warnings.append(
-            f"{paged} of {num} images have several pages, of which the first is used; if they are bands or other "
-            "photographs, split them"
-        )
+        warnings.append(f"{paged} of {num} images have several pages, of which the first is used; split files of bands")
     return warnings + position_warnings(headers)
 
 

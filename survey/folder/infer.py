@@ -67,10 +67,7 @@ def config_of_images(
         message = f'crs = "{crs}", that of {GCP_LIST}{heights}; its points place the photographs'
         return replace(config, crs=crs, control=replace(config.control, gcps=GCP_LIST)), Findings((message,))
     if code is None:
-        raise ConfigError(
-            f"{folder} has no {FILE_NAME}, and no image has a GPS position to infer it from; write {FILE_NAME} with "
-            f"{_EXAMPLE}"
-        )
+        raise ConfigError(f"{folder} has no {FILE_NAME} and no image a GPS position; write {FILE_NAME} with {_EXAMPLE}")
     crs = f"EPSG:{code}+{EGM96_HEIGHT}"
     is_located = by_exif is not None and file is not None and file.frame is not PoseFrame.LOCAL
     if file is not None and is_located and not fits_positions(CRS(crs), file, poses_path, headers):

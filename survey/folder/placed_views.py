@@ -57,9 +57,7 @@ def with_masks(found: Found, views: Sequence[View], own: Path | None) -> tuple[l
     if len(without) == len(views):
         if given is None:
             return masked, Findings()
-        raise ImageError(
-            f"no mask in {given} has the name of an image, expected e.g. {Path(views[0].name).stem}.png; rename them"
-        )
+        raise ImageError(f"no mask in {given} is named like an image, e.g. {Path(views[0].name).stem}.png; rename them")
     _require_sizes(masked)
     message = f"the masks are those {where}, of {len(views) - len(without)} images; black is left out"
     warnings = (*named(without, "image", "without a mask, used whole"), *_warnings(masked))

@@ -207,10 +207,7 @@ def place_warnings(
     distances = distances_to_exif(frame.crs, crs_centres, headers)
     away_m = float(np.median(distances)) if distances.size else 0.0
     if away_m > _EXIF_DOUBT_M:
-        found.append(
-            f"the poses lie {distance_text(away_m)} (median) from the GPS positions in EXIF; check "
-            "crs and, for local poses, [local] origin"
-        )
+        found.append(f"poses lie {distance_text(away_m)} (median) from GPS positions; check crs and [local] origin")
     return found
 
 

@@ -15,7 +15,7 @@ from geo.crs import EARTH_RADIUS_M, height_unit_m, middle_lon_lat
 from refract.lens import Lens
 from survey.control.local_control import require_near
 from survey.display.quantities import distance_text, named
-from survey.errors import FILE_NAME, ControlError, Findings, ImageError, PosesError
+from survey.errors import ControlError, Findings, ImageError, PosesError
 from survey.folder.checked_control import control_of_block, may_hold_roll, require_placing_control, with_two_marks
 from survey.folder.faults import (
     above_start_of,
@@ -217,10 +217,7 @@ def require_focal(found: Found) -> None:
     known = one_focal(found.config.cameras.focal_px) is not None
     lacking = [name for name, header in found.headers.items() if header.focal_px is None]
     if len(found.headers) == 2 and lacking and not known:
-        raise ImageError(
-            f"{lacking[0]} has no focal length in EXIF, and two photographs do not tell it; give [cameras] focal_px in "
-            f"{FILE_NAME}"
-        )
+        raise ImageError(f"{lacking[0]} has no focal length in EXIF and two images tell none; give [cameras] focal_px")
 
 
 def require_scale(found: Found) -> None:

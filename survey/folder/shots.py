@@ -36,10 +36,7 @@ def _several_cameras(headers: Mapping[str, Exif]) -> list[str]:
         endings = {stem.rpartition("_")[2] for stem in own}
         named = f" (*_{endings.pop()})" if len(endings) == 1 else ""
         kinds.append(f"{num} of {width} x {height} px{named}")
-    return [
-        f"each shot has photographs of several cameras: {' and '.join(kinds)}; keep those of one camera, as thermal "
-        "and multispectral ones do not match with others"
-    ]
+    return [f"each shot has photographs of several cameras: {' and '.join(kinds)}; keep one, as others do not match"]
 
 
 def _number(name: str) -> str:

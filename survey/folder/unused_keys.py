@@ -67,10 +67,7 @@ def _of_rotation_std(given: Circumstances) -> str | None:
         return "GPS positions place the poses, and with them their rotations"
     if given.poses is not None or any(header.motion.gimbal_deg is not None for header in given.headers.values()):
         return None
-    return (
-        "it is that of poses from a file or of attitudes in XMP, and there are neither; remove it, or name the poses "
-        "in [cameras] poses"
-    )
+    return "it is that of poses of a file or attitudes in XMP, and there are none; remove it, or name [cameras] poses"
 
 
 def _of_speed(given: Circumstances) -> str | None:

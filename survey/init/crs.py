@@ -166,10 +166,7 @@ def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
     if file is not None and file.crs is None and file.frame in (PoseFrame.GRID, PoseFrame.ENU):
         crs = CRS(f"EPSG:{zone}+{EGM96_HEIGHT}")
         if not infer.fits_positions(crs, file, photographs.poses_path, photographs.headers):
-            return (
-                None,
-                f"the poses in {photographs.poses_path} are not in {horizontal_crs(crs).name}, nor say their crs",
-            )
+            return None, f"{photographs.poses_path} is not in {horizontal_crs(crs).name}, nor says its crs"
     return f"EPSG:{zone}", by
 
 
@@ -212,11 +209,7 @@ def _vertical(
         ("Not certain: levels of water may be in the heights of a country; then put its code here:",) if listed else ()
     )
     more += tuple(f"    {system}" for system in listed)
-    return (
-        EGM96_HEIGHT,
-        f"heights above mean sea level (EGM96), as those in {position_sources(photographs.headers)}",
-        more,
-    )
+    return EGM96_HEIGHT, f"heights above mean sea level (EGM96), as in {position_sources(photographs.headers)}", more
 
 
 def _of_ellipsoidal(

@@ -176,10 +176,7 @@ def read_model(folder: Path) -> PoseFile:
                 "and a translation of finite numbers; correct it or remove the image from the model"
             )
         if image.camera not in cameras:
-            raise PosesError(
-                f"{path}: image {name} has the camera {image.camera}, which cameras{suffix} does not have; write "
-                "the model again"
-            )
+            raise PosesError(f"{path}: image {name} has camera {image.camera}, not in cameras{suffix}; save both again")
         if image.camera not in lenses:
             try:
                 lenses[image.camera] = lens_of(*cameras[image.camera])

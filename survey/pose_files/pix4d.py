@@ -126,10 +126,7 @@ def _camera(where: str, title: str, lines: list[str]) -> _Camera:
 
 def _offset(path: Path, wanted_by: Path) -> np.ndarray:
     if not path.is_file():
-        raise PosesError(
-            f"{wanted_by} has positions less an offset, and {path.name} is not beside it; put it there, or "
-            f"*{_EXTERNAL}, which has full positions"
-        )
+        raise PosesError(f"{wanted_by} lacks the offset in {path.name}; put that beside it, or *{_EXTERNAL} instead")
     cells = [cell for _, line in text_lines(path, PosesError) for cell in line.split()]
     return np.array(numbers_in(cells, 3, str(path), _EXPORT))
 

@@ -106,9 +106,7 @@ class CamerasConfig:
             if getattr(self, name) is not None and self.rolling_shutter_s is None:
                 raise ConfigError(f"[cameras] {name} is given without rolling_shutter_s, which it describes; give both")
         if self.distortion is not None and self.model is None:
-            raise ConfigError(
-                '[cameras] distortion is given without model; give e.g. model = "OPENCV" with k1, k2, p1, p2'
-            )
+            raise ConfigError('[cameras] distortion is without model; give e.g. model = "OPENCV" with k1, k2, p1, p2')
         if self.principal_point_px is not None and self.size_px is not None:
             inside = all(0.0 < p < s for p, s in zip(self.principal_point_px, self.size_px, strict=True))
             if not inside:

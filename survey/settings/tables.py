@@ -148,10 +148,7 @@ class ControlConfig:
         if self.marks is not None and self.gcps is None:
             raise ConfigError("[control] marks is given without gcps; name the file of the coordinates there")
         if self.reference is None and (self.reference_std_m is not None or self.stable is not None):
-            raise ConfigError(
-                "[control] reference_std_m and stable belong to a reference, and none is given; name its file in "
-                "reference, or remove them"
-            )
+            raise ConfigError("[control] reference_std_m and stable are without reference; name it, or remove them")
 
     @property
     def gcp_files(self) -> tuple[str, ...]:

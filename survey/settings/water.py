@@ -54,10 +54,7 @@ class LevelRate:
         if rate is None and self.level_time is not None:
             raise ConfigError("[water] level_time is given without level_rate_m_per_h, to which it belongs; give both")
         if rate is None and self.level_rate_std_m_per_h is not None:
-            raise ConfigError(
-                "[water] level_rate_std_m_per_h is given without level_rate_m_per_h, to which it belongs; give both, "
-                "0 if nothing is known"
-            )
+            raise ConfigError("[water] level_rate_std_m_per_h is without level_rate_m_per_h; give both, 0 if unknown")
 
 
 @dataclass(frozen=True)
@@ -195,15 +192,9 @@ class WaterConfig:
 
     def _require_one_index(self) -> None:
         if self.refractive_index is not None and self.medium.named:
-            raise ConfigError(
-                f"[water] has both refractive_index and {' and '.join(self.medium.named)}, which contradict each "
-                "other; keep one"
-            )
+            raise ConfigError(f"[water] has both refractive_index and {' and '.join(self.medium.named)}; keep one")
         if self.medium.index_wavelength_nm is not None and self.refractive_index is None:
-            raise ConfigError(
-                "[water] has index_wavelength_nm without refractive_index, whose wavelength it states; give both, or "
-                "temperature_c alone"
-            )
+            raise ConfigError("[water] index_wavelength_nm is without refractive_index; give both, or temperature_c")
 
 
 def require_slope(slope: tuple[float, float], source: str, remedy: str) -> None:

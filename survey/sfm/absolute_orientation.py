@@ -211,10 +211,7 @@ def _to_positions(block: pycolmap.Reconstruction, positions: Mapping[str, np.nda
     centres = {name: centre for name, (centre, _) in sfm_block.poses_of(block).items() if name in positions}
     num = block.num_reg_images()
     if len(centres) < (least := least_track(num)):
-        raise PosesError(
-            f"{len(centres)} of {num} images that structure from motion placed have a GPS position, "
-            f"expected at least {least}; {GIVE_POSES}"
-        )
+        raise PosesError(f"{len(centres)} of {num} solved images have GPS positions, expected {least}; {GIVE_POSES}")
     ours, gps = np.array(list(centres.values())), np.array([positions[name] for name in centres])
     if num == 2:
         # Which leave the roll about their line open, and tell no wrong one.

@@ -109,10 +109,7 @@ def height_transformer(crs: CRS, area: AreaOfInterest) -> Transformer:
     geodetic = horizontal_crs(crs).geodetic_crs
     grids = [] if geodetic is None else _geoid_grids(group.unavailable_operations, geodetic.name)
     if not grids:
-        raise ConfigError(
-            f"{message}, which PROJ does not have for the place of these photographs; correct the vertical part of "
-            f"crs, {instead}"
-        )
+        raise ConfigError(f"{message}, which PROJ does not have here; correct the vertical part of crs, {instead}")
     missing = f"the grid {grids[0]} is" if len(grids) == 1 else f"the grids {' and '.join(grids)} are"
     get = " and ".join(f"pyproj sync --file {name}" for name in grids)
     raise ConfigError(

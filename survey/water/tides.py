@@ -170,10 +170,7 @@ def _times(headers: Mapping[str, Exif], lack: str) -> dict[str, float]:
     """Moments [s] of the photographs that have one; ConfigError where none has."""
     taken = {name: header.taken.timestamp() for name, header in headers.items() if header.taken is not None}
     if not taken:
-        raise ConfigError(
-            "no image has its time of exposure in UTC (EXIF GPS time, or DateTimeOriginal with an offset from UTC), so "
-            + lack
-        )
+        raise ConfigError(f"no image has its time in UTC (EXIF GPS time, DateTimeOriginal with an offset), so {lack}")
     return taken
 
 

@@ -184,7 +184,7 @@ def test_check_points_are_read_with_or_without_names(tmp_path):
     )
     with pytest.raises(ControlError, match=r"rods\.csv has no check points"):
         load_survey(with_control(tmp_path, 'checkpoints = "rods.csv"', rods__csv="easting,northing,height\n"))
-    with pytest.raises(ControlError, match="line 5: check point p1 is in .* too"):
+    with pytest.raises(ControlError, match=r"line 5: check point p1 is in .* too"):
         load_survey(with_control(tmp_path, 'checkpoints = "rods.csv"', rods__csv=table([*POINTS, POINTS[0]])))
 
 

@@ -132,7 +132,7 @@ def test_swapped_columns_are_said(rng):
     level = block_control(true, places=PLACES * [1.0, 1.0, 0.0])
     assert len(fit_control(replace(level, points=flat), true).used) == 6
     turned = tuple(replace(point, local=point.local[[1, 0, 2]]) for point in flat)
-    with pytest.raises(ControlError, match=r"under the ground: easting and northing .* swapped"):
+    with pytest.raises(ControlError, match="under the ground; swap easting and northing"):
         fit_control(replace(level, points=turned), true)
 
 

@@ -303,10 +303,7 @@ def _require_one_column(table: Table) -> None:
     for name in (*PLACE[:2], "depth", *(("level",) if _has_depths(table) else ())):
         twice = [column.cell for column in table.columns if column.name == name]
         if len(twice) > 1:
-            raise table.error(
-                f"{table.path} has {len(twice)} columns that may be the {name}, {' and '.join(twice)}; keep the one "
-                f"that counts in crs, and call it {name}"
-            )
+            raise table.error(f"{table.path}: {' and '.join(twice)} may be the {name}; call the one in crs {name}")
     heights = [c.cell for c in table.columns if c.name in ("height", "depth") or c.cell in _HEIGHTS]
     if len(heights) > 1 and heights != _OF_SOUNDINGS:
         raise table.error(

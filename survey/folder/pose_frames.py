@@ -133,10 +133,7 @@ def _geodetic(file: PoseFile, points: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def _from_geocentric(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: str) -> np.ndarray:
     own = _WGS84 if file.crs is None else file.crs
     if prime_meridian_rad(own) or angular_unit_rad(own) != math.radians(1.0):
-        raise PosesError(
-            f"the poses are geocentric on the datum of {own.name}, expected one with degrees from Greenwich; export "
-            "them in WGS 84 or in a CRS on it"
-        )
+        raise PosesError(f"the poses are geocentric on {own.name}, whose degrees are not from Greenwich; export WGS 84")
     lon, lat, height = _geodetic(file, points)
     lon, lat = np.degrees(lon), np.degrees(lat)
     east, north = Transformation.between(geodetic_crs(own), crs, np.column_stack([lon, lat]))(lon, lat)

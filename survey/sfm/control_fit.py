@@ -113,10 +113,7 @@ def fit_majority(intersections: Intersections, views: Mapping[str, PinholeCamera
     good = best[0]
     similarity = fit_similarity(intersections.places[good], control_xyz[good])
     if _is_below(similarity, intersections, good, views):
-        raise ControlError(
-            "control points put the cameras under the ground: easting and northing (or longitude and latitude) are "
-            "swapped in their file; swap the two columns"
-        )
+        raise ControlError("control points put the cameras under the ground; swap easting and northing in their file")
     off = np.linalg.norm(similarity(intersections.places) - control_xyz, axis=1)
     wrong = {intersections.points[i].name: float(off[i]) for i in np.flatnonzero(~good)}
     return ControlFit(similarity, intersections, wrong)
@@ -224,10 +221,7 @@ def _too_few(control: BlockControl, views: Mapping[str, PinholeCamera], intersec
 def _contradiction(intersections: Intersections, control_xyz: np.ndarray, std: np.ndarray) -> str:
     """Reason why no similarity fits most of the points."""
     if _agreements(intersections, control_xyz[:, [1, 0, 2]], std):
-        return (
-            "control points fit the photographs with easting and northing (or longitude and latitude) swapped, and not "
-            "as they are; swap the two columns in their file"
-        )
+        return "control points fit with easting and northing (or longitude and latitude) swapped; swap these columns"
     similarity = fit_similarity(intersections.places, control_xyz)
     off = similarity(intersections.places) - control_xyz
     rms = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))

@@ -132,7 +132,7 @@ def test_an_unknown_key_is_refused_with_a_near_name_its_place_or_what_is_known(t
             "slope_east and slope_north are 0 and 4, 76 degrees, expected a rise of at most 0.065",
         ),
         ("[water]\nlevel_m = 1\nrefractive_index = 0.75", "refractive_index is 0.75, expected 1.0 to 1.6"),
-        ("[water]\nlevel_m = 1\nrefractive_index = 1.3\ntemperature_c = 3", "both refractive_index and temperature_c; keep one"),
+        ("[water]\nlevel_m = 1\nrefractive_index = 1.3\ntemperature_c = 3", "has both refractive_index and temp"),
         ("[water]\nlevel_m = 1\nsalinity_psu = 3", "salinity_psu without temperature_c"),
         ("[water]\nlevel_m = 1\nlevel_at = [1, 2, 3]", "water.level_at is [1, 2, 3], expected [easting, northing]"),
         (

@@ -110,7 +110,7 @@ def test_a_gauge_that_does_not_cover_the_flight_is_refused(tmp_path):
 
 def test_images_without_a_time_are_refused(tmp_path):
     write_gauge(tmp_path, "2024-06-01T10:00:00Z,1.0", "2024-06-01T10:15:00Z,1.1")
-    with pytest.raises(ConfigError, match="no image has its time of exposure"):
+    with pytest.raises(ConfigError, match="no image has its time in UTC"):
         with_level(tmp_path, gauge_config(), {"a.jpg": HEAD}, CRS)
 
 

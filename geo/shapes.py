@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 from pyproj import CRS
@@ -40,6 +41,7 @@ class Mesh:
     height_unit_m: float | None = None  # [m]: One unit of height, where the file says it and its CRS does not
 
 
+_Shape = TypeVar("_Shape", bound=Mesh | Cloud)
 # Classes of LAS 1.4 and its topo-bathy profile that are left out: noise, water, and places where no bottom was found.
 NOT_GROUND = {
     7: "low noise",
@@ -137,7 +139,7 @@ def vertices_of(shape: Mesh | Cloud) -> np.ndarray:
     return shape.vertices if isinstance(shape, Mesh) else shape.points
 
 
-def in_height_unit(shape: Mesh | Cloud, unit_m: float) -> Mesh | Cloud:
+def in_height_unit(shape: _Shape, unit_m: float) -> _Shape:
     """A shape with its heights converted to another unit [m], where its file states one besides its CRS."""
     if shape.height_unit_m is None or shape.height_unit_m == unit_m:
         return shape

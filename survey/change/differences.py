@@ -26,6 +26,7 @@ import numpy as np
 from pyproj import CRS
 from scipy.fft import irfft2, next_fast_len, rfft2
 
+from evaluation.bootstrap import cell_numbers
 from evaluation.robust import MAD_TO_STD
 from evaluation.standards import TO_95
 from geo import Cloud, read_reference, require_same_place
@@ -273,8 +274,7 @@ def _survey_points(cloud: Cloud, path: Path, crs: CRS, stated: StatedStd) -> tup
         if own is not None and has_height(own):
             # Equal but for the unit of heights.
             cloud = replace(cloud, points=cloud.points * [1.0, 1.0, height_unit_m(own) / unit_m])
-        shape = in_height_unit(cloud, unit_m)
-        cloud = shape if isinstance(shape, Cloud) else cloud
+        cloud = in_height_unit(cloud, unit_m)
     std, of_own = _values(cloud, "std", stated.own_m, path, "--std")
     common, of_common = _values(cloud, "std_common", stated.common_m, path, "--std-common")
     keep = np.isfinite(std) & np.isfinite(common) & np.isfinite(cloud.points).all(axis=1)
@@ -304,15 +304,14 @@ def _spacing_m(points: np.ndarray, metres: np.ndarray) -> float:
 def _raster_of(survey: SurveyPoints, cells: Grid, crs: CRS, spacing_m: float) -> tuple[np.ndarray, ...]:
     """Heights, their own and their common standard deviations (rows, columns) [m]; NaN where there are none."""
     at = cells.columns_rows(survey.points)
-    inside = ((at >= 0.0) & (at < cells.shape[::-1])).all(axis=1)
-    at, std, common = at[inside], survey.std[inside], survey.common[inside]
+    number = cell_numbers(at, cells.shape)
+    inside = number >= 0
+    at, number, std, common = at[inside], number[inside], survey.std[inside], survey.common[inside]
     height = survey.points[inside, 2] * height_unit_m(crs)
-    cell = np.floor(at).astype(np.int64)
-    number = cell[:, 1] * cells.shape[1] + cell[:, 0]
     layers = np.full((3, cells.shape[0] * cells.shape[1]), np.nan)
     if len(at):
         correlated = correlated_px2(at * cells.side_m, height, std, spacing_m)
-        offset = (at - cell - 0.5) * [1.0, -1.0]
+        offset = (at - np.floor(at) - 0.5) * [1.0, -1.0]
         points = CellPoints(number, offset, height, std)
         fits = fit_cells(points, side=cells.side_m, pixel=spacing_m, correlated=correlated)
         size = layers.shape[1]

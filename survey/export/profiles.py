@@ -102,8 +102,7 @@ class Bed:
             raise ProfileError(f"{file} names no CRS, which places the lines in it; give the run folder instead")
         self.crs = crs if has_height(crs) else crs.to_3d()
         # A file alone may give its heights in another unit than metres beside its CRS.
-        shape = in_height_unit(self._cloud, height_unit_m(self.crs))
-        self._cloud = shape if isinstance(shape, Cloud) else self._cloud
+        self._cloud = in_height_unit(self._cloud, height_unit_m(self.crs))
         self._middle = self._cloud.points[:, :2].mean(axis=0)
         self._metres = ground_units_m(self.crs, self._middle)
         self._tree = cKDTree(self._plan(self._cloud.points[:, :2]))

@@ -355,8 +355,7 @@ def _in_crs(path: Path, crs: CRS) -> tuple[Cloud, tuple[float, float], Findings]
     unit_m = height_unit_m(crs)
     if own is not None and has_height(own):
         cloud = replace(cloud, points=cloud.points * [1.0, 1.0, height_unit_m(own) / unit_m])
-    scaled = in_height_unit(cloud, unit_m)
-    return scaled if isinstance(scaled, Cloud) else cloud, (0.0, 0.0), Findings(tuple(notes))
+    return in_height_unit(cloud, unit_m), (0.0, 0.0), Findings(tuple(notes))
 
 
 def _shared_std(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,65 +69,52 @@ def headline(verdict: RunVerdict | None, warnings: tuple[str, ...]) -> Headline:
 
 def cards(figures: ReportFigures) -> list[Card]:
     """The few numbers that matter most."""
-    of_run = [*_of_heights(figures), *_of_cloud(figures), *_of_flight(figures), *_of_adjustment(figures)]
-    return [*of_run, *_of_checkpoints(figures), *_of_comparison(figures)]
+    return [*_of_heights(figures), *_of_cloud(figures), *_of_flight(figures), *_of_comparison(figures)]
 
 
-def _of_heights(figures: ReportFigures) -> list[Card]:
-    std = figures.height_std
-    if std is None:
-        return []
+def _of_heights(figures: ReportFigures) -> Iterator[Card]:
+    if (std := figures.height_std) is None:
+        return
     shared = "" if std.shared is None else f"{length(std.shared)} shared by all, "
-    found = [Card("Height, one sigma, all included", length(std.whole), f"{shared}{length(std.random)} random")]
+    yield Card("Height, one sigma, all included", length(std.whole), f"{shared}{length(std.random)} random")
     stated = figures.stated
     if figures.comparison is None and stated is not None and stated.orders:
         order = stated.strictest
         detail = "strictest order for 95 % of the points, by what the cloud states"
-        found.append(Card("IHO S-44, vertical, stated", "none" if order is None else order.name, detail))
-    return found
+        yield Card("IHO S-44, vertical, stated", "none" if order is None else order.name, detail)
 
 
-def _of_cloud(figures: ReportFigures) -> list[Card]:
+def _of_cloud(figures: ReportFigures) -> Iterator[Card]:
     cloud = figures.cloud
     over = f"{density(cloud.density_per_m2)} over {area(cloud.covered_area_m2)}" if cloud.density_per_m2 else ""
-    found = [Card("Points of the bed", count(cloud.points), over)]
+    yield Card("Points of the bed", count(cloud.points), over)
     if (depth := cloud.depth_m) is not None:
-        found.append(Card("Median depth", height(depth.median), f"{height(depth.min)} to {height(depth.max)}"))
+        yield Card("Median depth", height(depth.median), f"{height(depth.min)} to {height(depth.max)}")
     if (std := cloud.std_m) is not None:
-        found.append(Card("Height std, median", length(std.median), f"95 % below {length(std.p95)}"))
+        yield Card("Height std, median", length(std.median), f"95 % below {length(std.p95)}")
     for gate in () if figures.verdict is None else figures.verdict.gates:
         if gate.unit == "%" and is_known(gate.value):
             value, limit = share(0.01 * gate.value), share(0.01 * gate.limit)
-            found.append(Card(gate.name.capitalize(), value, f"{limit} required"))
-    return found
+            yield Card(gate.name.capitalize(), value, f"{limit} required")
 
 
-def _of_flight(figures: ReportFigures) -> list[Card]:
-    survey, plan = figures.survey, figures.plan
+def _of_flight(figures: ReportFigures) -> Iterator[Card]:
+    """Photographs, adjustment, check points."""
+    survey, plan, adjustment, checkpoints = figures.survey, figures.plan, figures.adjustment, figures.checkpoints
     left_out = f"{survey.views_left_out} left out" if survey.views_left_out else "all used"
-    return [
-        Card("Photographs", count(survey.views_used), left_out),
-        Card("Ground resolution", length(plan.gsd_m), f"from {distance(plan.height_m)} above"),
-    ]
+    yield Card("Photographs", count(survey.views_used), left_out)
+    yield Card("Ground resolution", length(plan.gsd_m), f"from {distance(plan.height_m)} above")
+    if adjustment is not None and adjustment.common is not None:
+        yield Card("Common std of all heights", length(adjustment.common.mean), "by water, lens and poses")
+    if checkpoints is not None and checkpoints.groups:
+        found = checkpoints.groups[0]
+        detail = f"RMS at {found.num} of {len(checkpoints.rows)}, mean {length(found.mean_m)}"
+        yield Card("Check points", length(found.rms_m), detail)
 
 
-def _of_adjustment(figures: ReportFigures) -> list[Card]:
-    if figures.adjustment is None or (common := figures.adjustment.common) is None:
-        return []
-    return [Card("Common std of all heights", length(common.mean), "by water, lens and poses")]
-
-
-def _of_checkpoints(figures: ReportFigures) -> list[Card]:
-    if figures.checkpoints is None or not figures.checkpoints.groups:
-        return []
-    found = figures.checkpoints.groups[0]
-    detail = f"RMS at {found.num} of {len(figures.checkpoints.rows)}, mean {length(found.mean_m)}"
-    return [Card("Check points", length(found.rms_m), detail)]
-
-
-def _of_comparison(figures: ReportFigures) -> list[Card]:
+def _of_comparison(figures: ReportFigures) -> Iterator[Card]:
     if figures.comparison is None:
-        return []
+        return
     distances, uncertainty = figures.comparison.summary.distances, figures.comparison.uncertainty
     mean_m, std_m = distances.mean_inner90_m, distances.std_inner90_m
     unit = LengthUnit.of([std_m, mean_m])
@@ -134,10 +122,9 @@ def _of_comparison(figures: ReportFigures) -> list[Card]:
     surface, detail = figures.comparison.reference_surface, "mean ± std, inner 90 %"
     if surface is not None:
         detail += f"; the reference itself ± {length(surface.std_median_m)} between its points"
-    found = [Card("From the reference", value, detail)]
+    yield Card("From the reference", value, detail)
     if uncertainty is not None:
-        found.append(_of_orders(uncertainty.iho))
-    return found
+        yield _of_orders(uncertainty.iho)
 
 
 def _of_orders(iho: IhoS44) -> Card:

@@ -122,8 +122,7 @@ def _level(facts: ReportFacts, cut: Cut) -> np.ndarray | None:
     water = facts.survey.water
     if water is None:
         return None
-    places = cut.start + np.linspace(0.0, cut.length_m, 2)[:, None] * cut.direction
-    on_water = np.column_stack([places, np.asarray(water.height(places[:, 0], places[:, 1]))])
+    on_water = np.column_stack([cut.ends, np.asarray(water.height(*cut.ends.T))])
     return facts.survey.frame.crs_from_local(on_water)[:, 2]
 
 

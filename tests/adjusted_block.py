@@ -19,7 +19,7 @@ from survey.adjust.result.adjustment import (
     Status,
 )
 from survey.settings.config import WaterConfig
-from tests.drawn_block import DrawnBlock, draw_block, water_plane
+from tests.drawn_block import DrawnBlock, draw_block
 
 POSE_NAMES = ("x", "y", "z", "turn_x", "turn_y", "turn_z")
 
@@ -81,11 +81,6 @@ def drawn_adjustment(seed: int = 3, **changes) -> tuple[DrawnBlock, Adjustment]:
         control=control,
         points=block.points,
     )
-
-
-def plane_of(block: DrawnBlock):
-    """The true water of a block."""
-    return water_plane(block.water)
 
 
 def assert_same(found: Adjustment, expected: Adjustment) -> None:

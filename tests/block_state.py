@@ -7,7 +7,7 @@ import numpy as np
 from survey.adjust.block.prediction import Prediction, apparent_rise_design, linearise, predict
 from survey.adjust.block.state import NUM_LENS, NUM_RELIEF, Layout, State
 from survey.photos.poses import TiePoints
-from tests.drawn_block import DrawnBlock, water_plane
+from tests.drawn_block import DrawnBlock
 
 STEP = 1e-5
 
@@ -21,7 +21,7 @@ def state_of(
     velocity_per_row = block.velocities / (lens.height - 1) if rolls else None
     layout = Layout(np.arange(len(block.cameras)) % 2, np.ones(2), velocity_per_row, finds_readouts=finds_readouts)
     state = State(
-        water_plane(block.water),
+        block.plane,
         np.zeros(NUM_RELIEF),
         np.tile(parameters, (2, 1)),
         np.array([camera.centre for camera in block.cameras]),

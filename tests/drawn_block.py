@@ -73,6 +73,11 @@ class DrawnBlock:
     lens: Lens
     water: np.ndarray
 
+    @property
+    def plane(self) -> FlatWater:
+        """The true water."""
+        return water_plane(self.water)
+
 
 def water_plane(water: np.ndarray) -> FlatWater:
     """Water of level at the origin, slopes along x and y, and index."""

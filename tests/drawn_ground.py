@@ -11,7 +11,7 @@ from survey.folder.survey import Survey
 from survey.settings.tables import ControlConfig
 from tests.block_survey import survey_of, with_shift
 from tests.changed_survey import changed
-from tests.drawn_block import DrawnBlock, draw_block, water_plane
+from tests.drawn_block import DrawnBlock, draw_block
 
 # Of the earlier survey: noise of a point, and spacing [m].
 NOISE_M, SPACING_M = 0.03, 0.25
@@ -59,7 +59,7 @@ def drawn_on_ground(
     places = places + rng.uniform(-0.3, 0.3, places.shape) * SPACING_M
     above = height(places)
     dry = above > 0.15
-    ground = np.column_stack([places, water_plane(block.water).height(*places.T) + above])[dry]
+    ground = np.column_stack([places, block.plane.height(*places.T) + above])[dry]
     ground[:, 2] += NOISE_M * rng.standard_normal(len(ground))
     if changed_share > 0.0:
         across = ground[:, :2] @ np.array([np.cos(toward), -np.sin(toward)])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import ExifTags, Image
-from plane_survey import look
+from plane_survey import look, waves
 
 from geo.crs import parse_crs
 from geo.frames import LocalFrame
@@ -18,6 +18,8 @@ from survey.simulate.output.sidecars import gps_exif
 FRAME = LocalFrame(parse_crs("EPSG:25832+7837"), (676120.0, 5311480.0, 584.0))
 SIZE, FOCAL, NOISE = (480, 360), 600.0, 1.5
 FLYING_M, BASE_M, INDEX = 30.0, 5.0, 1.335
+# Wavelengths of the texture.
+TEXTURE_M = (0.15, 3.0)
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ def draw_pair(
     for number, camera in enumerate(cameras):
         levels = np.full(SIZE[::-1], 128.0)
         if not grey:
-            levels += 30.0 * _texture(_seen(camera, water, pair)) + rng.normal(0.0, NOISE, levels.shape)
+            levels += 30.0 * waves(5, _seen(camera, water, pair), TEXTURE_M) + rng.normal(0.0, NOISE, levels.shape)
         exif = Image.Exif()
         if gps:
             e, n, h = FRAME.crs_from_local(camera.centre)
@@ -89,12 +91,3 @@ def _seen(camera: PinholeCamera, water: FlatWater | None, pair: DrawnPair) -> np
         # The slope of the bed is at most a quarter, seen from at most 25 degrees aside.
         height = height - 0.9 * (at[..., 2] - pair.height(at[..., :2]))
     return at[..., :2]
-
-
-def _texture(at: np.ndarray, count: int = 30) -> np.ndarray:
-    """Grey levels of variance 1 at places (..., 2) [m], of waves of 0.15 to 3 m."""
-    rng = np.random.default_rng(5)
-    angle, phase = rng.uniform(0.0, 2.0 * np.pi, (2, count))
-    number = 2.0 * np.pi / np.exp(rng.uniform(*np.log((0.15, 3.0)), count))
-    way = number * np.stack([np.cos(angle), np.sin(angle)])
-    return sum(np.sin(at @ way[:, k] + phase[k]) for k in range(count)) / np.sqrt(0.5 * count)

@@ -50,6 +50,15 @@ def texture(x, y, seed: int = 3) -> np.ndarray:
     return 12.0 * np.sin(way + phase).sum(axis=-1)
 
 
+def waves(seed: int, at: np.ndarray, lengths: tuple[float, float], count: int = 30) -> np.ndarray:
+    """Texture of variance 1 at places (..., 2), of waves whose lengths are alike in their logarithm."""
+    rng = np.random.default_rng(seed)
+    angle, phase = rng.uniform(0.0, 2.0 * np.pi, (2, count))
+    number = 2.0 * np.pi / np.exp(rng.uniform(*np.log(lengths), count))
+    way = number * np.stack([np.cos(angle), np.sin(angle)])
+    return sum(np.sin(at @ way[:, k] + phase[k]) for k in range(count)) / np.sqrt(0.5 * count)
+
+
 @dataclass(frozen=True)
 class PlaneBed:
     """The plane z = level + slope x, local, [m], and the water over it.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from plane_survey import look
+from plane_survey import look, waves
 
 from fields.device import choose_device
 from fields.sweep.block import Block
@@ -43,18 +43,9 @@ def rippled_pair(seed: int) -> RippledPair:
             height = height - 0.8 * (at[..., 2] + depth - at[..., :2] @ slope)
         at, top = path.at_height(height, WATER), path.at_height(np.zeros_like(height), WATER)
         top = top[..., :2] - moved * np.array([np.cos(angle), np.sin(angle)])
-        grey = _waves(of_bed, at[..., :2], BED_M) + share * _waves(of_ripples, top, RIPPLES_M)
+        grey = waves(of_bed, at[..., :2], BED_M) + share * waves(of_ripples, top, RIPPLES_M)
         grey = CONTRAST * grey + rng.normal(0.0, NOISE, grey.shape)
         cameras.append(camera)
         images.append(np.rint(grey).astype(np.float32))
         truth.append(height)
     return RippledPair(Block(choose_device("cpu"), cameras, images, WATER, -depth), truth, depth)
-
-
-def _waves(seed: int, at: np.ndarray, lengths: tuple[float, float], count: int = 30) -> np.ndarray:
-    """Texture of variance 1 at places (..., 2), of waves whose lengths are alike in their logarithm."""
-    rng = np.random.default_rng(seed)
-    angle, phase = rng.uniform(0.0, 2.0 * np.pi, (2, count))
-    number = 2.0 * np.pi / np.exp(rng.uniform(*np.log(lengths), count))
-    way = number * np.stack([np.cos(angle), np.sin(angle)])
-    return sum(np.sin(at @ way[:, k] + phase[k]) for k in range(count)) / np.sqrt(0.5 * count)

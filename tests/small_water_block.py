@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from refract import FlatWater, PinholeCamera
+from refract import PinholeCamera
 from survey.photos.poses import TiePoints
+from tests.drawn_block import water_plane
 
 TRUTH = np.array([0.3, 0.002, -0.001, 1.335])
 SIZE, FOCAL, HEIGHT = (1024, 768), 1750.0, 40.0
-
-
-def water_of(parameters) -> FlatWater:
-    """Water of level, slope_x, slope_y and index; the level holds at the origin."""
-    level, slope_x, slope_y, index = parameters
-    return FlatWater(point=(0.0, 0.0, level), n_water=index, slope_x=slope_x, slope_y=slope_y)
 
 
 def looking_at_origin(centre, turn: float) -> PinholeCamera:
@@ -69,7 +64,7 @@ def tie_points(cameras, rng, *, count=300, std_px=0.1, low=-5.0, high=-0.5, wron
     points = np.column_stack([rng.uniform(-9.0, 9.0, (count, 2)), rng.uniform(low, high, count)])
     rows = []
     for view, camera in enumerate(cameras):
-        pixels = camera.project(points, water_of(TRUTH))
+        pixels = camera.project(points, water_plane(TRUTH))
         seen = np.flatnonzero((pixels > 0.0).all(axis=1) & (pixels < SIZE).all(axis=1))
         noise = std_px * rng.normal(size=(len(seen), 2))
         noise += (rng.random((len(seen), 1)) < wrong) * rng.uniform(-20.0, 20.0, (len(seen), 2))

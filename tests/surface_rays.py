@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 
 from refract import kernels
+from refract.curved import CurvedWater
 
 
 def llvm():
@@ -36,6 +36,8 @@ def vectors(library, array):
     if library == "numpy":
         return array
     if library.startswith("torch"):
+        import torch
+
         return torch.tensor(array, dtype=getattr(torch, library.removeprefix("torch.")))
     dtype = np.float64 if library.endswith("64") else np.float32
     return getattr(llvm(), library)(np.ascontiguousarray(array.reshape(-1, 3).T, dtype))
@@ -52,6 +54,19 @@ def rows(found):
     """Vectors (..., 3), or numbers, of any library as float64 of numpy."""
     found = np.asarray(found, dtype=np.float64)
     return found if found.ndim < 2 or found.shape[-1] == 3 else found.T
+
+
+class Bowl(CurvedWater):
+    """``z = level + b (x^2 + y^2)``; only height and gradient."""
+
+    def __init__(self, level=0.3, n_water=1.333, b=1e-3):
+        self.level, self.n_water, self.b = level, n_water, b
+
+    def height(self, x, y):
+        return self.level + self.b * (x * x + y * y)
+
+    def gradient(self, x, y):
+        return 2.0 * self.b * x, 2.0 * self.b * y
 
 
 def cameras(rng, count, height=(5.0, 60.0), spread=3.0):

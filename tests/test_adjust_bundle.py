@@ -15,7 +15,7 @@ from survey.adjust.block.problem import HUBER, Planes, Priors, Problem, huber_lo
 from survey.adjust.block.state import NUM_RELIEF, Layout, State
 from survey.adjust.rounds import std_over_points
 from survey.photos.poses import TiePoints
-from tests.drawn_block import DrawnBlock, draw_block, water_plane
+from tests.drawn_block import DrawnBlock, draw_block
 
 WIDE_WATER = (2.0, 0.0, 0.0, 0.001)
 SMALL = {"num_points": 120, "num_views": 14, "nadir_only": False, "dry_share": 0.4, "num_control": 6}
@@ -25,7 +25,7 @@ def truth_of(block: DrawnBlock) -> State:
     lens = block.lens
     parameters = [lens.focal[0], lens["cx"], lens["cy"], lens["k1"], lens["k2"], 0.0, lens["p1"], lens["p2"]]
     return State(
-        water_plane(block.water),
+        block.plane,
         np.zeros(NUM_RELIEF),
         np.array([parameters]),
         np.array([camera.centre for camera in block.cameras]),
@@ -87,7 +87,7 @@ def test_points_are_found_on_either_side_of_the_water(rng):
     points[::2, 2] = 2.0 * height[::2] - points[::2, 2]
     found = solve(problem_of(block), replace(start, points=points))
     assert np.median(np.abs(found.state.points - block.points)) < 0.01
-    depth, true = found.state.water.depth(found.state.points), water_plane(block.water).depth(block.points)
+    depth, true = found.state.water.depth(found.state.points), block.plane.depth(block.points)
     assert ((depth > 0.0) == (true > 0.0)).mean() > 0.98
 
 

@@ -13,7 +13,7 @@ from survey.adjust.result.adjustment import Adjustment, Residuals
 from survey.adjust.result.std_of_block import parts_of_adjustment, parts_warning
 from survey.display.quantities import length
 from survey.photos.poses import connected_parts
-from tests.adjusted_block import drawn_adjustment, plane_of
+from tests.adjusted_block import drawn_adjustment
 
 
 @given(st.lists(st.integers(-1, 4), min_size=1, max_size=30), st.integers(0, 2**32 - 1))
@@ -51,8 +51,8 @@ def cut(found: Adjustment) -> tuple[Adjustment, np.ndarray]:
 
 def test_a_whole_block_has_no_parts():
     block, found = drawn_adjustment(num_views=20, dry_share=0.3, nadir_only=True)
-    assert parts_of_adjustment(found, plane_of(block)) == ()
-    assert parts_warning(found, plane_of(block)) == []
+    assert parts_of_adjustment(found, block.plane) == ()
+    assert parts_warning(found, block.plane) == []
 
 
 @pytest.mark.parametrize("seed", [3, 4, 5])
@@ -64,7 +64,7 @@ def test_a_part_that_rises_is_so_much_less_known_against_the_other(seed):
     first = len(rise) - 6 * len(east)
     rise[first + 2 :: 6] = 0.05 * east
     found = replace(found, covariance=replace(found.covariance, matrix=np.outer(rise, rise)))
-    parts = parts_of_adjustment(found, plane_of(block))
+    parts = parts_of_adjustment(found, block.plane)
     assert len(parts) == 2
     assert sorted(name for part in parts for name in part.names) == sorted(found.poses.names)
     is_east = [set(part.names) <= {n for n, e in zip(found.poses.names, east, strict=True) if e} for part in parts]
@@ -74,7 +74,7 @@ def test_a_part_that_rises_is_so_much_less_known_against_the_other(seed):
         assert part.height_std_m == pytest.approx(0.05 * moves, abs=1e-3)
     assert parts[0].to_first_std_m is None
     assert parts[1].to_first_std_m == pytest.approx(0.05, abs=1e-3)
-    (warning,) = parts_warning(found, plane_of(block))
+    (warning,) = parts_warning(found, block.plane)
     assert f"fall into 2 parts without common points, of {len(parts[0].names)} (" in warning
     assert f"to {length(parts[1].to_first_std_m)} (1 sigma)" in warning
 
@@ -82,7 +82,7 @@ def test_a_part_that_rises_is_so_much_less_known_against_the_other(seed):
 def test_neighbours_are_named_as_runs():
     block, found = drawn_adjustment(num_views=16, dry_share=1.0, nadir_only=True, num_points=1500)
     found, _ = cut(found)
-    for part in parts_of_adjustment(found, plane_of(block)):
+    for part in parts_of_adjustment(found, block.plane):
         runs = [run.split(" to ") for run in part.listed.split(", ")]
         numbers = [n for run in runs for n in range(int(run[0][:4]), int(run[-1][:4]) + 1)]
         assert [f"{n:04d}.jpg" for n in numbers] == list(part.names)

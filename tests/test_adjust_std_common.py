@@ -13,7 +13,7 @@ from survey.adjust.block.priors import parameters_of
 from survey.adjust.block.state import Layout, State
 from survey.adjust.result.adjustment import Residuals
 from survey.adjust.result.std_common import _places_of_mean, common_error, height_jacobian, shift_std, std_common
-from tests.adjusted_block import drawn_adjustment, plane_of
+from tests.adjusted_block import drawn_adjustment
 from tests.block_survey import survey_of
 from tests.changed_survey import changed
 
@@ -102,7 +102,7 @@ def _with(found, change: np.ndarray):
 def test_cameras_and_water_that_rise_together_lift_every_height_as_much():
     block, found = drawn_adjustment()
     rise = along(found, {"z": 0.025, "height_m": 0.025})
-    error = common_error(_with(found, rise), plane_of(block))
+    error = common_error(_with(found, rise), block.plane)
     assert error.mean == pytest.approx(0.025, rel=1e-6)
     assert error.typical == pytest.approx(0.025, rel=1e-6)
     assert error.num_places > 20
@@ -117,13 +117,13 @@ def test_cameras_that_rise_over_dry_ground_lift_it_as_much():
 def test_errors_of_single_positions_average_out_over_the_area():
     block, found = drawn_adjustment(num_views=30)
     alone = np.diag(along(found, {"z": 0.02}) ** 2)
-    error = common_error(replace(found, covariance=replace(found.covariance, matrix=alone)), plane_of(block))
+    error = common_error(replace(found, covariance=replace(found.covariance, matrix=alone)), block.plane)
     assert error.mean < 0.6 * error.typical
 
 
 def test_an_error_of_the_index_scales_depths_seen_from_above():
     block, found = drawn_adjustment(nadir_only=True, dry_share=0.0)
-    water = plane_of(block)
+    water = block.plane
     change = along(found, {"refractive_index": 0.001})
     ties = _places_of_mean(found)
     rise = height_jacobian(found, water, ties) @ change
@@ -135,7 +135,7 @@ def test_an_error_of_the_index_scales_depths_seen_from_above():
 @pytest.mark.slow
 def test_the_standard_deviation_is_that_of_heights_under_random_parameters():
     block, found = drawn_adjustment(4)
-    water = plane_of(block)
+    water = block.plane
     x, y = found.covariance.water_point
     water = replace(water, point=(x, y, float(water.height(x, y))))
     ties = _places_of_mean(found)

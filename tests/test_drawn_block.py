@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from refract.lens import undistorted
-from tests.drawn_block import draw_block, water_plane
+from tests.drawn_block import draw_block
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_rays_of_the_observations_pass_their_points_within_the_noise(seed):
     block = draw_block(seed, pixel_std=0.2)
-    water, miss = water_plane(block.water), []
+    water, miss = block.plane, []
     for view, camera in enumerate(block.cameras):
         of_view = block.view == view
         plane = undistorted(block.lens, block.pixel[of_view])
@@ -35,14 +35,14 @@ def test_control_points_are_dry_and_known_to_a_centimetre():
     block = draw_block(3, dry_share=0.4, num_control=6)
     true = block.points[block.control]
     assert len(true) == 6
-    assert (true[:, 2] > water_plane(block.water).height(*true.T[:2])).all()
+    assert (true[:, 2] > block.plane.height(*true.T[:2])).all()
     assert np.abs(block.control_points - true).max() < 0.05
 
 
 def test_a_wholly_wet_block_has_no_control():
     block = draw_block(3, dry_share=0.0)
     assert len(block.control) == 0
-    assert (block.points[:, 2] < water_plane(block.water).height(*block.points.T[:2])).all()
+    assert (block.points[:, 2] < block.plane.height(*block.points.T[:2])).all()
 
 
 def test_the_same_seed_draws_the_same_block():

@@ -19,7 +19,8 @@ from survey.plan.plan import make_plan
 from survey.settings.config import parse_config
 from survey.sfm.poses import SfmResult
 from tests.changed_survey import changed
-from tests.small_water_block import HEIGHT, TRUTH, convergent, meeting_of_straight_rays, nadir, tie_points, water_of
+from tests.drawn_block import water_plane
+from tests.small_water_block import HEIGHT, TRUTH, convergent, meeting_of_straight_rays, nadir, tie_points
 
 BED = (-5.0, -0.5)
 
@@ -47,7 +48,7 @@ def test_points_to_one_side_lie_above_their_sagittal_and_within_their_tangential
     """Four views from one quarter, 45 degrees off: times n is not deep enough for what they see."""
     cameras = convergent()[13:17]
     survey = with_straight_points(tmp_path, cameras, rng, bed=(-5.0, -4.9))
-    water = water_of(TRUTH)
+    water = water_plane(TRUTH)
     apparent = np.median(water.depth(survey.observations.points))
     assert 1.335 * apparent < 4.5
     assert "no lower than" in make_plan(survey, Choices(device="cpu")).decisions[-3].reason

@@ -12,7 +12,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from slow_cases import slow
-from surface_rays import bed_points, cameras, falling_rays, llvm, view_angle
+from surface_rays import Bowl, bed_points, cameras, falling_rays, llvm, view_angle
 from torch.func import jacfwd, jacrev, vmap
 
 from refract import FlatWater, Regime, crossing_point, kernels, project, trace
@@ -24,19 +24,6 @@ NEAR_M, NEAR_RAD = 1e-12, 1e-12
 # float32: the bed point, some 60 m from the origin, is rounded by 2e-6 m, seen from 10 m and more; and the ray by 1e-7.
 NEAR_RAD_32 = 2e-6
 always = settings(max_examples=40)
-
-
-class Bowl(CurvedWater):
-    """``z = level + b (x^2 + y^2)``; only height and gradient."""
-
-    def __init__(self, level=0.3, n_water=1.333, b=1e-3):
-        self.level, self.n_water, self.b = level, n_water, b
-
-    def height(self, x, y):
-        return self.level + self.b * (x * x + y * y)
-
-    def gradient(self, x, y):
-        return 2.0 * self.b * x, 2.0 * self.b * y
 
 
 def waves(level=0.3, n_water=1.333):

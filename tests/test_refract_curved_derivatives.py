@@ -8,10 +8,11 @@ import pytest
 import torch
 from fifty_digits import exact_derivatives, worst
 from slow_cases import slow
+from surface_rays import Bowl
 from torch.func import hessian, jacfwd, jacrev
 
 from refract import project, trace
-from refract.curved import BicubicWater, CurvedWater, WavyWater
+from refract.curved import BicubicWater, WavyWater
 
 # Of the largest derivative of a kind. Measured worst: 5e-15 and 5e-15.
 FIRST, SECOND = 5e-14, 5e-14
@@ -22,22 +23,9 @@ BOWL = 1e-3
 NODES = np.random.default_rng(3).uniform(-0.05, 0.05, (9, 9))
 
 
-class Bowl(CurvedWater):
-    """``z = level + b (x^2 + y^2)``."""
-
-    def __init__(self, level, n_water):
-        self.level, self.n_water = level, n_water
-
-    def height(self, x, y):
-        return self.level + BOWL * (x * x + y * y)
-
-    def gradient(self, x, y):
-        return 2.0 * BOWL * x, 2.0 * BOWL * y
-
-
 def water_of(name, level, index):
     if name == "bowl":
-        return Bowl(level, index)
+        return Bowl(level, index, BOWL)
     return WavyWater((0.3, -0.2, level), AMPLITUDES, VECTORS, PHASES, n_water=index)
 
 

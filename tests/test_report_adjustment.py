@@ -36,7 +36,7 @@ from survey.report.collect import figures_of
 from survey.report.figures import json_of
 from survey.report.headline import cards
 from survey.report.page import render_page
-from tests.adjusted_block import drawn_adjustment, plane_of
+from tests.adjusted_block import drawn_adjustment
 from tests.changed_survey import changed
 
 OFF = np.array([0.03, -0.02, 0.05])
@@ -58,7 +58,7 @@ def facts(tmp_path_factory) -> ReportFacts:
     )
     survey = changed(
         survey,
-        water=plane_of(block),
+        water=block.plane,
         is_adjusted=True,
         priors=priors,
         control=Control(points, (), 0.5),

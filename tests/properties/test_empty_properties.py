@@ -7,22 +7,11 @@ from dataclasses import fields, is_dataclass
 import numpy as np
 import pytest
 import torch
-from surface_rays import llvm
+from surface_rays import Bowl, llvm
 
 import refract
 from refract import FlatWater, bend, bend_regime, crossing_point, project, regime_counts, trace
-from refract.curved import BicubicWater, CurvedWater, WavyWater
-
-
-class Bowl(CurvedWater):
-    n_water = 1.333
-
-    def height(self, x, y):
-        return 1e-4 * (x * x + y * y)
-
-    def gradient(self, x, y):
-        return 2e-4 * x, 2e-4 * y
-
+from refract.curved import BicubicWater, WavyWater
 
 PLANE = FlatWater((0.0, 0.0, 0.0), slope_x=0.1)
 WATERS = {
@@ -30,7 +19,7 @@ WATERS = {
     "level plane": FlatWater((0.0, 0.0, 0.0)),
     "plane": PLANE,
     "waves": WavyWater((0.0, 0.0, 0.0), (0.02, 0.01), ((1.5, 0.3), (-0.6, 2.2))),
-    "height and gradient": Bowl(),
+    "height and gradient": Bowl(0.0, b=1e-4),
     "cubic pieces": BicubicWater((-20.0, -20.0), 8.0, np.zeros((6, 6))),
 }
 ONLY_NUMPY_AND_TORCH = ("cubic pieces",)

@@ -54,7 +54,7 @@ def answer(server, path: str, body=None, **headers):
     data = None if body is None else json.dumps(body).encode()
     asked = urllib.request.Request(url, data, {TOKEN_HEADER: server.token, **headers})
     try:
-        with urllib.request.urlopen(asked, timeout=20) as said:
+        with urllib.request.urlopen(asked, timeout=120) as said:
             return said.status, said.read()
     except urllib.error.HTTPError as error:
         with error:
@@ -104,7 +104,7 @@ def test_a_request_that_is_no_object_is_answered_in_words(server, sent, capfd):
 
 @pytest.mark.parametrize("headers", [{"Host": "[::1"}, {"Content-Length": "\xb2"}, {"Origin": "http://[x"}])
 def test_a_request_with_a_wrong_header_is_answered_in_words(server, headers, capfd):
-    connection = HTTPConnection("127.0.0.1", server.server_address[1], timeout=30.0)
+    connection = HTTPConnection("127.0.0.1", server.server_address[1], timeout=120.0)
     connection.request("POST", "/undo", b"{}", {TOKEN_HEADER: server.token} | headers)
     answer = connection.getresponse()
     assert 400 <= answer.status < 500

@@ -48,7 +48,7 @@ class Browser:
         return handle
 
     def until(self, ready) -> None:
-        end = time.monotonic() + 30.0
+        end = time.monotonic() + 120.0
         while not ready():
             assert time.monotonic() < end
             time.sleep(0.01)

@@ -26,6 +26,7 @@ def rigs(tmp_path_factory):
     options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 2, 2, 3
     options.num_points3D, options.camera_model_id = 40, pycolmap.CameraModelId.OPENCV
     options.camera_params = [1280.0, 1281.0, 512.0, 384.0, -0.05, 0.01, 0.001, -0.002]
+    pycolmap.set_random_seed(0)
     model = pycolmap.synthesize_dataset(options)
     folder = tmp_path_factory.mktemp("rigs")
     for kind in ("text", "binary"):

@@ -27,6 +27,7 @@ def whole_pose_files(folder: Path) -> dict[str, tuple[dict[str, bytes], str]]:
     options = pycolmap.SyntheticDatasetOptions()
     options.num_cameras_per_rig, options.num_frames_per_rig, options.num_points3D = 2, 2, 5
     options.num_points2D_without_point3D = 1
+    pycolmap.set_random_seed(0)
     model = pycolmap.synthesize_dataset(options)
     (folder / "text").mkdir()
     (folder / "binary").mkdir()

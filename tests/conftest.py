@@ -116,3 +116,19 @@ def shore_folder(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("drawn") / "shore"
     draw_survey(path, SHORE)
     return path
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    """The bed of `stored_run.plane_stored`."""
+    from stored_run import plane_stored
+
+    return plane_stored(tmp_path_factory.mktemp("survey") / "small")
+
+
+@pytest.fixture(scope="module")
+def run_folder(stored, tmp_path_factory) -> Path:
+    """The folder of a run whose result is that bed."""
+    from stored_run import run_of
+
+    return run_of(stored, tmp_path_factory.mktemp("run") / "run")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 from scipy.spatial import cKDTree
-from stored_run import plane_stored, run_of
+from stored_run import run_of
 
 from geo import Cloud, read_cloud, read_reference
 from geo.errors import UnwritableFile
@@ -20,21 +20,11 @@ from survey.export.registry import PRODUCTS
 from survey.progress import Progress
 from survey.run.folder import RunDir
 from survey.run.keys import Key
-from survey.run.stored import StoredBed, load_bed, save_bed
+from survey.run.stored import load_bed, save_bed
 
 # LAS steps by 1 mm: half a step, and the rounding of a northing of 5e6 m.
 LAS_ROUNDING = 0.5e-3 + 1e-8
 FLOAT_EPS = 1.2e-7
-
-
-@pytest.fixture(scope="module")
-def stored(tmp_path_factory) -> StoredBed:
-    return plane_stored(tmp_path_factory.mktemp("survey") / "small")
-
-
-@pytest.fixture(scope="module")
-def run_folder(stored, tmp_path_factory):
-    return run_of(stored, tmp_path_factory.mktemp("run") / "run")
 
 
 def in_order_of(cloud: Cloud, points: np.ndarray) -> Cloud:

@@ -11,29 +11,18 @@ import pytest
 import rasterio
 from gdal_programs import gdalinfo, needs_gdal
 from pyproj import CRS
-from stored_run import plane_stored, run_of, stored_points
+from stored_run import run_of, stored_points
 
 from evaluation.standards import THU, TVU, order_by_thu, order_by_tvu
 from survey.errors import OutputError, SurveyError
 from survey.export.export import export
 from survey.export.product import ExportOptions
 from survey.run.folder import RunDir
-from survey.run.stored import StoredBed
 from survey.settings.config import CamerasConfig, SurveyConfig, WaterConfig, dump_config
 
 # More than one window of the writer, and no whole number of the chunks of BAG.
 FINE = ExportOptions(resolution_m=0.025)
 LEVEL = 500.0
-
-
-@pytest.fixture(scope="module")
-def stored(tmp_path_factory) -> StoredBed:
-    return plane_stored(tmp_path_factory.mktemp("survey") / "small")
-
-
-@pytest.fixture(scope="module")
-def run_folder(stored, tmp_path_factory) -> Path:
-    return run_of(stored, tmp_path_factory.mktemp("run") / "run")
 
 
 @pytest.fixture(scope="module")

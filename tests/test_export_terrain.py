@@ -16,7 +16,7 @@ from gdal_programs import gdalinfo, needs_gdal
 from pyproj import CRS
 from rio_cogeo.cogeo import cog_validate
 from slow_cases import slow
-from stored_run import plane_stored, run_of, stored_points
+from stored_run import run_of, stored_points
 
 from geo.errors import UnwritableFile
 from geo.raster import RasterBand, RasterForm, write_cog
@@ -25,20 +25,9 @@ from survey.export.export import export
 from survey.export.product import ExportOptions
 from survey.export.relief import hillshade, slope_deg
 from survey.progress import Progress
-from survey.run.stored import StoredBed
 
 SIDE = 0.5
 AT_SIDE = ExportOptions(resolution_m=SIDE)
-
-
-@pytest.fixture(scope="module")
-def stored(tmp_path_factory) -> StoredBed:
-    return plane_stored(tmp_path_factory.mktemp("survey") / "small")
-
-
-@pytest.fixture(scope="module")
-def run_folder(stored, tmp_path_factory) -> Path:
-    return run_of(stored, tmp_path_factory.mktemp("run") / "run")
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from fields.sweep.bed import BedPoints
 from refract import FlatWater, PinholeCamera
 from refract.curved import WavyWater
 from survey.run.stage_bed import bed_per_level, through_surface
-from survey.run.tile_job import heights_over
+from survey.run.tile_job import TileJob
 from survey.water.surface import Departure
 
 N = 1.333
@@ -118,10 +119,16 @@ def test_a_level_moves_the_bed_by_what_rays_say():
 
 def test_heights_over_the_plane_of_a_tile_become_those_over_that_of_the_survey(rng):
     own = FlatWater((0.0, 0.0, -0.08), n_water=N, slope_x=-0.02, slope_y=0.004)
-    camera, pixels = cameras()[0], rng.uniform((50.0, 50.0), (450.0, 330.0), (20, 2))
+    camera, (column, row) = cameras()[0], rng.integers((50, 50), (450, 330), (20, 2)).T
     heights = rng.uniform(-2.0, 0.3, 20).astype(np.float32)
-    found = heights_over(PLANE, own, camera, pixels, heights)
-    xyz = camera.paths(pixels, own).at_height(heights.astype(float), own)
+
+    def over_whole(water: FlatWater) -> np.ndarray:
+        survey = SimpleNamespace(water=water, views=[SimpleNamespace(camera=camera)])
+        whole = SimpleNamespace(survey=SimpleNamespace(water=PLANE))
+        tile = SimpleNamespace(survey=survey, survey_job=whole, _moved=None, in_survey=lambda xyz: xyz)
+        return TileJob.over_whole(tile, 0, row, column, heights)
+
+    xyz = camera.paths(np.column_stack([column, row]) + 0.5, own).at_height(heights.astype(float), own)
     # Half a float32 of metres.
-    np.testing.assert_allclose(found, xyz[:, 2] - 0.02, atol=2e-7)
-    assert heights_over(PLANE, PLANE, camera, pixels, heights) is heights
+    np.testing.assert_allclose(over_whole(own), xyz[:, 2] - 0.02, atol=2e-7)
+    assert over_whole(PLANE) is heights

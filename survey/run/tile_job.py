@@ -215,11 +215,13 @@ class TileJob(Job):
 
     def over_whole(self, view: int, row: np.ndarray, column: np.ndarray, heights: np.ndarray) -> np.ndarray:
         """Heights (N,) [m] of pixels of a window over the water of the whole survey, from those over its own."""
-        pixels, camera = np.column_stack([column + 0.5, row + 0.5]), self.survey.views[view].camera
-        if self._moved is None:
-            return heights_over(self.survey_job.survey.water, self.survey.water, camera, pixels, heights)
-        xyz = camera.paths(pixels, self.survey.water).at_height(heights.astype(np.float64), self.survey.water)
-        return _over(self.survey_job.survey.water, self.in_survey(xyz)).astype(heights.dtype)
+        own, water = self.survey.water, self.survey_job.survey.water
+        if self._moved is None and own == water:
+            return heights
+        paths = self.survey.views[view].camera.paths(np.column_stack([column + 0.5, row + 0.5]), own)
+        xyz = self.in_survey(paths.at_height(heights.astype(np.float64), own))
+        over = xyz[:, 2] if water is None else (xyz - np.array(water.point)) @ np.array(water.up)
+        return over.astype(heights.dtype)
 
     def release(self) -> None:
         """As `Job.release`; forget the windows, and photographs that the next tile may not see."""
@@ -274,18 +276,3 @@ def over_own_plane(survey: Survey, ground: Area) -> tuple[Survey, tuple[float, f
     higher = plane.height(*places.T) - water.height(*places.T)
     observations = replace(survey.observations, departure=departure.over(water, plane))
     return replace(survey, water=plane, observations=observations), (float(higher.min()), float(higher.max()))
-
-
-def heights_over(
-    water: FlatWater | None, own: FlatWater | None, camera: PinholeCamera, pixels: np.ndarray, heights: np.ndarray
-) -> np.ndarray:
-    """Heights (N,) [m] over the water of a survey of what pixels (N, 2) show at heights over the water of a tile."""
-    if water is None or own is None or own == water:
-        return heights
-    xyz = camera.paths(pixels, own).at_height(heights.astype(np.float64), own)
-    return _over(water, xyz).astype(heights.dtype)
-
-
-def _over(water: FlatWater | None, xyz: np.ndarray) -> np.ndarray:
-    """Heights (N,) [m] of points (N, 3) over a plane, or over z = 0."""
-    return xyz[:, 2] if water is None else (xyz - np.array(water.point)) @ np.array(water.up)

@@ -11,8 +11,7 @@ import platform
 import shutil
 import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -20,6 +19,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from geo.files import reporting_disk_errors, write_whole
 from survey.errors import SurveyError
+from survey.progress import Progress
 from survey.stage_key import code_hash
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ class WorkerJob:
         from survey.run.job import Job
 
         # The device is that of the worker.
-        self.survey_job = Job(survey, chosen, cast(Any, _RecordedProgress()), plan=plan.again(survey, chosen))
+        self.survey_job = Job(survey, chosen, _RecordedProgress(), plan=plan.again(survey, chosen))
         self._search = search
         cameras, plan = cameras_of_block(survey, self.survey_job.plan), self.survey_job.plan
         self.survey_job.__dict__["block"] = Block(
@@ -134,16 +134,12 @@ def compute_into(tile: TileJob, task: Task, folder: Path, needs: Mapping[str, Pa
     return list(recorded.lines)
 
 
-class _RecordedProgress:
-    """Progress of a worker: it keeps what is said, for the process of the run."""
+class _RecordedProgress(Progress):
+    """Progress of a worker: it shows nothing, and keeps what is said for the process of the run."""
 
     def __init__(self) -> None:
+        super().__init__(verbosity=-2)
         self.lines: list[tuple[str, str]] = []
-
-    @contextmanager
-    def stage(self, _name: str, total: float | None = None, *, part: object = None) -> Iterator[_Step]:
-        """Silent `Progress.stage`."""
-        yield _Step(total)
 
     def detail(self, text: str) -> None:
         """Record a `Progress.detail`."""
@@ -156,14 +152,3 @@ class _RecordedProgress:
     def warn(self, text: str) -> None:
         """Record a `Progress.warn`."""
         self.lines.append(("warn", text))
-
-
-class _Step:
-    """Stand-in for `survey.progress.Step` that shows nothing."""
-
-    def __init__(self, total: float | None):
-        self.total, self.done = total, 0.0
-
-    def advance(self, amount: float = 1.0, *, detail: str = "") -> None:
-        """Count."""
-        self.done += amount

@@ -1,7 +1,4 @@
-"""Points of the bed from height maps, without duplicates, with their random standard deviation.
-
-The bed of a run and the assessment of a round use the same points.
-"""
+"""Points of the bed from height maps, without duplicates, with their random standard deviation."""
 
 from __future__ import annotations
 
@@ -26,7 +23,6 @@ from survey.run.stage_field import with_heights
 
 if TYPE_CHECKING:
     from fields.sweep.block import Block
-    from refract import PinholeCamera
     from survey.folder.survey import Survey
     from survey.run.job import Job
     from survey.run.stored_field import RestoredField
@@ -44,17 +40,12 @@ def is_placed(survey: Survey) -> bool:
     return survey.config.cameras.poses is None
 
 
-def in_memory(count: int) -> np.ndarray:
-    """A column (N,) float32."""
-    return np.empty(count, dtype=np.float32)
-
-
 def with_std_of_block(
     bed: BedPoints,
     survey: Survey,
     found: Adjustment | None,
     gsd_m: float,
-    new_column: Callable[[int], np.ndarray] = in_memory,
+    new_column: Callable[[int], np.ndarray],
 ) -> tuple[BedPoints, np.ndarray | None]:
     """Points whose std includes tilt and bending of the block, and that part (N,) [m]; None without an adjustment."""
     if found is None:
@@ -73,10 +64,8 @@ class RefinedMaps:
     field: RestoredField | None = None
 
 
-def bed_points(
-    job: Job, found: RefinedMaps, advance: Callable[[float], None], *, coloured: bool = True
-) -> tuple[BedPoints, np.ndarray, int]:
-    """Points of the bed without duplicates, coloured from the photograph that shows each steepest, or black.
+def bed_points(job: Job, found: RefinedMaps, advance: Callable[[float], None]) -> tuple[BedPoints, np.ndarray, int]:
+    """Points of the bed without duplicates, coloured from the photograph that shows each steepest.
 
     Returns the points, the tides (N,) [m] of their photographs, and how many took their height from the field.
     """
@@ -86,7 +75,7 @@ def bed_points(
     for number, (height_map, keep, comparable) in enumerate(zip(found.maps, found.kept, comparable_of, strict=True)):
         view = survey.views[height_map.view]
         camera = camera_of(view, plan)
-        rgb = job.photographs.load(view, scale=plan.image_scale) if coloured else _black(camera)
+        rgb = job.photographs.load(view, scale=plan.image_scale)
         parallax = _parallax(block, height_map)
         tolerance = AGREEMENT_PX / parallax
         if len(block.neighbours(height_map.view, PEERS)) == 1:
@@ -109,10 +98,6 @@ def bed_points(
         advance(1.0)
     bed, is_kept = BedPoints.consume_where(parts, lambda xyz: has_neighbours(xyz, plan.gsd_m))
     return bed, np.array(tides)[np.concatenate(sources)[is_kept]], moved
-
-
-def _black(camera: PinholeCamera) -> np.ndarray:
-    return np.broadcast_to(np.uint8(0), (camera.height, camera.width, 3))
 
 
 def _parallax(block: Block, height_map: HeightMap) -> float:

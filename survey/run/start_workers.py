@@ -133,10 +133,7 @@ def _check(client: Any, needs: WorkerNeeds) -> None:
             )
     photograph = needs.photograph.absolute()
     with _token(needs.stages) as token:
-        if needs.url is None:
-            found = client.run(_seen, token, photograph, on_error="return")
-        else:
-            found = client.run(_seen_at, needs.url, on_error="return")
+        found = client.run(_seen, needs.url, token, photograph, on_error="return")
     left, has_gpu = client.nthreads(), False
     for place, each in found.items():
         if isinstance(each, Exception):
@@ -181,17 +178,14 @@ def _token(stages: Path) -> Iterator[Path]:
         shutil.rmtree(path, ignore_errors=True)
 
 
-def _seen(token: Path, photograph: Path, dask_worker: Any = None) -> tuple[str, bool, bool, dict[str, float]]:
-    return code_hash(), token.is_dir(), photograph.is_file(), _resources(dask_worker)
-
-
-def _resources(dask_worker: Any) -> dict[str, float]:
-    return {} if dask_worker is None else dict(dask_worker.state.total_resources)
-
-
-def _seen_at(url: str, dask_worker: Any = None) -> tuple[str, bool, bool, dict[str, float]]:
-    require_reachable(url)
-    return code_hash(), True, True, _resources(dask_worker)
+def _seen(
+    url: str | None, token: Path, photograph: Path, dask_worker: Any = None
+) -> tuple[str, bool, bool, dict[str, float]]:
+    """Code of a worker, whether it sees a run and its photographs, or reaches the URL where they are, its resources."""
+    if url is not None:
+        require_reachable(url)
+    resources = {} if dask_worker is None else dict(dask_worker.state.total_resources)
+    return code_hash(), url is not None or token.is_dir(), url is not None or photograph.is_file(), resources
 
 
 def gpus() -> list[str]:

@@ -11,7 +11,6 @@ import shutil
 import time
 import uuid
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -27,7 +26,7 @@ from survey.photos.images import ImageStore, fetched_tags
 from survey.plan.sweep_block import grey_image
 from survey.run.remote_run import JOBS, PARTS, PHOTOGRAPHS
 from survey.run.stored import ArrayFiles
-from survey.run.worker_task import Task, WorkerJob, compute_into, require_code
+from survey.run.worker_task import Task, WorkerJob, compute_into, require_code, with_paths
 from survey.stage_key import content_hash
 
 if TYPE_CHECKING:
@@ -43,11 +42,7 @@ Source = tuple[str, str, str]
 def put_job(job: Job, remote: Remote, scratch: Path, stage: str) -> str:
     """Put what workers have to know of a job for a stage, and photographs that lie at no URL; its name there."""
     sources = _sources(job.survey, remote)
-    views = [
-        replace(view, path=Path(_worker_name(sources[view.path])), mask_path=_masked(view, sources))
-        for view in job.survey.views
-    ]
-    survey = replace(job.survey, views=tuple(views))
+    survey = with_paths(job.survey, lambda path: Path(_worker_name(sources[path])))
     parts = survey, job.chosen, job.plan, job.bed_search, job.block.saturated
     of_names = {_worker_name(source): source for source in sources.values()}
     name = f"{JOBS}/{stage}-{uuid.uuid4().hex}.pickle"
@@ -57,10 +52,6 @@ def put_job(job: Job, remote: Remote, scratch: Path, stage: str) -> str:
     remote.put({name: path})
     path.unlink()
     return name
-
-
-def _masked(view: View, sources: Mapping[Path, Source]) -> Path | None:
-    return None if view.mask_path is None else Path(_worker_name(sources[view.mask_path]))
 
 
 def _worker_name(source: Source) -> str:
@@ -139,16 +130,9 @@ class _WorkerJob:
         self._sources, self._scratch = sources, TemporaryDirectory(prefix="bathynerf-")
         self._folder = Path(self._scratch.name)
         survey, chosen, plan, search, saturated = parts
-        views = tuple(
-            replace(
-                view,
-                path=self._folder / view.path,
-                mask_path=None if view.mask_path is None else self._folder / view.mask_path,
-            )
-            for view in survey.views
-        )
-        self._images = _Decoded(views, self._folder / "grey")
-        self._job = WorkerJob(replace(survey, views=views), chosen, plan, search, self._images, saturated)
+        survey = with_paths(survey, lambda path: self._folder / path)
+        self._images = _Decoded(survey.views, self._folder / "grey")
+        self._job = WorkerJob(survey, chosen, plan, search, self._images, saturated)
         survey_job = self._job.survey_job
         self._images.scale, camera = survey_job.plan.image_scale, survey_job.cameras[0]
         self._images.size = camera.width, camera.height

@@ -51,23 +51,21 @@ def save_job(job: Job, folder: Path, stage: str) -> Path:
     """
     block = job.block
     path = folder / f"{stage}-{uuid.uuid4().hex}.pickle"
-    parts = with_absolute_paths(job.survey), job.chosen, job.plan, job.bed_search, block.images, block.saturated
+    # The working directory of workers may be another.
+    survey = replace(with_paths(job.survey, Path.absolute), folder=job.survey.folder.absolute())
+    parts = survey, job.chosen, job.plan, job.bed_search, block.images, block.saturated
     with write_whole(path) as stream:
         stream.write(pickle.dumps(parts))
     return path.absolute()
 
 
-def with_absolute_paths(survey: Survey) -> Survey:
-    """The survey for workers, whose working directory may be another."""
+def with_paths(survey: Survey, place: Callable[[Path], Path]) -> Survey:
+    """The survey with its photographs and masks elsewhere."""
     views = [
-        replace(
-            view,
-            path=view.path.absolute(),
-            mask_path=None if view.mask_path is None else view.mask_path.absolute(),
-        )
+        replace(view, path=place(view.path), mask_path=None if view.mask_path is None else place(view.mask_path))
         for view in survey.views
     ]
-    return replace(survey, folder=survey.folder.absolute(), views=tuple(views))
+    return replace(survey, views=tuple(views))
 
 
 @lru_cache(maxsize=1)

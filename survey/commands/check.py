@@ -86,7 +86,7 @@ def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> It
     if shortage is not None:
         current().warn(shortage)
     chosen = choices_of(asked.over(process_config(folder)))
-    checked = require_processable(folder)
+    checked = require_processable(folder, chosen)
     aimed = AimedPlan(chosen)
     if checked.survey is not None:
         aimed = plan_for_aim(checked.survey, chosen, refuses=False)

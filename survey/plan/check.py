@@ -25,11 +25,12 @@ from survey.plan.choices import USUAL, Choices
 from survey.plan.decisions import Decision, require_placeable
 from survey.plan.plan import Plan, device_decision, make_plan
 from survey.plan.run_plan import plan_run
+from survey.plan.tile_choice import require_dask
 from survey.plan.workload import Workload, room_warnings, workload_of_images
 from survey.settings.config import SurveyConfig
 from survey.sfm.datum import WELL_KNOWN_M
 from survey.sfm.settings import mapper_of
-from survey.words import RUN_FOLDER
+from survey.words import RUN_FOLDER, Device
 
 
 @dataclass(frozen=True)
@@ -57,9 +58,16 @@ class Checked:
         return self.warnings if self.level_warning is None else (self.level_warning, *self.warnings)
 
 
-def require_processable(folder: Path) -> Checked:
-    """Test a survey as `check` and `process` do before any computation; nothing slow is imported."""
+def require_processable(folder: Path, chosen: Choices = USUAL) -> Checked:
+    """Test a survey and the options of its run as `check` and `process` do before any computation."""
+    if chosen.device == Device.cuda:
+        device_decision(chosen.device)
+    require_dask(chosen)
     found = find_survey(Path(folder))
+    if found.config.water is None and (chosen.true_colour or chosen.calibrate_water):
+        option = "--true-colour takes the water away" if chosen.true_colour else "--calibrate-water estimates the water"
+        raise SurveyError(f"{option}, but the survey has none; leave the option out, or give [water]")
+    require_placeable(found.config.control.reference, chosen.poses)
     if found.poses_path is None:
         warnings = (*found.findings.warnings, *require_solvable(found))
         return Checked(found, None, warnings, level_warning(found, None))
@@ -85,7 +93,7 @@ def check_survey(
     aim, chooses_workers : optional
         See `survey.plan.run_plan.plan_run`.
     """
-    checked = require_processable(folder) if checked is None else checked
+    checked = require_processable(folder, chosen) if checked is None else checked
     if checked.survey is None:
         return _without_poses(checked, chosen)
     survey = checked.survey
@@ -166,7 +174,6 @@ def _water(survey: Survey) -> str:
 def _without_poses(checked: Checked, chosen: Choices) -> list[CheckSection]:
     """The sections of a survey that needs structure from motion first."""
     found = checked.found
-    require_placeable(found.config.control.reference, chosen.poses)
     sfm = Decision("structure from motion", "on", f"there is no poses file; georeferenced by {_placed_by(found)}")
     mapper = Decision("mapper", *mapper_of(len(found.headers), found.config.cameras.mapper))
     later = Decision("refraction and the rest", "later", "decided once the poses are known")

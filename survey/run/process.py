@@ -16,17 +16,15 @@ from threading import Thread
 from typing import Any
 
 from survey.display.quantities import length
-from survey.errors import SurveyError
 from survey.files.outputs import ReadFiles, require_folder
 from survey.files.remote import Remote, is_url, local_run
 from survey.folder.found import process_config, survey_inputs
 from survey.folder.survey import Survey, load_survey
 from survey.plan.check import Checked, require_processable
 from survey.plan.choices import Choices, choices_of
-from survey.plan.decisions import require_placeable
-from survey.plan.plan import Plan, device_decision
+from survey.plan.plan import Plan
 from survey.plan.run_plan import plan_run
-from survey.plan.tile_choice import SHARED, require_dask
+from survey.plan.tile_choice import SHARED
 from survey.plan.workload import Workload, require_room, workload_of_images
 from survey.progress import Progress, opened
 from survey.run.aim import plan_for_aim
@@ -39,7 +37,6 @@ from survey.run.result import Owner
 from survey.run.start_workers import WorkerNeeds, workers_for
 from survey.settings.tables import ProcessConfig
 from survey.sfm.distributed import computing_on
-from survey.words import Device
 
 QUALITY_GATE_FAILED = 3
 
@@ -85,7 +82,7 @@ def process(
     truth.require_there()
     require_folder("-o", folder, survey_inputs(survey_folder) + ReadFiles.of(truth.reference, truth.visible))
     chosen = choices_of(ProcessConfig(**options).over(process_config(survey_folder)))
-    checked = _require_possible(survey_folder, chosen)
+    checked = require_processable(survey_folder, chosen)
     run = RemoteRun(folder, Remote(str(run_folder))) if is_url(run_folder) else RunDir(folder)
     with opened() as progress, progress.run(), run:
         owner = Owner.of(checked.found.name, checked.found.images)
@@ -120,19 +117,6 @@ def process(
             if not gate.passed:
                 progress.warn(f"quality gate: {gate.sentence}; all outputs are written")
     return 0 if verdict.passed else QUALITY_GATE_FAILED
-
-
-def _require_possible(survey_folder: Path, chosen: Choices) -> Checked:
-    """Contents of the survey folder; raise where it cannot be processed with the chosen options."""
-    if chosen.device == Device.cuda:
-        device_decision(chosen.device)
-    require_dask(chosen)
-    checked = require_processable(survey_folder)
-    if checked.found.config.water is None and (chosen.true_colour or chosen.calibrate_water):
-        option = "--true-colour takes the water away" if chosen.true_colour else "--calibrate-water estimates the water"
-        raise SurveyError(f"{option}, but the survey has none; leave the option out, or give [water]")
-    require_placeable(checked.found.config.control.reference, chosen.poses)
-    return checked
 
 
 def _with_poses(checked: Checked, chosen: Choices, run: RunDir, progress: Progress) -> Survey:

@@ -274,5 +274,6 @@ def _spread(values: np.ndarray, scale: float = 1.0) -> Spread | None:
     """Statistics of values (N,) times a scale; None of none."""
     if not len(values):
         return None
-    mean, p95 = values.mean(dtype=np.float64), np.quantile(values, 0.95)
+    # In float64, as the share in an array is: a number by itself would be rounded to the type of the values.
+    mean, (p95,) = values.mean(dtype=np.float64), np.quantile(values, [0.95])
     return Spread(*(scale * float(value) for value in (values.min(), np.median(values), mean, p95, values.max())))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -134,21 +135,23 @@ def draw_histograms(path: Path, facts: ReportFacts) -> Picture:
     up = tall.per_metre * height_unit_m(facts.survey.frame.crs)
     angle = "angle off nadir" if is_dry else "incidence at the water"
     graphs = (
-        ("height", tall.name, tall.decimals, up * finite(facts.points_crs[:, 2]))
+        ("height", tall.name, tall.decimals, up, facts.points_crs[:, 2])
         if is_dry
-        else ("true depth", tall.name, tall.decimals, tall.per_metre * finite(bed.depth, bed.wet)),
-        (_STD, std.name, std.decimals, std.per_metre * finite(bed.std)),
-        ("views that agree", "", 0, finite(bed.num_views)),
-        (angle, "°", 1, np.degrees(finite(bed.incidence))),
+        else ("true depth", tall.name, tall.decimals, tall.per_metre, bed.depth),
+        (_STD, std.name, std.decimals, std.per_metre, bed.std),
+        ("views that agree", "", 0, 1.0, bed.num_views),
+        (angle, "°", 1, math.degrees(1.0), bed.incidence),
     )
     # Two by two: four in a row cannot be read on a phone.
     figure = Figure(figsize=(7.2, 4.6), layout="constrained")
     FigureCanvasAgg(figure)
-    for axes, (label, unit, decimals, values), colour in zip(figure.subplots(2, 2).flat, graphs, SERIES, strict=True):
+    for axes, graph, colour in zip(figure.subplots(2, 2).flat, graphs, SERIES, strict=True):
+        label, unit, decimals, scale, column = graph
+        # One at a time: columns have hundreds of millions of values.
+        values = finite(column, bed.wet if column is bed.depth else None)
         if len(values):
-            _histogram(axes, values, colour, is_count=not unit, is_log=label == _STD)
-            middle = with_unit(number(float(np.median(values)), decimals), unit)
-            axes.set_title(f"median {middle}", loc="right", color=SOFT, fontsize=9)
+            middle = _histogram(axes, values, scale, colour, is_count=not unit, is_log=label == _STD)
+            axes.set_title(f"median {with_unit(number(middle, decimals), unit)}", loc="right", color=SOFT, fontsize=9)
         axes.set(yticks=[])
         axes.set_xlabel(f"{label} [{unit}]" if unit else label, color=INK)
         axes.tick_params(colors=SOFT, labelsize=8.5)
@@ -157,10 +160,10 @@ def draw_histograms(path: Path, facts: ReportFacts) -> Picture:
     return Picture(path, "Distributions", "Over all points; the dark lines mark the medians.")
 
 
-def _histogram(axes: Axes, values: np.ndarray, colour: str, *, is_count: bool, is_log: bool) -> None:
-    """Shares of values in bins of equal width or ratio, or one for each whole number if they count; and the median."""
+def _histogram(axes: Axes, values: np.ndarray, scale: float, colour: str, *, is_count: bool, is_log: bool) -> float:
+    """Shares of values times a scale in bins of equal width or ratio, or of one whole number each; and the median."""
     axes.xaxis.set_major_locator(MaxNLocator(4, integer=is_count))
-    low, high, top = np.quantile(values, (0.002, 0.998, 0.995))
+    low, high, top, middle = (scale * np.quantile(values, (0.002, 0.998, 0.995, 0.5))).tolist()
     high = high if high > low else low + 1.0
     if is_count:
         edges = np.arange(0.5, top + 1.0)
@@ -170,8 +173,10 @@ def _histogram(axes: Axes, values: np.ndarray, colour: str, *, is_count: bool, i
         plain_log_ticks(axes.xaxis)
     else:
         edges = np.linspace(low, high, 61)
-    axes.hist(values, edges.tolist(), color=colour, rwidth=0.85 if is_count else 1.0)
-    axes.axvline(float(np.median(values)), color=INK, lw=1.2)
+    counts = np.histogram(values, edges / scale)[0]
+    axes.hist(edges[:-1], edges.tolist(), weights=counts, color=colour, rwidth=0.85 if is_count else 1.0)
+    axes.axvline(middle, color=INK, lw=1.2)
+    return middle
 
 
 def draw_error_over_depth(path: Path, facts: ReportFacts, distances: np.ndarray) -> Picture:

@@ -48,8 +48,6 @@ class Row:
     losses : Losses
     change : dict
         Of `Training`.
-    volume : dict
-        Of `TensorSettings`.
     kind : str
         Of the photographs: "plain", "exposed" or "wide".
     part : str
@@ -60,7 +58,6 @@ class Row:
     against: str = "none"
     losses: Losses = field(default_factory=Losses)
     change: dict | None = None
-    volume: dict | None = None
     kind: str = "plain"
     part: str = ""
 
@@ -69,10 +66,6 @@ class Row:
 # that of the colours after 240 steps.
 ROWS = {
     "none": Row(),
-    # Of MDW-NeRF, where its text leaves a choice.
-    "a weighting network for each scale": Row(volume={"shared": False}),
-    "colour as printed": Row(volume={"printed_colour": True}),
-    "L1 of density features 8e-5": Row(volume={"features_l1": 8e-5}),
     "Huber 0.1": Row(change={"huber": 0.1}),
     "distortion 0.002": Row(losses=Losses(distortion=0.002)),
     "density 0.002": Row(losses=Losses(density=0.002)),
@@ -114,8 +107,7 @@ def measure(row: Row, training: Training, seed: int) -> dict:
     data = scene_of(row.kind)
     length = APPEARANCE if row.part == "appearance" else 0
     torch.manual_seed(seed)
-    settings = replace(SETTINGS, **(row.volume or {}))
-    volume = TensorVolume(BOX, settings, choose_device("cpu"), appearance=length)
+    volume = TensorVolume(BOX, SETTINGS, choose_device("cpu"), appearance=length)
     scene = VolumeRenderer(
         volume,
         appearance=appearance_vectors(len(data.train.cameras), length) if length else None,

@@ -30,7 +30,7 @@ def weighted_drjit(
 
     Parameters
     ----------
-    layers : weight and bias of the three maps of the gate, of all scales or (with L in front) of each
+    layers : weight and bias of the three maps of the gate
     fine : (1, L F)
     shape : (L, D, F)
     device : Device with a Dr.Jit module
@@ -40,11 +40,9 @@ def weighted_drjit(
             f"the head weighs {shape[2]} channels, but its kernel reads packets of {PACKET}: "
             f"take a multiple of {PACKET}, or the device torch"
         )
-    sizes = [(weight.shape[-2], weight.shape[-1]) for weight, _ in layers]
-    sets = 1 if layers[0][0].dim() == 2 else shape[0]
-    maps = torch.cat([t.reshape(sets, -1) for layer in layers for t in layer], dim=1)
-    flat = torch.cat([maps.reshape(-1), fine.reshape(-1)])
-    return _Weighting.apply(features, flat, _Gate(device, shape, sizes, sets)).sum(dim=1)
+    sizes = [(weight.shape[0], weight.shape[1]) for weight, _ in layers]
+    flat = torch.cat([t.reshape(-1) for layer in (*layers, (fine,)) for t in layer])
+    return _Weighting.apply(features, flat, _Gate(device, shape, sizes)).sum(dim=1)
 
 
 class _Weighting(torch.autograd.Function):
@@ -71,9 +69,9 @@ class _Weighting(torch.autograd.Function):
 class _Gate:
     """The network of one row."""
 
-    def __init__(self, device, shape: tuple, sizes: list[tuple[int, int]], sets: int):
-        self.device, self.module, self.sizes, self.sets = device, device.module, sizes, sets
-        self.of_set = sum(outputs * (inputs + 1) for outputs, inputs in sizes)
+    def __init__(self, device, shape: tuple, sizes: list[tuple[int, int]]):
+        self.device, self.module, self.sizes = device, device.module, sizes
+        self.of_maps = sum(outputs * (inputs + 1) for outputs, inputs in sizes)
         self.scales, self.directions, self.channels = shape
         self.packets = self.directions * self.channels // PACKET
 
@@ -85,13 +83,12 @@ class _Gate:
     def load(self, flat, scale) -> tuple[list, list]:
         """Weights and biases of the maps, and the last map's weights for this scale."""
         Float, UInt = self.module.Float, self.module.UInt
-        layers, first = [], scale * self.of_set if self.sets > 1 else UInt(0)
+        layers, first = [], UInt(0)
         for outputs, inputs in self.sizes:
             numbers = [dr.gather(Float, flat, first + k) for k in range(outputs * (inputs + 1))]
             layers.append((numbers[: outputs * inputs], numbers[outputs * inputs :]))
             first = first + len(numbers)
-        last = self.sets * self.of_set
-        fine = [dr.gather(Float, flat, last + scale * self.channels + c) for c in range(self.channels)]
+        fine = [dr.gather(Float, flat, self.of_maps + scale * self.channels + c) for c in range(self.channels)]
         return layers, fine
 
     def run(self, layers: list, a: list) -> tuple[list, list]:
@@ -120,7 +117,7 @@ class _Gate:
         lanes = LANES[self.device.name] * self.scales  # a multiple of the scales: each lane stays with one
         lane, num = dr.arange(UInt, lanes), dr.opaque(UInt, gradient.numel())
         to_features = dr.empty(Float, features.numel())
-        zeros = [dr.zeros(Float, lanes) for _ in range(self.of_set + self.channels)]
+        zeros = [dr.zeros(Float, lanes) for _ in range(self.of_maps + self.channels)]
 
         def one_row(row, sums):
             active = row < num
@@ -137,9 +134,8 @@ class _Gate:
         # In one array: each that goes to torch waits for the device.
         joint = as_torch(dr.concat(sums), flat).reshape(len(sums), -1, self.scales)
         per_scale = joint.sum(dim=1)
-        maps, fine = per_scale[: self.of_set], per_scale[self.of_set :]
-        to_maps = maps.sum(dim=1) if self.sets == 1 else maps.T.reshape(-1)
-        to_flat = torch.cat([to_maps, fine.T.reshape(-1)])
+        maps, fine = per_scale[: self.of_maps], per_scale[self.of_maps :]
+        to_flat = torch.cat([maps.sum(dim=1), fine.T.reshape(-1)])
         return as_torch(to_features, features), to_flat
 
     def _row(self, layers: list, fine: list, a: list, incoming) -> tuple[list, list, list]:

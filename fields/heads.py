@@ -3,7 +3,7 @@
 A       features of a sample, (scales L, directions D, channels F)
 coarse  linear map of the sum over directions of A: L F numbers to 1                                     (1)
 fine    DWN: gate = GELU(W3 GELU(W2 GELU(W1 a))) per scale on its D F numbers a, A' = gate * a, then a linear map   (2)
-        (W1 to W3 are those of all scales, or of each scale its own: the paper does not say)
+        (W1 to W3 are those of all scales: the paper does not say)
 colour  f_c = [G_n W_n] with one appearance vector W_n per scale; c = CRN(f_c, SH(d))                    (3)
 """
 
@@ -34,8 +34,6 @@ class DensityHead(nn.Module):
         r of the paper: the gate's hidden width is D F / r.
     device : Device or None
         Dr.Jit device for the weighting network's kernel; "torch" or None for its reference implementation.
-    shared : bool
-        The maps of the gate are those of all scales; else each scale has its own.
     """
 
     def __init__(
@@ -46,18 +44,14 @@ class DensityHead(nn.Module):
         reduction: int = 2,
         *,
         device: Device | None = None,
-        shared: bool = True,
     ):
         super().__init__()
         self.shape, self.device = (scales, directions, channels), device
         width = directions * channels
         hidden = max(width // reduction, 1)
         self.coarse = nn.Linear(scales * channels, 1)
-
-        def maps(inputs: int, outputs: int) -> nn.Linear | LinearOfScales:
-            return nn.Linear(inputs, outputs) if shared else LinearOfScales(scales, inputs, outputs)
-
-        self.squeeze, self.excite, self.gate = maps(width, hidden), maps(hidden, hidden), maps(hidden, width)
+        self.squeeze, self.excite = nn.Linear(width, hidden), nn.Linear(hidden, hidden)
+        self.gate = nn.Linear(hidden, width)
         self.fine = nn.Linear(scales * channels, 1)
         for layer in (self.coarse, self.fine):  # the field starts as its proxy
             nn.init.zeros_(layer.weight)
@@ -71,7 +65,7 @@ class DensityHead(nn.Module):
             each = self.coarse.weight.view(scales, 1, channels).expand(-1, directions, -1).reshape(1, -1)
             return nn.functional.linear(features, each, self.coarse.bias)[:, 0]
         layers = [(layer.weight, layer.bias) for layer in (self.squeeze, self.excite, self.gate)]
-        numbers = sum(t.numel() for layer in layers for t in layer) // (1 if layers[0][0].dim() == 2 else self.shape[0])
+        numbers = sum(t.numel() for layer in layers for t in layer)
         fused = self.device is not None and self.device.module is not None and numbers <= MOST_FUSED
         if not fused or len(features) == 0:
             return self._weighted_torch(features)
@@ -96,19 +90,6 @@ class DensityHead(nn.Module):
             self.fine.bias.copy_(self.coarse.bias)
             nn.init.zeros_(self.gate.weight)
             nn.init.constant_(self.gate.bias, GATE_OF_ONE)
-
-
-class LinearOfScales(nn.Module):
-    """A linear map for each scale, of (samples, scales, inputs) to (samples, scales, outputs)."""
-
-    def __init__(self, scales: int, inputs: int, outputs: int):
-        super().__init__()
-        drawn = [nn.Linear(inputs, outputs) for _ in range(scales)]
-        self.weight = nn.Parameter(torch.stack([each.weight.detach() for each in drawn]))
-        self.bias = nn.Parameter(torch.stack([each.bias.detach() for each in drawn]))
-
-    def forward(self, x: Tensor) -> Tensor:
-        return torch.einsum("sli,loi->slo", x, self.weight) + self.bias
 
 
 class ColourHead(nn.Module):

@@ -76,12 +76,6 @@ MODELS = {
         "fields.volume.layer_model:mdw",
         in_layer=True,
     ),
-    "mdw-printed": Entry(
-        "MDW as printed",
-        "experimental: the same with the colours of its paper to the letter; no better with two seeds",
-        "MDW-NeRF",
-        "fields.volume.layer_model:mdw_printed",
-    ),
     "m": Entry("M", "mdw without the weighting", "its ablation", "fields.volume.layer_model:m", in_layer=True),
     "dw": Entry("DW", "mdw at one scale", "its ablation", "fields.volume.layer_model:dw", in_layer=True),
     "vm": Entry(

@@ -48,23 +48,18 @@ def test_coarse_density_is_a_linear_map_of_the_sum_over_directions(rng):
         assert value == pytest.approx(linear(head.coarse, np.array(total))[0], rel=1e-12)
 
 
-@pytest.mark.parametrize("shared", [True, False])
-def test_fine_density_gates_the_features_of_each_scale_by_a_weighting_network_of_all_or_of_its_own(rng, shared):
-    head, features = randomised(DensityHead(L, D, F, shared=shared)), features_of(rng)
+def test_fine_density_gates_the_features_of_each_scale_by_a_weighting_network(rng):
+    head, features = randomised(DensityHead(L, D, F)), features_of(rng)
     head.is_fine = True
-    assert head.squeeze.weight.shape[-2:] == (D * F // 2, D * F)
+    assert head.squeeze.weight.shape == (D * F // 2, D * F)
     found = head(torch.from_numpy(features)).detach().numpy()
-
-    def mapped(name: str, scale: int, x: np.ndarray) -> np.ndarray:
-        weight, bias = (p.detach().numpy() for p in (getattr(head, name).weight, getattr(head, name).bias))
-        return weight @ x + bias if shared else weight[scale] @ x + bias[scale]
 
     for value, sample in zip(found, features, strict=True):
         total = []
-        for n, a in enumerate(sample.reshape(L, D * F)):
+        for a in sample.reshape(L, D * F):
             gate = a
             for name in ("squeeze", "excite", "gate"):
-                gate = gelu(mapped(name, n, gate))
+                gate = gelu(linear(getattr(head, name), gate))
             weighted = (gate * a).reshape(D, F)
             total += [sum(weighted[m, k] for m in range(D)) for k in range(F)]
         assert value == pytest.approx(linear(head.fine, np.array(total))[0], rel=1e-12)
@@ -82,10 +77,9 @@ def test_gelu_is_one_at_the_bias_of_an_open_gate():
     assert gelu(GATE_OF_ONE) == pytest.approx(1.0, abs=2e-16)
 
 
-@pytest.mark.parametrize("shared", [True, False])
 @pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float64, 1e-14), (torch.float32, 1e-6)])
-def test_the_switch_to_fine_leaves_the_density_where_it_stands(dtype, tolerance, shared, rng):
-    head = randomised(DensityHead(L, D, F, shared=shared)).to(dtype)
+def test_the_switch_to_fine_leaves_the_density_where_it_stands(dtype, tolerance, rng):
+    head = randomised(DensityHead(L, D, F)).to(dtype)
     features = torch.from_numpy(features_of(rng, 50)).to(dtype)
     coarse = head(features)
     head.switch_to_fine()
@@ -106,13 +100,10 @@ def test_all_of_the_weighting_network_learns_after_the_switch(rng):
     assert head.coarse.weight.grad is None
 
 
-@pytest.mark.parametrize(
-    ("shape", "reduction", "shared"),
-    [((L, D, F), 2, True), ((6, 3, 4), 4, True), ((2, 1, 8), 2, True), ((1, 1, 4), 8, True), ((L, D, F), 2, False)],
-)
-def test_the_weighting_kernel_is_its_twin_forward_and_backward(device, shape, reduction, shared, rng):
-    exact = randomised(DensityHead(*shape, reduction, shared=shared))
-    fast = DensityHead(*shape, reduction, device=device, shared=shared)
+@pytest.mark.parametrize(("shape", "reduction"), [((L, D, F), 2), ((6, 3, 4), 4), ((2, 1, 8), 2), ((1, 1, 4), 8)])
+def test_the_weighting_kernel_is_its_twin_forward_and_backward(device, shape, reduction, rng):
+    exact = randomised(DensityHead(*shape, reduction))
+    fast = DensityHead(*shape, reduction, device=device)
     fast.load_state_dict(exact.state_dict())
     exact.is_fine = fast.is_fine = True
     features = torch.from_numpy(rng.standard_normal((301, math.prod(shape)))).float()

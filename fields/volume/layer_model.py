@@ -121,11 +121,6 @@ def mdw(of: Setup) -> TensorVolume:
     return _tensor(of, TensorSettings.mdw())
 
 
-def mdw_printed(of: Setup) -> TensorVolume:
-    """The model of a setup, as `TensorSettings.published`."""
-    return _tensor(of, TensorSettings.published())
-
-
 def m(of: Setup) -> TensorVolume:
     """The model of a setup, as `TensorSettings.m`."""
     return _tensor(of, TensorSettings.m())

@@ -71,9 +71,9 @@ def kept_result(work: Path, name: str, settings: dict, compute: Callable[[], Any
 
 
 def held_paths(scene: SwitchScene) -> Paths:
-    """Pixels of the held-out photographs, with the true distances as their priors."""
-    ones = np.ones_like(scene.length[0])
-    scene.held.priors = [PriorImages(length=length, std=ones) for length in scene.length]
+    """Pixels of the held-out photographs, with the true distances first among their priors."""
+    ahead = [camera.directions(camera.pixel_centres()) @ camera.cam_from_local[2] for camera in scene.held.cameras]
+    scene.held.priors = [PriorImages(length * cosine) for length, cosine in zip(scene.length, ahead, strict=True)]
     return scene.held.draw(PATHS, BOX, np.random.default_rng(0))
 
 

@@ -34,11 +34,12 @@ from object_scenes import NAMES, ObjectScene, chamfer, load_scene
 from PIL import Image
 from scipy.special import stdtrit
 from study import thinned
+from switch_scene import Backdrop
 
 from fields.device import choose_device, tensor_place
 from fields.models import MODELS
 from fields.volume.model import Setup, VolumeModel, build_model
-from fields.volume.renderer import Backdrop, VolumeRenderer, render_volume
+from fields.volume.renderer import VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.sdf import SdfSettings, SdfVolume
 from fields.volume.tensor import TensorVolume

@@ -19,18 +19,18 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from switch_scene import BOX, WATER, SwitchScene, build, left_half_of
+from switch_scene import BOX, WATER, Backdrop, SwitchScene, build, left_half_of
 from torch import nn
 
 from fields.device import choose_device
 from fields.volume.appearance import appearance_vectors, match_appearance
-from fields.volume.losses import Losses
 from fields.volume.photographs import Photographs
-from fields.volume.renderer import Backdrop, NormalHead, VolumeRenderer, render_volume
+from fields.volume.renderer import VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.shell import Shell
 from fields.volume.tensor import TensorSettings, TensorVolume
 from fields.volume.train import Training, train_volume
+from fields.volume.weights import Losses
 
 SETTINGS = TensorSettings.mdw(scales=3, n_min=16, n_max=64, degree=0)
 TRAINING = Training(steps=400, rays=768, samples=24, cells=48)
@@ -46,18 +46,15 @@ class Row:
     against : str
         Name of the row that differs from it by the switch.
     losses : Losses
-    change : dict
-        Of `Training`.
     kind : str
         Of the photographs: "plain", "exposed" or "wide".
     part : str
-        "appearance", "shell", "black", "colour" or "normals": what the scene has besides the volume; "colour" is the
-        mean of the photographs behind it.
+        "appearance", "shell", "black" or "colour": what the scene has besides the volume; "colour" is the mean of the
+        photographs behind it.
     """
 
     against: str = "none"
     losses: Losses = field(default_factory=Losses)
-    change: dict | None = None
     kind: str = "plain"
     part: str = ""
 
@@ -66,7 +63,6 @@ class Row:
 # that of the colours after 240 steps.
 ROWS = {
     "none": Row(),
-    "Huber 0.1": Row(change={"huber": 0.1}),
     "distortion 0.002": Row(losses=Losses(distortion=0.002)),
     "density 0.002": Row(losses=Losses(density=0.002)),
     "Gaussian density 0.008": Row(losses=Losses(gaussian_density=0.008)),
@@ -74,24 +70,19 @@ ROWS = {
     "Gaussian density as printed 0.002": Row(losses=Losses(printed_gaussian_density=0.002)),
     "empty 0.001": Row(losses=Losses(empty=0.001)),
     "density, distortion, empty": Row(losses=Losses(printed_density=0.002, distortion=0.002, empty=0.001)),
-    "orientation 0.004": Row(losses=Losses(orientation=0.004)),
-    "virtual views 0.01": Row(losses=Losses(virtual_views=0.01)),
-    "length prior 0.0001": Row(losses=Losses(length=0.0001)),
     "monocular depth 0.01": Row(losses=Losses(depth=0.01)),
     "monocular normals 0.0001": Row(losses=Losses(normal=0.0001)),
-    "predicted normals 0.0001": Row(losses=Losses(predicted_normal=0.0001), part="normals"),
     # A loss of no weight to speak of: what drawing patches costs.
     "patches of 8 px": Row(losses=Losses(ncc=1e-12)),
     "NCC 0.0003": Row("patches of 8 px", Losses(ncc=0.0003)),
     "SSIM 0.003": Row("patches of 8 px", Losses(ssim=0.003)),
     "virtual patches 0.0003": Row("patches of 8 px", Losses(virtual_patches=0.0003)),
-    "smooth normals 0.0001": Row("patches of 8 px", Losses(smooth_normals=0.0001)),
     # Behind the box as a rule is nothing: the last sample is opaque.
     "black behind": Row(part="black"),
     "one colour behind": Row(part="colour"),
     "transparency 0.001": Row("one colour behind", Losses(transparency=0.001), part="colour"),
     "exposures, no vectors": Row("exposures, no vectors", kind="exposed"),
-    "exposures, vectors of 8": Row("exposures, no vectors", Losses(appearance=1e-5), kind="exposed", part="appearance"),
+    "exposures, vectors of 8": Row("exposures, no vectors", kind="exposed", part="appearance"),
     "beyond the box, nothing": Row("beyond the box, nothing", kind="wide"),
     "beyond the box, shell": Row("beyond the box, nothing", kind="wide", part="shell"),
 }
@@ -112,9 +103,8 @@ def measure(row: Row, training: Training, seed: int) -> dict:
         volume,
         appearance=appearance_vectors(len(data.train.cameras), length) if length else None,
         background=behind(row.part, data.train),
-        normals=NormalHead(volume.num_features) if row.part == "normals" else None,
     )
-    training = replace(training, losses=row.losses, **(row.change or {}))
+    training = replace(training, losses=row.losses)
     start = time.process_time()
     cells, figures = train_volume(scene, data.train, training, lambda done: None, seed=seed)
     seconds = time.process_time() - start

@@ -9,9 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
 from fields.image_store import GAMMA
-from fields.volume.paths import Box
+from fields.volume.paths import Box, Paths
 from fields.volume.photographs import Photographs, PriorImages
 from refract import FlatWater, PinholeCamera
 
@@ -52,7 +53,7 @@ def build(
     wide : bool
         Photographs take in the bed beyond the box, which is endless; else they are cut to what lies inside.
     priors : bool
-        The photographs carry rough lengths, monocular depths and normals.
+        The photographs carry rough monocular depths and normals.
     water : FlatWater or None
         None for a dry scene.
     enlarged : float
@@ -155,15 +156,10 @@ def colour(points: np.ndarray) -> np.ndarray:
 def rough_priors(
     camera: PinholeCamera, normals: np.ndarray, length: np.ndarray, rng: np.random.Generator
 ) -> PriorImages:
-    """What a sweep and a network might say.
+    """What a network might say.
 
-    Lengths at 3 of 10 pixels, 3 cm off and one in twenty wrong by up to half a metre; depths of an unknown scale and
-    shift, half a percent off in swells; normals 5 degrees off.
+    Depths of an unknown scale and shift, half a percent off in swells; normals 5 degrees off.
     """
-    off = rng.normal(0.0, 0.03, length.shape)
-    wrong = rng.random(length.shape) < 0.05
-    off[wrong] = rng.uniform(-0.5, 0.5, int(wrong.sum()))
-    rough = np.where(rng.random(length.shape) < 0.3, length + off, np.nan)
     ahead = camera.directions(camera.pixel_centres()) @ camera.cam_from_local[2]
     rows, columns = np.mgrid[: camera.height, : camera.width]
     phase = rng.uniform(0.0, 2.0 * np.pi, 2)
@@ -171,4 +167,15 @@ def rough_priors(
     depth = rng.uniform(0.1, 0.3) * length * ahead * swell + rng.uniform(-1.0, 1.0)
     bent = normals + np.radians(5.0) * rng.normal(size=normals.shape) / np.sqrt(2.0)
     bent /= np.linalg.norm(bent, axis=-1, keepdims=True)
-    return PriorImages(rough, np.full(length.shape, 0.03), depth, normal=bent)
+    return PriorImages(depth, normal=bent)
+
+
+class Backdrop(torch.nn.Module):
+    """Constant colour behind the box: three numbers, 0 to 1, as a photograph stores it."""
+
+    def __init__(self, stored: tuple[float, float, float]):
+        super().__init__()
+        self.register_buffer("linear", torch.tensor(stored) ** GAMMA)
+
+    def forward(self, paths: Paths) -> torch.Tensor:
+        return self.linear.expand(len(paths), 3)

@@ -24,40 +24,6 @@ class Rule(StrEnum):
 
 
 @dataclass(frozen=True)
-class LossWeights:
-    """[field.losses]: weights of the terms added to the squared error of the colours; 0 leaves a term out."""
-
-    transparency: float = 0.0  # light that passes the bed
-    distortion: float = 0.0  # spread of the weights along a ray (mip-NeRF 360)
-    orientation: float = 0.0  # surfaces that face away (Ref-NeRF)
-    # density, gaussian_density: density between empty and full (Inf-NeRF), with Gaussians in place of nodes
-    density: float = 0.0
-    gaussian_density: float = 0.0
-    # printed_density, printed_gaussian_density: both as printed; empty: all that is not empty (Inf-NeRF)
-    printed_density: float = 0.0
-    printed_gaussian_density: float = 0.0
-    empty: float = 0.0
-    # virtual_views, ncc, ssim, smooth_normals: on patches and views beside the photographs' own (MonoPatchNeRF)
-    virtual_views: float = 0.0
-    ncc: float = 0.0
-    ssim: float = 0.0
-    smooth_normals: float = 0.0
-    virtual_patches: float = 0.0
-    huber: float = 0.0  # limit of Huber's loss of the colours (MonoPatchNeRF: 0.1); 0: the squared error
-    # depth, normal: departures from monocular depth and normals (MonoSDF); need `monocular`
-    depth: float = 0.0
-    normal: float = 0.0
-    predicted_normal: float = 0.0  # of normals that a head predicts (MonoPatchNeRF); needs `monocular`
-    patch_px: int | None = None  # side of the patches; default: 8
-
-    def __post_init__(self):
-        for name, value in vars(self).items():
-            least = 3 if name == "patch_px" else 0
-            if value is not None and value < least:
-                raise ValueError(f"{name} is {value:g}, expected {least} or more")
-
-
-@dataclass(frozen=True)
 class Entry:
     """A model of the list."""
 

@@ -15,9 +15,10 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from fields.device import choose_device
-from fields.models import MODELS, LossWeights, Rule
+from fields.models import MODELS, Rule
 from fields.volume.model import Setup, build_model
 from fields.volume.paths import Box
+from fields.volume.weights import Losses
 from geo import read_cloud
 from refract import PinholeCamera
 from survey.errors import ConfigError, OutputError, SurveyError
@@ -141,11 +142,11 @@ def test_options_without_sense_are_refused(wrong, said):
         ({"drop": "none"}, {"submodules": "2x1"}, "--drop has no effect without --submodules"),
         ({"density": 3.0}, {"rule": Rule.density}, "--density has no effect without --extract density"),
         ({"dry": True}, {"cameras": "a.csv"}, "--dry has no effect without --cameras"),
-        ({"losses": LossWeights(transparency=0.1)}, {"shell": True}, r"transparency has no effect without --shell"),
+        ({"losses": Losses(transparency=0.1)}, {"shell": True}, r"transparency has no effect without --shell"),
         (
-            {"losses": LossWeights(patch_px=4)},
-            {"losses": LossWeights(patch_px=4, ssim=0.1)},
-            "patch_px has no effect without ncc, ssim, smooth_normals or virtual_patches",
+            {"losses": Losses(patch_px=4)},
+            {"losses": Losses(patch_px=4, ssim=0.1)},
+            "patch_px has no effect without ncc, ssim or virtual_patches",
         ),
     ],
 )
@@ -155,9 +156,12 @@ def test_an_option_without_effect_is_refused_and_taken_where_it_has_one(given, n
     assert VolumeOptions(**(given | needed)).of_losses().patch in (1, 4)
 
 
-def test_predicted_normals_count_beside_those_that_monocular_priors_have_by_default(tmp_path):
-    losses = VolumeOptions(monocular=tmp_path, losses=LossWeights(predicted_normal=0.2)).of_losses()
-    assert (losses.depth, losses.normal, losses.predicted_normal) == (*MONOCULAR, 0.2)
+def test_losses_that_are_given_take_the_place_of_those_that_monocular_priors_have_by_default(tmp_path):
+    given = Losses(normal=0.2, distortion=0.1)
+    assert VolumeOptions(monocular=tmp_path, losses=given).of_losses() == given
+    depth, normal = MONOCULAR
+    beside = VolumeOptions(monocular=tmp_path, losses=Losses(distortion=0.1)).of_losses()
+    assert beside == Losses(distortion=0.1, depth=depth, normal=normal)
 
 
 def test_the_shell_is_seen_where_the_bed_does_not_fill_the_picture(folder, run):
@@ -237,7 +241,7 @@ def test_monocular_depth_and_normals_are_learned_from(folder, run):
     np.save(priors / "0000_depth.npy", np.linspace(1.0, 2.0, width * height).reshape(height, width))
     np.save(priors / "0001_normal.npy", np.tile(np.float32([0.0, 0.0, -1.0]), (height // 2, width // 2, 1)))
     options = replace(SHORT, monocular=priors)
-    assert (options.of_losses().depth, options.of_losses().normal) == (0.1, 0.05)
+    assert options.of_losses() == Losses(depth=0.1, normal=0.05)
     report = train_field(run, folder / "with mono", options)
     plain = train_field(run, folder / "without mono", SHORT)
     assert report["training"]["psnr_db"] != plain["training"]["psnr_db"]
@@ -289,4 +293,4 @@ def test_normals_that_point_away_are_refused_where_few_are_known(tmp_path):
 
 def test_losses_on_priors_need_priors():
     with pytest.raises(SurveyError, match="name their folder with --monocular DIR"):
-        VolumeOptions(losses=LossWeights(depth=0.1))
+        VolumeOptions(losses=Losses(depth=0.1))

@@ -8,8 +8,8 @@ from dataclasses import fields
 import pytest
 import torch
 from analytic_volume import BOX, AnalyticVolume, floor_at, looking_down, seen_by
+from volume_scenes import Backdrop
 
-from fields.volume.appearance import appearance_vectors
 from fields.volume.density_loss import (
     LIMIT,
     NODES,
@@ -21,19 +21,13 @@ from fields.volume.density_loss import (
     limited_exp,
     printed_density_loss,
 )
-from fields.volume.losses import (
-    Losses,
-    appearance_loss,
-    distortion_loss,
-    orientation_loss,
-    transparency_loss,
-)
+from fields.volume.losses import added_loss, distortion_loss, transparency_loss
 from fields.volume.photographs import COLUMNS
-from fields.volume.renderer import Backdrop, NormalHead, Rendered, VolumeRenderer
+from fields.volume.renderer import Rendered, VolumeRenderer
 from fields.volume.sampling import Cells, Samples
+from fields.volume.weights import PATCH_PX, Losses
 
 LENGTH = 0.1
-BLACK = Backdrop((0.0, 0.0, 0.0))
 
 
 def number(value: torch.Tensor) -> float:
@@ -74,25 +68,6 @@ def test_distortion_is_the_double_sum_of_its_equation(batch):
         total += sum(w[i] * w[j] * abs(middle[i] - middle[j]) for i in range(7) for j in range(7))
         total += sum(w[i] ** 2 * (s[i + 1] - s[i]) for i in range(7)) / 3.0
     assert number(distortion_loss(paths, rendered_from(weights, edges))) == pytest.approx(total / 3, rel=1e-12)
-
-
-def test_only_normals_that_face_away_cost_and_as_the_square_of_their_cosine():
-    down = torch.tensor([[0.0, 0.0, -1.0]])
-    for degrees, cost in ((0.0, 0.0), (89.9, 0.0), (120.0, 0.25), (180.0, 1.0)):
-        n = torch.tensor([[math.sin(math.radians(degrees)), 0.0, math.cos(math.radians(degrees))]])
-        found = number(orientation_loss(n, down, torch.tensor([0.5])))
-        assert found == pytest.approx(0.5 * cost, abs=1e-7)  # cosines in float32
-
-
-def test_the_appearance_loss_is_the_mean_square_of_the_vectors_and_asks_for_them():
-    paths = seen_by(looking_down(), view=1)
-    vectors = appearance_vectors(2, 2)
-    renderer = VolumeRenderer(floor_at(0.0), appearance=vectors)
-    assert number(appearance_loss(renderer, paths)) == 0.0
-    vectors.weight.data[1] = torch.tensor([3.0, 4.0])
-    assert number(appearance_loss(renderer, paths)) == pytest.approx(12.5)
-    with pytest.raises(ValueError, match="no appearance vectors"):
-        appearance_loss(VolumeRenderer(floor_at(0.0)), paths)
 
 
 def opacity_is(formula) -> AnalyticVolume:
@@ -175,24 +150,19 @@ def test_what_is_not_empty_costs_its_opacity():
     assert number(empty_loss(floor_at(0.0, density=1e4), LENGTH, points=4000)) == pytest.approx(0.5, abs=0.04)
 
 
-SWITCHES = [
-    *(Losses(patch_px=4, **{f.name: 1.0}) for f in fields(Losses) if f.name not in ("patch_px", "huber")),
-]
+SWITCHES = [Losses(**{f.name: 1.0, "patch_px": 4}) for f in fields(Losses) if f.name != "patch_px"]
 
 
 @pytest.fixture
 def trained_on():
     """A renderer, paths with colours and priors that disagree with it, what they show of it, and the proxy."""
     torch.manual_seed(0)
-    vectors = appearance_vectors(1, 2)
-    vectors.weight.data += 0.3
     model = AnalyticVolume(lambda x: 6.0 * torch.sigmoid(8.0 * torch.sin(4.0 * x[:, 0] + 3.0 * x[:, 2])))
-    renderer = VolumeRenderer(model, appearance=vectors, background=BLACK, normals=NormalHead(3))
+    renderer = VolumeRenderer(model, background=Backdrop((0.0, 0.0, 0.0)))
     paths, cells = seen_by(looking_down()), Cells.everywhere(BOX, 32)
     paths.rgb = torch.rand(len(paths), 3)
     known = torch.rand(len(paths), COLUMNS)
-    known[:, 0] += 4.0
-    known[:, 4], known[:, 5:] = 1.0, torch.nn.functional.normalize(known[:, 5:], dim=1)
+    known[:, 2], known[:, 3:] = 1.0, torch.nn.functional.normalize(known[:, 3:], dim=1)
     paths.priors = known
     return renderer, paths, renderer.render(paths, cells.samples(paths, 32, jitter=False)), cells
 
@@ -201,20 +171,20 @@ def trained_on():
 def test_each_switch_adds_its_weight_times_its_loss_and_reaches_what_it_should(losses, trained_on):
     renderer, paths, rendered, cells = trained_on
     torch.manual_seed(1)
-    once = losses(renderer, paths, rendered, cells, None)
+    once = added_loss(losses, renderer, paths, rendered, cells, None)
     assert math.isfinite(number(once))
     assert number(once) > 0.0
-    reached = renderer.appearance.weight if losses.appearance else renderer.model.scale
-    (gradient,) = torch.autograd.grad(once, [reached])
+    (gradient,) = torch.autograd.grad(once, [renderer.model.scale])
     assert torch.isfinite(gradient).all()
     assert number(gradient.abs().max()) > 0.0
 
 
 def test_without_weights_nothing_is_added_and_nothing_drawn(trained_on):
     state = torch.get_rng_state()
-    total = Losses()(*trained_on, None)
+    total = added_loss(Losses(), *trained_on, None)
     assert number(total) == 0.0
     assert not total.requires_grad
     assert torch.equal(torch.get_rng_state(), state)
-    assert Losses().patch == 1
-    assert Losses(patch_px=6, ssim=0.1).patch == 6
+    assert Losses(distortion=0.1).patch == 1
+    assert Losses(ssim=0.1).patch == PATCH_PX
+    assert Losses(ssim=0.1, patch_px=6).patch == 6

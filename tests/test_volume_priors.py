@@ -1,4 +1,4 @@
-"""Priors: carried from images to paths, their losses in closed form; normals from features; Huber's loss."""
+"""Priors: carried from images to paths, their losses in closed form."""
 
 from __future__ import annotations
 
@@ -8,20 +8,16 @@ import numpy as np
 import pytest
 import torch
 from analytic_volume import BOX, WATER, floor_at, looking_down, seen_by
-from volume_models import require_rates
 
 from fields.volume.paths import Paths
 from fields.volume.photographs import COLUMNS, Photographs, PriorImages, Priors
 from fields.volume.prior_losses import (
     fit_views,
-    length_loss,
     normal_prior_loss,
-    predicted_normals,
     relative_depth_loss,
 )
-from fields.volume.renderer import NormalHead, Rendered, VolumeRenderer
+from fields.volume.renderer import Rendered, VolumeRenderer
 from fields.volume.sampling import Cells, Samples
-from fields.volume.train import _of_colours
 from refract import PinholeCamera
 
 CAMERA = looking_down(size=8)
@@ -47,17 +43,15 @@ def test_priors_travel_with_the_pixels_that_they_were_given_for():
     index = np.arange(64.0).reshape(8, 8)
     images = [np.repeat(index[..., None], 3, axis=2).astype(np.uint8)] * 2
     normal = np.broadcast_to([0.0, 0.6, 0.8], (8, 8, 3))
-    known = [PriorImages(length=index, std=index + 0.5), PriorImages(normal=normal)]
+    known = [PriorImages(depth=index), PriorImages(normal=normal)]
     paths = Photographs(cameras, images, [np.arange(64)] * 2, priors=known).draw(200, BOX, np.random.default_rng(0))
     priors = Priors.of(paths.priors)
     first = paths.view == 0
     pixel = torch.round(255.0 * paths.rgb[:, 0])
-    assert torch.equal(priors.length[first], pixel[first])
-    assert torch.equal(priors.std[first], pixel[first] + 0.5)
-    assert priors.length[~first].isnan().all()
+    torch.testing.assert_close(priors.terms[first, 0] / priors.terms[first, 1], pixel[first])
+    assert priors.terms[~first].isnan().all()
     assert priors.normal[first].isnan().all()
     assert torch.equal(priors.normal[~first], torch.tensor([0.0, 0.6, 0.8]).expand(int((~first).sum()), 3))
-    assert priors.terms.isnan().all()
 
 
 def test_paths_without_priors_carry_no_columns_and_a_loss_on_them_says_so():
@@ -65,32 +59,12 @@ def test_paths_without_priors_carry_no_columns_and_a_loss_on_them_says_so():
     assert paths.priors.shape == (64, 0)
     assert paths[:3].priors.shape == (3, 0)
     with pytest.raises(ValueError, match="the paths carry no priors"):
-        length_loss(paths, stopped_at(torch.full((64,), 5.0)))
+        relative_depth_loss(paths, stopped_at(torch.full((64,), 5.0)), 2.0)
 
 
 def test_wrong_priors_are_refused():
-    with pytest.raises(ValueError, match="needs its std"):
-        PriorImages(length=np.ones((2, 2)))
     with pytest.raises(ValueError, match="one size"):
         PriorImages(depth=np.ones((2, 2)), normal=np.ones((2, 3, 3)))
-
-
-def test_the_length_loss_is_its_equation_and_nothing_where_all_light_stops_at_the_prior():
-    length, std = np.full((8, 8), 5.0), np.full((8, 8), 0.1)
-    paths = paths_with(length=length, std=std)
-    s = torch.full((64,), 5.0)
-    assert length_loss(paths, stopped_at(s)).item() == 0.0
-    assert length_loss(paths, stopped_at(s + 0.2)).item() == pytest.approx(math.log(3.0), rel=1e-4)
-    passed = torch.log1p(0.5 * ((paths.far - 5.0) / 0.1) ** 2).mean().item()
-    assert length_loss(paths, stopped_at(s, opacity=0.75)).item() == pytest.approx(0.25 * passed, rel=1e-5)
-
-
-def test_pixels_without_a_length_cost_nothing():
-    length, std = np.full((8, 8), np.nan), np.full((8, 8), 0.1)
-    assert length_loss(paths_with(length=length, std=std), stopped_at(torch.ones(64))).item() == 0.0
-    length[2, 3] = 5.0
-    found = length_loss(paths_with(length=length, std=std), stopped_at(torch.full((64,), 5.2)))
-    assert found.item() == pytest.approx(math.log(3.0), rel=1e-4)  # float32 at 5 m over 0.1 m
 
 
 def test_scale_and_shift_of_each_view_are_exact_in_closed_form():
@@ -148,38 +122,5 @@ def test_normals_of_a_floor_agree_with_a_prior_that_points_up():
     depth = renderer.render(paths, cells.samples(paths, 64, jitter=False)).depth
     normals = renderer.model.normals(paths.at(depth[:, None])[:, 0], 0.03)
     paths.priors = torch.full((len(paths), COLUMNS), math.nan)
-    paths.priors[:, 5:] = torch.tensor([0.0, 0.0, 1.0])
+    paths.priors[:, 3:] = torch.tensor([0.0, 0.0, 1.0])
     assert normal_prior_loss(paths, normals).item() < 1e-4  # differences of float32 densities
-
-
-def test_a_normal_is_the_weighted_mean_of_those_of_the_samples():
-    head = NormalHead(3, 5).double()
-    weights, features = torch.rand(2, 4, dtype=torch.float64), torch.randn(8, 3, dtype=torch.float64)
-    found = head.along(weights, features).detach().numpy()
-    (w1, b1), (w2, b2) = (
-        (layer.weight.detach().numpy(), layer.bias.detach().numpy()) for layer in (head.hidden, head.last)
-    )
-    for path in range(2):
-        total = np.zeros(3)
-        for k in range(4):
-            n = w2 @ np.maximum(w1 @ features[4 * path + k].numpy() + b1, 0.0) + b2
-            total += weights[path, k].item() * n / np.linalg.norm(n)
-        np.testing.assert_allclose(found[path], total / np.linalg.norm(total), rtol=1e-12)
-
-
-def test_a_renderer_with_a_head_says_normals_and_learns_it_once():
-    renderer = VolumeRenderer(floor_at(0.0), normals=NormalHead(floor_at(0.0).num_features))
-    paths, cells = seen_by(looking_down(size=6)), Cells.everywhere(BOX, 8)
-    rendered = renderer.render(paths, cells.samples(paths, 16, jitter=False))
-    torch.testing.assert_close(predicted_normals(rendered).norm(dim=1), torch.ones(len(paths)))
-    require_rates(renderer)
-    without = VolumeRenderer(floor_at(0.0)).render(paths, cells.samples(paths, 16, jitter=False))
-    with pytest.raises(ValueError, match="no head of normals; give it one"):
-        predicted_normals(without)
-
-
-def test_huber_is_half_the_square_below_its_limit_and_linear_above():
-    rendered, seen = torch.tensor([[0.05, 0.5, 0.0]]), torch.zeros(1, 3)
-    expected = (0.5 * 0.05**2 + 0.1 * (0.5 - 0.05)) / 3.0
-    assert _of_colours(rendered, seen, 0.1).item() == pytest.approx(expected)
-    assert _of_colours(rendered, seen, 0.0).item() == pytest.approx((0.05**2 + 0.25) / 3.0)

@@ -7,10 +7,10 @@ import pytest
 import torch
 from test_volume_paths import whole
 from torch import nn
-from volume_scenes import BOX, WATER, Slab, looking_down
+from volume_scenes import BOX, WATER, Backdrop, Slab, looking_down
 
 from fields.image_store import GAMMA
-from fields.volume.renderer import Backdrop, VolumeRenderer, render_volume
+from fields.volume.renderer import VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.water_column import WaterColumn
 

@@ -10,13 +10,13 @@ import torch
 from analytic_volume import AnalyticVolume, floor_at
 from analytic_volume import looking_down as high_over
 from torch import nn
-from volume_scenes import WATER, Slab, looking_down
+from volume_scenes import WATER, Backdrop, Slab, looking_down
 
 from fields.image_store import as_stored
 from fields.volume.appearance import appearance_vectors
 from fields.volume.paths import Box
 from fields.volume.photographs import pixels_over
-from fields.volume.renderer import Backdrop, VolumeImage, VolumeRenderer, render_volume
+from fields.volume.renderer import VolumeImage, VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.submodules import (
     Blend,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from fields.image_store import GAMMA
 from fields.training import Rates
 from fields.volume.model import VolumeModel
-from fields.volume.paths import Box
+from fields.volume.paths import Box, Paths
 from fields.volume.photographs import Photographs
 from refract import FlatWater, PinholeCamera
 
@@ -32,6 +32,17 @@ class Slab(VolumeModel):
 
     def rates(self) -> list[Rates]:
         return []
+
+
+class Backdrop(nn.Module):
+    """Constant colour behind the box: three numbers, 0 to 1, as a photograph stores it."""
+
+    def __init__(self, stored: tuple[float, float, float]):
+        super().__init__()
+        self.register_buffer("linear", torch.tensor(stored) ** GAMMA)
+
+    def forward(self, paths: Paths) -> Tensor:
+        return self.linear.expand(len(paths), 3)
 
 
 def looking_down(height: float = 3.0, *, tilt: float = 0.0, size: int = 24, x: float = 0.0) -> PinholeCamera:

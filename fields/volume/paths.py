@@ -112,7 +112,7 @@ class Paths:
     cos_wet: Tensor  # (N,): cosine of the angle of refraction, depth that a path gains per metre in water
     rgb: Tensor  # (N, 3): Photograph, 0 to 1, as stored (not linear)
     view: Tensor  # (N,) int64: which photograph
-    # (N, 8) or (N, 0): priors of the pixels (`fields.volume.photographs`); no columns where there are none
+    # (N, 6) or (N, 0): priors of the pixels (`fields.volume.photographs`); no columns where there are none
     priors: Tensor
 
     def __len__(self) -> int:

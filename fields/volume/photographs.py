@@ -1,7 +1,6 @@
 """The photographs that a volume is trained from, the paths drawn through them, and priors of their pixels.
 
-Priors are a distance with its std, monocular depth and a normal. On paths (N, 8), NaN where unknown: length [m], its
-std [m], two terms and a power of monocular depth, normal (3).
+Priors are monocular depth and a normal. On paths (N, 6), NaN where unknown: two terms and a power of depth, normal (3).
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from fields.volume.layer import Layer
 from fields.volume.paths import Box, Paths, Rays, paths_of
 from refract import PinholeCamera, WaterSurface
 
-COLUMNS = 8
+COLUMNS = 6
 # Pixels along the longer side of a picture that tell whether a box may be in it.
 COARSE = 128
 
@@ -26,13 +25,9 @@ COARSE = 128
 class PriorImages:
     """Priors of the pixels (height, width) of one photograph; None for a kind that it does not have.
 
-    Raises ValueError if shapes differ, or a length comes without a std.
+    Raises ValueError if shapes differ.
     """
 
-    # length, std (height, width) float [m]: path length from the camera to the surface, in air and water together,
-    # and its standard deviation: of the sweep, or of points of structure from motion. NaN where none.
-    length: np.ndarray | None = None
-    std: np.ndarray | None = None
     # (height, width) float: monocular depth along the camera's axis, true up to a scale and a shift; NaN where none
     depth: np.ndarray | None = None
     is_inverse: bool = False  # `depth` holds the inverse of depth instead (disparity), true up to a scale and a shift
@@ -40,25 +35,21 @@ class PriorImages:
     normal: np.ndarray | None = None
 
     def __post_init__(self):
-        if (self.length is None) != (self.std is None):
-            raise ValueError("a prior of length needs its std, and a std its length; got one of them")
-        shapes = {np.shape(v)[:2] for v in (self.length, self.std, self.depth, self.normal) if v is not None}
+        shapes = {np.shape(v)[:2] for v in (self.depth, self.normal) if v is not None}
         if len(shapes) > 1:
             raise ValueError(f"expected priors of one size (height, width), got {sorted(shapes)}")
 
     def at(self, camera: PinholeCamera, rows: np.ndarray, columns: np.ndarray) -> Tensor:
-        """Priors (N, 8) of pixels at rows and columns (N,) of the camera."""
+        """Priors (N, 6) of pixels at rows and columns (N,) of the camera."""
         found = np.full((len(rows), COLUMNS), np.nan, dtype=np.float32)
-        if self.length is not None and self.std is not None:
-            found[:, 0], found[:, 1] = self.length[rows, columns], self.std[rows, columns]
         if self.depth is not None:
             cosine = camera.directions(np.stack([columns + 0.5, rows + 0.5], axis=-1)) @ camera.cam_from_local[2]
             # depth = a m + b along the axis is length = a m / ahead + b / ahead along the ray; its inverse likewise.
             per_axis = cosine if self.is_inverse else 1.0 / cosine
-            found[:, 2], found[:, 3] = self.depth[rows, columns] * per_axis, per_axis
-            found[:, 4] = -1.0 if self.is_inverse else 1.0
+            found[:, 0], found[:, 1] = self.depth[rows, columns] * per_axis, per_axis
+            found[:, 2] = -1.0 if self.is_inverse else 1.0
         if self.normal is not None:
-            found[:, 5:] = self.normal[rows, columns]
+            found[:, 3:] = self.normal[rows, columns]
         return torch.from_numpy(found)
 
 
@@ -66,9 +57,6 @@ class PriorImages:
 class Priors:
     """Priors of paths (N), NaN where unknown."""
 
-    # length, std: (N,) [m]
-    length: Tensor
-    std: Tensor
     # (N, 2): ``a terms[0] + b terms[1]`` is the path length to ``power`` for the scale and shift a, b of the photograph
     terms: Tensor
     power: Tensor  # (N,): 1 for depth, -1 for inverse depth
@@ -76,7 +64,7 @@ class Priors:
 
     @staticmethod
     def of(columns: Tensor) -> Priors:
-        """The columns (N, 8) of paths by name.
+        """The columns (N, 6) of paths by name.
 
         Raises ValueError if the paths carry no priors.
         """
@@ -85,7 +73,7 @@ class Priors:
                 "a loss on priors has a weight, but the paths carry no priors; give Photographs its `priors`, or take "
                 "the weight away"
             )
-        return Priors(columns[:, 0], columns[:, 1], columns[:, 2:4], columns[:, 4], columns[:, 5:])
+        return Priors(columns[:, :2], columns[:, 2], columns[:, 3:])
 
 
 def pixels_over(camera: PinholeCamera, box: Box, water: WaterSurface | None) -> np.ndarray:

@@ -1,8 +1,7 @@
-"""Losses from prior knowledge: lengths with a standard deviation, monocular depth, monocular normals.
+"""Losses from prior knowledge: monocular depth and normals; patches as photographed and in virtual views.
 
 On patches of neighbouring pixels (P, size, size, 3), colours as stored, 0 to 1: correlation, structural similarity, and
-normals that change smoothly. Against virtual views close to the photographs' own: equal colour and depth. MonoPatchNeRF
-(Wu et al. 2024) trains with these.
+both in virtual views close to the photographs' own. MonoPatchNeRF (Wu et al. 2024) trains with these.
 """
 
 from __future__ import annotations
@@ -38,25 +37,6 @@ HIDDEN_CELLS = 3.0
 SAMPLES = 48
 
 
-def length_loss(paths: Paths, rendered: Rendered) -> Tensor:
-    """Robust loss on the distance of the weights from the path length of the sweep or structure from motion.
-
-        mean over paths of  sum_i w_i rho((s_i - length) / std) + (1 - sum_i w_i) rho((far - length) / std)
-        rho(e) = log(1 + e^2 / 2)
-
-    The form of DS-NeRF (Deng et al. 2022), which holds the weights of a path and not their mean alone to the depth of a
-    point, with the logarithm of a Cauchy density instead of a normal one: priors have outliers. It vanishes where all
-    light stops at the prior.
-    """
-    priors = Priors.of(paths.priors)
-    known = torch.isfinite(priors.length) & torch.isfinite(priors.std)
-    length, std = priors.length[known, None], priors.std[known, None]
-    weights, s = rendered.weights[known], rendered.samples.s[known]
-    stopped = (weights * _cauchy((s - length) / std)).sum(dim=1)
-    passed = (1.0 - weights.sum(dim=1)) * _cauchy((paths.far[known, None] - length) / std)[:, 0]
-    return _mean(stopped + passed)
-
-
 def relative_depth_loss(paths: Paths, rendered: Rendered, edge: float) -> Tensor:
     """Mean absolute difference of mean path lengths from monocular depth, in edges of the box.
 
@@ -81,18 +61,6 @@ def normal_prior_loss(paths: Paths, normals: Tensor) -> Tensor:
     known = torch.isfinite(prior).all(dim=1)
     n, prior = normals[known], prior[known]
     return _mean((n - prior).abs().sum(dim=1) + 1.0 - (n * prior).sum(dim=1))
-
-
-def predicted_normals(rendered: Rendered) -> Tensor:
-    """Normals (N, 3) of the head of normals.
-
-    Raises ValueError if the renderer has none.
-    """
-    if rendered.normals is None:
-        raise ValueError(
-            "predicted normals have a weight in the loss, but the volume has no head of normals; give it one"
-        )
-    return rendered.normals
 
 
 def mean_length(rendered: Rendered) -> Tensor:
@@ -125,10 +93,6 @@ def fit_views(terms: Tensor, target: Tensor, view: Tensor) -> tuple[Tensor, Tens
     determinant = torch.where(solved, determinant, 1.0)
     fit = torch.stack([(cc * xy - xc * cy) / determinant, (xx * cy - xc * xy) / determinant], dim=1)
     return fit[index].to(target.dtype), solved[index]
-
-
-def _cauchy(e: Tensor) -> Tensor:
-    return torch.log1p(0.5 * e**2)
 
 
 def _mean(values: Tensor) -> Tensor:
@@ -179,19 +143,6 @@ def ssim_loss(rendered: Tensor, seen: Tensor, shown: Tensor | None = None) -> Te
     return 0.5 * ((1.0 - ssim) * complete).sum() / complete.sum().clamp(min=1.0)
 
 
-def smooth_normals_loss(normals: Tensor, seen: Tensor) -> Tensor:
-    """Mean squared difference of normals (P, size, size, 3) of neighbours, less across edges of the photograph.
-
-    A pair counts ``exp(-10 |difference of grey|)``: bends of a surface tend to show as edges.
-    """
-    grey = seen.mean(dim=-1)
-    total = normals.new_zeros(())
-    for axis in (1, 2):
-        bend = (normals.diff(dim=axis) ** 2).sum(dim=-1)
-        total = total + (bend * torch.exp(-10.0 * grey.diff(dim=axis).abs())).mean()
-    return total
-
-
 @dataclass(frozen=True)
 class VirtualView:
     """Rendering of the surfaces of paths (N) from virtual cameras beside those of their photographs."""
@@ -213,31 +164,8 @@ def virtual_view(
     baseline = BASELINE * (depth * is_hit).sum() / is_hit.sum().clamp(min=1)
     moved, length = paths_through(paths.origin + baseline * _offsets(paths.view), points, water, paths, box)
     virtual = renderer.render(moved, renderer.samples(moved, cells, SAMPLES, jitter=True))
-    cell = cells.box.edge / max(cells.occupied.shape)
-    shown = (virtual.depth > length - HIDDEN_CELLS * cell) & (moved.near < moved.far) & is_hit
+    shown = (virtual.depth > length - HIDDEN_CELLS * cells.edge) & (moved.near < moved.far) & is_hit
     return VirtualView(virtual, length, shown.detach())
-
-
-def virtual_view_loss(
-    renderer: VolumeRenderer, paths: Paths, rendered: Rendered, cells: Cells, water: WaterSurface | None
-) -> Tensor:
-    """Squared error of colour, and error of depth in edges of the box, in virtual views of the surfaces met.
-
-    Colours are compared with those photographed; weights of the virtual paths are drawn to the point. Points that the
-    virtual view hides are left out.
-    """
-    paths, rendered = paths[::EVERY], _thinned(rendered)
-    seen = (rendered.opacity > MIN_OPACITY) & (paths.near < paths.far)
-    if not seen.any():
-        return rendered.rgb.new_zeros(())
-    paths, rendered = paths[seen], _rows(rendered, seen)
-    found = virtual_view(renderer, paths, rendered, cells, water)
-    virtual, shown = found.rendered, found.shown
-    colour = ((virtual.rgb - paths.rgb) ** 2).mean(dim=1)
-    depth_error = (virtual.weights * (virtual.samples.s - found.length[:, None]).abs()).sum(
-        dim=1
-    ) / renderer.model.box.edge
-    return ((colour + depth_error) * shown).sum() / shown.sum().clamp(min=1)
 
 
 def virtual_patch_loss(
@@ -296,11 +224,6 @@ def _offsets(view: Tensor) -> Tensor:
     """A random unit vector (N, 3) for each view, the same for all of its paths."""
     directions = torch.nn.functional.normalize(torch.randn(int(view.max()) + 1, 3, device=view.device), dim=1)
     return directions[view]
-
-
-@torch.no_grad()
-def _thinned(rendered: Rendered) -> Rendered:
-    return _rows(rendered, slice(None, None, EVERY))
 
 
 @torch.no_grad()

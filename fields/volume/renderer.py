@@ -1,13 +1,4 @@
-"""Volume rendering of paths: a model with the water, appearance vectors and a background, as a camera sees it.
-
-A small perceptron may predict normals from a field's features (MonoPatchNeRF, Wu et al. 2024; Verbin et al. 2022):
-
-    n_i = normalised MLP(features_i), one hidden layer;  n = normalised sum_i w_i n_i of a path
-
-A normal so rendered is as smooth as the features, where the gradient of density is noise. It is held to monocular
-normals, as those of density are (`fields.volume.prior_losses.normal_prior_loss`), and through the weights and features
-it teaches the density.
-"""
+"""Volume rendering of paths: a model with the water, appearance vectors and a background, as a camera sees it."""
 
 from __future__ import annotations
 
@@ -19,7 +10,7 @@ from torch import Tensor, nn
 
 from fields.compositing import composite, quantile_height, render_weights, with_opaque_end
 from fields.device import half_the_threads
-from fields.image_store import GAMMA, as_stored
+from fields.image_store import as_stored
 from fields.training import Rates
 from fields.volume.model import VolumeModel
 from fields.volume.paths import Paths, paths_of
@@ -28,27 +19,10 @@ from fields.volume.sampling import Cells, Samples
 from fields.water_column import WaterColumn
 from refract import PinholeCamera, WaterSurface
 
-HIDDEN = 16
 # Memory for the samples of paths rendered together: more is no faster, since it exceeds the cache; on a GPU less is
 # slower, since it is not filled.
 WORKING_BYTES = {"cpu": 16 << 20, "cuda": 1 << 30}
 BYTES_PER_NUMBER = 4
-
-
-class NormalHead(nn.Module):
-    """Unit normals (S, 3) from features (S, F)."""
-
-    def __init__(self, features: int, hidden: int = HIDDEN):
-        super().__init__()
-        self.hidden, self.last = nn.Linear(features, hidden), nn.Linear(hidden, 3)
-
-    def forward(self, features: Tensor) -> Tensor:
-        return nn.functional.normalize(self.last(torch.relu(self.hidden(features))), dim=1)
-
-    def along(self, weights: Tensor, features: Tensor) -> Tensor:
-        """Normals (N, 3) of paths with weights (N, K) of samples with features (N K, F)."""
-        each = self(features).view(*weights.shape, 3)
-        return nn.functional.normalize((weights[..., None] * each).sum(dim=1), dim=1)
 
 
 @dataclass
@@ -58,7 +32,6 @@ class Rendered:
     rgb: Tensor  # (N, 3): as a photograph stores it, 0 to 1 (glints above)
     weights: Tensor  # (N, K): share of each sample in the light; the sum is the opacity
     samples: Samples
-    normals: Tensor | None = None  # (N, 3) unit: of the head of normals, where there is one
 
     @property
     def opacity(self) -> Tensor:
@@ -87,8 +60,6 @@ class VolumeRenderer(nn.Module):
         because that is the quickest way to a bright picture, and stay as a wall before the cameras.)
     proposal : Proposal or None
         What draws the samples, in place of the occupied cells.
-    normals : NormalHead or None
-        Head that predicts normals from the features of the model.
     """
 
     RATE = 0.001
@@ -101,11 +72,10 @@ class VolumeRenderer(nn.Module):
         appearance: nn.Embedding | None = None,
         background: nn.Module | None = None,
         proposal: Proposal | None = None,
-        normals: NormalHead | None = None,
     ):
         super().__init__()
         self.model, self.column, self.appearance, self.background = model, column, appearance, background
-        self.proposal, self.normals = proposal, normals
+        self.proposal = proposal
 
     def samples(self, paths: Paths, cells: Cells, num: int, *, jitter: bool) -> Samples:
         """``num`` samples a path: where the proposal expects weight, or else in the occupied cells."""
@@ -140,8 +110,7 @@ class VolumeRenderer(nn.Module):
             # Light of dry ground crosses no surface.
             path_length = self.column.path_length(paths.cos_wet * length, length)
             colour = self.column(colour, path_length, torch.where(length > 0.0, paths.reflectance, 0.0))
-        normals = None if self.normals is None else self.normals.along(weights, features)
-        return Rendered(as_stored(colour), weights, samples, normals)
+        return Rendered(as_stored(colour), weights, samples)
 
     def penalty(self, paths: Paths, rendered: Rendered) -> Tensor:
         """Regularisation in training, a scalar: of the model at a sample of each path, and of the proposal."""
@@ -155,29 +124,10 @@ class VolumeRenderer(nn.Module):
 
     def rates(self) -> list[Rates]:
         """Every parameter once, with its learning rate."""
-        around = [m for m in (self.column, self.appearance, self.background, self.normals) if m is not None]
+        around = [m for m in (self.column, self.appearance, self.background) if m is not None]
         others = [p for m in around for p in m.parameters()]
         proposed = [] if self.proposal is None else self.proposal.rates()
         return [*self.model.rates(), *proposed, *([Rates(others, self.RATE)] if others else [])]
-
-
-class Backdrop(nn.Module):
-    """Constant colour behind the box.
-
-    Parameters
-    ----------
-    stored : (3,) floats, 0 to 1
-        As a photograph stores it. It is not learned.
-    """
-
-    linear: Tensor
-
-    def __init__(self, stored: tuple[float, float, float]):
-        super().__init__()
-        self.register_buffer("linear", torch.tensor(stored) ** GAMMA)
-
-    def forward(self, paths: Paths) -> Tensor:
-        return self.linear.expand(len(paths), 3)
 
 
 @dataclass(frozen=True)

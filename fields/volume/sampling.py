@@ -74,6 +74,11 @@ class Cells:
         """All cells, ``num`` along the longest edge."""
         return Cells(box, torch.ones(box.counts(num), dtype=torch.bool))
 
+    @property
+    def edge(self) -> float:
+        """Edge [m] of a cell."""
+        return self.box.edge / max(self.occupied.shape)
+
     def to(self, place: torch.device) -> Cells:
         """The same cells in the memory of a device."""
         return Cells(self.box, self.occupied.to(place))

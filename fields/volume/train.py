@@ -11,12 +11,13 @@ import torch
 
 from fields.device import half_the_threads
 from fields.training import adam, descend, psnr_db, set_rates
-from fields.volume.losses import Losses
+from fields.volume.losses import added_loss
 from fields.volume.model import VolumeModel
 from fields.volume.paths import Paths
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
+from fields.volume.weights import Losses
 from refract import WaterSurface
 
 # Paths are drawn for this many steps at once.
@@ -42,8 +43,6 @@ class Training:
     margin: float = 1.5  # s of the paper, in cells of the proxy
     final_rate: float = 0.1  # Learning rates fall to this share of their start, exponentially
     falls_from: float = 0.0  # Share of the steps after which they do
-    # Colours count by Huber's loss with this limit in place of the squared error; 0: they do not
-    huber: float = 0.0
     losses: Losses = field(default_factory=Losses)  # What is added to the error of the colours
 
 
@@ -104,8 +103,7 @@ def train_volume(
         if checkpoints is not None and state.step % POOL_STEPS == 0:
             checkpoints.save(lambda: state.saved(renderer), last=False)
         if state.step in refresh:
-            margin = training.margin * box.edge / max(state.cells.occupied.shape)
-            state.cells = proxy_of(renderer, state.cells, margin)
+            state.cells = proxy_of(renderer, state.cells, training.margin * state.cells.edge)
         _step(renderer, paths, training, state, photographs.water)
         progress(state.step / training.steps)
     if checkpoints is not None:
@@ -161,21 +159,14 @@ def _step(
     samples = renderer.samples(paths, state.cells, training.samples, jitter=True)
     rendered = renderer.render(paths, samples)
     error = ((rendered.rgb - paths.rgb) ** 2).mean()
-    total = _of_colours(rendered.rgb, paths.rgb, training.huber) + renderer.penalty(paths, rendered)
-    total = total + training.losses(renderer, paths, rendered, state.cells, water)
+    total = error + renderer.penalty(paths, rendered)
+    total = total + added_loss(training.losses, renderer, paths, rendered, state.cells, water)
     descend(state.optimiser, total)
     state.losses.append(float(error.detach()))
     if renderer.model.observe(state.losses):
         state.changed.append(state.step)
         state.optimiser = adam(renderer.rates(), eps=ADAM_EPS)
     state.step += 1
-
-
-def _of_colours(rendered: torch.Tensor, seen: torch.Tensor, huber: float) -> torch.Tensor:
-    """Mean squared error, or Huber's loss: half the square below a limit, linear above it (MonoPatchNeRF has 0.1)."""
-    if huber:
-        return torch.nn.functional.huber_loss(rendered, seen, delta=huber)
-    return ((rendered - seen) ** 2).mean()
 
 
 @torch.no_grad()
@@ -185,8 +176,7 @@ def proxy_of(renderer: VolumeRenderer, cells: Cells, margin: float) -> Cells:
     A cell counts if its opacity is a tenth or more, ten times that of a cell of fog that fills the box.
     """
     density = torch.cat([renderer.model.evaluate(part)[0] for part in cells.centres().split(CHUNK)])
-    cell = cells.box.edge / max(cells.occupied.shape)
-    return cells.refined(1.0 - torch.exp(-density * cell), 0.1, margin)
+    return cells.refined(1.0 - torch.exp(-density * cells.edge), 0.1, margin)
 
 
 def _batches(

@@ -24,7 +24,7 @@ from fields.volume.appearance import appearance_vectors
 from fields.volume.layer import Layer
 from fields.volume.model import Setup, build_model
 from fields.volume.paths import Box, Paths
-from fields.volume.renderer import NormalHead, VolumeImage, VolumeRenderer, render_volume
+from fields.volume.renderer import VolumeImage, VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.shell import Shell
 from fields.volume.surface import LEAST_OPACITY
@@ -64,9 +64,7 @@ class VolumeRecipe:
         names = {each.name for each in fields(VolumeRecipe)}
         return VolumeRecipe(**{name: value for name, value in settings.items() if name in names})
 
-    def renderer(
-        self, box: Box, water: FlatWater | None, photographs: int, device: str, *, normal_head: bool = False
-    ) -> VolumeRenderer:
+    def renderer(self, box: Box, water: FlatWater | None, photographs: int, device: str) -> VolumeRenderer:
         """The untrained model in a box, with a water column where its rays are bent, ready to be rendered."""
         place, length = choose_device(device), APPEARANCE if self.appearance else 0
         setup = Setup(box, self.cells, place, length, self.steps)
@@ -81,7 +79,6 @@ class VolumeRecipe:
             appearance=appearance_vectors(photographs, length) if length else None,
             background=Shell(box) if self.shell else None,
             proposal=cast("Proposal | None", model.proposal(setup)),
-            normals=NormalHead(model.num_features) if normal_head else None,
         ).to(tensor_place(place))
 
     def bends(self, water: FlatWater | None) -> FlatWater | None:
@@ -95,8 +92,7 @@ class VolumeRecipe:
             parameters = state["renderer"]
             box = box or _layer_of(state["layer"])
             photographs = len(parameters["appearance.weight"]) if self.appearance else 0
-            has_normals = any(name.startswith("normals.") for name in parameters)
-            renderer = self.renderer(box, water, photographs, device, normal_head=has_normals)
+            renderer = self.renderer(box, water, photographs, device)
             renderer.load_state_dict(parameters)
             cells = Cells(box, state["occupied"]).to(renderer.model.place)
             return RestoredField(renderer, cells, self, water, int(state["step"]))

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from fields.models import MODELS, LossWeights, Rule
+from fields.models import MODELS, Rule
+from fields.volume.weights import Losses
 from survey.errors import ConfigError
 from survey.files.limits import LARGEST
 from survey.files.toml_table import key, option, std_key
@@ -224,7 +225,7 @@ class FieldConfig:
     reference: Path | None = _results("FILE", "Mesh or cloud to compare with.", alone=True)  # noqa: RUF009
     cameras: Path | None = _results("FILE", "Poses of views to render.", alone=True)  # noqa: RUF009
     dry: bool = _results(None, "Render without the water.", name="--dry", default=False, alone=True)
-    losses: LossWeights | None = None
+    losses: Losses | None = None
 
     def over(self, lower: FieldConfig) -> FieldConfig:
         """These, and what `lower` says of those that are open."""

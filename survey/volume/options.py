@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from fields.models import LossWeights, Rule, maker
-from fields.volume.losses import Losses
+from fields.models import Rule, maker
+from fields.volume.weights import Losses
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun, survey_folder
 from survey.files.toml_table import require_valid
@@ -36,7 +36,7 @@ class VolumeOptions(FieldConfig):
     shell: bool = False
     from_scratch: bool = False
     # Where none of depth and normal has a weight, those of MonoSDF count with ``monocular``
-    losses: LossWeights = field(default_factory=LossWeights)
+    losses: Losses = field(default_factory=Losses)
     device: str = "auto"  # "auto", "cpu", "cuda" or "torch"
 
     def __post_init__(self):
@@ -49,7 +49,7 @@ class VolumeOptions(FieldConfig):
             raise SurveyError(f"submodules is {self.submodules}, expected a number, or 3x2: along east and along north")
         for option, needed in self._without_effect():
             raise SurveyError(f"{option} has no effect without {needed}; give both or leave it out")
-        if self.monocular is None and (self.losses.depth or self.losses.normal or self.losses.predicted_normal):
+        if self.monocular is None and (self.losses.depth or self.losses.normal):
             raise SurveyError(
                 "losses on monocular depth or normals have a weight, but there are none; name their folder with "
                 "--monocular DIR"
@@ -67,8 +67,8 @@ class VolumeOptions(FieldConfig):
         if of.transparency and not self.shell:
             # Light that passes the box is lost nowhere else: the last sample takes it.
             yield "[field.losses] transparency", "--shell"
-        if of.patch_px is not None and not (of.ncc or of.ssim or of.smooth_normals or of.virtual_patches):
-            yield "[field.losses] patch_px", "ncc, ssim, smooth_normals or virtual_patches"
+        if of.patch_px is not None and not of.have_patches:
+            yield "[field.losses] patch_px", "ncc, ssim or virtual_patches"
 
     def of_training(self, run: LoadedRun) -> dict[str, Any]:
         """All that the trained field depends on: the result of the run, the options, and the monocular priors."""
@@ -88,11 +88,11 @@ class VolumeOptions(FieldConfig):
         return VolumeRecipe.of({each.name: getattr(self, each.name) for each in fields(self)})
 
     def of_losses(self) -> Losses:
-        """The weights of the losses."""
-        of = self.losses
-        if self.monocular is not None and not (of.depth or of.normal):
-            of = replace(of, depth=MONOCULAR[0], normal=MONOCULAR[1])
-        return Losses(**vars(of))
+        """The weights of the losses, with those of monocular priors where none is given."""
+        if self.monocular is None or self.losses.depth or self.losses.normal:
+            return self.losses
+        depth, normal = MONOCULAR
+        return replace(self.losses, depth=depth, normal=normal)
 
 
 def field_config(run: str | Path, survey: str | None) -> FieldConfig:

@@ -65,7 +65,6 @@ def train(scene: Scene, flight: Flight, options: VolumeOptions, checkpoints: Che
         flight.water,
         len(scene.train.names),
         options.device,
-        normal_head=options.losses.predicted_normal > 0.0,
     )
     cells = min(Training.cells, options.cells)
     training = Training(
@@ -73,7 +72,6 @@ def train(scene: Scene, flight: Flight, options: VolumeOptions, checkpoints: Che
         rays=options.rays,
         samples=options.samples,
         cells=cells,
-        huber=options.losses.huber,
         losses=options.of_losses(),
     )
     start = None if options.from_scratch else scene.cells_about_bed(training.cells, training.margin)

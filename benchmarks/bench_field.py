@@ -5,11 +5,11 @@
                                      [--device auto|cpu|cuda|torch] [--draw]
 
 VM (planes times vectors, TensoRF's decomposition), DW, M and MDW-NeRF are one code with four settings, compared with
-TensoRF as published, NeRF, TinyNeRF, hash grids with proposals (Nerfacto, and one for processors) and a signed
-distance (as NeuS). All see the same photographs and paths and sample alike (hash grids by their proposals), for as many
-steps, or with --seconds for as many as take that time here. One photograph in eight is held out. Every row is a file in
-WORK; what is there is not computed again. With --draw the pictures of docs/field.md are drawn. The defaults are for two
-cores; full size is --scale 1 --cells 256 --steps 30000 --rays 4096.
+TensoRF as published, NeRF, TinyNeRF and hash grids with proposals (Nerfacto, and one for processors). All see the same
+photographs and paths and sample alike (hash grids by their proposals), for as many steps, or with --seconds for as many
+as take that time here. One photograph in eight is held out. Every row is a file in WORK; what is there is not computed
+again. With --draw the pictures of docs/field.md are drawn. The defaults are for two cores; full size is --scale 1
+--cells 256 --steps 30000 --rays 4096.
 """
 
 from __future__ import annotations
@@ -38,10 +38,9 @@ from switch_scene import Backdrop
 
 from fields.device import choose_device, tensor_place
 from fields.models import MODELS
-from fields.volume.model import Setup, VolumeModel, build_model
+from fields.volume.model import Setup, build_model
 from fields.volume.renderer import VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
-from fields.volume.sdf import SdfSettings, SdfVolume
 from fields.volume.tensor import TensorVolume
 from fields.volume.train import POOL_STEPS, Training, train_volume
 from fields.water_column import WaterColumn
@@ -159,11 +158,7 @@ def build(model: str, scene: ObjectScene, options, *, steps: int, seed: int = 0)
     background = Backdrop((0.0, 0.0, 0.0)) if scene.name == "ship" else None
     device = choose_device(options.device)
     setup = Setup(scene.box, options.cells, device, steps=steps)
-    torch.manual_seed(seed)
-    if model == "neus":  # objects are closed
-        volume: VolumeModel = SdfVolume(scene.box, SdfSettings.small())
-    else:
-        volume = build_model(model, setup, seed=seed)
+    volume = build_model(model, setup, seed=seed)
     renderer = VolumeRenderer(volume, column=column, background=background, proposal=volume.proposal(setup))
     return renderer.to(tensor_place(device))
 

@@ -80,12 +80,6 @@ MODELS = {
         "Grid-NeRF",
         "fields.volume.ground_plane:ground",
     ),
-    "neus": Entry(
-        "signed distance",
-        "a signed distance, with narrower networks than published, a level surface at first",
-        "Wang et al. 2021",
-        "fields.volume.sdf:neus",
-    ),
 }
 IN_LAYER = tuple(name for name, entry in MODELS.items() if entry.in_layer)
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from command_line import bathynerf
+from level_field import NAME
 from painted_survey import painted_survey, run_over
 from PIL import Image
 from scipy.spatial.transform import Rotation
@@ -30,8 +31,7 @@ from survey.volume.field import train_field
 from survey.volume.monocular import monocular_priors
 from survey.volume.options import MONOCULAR, VolumeOptions, field_config, volume_options
 
-# A signed distance begins with a level surface in the middle of the box.
-SHORT = VolumeOptions(model="neus", steps=4, rays=32, samples=8, cells=32, held_every=4, image_scale=0.5)
+SHORT = VolumeOptions(model=NAME, steps=4, rays=32, samples=8, cells=32, held_every=4, image_scale=0.5)
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def test_a_field_is_trained_extracted_rendered_and_compared(folder, run):
     assert abs(over["median_m"]) < 0.3
     assert over["std_m"] < 0.5
     assert report["compared"]["n_points"] > 100
-    assert json.loads((folder / "f" / "report.json").read_text())["model"] == "neus"
+    assert json.loads((folder / "f" / "report.json").read_text())["model"] == NAME
     assert len(list((folder / "f" / "views").glob("000?.png"))) == 1
     with Image.open(folder / "f" / "held out" / "0002.png") as picture:
         assert picture.mode == "RGBA"
@@ -198,23 +198,23 @@ def test_straight_rays_put_the_surface_elsewhere(folder, run):
 
 def test_the_command_prints_what_was_found(folder, run):
     found = bathynerf(
-        "field", run, "-o", folder / "c", "--model", "neus", "--steps", 2, "--rays", 32, "--samples", 8,
+        "field", run, "-o", folder / "c", "--model", NAME, "--steps", 2, "--rays", 32, "--samples", 8,
         "--cells", 16, "--image-scale", 0.5,
     )  # fmt: skip
     assert found.exit_code == 0, found.stderr
-    assert "neus" in found.stdout
+    assert NAME in found.stdout
     assert "over the run's bed" in found.stdout
 
 
 def test_the_survey_says_what_no_option_does(folder, run):
     toml = folder / "s" / "survey.toml"
     before = toml.read_text()
-    toml.write_text(before + '\n[field]\nmodel = "neus"\nsteps = 3\ncells = 16\n[field.losses]\ndistortion = 0.01\n')
+    toml.write_text(before + '\n[field]\nmodel = "hash"\nsteps = 3\ncells = 16\n[field.losses]\ndistortion = 0.01\n')
     try:
         options = volume_options(FieldConfig(steps=2, rays=8).over(field_config(run, None)), seed=5)
     finally:
         toml.write_text(before)
-    assert (options.model, options.steps, options.rays, options.cells) == ("neus", 2, 8, 16)
+    assert (options.model, options.steps, options.rays, options.cells) == ("hash", 2, 8, 16)
     assert (options.samples, options.seed) == (VolumeOptions().samples, 5)
     assert options.of_losses().distortion == 0.01
     assert field_config(run, str(folder)) == FieldConfig()

@@ -69,7 +69,7 @@ def psnr_of(renderer: VolumeRenderer, cells: Cells, photographs) -> float:
     return float(-10.0 * np.log10(np.mean((view.rgb.reshape(-1, 3)[pixels] - seen) ** 2)))
 
 
-@pytest.mark.parametrize("name", ["mdw", "tensorf", "hash", "nerfacto", "tinynerf", "neus"])
+@pytest.mark.parametrize("name", ["mdw", "tensorf", "hash", "nerfacto", "tinynerf"])
 def test_training_learns_what_it_learns_on_the_processor(name):
     found, photographs = [], bed_photographs(views=5)
     for wanted in ("cpu", "cuda"):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from command_line import bathynerf
+from level_field import NAME
 from painted_survey import painted_survey, run_over
 from PIL import Image
 
@@ -26,9 +27,8 @@ from survey.volume.scene import BedBox
 from survey.volume.stored import StoredVolume
 from survey.volume.submodule_views import SubmoduleViews
 
-# A signed distance begins with a level surface in the middle of the box.
 OPTIONS = VolumeOptions(
-    model="neus", steps=2, rays=32, samples=8, cells=16, image_scale=0.5, held_every=4, submodules="2x1", drop="network"
+    model=NAME, steps=2, rays=32, samples=8, cells=16, image_scale=0.5, held_every=4, submodules="2x1", drop="network"
 )
 
 
@@ -170,7 +170,7 @@ def test_options_without_sense_are_refused(wrong, said):
 
 def test_the_command_takes_them(folder):
     found = bathynerf(
-        "field", folder / "run", "-o", folder / "c", "--model", "neus", "--steps", 1, "--rays", 32, "--samples", 8,
+        "field", folder / "run", "-o", folder / "c", "--model", NAME, "--steps", 1, "--rays", 32, "--samples", 8,
         "--cells", 16, "--image-scale", 0.5, "--submodules", 2, "--drop", "none",
     )  # fmt: skip
     assert found.exit_code == 0, found.stderr

@@ -88,14 +88,10 @@ class VolumeModel(nn.Module):
         By central differences of ``step`` [m] to each side; zero where density is constant. Gradients flow to the
         parameters.
         """
-        return nn.functional.normalize(-self.density_gradient(x, step), dim=1)
-
-    def density_gradient(self, x: Tensor, step: float) -> Tensor:
-        """Gradient of density (S, 3) [1/m2] at positions (S, 3) [m], by central differences of ``step`` [m]."""
         steps = step * torch.eye(3, device=x.device)
         ends = torch.cat([x + a for a in steps] + [x - a for a in steps])
         after, before = self.evaluate(ends)[0].view(2, 3, -1)
-        return ((after - before) / (2.0 * step)).T
+        return nn.functional.normalize(((before - after) / (2.0 * step)).T, dim=1)
 
 
 def density_of(raw: Tensor, cells: float, edge: float) -> Tensor:

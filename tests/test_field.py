@@ -84,6 +84,35 @@ def test_a_field_is_trained_extracted_rendered_and_compared(folder, run):
         assert picture.mode == "RGBA"
 
 
+def test_a_field_without_a_surface_is_reported_and_not_compared(folder, run):
+    table = folder / "of nothing.csv"
+    table.write_text("\n".join((folder / "s" / "cameras.csv").read_text().splitlines()[:2]) + "\n")
+    nothing = replace(SHORT, rule=Rule.density, density=1e9, reference=run_cloud(run, folder), cameras=table)
+    report = train_field(run, folder / "nothing", nothing)
+    assert report == json.loads((folder / "nothing" / "report.json").read_text())
+    assert report["points"] == 0
+    assert "compared" not in report
+    assert list((folder / "nothing" / "views").glob("000?.png"))
+    found = bathynerf(
+        "field", run, "-o", folder / "no word", "--model", NAME, "--steps", 1, "--rays", 32, "--samples", 8,
+        "--cells", 16, "--image-scale", 0.5, "--extract", "density", "--density", 1e9,
+    )  # fmt: skip
+    assert found.exit_code == 0, found.stderr
+    assert "the surface has no points: nothing that two photographs see is opaque after 1 steps" in found.output
+
+
+def test_held_out_photographs_are_predicted_in_their_own_exposure(tmp_path):
+    """Fitted on the left half, scored on the right one; the one that is held out is dark."""
+    run = run_over(painted_survey(tmp_path / "s", exposures=(1.0, 1.0, 0.1, 1.0)), tmp_path / "run")
+    options = replace(SHORT, steps=30, rays=256)
+    plain, fitted = (
+        train_field(run, tmp_path / f"f{look}", replace(options, appearance=look))["held_out_psnr_db"]
+        for look in (False, True)
+    )
+    assert fitted.keys() == plain.keys() == {"0002.png"}
+    assert fitted["0002.png"] > plain["0002.png"] + 3.0
+
+
 def run_cloud(run, folder):
     """The bed of the run as a PLY."""
     path = folder / "bed.ply"

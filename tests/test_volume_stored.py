@@ -100,13 +100,30 @@ def test_a_folder_of_another_result_is_refused_without_its_hashes(tmp_path):
         VolumeFolder(tmp_path / "f", {"result": {"bed": "7a"}, "steps": 3}, ReadFiles())
 
 
-def test_a_training_of_quick_steps_saves_its_state_every_half_minute(tmp_path, monkeypatch):
-    now = [0.0]
+def test_a_state_is_saved_every_five_seconds_and_more_seldom_where_that_takes_long(tmp_path, monkeypatch):
+    now, cost = [0.0], [0.0]
     monkeypatch.setattr(survey.volume.scene.time, "monotonic", lambda: now[0])
     folder, saved = VolumeFolder(tmp_path / "f", {}, ReadFiles()), []
-    for now[0] in range(0, 100, 7):
-        folder.save(lambda: saved.append(now[0]) or {"step": int(now[0])}, last=False)
-    assert saved == [35.0, 70.0]
-    assert folder.load() == {"step": 70}
+
+    def make():
+        saved.append(now[0])
+        now[0] += cost[0]
+        return {"step": int(saved[-1])}
+
+    for cost[0], until in ((0.0, 23.0), (1.0, 60.0)):
+        while now[0] < until:
+            now[0] += 1.0
+            folder.save(make, last=False)
+    assert saved == [5.0, 10.0, 15.0, 20.0, 25.0, 46.0]
+    assert folder.load() == {"step": 46}
     folder.save(lambda: {"step": 99}, last=True)
     assert folder.load() == {"step": 99}
+
+
+def test_a_model_that_is_gone_is_named_and_its_state_is_left_alone(folder, tmp_path):
+    shutil.copytree(folder / "f", tmp_path / "f")
+    settings = json.loads((tmp_path / "f" / "settings.json").read_text())
+    (tmp_path / "f" / "settings.json").write_text(json.dumps(settings | {"model": "gone:Field"}))
+    with LoadedRun(folder / "run") as run, pytest.raises(SurveyError, match="No module named 'gone'") as found:
+        StoredVolume.of_run(tmp_path / "f", run).load("torch")
+    assert "delete" not in str(found.value)

@@ -117,6 +117,28 @@ def test_all_submodules_get_the_look_of_the_one_in_the_middle(folder, monkeypatc
     assert "background.network.0.weight" in own
 
 
+def test_views_of_many_submodules_hold_two_in_memory(folder, monkeypatch):
+    options = replace(OPTIONS, submodules="3x1", drop="none", steps=1)
+    train_field(folder / "run", folder / "three", options)
+    alive, most, load = [], [], SubmoduleViews.load
+
+    def counted(self, number):
+        found = load(self, number)
+        alive.append(weakref.ref(found.renderer))
+        gc.collect()
+        most.append(sum(each() is not None for each in alive))
+        return found
+
+    monkeypatch.setattr(SubmoduleViews, "load", counted)
+    with LoadedRun(folder / "run") as run:
+        stored, view = StoredVolume.of_run(folder / "three", run), run.flight.views[1]
+        view_of = replace(stored, drop="none").load("torch")
+        for _ in range(2):
+            view_of(view.camera, False)
+    assert len(most) == 6
+    assert max(most) == 2
+
+
 def test_cells_without_a_bed_are_named_and_left_out(folder, monkeypatch):
     real = BedBox.within
     first = lambda self, box, cells: None if box.low[0] == self.box.low[0] else real(self, box, cells)  # noqa: E731

@@ -5,7 +5,7 @@ Priors are monocular depth and a normal. On paths (N, 6), NaN where unknown: two
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -116,6 +116,12 @@ class Photographs:
     ) -> Photographs:
         """Photographs of a bed inside a box, of the pixels that show it; see `pixels_over`."""
         return Photographs(cameras, images, [pixels_over(camera, box, water) for camera in cameras], water)
+
+    @property
+    def left_half(self) -> Photographs:
+        """The photographs with the pixels of their left halves alone."""
+        halves = zip(self.cameras, self.pixels, strict=True)
+        return replace(self, pixels=[own[own % camera.width < camera.width // 2] for camera, own in halves])
 
     def draw(self, count: int, box: Box, rng: np.random.Generator, patch: int = 1) -> Paths:
         """Paths (count patch^2) through patches of pixels drawn evenly from all photographs, in random order.

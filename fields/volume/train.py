@@ -63,7 +63,7 @@ class Checkpoints(Protocol):
         """The state that was saved last; None where there is none."""
 
     def save(self, make: Callable[[], dict[str, Any]], *, last: bool) -> None:
-        """Save the state that ``make`` gives, or pass over it: called every `POOL_STEPS` steps, and after the last."""
+        """Save the state that ``make`` gives, or pass over it: called before every step, and after the last."""
 
 
 @half_the_threads()
@@ -100,7 +100,7 @@ def train_volume(
         state.restore(saved, renderer)
     refresh = {round(share * training.steps) for share in training.refresh}
     for paths in _batches(photographs, renderer.model, training, seed, state.step):
-        if checkpoints is not None and state.step % POOL_STEPS == 0:
+        if checkpoints is not None:
             checkpoints.save(lambda: state.saved(renderer), last=False)
         if state.step in refresh:
             state.cells = proxy_of(renderer, state.cells, training.margin * state.cells.edge)
@@ -184,16 +184,16 @@ def _batches(
 ) -> Iterator[Paths]:
     """Paths of each step from `start` on: as many whole patches as its rays hold, one at least.
 
-    `start` is a multiple of `POOL_STEPS`; each pool has its own generator, so that it depends on nothing before.
+    Each pool of `POOL_STEPS` steps has its own generator, so that it depends on nothing before.
     """
     patch = training.losses.patch
     patches = max(training.rays // patch**2, 1)
-    for first in range(start, training.steps, POOL_STEPS):
+    for first in range(start - start % POOL_STEPS, training.steps, POOL_STEPS):
         count = min(POOL_STEPS, training.steps - first)
         pool = photographs.draw(count * patches, model.box, np.random.default_rng((seed, first)), patch).to(model.place)
         of_step = patches * patch**2
-        for begin in range(0, len(pool), of_step):
-            yield pool[begin : begin + of_step]
+        for step in range(max(start - first, 0), count):
+            yield pool[step * of_step : (step + 1) * of_step]
 
 
 def _generator_states() -> dict[str, torch.Tensor]:

@@ -96,6 +96,8 @@ class VolumeRecipe:
             renderer.load_state_dict(parameters)
             cells = Cells(box, state["occupied"]).to(renderer.model.place)
             return RestoredField(renderer, cells, self, water, int(state["step"]))
+        except SurveyError:  # There is no such model: another state would not help.
+            raise
         except (KeyError, TypeError, ValueError, RuntimeError) as error:
             raise SurveyError(
                 f"{path} does not fit its {FIELD_SETTINGS} ({str(error)[:80]}); delete it, and training begins anew"
@@ -121,16 +123,11 @@ class RestoredField:
         found = paths.at(quantile_height(weights, samples.edges)[:, None])[:, 0]
         return found.cpu().numpy().astype(np.float64)
 
-    def image(self, camera: PinholeCamera, *, dry: bool = False, shown: np.ndarray | None = None) -> VolumeImage:
-        """Rendering by a camera, through the water or, ``dry``, without; of the pixels ``shown`` (flat indices)."""
-        bent = None if dry else self.recipe.bends(self.water)
-        samples = self.recipe.samples
-        return render_volume(self.renderer, camera, bent, self.cells, samples=samples, dry=dry, shown=shown)
-
-    def view(self, camera: PinholeCamera, dry: bool) -> NovelView:
-        """The same as a `NovelView`."""
-        has_background = self.renderer.background is not None
-        return novel_view(self.image(camera, dry=dry), self.water, has_background=has_background)
+    def view(self, camera: PinholeCamera, dry: bool, look: int = 0) -> NovelView:
+        """View of a camera, with the water or, ``dry``, without it, in the appearance of a photograph by its number."""
+        bent, samples = None if dry else self.recipe.bends(self.water), self.recipe.samples
+        image = render_volume(self.renderer, camera, bent, self.cells, samples=samples, view=look, dry=dry)
+        return novel_view(image, self.water, has_background=self.renderer.background is not None)
 
 
 def novel_view(seen: VolumeImage, water: FlatWater | None, *, has_background: bool) -> NovelView:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from evaluation import distance_statistics, psnr
-from fields.image_based import NovelView, heights_over
+from fields.image_based import heights_over
 from fields.volume.surface import Surface
 from geo import read_reference
 from geo.las import write_cloud
@@ -64,9 +64,14 @@ def train_field(run: str | Path, output: str | Path, options: VolumeOptions | No
             **made.report,
             "points": len(made.surface.xyz),
             "over_the_bed_of_the_run_m": _over_bed(made),
-            "held_out_psnr_db": _held_out(made, output / HELD),
+            "held_out_psnr_db": _held_out(made, output / HELD, right_half=_fits_held(options)),
         }
-    if options.reference is not None:
+    if not report["points"]:
+        current().note(
+            f"the surface has no points: nothing that two photographs see is opaque after {options.steps:,} steps; "
+            "train more of them"
+        )
+    elif options.reference is not None:
         found = compare_files(output / CLOUD, options.reference, options=CompareOptions(bounds=options.bounds))
         report["compared"] = numbers_of(found)
     if targets:
@@ -80,7 +85,8 @@ def _one(run: LoadedRun, flight: Flight, options: VolumeOptions, folder: VolumeF
     with current().stage("Photographs", len(flight.views)) as stage:
         scene = load_scene(run, flight, options.scene, stage.advance)
     trained = train(scene, flight, options, folder)
-    return FieldResult(surface_in(trained), scene.bed, scene.held, trained.view, trained.report())
+    surface, views = surface_in(trained), trained.held_views()
+    return FieldResult(surface, scene.bed, scene.held, trained.view, views, trained.report())
 
 
 def _targets(run: LoadedRun, flight: Flight, output: Path, options: VolumeOptions) -> list[Target]:
@@ -108,7 +114,12 @@ def _over_bed(made: FieldResult) -> dict[str, Any]:
     return asdict(distance_statistics(made.surface.xyz[:, 2] - made.bed[nearest, 2]))
 
 
-def _held_out(made: FieldResult, folder: Path) -> dict[str, float]:
+def _fits_held(options: VolumeOptions) -> bool:
+    """Whether the left halves of the photographs held out are fitted, and the right ones alone are predicted."""
+    return options.appearance and options.submodules is None
+
+
+def _held_out(made: FieldResult, folder: Path, *, right_half: bool) -> dict[str, float]:
     """PSNR [dB] of the photographs held out, over the pixels that show the box; their renderings go into the folder."""
     held, found = made.held, {}
     targets = [
@@ -117,13 +128,16 @@ def _held_out(made: FieldResult, folder: Path) -> dict[str, float]:
     ]
     if not targets:
         return {}
-    views: dict[int, NovelView] = {}
-    write_views(targets, lambda camera: views.setdefault(id(camera), made.view(camera, False)))
+    views = {id(target.camera): view for target, view in zip(targets, made.held_views, strict=True)}
+    write_views(targets, lambda camera: views[id(camera)])
     for number, target in enumerate(targets):
-        mask = np.zeros(target.camera.width * target.camera.height, dtype=bool)
-        mask[held.photographs.pixels[number]] = True
         shown = views[id(target.camera)].rgb / 255.0
-        found[target.name] = psnr(held.photographs.images[number] / 255.0, shown, mask.reshape(shown.shape[:2]))
+        mask = np.zeros(shown.shape[:2], dtype=bool)
+        mask.flat[held.photographs.pixels[number]] = True
+        if right_half:
+            mask[:, : mask.shape[1] // 2] = False
+        if mask.any():
+            found[target.name] = psnr(held.photographs.images[number] / 255.0, shown, mask)
     return found
 
 

@@ -38,8 +38,8 @@ _PIXELS_PER_CELL = 2.0
 # A photograph counts if it shows the box with this share of its pixels.
 _LEAST_SHARE = 0.002
 REPORT = "report.json"
-# Seconds between two states.
-_EVERY_S = 30.0
+# Seconds between two states, unless these would take more than a share of the time.
+_EVERY_S, _SHARE = 5.0, 0.05
 
 
 @dataclass(frozen=True)
@@ -287,7 +287,7 @@ class VolumeFolder:
     def __init__(self, path: Path, settings: dict[str, Any], inputs: ReadFiles):
         self.path, self._inputs = path, inputs
         require_folder("-o", path, inputs)
-        self._saved_at = time.monotonic()
+        self._due = time.monotonic() + _EVERY_S
         # As a file would give them back.
         settings = json.loads(json.dumps(settings))
         if (path / FIELD_SETTINGS).is_file():
@@ -321,8 +321,10 @@ class VolumeFolder:
         return read_state(state) if state.is_file() else None
 
     def save(self, make: Callable[[], dict[str, Any]], *, last: bool) -> None:
-        """Save a state, if it is the last or the one before is half a minute old."""
-        if last or time.monotonic() - self._saved_at > _EVERY_S:
+        """Save a state, if it is the last or it is time for one."""
+        begun = time.monotonic()
+        if last or begun >= self._due:
             with write_whole(self.path / FIELD_STATE) as stream:
                 torch.save(make(), stream)
-            self._saved_at = time.monotonic()
+            saved = time.monotonic()
+            self._due = saved + max(_EVERY_S, (saved - begun) / _SHARE)

@@ -32,8 +32,8 @@ from survey.words import Drop
 
 # Folder of the submodules in that of their field; file of their matched appearance vectors there; visibility of each.
 FOLDER, VECTORS, VISIBILITY = "submodules", "looks.json", "visibility.pt"
-# Submodules that are kept in memory between views.
-IN_MEMORY = 8
+# Submodules that are kept in memory: while the next one is read there are two.
+IN_MEMORY = 1
 
 
 class SubmoduleViews:

@@ -79,7 +79,8 @@ def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, fol
             folder.path, options.recipe, ground, grid.counts, options.device, options.drop or Drop.geometry
         )
     report = _summary(reports, ground, held) | {"left_out": left_out, "submodules": reports}
-    return FieldResult(_joined(surfaces), ground.scene(held, held).bed, held, views.view, report)
+    held_views = (views.view(camera) for camera in held.photographs.cameras)
+    return FieldResult(_joined(surfaces), ground.scene(held, held).bed, held, views.view, held_views, report)
 
 
 def _grid_of(ground: BedBox, options: VolumeOptions) -> Grid:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from fields.image_based import NovelView
+from fields.volume.appearance import match_appearance
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
 from fields.volume.surface import Surface, surface_of
@@ -19,6 +20,9 @@ from survey.run.flight import Flight
 from survey.run.stored_field import RestoredField
 from survey.volume.options import VolumeOptions
 from survey.volume.scene import NamedPhotographs, Scene
+
+# Rays of a step of the matching of appearances, where a step of the training has no fewer.
+MATCHING_RAYS = 2048
 
 
 @dataclass(frozen=True)
@@ -32,10 +36,21 @@ class Trained:
     flight: Flight
     options: VolumeOptions
 
-    def view(self, camera: PinholeCamera, dry: bool) -> NovelView:
-        """View of a camera, with the water or, ``dry``, without it."""
+    def view(self, camera: PinholeCamera, dry: bool, look: int = 0) -> NovelView:
+        """View of a camera, with the water or, ``dry``, without it, in the appearance of a photograph by its number."""
         of = self.options.recipe
-        return RestoredField(self.renderer, self.cells, of, self.flight.water, of.steps).view(camera, dry)
+        return RestoredField(self.renderer, self.cells, of, self.flight.water, of.steps).view(camera, dry, look)
+
+    def held_views(self) -> Iterator[NovelView]:
+        """Views of the cameras held out, each in an appearance that fits the left half of its photograph."""
+        held, own = self.scene.held.photographs, self.renderer.appearance
+        if own is not None and any(len(pixels) for pixels in held.left_half.pixels):
+            rays, seed = min(self.options.rays, MATCHING_RAYS), self.options.seed
+            self.renderer.appearance = match_appearance(self.renderer, held.left_half, self.cells, rays=rays, seed=seed)
+        try:
+            yield from (self.view(camera, False, look) for look, camera in enumerate(held.cameras))
+        finally:
+            self.renderer.appearance = own
 
     def report(self) -> dict[str, Any]:
         """Figures of the training."""
@@ -55,6 +70,7 @@ class FieldResult:
     bed: np.ndarray  # (N, 3) [m], local: of the run
     held: NamedPhotographs  # Photographs that were left out
     view: Callable[[PinholeCamera, bool], NovelView]  # As `Trained.view`
+    held_views: Iterable[NovelView]  # Of the photographs that were left out
     report: dict[str, Any]
 
 

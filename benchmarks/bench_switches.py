@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from switch_scene import BOX, WATER, Backdrop, SwitchScene, build, left_half_of
+from switch_scene import BOX, WATER, Backdrop, SwitchScene, build
 from torch import nn
 
 from fields.device import choose_device
@@ -32,7 +32,7 @@ from fields.volume.tensor import TensorSettings, TensorVolume
 from fields.volume.train import Training, train_volume
 from fields.volume.weights import Losses
 
-SETTINGS = TensorSettings.mdw(scales=3, n_min=16, n_max=64, degree=0)
+SETTINGS = TensorSettings(scales=3, n_min=16, n_max=64, degree=0)
 TRAINING = Training(steps=400, rays=768, samples=24, cells=48)
 APPEARANCE = 8
 
@@ -109,7 +109,7 @@ def measure(row: Row, training: Training, seed: int) -> dict:
     cells, figures = train_volume(scene, data.train, training, lambda done: None, seed=seed)
     seconds = time.process_time() - start
     if length:
-        scene.appearance = match_appearance(scene, left_half_of(data.held), cells)
+        scene.appearance = match_appearance(scene, data.held.left_half, cells)
     quality = compare(scene, data, cells, right_half=row.kind == "exposed")
     return {**quality, "seconds": seconds, "steps": training.steps, "train_psnr_db": figures.psnr_db}
 

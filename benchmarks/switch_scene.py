@@ -6,7 +6,7 @@ the bed and the top of the block have next to none.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -84,18 +84,6 @@ def build(
         return Photographs(*lists, water, [known[k] for k in which] if priors else None)
 
     return SwitchScene(some(rest), some(held), [lengths[k] for k in held])
-
-
-def left_half_of(photographs: Photographs) -> Photographs:
-    """The left half of each photograph."""
-    cameras, images, pixels = [], [], []
-    for camera, image, shown in zip(photographs.cameras, photographs.images, photographs.pixels, strict=True):
-        width = camera.width // 2
-        rows, columns = np.divmod(shown, camera.width)
-        cameras.append(replace(camera, width=width))
-        images.append(image[:, :width])
-        pixels.append((rows * width + columns)[columns < width])
-    return Photographs(cameras, images, pixels, photographs.water)
 
 
 def _camera(index: int, wide: bool, rng: np.random.Generator) -> PinholeCamera:

@@ -43,7 +43,7 @@ def folder(tmp_path_factory):
 
 def ground_of(folder) -> BedBox:
     with LoadedRun(folder / "run") as run:
-        return BedBox.of_run(run, run.flight, OPTIONS.scene)
+        return BedBox.of_run(run, run.flight, OPTIONS)
 
 
 def test_each_cell_has_a_field_of_its_own_and_the_points_on_its_ground(folder):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,23 +13,23 @@ from volume_scenes import BOX
 
 from fields.device import choose_device
 from fields.factors import Grid
+from fields.volume.layer_model import dw, m, mdw, vm
 from fields.volume.paths import Box
 from fields.volume.tensor import TensorSettings, TensorVolume, grid_of
 
+KINDS = {name: make.keywords["settings"] for name, make in (("vm", vm), ("dw", dw), ("m", m), ("mdw", mdw))}
 SMALL = {"n_min": 8, "n_max": 32}
 
 
 def volume(kind: str = "mdw", *, appearance: int = 0, seed: int = 0, **changes) -> TensorVolume:
     torch.manual_seed(seed)
-    settings = getattr(TensorSettings, kind)(**(SMALL | changes))
-    return TensorVolume(BOX, settings, choose_device("torch"), appearance=appearance)
+    return TensorVolume(BOX, replace(KINDS[kind], **(SMALL | changes)), choose_device("torch"), appearance=appearance)
 
 
 def test_the_four_models_differ_by_scales_and_weighting_alone():
-    table = {k: (s.scales, s.weighting) for k in ("vm", "dw", "m", "mdw") if (s := getattr(TensorSettings, k)())}
+    table = {kind: (s.scales, s.weighting) for kind, s in KINDS.items()}
     assert table == {"vm": (1, False), "dw": (1, True), "m": (6, False), "mdw": (6, True)}
-    assert (TensorSettings.mdw().n_min, TensorSettings.mdw().n_max) == (64, 256)
-    assert TensorSettings.mdw(channels=24).channels == 24
+    assert (TensorSettings().n_min, TensorSettings().n_max) == (64, 256)
 
 
 def test_grids_follow_the_box():
@@ -63,7 +64,7 @@ def test_the_weighting_network_takes_over_without_a_step_and_with_its_own_rates(
     assert set(fine) == set(coarse) == {id(p) for p in model.parameters()}
     planes = id(model.factors.planes)
     assert (coarse[planes], fine[planes]) == (0.02, 0.003)
-    assert TensorSettings.mdw().fine_rate == 0.001
+    assert TensorSettings().fine_rate == 0.001
     assert not model.observe(still * 4)
 
 

@@ -30,10 +30,9 @@ def quietly(share: float) -> None:
     """Progress that nobody looks at."""
 
 
-def tensor_renderer(kind: str = "mdw", **changes) -> VolumeRenderer:
+def tensor_renderer(**changes) -> VolumeRenderer:
     torch.manual_seed(0)  # of the heads
-    settings = getattr(TensorSettings, kind)(**{**SMALL, **changes})
-    return VolumeRenderer(TensorVolume(BOX, settings, choose_device("cpu")))
+    return VolumeRenderer(TensorVolume(BOX, TensorSettings(**(SMALL | changes)), choose_device("cpu")))
 
 
 def heights(renderer: VolumeRenderer, cells: Cells, photographs) -> np.ndarray:
@@ -51,7 +50,7 @@ SHORT = Training(steps=300, rays=384, samples=24, cells=32, refresh=(0.6,))
 @pytest.mark.slow
 def test_training_finds_a_bed_under_water_from_nothing_coarse_to_fine():
     photographs = bed_photographs(BED_M, views=9)
-    renderer, shares = tensor_renderer("mdw"), []
+    renderer, shares = tensor_renderer(), []
     cells, figures = train_volume(renderer, photographs, SHORT, shares.append)
     found = heights(renderer, cells, photographs)
     cell = BOX.edge / 32
@@ -66,7 +65,7 @@ def test_training_finds_a_bed_under_water_from_nothing_coarse_to_fine():
 @pytest.mark.slow
 def test_without_water_the_same_photographs_put_the_bed_too_high():
     photographs = bed_photographs(BED_M, views=9)
-    renderer = tensor_renderer("mdw")
+    renderer = tensor_renderer()
     photographs.water = None
     cells, _ = train_volume(renderer, photographs, SHORT, quietly)
     # At small angles depth appears divided by the index: 1.5 m as 1.13 m.

@@ -10,6 +10,7 @@ Vectors run along zeta alone: in a thin layer the other directions add nothing. 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -116,21 +117,8 @@ def _tensor(of: Setup, settings: TensorSettings) -> TensorVolume:
     return TensorVolume(of.box, settings, of.device, appearance=of.appearance)
 
 
-def mdw(of: Setup) -> TensorVolume:
-    """The model of a setup, as `TensorSettings.mdw`."""
-    return _tensor(of, TensorSettings.mdw())
-
-
-def m(of: Setup) -> TensorVolume:
-    """The model of a setup, as `TensorSettings.m`."""
-    return _tensor(of, TensorSettings.m())
-
-
-def dw(of: Setup) -> TensorVolume:
-    """The model of a setup, as `TensorSettings.dw`."""
-    return _tensor(of, TensorSettings.dw())
-
-
-def vm(of: Setup) -> TensorVolume:
-    """The model of a setup, as `TensorSettings.vm`."""
-    return _tensor(of, TensorSettings.vm())
+# The models by their names, each made of a `fields.volume.model.Setup`: several scales, and weighted density.
+mdw = partial(_tensor, settings=TensorSettings())
+m = partial(_tensor, settings=TensorSettings(weighting=False))
+dw = partial(_tensor, settings=TensorSettings.of_one_scale(weighting=True))
+vm = partial(_tensor, settings=TensorSettings.of_one_scale(weighting=False))

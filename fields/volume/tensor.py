@@ -7,7 +7,7 @@ learns faster, and no regulariser (docs/decisions.md has what both gave).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from torch import Tensor, nn
@@ -45,27 +45,12 @@ class TensorSettings:
     switch_ratio: float = 0.01
 
     @staticmethod
-    def mdw(**changes) -> TensorSettings:
-        """Multi-scale, density weighted: MDW-NeRF."""
-        return replace(TensorSettings(), **changes)
-
-    @staticmethod
-    def m(**changes) -> TensorSettings:
-        """Multi-scale alone."""
-        return replace(TensorSettings(weighting=False), **changes)
-
-    @staticmethod
-    def dw(**changes) -> TensorSettings:
-        """Settings of a density-weighted model of one scale."""
-        return replace(TensorSettings(scales=1, channels=24), **changes)
-
-    @staticmethod
-    def vm(**changes) -> TensorSettings:
-        """Settings of one scale, density a linear map of the features: the vector-matrix decomposition alone.
+    def of_one_scale(*, weighting: bool) -> TensorSettings:
+        """Settings of DW, or without weighting VM: the vector-matrix decomposition alone, density linear in features.
 
         As many features a sample as six scales of four channels have.
         """
-        return replace(TensorSettings(scales=1, channels=24, weighting=False), **changes)
+        return TensorSettings(scales=1, channels=24, weighting=weighting)
 
 
 class TensorVolume(VolumeModel):

@@ -83,7 +83,7 @@ def train_field(run: str | Path, output: str | Path, options: VolumeOptions | No
 def _one(run: LoadedRun, flight: Flight, options: VolumeOptions, folder: VolumeFolder) -> FieldResult:
     """One field over the whole bed."""
     with current().stage("Photographs", len(flight.views)) as stage:
-        scene = load_scene(run, flight, options.scene, stage.advance)
+        scene = load_scene(run, flight, options, stage.advance)
     trained = train(scene, flight, options, folder)
     surface, views = surface_in(trained), trained.held_views()
     return FieldResult(surface, scene.bed, scene.held, trained.view, views, trained.report())

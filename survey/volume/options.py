@@ -17,7 +17,6 @@ from survey.run.stored_field import VolumeRecipe
 from survey.settings.config import settings_of
 from survey.settings.tables import FieldConfig
 from survey.volume.monocular import priors_hash
-from survey.volume.scene import SceneOptions
 
 # Weights of depth and of normals (MonoSDF, Yu et al. 2022).
 MONOCULAR = (0.1, 0.05)
@@ -76,11 +75,6 @@ class VolumeOptions(FieldConfig):
         settings = {name: value for name, value in asdict(self).items() if name not in made}
         priors = None if self.monocular is None else priors_hash(Path(self.monocular))
         return {"result": run.stages} | settings | {"monocular": priors}
-
-    @property
-    def scene(self) -> SceneOptions:
-        """Options of the box and its photographs."""
-        return SceneOptions(**{each.name: getattr(self, each.name) for each in fields(SceneOptions)})
 
     @property
     def recipe(self) -> VolumeRecipe:

@@ -30,6 +30,7 @@ from survey.run.flight import Flight
 from survey.run.stored import FIELD_SETTINGS, FIELD_STATE
 from survey.run.stored_field import read_state
 from survey.volume.monocular import monocular_priors
+from survey.volume.options import VolumeOptions
 
 # A box reaches over and under the inner part of the heights by a share of their range and some cells.
 _INNER, _REACH, _REACH_CELLS = (0.1, 99.9), 0.1, 3.0
@@ -71,19 +72,6 @@ class Scene:
         return everywhere.refined(torch.from_numpy(filled.ravel()), 0.5, margin * self.box.edge / num)
 
 
-@dataclass(frozen=True)
-class SceneOptions:
-    """Options of the photographs of a run that a field is trained on, and of its box."""
-
-    cells: int  # Of the volume along its longest edge
-    bounds: tuple[float, float, float, float] | None = None  # (e0, n0, e1, n1), optional: in crs: part of the bed
-    image_scale: float | None = None  # [-], optional: Default: two pixels a cell
-    held_every: int | None = None  # optional: every so many photographs one is left out
-    straight: bool = False  # Rays are not bent
-    monocular: str | None = None  # optional: folder of priors of those that are learned from
-    shell: bool = False  # What lies beyond the box is learned from, too: all pixels, not those alone that show the box
-
-
 class TooFewPhotographs(SurveyError):
     """Fewer photographs show a box than the training of a field needs."""
 
@@ -105,7 +93,7 @@ class BedBox:
         return self.gsd_m / self.scale
 
     @staticmethod
-    def of_run(run: LoadedRun, flight: Flight, options: SceneOptions) -> BedBox:
+    def of_run(run: LoadedRun, flight: Flight, options: VolumeOptions) -> BedBox:
         """The box of the whole bed, or of the part in the bounds."""
         bed = _bed_of(run, flight.frame, options.bounds)
         box = _box_about(bed, options.cells)
@@ -117,7 +105,7 @@ class BedBox:
         """The water at which rays are bent; None where they are straight."""
         return None if self.straight else self.water
 
-    def read_for(self, edge: float, options: SceneOptions) -> BedBox:
+    def read_for(self, edge: float, options: VolumeOptions) -> BedBox:
         """The same with the scale of photographs that volumes of an edge [m] need."""
         suited = min(1.0, _PIXELS_PER_CELL * self.gsd_m * options.cells / edge)
         return replace(self, scale=options.image_scale or suited)
@@ -139,7 +127,7 @@ class BedBox:
 def load_scene(
     run: LoadedRun,
     flight: Flight,
-    options: SceneOptions,
+    options: VolumeOptions,
     advance: Callable[[], object],
 ) -> Scene:
     """The training data of a run.
@@ -158,7 +146,7 @@ def load_scene(
     return ground.scene(training_photographs(train, ground, options, len(flight.views)), _named(held, ground.bent))
 
 
-def held_photographs(ground: BedBox, flight: Flight, options: SceneOptions) -> NamedPhotographs:
+def held_photographs(ground: BedBox, flight: Flight, options: VolumeOptions) -> NamedPhotographs:
     """The photographs of a flight that `load_scene` leaves out."""
     if options.held_every is None:
         return _named([], ground.bent)
@@ -166,14 +154,14 @@ def held_photographs(ground: BedBox, flight: Flight, options: SceneOptions) -> N
     return _named(photographs_of(ground, flight, lambda: None, lambda name: name in names), ground.bent)
 
 
-def _held_of(options: SceneOptions) -> slice:
+def _held_of(options: VolumeOptions) -> slice:
     """Slice of the photographs that show the box which is held out."""
     every = options.held_every
     return slice(0, 0) if every is None else slice(every // 2, None, every)
 
 
 def training_photographs(
-    shown: list[BoxPhotograph], ground: BedBox, options: SceneOptions, photographs: int
+    shown: list[BoxPhotograph], ground: BedBox, options: VolumeOptions, photographs: int
 ) -> NamedPhotographs:
     """Photographs for training, with their priors."""
     if len(shown) < LEAST_VIEWS:

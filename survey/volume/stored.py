@@ -15,7 +15,8 @@ from survey.files.json_values import read_json_object
 from survey.progress import current
 from survey.run.stored import FIELD_SETTINGS, FIELD_STATE
 from survey.run.stored_field import VolumeRecipe
-from survey.volume.scene import BedBox, SceneOptions
+from survey.volume.options import VolumeOptions
+from survey.volume.scene import BedBox
 from survey.volume.submodule_views import FOLDER, SubmoduleViews
 from survey.words import Drop
 
@@ -49,8 +50,8 @@ class StoredVolume:
         try:
             recipe = VolumeRecipe.of(settings)
             bounds = None if settings["bounds"] is None else tuple(settings["bounds"])
-            scene = SceneOptions(recipe.cells, bounds, straight=recipe.straight)
-            ground = BedBox.of_run(run, run.flight, scene)
+            options = VolumeOptions(cells=recipe.cells, bounds=bounds, straight=recipe.straight)
+            ground = BedBox.of_run(run, run.flight, options)
             counts = settings["submodules"] and counts_of(settings["submodules"], ground.box.size)
         except (KeyError, TypeError, ValueError) as error:
             raise SurveyError(

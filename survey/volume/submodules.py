@@ -48,11 +48,11 @@ def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, fol
     A cell is read, trained and made a surface of before the next, so that one of them is in memory; a training that was
     stopped goes on with the cell it was at. Cells of which too little is known are named and left out.
     """
-    ground = BedBox.of_run(run, flight, options.scene)
+    ground = BedBox.of_run(run, flight, options)
     grid = _grid_of(ground, options)
     # Photographs are as large as the largest cell needs them.
-    ground = ground.read_for(max(grid.box_of(number).size[:2].max() for number in range(len(grid))), options.scene)
-    held = held_photographs(ground, flight, options.scene)
+    ground = ground.read_for(max(grid.box_of(number).size[:2].max() for number in range(len(grid))), options)
+    held = held_photographs(ground, flight, options)
     surfaces: list[Surface] = []
     reports, left_out = {}, {}
     for number, name in enumerate(grid.names()):
@@ -110,7 +110,7 @@ def _trained(
     names = set(held.names)
     with current().stage(f"Photographs of {what}", len(flight.views)) as stage:
         shown = photographs_of(part, flight, stage.advance, lambda name: name not in names)
-    learned = training_photographs(shown, part, options.scene, len(flight.views))
+    learned = training_photographs(shown, part, options, len(flight.views))
     folder = begun()
     trained = train(part.scene(learned, held), flight, options, folder)
     if options.drop == Drop.network and not (folder.path / VISIBILITY).is_file():

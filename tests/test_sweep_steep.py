@@ -10,7 +10,7 @@ from plane_survey import SIZE, TILTED, ring
 
 from fields.image_store import Masks
 from fields.sweep.kernels.arrays import floats
-from fields.sweep.kernels.backend import kernels
+from fields.sweep.kernels.lookups import vote_on_points
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import HeightMap
 from fields.sweep.overhangs import add_points_beneath, are_off_surface, pixels_beside_steps, without_ghosts
@@ -96,7 +96,7 @@ def test_maps_span_what_lies_between_heights_match_what_is_at_one_and_see_throug
     stack = ViewStack.build(device, stack.cameras, [*stack.images[:2], heights], TILTED)
     sure = rng.random(SHAPE) < 0.9
     points = np.stack([*rng.uniform(-0.3, 0.3, (2, 400)), rng.uniform(-2.2, -1.8, 400)])
-    found = kernels(device).vote_on_points(stack, tuple(floats(device, each) for each in points), 2, GSD, sure)
+    found = vote_on_points(stack, tuple(floats(device, each) for each in points), 2, GSD, sure)
     local = stack.kernel_water.origin + points.T @ stack.kernel_water.from_local
     u, v = (stack.cameras[2].project(local, TILTED) - 0.5).T
     # What rounds to another pixel is not asked.

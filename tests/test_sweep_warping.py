@@ -11,6 +11,7 @@ from plane_survey import TILTED, PlaneBed, held_in, look, ring, windows_of
 from fields.device import choose_device
 from fields.sweep.kernels.arrays import floats, host
 from fields.sweep.kernels.backend import kernels
+from fields.sweep.kernels.lookups import project_rays, rays_of_rows, sample
 from fields.sweep.kernels.stack import Hypotheses, ViewStack
 from refract import FlatWater, PinholeCamera
 from refract.distortion import BROWN, FISHEYE, RATIONAL, Distortion
@@ -52,8 +53,8 @@ def heights_everywhere(rng, stack: ViewStack) -> np.ndarray:
 
 def points_of_legs(stack: ViewStack, view: int, heights: np.ndarray) -> np.ndarray:
     """Points (height, width, 3) of the paths of a view at their heights, by `rays_of_rows`."""
-    images, device = kernels(stack.device), stack.device
-    rays = [host(device, row) for row in images.rays_of_rows(stack, view, 0, stack.height)]
+    device = stack.device
+    rays = [host(device, row) for row in rays_of_rows(stack, view, 0, stack.height)]
     foot, air, wet = (np.stack(rays[i : i + 2], -1).reshape(*heights.shape, 2) for i in (0, 2, 4))
     flat = foot + heights[..., None] * np.where(heights[..., None] > 0.0, air, wet)
     return (
@@ -63,9 +64,9 @@ def points_of_legs(stack: ViewStack, view: int, heights: np.ndarray) -> np.ndarr
 
 def project_all(stack: ViewStack, view: int, other: int, heights: np.ndarray):
     """Pixels (height, width, 2) in `other`, and whether inside it, of the paths of a view at their heights."""
-    images, device = kernels(stack.device), stack.device
-    rays = images.rays_of_rows(stack, view, 0, stack.height)
-    u, v, inside = images.project_rays(stack, rays, floats(device, heights), other)
+    device = stack.device
+    rays = rays_of_rows(stack, view, 0, stack.height)
+    u, v, inside = project_rays(stack, rays, floats(device, heights), other)
     uv = np.stack([host(device, u), host(device, v)], -1).reshape(*heights.shape, 2)
     return uv, host(device, inside).reshape(heights.shape)
 
@@ -144,10 +145,9 @@ def two_images(device, image: np.ndarray) -> ViewStack:
     return ViewStack.build(device, [camera, camera], [np.zeros_like(image), image], None)
 
 
-def sampled(stack: ViewStack, u: np.ndarray, v: np.ndarray, inside: np.ndarray, way: str = "sample") -> np.ndarray:
-    images, device = kernels(stack.device), stack.device
-    held = floats(device, inside) > 0.5
-    return host(device, getattr(images, way)(stack, 1, floats(device, u), floats(device, v), held))
+def sampled(stack: ViewStack, u: np.ndarray, v: np.ndarray, inside: np.ndarray, way=sample) -> np.ndarray:
+    device = stack.device
+    return host(device, way(stack, 1, floats(device, u), floats(device, v), floats(device, inside) > 0.5))
 
 
 def test_lookups_at_pixel_centres_give_the_pixels_back(device, rng):
@@ -182,7 +182,7 @@ def test_packed_lookups_are_bilinear_lookups(device, rng, levels):
     stack = two_images(device, image)
     assert stack.packed.bits == (8 if levels == "of 8 bits" else 16)
     where = rng.uniform(0.5, 15.4, 3000), rng.uniform(0.5, 11.4, 3000), rng.uniform(size=3000) > 0.2
-    found, expected = (sampled(stack, *where, way) for way in ("sample_packed", "sample"))
+    found, expected = (sampled(stack, *where, way) for way in (kernels(device).sample_packed, sample))
     np.testing.assert_array_equal(np.isnan(found), np.isnan(expected))
     # Whole steps and quarters are exact, but for rounding; others are rounded to a step.
     rounding = 0.5 * stack.packed.step if levels == "of any kind" else 4 * 256 * EPS32
@@ -196,14 +196,14 @@ def test_packed_lookups_are_bilinear_lookups(device, rng, levels):
 def test_images_of_one_level_and_images_all_masked_are_packed(device):
     for level in (30.0, 0.3, np.nan):
         stack = two_images(device, np.full((6, 8), level, np.float32))
-        found = sampled(stack, np.full(4, 3.7), np.full(4, 2.2), np.ones(4), "sample_packed")
+        found = sampled(stack, np.full(4, 3.7), np.full(4, 2.2), np.ones(4), kernels(device).sample_packed)
         np.testing.assert_allclose(found, np.float32(level), rtol=EPS32, atol=0.5 * stack.packed.step)
 
 
 def warped(stack: ViewStack, start: np.ndarray, others: list[int], step: float, count: int) -> np.ndarray:
     """W (neighbours, count, height, width) of view 0."""
     images, device = kernels(stack.device), stack.device
-    rays = images.rays_of_rows(stack, 0, 0, stack.height)
+    rays = rays_of_rows(stack, 0, 0, stack.height)
     values = images.buffers(device, len(others), start.size * count)
     images.warp(values, stack, rays, Hypotheses(start, step, count), others)
     found = [held_in(device, each, start.size * count) for each in values[: len(others)]]

@@ -13,7 +13,7 @@ from fields.image_store import LazyImages, Masks
 from fields.median import median
 from fields.sweep.block import Block
 from fields.sweep.kernels.arrays import free_unused
-from fields.sweep.kernels.backend import kernels
+from fields.sweep.kernels.lookups import find_duplicates, rays_and_heights
 from fields.sweep.kernels.stack import ViewStack, largest
 from fields.sweep.maps import HeightMap, height_std, is_confirmed, trusted, views_of
 from fields.sweep.overhangs import add_points_beneath, pixels_beside_steps
@@ -132,10 +132,10 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
         near_steps[index] = shown & (m.agreeing > 0) & pixels_beside_steps(m.height, gsd)
         if not keep.any():
             continue
-        rays, own = kernels(block.device).rays_and_heights(heights, index, np.flatnonzero(keep))
+        rays, own = rays_and_heights(heights, index, np.flatnonzero(keep))
         for later in order[place + 1 :]:
             if ground[index].meets(ground[later]):
-                same, close = kernels(block.device).find_duplicates(heights, rays, own, later, tolerances[index], gsd)
+                same, close = find_duplicates(heights, rays, own, later, tolerances[index], gsd)
                 claimed.add(later, same & (close | ~walls[later].ravel()))
         free_unused(block.device)
     filter_steep_pixels(heights, SteepPixels(steep, addable, all_trusted), kept, gsd)

@@ -20,6 +20,7 @@ from fields.sweep.kernels.arrays import (
     evaluate,
     flatten,
     gather,
+    integer_part,
     is_torch,
     kth_smallest,
     nonzero,
@@ -135,13 +136,8 @@ def _between(line: Any, length: int, target: int) -> tuple[Any, Any, Any]:
     xp = kernels.namespace(line)
     at = (to_float(line) + 0.5) * scalar(line, float(np.float32(length / target))) - 0.5
     at = xp.minimum(xp.maximum(at, 0.0), scalar(line, float(length - 1)))
-    first = _floor(at)
+    first = integer_part(at)
     return first, _clamped(first + 1, length), at - to_float(first)
-
-
-def _floor(values: Any) -> Any:
-    """Integer part of values that are not negative."""
-    return values.long() if kernels.namespace(values).name == "torch" else type(arange(values, 1))(values)
 
 
 def masked_means(value: Any, counts: Any, shape: tuple[int, int]) -> Any:
@@ -159,7 +155,7 @@ def _area_sums(flat: Any, shape: tuple[int, int], target: tuple[int, int]) -> An
         place = list(places(flat, shape))
         xp, side, total = kernels.namespace(flat), before[axis] / size, None
         low = to_float(place[axis]) * scalar(flat, side)
-        first = _floor(low)
+        first = integer_part(low)
         for step in range(math.ceil(side) + 1):
             line = first + step
             begin = to_float(line)
@@ -190,7 +186,7 @@ def fill_nearest(height: Any, known: Any) -> Any:
     # Steps of one pixel twice: with one, the distance of one pixel in a thousand is a third too large.
     for length in [*(1 << bit for bit in reversed(range(max(shape).bit_length()))), 1]:
         nearest = jump(place, nearest, scalar(place[0], length), last, width)
-    rows, columns = (_floor(each) for each in nearest)
+    rows, columns = (integer_part(each) for each in nearest)
     return unflatten(gather(flat, rows * scalar(flat, shape[1]) + columns), shape)
 
 
@@ -235,7 +231,7 @@ def _distance(place: Place, other: list[Any]) -> Any:
 def _scan_rank(place: Place, other: list[Any]) -> Any:
     """Rank of pixels in OpenCV's scans of the distance transform: down the image, up, last in a row."""
     xp = kernels.namespace(other[0])
-    down, right = (_floor(each - to_float(line)) for line, each in zip(place, other, strict=True))
+    down, right = (integer_part(each - to_float(line)) for line, each in zip(place, other, strict=True))
     order, part = down * _FAR + right, _FAR * _FAR // 2
     on_way_down = ((down < 0) & (right <= -2 * down)) | ((down == 0) & (right < 0))
     return xp.where(on_way_down, order - part, xp.where(down > 0, -order, order + part))

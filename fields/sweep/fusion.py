@@ -15,7 +15,8 @@ from fields.median import median
 from fields.sweep.block import Block
 from fields.sweep.images import image_backend
 from fields.sweep.kernels.arrays import host
-from fields.sweep.kernels.backend import Job, Launch, kernels, run_jobs
+from fields.sweep.kernels.backend import Job, Launch, run_jobs
+from fields.sweep.kernels.lookups import compare_heights, count_seeing_through
 from fields.sweep.kernels.stack import ViewStack, largest
 from fields.sweep.maps import HeightMap, Maps, OrderedMaps, StoreFactory, trusted, views_of
 from fields.sweep.passes import MATCHED_NCC
@@ -125,7 +126,7 @@ def agreement(
     shape = (heights.height_of(view), heights.width_of(view)) if pixels is None else (len(pixels),)
 
     def launch() -> Launch:
-        return Launch(list(kernels(heights.device).compare_heights(heights, view, peers, tolerance, pixels)))
+        return Launch(list(compare_heights(heights, view, peers, tolerance, pixels)))
 
     sums = yield launch
     return backend.agreement_statistics(backend.heights_at(heights, view, pixels), sums, shape)
@@ -156,8 +157,7 @@ def num_comparable(block: Block, maps: Sequence[HeightMap]) -> Iterator[np.ndarr
             continue
         numbers = [chosen.index(peer) for peer in peers]
         of_all, of_unmasked = (
-            host(block.device, kernels(block.device).compare_heights(stack, index, numbers, math.inf)[0])
-            for stack in (inside, unmasked)
+            host(block.device, compare_heights(stack, index, numbers, math.inf)[0]) for stack in (inside, unmasked)
         )
         yield np.where(of_unmasked < of_all, of_unmasked, np.float32(np.inf)).reshape(m.height.shape)
 
@@ -194,9 +194,7 @@ def remove_free_space_violations(
             found[m.view] = m
             continue
         tolerance = block.agreement_tolerance(m.view, peers, median(m.height))
-        through = kernels(block.device).count_seeing_through(
-            stack, index, [chosen.index(peer) for peer in peers], tolerance, pixels
-        )
+        through = count_seeing_through(stack, index, [chosen.index(peer) for peer in peers], tolerance, pixels)
         against, agreeing = host(block.device, through), np.array(m.agreeing)
         contradicted = (against > 0.0) & (against >= agreeing.flat[pixels])
         agreeing.flat[pixels[contradicted]] = 0

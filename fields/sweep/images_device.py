@@ -250,6 +250,7 @@ def values_at(flat: Any, pixels: Any) -> Any:
 def put(target: Any, pixels: Any, values: Any, mask: Any | None = None) -> None:
     """Set flat pixels at indices, where an optional mask is True."""
     scatter(target, pixels, values, mask)
+    evaluate(target)
 
 
 def put_strip(target: Any, width: int, result: Any, part: tuple[slice, slice], strip: slice, radius: int) -> None:
@@ -260,6 +261,7 @@ def put_strip(target: Any, width: int, result: Any, part: tuple[slice, slice], s
     local = slice(radius, radius + rows.stop - rows.start), slice(columns.start - left, columns.stop - left)
     values = gather(result, _places(result, local, wide) - scalar(result, lost))
     scatter(target, _places(target, part, width), values)
+    evaluate(target)
 
 
 def _in_tiles(like: Any, tiles: ImageTiles, part: slice) -> tuple[Any, Place, Place]:

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from fields.image_store import Masks
 from fields.sweep.block import Block
 from fields.sweep.kernels.arrays import floats, host
-from fields.sweep.kernels.backend import kernels
+from fields.sweep.kernels.lookups import rays_and_heights, rays_of_rows, vote_on_points
 from fields.sweep.kernels.rays import point_at
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import HeightMap
@@ -69,7 +69,7 @@ class MapPoints:
         points = tuple(floats(stack.device, each) for each in self.xyz)
         for number, mask in enumerate(trusted):
             other = self.number != number
-            spans, sees_through, matches = kernels(stack.device).vote_on_points(stack, points, number, tolerance, mask)
+            spans, sees_through, matches = vote_on_points(stack, points, number, tolerance, mask)
             spanning += spans & other
             through += sees_through & other
             matching += matches & other
@@ -91,7 +91,7 @@ def places_in_plan(
     ``in_frame`` takes points (N, 3) to those in another frame, whose places are wanted.
     """
     stack = ViewStack.build(block.device, [block.cameras[m.view]], [m.height], block.water, block.skips)
-    rays = kernels(block.device).rays_of_rows(stack, 0, 0, stack.height)
+    rays = rays_of_rows(stack, 0, 0, stack.height)
     points = point_at(rays, floats(block.device, m.height))
     over_water = np.stack([host(block.device, each) for each in points])
     water = stack.kernel_water
@@ -133,7 +133,7 @@ def points_of_pixels(stack: ViewStack, number: int, pixels: np.ndarray) -> np.nd
     """Points (3, N) float32 of pixels of a map."""
     if not len(pixels):
         return np.zeros((3, 0), dtype=np.float32)
-    point = point_at(*kernels(stack.device).rays_and_heights(stack, number, pixels))
+    point = point_at(*rays_and_heights(stack, number, pixels))
     return np.stack([host(stack.device, each) for each in point])
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from fields.sweep.images import image_backend
 from fields.sweep.kernels.arrays import floats
 from fields.sweep.kernels.backend import Job, Launch, kernels
+from fields.sweep.kernels.lookups import rays_of_pixels, rays_of_rows
 from fields.sweep.kernels.stack import Hypotheses, ViewStack
 from fields.sweep.passes import MATCHED_NCC
 from fields.sweep.tiles import ImageTiles
@@ -122,7 +123,7 @@ def match_tiles(
     lost = tiles.radius * (side + 1)
     for part, count in tiles.batches(most, launch):
         pixels = backend.tile_indices(device, tiles, part)
-        rays = partial(kernels(device).rays_of_pixels, stack, view, pixels)
+        rays = partial(rays_of_pixels, stack, view, pixels)
         grey, hypotheses = backend.grey_at(stack, view, pixels), Hypotheses(starts(part, pixels), step, count)
         results = yield partial(_launch, reference, rays, grey, hypotheses, side)
         take(backend.own_pixels(device, tiles, part, pixels, lost), backend.trim_halo(pixels, lost), results)
@@ -160,8 +161,8 @@ def _rays_of_strip(stack: ViewStack, view: int, strip: tuple[slice, slice]) -> A
     """Rays of a strip of pixels: of whole rows, or of a part of their columns."""
     rows, columns = strip
     if columns.stop - columns.start == stack.width_of(view):
-        return kernels(stack.device).rays_of_rows(stack, view, rows.start, rows.stop - rows.start)
-    return kernels(stack.device).rays_of_pixels(
+        return rays_of_rows(stack, view, rows.start, rows.stop - rows.start)
+    return rays_of_pixels(
         stack, view, image_backend(stack.device).strip_indices(stack.device, strip, stack.width_of(view))
     )
 

@@ -18,7 +18,8 @@ from fields.image_store import LazyImages
 from fields.sweep.block import Block
 from fields.sweep.fusion import PEERS, ComparedViews, fuse
 from fields.sweep.images import image_backend
-from fields.sweep.kernels.backend import Job, kernels, run_jobs
+from fields.sweep.kernels.backend import Job, run_jobs
+from fields.sweep.kernels.lookups import compare_heights
 from fields.sweep.kernels.stack import ViewStack, largest
 from fields.sweep.maps import HeightMap, Maps, MemoryBudget, OrderedMaps, StoreFactory, trusted
 from fields.sweep.passes import MATCHED_NCC, POINTS_SHARE, Pass
@@ -289,6 +290,6 @@ def predict_selected_pixels(block: Block, maps: Mapping[int, HeightMap]) -> dict
         middle = backend.median_above(known[view], -math.inf) if steeper else None
         if middle is not None:
             tolerance = block.agreement_tolerance(view, block.neighbours(view, 8, candidates=order), middle)
-            against, _, _ = kernels(block.device).compare_heights(heights, number, steeper, tolerance)
+            against, _, _ = compare_heights(heights, number, steeper, tolerance)
         selected[view] = backend.newly_visible(block.device, known[view], against)
     return selected

@@ -101,6 +101,11 @@ def to_float(array: Any) -> Any:
     return drjit.select(array, kind(1.0), kind(0.0)) if drjit.is_mask_v(array) else kind(array)
 
 
+def integer_part(values: Any) -> Any:
+    """Integer part of values that are not negative."""
+    return values.long() if is_torch(values) else _drjit().int32_array_t(type(values))(values)
+
+
 def constant_array(like: Any, value: float, count: int) -> Any:
     """Array of a constant, in memory of its own."""
     if is_torch(like):
@@ -137,7 +142,6 @@ def scatter(target: Any, index: Any, values: Any, mask: Any | None = None) -> No
     drjit = _drjit()
     index = drjit.uint32_array_t(type(index))(index)
     drjit.scatter(target, values, index, True if mask is None else mask)
-    drjit.eval(target)
 
 
 def nonzero(mask: Any) -> Any:

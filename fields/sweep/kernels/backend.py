@@ -14,8 +14,6 @@ from dataclasses import dataclass
 from itertools import count
 from typing import Any, Protocol, TypeVar
 
-import numpy as np
-
 from fields.device import Device
 from fields.sweep.kernels.arrays import results
 from fields.sweep.kernels.stack import Hypotheses, ViewStack
@@ -26,16 +24,6 @@ class Kernels(Protocol):
 
     SAMPLES_PER_LAUNCH: int
     NOISE_VARIANCE: float
-
-    def rays_of_rows(self, stack: ViewStack, view: int, first_row: int, rows: int) -> Any: ...
-
-    def rays_of_pixels(self, stack: ViewStack, view: int, pixels: Any) -> Any: ...
-
-    def rays_and_heights(self, stack: ViewStack, view: int, pixels: Any) -> Any: ...
-
-    def project_rays(self, stack: ViewStack, rays: Any, z: Any, view: int) -> Any: ...
-
-    def sample(self, stack: ViewStack, view: int, u: Any, v: Any, inside: Any) -> Any: ...
 
     def sample_packed(self, stack: ViewStack, view: int, u: Any, v: Any, inside: Any) -> Any: ...
 
@@ -56,22 +44,6 @@ class Kernels(Protocol):
     def best_half(self, device: Device, scores: list[Any]) -> Any: ...
 
     def best_height(self, device: Device, mean: Any, start: Any, step: float, count: int) -> tuple[Any, Any, Any]: ...
-
-    def compare_heights(
-        self, stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: Any | None = None
-    ) -> tuple[Any, Any, Any]: ...
-
-    def count_seeing_through(
-        self, stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: Any
-    ) -> Any: ...
-
-    def find_duplicates(
-        self, stack: ViewStack, rays: Any, own_height: Any, other: int, tolerance: float, close_m: float
-    ) -> tuple[np.ndarray, np.ndarray]: ...
-
-    def vote_on_points(
-        self, stack: ViewStack, points: tuple, view: int, close_m: float, trusted: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]: ...
 
 
 def kernels(device: Device) -> Kernels:

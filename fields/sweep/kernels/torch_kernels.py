@@ -6,12 +6,12 @@ computes step by step, so samples are taken in portions that stay in the process
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from fields.device import Device
 from fields.sweep.kernels.arrays import floats, indices
+from fields.sweep.kernels.lookups import bilinear, corner_of
 from fields.sweep.kernels.rays import (
     fit_curve,
     in_front_of_camera,
@@ -19,11 +19,10 @@ from fields.sweep.kernels.rays import (
     point_on_curve,
     project,
     project_with_depth,
-    refracted_rays,
     segments,
     straddling_pixels,
 )
-from fields.sweep.kernels.stack import MASKED, CameraTerms, Hypotheses, ViewStack, camera_table
+from fields.sweep.kernels.stack import MASKED, Hypotheses, ViewStack
 
 # Samples (neighbours x hypotheses x pixels) of one strip: 32 MB an array.
 SAMPLES_PER_LAUNCH = 8_000_000
@@ -33,61 +32,13 @@ PORTION = 250_000
 NOISE_VARIANCE = 1.0
 
 
-def rays_of_rows(stack: ViewStack, view: int, first_row: int, rows: int) -> list[Tensor]:
-    """Rays (`fields.sweep.kernels.rays`) of a strip of pixels of `view`: six tensors of P = rows * width, or more."""
-    first = first_row * stack.width_of(view)
-    return _refracted_rays(
-        stack, view, torch.arange(first, first + rows * stack.width_of(view), device=stack.device.place)
-    )
-
-
-def rays_of_pixels(stack: ViewStack, view: int, pixels: np.ndarray) -> list[Tensor]:
-    """Rays of chosen pixels (flat indices) of a view."""
-    return _refracted_rays(stack, view, indices(stack.device, pixels))
-
-
-def _refracted_rays(stack: ViewStack, view: int, index: Tensor) -> list[Tensor]:
-    line = index // stack.width_of(view)
-    u, v = (index - line * stack.width_of(view)).float() + 0.5, line.float() + 0.5
-    cameras = [stack.cameras[view]]
-    terms = CameraTerms.of(cameras)
-    camera = camera_table(cameras, terms, stack.kernel_water)[0].tolist()
-    return refracted_rays(camera, u, v, stack.kernel_water, terms)
-
-
-def project_rays(stack: ViewStack, rays, z: Tensor, view: int):
-    """Pixel position in `view`, and whether inside it, of each path at its height of `z`."""
-    return project(stack.camera_rows[view], point_at(rays, z), stack.kernel_water, stack.terms)
-
-
-def _corner(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor):
-    """Flat index of the upper left of the four pixels about (u, v), and the offset from it [px]."""
-    x, y = torch.where(inside, u - 0.5, 0.0), torch.where(inside, v - 0.5, 0.0)
-    x0, y0 = x.long(), y.long()
-    return y0 * stack.width_of(view) + x0, x - x0, y - y0
-
-
-def _bilinear(corners: list[Tensor], fx: Tensor, fy: Tensor) -> Tensor:
-    """Bilinear interpolation between four corners, row by row."""
-    a, b, c, d = corners
-    top, bottom = torch.addcmul(a, fx, b - a), torch.addcmul(c, fx, d - c)
-    return torch.addcmul(top, fy, bottom - top)
-
-
-def sample(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor) -> Tensor:
-    """Bilinear lookup in image `view` at pixel position (u, v); NaN where not inside."""
-    corner, fx, fy = _corner(stack, view, u, v, inside)
-    corners = [stack.pixels[view][corner + offset] for offset in (0, 1, stack.width_of(view), stack.width_of(view) + 1)]
-    return torch.where(inside, _bilinear(corners, fx, fy), torch.nan)
-
-
 def sample_packed(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor) -> Tensor:
     """Bilinear samples of `ViewStack.packed`: one lookup instead of the four of `sample`."""
     packed = stack.packed
-    corner, fx, fy = _corner(stack, view, u, v, inside)
+    corner, fx, fy = corner_of(stack, view, u, v, inside)
     word = packed.values[view][corner]
     parts = [(word >> (place * packed.bits)) & (2**packed.bits - 1) for place in range(4)]
-    value = _bilinear([part.float() for part in parts], fx, fy) * packed.step + packed.low
+    value = bilinear([part.float() for part in parts], fx, fy) * packed.step + packed.low
     return torch.where(inside & (parts[0] != MASKED), value, torch.nan)
 
 
@@ -122,84 +73,6 @@ def warp(values: list[Tensor], stack: ViewStack, rays, hypotheses: Hypotheses, n
             for target, view in zip(arrays, neighbours, strict=True):
                 seen = project(stack.camera_rows[view], points, stack.kernel_water, stack.terms)
                 target[part.start : part.stop, straddling] = sample_packed(stack, view, *seen)
-
-
-def compare_heights(
-    stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: np.ndarray | None = None
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Count, sum and sum of squares (P) of the differences below `tolerance`; as in Dr.Jit."""
-    if pixels is None:
-        rays, own_height = rays_of_rows(stack, view, 0, stack.height_of(view)), stack.pixels[view]
-    else:
-        rays, own_height = rays_and_heights(stack, view, pixels)
-    count, total, square = torch.zeros_like(own_height), torch.zeros_like(own_height), torch.zeros_like(own_height)
-    for peer in peers:
-        difference = sample(stack, peer, *project_rays(stack, rays, own_height, peer)) - own_height
-        near = difference.abs() < tolerance
-        difference = torch.where(near, difference, 0.0)
-        count += near
-        total += difference
-        square += difference * difference
-    return count, total, square
-
-
-def count_seeing_through(stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: np.ndarray) -> Tensor:
-    """Number of peers (P) that see something lower through the points of pixels; as in Dr.Jit."""
-    rays, own_height = rays_and_heights(stack, view, pixels)
-    count, least = torch.zeros_like(own_height), own_height - tolerance
-    for peer in peers:
-        u, v, lower = project_rays(stack, rays, own_height, peer)
-        corner = _corner(stack, peer, u, v, lower)[0]
-        for offset in (0, 1, stack.width_of(peer), stack.width_of(peer) + 1):
-            lower = lower & (stack.pixels[peer][corner + offset] < least)
-        count += lower
-    return count
-
-
-def rays_and_heights(stack: ViewStack, view: int, pixels: np.ndarray) -> tuple[list[Tensor], Tensor]:
-    """Rays of chosen pixels (flat indices) of a view, and their heights in a stack of height maps."""
-    own_height = stack.pixels[view][indices(stack.device, pixels)]
-    return rays_of_pixels(stack, view, pixels), own_height
-
-
-def find_duplicates(
-    stack: ViewStack, rays, own_height: Tensor, other: int, tolerance: float, close_m: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (P) bool of height map `other` that show the points of rays at their heights, and those close to them.
-
-    As in Dr.Jit.
-    """
-    u, v, inside = project_rays(stack, rays, own_height, other)
-    corner, fx, fy = (each[inside] for each in _corner(stack, other, u, v, inside))
-    own_height, heights = own_height[inside], stack.pixels[other]
-    claimed, close = (torch.zeros(len(heights), dtype=torch.bool, device=heights.device) for _ in range(2))
-    offsets = (0, 1, stack.width_of(other), stack.width_of(other) + 1)
-    corners = [heights[corner + offset] for offset in offsets]
-    interpolated = _bilinear(corners, fx, fy)
-    for offset, neighbour_height in zip(offsets, corners, strict=True):
-        off = (neighbour_height - own_height).abs()
-        same = off < tolerance
-        near = same & (torch.minimum(off, (neighbour_height - interpolated).abs()) < close_m)
-        claimed[corner[same] + offset] = True
-        close[corner[near] + offset] = True
-    return claimed.cpu().numpy(), close.cpu().numpy()
-
-
-def vote_on_points(
-    stack: ViewStack, points: tuple, view: int, close_m: float, trusted: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Votes of height map `view` on points (P); as in Dr.Jit."""
-    u, v, inside = project(stack.camera_rows[view], points, stack.kernel_water, stack.terms)
-    corner, _, _ = _corner(stack, view, u, v, inside)
-    known = torch.from_numpy(trusted.ravel()).to(corner.device)
-    four = [corner + offset for offset in (0, 1, stack.width_of(view), stack.width_of(view) + 1)]
-    heights = torch.stack([stack.pixels[view][each] for each in four])
-    low, high = heights.amin(dim=0), heights.amax(dim=0)
-    below = high + close_m < points[2]
-    is_trusted = inside & torch.stack([known[each] for each in four])
-    spans, through = inside & ~below & (low - close_m < points[2]), is_trusted.all(dim=0) & below
-    matches = (is_trusted & ((heights - points[2]).abs() < close_m)).any(dim=0)
-    return spans.cpu().numpy(), through.cpu().numpy(), matches.cpu().numpy()
 
 
 def _window_means(images: Tensor, radius: int) -> Tensor:

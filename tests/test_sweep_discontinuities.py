@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from plane_survey import PlaneBed, found_by, look, ring, texture
 
+from fields.sweep import matching
 from fields.sweep.discontinuities import search_discontinuities
 from fields.sweep.images import image_backend
-from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.matching import Reference
 from fields.sweep.passes import DiscontinuitySearch
@@ -103,7 +103,7 @@ def test_there_is_nothing_to_search_in(device, fattened, case):
 def test_tiles_in_several_batches_give_what_one_batch_gives(device, fattened, monkeypatch):
     truth, height = fattened
     _, whole = searched(device, height, truth)
-    monkeypatch.setattr(kernels(device), "SAMPLES_PER_LAUNCH", 8 * 10 * 10 * 25 * 3)
+    monkeypatch.setattr(matching, "SAMPLES_PER_LAUNCH", 8 * 10 * 10 * 25 * 3)
     _, parts = searched(device, height, truth)
     np.testing.assert_allclose(whole[0], parts[0], atol=1e-5)
 

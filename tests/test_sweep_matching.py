@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, match, ring
 
-from fields.sweep.kernels.backend import kernels
+from fields.sweep import matching
 from refract import FlatWater
 
 STEP, NUM_HYPOTHESES, RADIUS = 0.04, 9, 2
@@ -85,7 +85,7 @@ def test_strips_give_what_the_whole_image_gives(device, monkeypatch):
     bed, cameras = BEDS["wet"], ring(3)
     stack, start = bed.stack(device, cameras), bed.true_height(cameras[0]) - 0.1
     whole = match(stack, [1, 2, 3], start, STEP, 5, RADIUS)
-    monkeypatch.setattr(kernels(device), "SAMPLES_PER_LAUNCH", 1)  # the fewest rows that a strip may have
+    monkeypatch.setattr(matching, "SAMPLES_PER_LAUNCH", 1)  # the fewest rows that a strip may have
     for array, in_strips in zip(whole, match(stack, [1, 2, 3], start, STEP, 5, RADIUS), strict=True):
         np.testing.assert_array_equal(in_strips, array)
 

@@ -120,13 +120,8 @@ def far_from(stack: ViewStack, kept: Iterable[np.ndarray], xyz: np.ndarray, dist
     """Points (3, N) farther than a distance from those of all ``kept`` pixels: (N,) bool."""
     if not xyz.size:
         return np.ones(xyz.shape[1], dtype=bool)
-    tree = cKDTree(points_about(stack, kept, xyz, distance), balanced_tree=False, compact_nodes=False)
+    tree = cKDTree(MapPoints.about(stack, kept, xyz, distance).xyz.T, balanced_tree=False, compact_nodes=False)
     return np.isinf(tree.query(xyz.T, distance_upper_bound=distance)[0])
-
-
-def points_about(stack: ViewStack, masks: Iterable[np.ndarray], xyz: np.ndarray, distance: float) -> np.ndarray:
-    """Points (M, 3) of the pixels of masks, all that are within a distance of points (3, N), N at least 1, and more."""
-    return MapPoints.about(stack, masks, xyz, distance).xyz.T
 
 
 def points_of_pixels(stack: ViewStack, number: int, pixels: np.ndarray) -> np.ndarray:

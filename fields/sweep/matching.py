@@ -22,6 +22,8 @@ from fields.sweep.tiles import ImageTiles
 Found = tuple[Any, Any, Any]
 # Lanes of the widest vectors.
 _VECTOR = 16
+# Samples (neighbours x hypotheses x pixels) of one launch: 32 MB an array.
+SAMPLES_PER_LAUNCH = 8_000_000
 # A launch of kernels costs as much as so many samples.
 _LAUNCH_SAMPLES = 600_000
 # Windows are widened until the score of the right height is so many standard deviations above the best that chance
@@ -70,7 +72,7 @@ def match_view(reference: Reference, hypotheses: Hypotheses, columns: np.ndarray
     backend = image_backend(stack.device)
     width, height = stack.width_of(view), stack.height_of(view)
     per_row = len(reference.neighbours) * hypotheses.count * width
-    rows = max(4 * radius + 4, min(height, kernels(stack.device).SAMPLES_PER_LAUNCH // per_row))
+    rows = max(4 * radius + 4, min(height, SAMPLES_PER_LAUNCH // per_row))
     none = (backend.full(stack.device, (height, width), value) for value in (-1.0, 0.0))
     found = [backend.flat_copy(start), *(backend.flat_view(each) for each in none)]
     columns = np.tile([0, width], (height, 1)) if columns is None else columns
@@ -118,7 +120,7 @@ def match_tiles(
     """
     stack, view, side = reference.stack, reference.view, tiles.side
     backend, device, num = image_backend(stack.device), stack.device, len(reference.neighbours)
-    most, launch = kernels(device).SAMPLES_PER_LAUNCH // num, _LAUNCH_SAMPLES // num
+    most, launch = SAMPLES_PER_LAUNCH // num, _LAUNCH_SAMPLES // num
     # The first window begins so many pixels into the first tile.
     lost = tiles.radius * (side + 1)
     for part, count in tiles.batches(most, launch):

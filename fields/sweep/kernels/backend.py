@@ -22,9 +22,6 @@ from fields.sweep.kernels.stack import Hypotheses, ViewStack
 class Kernels(Protocol):
     """Kernels on flat arrays of a device; `drjit_kernels` and `drjit_scoring` say what each does."""
 
-    SAMPLES_PER_LAUNCH: int
-    NOISE_VARIANCE: float
-
     def sample_packed(self, stack: ViewStack, view: int, u: Any, v: Any, inside: Any) -> Any: ...
 
     def buffers(self, device: Device, count: int, size: int) -> list[Any]: ...

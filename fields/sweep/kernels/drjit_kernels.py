@@ -36,12 +36,9 @@ from fields.sweep.kernels.rays import (
 from fields.sweep.kernels.stack import MASKED, Hypotheses, ViewStack
 
 # The rest of `fields.sweep.kernels.backend.Kernels`.
-NOISE_VARIANCE = scoring.NOISE_VARIANCE
 buffers, reference_buffer = scoring.buffers, scoring.reference_buffer
 prepare_windows, ncc = scoring.prepare_windows, scoring.ncc
 best_half, best_height = scoring.best_half, scoring.best_height
-# Samples (neighbours x hypotheses x pixels) of one launch: 32 MB in all.
-SAMPLES_PER_LAUNCH = 8_000_000
 # Share of pixels that straddle the water from which on all points are projected.
 _MANY = 0.3
 

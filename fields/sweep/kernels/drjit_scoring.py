@@ -22,9 +22,8 @@ import drjit as dr
 
 from fields.device import Device
 from fields.sweep.kernels.arrays import Buffer, hypothesis_and_pixel
+from fields.sweep.kernels.stack import NOISE_VARIANCE
 
-# A window flatter than this (grey levels squared, at 8 bits) holds noise, not texture; it lowers NCC there.
-NOISE_VARIANCE = 1.0
 # Hypotheses of one kernel of `best_height`: hundreds in one kernel take minutes to compile.
 HYPOTHESES_PER_KERNEL = 8
 # Windows of a larger radius [px] are added up by rows: smaller ones are read faster than their sums are written.

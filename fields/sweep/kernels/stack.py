@@ -21,6 +21,8 @@ from refract.distortion import ROW as LENS_ROW
 
 # Numbers in a row of `camera_table`: rotation (9), centre (3) and six of the image; motion.
 _PINHOLE_ROW, _MOTION_ROW = 18, 3
+# A window flatter than this (grey levels squared, at 8 bits) holds noise, not texture; it lowers NCC there.
+NOISE_VARIANCE = 1.0
 # The first level of a word of 16 bits a level where any of its four pixels is masked.
 MASKED = 2**16 - 1
 # Cache of packed images on a processor, in bytes, and at least so many: the neighbours of two views.

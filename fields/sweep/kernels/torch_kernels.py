@@ -22,14 +22,10 @@ from fields.sweep.kernels.rays import (
     segments,
     straddling_pixels,
 )
-from fields.sweep.kernels.stack import MASKED, Hypotheses, ViewStack
+from fields.sweep.kernels.stack import MASKED, NOISE_VARIANCE, Hypotheses, ViewStack
 
-# Samples (neighbours x hypotheses x pixels) of one strip: 32 MB an array.
-SAMPLES_PER_LAUNCH = 8_000_000
 # Samples that one operation takes on: 1 MB an array.
 PORTION = 250_000
-# As in `drjit_scoring`; held equal by a test.
-NOISE_VARIANCE = 1.0
 
 
 def sample_packed(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor) -> Tensor:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import os
 import subprocess
 import sys
@@ -80,6 +82,24 @@ def test_each_device_has_its_inner_loops_and_says_why_it_was_chosen():
         assert (device.module is None) == (device.name == "torch")
         assert device.reason
     assert choose_device("torch") == Device("torch", None, "torch was requested", choose_device("torch").place)
+
+
+def parameters_of(module) -> dict[str, list[str]]:
+    """Names of the parameters of each public function that a module defines."""
+    public = {n: f for n, f in vars(module).items() if inspect.isfunction(f) and not n.startswith("_")}
+    return {n: list(inspect.signature(f).parameters) for n, f in public.items() if f.__module__ == module.__name__}
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [("images_host", "images_device"), ("kernels.torch_kernels", "kernels.drjit_kernels")],
+)
+def test_either_module_has_the_functions_of_the_other(one, other):
+    one, other = (importlib.import_module(f"fields.sweep.{name}") for name in (one, other))
+    expected = parameters_of(one)
+    assert len(expected) >= 8
+    assert {name: list(inspect.signature(getattr(other, name)).parameters) for name in expected} == expected
+    assert parameters_of(other).keys() <= expected.keys()
 
 
 def test_torch_sweeps_without_dr_jit():

@@ -40,7 +40,7 @@ from fields.sweep.maps import HeightMap
 from fields.sweep.tiles import ImageTiles
 from refract import kernels
 
-# The rest of `fields.sweep.images.Images`.
+# The rest of the functions of `fields.sweep.images_host`.
 local_min_max, upsample, tile_extents = (
     device_filters.local_min_max,
     device_filters.upsample,

@@ -1,4 +1,4 @@
-"""The backends of the kernels, Dr.Jit and torch: modules that mypy checks against one Protocol; queue of jobs.
+"""The backends of the kernels, Dr.Jit and torch: two modules with the same functions; queue of jobs.
 
 Only the backend that a device needs is imported. One view's kernels run while another view is prepared, in one thread:
 Dr.Jit launches kernels asynchronously; reading a result waits for all that were launched. So a job yields what it would
@@ -12,39 +12,15 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import count
-from typing import Any, Protocol, TypeVar
+from types import ModuleType
+from typing import Any, TypeVar
 
 from fields.device import Device
 from fields.sweep.kernels.arrays import results
-from fields.sweep.kernels.stack import Hypotheses, ViewStack
 
 
-class Kernels(Protocol):
-    """Kernels on flat arrays of a device; `drjit_kernels` and `drjit_scoring` say what each does."""
-
-    def sample_packed(self, stack: ViewStack, view: int, u: Any, v: Any, inside: Any) -> Any: ...
-
-    def buffers(self, device: Device, count: int, size: int) -> list[Any]: ...
-
-    def warp(
-        self, values: list[Any], stack: ViewStack, rays: Any, hypotheses: Hypotheses, neighbours: list[int]
-    ) -> None: ...
-
-    def reference_buffer(self, device: Device, size: int) -> Any: ...
-
-    def prepare_windows(
-        self, device: Device, reference: Any, greys: Any, values: list[Any], width: int, radius: int
-    ) -> Any: ...
-
-    def ncc(self, windows: Any, radius: int, least_known: float = 1.0) -> list[Any]: ...
-
-    def best_half(self, device: Device, scores: list[Any]) -> Any: ...
-
-    def best_height(self, device: Device, mean: Any, start: Any, step: float, count: int) -> tuple[Any, Any, Any]: ...
-
-
-def kernels(device: Device) -> Kernels:
-    """The kernels of a device."""
+def kernels(device: Device) -> ModuleType:
+    """The kernels of a device: `torch_kernels`, or `drjit_kernels`, which with `drjit_scoring` says what each does."""
     if device.module is None:
         from fields.sweep.kernels import torch_kernels
 

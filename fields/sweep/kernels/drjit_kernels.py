@@ -35,7 +35,7 @@ from fields.sweep.kernels.rays import (
 )
 from fields.sweep.kernels.stack import MASKED, Hypotheses, ViewStack
 
-# The rest of `fields.sweep.kernels.backend.Kernels`.
+# The rest of the kernels.
 buffers, reference_buffer = scoring.buffers, scoring.reference_buffer
 prepare_windows, ncc = scoring.prepare_windows, scoring.ncc
 best_half, best_height = scoring.best_half, scoring.best_height

@@ -86,8 +86,8 @@ def test_those_photographs_agree_that_show_the_same():
     values = np.stack([texture] * 3 + [rng.uniform(60.0, 200.0, (24, 24, 3)) for _ in range(3)])
     values = (values + rng.normal(0.0, 2.0, values.shape)).astype(np.float32)
     found = consensus(Colours(values, np.ones((6, 24, 24), dtype=bool), np.full(3, 2.0)))
-    assert (found.members[:3].mean(axis=(1, 2)) > 0.8).all()
-    assert found.members[3:].mean() < 0.01
+    assert (found[:3].mean(axis=(1, 2)) > 0.8).all()
+    assert found[3:].mean() < 0.01
 
 
 @pytest.mark.parametrize("height", [0.0, 10.0])

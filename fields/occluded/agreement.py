@@ -151,7 +151,7 @@ def _search(
     use = np.stack([each.is_inside & ~each.is_hidden & context for each in sightings])
     height, step = np.zeros(context.shape), _STEP_GSD * holes.gsd
     prior = 1.0 / ((_PRIOR_GSD * holes.gsd) ** 2 + holes.roughness**2)
-    members = consensus(radiometry.colours(sightings, height, use)).members
+    members = consensus(radiometry.colours(sightings, height, use))
     for _ in range(_ROUNDS):
         low, middle, high = (
             _misfit(radiometry.colours(sightings, height + d, use), members) for d in (-step, 0.0, step)
@@ -160,7 +160,7 @@ def _search(
         # The misfit is twice the negative logarithm of the likelihood.
         information = bend + prior
         height = height - np.clip((0.5 * slope + prior * height) / information, -step, step)
-    return height, information, consensus(radiometry.colours(sightings, height, use)).members
+    return height, information, consensus(radiometry.colours(sightings, height, use))
 
 
 def _unexplained(

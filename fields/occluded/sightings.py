@@ -159,21 +159,8 @@ class Colours:
     noise: np.ndarray  # (3,): standard deviation of one photograph
 
 
-@dataclass(frozen=True)
-class Consensus:
-    """The photographs that agree on each cell, and how much: weight (rows, columns), members (K, rows, columns)."""
-
-    weight: np.ndarray
-    members: np.ndarray
-
-    @property
-    def count(self) -> np.ndarray:
-        """Number of photographs that agree (rows, columns)."""
-        return self.members.sum(axis=0)
-
-
-def consensus(colours: Colours) -> Consensus:
-    """The largest set of photographs that agree with one of them, for each cell."""
+def consensus(colours: Colours) -> np.ndarray:
+    """The largest set of photographs that agree with one of them, for each cell: (K, rows, columns) bool."""
     num, shape = len(colours.values), colours.use.shape[1:]
     weight = np.zeros((num, *shape), dtype=np.float32)
     agree = np.zeros((num, num, *shape), dtype=bool)
@@ -192,7 +179,7 @@ def consensus(colours: Colours) -> Consensus:
     best = weight.argmax(axis=0)
     members = np.take_along_axis(agree, best[None, None], axis=0)[0]
     np.put_along_axis(members, best[None], True, axis=0)
-    return Consensus(weight.max(axis=0), members & colours.use)
+    return members & colours.use
 
 
 def windowed(values: np.ndarray, mask: np.ndarray, side: int = WINDOW) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,11 +11,11 @@ import torch
 from volume_models import check_interface, check_learning, directions, positions
 from volume_scenes import BOX
 
-from fields.volume.mlp import MlpSettings, MlpVolume, encoded_length, frequency_encoding
+from fields.volume.mlp import MlpSettings, MlpVolume, encoded_length, frequency_encoding, nerf, tinynerf
 from fields.volume.model import density_of
 
-SMALL = MlpSettings.nerf(layers=3, width=48, skip=1, frequencies=5, direction_frequencies=2)
-TINY = MlpSettings.tiny_nerf(width=64)
+SMALL = MlpSettings(layers=3, width=48, skip=1, frequencies=5, direction_frequencies=2)
+TINY = replace(tinynerf.keywords["settings"], width=64)
 
 
 def encoded(p, frequencies: int) -> np.ndarray:
@@ -64,24 +65,18 @@ def test_density_and_colour_are_those_of_a_slow_twin(settings):
 
 
 def test_the_default_networks_have_the_sizes_of_the_papers():
-    nerf, tiny = MlpVolume(BOX, MlpSettings.nerf()), MlpVolume(BOX, MlpSettings.tiny_nerf())
+    full, tiny = (MlpVolume(BOX, make.keywords["settings"]) for make in (nerf, tinynerf))
     # 63 position and 27 direction numbers; the authors' network with view directions holds as many parameters.
-    assert sum(p.numel() for p in nerf.parameters()) == 595_844
-    assert [layer.in_features for layer in nerf.trunk] == [63, 256, 256, 256, 256, 319, 256, 256]
+    assert sum(p.numel() for p in full.parameters()) == 595_844
+    assert [layer.in_features for layer in full.trunk] == [63, 256, 256, 256, 256, 319, 256, 256]
     assert [layer.in_features for layer in tiny.trunk] == [39, 128, 128]
-    assert (nerf.rates()[0].rate, tiny.rates()[0].rate) == (5e-4, 5e-3)
+    assert (full.rates()[0].rate, tiny.rates()[0].rate) == (5e-4, 5e-3)
 
 
 @pytest.mark.parametrize("cells", [1, 64, 2048])
 def test_raw_numbers_of_zero_let_a_share_of_one_by_e_through_the_edge(cells):
     density = density_of(torch.zeros(1, dtype=torch.float64), cells, 3.7)
     assert math.exp(-float(density) * 3.7) == pytest.approx(math.exp(-1.0), rel=1e-12)
-
-
-@pytest.mark.parametrize("skip", [-1, 2, 3])
-def test_a_skip_that_no_layer_follows_is_refused(skip):
-    with pytest.raises(ValueError, match=f"skip is {skip}, expected a layer that another follows, 0 to 1 of 3"):
-        MlpSettings.nerf(layers=3, skip=skip)
 
 
 @pytest.mark.parametrize("settings", [SMALL, TINY], ids=["nerf", "tiny"])

@@ -16,7 +16,8 @@ p itself goes along, as in the authors' code: sines alone read the same at both 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor, nn
@@ -40,7 +41,7 @@ def frequency_encoding(p: Tensor, frequencies: int) -> Tensor:
 
 @dataclass(frozen=True)
 class MlpSettings:
-    """Settings of a perceptron volume."""
+    """Settings of a perceptron volume; the defaults are those of NeRF."""
 
     # layers, width: Of the trunk
     layers: int = 8
@@ -50,23 +51,6 @@ class MlpSettings:
     frequencies: int = 10
     direction_frequencies: int = 4
     rate: float = 5e-4  # Of Adam
-
-    def __post_init__(self):
-        if self.skip is not None and not 0 <= self.skip < self.layers - 1:
-            raise ValueError(
-                f"skip is {self.skip}, expected a layer that another follows, 0 to {self.layers - 2} of {self.layers}, "
-                f"or None"
-            )
-
-    @staticmethod
-    def nerf(**changes) -> MlpSettings:
-        """The network of Mildenhall et al. 2020."""
-        return replace(MlpSettings(), **changes)
-
-    @staticmethod
-    def tiny_nerf(**changes) -> MlpSettings:
-        """Three layers of 128, 6 frequencies, matt; evaluated at 32 samples a path, trained at 5e-3."""
-        return replace(MlpSettings(3, 128, None, 6, 0, 5e-3), **changes)
 
 
 class MlpVolume(VolumeModel):
@@ -119,11 +103,10 @@ class MlpVolume(VolumeModel):
         return [Rates(list(self.parameters()), self.settings.rate)]
 
 
-def nerf(of: Setup) -> MlpVolume:
-    """The model of a setup, as `MlpSettings.nerf`."""
-    return MlpVolume(of.box, MlpSettings.nerf(), appearance=of.appearance)
+def _of_setup(of: Setup, settings: MlpSettings) -> MlpVolume:
+    return MlpVolume(of.box, settings, appearance=of.appearance)
 
 
-def tinynerf(of: Setup) -> MlpVolume:
-    """The model of a setup, as `MlpSettings.tiny_nerf`."""
-    return MlpVolume(of.box, MlpSettings.tiny_nerf(), appearance=of.appearance)
+# The models, each made of a setup: the network of Mildenhall et al. 2020, and three layers of 128, matt.
+nerf = partial(_of_setup, settings=MlpSettings())
+tinynerf = partial(_of_setup, settings=MlpSettings(3, 128, None, 6, 0, 5e-3))

@@ -89,8 +89,7 @@ def test_a_field_without_a_surface_is_reported_and_not_compared(folder, run):
     table.write_text("\n".join((folder / "s" / "cameras.csv").read_text().splitlines()[:2]) + "\n")
     nothing = replace(SHORT, rule=Rule.density, density=1e9, reference=run_cloud(run, folder), cameras=table)
     report = train_field(run, folder / "nothing", nothing)
-    assert report == json.loads((folder / "nothing" / "report.json").read_text())
-    assert report["points"] == 0
+    assert json.loads((folder / "nothing" / "report.json").read_text())["points"] == report["points"] == 0
     assert "compared" not in report
     assert list((folder / "nothing" / "views").glob("000?.png"))
     found = bathynerf(

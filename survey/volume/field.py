@@ -132,10 +132,10 @@ def _held_out(made: FieldResult, folder: Path, *, right_half: bool) -> dict[str,
     write_views(targets, lambda camera: views[id(camera)])
     for number, target in enumerate(targets):
         shown = views[id(target.camera)].rgb / 255.0
-        mask = np.zeros(shown.shape[:2], dtype=bool)
+        mask = np.zeros((target.camera.height, target.camera.width), dtype=bool)
         mask.flat[held.photographs.pixels[number]] = True
         if right_half:
-            mask[:, : mask.shape[1] // 2] = False
+            mask[:, : target.camera.width // 2] = False
         if mask.any():
             found[target.name] = psnr(held.photographs.images[number] / 255.0, shown, mask)
     return found

@@ -11,7 +11,6 @@ from volume_scenes import BOX, bed_photographs
 from fields.device import choose_device
 from fields.models import MODELS
 from fields.volume.appearance import appearance_vectors, match_appearance
-from fields.volume.losses import Losses
 from fields.volume.model import Setup, VolumeModel, build_model
 from fields.volume.nerfacto import HashVolume
 from fields.volume.renderer import VolumeRenderer, render_volume
@@ -19,6 +18,7 @@ from fields.volume.sampling import Cells
 from fields.volume.surface import surface_of
 from fields.volume.tensor import TensorVolume
 from fields.volume.train import Training, train_volume
+from fields.volume.weights import Losses
 from fields.water_column import WaterColumn
 
 pytestmark = pytest.mark.gpu
@@ -102,8 +102,8 @@ def test_all_losses_and_appearance_run_there():
     model = build_model("mdw", Setup(BOX, CELLS, choose_device("cuda"), APPEARANCE))
     renderer = VolumeRenderer(model, column=WaterColumn(), appearance=appearance_vectors(4, APPEARANCE)).to("cuda")
     losses = Losses(
-        transparency=0.1, distortion=0.1, orientation=0.1, appearance=0.1, density=0.1, gaussian_density=0.1,
-        virtual_views=0.1, patch_px=4, ncc=0.1, ssim=0.1, smooth_normals=0.1,
+        transparency=0.1, distortion=0.1, density=0.1, gaussian_density=0.1,
+        ncc=0.1, ssim=0.1, virtual_patches=0.1, patch_px=4,
     )  # fmt: skip
     training = Training(steps=10, rays=256, samples=24, cells=CELLS, losses=losses)
     cells, figures = train_volume(renderer, photographs, training, lambda share: None)

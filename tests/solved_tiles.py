@@ -8,11 +8,17 @@ from scipy import ndimage
 from fields.solver.appearance import brightness_of
 from fields.solver.gauss_newton import Start, TileSolution, gradients_of, second_differences_of, stiffness_of
 from fields.solver.tile import SolverTile
+from fields.solver.visibility import Ground
 
 
 def plain_tile(size: int) -> SolverTile:
     """A square tile, all of which is asked for."""
     return SolverTile(0, 0, np.ones((size, size), dtype=bool), np.ones(size * size, dtype=bool))
+
+
+def nowhere(tile: SolverTile) -> Ground:
+    """Ground of which nothing is known."""
+    return Ground(np.zeros((3, len(tile)), np.float32), np.zeros((2, 2, len(tile)), np.float32))
 
 
 def level(information: float, roughness: float, size: int = 40) -> tuple[SolverTile, TileSolution]:
@@ -24,7 +30,9 @@ def level(information: float, roughness: float, size: int = 40) -> tuple[SolverT
     slope, motion = np.zeros((2, len(tile))), np.zeros((2, 2, len(tile)))
     everywhere = zero + np.float32(information)
     start = Start(zero, zero)
-    return tile, TileSolution(zero, everywhere, stiffness, differences, brightness, slope, motion, 1.0, start, zero)
+    return tile, TileSolution(
+        zero, everywhere, stiffness, differences, brightness, slope, motion, 1.0, start, zero, nowhere(tile)
+    )
 
 
 def residuals(
@@ -49,7 +57,9 @@ def residuals(
     zero, differences = np.zeros(len(tile), dtype=np.float32), second_differences_of(tile)
     stiffness = stiffness_of(differences.matrix @ zero, 0.01)
     height, start = zero - np.float32(depth), Start(zero, zero)
-    return tile, TileSolution(height, information, stiffness, differences, brightness, slope, motion, 1.0, start, zero)
+    return tile, TileSolution(
+        height, information, stiffness, differences, brightness, slope, motion, 1.0, start, zero, nowhere(tile)
+    )
 
 
 def white(views: int, seed: int = 1) -> np.ndarray:

@@ -30,7 +30,7 @@ LAYERS = (
     {"refract", "geo", "evaluation/images"},
     {"fields"},
     {"fields/sweep/kernels", "refract/curved"},
-    {"evaluation", "fields/sweep", "fields/volume", "survey"},
+    {"evaluation", "fields/sweep", "fields/volume", "fields/waves", "survey"},
     {"fields/colour", "fields/occluded", "fields/solver", "survey/files", "survey/display"},
     {"survey/photos", "survey/compare", "survey/settings"},
     {"survey/control", "survey/pose_files", "survey/simulate/flight", "survey/water"},

@@ -42,8 +42,8 @@ def test_report_json_keeps_its_names(plane_report):
     }  # fmt: skip
     assert list(found) == [
         "verdict", "survey", "taken", "water", "plan", "cloud", "comparison", "iho_s44", "checkpoints", "height_std_m",
-        "stated", "coverage", "adjustment", "baselines", "photographs", "photographs_left_out", "timings_s", "versions",
-        "settings", "assumptions", "warnings", "notes",
+        "stated", "coverage", "waves", "adjustment", "baselines", "photographs", "photographs_left_out", "timings_s",
+        "versions", "settings", "assumptions", "warnings", "notes",
     ]  # fmt: skip
     assert list(found["verdict"]["gates"][0]) == ["name", "value", "limit", "unit", "passed", "sentence"]
     assert list(found["survey"]["crs"]) == ["name", "code", "unit", "height_unit"]

@@ -12,7 +12,7 @@ import pytest
 from plane_survey import TILTED, ring
 from scipy import ndimage
 from slow_cases import slow
-from solved_tiles import plain_tile
+from solved_tiles import nowhere, plain_tile
 
 from fields.device import choose_device
 from fields.solver.appearance import appearance_of, brightness_of
@@ -31,7 +31,9 @@ from fields.solver.tile import SolverTile, tiles_of
 from fields.solver.visibility import Occluder, Projector, lookup, lookup_window, project_tiles
 from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap
+from fields.waves.waves import Waves
 from refract import FlatWater, PinholeCamera
+from refract.curved import WavyWater
 from refract.distortion import Distortion
 
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.33)
@@ -65,21 +67,49 @@ class Bed:
             height = self.height(point[..., 0], point[..., 1])
         return height
 
-    def photograph(self, seen_by: PinholeCamera, gain: float, offset: float) -> np.ndarray:
+    def points_through(self, seen_by: PinholeCamera, waves: WavyWater) -> np.ndarray:
+        path = seen_by.paths(seen_by.pixel_centres(), waves)
+        along = np.full((SIZE, SIZE), DEPTH)
+        for _ in range(30):
+            point = path.crossing + along[..., None] * path.water_direction
+            along = along + (self.height(point[..., 0], point[..., 1]) - point[..., 2]) / path.water_direction[..., 2]
+        return point
+
+    def photograph(
+        self, seen_by: PinholeCamera, gain: float, offset: float, waves: WavyWater | None = None
+    ) -> np.ndarray:
         point = seen_by.paths(seen_by.pixel_centres(), WATER).at_height(self.heights_seen(seen_by), WATER)
+        if waves is not None:
+            point = self.points_through(seen_by, waves)
         at = [350.0 + point[..., 1] / CELL, 350.0 + point[..., 0] / CELL]
         grey = ndimage.map_coordinates(self.paint, at, order=3, mode="grid-wrap", prefilter=False)
         return (gain * grey + offset).astype(np.float32)
 
 
+def moving_water(amplitude: float, moment: float) -> WavyWater:
+    """Two trains of waves, whose heights have a standard deviation of an amplitude [m] together."""
+    lengths, toward = np.array([3.1, 2.2]), np.array([0.4, 1.9])
+    number = 2.0 * np.pi / lengths
+    vectors = np.stack([number * np.cos(toward), number * np.sin(toward)], axis=-1)
+    return WavyWater(
+        (0.0, 0.0, 0.0), [amplitude, amplitude], vectors, 2.4 * moment * np.sqrt(9.81 * number), n_water=1.33
+    )
+
+
 @cache
-def survey(noise: float, slope: float, wrong_gsd: float = 0.6) -> tuple[Block, list[HeightMap], np.ndarray]:
+def survey(
+    noise: float, slope: float, wrong_gsd: float = 0.6, amplitude: float = 0.0
+) -> tuple[Block, list[HeightMap], np.ndarray]:
     """A block of nine views, its maps with heights that are wrong by so much, and the true heights in the first."""
     random = np.random.default_rng(5)
     bed = Bed(slope)
     cameras = [camera(x, y) for x, y in [(0.0, 0.0), *((x, y) for x in (-1.6, 0.0, 1.6) for y in (-1.6, 0.0, 1.6))][:9]]
     cameras[5] = camera(1.1, -0.4)
-    images = [bed.photograph(c, random.uniform(0.8, 1.2), random.uniform(-5.0, 5.0)) for c in cameras]
+    seas = [moving_water(amplitude, view) if amplitude else None for view in range(len(cameras))]
+    images = [
+        bed.photograph(c, random.uniform(0.8, 1.2), random.uniform(-5.0, 5.0), sea)
+        for c, sea in zip(cameras, seas, strict=True)
+    ]
     images = [image + (noise * random.standard_normal(image.shape)).astype(np.float32) for image in images]
     block = Block(choose_device("torch"), cameras, images, WATER, -DEPTH)
     block.set_overlap_height(-DEPTH)
@@ -112,9 +142,36 @@ def solved(
     block, maps, truth = survey(noise, slope, wrong_gsd)
     kept = [middle() if m.view == 0 else np.zeros((SIZE, SIZE), dtype=bool) for m in maps]
     figures = learned(block, maps, kept)
-    found, _ = solve_maps(block, maps, kept, figures, lambda share: None)
+    found, _, _ = solve_maps(block, maps, kept, figures, GSD, lambda share: None)
     start = (maps[0].height - truth).flat[found[0].pixels]
     return start, found[0].height - truth.flat[found[0].pixels], found[0].std, figures
+
+
+def errors_in_waves(amplitude: float) -> tuple[np.ndarray, np.ndarray, Waves | None]:
+    """Errors of the solver in the first map, their std, and the surfaces."""
+    block, maps, truth = survey(1.0, 0.1, 0.6, amplitude)
+    kept = [middle(6) if m.view == 0 else np.zeros((SIZE, SIZE), dtype=bool) for m in maps]
+    found, _, waves = solve_maps(block, maps, kept, learned(block, maps, kept), GSD, lambda share: None)
+    return found[0].height - truth.flat[found[0].pixels], found[0].std, waves
+
+
+def test_waves_are_found_together_with_the_bed(monkeypatch):
+    error, std, waves = errors_in_waves(0.015)
+    assert waves is not None
+    monkeypatch.setattr("fields.solver.solver.MOVING_PX", np.inf)
+    without, _, still = errors_in_waves(0.015)
+    assert still is None
+    assert error.std() < 0.6 * without.std()
+    assert np.mean(np.abs(error) < 1.96 * std) > 0.88
+
+
+def test_still_water_is_solved_as_if_there_were_no_waves(monkeypatch):
+    error, std, waves = errors_in_waves(0.0)
+    assert waves is None
+    monkeypatch.setattr("fields.solver.solver.MOVING_PX", np.inf)
+    same, same_std, _ = errors_in_waves(0.0)
+    assert np.array_equal(error, same)
+    assert np.array_equal(std, same_std)
 
 
 @pytest.mark.parametrize("slope", [slow(0.0), 0.5])
@@ -144,7 +201,7 @@ def test_pixels_that_look_along_a_wall_keep_the_heights_of_the_sweep():
     height[:, SIZE // 2 :] += 20.0 * GSD
     maps = [replace(maps[0], height=height), *maps[1:]]
     kept = [middle() if m.view == 0 else np.zeros((SIZE, SIZE), dtype=bool) for m in maps]
-    found, _ = solve_maps(block, maps, kept, learned(block, maps, kept), lambda share: None)
+    found, _, _ = solve_maps(block, maps, kept, learned(block, maps, kept), GSD, lambda share: None)
     columns = np.arange(14, SIZE - 14)
     beside = (columns == SIZE // 2 - 1) | (columns == SIZE // 2)
     np.testing.assert_array_equal(np.unique(found[0].pixels % SIZE), columns[~beside])
@@ -205,7 +262,17 @@ def drawn(roughness: float, views: int = 12) -> tuple[SolverTile, TileSolution]:
     motion = 10.0 * random.standard_normal((views, 2, 1)).astype(np.float32) * np.ones((1, 1, len(tile)), np.float32)
     stiffness = stiffness_of(differences.matrix @ zero, 0.01)
     return tile, TileSolution(
-        zero, information, stiffness, differences, brightness, slope, motion, 1.0, Start(zero, zero), zero
+        zero,
+        information,
+        stiffness,
+        differences,
+        brightness,
+        slope,
+        motion,
+        1.0,
+        Start(zero, zero),
+        zero,
+        nowhere(tile),
     )
 
 
@@ -237,7 +304,7 @@ def test_nothing_kept_is_nothing_solved():
     block, maps, _ = survey(4.0, 0.2)
     nothing = [np.zeros((SIZE, SIZE), dtype=bool)] * 9
     assert count_in_squares(block, maps, nothing) == [[]] * 9
-    found, visibility = solve_maps(block, maps, nothing, None, lambda share: None)
+    found, visibility, _ = solve_maps(block, maps, nothing, None, GSD, lambda share: None)
     assert [len(each.pixels) for each in found] == [0] * 9
     assert not visibility.seen.any()
 

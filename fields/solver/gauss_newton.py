@@ -16,7 +16,7 @@ from scipy import ndimage, sparse
 from fields.image_store import GreyImages
 from fields.solver.appearance import Appearance, Brightness, appearance_of, brightness_of, log_likelihood_ratio
 from fields.solver.tile import SolverTile
-from fields.solver.visibility import TileProjection
+from fields.solver.visibility import Ground, TileProjection
 from fields.sweep.planes import slope_of
 
 ITERATIONS = 3
@@ -121,6 +121,7 @@ class TileSolution:
     response: float
     start: Start
     improvement: np.ndarray  # (N,): Log-likelihood ratio of the photographs at the solved height and at the start
+    ground: Ground  # As `TileProjection` has it
     views: tuple[int, ...] = ()  # (K,) of int: the photographs, by their number
 
 
@@ -171,7 +172,7 @@ def solve(
     improvement = log_likelihood_ratio(seen[0], brightness)
     return TileSolution(
         height, information, stiffness, differences, brightness, by_height, projected.motion, response, start,
-        improvement, tuple(projected.views),
+        improvement, projected.ground, tuple(projected.views),
     )  # fmt: skip
 
 

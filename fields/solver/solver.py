@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, MutableMapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import groupby, islice
 
 import cv2
 import numpy as np
 
-from fields.solver.gauss_newton import TileSolution, shift_information, stiffness_of
+from fields.solver.appearance import appearance_of, brightness_of
+from fields.solver.displacements import CELL_PX, TileDisplacements, displacements_of, moved, waves_of
+from fields.solver.gauss_newton import Start, TileSolution, shift_information, stiffness_of
 from fields.solver.noise import (
     NoiseShares,
     Shifts,
@@ -32,11 +34,12 @@ from fields.solver.uncertainty import (
     subpixel_relief,
 )
 from fields.solver.views import WORKERS, TileTask, Views
-from fields.solver.visibility import VisibilityCounts
+from fields.solver.visibility import TileProjection, VisibilityCounts
 from fields.sweep.block import Block
 from fields.sweep.kernels.arrays import sharing_cores
 from fields.sweep.maps import HeightMap, OrderedMaps, small_sample_factor, views_of
 from fields.sweep.planes import gradient_of
+from fields.waves.waves import Waves
 
 # What a survey is like is learned from so many tiles of this side, spread over those that hold this share of the kept
 # pixels of the fullest at least.
@@ -46,6 +49,8 @@ _SIGNIFICANT = 6.0
 # Heights of the sweep come from windows of this side. Noise makes the photographs agree on nine heights that follow it
 # better than on the true ones by more than this logarithm in one window of a thousand (chi-square, nine degrees).
 _WINDOW_PX, _REFUTED = 3, 0.5 * 27.9
+# Where photographs are displaced by more under water, surfaces of it are found, in so many rounds.
+MOVING_PX, WAVE_ROUNDS = 0.1, 2
 # Fewest photographs for a height: its own does not depend on it.
 _FEWEST = 2
 
@@ -80,6 +85,7 @@ class SolverFigures:
     noise: NoiseShares  # Variances by noise: `fields.solver.noise.noise_shares`
     spectral_slope: float  # Of the bed: `fields.solver.roughness.spectral_slope_of`
     sweep_slope_noise_ratio: float  # `fields.solver.solver.sweep_slope_noise_ratio`
+    moved_px: float = 0.0  # Displacements under water, without surfaces: `fields.solver.displacements.moved`
 
     def __str__(self) -> str:
         return (
@@ -108,9 +114,10 @@ def solve_maps(
     maps: Sequence[HeightMap],
     kept: Sequence[np.ndarray],
     figures: SolverFigures | None,
+    gsd: float,
     progress: Callable[[float], None],
     make_store: Callable[[], MutableMapping[int, SolvedMap]] = dict,
-) -> tuple[OrderedMaps, VisibilityCounts]:
+) -> tuple[OrderedMaps, VisibilityCounts, Waves | None]:
     """Solve the kept pixels of all maps, about the heights of the sweep; some keep these (`rejects_update`).
 
     Parameters
@@ -121,6 +128,8 @@ def solve_maps(
         As `fields.sweep.bed.unique_pixels` gives.
     figures : SolverFigures
         Of the survey; None only where no pixel is kept.
+    gsd : [m]
+        Ground sampling distance.
     progress : called with the share done, 0 to 1
     make_store : callable
         Factory of the store of the solutions; default in memory.
@@ -130,6 +139,8 @@ def solve_maps(
     OrderedMaps of SolvedMap, in the order of `maps`
     VisibilityCounts
         Of all points in all photographs.
+    Waves
+        Surfaces of the water; None where it is still.
     """
     views, visibility = Views.of(block, maps), VisibilityCounts.none(len(block.images))
     solved, total, done = make_store(), 0, 0
@@ -138,12 +149,19 @@ def solve_maps(
         total += int(np.count_nonzero(wanted)) if views.others[index] else 0
     found = OrderedMaps(solved, list(range(len(kept))))
     if figures is None or not total:
-        return found, visibility
+        return found, visibility, None
     with ThreadPoolExecutor(WORKERS) as pool, sharing_cores(block.device, WORKERS):
         is_wet = block.water is not None
+        if figures.moved_px > MOVING_PX:
+            views = with_waves(views, kept, gsd, pool)
+            places = spread(count_in_squares(block, maps, kept))
+            figures = figures_of(_solved_squares(views, kept, places, gsd, pool), gsd, is_wet=True)
+            # What the surfaces leave of the waves is in their own variance.
+            figures = replace(figures, shifts=Shifts(figures.shifts.pose_std_px, 0.0))
+        learned = figures
 
         def part(job: TileTask, each: TileSolution) -> tuple[_PartSolution, VisibilityCounts]:
-            piece = _solve_part(job, block.cameras[views.views[job.index]].width, each, figures)
+            piece = _solve_part(job, block.cameras[views.views[job.index]].width, each, learned, views.waves)
             return piece, VisibilityCounts.of(each.views, each.brightness, len(block.images))
 
         jobs = (job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted))
@@ -155,7 +173,27 @@ def solve_maps(
                 done += int(np.count_nonzero(job.tile.requested))
                 progress(done / total)
             solved[index] = _with_std(maps[index], _concatenate(parts), figures, is_wet)
-    return found, visibility
+    return found, visibility, views.waves
+
+
+def with_waves(views: Views, kept: Sequence[np.ndarray], gsd: float, pool: Executor) -> Views:
+    """Views with the surfaces of the water, from the kept pixels of all maps at their heights.
+
+    Displacements are measured by linear steps: the surfaces of a round are where the next one starts.
+    """
+
+    def measured(job: TileTask, projected: TileProjection, _start: Start) -> TileDisplacements:
+        grey = projected.sample(views.images, np.zeros(len(job.tile), dtype=np.float32))
+        brightness = brightness_of(appearance_of(job.tile, grey).albedo(grey))
+        return displacements_of(job.tile, projected, brightness)
+
+    still = Waves.still(*views.projector.optics)
+    for _ in range(WAVE_ROUNDS):
+        jobs = (job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted))
+        parts = [found for _, found in views.projected(jobs, pool, measured) if len(found.cell)]
+        if parts:
+            views = replace(views, waves=waves_of(parts, still, CELL_PX * gsd, views.waves))
+    return views
 
 
 def count_in_squares(block: Block, maps: Sequence[HeightMap], kept: Sequence[np.ndarray]) -> list[list[int]]:
@@ -170,10 +208,15 @@ def solve_sample(
     block: Block, maps: Sequence[HeightMap], kept: Sequence[np.ndarray], places: list[tuple[int, int]], gsd: float
 ) -> list[tuple[SolverTile, TileSolution]]:
     """Solved squares of a block, for `figures_of`, by their places of `spread`."""
-    views = Views.of(block, maps)
-    jobs = [next(islice(views.jobs(index, kept[index], SAMPLE_PX), place, None)) for index, place in places]
     with ThreadPoolExecutor(WORKERS) as pool, sharing_cores(block.device, WORKERS):
-        return [each for _, each in views.solved(jobs, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
+        return _solved_squares(Views.of(block, maps), kept, places, gsd, pool)
+
+
+def _solved_squares(
+    views: Views, kept: Sequence[np.ndarray], places: list[tuple[int, int]], gsd: float, pool: Executor
+) -> list[tuple[SolverTile, TileSolution]]:
+    jobs = [next(islice(views.jobs(index, kept[index], SAMPLE_PX), place, None)) for index, place in places]
+    return [each for _, each in views.solved(jobs, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
 
 
 def figures_of(samples: list[tuple[SolverTile, TileSolution]], gsd: float, *, is_wet: bool) -> SolverFigures:
@@ -192,6 +235,7 @@ def figures_of(samples: list[tuple[SolverTile, TileSolution]], gsd: float, *, is
         noise,
         spectral_slope_of(samples, roughness, response),
         sweep_slope_noise_ratio(samples, roughness, noise),
+        moved([displacements_of(tile, each, each.brightness) for tile, each in samples]) / gsd,
     )
 
 
@@ -207,7 +251,9 @@ def spread(filled: list[list[int]]) -> list[tuple[int, int]]:
     return list(zip(of_map[chosen].tolist(), place[chosen].astype(int).tolist(), strict=True))
 
 
-def _solve_part(job: TileTask, width: int, found: TileSolution, figures: SolverFigures) -> _PartSolution:
+def _solve_part(
+    job: TileTask, width: int, found: TileSolution, figures: SolverFigures, waves: Waves | None
+) -> _PartSolution:
     """Solution of the wanted pixels of a tile, in a map of a width, without those that keep the height of the sweep."""
     tile, noise = job.tile, figures.noise
     rows, columns = tile.places
@@ -216,9 +262,13 @@ def _solve_part(job: TileTask, width: int, found: TileSolution, figures: SolverF
     expected = expected_variances(tile, found, noise.response, figures.spectral_slope)
     change = smoothing_change(found, found.height, noise.response)
     relief = smoothed_relief(tile, change, expected, noise.height_variance_ratio, noise.smoothing_variance_ratio)
+    rise = local_slope(tile, found.height)
+    if waves is not None:
+        of_height, of_place = waves.variances(found.ground.points)
+        relief += of_height + of_place * (rise / found.ground.pixel) ** 2
     relief += subpixel_relief(found, expected, noise.height_variance_ratio, noise.excess_relief)
     by_noise = noise.height_variance_ratio * expected.noise
-    values = (found.height, by_noise, relief, of_shift, local_slope(tile, found.height))
+    values = (found.height, by_noise, relief, of_shift, rise)
     taken = tile.requested & ~rejects_update(
         tile, found, by_noise, noise, figures.sweep_slope_noise_ratio, job.tolerance
     )

@@ -19,6 +19,7 @@ from fields.solver.tile import MOST_PX, SolverTile, tiles_of
 from fields.solver.visibility import Occluder, Projector, TileProjection, project_tiles
 from fields.sweep.block import Block
 from fields.sweep.maps import ByView, HeightMap
+from fields.waves.waves import Waves
 from refract import FlatWater, PinholeCamera
 
 Used = TypeVar("Used")
@@ -63,6 +64,7 @@ class Views:
     views: list[int]  # Those of the maps
     others: list[tuple[int, ...]]  # list of tuple of int: views that each map is compared with
     tolerance: list[float]  # [m]: heights of each map that differ by less agree
+    waves: Waves | None = None  # Surfaces of the water, where it is not still
 
     @staticmethod
     def of(block: Block, maps: Sequence[HeightMap]) -> Views:
@@ -82,7 +84,7 @@ class Views:
         return occluders_of(self.maps, self.views)
 
     @cached_property
-    def _projector(self) -> Projector:
+    def projector(self) -> Projector:
         return Projector(self.device, self.cameras, self.water)
 
     def jobs(self, index: int, wanted: np.ndarray, side: int | None = None) -> Iterator[TileTask]:
@@ -98,14 +100,23 @@ class Views:
         pool: Executor,
         use: Callable[[TileTask, TileSolution], Used],
     ) -> Iterator[tuple[TileTask, Used]]:
-        """Solve tiles about the heights of their maps, several at a time; yields ``use`` of each, in order.
-
-        The kernels that see tiles in other photographs run on this thread, a few tiles ahead.
-        """
+        """Solve tiles about the heights of their maps; yields ``use`` of each, in order."""
 
         def one(job: TileTask, projected: TileProjection, start: Start) -> Used:
             return use(job, solve(job.tile, projected, self.images, start, roughness, job.tolerance))
 
+        return self.projected(jobs, pool, one)
+
+    def projected(
+        self,
+        jobs: Iterable[TileTask],
+        pool: Executor,
+        one: Callable[[TileTask, TileProjection, Start], Used],
+    ) -> Iterator[tuple[TileTask, Used]]:
+        """Project tiles at the heights of their maps; yields ``one`` of each, several at a time, in order.
+
+        The kernels that see tiles in other photographs run on this thread, a few tiles ahead.
+        """
         waiting: deque[tuple[TileTask, Future[Used]]] = deque()
         pixels = 0
         for batch in _batches(jobs):
@@ -124,7 +135,7 @@ class Views:
         """Projections of the tiles of one map."""
         index = batch[0].index
         view, tolerance, tiles = self.views[index], batch[0].tolerance, [job.tile for job in batch]
-        return project_tiles(tiles, view, batch[0].others, self._occluders, self._projector, tolerance)
+        return project_tiles(tiles, view, batch[0].others, self._occluders, self.projector, tolerance, self.waves)
 
 
 def _batches(jobs: Iterable[TileTask]) -> Iterator[list[TileTask]]:

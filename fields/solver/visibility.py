@@ -20,6 +20,7 @@ from fields.sweep.kernels.rays import point_at, project, refracted_rays
 from fields.sweep.kernels.stack import CameraTerms, camera_table
 from fields.sweep.kernels.water import kernel_water
 from fields.sweep.maps import HeightMap
+from fields.waves.waves import Waves
 from refract import FlatWater, PinholeCamera
 
 # The step of the differences across the image [px]: positions in float32 are good to 3e-4 px.
@@ -48,6 +49,33 @@ class Occluder:
 
 
 @dataclass(frozen=True)
+class Ground:
+    """Points of N pixels at their start heights, in the frame of the water."""
+
+    points: np.ndarray  # (3, N) [m]
+    per_pixel: np.ndarray  # (2, 2, N) [m/px]: change of x and y (first axis) along columns and rows of the image
+
+    def __getitem__(self, index) -> Ground:
+        return Ground(self.points[:, index], self.per_pixel[:, :, index])
+
+    @staticmethod
+    def of(points: np.ndarray) -> Ground:
+        """Of the points (3, 4, N) of pixels, of these raised, and of those one step to the right and down."""
+        steps = points[:2, 2:] - points[:2, :1]
+        return Ground(points[:, 0], steps / np.float32(_STEP_PX))
+
+    @property
+    def pixel(self) -> np.ndarray:
+        """Side of a pixel (N,) [m]."""
+        (a, b), (c, d) = self.per_pixel
+        return np.sqrt(np.abs(a * d - b * c))
+
+    def in_pixels(self, displacement: np.ndarray) -> np.ndarray:
+        """Displacements (2, N) [m] along the plane in pixels of the image."""
+        return _solve_2x2(self.per_pixel[:, 0], self.per_pixel[:, 1], displacement)
+
+
+@dataclass(frozen=True)
 class TileProjection:
     """Projection of a tile into K photographs, that of the tile first; N pixels, float32."""
 
@@ -57,6 +85,7 @@ class TileProjection:
     # (K, 2, N) [px/m]: the same in pixels of the tile's own image: how far its texture seems to shift
     motion: np.ndarray
     seen: np.ndarray  # (K, N) bool: inside the photograph, and not behind what its own height map shows
+    ground: Ground
 
     @cached_property
     def _places(self) -> list[np.ndarray]:
@@ -115,6 +144,7 @@ def project_tiles(
     maps: Mapping[int, Occluder],
     projector: Projector,
     tolerance: float,
+    waves: Waves | None = None,
 ) -> list[TileProjection]:
     """Projections of tiles of `view` into its photograph and into those of ``others`` that show a tenth of it or more.
 
@@ -133,6 +163,9 @@ def project_tiles(
     points = projector.points(view, np.concatenate(positions), heights)
     own = np.ascontiguousarray(pixels.T, dtype=np.float32)
     unmoved, everywhere = np.zeros_like(own), np.ones(total, dtype=bool)
+    ground = Ground.of(np.stack([host(projector.device, each) for each in points]).reshape(3, 4, total))
+    if waves is not None:
+        own = own + ground.in_pixels(waves.displacement(view, ground.points))
     found = [[(view, own[:, part], unmoved[:, part], unmoved[:, part], everywhere[part])] for part in parts]
     for other in others:
         all_at, all_inside = projector.seen(other, points)
@@ -144,21 +177,29 @@ def project_tiles(
         if not shows.any():
             continue
         inside &= np.repeat(shows, counts)
-        if other in maps:
-            index = np.flatnonzero(inside)
-            inside[index] = ~_is_occluded(maps[other], at.take(index, axis=1), start[index] + np.float32(tolerance))
+        index = np.flatnonzero(inside)
         change = (raised - at) / np.float32(tolerance)
         shift = _solve_2x2(right - at, down - at, change) * np.float32(_STEP_PX)
+        if waves is not None:
+            near = ground[index]
+            aside = np.zeros_like(at)
+            aside[:, index] = near.in_pixels(waves.displacement(other, near.points)) / np.float32(_STEP_PX)
+            at = at + (right - at) * aside[0] + (down - at) * aside[1]
+        if other in maps:
+            inside[index] = ~_is_occluded(maps[other], at.take(index, axis=1), start[index] + np.float32(tolerance))
         inside &= np.isfinite(shift).all(axis=0)
         for number in np.flatnonzero(shows):
             part = parts[number]
             found[number].append((other, at[:, part], change[:, part], shift[:, part], inside[part]))
-    return [_stacked(each) for each in found]
+    return [_stacked(each, ground[part]) for each, part in zip(found, parts, strict=True)]
 
 
-def _stacked(photographs: list[tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]) -> TileProjection:
+def _stacked(
+    photographs: list[tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]], ground: Ground
+) -> TileProjection:
     views, *arrays = zip(*photographs, strict=True)
-    return TileProjection(list(views), *(np.stack(each) for each in arrays))
+    position, rise, motion, seen = (np.stack(each) for each in arrays)
+    return TileProjection(list(views), position, rise, motion, seen, ground)
 
 
 def _solve_2x2(right: np.ndarray, down: np.ndarray, change: np.ndarray) -> np.ndarray:
@@ -193,7 +234,14 @@ class Projector:
         self._water = kernel_water(water, SKIPS)
         self._beyond = CameraTerms.of(list(cameras.values()))
         table = camera_table(list(cameras.values()), self._beyond, self._water)
+        self._table, self._n_water = table, 1.0 if water is None else float(water.n_water)
         self._rows = {view: [constant(device, c) for c in row] for view, row in zip(cameras, table, strict=True)}
+
+    @property
+    def optics(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Camera centres (V, 3) [m] over their own water, its level (V,) [m] over the plane, and the index of water."""
+        tides = [camera.tide * self._water.from_local[2, 2] for camera in self._cameras.values()]
+        return self._table[:, 9:12], np.array(tides), self._n_water
 
     def size(self, view: int) -> tuple[int, int]:
         """Width and height of a photograph [px]."""

@@ -168,6 +168,7 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
         photographs=facts.photographs,
         stated=stated_of(facts.stated, ComputedColumn(_depth_under_water, facts.bed.depth, facts.bed.wet)),
         coverage=facts.coverage,
+        waves=facts.waves,
         taken=taken_of(survey.config.report, facts.headers, datetime.now().astimezone()) if facts.headers else None,
     )
 

@@ -19,6 +19,7 @@ from survey.plan.plan import Plan
 from survey.report.checkpoints import CheckpointAccuracy, checkpoints_of
 from survey.report.photographs import PhotographFigures
 from survey.report.seen_cells import CoverageFigures, SeenCells
+from survey.report.waves import WaveFigures
 
 if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints
@@ -90,6 +91,7 @@ class ReportFacts:
     headers: Mapping[str, Exif] = field(default_factory=dict)
     # What of the water was seen; None for a dry survey, or where nobody has looked
     coverage: CoverageFigures | None = None
+    waves: WaveFigures | None = None  # None where no solver ran
     cells: SeenCells | None = None  # Of the ground, with points and without; None where nobody has looked
 
     @property

@@ -12,6 +12,7 @@ from survey.report.checkpoints import CheckpointAccuracy, StatedFigures
 from survey.report.facts import RunVerdict
 from survey.report.photographs import PhotographFigures, TakenFigures
 from survey.report.seen_cells import CoverageFigures
+from survey.report.waves import WaveFigures
 
 # Fields that report.json has of the plan and of the cloud, in its order.
 _OF_PLAN = ("quality", "device", "image_scale", "gsd_m", "height_m", "footprint_m", "decisions")
@@ -182,6 +183,7 @@ class ReportFigures:
     left_out: tuple[str, ...] = ()  # Names of the photographs in the folder that have no pose
     stated: StatedFigures | None = None  # What the cloud states of its heights; None without points
     coverage: CoverageFigures | None = None  # What of the water was seen; None for a dry survey
+    waves: WaveFigures | None = None  # None where no solver ran
 
     @property
     def total_s(self) -> float:
@@ -205,6 +207,7 @@ def json_of(figures: ReportFigures) -> dict:
         "height_std_m": figures.height_std,
         "stated": figures.stated,
         "coverage": figures.coverage,
+        "waves": figures.waves,
         "adjustment": None if figures.adjustment is None else _adjustment(figures.adjustment),
         "baselines": figures.baselines,
         "photographs": figures.photographs,

@@ -23,7 +23,7 @@ from survey.compare.tables import iho_s44
 from survey.display import palette
 from survey.display.blocks import Block, Rows, Section, Sentences
 from survey.display.quantities import LengthUnit
-from survey.report import adjustment_tables, checkpoints, photographs, tables
+from survey.report import adjustment_tables, checkpoints, photographs, tables, waves
 from survey.report.figures import ReportFigures
 from survey.report.headline import cards, coverage, headline, limitations
 from survey.report.raster import Picture
@@ -87,6 +87,7 @@ def _sections(figures: ReportFigures) -> list[Section]:
         Section("Limitations", limitations(figures)),
         Section("Coverage of the water", coverage(figures)),
         Section("Comparison with the reference", comparison_blocks(comparison)),
+        Section("Waves", waves.rows(figures.waves)),
         Section("Check points", tables.checkpoints(figures.checkpoints)),
         Section("Vertical uncertainty (IHO S-44)", iho_s44(uncertainty)),
         Section("Stated uncertainty of the cloud", checkpoints.table(figures.stated)),

@@ -13,7 +13,7 @@ from fields.solver.solver import SolvedMap
 from fields.sweep.maps import HeightMap
 from fields.sweep.photo_consistency import Consistency
 from survey.files.json_values import read_json_object, write_json
-from survey.run.stage_solver import SIGHTINGS, SOLVED
+from survey.run.stage_solver import SIGHTINGS, SOLVED, WAVES
 from survey.run.stage_sweep import CONSISTENCY, MAPS, OWN, SATURATED
 from survey.run.stored_maps import Stored, StoredMasks, save_maps
 from survey.run.tile_job import TileJob
@@ -43,6 +43,9 @@ def join_solved(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         folder / SIGHTINGS,
         {name: np.sum([each.get(name, (0, 0)) for each in found], axis=0).tolist() for name in names},
     )
+    # Of the tile with the highest waves: the others are shallow, or dry.
+    seas = [read_json_object(place / WAVES) for place in solved]
+    write_json(folder / WAVES, max(seas, key=lambda each: (each["sea"] or {}).get("significant_height_m", 0.0)))
 
 
 def _tiles(job: Job) -> Sequence[TileJob]:

@@ -24,7 +24,7 @@ from survey.run.stage_adjust import MISFIT, adjust_block, check_poses, use_adjus
 from survey.run.stage_bed import FILES, POINTS, find_points, make_bed
 from survey.run.stage_field import train_field
 from survey.run.stage_range import find_range, use_range
-from survey.run.stage_solver import FIGURES, SIGHTINGS, SOLVED, learn_figures, solve_heights
+from survey.run.stage_solver import FIGURES, SIGHTINGS, SOLVED, WAVES, learn_figures, solve_heights
 from survey.run.stage_sweep import CONSISTENCY, MAPS, SATURATED, sweep_views
 from survey.run.stage_sweep import FILES as SWEEP_FILES
 from survey.run.stage_water_colour import COLOUR_FILE, estimate_colour, use_colour
@@ -128,6 +128,7 @@ def _is_refined(job: Job) -> bool:
 # What decides the rays of the photographs, and the size and the pixels that are worked on.
 _RAYS = ("photographs", "cameras", "water", "device")
 _VIEWS = (*_RAYS, "size")
+_SOLVED = (SOLVED, SIGHTINGS, WAVES)
 
 STAGES = (
     Stage(
@@ -177,11 +178,11 @@ STAGES = (
         name="solver",
         needs=("sweep", "figures"),
         depends_on=(*_VIEWS, "gsd"),
-        files=(SOLVED, SIGHTINGS),
+        files=_SOLVED,
         compute=solve_heights,
         is_on=_is_solved,
         is_of_tiles=True,
-        joined=Stage("solver", ("sweep", "solver"), _VIEWS, (SOLVED, SIGHTINGS), join_solved),
+        joined=Stage("solver", ("sweep", "solver"), _VIEWS, _SOLVED, join_solved),
     ),
     Stage(
         name="water_colour",

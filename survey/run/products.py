@@ -34,12 +34,13 @@ from survey.report.checkpoints import checkpoint_warnings
 from survey.report.facts import RunVerdict, dry_warnings
 from survey.report.photographs import PhotographFigures, photograph_warnings, photographs_of, summary
 from survey.report.seen_cells import CoverageFigures, SeenCells, cells_of, coverage_of
+from survey.report.waves import WaveFigures
 from survey.run.flight import save_flight
 from survey.run.folder import RunDir, seconds_of, versions, versions_of
 from survey.run.gate import gates_of_aim, verdict_of
 from survey.run.job import Job
 from survey.run.repeat import Truth, options_of, settings_text
-from survey.run.stage_solver import SIGHTINGS
+from survey.run.stage_solver import SIGHTINGS, WAVES
 from survey.run.stage_sweep import CONSISTENCY, MAPS, SATURATED
 from survey.run.stored import StoredBed, load_bed
 from survey.run.stored_maps import Stored
@@ -172,6 +173,7 @@ def _facts(
         photographs=_photographs(done),
         light=None if survey.water is None else matched_light(survey.views),
         coverage=_coverage(survey, stored, cells),
+        waves=WaveFigures.of(read_json_object(done["solver"] / WAVES)) if "solver" in done else None,
         cells=cells,
         headers={view.name: read_exif(view.path) for view in survey.views},
         notes=tile_warnings(survey, plan),

@@ -10,18 +10,25 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from fields.solver.noise import NoiseShares, Shifts
 from fields.solver.solver import SolvedMap, SolverFigures, figures_of, solve_maps, solve_sample, spread
 from fields.sweep.maps import HeightMap
+from fields.waves.waves import Waves
+from survey.display.quantities import length
 from survey.files.json_values import read_json_object, write_json
 from survey.progress import shares
 from survey.run.stage_sweep import KEPT, MAPS, OWN, SCRATCH, SQUARES, solvable
+from survey.run.stored import save_arrays
 from survey.run.stored_maps import Stored, load_masks, map_store, save_maps
 
 if TYPE_CHECKING:
     from survey.run.job import Job
 
-FIGURES, SOLVED, SIGHTINGS = "figures.json", "solved.npz", "sightings.json"
+FIGURES, SOLVED, SIGHTINGS, WAVES = "figures.json", "solved.npz", "sightings.json", "waves.json"
+# Where the water is not still.
+SURFACES = "surfaces.npz"
 
 
 def learn_figures(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
@@ -70,11 +77,32 @@ def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     if not len(maps):
         save_maps(folder / SOLVED, SolvedMap, [])
         write_json(folder / SIGHTINGS, {})
+        write_json(folder / WAVES, {"moved_px": 0.0, "sea": None})
         return
     kept = solvable(job.block, maps, load_masks(swept / KEPT))
     with job.progress.stage("Solver", 1.0) as stage, map_store(folder / SCRATCH, SolvedMap) as make_store:
-        solved, visibility = solve_maps(job.block, maps, kept, figures, shares(stage), make_store)
+        solved, visibility, waves = solve_maps(
+            job.block, maps, kept, figures, job.plan.gsd_m, shares(stage), make_store
+        )
         save_maps(folder / SOLVED, SolvedMap, solved)
+    _save_waves(job, folder, 0.0 if figures is None else figures.moved_px, waves)
     names = [view.name for view in job.survey.views]
     counts = zip(names, visibility.seen.tolist(), visibility.outlying.tolist(), strict=True)
     write_json(folder / SIGHTINGS, {name: pair for name, *pair in counts})
+
+
+def _save_waves(job: Job, folder: Path, moved_px: float, waves: Waves | None) -> None:
+    """What the waves of the survey are like, and the surface of each photograph, in the frame of the water."""
+    sea, moved = None if waves is None else waves.sea, f"photographs shifted by {moved_px:.2f} px"
+    write_json(folder / WAVES, {"moved_px": moved_px, "sea": None if sea is None else asdict(sea)})
+    if waves is None or sea is None:
+        if job.survey.water is not None:
+            job.progress.note(f"waves: off, {moved}")
+        return
+    job.progress.note(
+        f"waves: {moved}; a surface for each: significant wave height {length(sea.significant_height_m)}, slope "
+        f"{sea.slope_rms:.3f} rms, peak at a wavelength of {length(sea.peak_length_m)}"
+    )
+    names = np.array([view.name for view in job.survey.views])
+    parts = {name: np.asarray(getattr(waves, name)) for name in ("corner", "spacing", "coefficients")}
+    save_arrays(folder / SURFACES, names=names, **parts)

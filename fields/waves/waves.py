@@ -1,0 +1,100 @@
+"""Surfaces of the water in photographs, as the solver takes them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from scipy import fft
+
+from fields.waves.crossings import Crossings
+from fields.waves.surfaces import Posterior, Sea
+
+# Nodes of the raster of a surface to a spacing of its coefficients: cubic lookups keep waves of four spacings.
+_FINER = 2
+# OpenCV takes positions as an image, with sides below 32768: they are laid out in lines of so many.
+_LINE = 2048
+
+
+@dataclass(frozen=True)
+class Waves:
+    """Surfaces of V photographs, in the frame of the water, whose z is the height over its plane."""
+
+    centres: np.ndarray  # (V, 3) [m]: of the cameras, over their own level of the water
+    tides: np.ndarray  # (V,) [m]: of that level over the plane
+    n_water: float
+    corner: np.ndarray  # (V, 2) [m]: of the first coefficient
+    spacing: float  # [m]
+    coefficients: np.ndarray  # (V, columns, rows) float32 [m]: of cubic B-splines
+    # (2, rows, columns) float32 [m^2]: variances of the height and the place of the bed by what is wrong with surfaces
+    variance: np.ndarray
+    variance_corner: np.ndarray  # (2,) [m]: of its first node; they are at the same spacing
+    sea: Sea | None = None
+    _rasters: dict[int, np.ndarray] = field(default_factory=dict, compare=False, repr=False)
+
+    @staticmethod
+    def still(centres: np.ndarray, tides: np.ndarray, n_water: float) -> Waves:
+        """Cameras over still water."""
+        none, origin = np.zeros((len(centres), 4, 4), dtype=np.float32), np.zeros(2)
+        return Waves(centres, tides, n_water, np.zeros((len(centres), 2)), 1.0, none, none[:2], origin)
+
+    def with_surfaces(self, found: Posterior, variance: np.ndarray, variance_corner: np.ndarray) -> Waves:
+        """The cameras over the surfaces that were found."""
+        return replace(
+            self, corner=found.grid.corner, spacing=found.grid.spacing, coefficients=found.coefficients,
+            variance=variance, variance_corner=variance_corner, sea=found.sea, _rasters={},
+        )  # fmt: skip
+
+    def crossings(self, view: int, points: np.ndarray) -> Crossings:
+        """Crossings of the rays from a camera to points (3, N) [m]."""
+        over = points - np.array([[0.0], [0.0], [self.tides[view]]], dtype=np.float32)
+        return Crossings.of(self.centres[view], over, self.n_water)
+
+    def displacement(self, view: int, points: np.ndarray) -> np.ndarray:
+        """Displacements (2, N) [m] along the plane at which a photograph shows points (3, N) [m]."""
+        rays = self.crossings(view, points)
+        found = self.through(view, rays, rays.place)
+        # The ray to a displaced point crosses beside.
+        return self.through(view, rays, rays.place + found)
+
+    def through(self, view: int, rays: Crossings, place: np.ndarray) -> np.ndarray:
+        """Displacements (2, N) [m] of points with a surface as it is at places (2, N) [m]."""
+        node = (place - self.corner[view][:, None]) * (_FINER / self.spacing)
+        height, *slopes = (_lookup(each, node, cv2.INTER_CUBIC) for each in self.raster(view))
+        return rays.displacement(height, np.stack(slopes))
+
+    def raster(self, view: int) -> np.ndarray:
+        """Height of a surface and its slopes (3, rows, columns), at `_FINER` nodes to a spacing."""
+        if view not in self._rasters:
+            columns, rows = self.coefficients[view].shape
+            turned = 2.0 * np.pi * fft.fftfreq(columns)[:, None], 2.0 * np.pi * fft.rfftfreq(rows)[None]
+            # A B-spline has these values and slopes at its nodes.
+            (x, y), (dx, dy) = (
+                [(2.0 + np.cos(k)) / 3.0 for k in turned],
+                [1j * np.sin(k) / self.spacing for k in turned],
+            )
+            parts = fft.rfft2(self.coefficients[view]) * np.stack([x * y, dx * y, x * dy])
+            padded, half = np.zeros((3, _FINER * columns, parts.shape[2]), dtype=complex), columns // 2
+            padded[:, :half], padded[:, half - columns :] = parts[:, :half], parts[:, half:]
+            fine = fft.irfft2(padded, s=(_FINER * columns, _FINER * rows)) * _FINER**2
+            self._rasters[view] = np.ascontiguousarray(fine.transpose(0, 2, 1), dtype=np.float32)
+        return self._rasters[view]
+
+    def variances(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Variances (N,) [m^2] of heights and places of points of the bed (3, N) [m] by what is wrong with surfaces."""
+        node = (points[:2] - self.variance_corner[:, None]) / self.spacing
+        last = np.array(self.variance.shape[:0:-1])[:, None] - 1.0
+        height, place = (_lookup(each, np.clip(node, 0.0, last), cv2.INTER_LINEAR) for each in self.variance)
+        wet = points[2] < 0.0
+        return np.where(wet, height, 0.0), np.where(wet, place, 0.0)
+
+
+def _lookup(raster: np.ndarray, node: np.ndarray, interpolation: int) -> np.ndarray:
+    """Values (N,) of a raster (rows, columns) at nodes (2, N), column and row; 0 beyond."""
+    lines = -(-node.shape[1] // _LINE)
+    at = np.zeros((2, lines * _LINE), dtype=np.float32)
+    at[:, : node.shape[1]] = node
+    across, down = at.reshape(2, lines, _LINE)
+    found = cv2.remap(raster, across, down, interpolation, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0)
+    return found.ravel()[: node.shape[1]]

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from fields.solver.solver import SolvedMap
+from fields.solver.noise import NoiseShares, Shifts
+from fields.solver.solver import SolvedMap, SolverFigures
 from fields.sweep.maps import HeightMap, views_of
 from survey.errors import SurveyError
+from survey.run.stage_solver import load_figures, save_figures
 from survey.run.stored import load_arrays, mapped_arrays, save_arrays
 from survey.run.stored_maps import Stored, map_store, save_maps
 
@@ -102,3 +107,15 @@ def test_arrays_that_stay_in_the_file_are_those_that_are_loaded(tmp_path, rng):
     for name, array in arrays.items():
         np.testing.assert_array_equal(loaded[name], array)
         np.testing.assert_array_equal(mapped[name], array)
+
+
+def test_what_the_solver_could_not_learn_comes_back_as_unknown(tmp_path):
+    known = SolverFigures(0.011, Shifts(0.02, 0.0), NoiseShares(0.7, 0.1, 0.2, 1.5), -1.25, 0.9)
+    save_figures(tmp_path, known)
+    assert load_figures(tmp_path) == known
+    save_figures(tmp_path, replace(known, spectral_slope=math.nan, shifts=Shifts(math.nan, 0.0)))
+    again = load_figures(tmp_path)
+    assert math.isnan(again.spectral_slope)
+    assert math.isnan(again.shifts.pose_std_px)
+    save_figures(tmp_path, None)
+    assert load_figures(tmp_path) is None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,12 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pyproj import CRS
 
-from geo.files import write_whole
 from geo.frames import LocalFrame
 from refract import FlatWater
 from refract.lens import Lens
 from survey.errors import SurveyError
-from survey.files.json_values import read_json_object
+from survey.files.json_values import read_json_object, write_json
 from survey.photos.cameras import View
 from survey.water.surface import Departure, StillWater
 
@@ -57,8 +55,7 @@ def save_flight(folder: Path, survey: Survey) -> None:
         "departure": _record_of_departure(survey.observations.departure),
         "views": [_record_of_view(view) for view in survey.views],
     }
-    with write_whole(folder / FLIGHT) as stream:
-        stream.write(json.dumps(record, indent=1, ensure_ascii=False, default=_json_value).encode())
+    write_json(folder / FLIGHT, record)
 
 
 def _record_of_departure(departure: Departure | None) -> dict | None:
@@ -89,13 +86,6 @@ def _record_of_view(view: View) -> dict:
         "motion_m_per_row": camera.motion,
         "tide_m": camera.tide,
     }
-
-
-def _json_value(value: object) -> object:
-    """Arrays, and numbers of numpy, for JSON."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} cannot be written as JSON")
 
 
 def load_flight(run: Path) -> Flight:

@@ -5,10 +5,11 @@ What the solver has to know of a survey is learned from a sample of all its tile
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -49,7 +50,7 @@ def learn_figures(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
                     each.release()
             figures = figures_of(sample, job.plan.gsd_m, is_wet=job.survey.water is not None)
             job.progress.detail(f"solver: {figures}")
-    write_json(folder / FIGURES, {"figures": None if figures is None else asdict(figures)})
+    save_figures(folder, figures)
 
 
 def _sample_of(job: Job, swept: Path, squares: list[tuple[int, int]]) -> list:
@@ -62,18 +63,29 @@ def _sample_of(job: Job, swept: Path, squares: list[tuple[int, int]]) -> list:
     return solve_sample(job.block, maps, solvable(job.block, maps, kept), squares, job.plan.gsd_m)
 
 
-def _figures_in(folder: Path) -> SolverFigures | None:
+def save_figures(folder: Path, figures: SolverFigures | None) -> None:
+    """Write what `load_figures` reads."""
+    write_json(folder / FIGURES, {"figures": None if figures is None else asdict(figures)})
+
+
+def load_figures(folder: Path) -> SolverFigures | None:
     """Figures of `learn_figures`; None where there was nothing to learn from."""
     figures = read_json_object(folder / FIGURES)["figures"]
     if figures is None:
         return None
-    return SolverFigures(**figures | {"shifts": Shifts(**figures["shifts"]), "noise": NoiseShares(**figures["noise"])})
+    shifts, noise = Shifts(**_known(figures["shifts"])), NoiseShares(**_known(figures["noise"]))
+    return SolverFigures(**_known(figures) | {"shifts": shifts, "noise": noise})
+
+
+def _known(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """Numbers as they were: JSON has null for NaN."""
+    return {name: math.nan if value is None else value for name, value in numbers.items()}
 
 
 def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Solve the heights of the points with what the solver has learned of the whole survey."""
     swept = needs["sweep"]
-    maps, figures = Stored(swept / MAPS, HeightMap), _figures_in(needs["figures"])
+    maps, figures = Stored(swept / MAPS, HeightMap), load_figures(needs["figures"])
     if not len(maps):
         save_maps(folder / SOLVED, SolvedMap, [])
         write_json(folder / SIGHTINGS, {})

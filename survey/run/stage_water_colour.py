@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fields.sweep.maps import HeightMap
-from geo.files import write_whole
 from survey.errors import Findings, SurveyError
+from survey.files.json_values import read_json_object, write_json
 from survey.run.stage_sweep import MAPS
 from survey.run.stored_maps import Stored
 from survey.settings.water import WaterColour
@@ -34,14 +33,12 @@ def estimate_colour(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
                 f"the absorption of the water cannot be estimated from the photographs: {error}; give [water] "
                 "absorption_per_m and veiling_light in survey.toml, or leave --true-colour out"
             ) from error
-        with write_whole(folder / COLOUR_FILE) as stream:
-            stream.write(json.dumps({"absorption_per_m": absorption}, indent=2).encode())
+        write_json(folder / COLOUR_FILE, {"absorption_per_m": absorption})
 
 
 def use_colour(job: Job, folder: Path) -> None:
     """Give the job's survey the absorption that was found, and no veiling light."""
-    record = json.loads((folder / COLOUR_FILE).read_text(encoding="utf-8"))
-    red, green, blue = record["absorption_per_m"]
+    red, green, blue = read_json_object(folder / COLOUR_FILE)["absorption_per_m"]
     _, given = job.survey.require_water()
     water = replace(given, colour=WaterColour((red, green, blue), (0.0, 0.0, 0.0)))
     listed = ", ".join(f"{a:.3f}" for a in (red, green, blue))

@@ -27,6 +27,7 @@ from pyproj import CRS
 from geo.columns import ComputedColumn
 from geo.files import reporting_disk_errors, write_whole
 from survey.errors import SurveyError
+from survey.files.json_values import write_json
 
 if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints
@@ -206,8 +207,7 @@ def save_bed(folder: str | Path, stored: StoredBed) -> None:
         columns["std_placed"] = stored.std_placed
     write_arrays(folder / BED_FILE, columns.items())
     record = {"crs_wkt": stored.crs.to_wkt(), "name": stored.name, "gsd_m": stored.gsd_m}
-    with write_whole(folder / SURVEY_FILE) as stream:
-        stream.write(json.dumps(record, indent=2, ensure_ascii=False).encode())
+    write_json(folder / SURVEY_FILE, record)
 
 
 def load_bed(folder: str | Path) -> StoredBed:

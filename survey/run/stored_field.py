@@ -6,10 +6,9 @@ state; the box of the others follows from the bed of their run.
 
 from __future__ import annotations
 
-import json
 import pickle
 import zipfile
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -32,7 +31,7 @@ from fields.water_column import WaterColumn
 from geo.files import write_whole
 from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
-from survey.files.json_values import read_json_object
+from survey.files.json_values import read_json_object, write_json
 from survey.run.stored import FIELD_SETTINGS, FIELD_STATE
 
 if TYPE_CHECKING:
@@ -153,8 +152,7 @@ def save_layer_field(folder: Path, field: RestoredField) -> None:
     }
     with write_whole(folder / FIELD_STATE) as stream:
         torch.save(state, stream)
-    with write_whole(folder / FIELD_SETTINGS) as stream:
-        stream.write(json.dumps(asdict(field.recipe), indent=2).encode())
+    write_json(folder / FIELD_SETTINGS, field.recipe)
 
 
 def load_layer_field(folder: Path, water: FlatWater | None, device: str) -> RestoredField:

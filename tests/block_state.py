@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from survey.adjust.block.prediction import Prediction, apparent_rise_design, linearise, predict
+from survey.adjust.block.prediction import Prediction, apparent_rise_design, design_matrix, linearise, predict
 from survey.adjust.block.state import NUM_LENS, NUM_RELIEF, Layout, State
 from survey.photos.poses import TiePoints
 from tests.drawn_block import DrawnBlock
@@ -37,7 +37,7 @@ def require_derivatives(layout: Layout, state: State, ties: TiePoints) -> Predic
     rise_design = apparent_rise_design(state, ties)
     linear = linearise(layout, state, ties, rise_design)
     np.testing.assert_array_equal(linear.pixels, predict(layout, state, ties, rise_design))
-    still, dense = np.zeros((len(ties), 3)), linear.by_parameters.toarray()
+    still, dense = np.zeros((len(ties), 3)), design_matrix(layout, ties.view, linear.by_parameters).toarray()
     assert dense.shape[1] == len(layout)
     # Steps that move pixels by some hundredths.
     steps = np.full(len(layout), STEP)

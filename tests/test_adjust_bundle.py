@@ -10,7 +10,7 @@ import pytest
 
 from survey.adjust.block.bundle import NotConvergedError, Solution, cost, levenberg_marquardt, rounding_of_cost, solve
 from survey.adjust.block.normal_equations import huber_system, system_with
-from survey.adjust.block.prediction import linearise, predict
+from survey.adjust.block.prediction import design_matrix, linearise, predict
 from survey.adjust.block.problem import HUBER, Planes, Priors, Problem, huber_loss, std_of_kinds
 from survey.adjust.block.state import NUM_RELIEF, Layout, State
 from survey.adjust.rounds import std_over_points
@@ -129,7 +129,7 @@ def dense(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarray]
     linear = linearise(problem.layout, state, ties, problem.rise_design)
     size = len(problem.layout)
     design = np.zeros((2 * len(ties.view), size + 3 * len(ties)))
-    design[:, :size] = linear.by_parameters.toarray()
+    design[:, :size] = design_matrix(problem.layout, ties.view, linear.by_parameters).toarray()
     for row, point in enumerate(ties.point):
         design[2 * row : 2 * row + 2, size + 3 * point : size + 3 * point + 3] = linear.by_point[row]
     weights = np.repeat(solution.weights, 2)
@@ -221,15 +221,16 @@ def test_where_the_loss_is_nearly_linear_an_outlier_keeps_its_gradient_and_hardl
         problem, ties=replace(ties, pixel=predict(problem.layout, state, ties, problem.rise_design) + off)
     )
     one = np.ones(len(problem.kind))
-    square, linear = (huber_system(problem, state, std_px, one, reduces_curvature=each) for each in (False, True))
+    square, reduced = (huber_system(problem, state, std_px, one, reduces_curvature=each) for each in (False, True))
     scale = 1.0 / np.sqrt(np.diag(square.normal.dense()))
-    np.testing.assert_allclose(linear.right_side * scale, square.right_side * scale, rtol=1e-6, atol=1e-9)
-    design = linearise(problem.layout, state, problem.ties, problem.rise_design).by_parameters.toarray()
+    np.testing.assert_allclose(reduced.right_side * scale, square.right_side * scale, rtol=1e-6, atol=1e-9)
+    linear = linearise(problem.layout, state, ties, problem.rise_design)
+    design = design_matrix(problem.layout, ties.view, linear.by_parameters).toarray()
     weight = HUBER * std_px[0] / 50.0 / std_px[0] ** 2
     along = np.array([0.6, -0.8]) @ design[2 * number : 2 * number + 2]
     taken = weight * (1.0 - 0.1**2) * np.outer(along, along)
     np.testing.assert_allclose(
-        (square.normal.dense() - linear.normal.dense()) * np.outer(scale, scale),
+        (square.normal.dense() - reduced.normal.dense()) * np.outer(scale, scale),
         taken * np.outer(scale, scale),
         atol=1e-9,
     )
@@ -321,7 +322,7 @@ def test_factors_on_variances_widen_the_covariance():
     np.testing.assert_allclose(np.median(wider.weights), 0.25 * np.median(alone.weights), rtol=0.05)
     assert np.sqrt(wider.covariance[7, 7] / alone.covariance[7, 7]) > 1.2
     # Priors and control points stay as good as they were; at one state, since the level is a non-linear unknown.
-    same = system_with(problem, alone.state, 0.25 * alone.weights).normal.inverse()
+    same = system_with(problem, alone.state, 0.25 * alone.weights).normal.inverse
     assert np.sqrt(np.diag(same) / np.diag(alone.covariance)).max() < 2.0 + 1e-6
 
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.sparse import csr_array
 from slow_cases import slow
 
 from survey.adjust.block.bundle import Solution, solve
@@ -111,21 +110,26 @@ def test_what_ground_shares_is_found_where_it_exceeds_the_noise_of_single_observ
 
 
 def test_what_parameters_take_of_a_square_is_counted(rng):
+    # Of twelve parameters all observations depend on the first two, and those of a photograph on two more.
     count, num_parameters = 60, 12
-    design = csr_array(rng.normal(size=(2 * count, num_parameters)) * (rng.random((2 * count, num_parameters)) < 0.3))
+    view = rng.integers(0, 5, count)
+    columns = np.column_stack([np.zeros(count), np.ones(count), 2 + 2 * view, 3 + 2 * view]).astype(np.int64)
+    design = rng.normal(size=(count, 2, 4))
     root = rng.normal(size=(num_parameters, num_parameters))
     weights, residuals = rng.uniform(1.0, 2.0, count), rng.normal(size=(count, 2))
     changes, square = rng.normal(size=(count, 2, 3)), rng.integers(0, 7, count)
     # Nothing of the first change shows in one square.
     changes[square == 3, :, 0] = 0.0
     covariance = 1e-3 * root @ root.T
-    found = PredictionChanges(weights, residuals, changes, design).ratios(square, covariance)
+    found = PredictionChanges(weights, residuals, changes, design, columns).ratios(square, covariance)
+    whole = np.zeros((count, 2, num_parameters))
+    np.put_along_axis(whole, columns[:, None], design, axis=2)
     for change, ratio in zip(np.moveaxis(changes, 2, 0), found, strict=True):
         squares = independent = 0.0
         for number in range(7):
             weighted = (weights[:, None] * change * (square == number)[:, None]).ravel()
             squares += float(weighted @ residuals.ravel()) ** 2
-            taken = design.T @ weighted
+            taken = whole.reshape(-1, num_parameters).T @ weighted
             independent += float(weighted @ change.ravel()) - float(taken @ covariance @ taken)
         assert ratio == pytest.approx(squares / independent)
 

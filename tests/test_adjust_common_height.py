@@ -93,7 +93,7 @@ def test_positions_that_share_nothing_hold_the_block_against_the_level():
 
 def inverse(matrix: np.ndarray) -> np.ndarray:
     """The inverse of a symmetric matrix whose rows have different units."""
-    return NormalMatrix.of(csr_array(matrix)).inverse()
+    return NormalMatrix.of(csr_array(matrix)).inverse
 
 
 def adjusted(survey: Survey) -> RobustSolution:

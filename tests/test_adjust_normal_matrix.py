@@ -9,9 +9,15 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array, diags_array
 
-from survey.adjust.block.normal_equations import eliminated
+from survey.adjust.block.normal_equations import system_at
 from survey.adjust.block.normal_matrix import _ROWS, BlockFactor, DenseFactor, NormalMatrix, elimination_order
-from survey.adjust.block.state import NUM_POSE
+from survey.adjust.block.prediction import design_matrix, linearise
+from survey.adjust.block.priors import PriorKnowledge, prior_of, priors_for
+from survey.adjust.block.problem import Problem
+from survey.adjust.block.state import NUM_RELIEF
+from survey.photos.poses import TiePoints
+from tests.block_survey import survey_of
+from tests.drawn_block import draw_block
 
 NUM_SHARED, NUM_VIEWS, OF_VIEW, PER_VIEW = 5, 60, 6, 4
 
@@ -73,7 +79,7 @@ def test_a_step_solves_the_equations_with_their_scaled_diagonal_raised(rng):
 def test_the_inverse_is_one_whatever_the_units(rng):
     normal = normal_of(rng, 300)
     scale = np.sqrt(normal.diagonal())
-    product = normal.inverse() @ normal.dense()
+    product = normal.inverse @ normal.dense()
     np.testing.assert_allclose(product * scale[:, None] / scale, np.eye(300), rtol=0.0, atol=1e-9)
 
 
@@ -136,7 +142,7 @@ def test_blocks_that_gain_nothing_are_dense(views):
 
 
 @pytest.mark.parametrize(
-    ("take", "arrays"), [(lambda n: n.factor(1e-3).solve(np.ones(len(n))), 1.0), (NormalMatrix.inverse, 2.0)]
+    ("take", "arrays"), [(lambda n: n.factor(1e-3).solve(np.ones(len(n))), 1.0), (lambda n: n.inverse, 2.0)]
 )
 def test_a_large_matrix_is_copied_as_rarely_as_can_be(rng, take, arrays):
     normal = normal_of(rng, 1200)
@@ -152,24 +158,68 @@ def test_a_large_matrix_is_copied_as_rarely_as_can_be(rng, take, arrays):
 def test_a_singular_matrix_is_refused(two_strips, by_blocks):
     normal = two_strips if by_blocks else NormalMatrix.of(csr_array(np.eye(2)))
     with pytest.raises(np.linalg.LinAlgError):
-        normal.with_precision(-2.0 * normal.diagonal()).inverse()
+        _ = normal.with_precision(-2.0 * normal.diagonal()).inverse
+
+
+PIXEL_STD = 0.3
+
+
+def prior_with(num_lenses: int, *, finds_focals: bool) -> tuple[PriorKnowledge, TiePoints]:
+    """A block of 12 photographs through several lenses, each with a focal length of its own if asked for."""
+    survey = survey_of(draw_block(3, num_points=80, num_views=12, nadir_only=False, num_control=0))
+    prior, ties = prior_of(survey, 0.02), survey.observations.ties
+    num = len(prior.layout.lens_of)
+    layout = replace(
+        prior.layout,
+        lens_of=np.arange(num) % num_lenses,
+        aspect=np.ones(num_lenses),
+        finds_focals=finds_focals,
+    )
+    lenses, focals = np.tile(prior.state.lenses, (num_lenses, 1)), np.zeros(num if finds_focals else 0)
+    state = replace(prior.state, lenses=lenses, focals=focals)
+    of_lens = prior.std[prior.layout.first_lens : prior.layout.first_pose]
+    std = np.concatenate(
+        [
+            prior.std[: prior.layout.first_lens],
+            np.tile(of_lens, num_lenses),
+            np.full(len(focals), 0.01),
+            prior.std[prior.layout.first_pose :],
+        ]
+    )
+    return replace(prior, layout=layout, state=state, mean=state, std=std, lenses=prior.lenses * num_lenses), ties
 
 
 @pytest.mark.parametrize(
-    ("num_points", "num_views", "num_others"),
-    [(40, 6, 15), (40, 300, 15), (40, 300, 15 + 300)],
-    ids=["few photographs", "many photographs", "a focal length for each photograph"],
+    ("num_lenses", "finds_focals"),
+    [(1, False), (2, False), (12, False), (1, True)],
+    ids=["one lens", "two lenses", "a lens for each photograph", "a focal length for each photograph"],
 )
-def test_the_eliminated_part_is_the_product_of_the_coupling_with_itself(rng, num_points, num_views, num_others):
-    coupling = np.zeros((3 * num_points, num_others + NUM_POSE * num_views))
-    for point in range(num_points):
-        rows = slice(3 * point, 3 * point + 3)
-        coupling[rows, :15] = rng.normal(size=(3, 15))
-        for view in rng.choice(num_views, 4, replace=False):
-            first = num_others + NUM_POSE * view
-            coupling[rows, first : first + NUM_POSE] = rng.normal(size=(3, NUM_POSE))
-            if num_others > 15:
-                coupling[rows, 15 + view] = rng.normal(size=3)
-    found = eliminated(csr_array(coupling), num_others)
-    # Sums of some hundred products of about one, in another order.
-    np.testing.assert_allclose(found.toarray(), coupling.T @ coupling, rtol=0.0, atol=1e-12)
+def test_normal_equations_are_those_of_dense_products(num_lenses, finds_focals):
+    prior, ties = prior_with(num_lenses, finds_focals=finds_focals)
+    state, rise_design = replace(prior.state, points=ties.start), np.zeros((len(ties.view), NUM_RELIEF))
+    std_px = np.array([PIXEL_STD])
+    problem = Problem(prior.layout, ties, np.zeros(len(ties.view), int), priors_for(prior, ties), std_px, rise_design)
+    linear = linearise(prior.layout, state, ties, rise_design)
+    # Without outliers all observations have the same weight.
+    ties = replace(ties, pixel=linear.pixels + 0.1)
+    problem = replace(problem, ties=ties)
+    system = system_at(problem, state, std_px)
+    design = design_matrix(prior.layout, ties.view, linear.by_parameters).toarray() / PIXEL_STD
+    by_points = np.zeros((len(ties.view), 2, len(ties), 3))
+    by_points[np.arange(len(ties.view)), :, ties.point] = linear.by_point / PIXEL_STD
+    by_points = by_points.reshape(len(design), -1)
+    mixed = by_points.T @ design
+    expected = design.T @ design - mixed.T @ np.linalg.solve(by_points.T @ by_points, mixed)
+    scale = 1.0 / np.sqrt(np.diag(design.T @ design) + prior.std**-2.0)
+    expected = expected + np.diag(prior.std**-2.0)
+    np.testing.assert_allclose(
+        system.normal.dense() * np.outer(scale, scale), expected * np.outer(scale, scale), atol=1e-9
+    )
+    # A step of parameters that points follow, and one row of their coupling.
+    step = scale * np.random.default_rng(1).normal(size=len(scale))
+    left = np.full(len(design), 0.1 / PIXEL_STD) - design @ step
+    points = np.linalg.lstsq(by_points, left)[0].reshape(-1, 3)
+    np.testing.assert_allclose(system.point_steps(step), points, atol=1e-6 * np.abs(points).max())
+    np.testing.assert_allclose(
+        system.coupling.of_point(5) @ step, system.coupling.times(step)[15:18], rtol=1e-9, atol=1e-9
+    )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from refract import FlatWater
-from survey.adjust.block.prediction import apparent_rise_design, bent_lines_of_sight, lines_of_sight, predict
+from survey.adjust.block.prediction import Crossing, apparent_rise_design, lines_of_sight, predict
 from survey.adjust.block.state import NUM_RELIEF, NUM_WATER, Layout, State, distort, with_parameters
 from survey.photos.poses import TiePoints
 from tests.block_state import require_derivatives, state_of
@@ -33,35 +33,40 @@ def rays(rng, water: FlatWater) -> tuple[np.ndarray, np.ndarray]:
     return centres, points
 
 
-@pytest.mark.parametrize("water", [None, LEVEL, TILTED], ids=["dry", "level", "tilted"])
-def test_derivatives_of_lines_of_sight_are_those_of_differences(rng, water):
-    centres, points = rays(rng, water or LEVEL)
-    sight = bent_lines_of_sight(centres, points, water)
+def crossing_of(centres: np.ndarray, points: np.ndarray, water: FlatWater) -> Crossing:
+    return Crossing.of(lines_of_sight(centres, points, water).T, centres.T, points.T, water)
+
+
+@pytest.mark.parametrize("water", [LEVEL, TILTED], ids=["level", "tilted"])
+def test_derivatives_of_bent_lines_of_sight_are_those_of_differences(rng, water):
+    centres, points = rays(rng, water)
+    wet = water.depth(points) > 0.0
+    assert wet.sum() == 50
+    centres, points = centres[wet], points[wet]
+    crossing = crossing_of(centres, points, water)
     for axis in range(3):
         step = STEP * np.eye(3)[axis]
         by_point = lines_of_sight(centres, points + step, water) - lines_of_sight(centres, points - step, water)
         by_centre = lines_of_sight(centres + step, points, water) - lines_of_sight(centres - step, points, water)
-        np.testing.assert_allclose(sight.by_point[:, :, axis], by_point / (2.0 * STEP), atol=CLOSE)
-        np.testing.assert_allclose(sight.by_centre[:, :, axis], by_centre / (2.0 * STEP), atol=CLOSE)
-    if water is None:
-        assert not sight.wet.any()
-        return
-    assert sight.wet.sum() == 50
+        np.testing.assert_allclose(crossing.by_point()[:, axis].T, by_point / (2.0 * STEP), atol=CLOSE)
+        np.testing.assert_allclose(crossing.by_centre()[:, axis].T, by_centre / (2.0 * STEP), atol=CLOSE)
     values = np.array([water.point[2], water.slope_x, water.slope_y, water.n_water])
+    by_water = crossing.by_water(water)
     for number in range(NUM_WATER):
         # Under a plane that moves as a whole, points 1 mm below it would come out of the water at a larger step.
         step = STEP * np.eye(NUM_WATER)[number]
         ahead, behind = (lines_of_sight(centres, points, with_parameters(water, values + s)) for s in (step, -step))
-        np.testing.assert_allclose(sight.by_water[:, :, number], (ahead - behind) / (2.0 * STEP), atol=20.0 * CLOSE)
+        np.testing.assert_allclose(by_water[:, number].T, (ahead - behind) / (2.0 * STEP), atol=20.0 * CLOSE)
 
 
 def test_straight_below_the_camera_rays_are_straight_and_their_derivatives_finite():
     centre, point = np.array([[1.0, 2.0, 20.0]]), np.array([[1.0, 2.0, -3.0]])
-    sight = bent_lines_of_sight(centre, point, LEVEL)
-    np.testing.assert_allclose(sight.line[0, :2], 0.0, atol=1e-12)
-    assert all(np.isfinite(values).all() for values in (sight.by_point, sight.by_centre, sight.by_water))
+    np.testing.assert_allclose(lines_of_sight(centre, point, LEVEL)[0, :2], 0.0, atol=1e-12)
+    crossing = crossing_of(centre, point, LEVEL)
+    by_point = crossing.by_point()
+    assert all(np.isfinite(values).all() for values in (by_point, crossing.by_centre(), crossing.by_water(LEVEL)))
     # From H = 19.7 m over the water, the crossing of a point h = 3.3 m deep moves by H / (H + h / n) of its step.
-    assert sight.by_point[0, 0, 0] == pytest.approx(19.7 / (19.7 + 3.3 / 1.34), rel=1e-9)
+    assert by_point[0, 0, 0] == pytest.approx(19.7 / (19.7 + 3.3 / 1.34), rel=1e-9)
 
 
 def test_a_point_at_the_surface_is_seen_on_a_straight_ray():
@@ -72,19 +77,19 @@ def test_a_point_at_the_surface_is_seen_on_a_straight_ray():
 def test_brown_is_that_of_opencv_with_the_derivatives_of_differences(rng):
     xy = rng.uniform(-0.6, 0.6, (50, 2))
     k1, k2, k3, p1, p2 = coefficients = np.array([0.08, -0.05, 0.02, 0.001, -0.002])
-    every = np.tile(coefficients, (50, 1))
-    found, by_xy, by_coefficients = distort(xy, every)
+    every = np.tile(coefficients[:, None], 50)
+    found, by_xy, by_coefficients = distort(xy.T, every)
     along = np.column_stack([xy, np.ones(50)])
     expected = cv2.projectPoints(along, np.zeros(3), np.zeros(3), np.eye(3), np.array([k1, k2, p1, p2, k3]))[0][:, 0]
-    np.testing.assert_allclose(found, expected, atol=1e-12)
+    np.testing.assert_allclose(found.T, expected, atol=1e-12)
     for axis in range(2):
-        step = STEP * np.eye(2)[axis]
-        difference = distort(xy + step, every)[0] - distort(xy - step, every)[0]
-        np.testing.assert_allclose(by_xy[:, :, axis], difference / (2.0 * STEP), atol=1e-8)
+        step = STEP * np.eye(2)[axis, :, None]
+        difference = distort(xy.T + step, every)[0] - distort(xy.T - step, every)[0]
+        np.testing.assert_allclose(by_xy[:, axis], difference / (2.0 * STEP), atol=1e-8)
     for number in range(5):
-        step = STEP * np.eye(5)[number]
-        difference = distort(xy, every + step)[0] - distort(xy, every - step)[0]
-        np.testing.assert_allclose(by_coefficients[:, :, number], difference / (2.0 * STEP), atol=1e-8)
+        step = STEP * np.eye(5)[number, :, None]
+        difference = distort(xy.T, every + step)[0] - distort(xy.T, every - step)[0]
+        np.testing.assert_allclose(by_coefficients[:, number], difference / (2.0 * STEP), atol=1e-8)
 
 
 def drawn_state(seed: int) -> tuple[Layout, State, TiePoints]:

@@ -166,7 +166,7 @@ def solved_at(level: float, **settings) -> tuple[Problem, Solution]:
     problem = Problem(layout, ties, kind, priors, std_px, apparent_rise_design(state, ties))
     system = system_at(problem, state, std_px)
     weights = np.full(len(kind), PIXEL_STD**-2.0)
-    return problem, Solution(state, system.normal.inverse(), problem.residuals(state), weights, std_px, system)
+    return problem, Solution(state, system.normal.inverse, problem.residuals(state), weights, std_px, system)
 
 
 def level_std(covariance: np.ndarray) -> float:

@@ -43,7 +43,7 @@ from survey.adjust.result.adjustment import (
     water_verdicts,
     with_verdict,
 )
-from survey.adjust.rounds import RobustSolution
+from survey.adjust.rounds import RobustSolution, mean_by_kind
 from survey.folder.survey import Survey
 from survey.settings.config import WaterConfig
 
@@ -129,9 +129,10 @@ def _statistics(done: RobustSolution, total: int) -> FitStatistics:
     """Statistics of the fit of observations, of which there were ``total`` before any was left out."""
     solution, used = done.solution, done.used
     counts = {name: int((used.kind == kind).sum()) for kind, name in enumerate(KINDS)}
+    factors = mean_by_kind(done.variance_factor, used.kind)
     return FitStatistics(
         std_px={name: float(solution.std_px[kind]) for kind, name in enumerate(KINDS) if counts[name]},
-        variance_factor={name: float(done.variance_factor[kind]) for kind, name in enumerate(KINDS) if counts[name]},
+        variance_factor={name: float(factors[kind]) for kind, name in enumerate(KINDS) if counts[name]},
         num_observations={name: count for name, count in counts.items() if count},
         num_points=len(used.ties),
         num_left_out=total - len(used.kind),

@@ -40,8 +40,6 @@ _SIDES_ON_GROUND = (0.08, 0.16, 0.32)
 _FEWEST = 20
 # Places along the longer side of the block, at each of which one point says what a change of the parameters does.
 _PLACES = 8
-# Squares whose covariances are gathered at a time: 200 kB each.
-_AT_A_TIME = 64
 
 
 def cluster_design_effect(
@@ -74,9 +72,7 @@ def cluster_design_effect(
 
 
 def _design_effect(view: np.ndarray, pixel: np.ndarray, normal: np.ndarray, side: np.ndarray) -> float:
-    cells = np.column_stack([view, np.floor(pixel / side[:, None])])
-    _, cell = np.unique(cells, axis=0, return_inverse=True)
-    cell = cell.ravel()
+    cell = _numbered(np.column_stack([view, np.floor(pixel / side[:, None])]))
     count = np.bincount(cell).astype(np.float64)
     pairs = float((count * (count - 1.0)).sum())
     if pairs == 0.0:
@@ -85,6 +81,13 @@ def _design_effect(view: np.ndarray, pixel: np.ndarray, normal: np.ndarray, side
     square = float(np.sum(normal**2))
     correlation = (float(np.sum(sums**2)) - square) / (pairs * square / len(normal))
     return 1.0 + (float((count**2).sum() / count.sum()) - 1.0) * max(correlation, 0.0)
+
+
+def _numbered(cells: np.ndarray) -> np.ndarray:
+    """Numbers (N,) from 0 on of cells given by columns (N, K), however far apart they are."""
+    places = [np.unique(column, return_inverse=True)[1] for column in cells.T]
+    _, number = np.unique(np.ravel_multi_index(places, [each.max() + 1 for each in places]), return_inverse=True)
+    return number
 
 
 def terrain_design_effect(problem: Problem, solution: Solution, sizes: Sizes, kinds: np.ndarray) -> float:
@@ -100,23 +103,25 @@ def terrain_design_effect(problem: Problem, solution: Solution, sizes: Sizes, ki
     float
         One where too little ground is seen to tell.
     """
-    ties, state = problem.ties, solution.state
-    linear = linearise(problem.layout, state, ties, problem.rise_design, problem.rows)
+    ties, state, layout = problem.ties, solution.state, problem.layout
+    linear = linearise(layout, state, ties, problem.rise_design, problem.rows)
     weights = np.where(kinds, solution.weights, 0.0)
     used = weights > 0.0
-    residuals = np.where(used[:, None], solution.residuals, 0.0)
-    design = csr_array(linear.by_parameters.multiply(np.repeat(used, 2)[:, None]))
-    by_point = np.where(used[:, None, None], linear.by_point, 0.0)
+    residuals, by_point, design = (
+        np.where(used.reshape(-1, *[1] * (each.ndim - 1)), each, 0.0)
+        for each in (solution.residuals, linear.by_point, linear.by_parameters)
+    )
     of_block = _of_block(problem, state, used) @ solution.covariance
-    changes = [_followed(ties, weights, by_point, (design @ change).reshape(-1, 2)) for change in of_block]
+    change = design @ np.moveaxis(of_block[:, layout.columns], 0, -1)[ties.view]
+    changes = PredictionChanges(
+        weights, residuals, _followed(ties, weights, by_point, change), design, layout.columns[ties.view]
+    )
     found = []
     for share in _SIDES_ON_GROUND:
         side = share * _footprint(problem, state, sizes)
-        _, square = np.unique(np.floor(state.points[:, :2] / side), axis=0, return_inverse=True)
-        square = square.ravel()[ties.point]
+        square = _numbered(np.floor(state.points[:, :2] / side))[ties.point]
         if len(np.unique(square[used])) >= _FEWEST:
-            changed = PredictionChanges(weights, residuals, np.stack(changes, axis=-1), design)
-            found.append(float(np.mean(changed.ratios(square, solution.covariance))))
+            found.append(float(np.mean(changes.ratios(square, solution.covariance))))
     return max(found, default=1.0)
 
 
@@ -145,13 +150,12 @@ def _of_block(problem: Problem, state: State, used: np.ndarray) -> np.ndarray:
 
 
 def _followed(ties: TiePoints, weights: np.ndarray, by_point: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """Change (N, 2) of the predictions with the points re-adjusted (eliminated)."""
-    weighted = by_point * weights[:, None, None]
-    own, right = np.zeros((len(ties), 3, 3)), np.zeros((len(ties), 3))
-    np.add.at(own, ties.point, np.einsum("nai,naj->nij", weighted, by_point))
-    np.add.at(right, ties.point, np.einsum("nai,na->ni", weighted, change))
-    step = np.einsum("mij,mj->mi", np.linalg.pinv(own, hermitian=True), right)
-    return change - np.einsum("nai,ni->na", by_point, step[ties.point])
+    """Changes (N, 2, K) of the predictions with the points re-adjusted (eliminated)."""
+    first = np.searchsorted(ties.point, np.arange(len(ties)))
+    weighted = np.moveaxis(by_point * weights[:, None, None], 1, 2)
+    own, right = (np.add.reduceat(weighted @ each, first, axis=0) for each in (by_point, change))
+    step = np.linalg.pinv(own, hermitian=True) @ right
+    return change - by_point @ step[ties.point]
 
 
 def _footprint(problem: Problem, state: State, sizes: Sizes) -> float:
@@ -162,26 +166,18 @@ def _footprint(problem: Problem, state: State, sizes: Sizes) -> float:
     return float(np.median(distance * (longer / state.lenses[layout.lens_of, 0])[ties.view]))
 
 
-def _padded(starts: np.ndarray, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Column indices of a sparse matrix, its rows filled up with zeros, and which are those of the matrix."""
-    count = np.diff(starts)
-    inside = np.arange(count.max(initial=0)) < count[:, None]
-    found = np.zeros(inside.shape, dtype=np.int64)
-    found[inside] = indices
-    return found, inside
-
-
 @dataclass(frozen=True)
 class PredictionChanges:
-    """Changes of the predicted observations by K changes of the parameters."""
+    """Changes of the predicted observations by C changes of the parameters."""
 
     weights: np.ndarray  # (N,) [1/px^2]
     residuals: np.ndarray  # (N, 2) [px]
-    changes: np.ndarray  # (N, 2, K) [px]
-    design: csr_array  # (2 N, P)
+    changes: np.ndarray  # (N, 2, C) [px]
+    design: np.ndarray  # (N, 2, K): derivatives of each observation by the parameters that it depends on
+    columns: np.ndarray  # (N, K) int64: their numbers
 
     def ratios(self, square: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-        """Ratios (K,) of the squared sums over squares of ground to their expectation for independent errors.
+        """Ratios (C,) of the squared sums over squares of ground to their expectation for independent errors.
 
         Parameters
         ----------
@@ -191,22 +187,22 @@ class PredictionChanges:
             Of the parameters; of it, what belongs to the photographs of one square.
         """
         weighted = self.weights[:, None, None] * self.changes
-        products = np.einsum("nak,na->nk", weighted, self.residuals)
-        total = np.einsum("nak,nak->k", weighted, self.changes)
-        rows = np.repeat(square, 2)
-        of_squares = (square.max() + 1, len(rows))
-        sums, left = np.zeros((of_squares[0], len(total))), total.copy()
-        np.add.at(sums, square, products)
-        by_rows = weighted.reshape(len(rows), -1).T
-        taken = [csr_array((each, (rows, np.arange(len(rows)))), of_squares) @ self.design for each in by_rows]
-        # Products leave out sums that are zero, and so differ in what they store.
-        ones = csr_array((np.ones(self.design.nnz), self.design.indices, self.design.indptr), self.design.shape)
-        stored = csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), of_squares) @ ones
-        columns, inside = _padded(stored.indptr, stored.indices)
-        for first in range(0, len(columns), _AT_A_TIME):
-            part = slice(first, first + _AT_A_TIME)
-            at = columns[part]
-            design = np.stack([np.take_along_axis(each[part].toarray(), at, axis=1) for each in taken]) * inside[part]
-            followed = np.einsum("ksi,sij->ksj", design, covariance[at[:, :, None], at[:, None]])
-            left -= np.einsum("ksi,ksi->k", followed, design)
+        total, num = np.einsum("nac,nac->c", weighted, self.changes), weighted.shape[2]
+        sums = np.zeros((square.max() + 1, num))
+        np.add.at(sums, square, np.einsum("nac,na->nc", weighted, self.residuals))
+        # Observations in a square that depend on the same parameters count as one: g of each, by the changes.
+        keys, of_key = np.unique(square * (self.columns.max() + 1) + self.columns[:, -1], return_inverse=True)
+        summed = csr_array((np.ones(len(of_key)), of_key, np.arange(len(of_key) + 1)), (len(of_key), len(keys))).T
+        taken = np.moveaxis(weighted, 1, 2) @ self.design
+        taken = (summed @ taken.reshape(len(taken), -1)).reshape(len(keys), num, -1)
+        first = np.zeros(len(keys), dtype=np.int64)
+        first[of_key] = np.arange(len(of_key))
+        rows = np.broadcast_to((num * square[first])[:, None, None] + np.arange(num)[:, None], taken.shape)
+        columns = np.broadcast_to(self.columns[first][:, None], taken.shape)
+        by_square = csr_array((taken.ravel(), (rows.ravel(), columns.ravel())), (num * len(sums), len(covariance)))
+        left = total.copy()
+        # All rows of a square have entries in the same columns.
+        for start, after, end in by_square.indptr[np.arange(0, num * len(sums), num)[:, None] + (0, 1, num)]:
+            at, g = by_square.indices[start:after], by_square.data[start:end].reshape(num, -1)
+            left -= np.sum((g @ covariance[at[:, None], at]) * g, axis=1)
         return np.sum(sums**2, axis=0) / np.maximum(left, 1e-12 * total + 1e-300)

@@ -100,21 +100,21 @@ def focal_drift(prior: PriorKnowledge, done: RobustSolution) -> FocalDrift | Non
     layout, solution = stated.layout, done.solution
     state = replace(solution.state, focals=np.zeros(len(layout.lens_of)))
 
-    def normals(by_prior: PriorKnowledge) -> tuple[NormalMatrix, np.ndarray, float]:
-        """N, b, and ``v' W v - ln |W|``."""
+    own = np.r_[: layout.first_focal, layout.first_pose : len(layout)]
+
+    def reduced(by_prior: PriorKnowledge) -> tuple[_ReducedNormals, float]:
+        """Normal equations of the focal lengths, and ``v' W v - ln |W|`` with the evidence of all others."""
         problem = done.used.problem(by_prior, state)
         system = system_with(problem, state, solution.weights)
         weights = by_prior.std[np.isfinite(by_prior.std)] ** -2.0
-        return system.normal, system.right_side, problem.priors.squares(layout, state) - float(np.log(weights).sum())
+        base = problem.priors.squares(layout, state) - float(np.log(weights).sum())
+        found = _ReducedNormals.of(system.normal, system.right_side, own)
+        return found, base + found.evidence_term
 
-    own = np.r_[: layout.first_focal, layout.first_pose : len(layout)]
     # One focal length for each lens, positions as good as the block has them.
     as_found = np.insert(done.prior.std, layout.first_focal, np.full(len(layout.lens_of), np.inf))
-    rival = replace(stated, std=as_found)
-    normal, right, base = normals(rival)
-    null_cost = base + _ReducedNormals.of(normal, right, own).evidence_term
-    normal, right, base = normals(stated)
-    eliminated = _ReducedNormals.of(normal, right, own)
+    eliminated, base = reduced(stated)
+    null_cost = base if np.array_equal(as_found, stated.std) else reduced(replace(stated, std=as_found))[1]
     # In the eigenbasis of the focal lengths the log-likelihood of each standard deviation is a sum.
     eigenvalues, eigenvectors = np.linalg.eigh(eliminated.normal)
     eigenvalues, squares = np.maximum(eigenvalues, 0.0), np.square(eigenvectors.T @ eliminated.right)
@@ -123,7 +123,7 @@ def focal_drift(prior: PriorKnowledge, done: RobustSolution) -> FocalDrift | Non
         for std in _STDS
     ]
     best = int(np.argmin(logs))
-    gain = null_cost - (base + eliminated.evidence_term + float(logs[best]))
+    gain = null_cost - (base + float(logs[best]))
     return FocalDrift(float(_STDS[best]), gain) if gain > _SIGNIFICANT else None
 
 

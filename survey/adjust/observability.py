@@ -21,9 +21,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from survey.adjust.block.bundle import NotConvergedError
+from survey.adjust.block.bundle import NotConvergedError, Solution, levenberg_marquardt
 from survey.adjust.block.observed import Observed
 from survey.adjust.block.priors import FREE_WATER, HELD_SHARE, PriorKnowledge
+from survey.adjust.block.problem import huber_weights
 from survey.adjust.block.propagation import propagated, propagated_variance
 from survey.adjust.block.roll import Roll, spans_area
 from survey.adjust.block.state import (
@@ -205,18 +206,18 @@ def adjusted_with(done: RobustSolution, held: np.ndarray, stated_std: np.ndarray
     stated_std : (P,)
         Of the given values.
     """
-    prior, covariance = done.prior, done.solution.covariance
-    kept = replace(
-        prior,
-        state=done.solution.state.moved(prior.layout, *_step(done, held)),
-        std=np.where(held, HELD_SHARE * prior.std, prior.std),
-    )
-    adjusted = adjust(kept, done.used.at(kept.state.points))
+    prior, problem, covariance = done.prior, done.problem, done.solution.covariance
+    std_px, factor = problem.given_std_px, done.variance_factor
+    std = np.where(held, HELD_SHARE * prior.std, prior.std)
+    kept = replace(problem, priors=replace(problem.priors, std=std))
+    start = done.solution.state.moved(prior.layout, *_step(done, held))
+    state, system = levenberg_marquardt(kept, start, std_px, factor)
     follow = covariance[:, held] @ np.linalg.inv(covariance[np.ix_(held, held)])
     more = np.diag(stated_std[held] ** 2) - covariance[np.ix_(held, held)]
-    solution = replace(adjusted.solution, covariance=covariance + propagated(follow, more))
-    blunders = done.blunders | adjusted.blunders
-    return replace(adjusted, prior=replace(adjusted.prior, std=prior.std), solution=solution, blunders=blunders)
+    residuals = problem.residuals(state)
+    weights = huber_weights(problem, residuals, std_px) / factor
+    found = Solution(state, covariance + propagated(follow, more), residuals, weights, done.solution.std_px, system)
+    return replace(done, solution=found)
 
 
 def _step(done: RobustSolution, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

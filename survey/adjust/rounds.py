@@ -57,7 +57,7 @@ def covariance_over_shore(problem: Problem, solution: Solution) -> np.ndarray:
         if std <= (1.0 + _STEADY) * before:
             break
         widest = system
-    return solution.covariance if widest is solution.system else widest.normal.inverse()
+    return solution.covariance if widest is solution.system else widest.normal.inverse
 
 
 def std_over_points(system: System, covariance: np.ndarray | None = None) -> float:
@@ -78,7 +78,9 @@ class RobustSolution:
     prior: PriorKnowledge  # With the standard deviations of poses that the block showed
     used: Observed  # What was not left out
     solution: Solution
-    variance_factor: np.ndarray  # (kinds,): for what neighbouring observations and neighbouring ground share
+    # Of the solution, with the standard deviations of its kinds, which are those of `used` divided by depth
+    problem: Problem
+    variance_factor: np.ndarray  # (N,): for what neighbouring observations and neighbouring ground share
     blunders: np.ndarray  # (V, 2) bool: positions and rotations that the block contradicts and that were left out
     alignment: GroundAlignment | None = None  # On the ground of an earlier survey
 
@@ -139,8 +141,9 @@ def adjust(prior: PriorKnowledge, seen: Observed) -> RobustSolution:
     if prior.common_up_std > 0.0:
         solution = replace(solution, covariance=covariance_over_shore(problem, solution))
     placed = None if on_ground is None else ground_alignment(on_ground, problem, solution)
-    solution = replace(solution, std_px=np.sqrt(_mean_by_kind(found[kind] ** 2, seen.kind)))
-    return RobustSolution(prior, seen, solution, _mean_by_kind(factors[kind], seen.kind), blunders, placed)
+    solution = replace(solution, std_px=np.sqrt(mean_by_kind(found[kind] ** 2, seen.kind)))
+    problem = replace(problem, given_std_px=found)
+    return RobustSolution(prior, seen, solution, problem, factors[kind], blunders, placed)
 
 
 def _solve_once(
@@ -200,7 +203,7 @@ def _by_depth(seen: Observed, state: State) -> np.ndarray:
     return kind
 
 
-def _mean_by_kind(values: np.ndarray, kind: np.ndarray) -> np.ndarray:
+def mean_by_kind(values: np.ndarray, kind: np.ndarray) -> np.ndarray:
     """Mean of values (N,) of each kind; NaN of those that do not occur."""
     count = np.bincount(kind, minlength=len(KINDS))
     return np.where(count > 0, np.bincount(kind, values, len(KINDS)) / np.maximum(count, 1), np.nan)

@@ -18,10 +18,8 @@ from dataclasses import replace
 import numpy as np
 
 from refract import FlatWater
-from survey.adjust.block.bundle import NotConvergedError, cost, solve
-from survey.adjust.block.observed import Observed
-from survey.adjust.block.priors import PriorKnowledge
-from survey.adjust.block.state import State
+from survey.adjust.block.bundle import NotConvergedError, cost, levenberg_marquardt, with_points
+from survey.adjust.block.priors import priors_for
 from survey.adjust.observability import FEWEST_WET
 from survey.adjust.rounds import RobustSolution, std_over_points
 from survey.folder.local_frame import over_points
@@ -40,40 +38,41 @@ _SURE = 3.0
 
 def unnamed_water_warning(done: RobustSolution) -> str | None:
     """Warning of water that a block adjusted without any shows; None where it shows none, or is not decisive."""
-    prior, seen, dry = done.prior, done.used, done.solution.state
-    if dry.water is not None or len(seen.ties) < FEWEST_WET:
+    dry = done.solution.state
+    if dry.water is not None or len(done.used.ties) < FEWEST_WET:
         return None
-    shared = done.variance_factor[seen.kind]
     for level in (over_points(dry.points, dry.centres), float(np.median(dry.points[:, 2]))):
         with suppress(NotConvergedError):
-            found = _water_at(prior, seen, dry, level, shared)
+            found = _water_at(done, level)
             if found is not None:
                 return found
     return None
 
 
-def _water_at(prior: PriorKnowledge, seen: Observed, dry: State, level: float, shared: np.ndarray) -> str | None:
+def _water_at(done: RobustSolution, level: float) -> str | None:
     """Warning of water found from a level; None where bent rays gain too little, or too little of it is sure."""
+    prior, seen, dry = done.prior, done.used, done.solution.state
+    std_px, shared = done.problem.given_std_px, done.variance_factor
     x, y = dry.centres[:, :2].mean(axis=0).tolist()
     water, std = FlatWater((x, y, level), n_water=_INDEX), prior.std.copy()
     std[:4] = [_LEVEL_STD_M, _SLOPE_STD, _SLOPE_STD, _INDEX_STD]
     under = replace(prior, std=std, mean=replace(prior.mean, water=water))
-    start = replace(dry, water=water)
-    problem = seen.problem(under, start)
-    wet = solve(problem, start, variance_factor=shared)
-    depth = wet.state.require_water().depth(wet.state.points)
+    problem = replace(done.problem, priors=priors_for(under, seen.ties, seen.point_std))
+    below = cost(done.problem, dry, std_px, shared) - _LEAST_GAIN
+    start, _ = with_points(problem, replace(dry, water=water), dry.points, std_px, shared)
+    wet, system = levenberg_marquardt(problem, start, std_px, shared, below=below)
+    depth = wet.require_water().depth(wet.points)
     is_wet = depth > 0.0
-    if is_wet.sum() < FEWEST_WET:
+    if is_wet.sum() < FEWEST_WET or cost(problem, wet, std_px, shared) > below:
         return None
-    # Both in the same units: the scatter about the better of the two.
-    straight = replace(seen.problem(prior, dry), given_std_px=wet.std_px)
-    straight_solution = solve(straight, dry, variance_factor=shared)
-    gain = cost(straight, straight_solution.state, wet.std_px, shared) - cost(problem, wet.state, wet.std_px, shared)
     is_wet_tie = is_wet[seen.ties.point]
-    before, after = (float(np.sqrt(np.mean(each.residuals[is_wet_tie] ** 2))) for each in (straight_solution, wet))
-    of_depth = std_over_points(wet.system, wet.covariance)
+    before, after = (
+        float(np.sqrt(np.mean(each[is_wet_tie] ** 2))) for each in (done.solution.residuals, problem.residuals(wet))
+    )
+    # The scatter about the block under water.
+    of_depth = std_over_points(system) * after / before
     mean = float(depth[is_wet].mean())
-    if not gain > _LEAST_GAIN or mean < _SURE * of_depth or after > (1.0 - _LEAST_FALL) * before:
+    if mean < _SURE * of_depth or after > (1.0 - _LEAST_FALL) * before:
         return None
     return (
         f"the photographs show water: {int(is_wet.sum()):,} of {len(depth):,} tie points fit better on bent rays "

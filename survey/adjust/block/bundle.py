@@ -32,7 +32,12 @@ _AS_LINEAR = 1.5
 # Where a step gains less than this share of what the linear model predicts, points are adjusted, in so many steps.
 _AS_PREDICTED, _POINT_STEPS = 0.5, 4
 # Weights are renewed from the residuals until the standard deviations of all kinds change by less than this share.
-_STEADY, _MOST_ROUNDS = 0.02, 6
+_STEADY, _MOST_ROUNDS = 0.01, 6
+# A step that lowers the cost to more than the first share of it has them renewed, and until they then change by less
+# than the second one no minimum is looked for.
+_LOWERED, _NEARLY_STEADY = 0.5, 0.02
+# The cost may fall by so many times what the linear model predicts.
+_IN_SIGHT = 3.0
 # Advice in errors.
 _ADVICE = "poses and photographs do not belong together, or the photographs hardly overlap"
 _DAMPING_START, _DAMPING_LEAST, _DAMPING_MOST = 1e-6, 1e-12, 1e6
@@ -73,43 +78,73 @@ def solve(problem: Problem, start: State, *, variance_factor: np.ndarray | None 
 
 def _solved(problem: Problem, start: State, variance_factor: np.ndarray | None) -> Solution:
     variance_factor = np.ones(len(problem.kind)) if variance_factor is None else variance_factor
-    std_px = std_of_kinds(problem, problem.residuals(start), 0.0)
-    state, system = levenberg_marquardt(problem, start, std_px, variance_factor)
+    state, std_px = _near_minimum(problem, start, variance_factor)
     for _ in range(_MOST_ROUNDS):
-        # Each parameter takes one coordinate, less the share that its prior determines.
-        taken = float(np.sum(1.0 - system.normal.factor().inverse_diagonal() / problem.priors.std**2))
-        before, std_px = std_px, std_of_kinds(problem, problem.residuals(state), taken)
+        state, system = levenberg_marquardt(problem, state, std_px, variance_factor)
+        residuals = problem.residuals(state)
+        before, std_px = std_px, std_of_kinds(problem, residuals, _taken(problem, system))
         if (np.abs(std_px / before - 1.0) < _STEADY).all():
             break
-        state, system = levenberg_marquardt(problem, state, std_px, variance_factor)
-    residuals = problem.residuals(state)
     weights = huber_weights(problem, residuals, std_px) / variance_factor
-    return Solution(state, system.normal.inverse(), residuals, weights, std_px, system)
+    return Solution(state, system.normal.inverse, residuals, weights, std_px, system)
 
 
-def levenberg_marquardt(problem: Problem, state: State, std_px, variance_factor) -> tuple[State, System]:
-    """The state of least cost for given standard deviations, and its normal equations."""
-    at, gain = _Iterate(state, cost(problem, state, std_px, variance_factor), _DAMPING_START), math.inf
-    reduces_curvature = False
+def _near_minimum(problem: Problem, start: State, variance_factor: np.ndarray) -> tuple[State, np.ndarray]:
+    """A state near the minimum, and standard deviations (kinds,) [px] of the observations there.
+
+    These fall with the residuals, which at a start are far larger: as soon as a step no longer halves the cost, a
+    minimum for them is not worth while.
+    """
+    std_px = std_of_kinds(problem, problem.residuals(start), 0.0)
+    at = _Iterate(start, cost(problem, start, std_px, variance_factor), _DAMPING_START)
+    for _ in range(_MOST_STEPS):
+        system = huber_system(problem, at.state, std_px, variance_factor)
+        found = _try_step(problem, at, system, std_px, variance_factor)
+        if found is None:
+            break
+        before, at = at.cost, replace(found[0], damping=max(found[0].damping * 0.1, _DAMPING_START))
+        if at.cost < _LOWERED * before:
+            continue
+        renewed = std_of_kinds(problem, problem.residuals(at.state), 0.0)
+        is_steady = bool((np.abs(renewed / std_px - 1.0) < _NEARLY_STEADY).all())
+        std_px, at = renewed, replace(at, cost=cost(problem, at.state, renewed, variance_factor))
+        if is_steady:
+            break
+    return at.state, std_of_kinds(problem, problem.residuals(at.state), _taken(problem, system))
+
+
+def _taken(problem: Problem, system: System) -> float:
+    """How many coordinates the parameters take: each takes one, less the share that its prior determines."""
+    return float(np.sum(1.0 - system.normal.inverse_diagonal() / problem.priors.std**2))
+
+
+def levenberg_marquardt(
+    problem: Problem, state: State, std_px, variance_factor, *, below: float = math.inf
+) -> tuple[State, System]:
+    """The state of least cost for given standard deviations, and normal equations no further than a last step from it.
+
+    Raises NotConvergedError, also as soon as no minimum ``below`` a cost is in sight.
+    """
+    at, reduces_curvature = _Iterate(state, cost(problem, state, std_px, variance_factor), _DAMPING_START), False
     for _ in range(_MOST_STEPS):
         system = huber_system(problem, at.state, std_px, variance_factor, reduces_curvature=reduces_curvature)
+        if below < math.inf and at.cost - _IN_SIGHT * system.decrement() > below:
+            raise NotConvergedError(f"the adjustment does not come below a sum of squares of {below:.6g}")
         found = _try_step(problem, at, system, std_px, variance_factor)
         if found is None:
             system = huber_system(problem, at.state, std_px, variance_factor)
             _require_minimum(problem, at.cost, system.decrement())
             return at.state, system
         moved, predicted = found
-        gain = at.cost - moved.cost if moved.cost < at.cost else 0.0
-        reduces_curvature = _next_curvature(gain, predicted, reduces_curvature)
+        gain, before = max(at.cost - moved.cost, 0.0), at
         at = replace(moved if gain > 0.0 else at, damping=max(moved.damping * 0.1, _DAMPING_LEAST))
-        if gain < _DONE:
-            system = huber_system(problem, at.state, std_px, variance_factor, reduces_curvature=reduces_curvature)
-            # A damped step that gains little may still be far from the minimum, along a direction of small curvature.
-            if gain == 0.0 or system.decrement() < _DONE:
-                break
-    if gain >= _DONE:
-        raise NotConvergedError(f"the adjustment did not converge in {_MOST_STEPS} steps: {_ADVICE}")
-    return at.state, huber_system(problem, at.state, std_px, variance_factor) if reduces_curvature else system
+        # A damped step that gains little may still be far from the minimum, along a direction of small curvature.
+        if gain < _DONE and (gain == 0.0 or system.decrement() < _DONE):
+            if reduces_curvature:
+                system = huber_system(problem, before.state, std_px, variance_factor)
+            return at.state, system
+        reduces_curvature = _next_curvature(gain, predicted, reduces_curvature)
+    raise NotConvergedError(f"the adjustment did not converge in {_MOST_STEPS} steps: {_ADVICE}")
 
 
 @dataclass(frozen=True)
@@ -135,7 +170,7 @@ def _try_step(
         moved = at.state.moved(problem.layout, step, system.point_steps(step))
         costs, predicted = cost(problem, moved, std_px, variance_factor), system.predicted_decrease(step)
         if predicted >= _DONE and not costs < at.cost - _AS_PREDICTED * predicted:
-            moved, costs = _with_points(problem, moved, at.state.points, std_px, variance_factor)
+            moved, costs = with_points(problem, moved, at.state.points, std_px, variance_factor)
         if costs < at.cost + _SLACK * at.cost or predicted < _DONE:
             return _Iterate(moved, costs, damping), predicted
         damping *= 10.0
@@ -172,7 +207,7 @@ def _require_minimum(problem: Problem, value: float, decrement: float) -> None:
         )
 
 
-def _with_points(
+def with_points(
     problem: Problem, state: State, before: np.ndarray, std_px: np.ndarray, variance_factor: np.ndarray
 ) -> tuple[State, float]:
     """The state with its points adjusted under its parameters, and what it costs.

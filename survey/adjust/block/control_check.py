@@ -26,7 +26,7 @@ from scipy.special import chdtrc
 
 from survey.adjust.block.bundle import Solution
 from survey.adjust.block.observed import MARK, Observed, original_rows
-from survey.adjust.block.prediction import linearise
+from survey.adjust.block.prediction import design_matrix, linearise
 from survey.adjust.block.priors import PriorKnowledge
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.propagation import propagated, propagated_variance
@@ -133,7 +133,8 @@ def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int, gi
         None if problem.rows is None else problem.rows[marks],
     )
     residuals = seen.ties.pixel[marks] - linear.pixels
-    by_parameters = linear.by_parameters.toarray().reshape(len(marks), 2, -1)
+    by_parameters = design_matrix(problem.layout, seen.ties.view[marks], linear.by_parameters).toarray()
+    by_parameters = by_parameters.reshape(len(marks), 2, -1)
     std_px = float(solution.std_px[problem.kind[marks[0]]])
 
     def normalised(chosen: np.ndarray) -> float:
@@ -158,7 +159,7 @@ def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int, gi
 def _normalised_residual(solution: Solution, point: int, moved: np.ndarray, stated: np.ndarray) -> float:
     """Normalised residual from the adjusted position of the point."""
     system = solution.system
-    root, mixed = system.point_root[point], system.coupling[3 * point : 3 * point + 3].toarray()
+    root, mixed = system.point_root[point], system.coupling.of_point(point)
     covariance = root.T @ (np.eye(3) + propagated(mixed, solution.covariance)) @ root
     redundancy = 1.0 - np.diag(covariance) / stated**2
     is_redundant = redundancy > _LEAST_REDUNDANCY
@@ -251,7 +252,7 @@ def contradicted_points(
         if not np.isfinite(residual).all():
             continue
         by_point = linear.by_point.reshape(-1, 3)
-        by_parameters = linear.by_parameters.toarray()
+        by_parameters = design_matrix(layout, ties.view, linear.by_parameters).toarray()
         variance = (by_point * np.asarray(point.std) ** 2) @ by_point.T
         variance += propagated(by_parameters, covariance) + control.marks_std_px**2 * np.eye(len(residual))
         square = float(residual @ np.linalg.solve(variance, residual))

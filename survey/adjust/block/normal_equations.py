@@ -15,12 +15,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import block_array, bsr_array, csr_array, diags_array, lil_array
+from scipy.sparse import block_array, bsr_array, coo_array, csr_array, diags_array
 
 from survey.adjust.block.normal_matrix import NormalMatrix
 from survey.adjust.block.prediction import linearise, linearise_by_points
 from survey.adjust.block.problem import HUBER, Problem, huber_weights
-from survey.adjust.block.state import NUM_POSE, NUM_SHIFT, State
+from survey.adjust.block.state import NUM_POSE, NUM_SHIFT, Layout, State
 from survey.photos.poses import TiePoints
 
 # Weights give an outlier the curvature of a square, which Huber's loss has not along its residual: where steps gain
@@ -29,13 +29,38 @@ from survey.photos.poses import TiePoints
 _CURVATURE = 0.1
 # Points whose height has more than so many times the median standard deviation are of uncertain height.
 _WEAK = 3.0
-# An operation of a sparse product takes as long as so many of a dense one (50 to 80 for 69 to 435 parameters).
-_SPARSE_COST = 50.0
 # Parameters besides poses up to which their columns are taken as dense.
 _FEW = 100
 # Keeps the elimination finite for a point that its rays hardly determine. It holds points where they are, and with them
 # the scale of a block: 1e-9 constrains it as strongly as positions of 0.2 m.
 _DAMPING = 1e-13
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """Mixed matrix C (3 M, P) of points and parameters, with the roots of the points' own matrices before it.
+
+    With these, the elimination is one product.
+    """
+
+    shared: np.ndarray | csr_array  # (3 M, Q): of all parameters but poses; dense where they are few
+    poses: bsr_array  # (3 M, 6 V): each pose is coupled with a point as a whole
+
+    def times(self, step: np.ndarray) -> np.ndarray:
+        """``C step`` (3 M,) of a step (P,)."""
+        num = self.shared.shape[1]
+        return self.shared @ step[:num] + self.poses @ step[num:]
+
+    def transposed_times(self, values: np.ndarray) -> np.ndarray:
+        """``C' values`` (P, ...) of values (3 M, ...)."""
+        return np.concatenate([self.shared.T @ values, self.poses.T @ values])
+
+    def of_point(self, number: int) -> np.ndarray:
+        """The rows (3, P) of a point."""
+        rows = slice(3 * number, 3 * number + 3)
+        unit = np.zeros((self.poses.shape[0], 3))
+        unit[rows] = np.eye(3)
+        return self.transposed_times(unit).T
 
 
 @dataclass(frozen=True)
@@ -47,7 +72,7 @@ class System:
     right_side: np.ndarray
     point_root: np.ndarray  # (M, 3, 3): inverse Cholesky factors L^-1 of the points' normal matrices
     point_right_side: np.ndarray  # (M, 3): L^-1 times the right sides of the points
-    coupling: csr_array  # (3 M, P): L^-1 times the normal matrix of points and parameters
+    coupling: Coupling  # L^-1 times the normal matrix of points and parameters
 
     def predicted_decrease(self, step: np.ndarray) -> float:
         """Predicted decrease of the sum of squares by a step of parameters and points (linear model)."""
@@ -63,11 +88,11 @@ class System:
         std = np.linalg.norm(up, axis=1)
         # One point whose rays are nearly parallel would outweigh all others.
         used = std <= _WEAK * np.median(std)
-        return -(self.coupling.T @ (up * used[:, None]).reshape(-1)) / used.sum()
+        return -self.coupling.transposed_times((up * used[:, None]).reshape(-1)) / used.sum()
 
     def point_steps(self, step: np.ndarray) -> np.ndarray:
         """Steps (M, 3) [m] of the points that go with a step of the parameters (P,)."""
-        left = self.point_right_side - (self.coupling @ step).reshape(-1, 3)
+        left = self.point_right_side - self.coupling.times(step).reshape(-1, 3)
         return np.einsum("mij,mi->mj", self.point_root, left)
 
 
@@ -120,21 +145,26 @@ def _weighted_system(
     point_right_side = np.einsum("mij,mj->mi", point_root, right)
     precision = np.where(np.isfinite(priors.std), priors.std, np.inf) ** -2.0
     if linear.design is None:
-        fixed = csr_array((point_right_side.size, len(precision)))
+        fixed = Coupling(csr_array((point_right_side.size, len(precision))), bsr_array((point_right_side.size, 0)))
         return System(
-            NormalMatrix.of(diags_array(precision)), np.zeros(len(precision)), point_root, point_right_side, fixed
+            NormalMatrix.of(csr_array(diags_array(precision))),
+            np.zeros(len(precision)),
+            point_root,
+            point_right_side,
+            fixed,
         )
-    coupling = _coupling(problem, linear.weighted, linear.design, point_root, planes)
-    own_normal = _of_parameters(linear.design, linear.weights, problem.ties.view)
-    normal = own_normal - eliminated(coupling, problem.layout.first_pose) + diags_array(precision)
+    coupling = _coupling(problem, linear, point_root, planes)
+    by_view, gradients = _of_parameters(problem, linear)
     deviation = priors.deviation(problem.layout, state)
-    gradient = linear.design.T @ (linear.weights[:, None] * linear.residuals).ravel()
-    gradient = gradient - coupling.T @ point_right_side.ravel() - precision * deviation
+    gradient = np.bincount(problem.layout.columns.ravel(), gradients.ravel(), len(precision))
+    gradient -= coupling.transposed_times(point_right_side.ravel()) + precision * deviation
+    of_shift = np.zeros((problem.layout.first_pose,) * 2)
     if planes is not None:
         shift, (on_plane, to_plane) = problem.layout.shift, planes
-        normal = normal + _in_block(on_plane.sum(axis=0), shift, len(precision))
+        of_shift[shift, shift] = on_plane.sum(axis=0)
         gradient[shift] -= to_plane.sum(axis=0)
-    found = NormalMatrix.of(normal, problem.order)
+    normal = _reduced(problem.layout, by_view, of_shift, coupling, is_dense=problem.order is None)
+    found = NormalMatrix.of(normal, problem.order).with_precision(precision)
     if priors.rows is not None and priors.signs is not None:
         found = found.with_rows(priors.rows, priors.signs)
         gradient -= priors.rows.T @ (priors.signs * (priors.rows @ deviation))
@@ -143,13 +173,11 @@ def _weighted_system(
 
 @dataclass(frozen=True)
 class LinearisedObservations:
-    """Observations linearised at a state, with their weights; those of weight 0 have no derivatives."""
+    """Observations linearised at a state, times the roots of their weights; those of weight 0 are zero."""
 
-    residuals: np.ndarray  # (N, 2) [px]
-    weights: np.ndarray  # (N,) [1/px^2]
-    by_point: np.ndarray  # (N, 2, 3): X
-    weighted: np.ndarray  # (N, 2, 3): w X
-    design: csr_array | None  # (2 N, P): B; None where the parameters are held
+    residuals: np.ndarray  # (N, 2)
+    by_point: np.ndarray  # (2, 3, N): X
+    design: np.ndarray | None  # (N, 2, K): B, see `Prediction.by_parameters`; None where the parameters are held
 
 
 def _linearised(
@@ -168,22 +196,24 @@ def _linearised(
         pixels, by_point, design = linear.pixels, linear.by_point, linear.by_parameters
     residuals = problem.ties.pixel - pixels
     weights = weights_of(residuals)
-    usable = weights > 0.0
-    residuals = np.where(usable[:, None], residuals, 0.0)
-    by_point = np.where(usable[:, None, None], by_point, 0.0)
-    if design is not None and not usable.all():
-        design = _only_rows(design, usable)
-    if outliers is not None:
-        is_outlier = usable & outliers(residuals)
-        along = residuals / np.maximum(np.linalg.norm(residuals, axis=1, keepdims=True), 1e-300)
-        reduced = np.eye(2) - (1.0 - _CURVATURE) * is_outlier[:, None, None] * along[:, :, None] * along[:, None, :]
-        # The gradient stays as it is.
-        residuals = np.where(is_outlier[:, None], residuals / _CURVATURE, residuals)
-        by_point = reduced @ by_point
+    unusable = np.flatnonzero(weights == 0.0)
+    if len(unusable):
+        residuals[unusable], by_point[unusable] = 0.0, 0.0
         if design is not None:
-            values = reduced @ design.data.reshape(len(residuals), 2, -1)
-            design = csr_array((values.ravel(), design.indices, design.indptr), shape=design.shape)
-    return LinearisedObservations(residuals, weights, by_point, by_point * weights[:, None, None], design)
+            design[unusable] = 0.0
+    if outliers is not None:
+        found = np.flatnonzero(outliers(residuals))
+        along = residuals[found] / np.maximum(np.linalg.norm(residuals[found], axis=1, keepdims=True), 1e-300)
+        reduced = np.eye(2) - (1.0 - _CURVATURE) * along[:, :, None] * along[:, None, :]
+        # The gradient stays as it is.
+        residuals[found] /= _CURVATURE
+        by_point[found] = reduced @ by_point[found]
+        if design is not None:
+            design[found] = reduced @ design[found]
+    roots = np.sqrt(weights)
+    if design is not None:
+        design *= roots[:, None, None]
+    return LinearisedObservations(residuals * roots[:, None], np.moveaxis(by_point, 0, -1) * roots, design)
 
 
 def _of_points(
@@ -191,71 +221,64 @@ def _of_points(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Normal matrices (M, 3, 3) and right sides (M, 3) of the points alone; ``planes`` as of `Planes.of_points`."""
     precision = problem.priors.point_std**-2.0
-    own = _sum(problem.ties, np.einsum("nai,naj->nij", linear.weighted, linear.by_point))
+    own = _sum(problem.ties, np.einsum("ain,ajn->ijn", linear.by_point, linear.by_point))
     own[:, range(3), range(3)] += precision
-    right = _sum(problem.ties, np.einsum("nai,na->ni", linear.weighted, linear.residuals))
+    right = _sum(problem.ties, np.einsum("ain,na->in", linear.by_point, linear.residuals))
     right = right - precision * np.nan_to_num(state.points - problem.priors.state.points)
     return (own, right) if planes is None else (own + planes[0], right + planes[1])
 
 
-def _of_parameters(design: csr_array, weights: np.ndarray, view: np.ndarray) -> csr_array:
-    """Normal matrix ``U = B' w B`` (P, P); all observations of a photograph (N,) depend on the same parameters."""
-    order = np.argsort(view, kind="stable")
-    _, starts = np.unique(view[order], return_index=True)
-    roots = design.data.reshape(len(view), 2, -1)[order] * np.sqrt(weights[order])[:, None, None]
-    parts = (part.reshape(-1, part.shape[-1]) for part in np.split(roots, starts[1:]))
-    blocks = np.stack([part.T @ part for part in parts])
-    columns = design.indices.reshape(len(view), 2, -1)[order[starts], 0]
-    rows = np.repeat(columns, columns.shape[1], axis=1).ravel()
-    return csr_array((blocks.ravel(), (rows, np.tile(columns, columns.shape[1]).ravel())), shape=(design.shape[1],) * 2)
+def _of_parameters(problem: Problem, linear: LinearisedObservations) -> tuple[np.ndarray, np.ndarray]:
+    """Normal matrices ``B' B`` (V, K, K) and gradients (V, K) of the parameters of each photograph."""
+    size = problem.layout.columns.shape
+    assert linear.design is not None
+    normal, gradient = np.empty((*size, size[1])), np.empty(size)
+    for number, rows in enumerate(problem.rows_of_views):
+        part = linear.design[rows].reshape(-1, size[1])
+        normal[number], gradient[number] = part.T @ part, linear.residuals[rows].ravel() @ part
+    return normal, gradient
 
 
-def eliminated(coupling: csr_array, first_pose: int) -> csr_array:
-    """``C' C`` (P, P) of a coupling (3 M, P) whose columns from ``first_pose`` on are those of poses.
-
-    By dense products where these are faster, and of poses by blocks: each of them is coupled with a point as a whole.
-    """
-    num_rows, num_columns = coupling.shape
-    operations = np.sum(np.diff(coupling.indptr).astype(np.float64) ** 2)
-    if num_rows * float(num_columns) ** 2 <= _SPARSE_COST * operations:
-        dense = coupling.toarray()
-        return csr_array(dense.T @ dense)
-    others, of_poses = coupling[:, :first_pose], coupling[:, first_pose:]
-    if first_pose <= _FEW:
-        others = others.toarray()
-    mixed = csr_array(of_poses.T @ others)
-    blocks = bsr_array(of_poses, blocksize=(3, NUM_POSE))
-    return csr_array(block_array([[csr_array(others.T @ others), mixed.T], [mixed, blocks.T @ blocks]]))
+def _reduced(
+    layout: Layout, by_view: np.ndarray, shared: np.ndarray, coupling: Coupling, *, is_dense: bool
+) -> np.ndarray | csr_array:
+    """``U - C' C`` (P, P), U that of the parameters of each photograph (V, K, K) and of all but poses (Q, Q)."""
+    num, num_shared = len(layout.lens_of), layout.first_pose
+    columns, views = layout.columns[:, :-NUM_POSE], np.arange(num)
+    mixed = np.zeros((num, NUM_POSE, num_shared))
+    np.add.at(shared, (columns[:, :, None], columns[:, None, :]), by_view[:, :-NUM_POSE, :-NUM_POSE])
+    mixed[views[:, None], :, columns] = by_view[:, :-NUM_POSE, -NUM_POSE:]
+    poses = (
+        bsr_array((by_view[:, -NUM_POSE:, -NUM_POSE:], views, np.arange(num + 1))) - coupling.poses.T @ coupling.poses
+    )
+    shared = shared - coupling.shared.T @ coupling.shared
+    mixed = mixed.reshape(-1, num_shared) - coupling.poses.T @ coupling.shared
+    if is_dense:
+        return np.block([[shared, mixed.T], [mixed, poses.toarray()]])
+    return csr_array(block_array([[coo_array(shared), coo_array(mixed.T)], [coo_array(mixed), poses]]))
 
 
 def _coupling(
     problem: Problem,
-    weighted: np.ndarray,
-    design: csr_array,
+    linear: LinearisedObservations,
     point_root: np.ndarray,
     planes: tuple[np.ndarray, np.ndarray] | None,
-) -> csr_array:
-    """Mixed matrix (3 M, P) of points and parameters, with the root of the points' own matrices as left factor.
-
-    With that factor, the elimination is one product.
-    """
-    ties = problem.ties
-    rooted = np.einsum("nij,naj->nia", point_root[ties.point], weighted)
+) -> Coupling:
+    """The coupling of points and parameters; ``planes`` as of `Planes.of_points`."""
+    ties, layout, num = problem.ties, problem.layout, 3 * len(problem.ties)
+    assert linear.design is not None
+    roots = np.take(np.moveaxis(point_root, 0, -1), ties.point, axis=-1)
+    values = np.einsum("ijn,ajn->nia", roots, linear.by_point, order="C") @ linear.design
     starts = np.searchsorted(ties.point, np.arange(len(ties) + 1))
-    left = bsr_array((rooted, np.arange(len(ties.view)), starts), shape=(3 * len(ties), 2 * len(ties.view)))
-    coupling = csr_array(left.tocsr() @ design)
-    if planes is None:
-        return coupling
-    return coupling + _in_columns(
-        -(point_root @ planes[0]).reshape(-1, NUM_SHIFT), problem.layout.shift, coupling.shape
-    )
-
-
-def _only_rows(design: csr_array, keep: np.ndarray) -> csr_array:
-    """A sparse matrix (2 N, P) with rows of zeros for the observations that are not kept, (N,) bool."""
-    values = design.data.reshape(2 * len(keep), -1)
-    values = np.where(np.repeat(keep, 2)[:, None], np.nan_to_num(values), 0.0)
-    return csr_array((values.ravel(), design.indices, design.indptr), shape=design.shape)
+    poses = bsr_array((values[:, :, -NUM_POSE:], ties.view, starts), shape=(num, len(layout) - layout.first_pose))
+    alike = problem.alike
+    data = (alike.summed @ values.reshape(len(values), -1)).reshape(len(alike.point), 3, -1)[:, :, :-NUM_POSE]
+    rows = np.broadcast_to(3 * alike.point[:, None, None] + np.arange(3)[:, None], data.shape)
+    columns = np.broadcast_to(alike.columns[:, None], data.shape)
+    shared = coo_array((data.ravel(), (rows.ravel(), columns.ravel())), shape=(num, layout.first_pose))
+    if planes is not None:
+        shared = shared + _in_columns(-(point_root @ planes[0]).reshape(-1, NUM_SHIFT), layout.shift, shared.shape)
+    return Coupling(shared.toarray() if layout.first_pose <= _FEW else csr_array(shared), poses)
 
 
 def _in_columns(values: np.ndarray, columns: slice, shape: tuple[int, int]) -> csr_array:
@@ -265,17 +288,10 @@ def _in_columns(values: np.ndarray, columns: slice, shape: tuple[int, int]) -> c
     return csr_array((values.ravel(), where, count * np.arange(rows + 1)), shape=shape)
 
 
-def _in_block(values: np.ndarray, at: slice, size: int) -> csr_array:
-    """Values (K, K) on the diagonal of a sparse matrix of zeros, (size, size)."""
-    found = lil_array((size, size))
-    found[at, at] = values
-    return csr_array(found)
-
-
 def _sum(ties: TiePoints, values: np.ndarray) -> np.ndarray:
-    """Sums over the observations of each point, (M, ...)."""
+    """Sums (M, ...) of values (..., N) over the observations of each point."""
     first = np.searchsorted(ties.point, np.arange(len(ties)))
-    return np.add.reduceat(values, first, axis=0)
+    return np.moveaxis(np.add.reduceat(values, first, axis=-1), -1, 0)
 
 
 def _damped(normal: np.ndarray) -> np.ndarray:

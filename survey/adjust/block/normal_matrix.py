@@ -16,11 +16,12 @@ Parameters have different units: matrices are scaled to ones on their diagonal f
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
-from scipy.sparse import csr_array, diags_array, sparray
+from scipy.sparse import csr_array, diags_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 # Rows that are copied or scaled at a time, and columns of an inverse that are solved for at a time.
@@ -86,24 +87,28 @@ def _levels(point: np.ndarray, view: np.ndarray, num_views: int) -> list[np.ndar
 
 @dataclass(frozen=True)
 class NormalMatrix:
-    """Normal matrix (P, P): a sparse one, plus ``rows.T @ diag(signs) @ rows`` of few joint priors."""
+    """Normal matrix (P, P): a matrix, sparse in a large block, plus ``rows.T @ diag(signs) @ rows`` of joint priors."""
 
-    sparse: csr_array  # (P, P)
+    matrix: csr_array | np.ndarray  # (P, P)
     rows: np.ndarray  # (K, P)
     signs: np.ndarray  # (K,)
     order: EliminationOrder | None = None  # None: the matrix is taken as dense
 
     def __len__(self) -> int:
-        return self.sparse.shape[0]
+        return self.matrix.shape[0]
 
     @staticmethod
-    def of(matrix: sparray, order: EliminationOrder | None = None) -> NormalMatrix:
-        """A sparse matrix alone."""
-        return NormalMatrix(csr_array(matrix), np.zeros((0, matrix.shape[0])), np.zeros(0), order)
+    def of(matrix: csr_array | np.ndarray, order: EliminationOrder | None = None) -> NormalMatrix:
+        """A matrix alone."""
+        return NormalMatrix(matrix, np.zeros((0, matrix.shape[0])), np.zeros(0), order)
 
     def with_precision(self, precision: np.ndarray) -> NormalMatrix:
         """The matrix with precisions (P,), inverse variances, added to its diagonal."""
-        return replace(self, sparse=csr_array(self.sparse + diags_array(precision)))
+        if isinstance(self.matrix, np.ndarray):
+            matrix = self.matrix.copy()
+            matrix[np.diag_indices_from(matrix)] += precision
+            return replace(self, matrix=matrix)
+        return replace(self, matrix=csr_array(self.matrix + diags_array(precision)))
 
     def with_rows(self, rows: np.ndarray, signs: np.ndarray) -> NormalMatrix:
         """The matrix with further rows (K, P) and signs (K,)."""
@@ -117,36 +122,48 @@ class NormalMatrix:
         if self.order is not None:
             *blocks, shared = (number[each][number[each] >= 0] for each in (*self.order.blocks, self.order.shared))
             order = EliminationOrder(tuple(block for block in blocks if len(block)), shared)
-        return NormalMatrix(self.sparse[parameters][:, parameters], self.rows[:, parameters], self.signs, order)
+        return NormalMatrix(self.matrix[parameters][:, parameters], self.rows[:, parameters], self.signs, order)
 
     def between(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """The part (R, C) of the matrix in some rows (R,) and columns (C,)."""
         joint = (self.rows[:, rows] * self.signs[:, None]).T @ self.rows[:, columns]
-        return self.sparse[rows][:, columns].toarray() + joint
+        return _as_array(self.matrix[rows][:, columns]) + joint
 
     def dense(self) -> np.ndarray:
         """The matrix as an array (P, P)."""
         # LAPACK takes columns; a conversion of the whole would copy it.
-        matrix = np.empty(self.sparse.shape, order="F")
+        matrix = np.empty(self.matrix.shape, order="F")
         for first in range(0, len(self), _ROWS):
-            matrix[first : first + _ROWS] = self.sparse[first : first + _ROWS].toarray()
+            matrix[first : first + _ROWS] = _as_array(self.matrix[first : first + _ROWS])
         if len(self.rows):
             matrix += (self.rows * self.signs[:, None]).T @ self.rows
         return matrix
 
     def diagonal(self) -> np.ndarray:
         """Its diagonal (P,)."""
-        return self.sparse.diagonal() + self.signs @ self.rows**2
+        return self.matrix.diagonal() + self.signs @ self.rows**2
 
     def factor(self, damping: float = 0.0) -> DenseFactor | BlockFactor:
         """Its Cholesky factor, with the diagonal of the scaled matrix raised by a damping."""
+        return self._factored(damping) if damping else self._factor
+
+    @cached_property
+    def _factor(self) -> DenseFactor | BlockFactor:
+        return self._factored(0.0)
+
+    def _factored(self, damping: float) -> DenseFactor | BlockFactor:
         if self.order is None:
             return DenseFactor.of(self, damping)
         return BlockFactor.of(self, self.order, damping)
 
+    @cached_property
     def inverse(self) -> np.ndarray:
         """Its inverse (P, P)."""
         return self.factor().inverse()
+
+    def inverse_diagonal(self) -> np.ndarray:
+        """Diagonal (P,) of its inverse."""
+        return np.diag(self.inverse) if self.order is None else self.factor().inverse_diagonal()
 
 
 @dataclass(frozen=True)
@@ -206,7 +223,7 @@ class BlockFactor:
         scale = _scale_of(normal.diagonal())
         sequence = np.concatenate([*order.blocks, order.shared])
         by_scale = diags_array(scale[sequence])
-        matrix = csr_array(by_scale @ normal.sparse[sequence][:, sequence] @ by_scale)
+        matrix = csr_array(by_scale @ normal.matrix[sequence][:, sequence] @ by_scale)
         matrix = csr_array(matrix + damping * diags_array(np.ones(len(sequence))))
         ends = np.cumsum([0, *map(len, order.blocks)])
         edge = matrix[ends[-1] :].toarray()
@@ -316,6 +333,10 @@ class JointPriors:
 def _by_transposed(matrix: np.ndarray, diagonal_factor: np.ndarray) -> np.ndarray:
     """A matrix (m, n) times the inverse of the transpose of a lower triangular one (n, n)."""
     return solve_triangular(diagonal_factor, matrix.T, lower=True).T
+
+
+def _as_array(matrix: csr_array | np.ndarray) -> np.ndarray:
+    return matrix if isinstance(matrix, np.ndarray) else matrix.toarray()
 
 
 def _scale_of(diagonal: np.ndarray) -> np.ndarray:

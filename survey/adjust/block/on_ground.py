@@ -249,7 +249,7 @@ def ground_alignment(on_ground: GroundTies, problem: Problem, solution: Solution
     alone = replace(problem, priors=replace(problem.priors, planes=None))
     system = system_with(alone, solution.state, solution.weights)
     try:
-        without = _std_of_block(system, points, middle, system.normal.inverse())
+        without = _std_of_block(system, points, middle, system.normal.inverse)
     except np.linalg.LinAlgError:
         without = None
     return GroundAlignment(
@@ -281,7 +281,7 @@ def _std_of_block(system: System, points: np.ndarray, middle: np.ndarray, covari
     )
     fit = np.linalg.pinv(design.reshape(-1, 7)).reshape(7, len(points), 3)
     pulled = np.einsum("kmi,mji->kmj", fit, system.point_root).reshape(7, -1)
-    follow = -(system.coupling.T @ pulled.T).T
+    follow = -system.coupling.transposed_times(pulled.T).T
     return np.sqrt(propagated_variance(follow, covariance))
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from evaluation.robust import std_by_median
 from survey.adjust.block.bundle import Solution
-from survey.adjust.block.normal_matrix import BlockFactor, DenseFactor
+from survey.adjust.block.normal_matrix import NormalMatrix
 from survey.adjust.block.priors import ROTATION_STD, PriorKnowledge, without_shift
 from survey.adjust.block.problem import Priors
 from survey.adjust.block.state import NUM_POSE
@@ -136,9 +136,9 @@ def _components(prior: PriorKnowledge, solution: Solution, estimated: np.ndarray
     first, std = prior.std**-2.0, _of_poses(prior, prior.std).copy()
     kinds = [estimated & np.isin(np.arange(NUM_POSE), kind) for kind in _KINDS]
     kinds = [kind for kind in kinds if kind.any()]
-    miss, factor = deviation, solution.system.normal.factor()
+    miss, normal = deviation, solution.system.normal
     for step in range(_MOST_STEPS + 1):
-        residual, variance = _without_common_shift(prior, std, _of_poses(prior, miss), factor)
+        residual, variance = _without_common_shift(prior, std, _of_poses(prior, miss), normal)
         redundancy = np.clip(1.0 - variance / std**2, _LEAST_REDUNDANCY, 1.0)
         scaled = np.abs(residual) / (std * np.sqrt(redundancy))
         factors = [_scale_of(scaled[kind], redundancy[kind]) for kind in kinds]
@@ -153,8 +153,7 @@ def _components(prior: PriorKnowledge, solution: Solution, estimated: np.ndarray
             before, after = (without_shift(prior, prior.shared_std, each) for each in (first, precision))
             normal = normal.with_rows(np.vstack([before, after]), np.repeat([1.0, -1.0], 3))
             change += before.T @ (before @ deviation) - after.T @ (after @ deviation)
-        factor = normal.factor()
-        miss = deviation - factor.solve(change)
+        miss = deviation - normal.factor().solve(change)
     for kind in kinds:
         freedom = float(redundancy[kind].sum())
         std[kind] *= np.sqrt((freedom + 2.0) / freedom)
@@ -162,14 +161,14 @@ def _components(prior: PriorKnowledge, solution: Solution, estimated: np.ndarray
 
 
 def _without_common_shift(
-    prior: PriorKnowledge, std: np.ndarray, residual: np.ndarray, factor: DenseFactor | BlockFactor
+    prior: PriorKnowledge, std: np.ndarray, residual: np.ndarray, normal: NormalMatrix
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (V, 6) of poses and their variances after the adjustment, without the shift that positions share.
 
     That shift is the mean of the residuals d by weights w, ``v'd`` with ``v = w / (sum w + 1 / s^2)``; of ``d - v'd``
     the variances are ``C_ii - 2 (C v)_i + v' C v``.
     """
-    variance = _of_poses(prior, factor.inverse_diagonal()).copy()
+    variance = _of_poses(prior, normal.inverse_diagonal()).copy()
     # Of unknown standard deviations the iteration ends near zero where the shift is all that positions are off by.
     if prior.shared_std is None or prior.unknown_positions.any():
         return residual, variance
@@ -180,7 +179,7 @@ def _without_common_shift(
         weight = weight / (weight.sum() + prior.shared_std[axis] ** -2.0)
         of_all = np.zeros(len(prior.std))
         of_all[at] = weight
-        of_shift = factor.solve(of_all)[at]
+        of_shift = normal.factor().solve(of_all)[at]
         residual[:, axis] -= weight @ residual[:, axis]
         variance[:, axis] += weight @ of_shift - 2.0 * of_shift
     return residual, variance

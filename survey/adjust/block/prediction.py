@@ -7,6 +7,8 @@ the optical length a + n w is least (Fermat), a and w those of the legs:
 
 Its derivatives give those of S: ``E^T (A + n W) E`` is the Hessian of the length over x and y, with
 ``A = (I - u_a u_a^T) / a`` and W likewise.
+
+Inside this file arrays have the N observations last, as (3, N), so that each operation runs along them.
 """
 
 from __future__ import annotations
@@ -17,102 +19,76 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from refract import FlatWater, crossing_point
-from survey.adjust.block.state import NUM_LENS, NUM_POSE, NUM_RELIEF, NUM_WATER, Layout, State, distort, distorted
+from survey.adjust.block.state import NUM_WATER, Layout, State, distort, distorted
 from survey.photos.poses import TiePoints
 
 # Four are exact to the last bits in drone geometry (docs/optics.md), two more for lower flights.
 _NEWTON_STEPS = 6
 
 
-@dataclass(frozen=True)
-class LinesOfSight:
-    """Lines of sight from N cameras to N points."""
-
-    # (N, 3) [m], local: from the camera to the crossing of the surface; to the point itself where the ray is straight
-    line: np.ndarray
-    # by_point, by_centre (N, 3, 3): derivatives by the point and by the centre of the camera
-    by_point: np.ndarray
-    by_centre: np.ndarray
-    # (N, 3, 4): by the height of the plane at its reference point [m], its slopes along local x and y, and its index
-    by_water: np.ndarray
-    wet: np.ndarray  # (N,) bool
-
-
 def lines_of_sight(centres: np.ndarray, points: np.ndarray, water: FlatWater | None) -> np.ndarray:
-    """Lines of sight (N, 3) from centres (N, 3) to points (N, 3) [m], local; see `LinesOfSight`."""
-    return crossing_point(points, centres, water, steps=_NEWTON_STEPS) - centres
+    """Lines of sight (N, 3) [m], local, from cameras at centres (N, 3) to points (N, 3).
 
-
-def bent_lines_of_sight(centres: np.ndarray, points: np.ndarray, water: FlatWater | None) -> LinesOfSight:
-    """Lines of sight from centres (N, 3) to points (N, 3) [m], local, with their derivatives."""
-    line = lines_of_sight(centres, points, water)
-    by_point = np.tile(np.eye(3), (len(line), 1, 1))
-    by_centre, by_water = -by_point, np.zeros((len(line), 3, 4))
-    wet = _is_wet(centres, points, water)
-    if water is not None:
-        crossing = _Crossing.of(line[wet], centres[wet], points[wet], water)
-        by_point[wet], by_centre[wet] = crossing.by_point(), crossing.by_centre()
-        by_water[wet] = crossing.by_water(water)
-    return LinesOfSight(line, by_point, by_centre, by_water, wet)
-
-
-def _is_wet(centres: np.ndarray, points: np.ndarray, water: FlatWater | None) -> np.ndarray:
-    """Which rays (N,) pass through water."""
-    if water is None:
-        return np.zeros(len(points), dtype=bool)
-    return (water.depth(points) > 0.0) & (water.depth(centres) < 0.0)
+    To the crossing of the surface; to the point itself where the ray is straight.
+    """
+    crossing = points if water is None else crossing_point(points, centres, water, steps=_NEWTON_STEPS)
+    return crossing - centres
 
 
 @dataclass(frozen=True)
-class _Crossing:
-    """Crossings of N bent rays with the plane of the water, and what their derivatives are made of."""
+class Crossing:
+    """Crossings of N bent rays with the plane of the water, and what derivatives of lines of sight are made of."""
 
-    at: np.ndarray  # (N, 3) [m], local
-    of_gradient: np.ndarray  # (N, 3, 2): E M^-1, how the crossing follows the gradient of the length, of Hessian M
+    at: np.ndarray  # (3, N) [m], local
+    of_gradient: np.ndarray  # (3, 2, N): E M^-1, how the crossing follows the gradient of the length, of Hessian M
     tangents: np.ndarray  # (3, 2): E
-    air: np.ndarray  # (N, 3, 3): A, the derivatives of the unit vector of the leg in air
-    water: np.ndarray  # (N, 3, 3): n W
-    up: np.ndarray  # (N, 3): u_w
+    air: np.ndarray  # (2, 3, N): E' A, of the derivatives of the unit vector of the leg in air
+    water: np.ndarray  # (2, 3, N): n E' W
+    up: np.ndarray  # (2, N): E' u_w
     lift: np.ndarray  # (N,): vertical component of u_a + n u_w
 
     @classmethod
-    def of(cls, line: np.ndarray, centres: np.ndarray, points: np.ndarray, water: FlatWater) -> _Crossing:
-        """Of lines of sight (N, 3) [m], local, from centres to points (N, 3), all of them bent."""
+    def of(cls, line: np.ndarray, centres: np.ndarray, points: np.ndarray, water: FlatWater) -> Crossing:
+        """Of lines of sight (3, N) [m], local, from centres to points (3, N), all of them bent."""
         tangents = np.array([[1.0, 0.0], [0.0, 1.0], [water.slope_x, water.slope_y]])
         at = centres + line
-        (down, air), (up, wet) = (_unit_with_derivatives(leg) for leg in (line, at - points))
+        (down, air), (up, wet) = (_unit_along(tangents, leg) for leg in (line, at - points))
         wet *= water.n_water
-        (xx, xy), (_, yy) = np.moveaxis(tangents.T @ (air + wet) @ tangents, 0, -1)
+        (xx, xy), (_, yy) = np.einsum("ajn,jb->abn", air + wet, tangents)
         inverse = np.array([[yy, -xy], [-xy, xx]]) / (xx * yy - xy * xy)
-        of_gradient = tangents @ np.moveaxis(inverse, -1, 0)
-        return cls(at, of_gradient, tangents, air, wet, up, down[:, 2] + water.n_water * up[:, 2])
+        of_gradient = np.einsum("ia,abn->ibn", tangents, inverse)
+        return cls(at, of_gradient, tangents, air, wet, tangents.T @ up, down[2] + water.n_water * up[2])
 
     def by_point(self) -> np.ndarray:
-        """Derivatives of the line of sight by the point, (N, 3, 3)."""
-        return self.of_gradient @ (self.tangents.T @ self.water)
+        """Derivatives (3, 3, N) of the line of sight by the point."""
+        return _product(self.of_gradient, self.water)
 
     def by_centre(self) -> np.ndarray:
-        """By the centre of the camera, (N, 3, 3)."""
-        return self.of_gradient @ (self.tangents.T @ self.air) - np.eye(3)
+        """By the centre of the camera, (3, 3, N)."""
+        return _product(self.of_gradient, self.air) - np.eye(3)[:, :, None]
 
     def by_water(self, water: FlatWater) -> np.ndarray:
-        """By the height of the plane at its reference point, its slopes and its index, (N, 3, 4)."""
-        pushed = (self.air[:, :, 2] + self.water[:, :, 2]) @ self.tangents
-        by_height = np.array([0.0, 0.0, 1.0]) - np.einsum("nij,nj->ni", self.of_gradient, pushed)
-        offset = self.at - np.array(water.point)
+        """By the height of the plane at its reference point, its slopes and its index, (3, 4, N)."""
+        by_height = -np.einsum("ian,an->in", self.of_gradient, self.air[:, 2] + self.water[:, 2])
+        by_height[2] += 1.0
         # A slope raises the surface by its distance from the reference point, and turns its tangent.
         by_slopes = (
-            by_height * offset[:, axis, None] - self.of_gradient[:, :, axis] * self.lift[:, None] for axis in (0, 1)
+            by_height * (self.at[axis] - water.point[axis]) - self.of_gradient[:, axis] * self.lift for axis in (0, 1)
         )
-        by_index = -np.einsum("nij,nj->ni", self.of_gradient, self.up @ self.tangents)
-        return np.stack([by_height, *by_slopes, by_index], axis=-1)
+        by_index = -np.einsum("ian,an->in", self.of_gradient, self.up)
+        return np.stack([by_height, *by_slopes, by_index], axis=1)
 
 
-def _unit_with_derivatives(leg: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors (N, 3) of legs (N, 3), and their derivatives (N, 3, 3)."""
-    length = np.linalg.norm(leg, axis=1)
-    unit = leg / length[:, None]
-    return unit, (np.eye(3) - unit[:, :, None] * unit[:, None, :]) / length[:, None, None]
+def _unit_along(tangents: np.ndarray, leg: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors (3, N) of legs (3, N), and the part of their derivatives along tangents (3, 2), (2, 3, N)."""
+    length = np.sqrt(np.sum(leg * leg, axis=0))
+    unit = leg / length
+    return unit, (tangents.T[:, :, None] - (tangents.T @ unit)[:, None] * unit) / length
+
+
+def _product(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Products (a, b, N) of matrices (a, i, N) and (i, b, N)."""
+    return np.einsum("ain,ibn->abn", first, second)
 
 
 @dataclass(frozen=True)
@@ -121,8 +97,7 @@ class Prediction:
 
     pixels: np.ndarray  # (N, 2) [px]
     by_point: np.ndarray  # (N, 2, 3)
-    by_parameters: csr_array  # (2 N, P) sparse
-    wet: np.ndarray  # (N,) bool: which rays pass through water
+    by_parameters: np.ndarray  # (N, 2, K): by the parameters of its photograph, see `Layout.columns`
 
 
 def predict(
@@ -137,62 +112,51 @@ def predict(
     rows : (N,) [px], optional
         Of the photographs as they were taken, for rolling shutters; default those of the tie points.
     """
-    line = lines_of_sight(*_ends(layout, state, ties, rise_design, rows), state.water)
-    xy, _ = _at_unit_depth(_in_cam(state, ties, line))
-    return _pixels(layout, state, ties, distorted(xy, state.lenses[layout.lens_of[ties.view], 3:]))
+    lens = _LensOfRays.of(layout, state, ties)
+    line = lines_of_sight(*_ends(layout, state, ties, rise_design, rows), state.water).T
+    in_cam = np.einsum("ijn,jn->in", _rotations(state, ties), line)
+    return lens.pixels(distorted(_at_unit_depth(in_cam)[0], lens.distortion)).T
 
 
 def linearise_by_points(
     layout: Layout, state: State, ties: TiePoints, rise_design: np.ndarray, rows: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Predicted pixels (N, 2) and their derivatives by the points alone, (N, 2, 3); see `predict`."""
-    centres, points = _ends(layout, state, ties, rise_design, rows)
-    line = lines_of_sight(centres, points, state.water)
-    imaged = _project(layout, state, ties, line)
-    by_points = imaged.by_line(state, ties)
-    wet = _is_wet(centres, points, state.water)
-    if state.water is not None and wet.any():
-        crossing = _Crossing.of(line[wet], centres[wet], points[wet], state.water)
-        by_points[wet] = by_points[wet] @ crossing.by_point()
-    return imaged.pixels, by_points
+    seen = _Seen.of(layout, state, ties, rise_design, rows)
+    return seen.pixels.T, np.moveaxis(seen.by_point(), -1, 0)
 
 
 def linearise(
     layout: Layout, state: State, ties: TiePoints, rise_design: np.ndarray, rows: np.ndarray | None = None
 ) -> Prediction:
     """Predicted pixels with their derivatives; see `predict`."""
-    lines = bent_lines_of_sight(*_ends(layout, state, ties, rise_design, rows), state.water)
-    imaged = _project(layout, state, ties, lines.line)
-    by_line = imaged.by_line(state, ties)
-    by_point = by_line @ lines.by_point
-    by_centre, by_lens = by_line @ lines.by_centre, imaged.by_lens(layout, state, ties)
-    by_readout = np.zeros((len(by_lens), 2, 0))
+    seen = _Seen.of(layout, state, ties, rise_design, rows)
+    by_point, by_centre, by_water = seen.by_point(), seen.by_centre(), seen.by_water(state)
+    by_lens, by_readout = seen.by_lens(), np.zeros((2, 0, len(ties.view)))
     if layout.velocity_per_row is not None:
-        by_middle, by_readout = _shutter_derivatives(layout, state, ties, rows, by_centre)
-        by_lens[:, :, 2] += by_middle
-    by_water = by_line @ lines.by_water
+        late, readouts = _rows_after_pose(layout, state, ties, rows)
+        by_velocity = np.einsum("ain,in->an", by_centre, np.take(layout.velocity_per_row.T, ties.view, axis=-1))
+        # The pose is that at the row `cy`.
+        by_lens[:, 2] -= readouts * by_velocity
+        if layout.finds_readouts:
+            by_readout = (late * by_velocity)[:, None]
     # A tide raises the water of its photograph as a higher level does.
-    by_rate = (
-        by_water[:, :, :0] if layout.hours is None else by_water[:, :, :1] * layout.hours[ties.view][:, None, None]
-    )
-    by_focal = by_lens[:, :, :0]
-    if layout.finds_focals:
-        of_lens = state.lenses[layout.lens_of[ties.view], 0]
-        by_focal = by_lens[:, :, :1] * (of_lens / _enlarged(state, ties))[:, None, None]
-    dense = np.concatenate(
-        [
-            by_water,
-            by_point[:, :, 2, None] * rise_design[:, None, :],
-            by_lens,
-            by_readout,
-            by_rate,
-            by_focal,
-            by_centre,
-            -imaged.by_cam @ _cross(imaged.in_cam),
-        ],
-        axis=-1,
-    )
-    return Prediction(imaged.pixels, by_point, _assemble_derivatives(layout, ties, dense), lines.wet)
+    by_rate = by_water[:, :0] if layout.hours is None else by_water[:, :1] * layout.hours[ties.view]
+    by_focal = by_lens[:, :1] * (seen.lens.of_lens / seen.lens.enlarged) if layout.finds_focals else by_lens[:, :0]
+    x, y, z = seen.in_cam
+    by_x, by_y, by_z = np.moveaxis(seen.by_cam, 1, 0)
+    by_turn = np.stack([by_z * y - by_y * z, by_x * z - by_z * x, by_y * x - by_x * y], axis=1)
+    parts = by_water, by_point[:, 2:] * rise_design.T, by_lens, by_readout, by_rate, by_focal, by_centre, by_turn
+    by_parameters = np.empty((len(ties.view), 2, sum(part.shape[1] for part in parts)))
+    np.concatenate([part.transpose(2, 0, 1) for part in parts], axis=2, out=by_parameters)
+    return Prediction(seen.pixels.T, np.moveaxis(by_point, -1, 0), by_parameters)
+
+
+def design_matrix(layout: Layout, view: np.ndarray, by_parameters: np.ndarray) -> csr_array:
+    """Derivatives (N, 2, K) of observations in photographs (N,) by all parameters, (2 N, P)."""
+    columns = np.repeat(layout.columns[view], 2, axis=0)
+    ends = np.arange(len(columns) + 1) * columns.shape[1]
+    return csr_array((by_parameters.ravel(), columns.ravel(), ends), shape=(len(columns), len(layout)))
 
 
 def apparent_rise_design(state: State, ties: TiePoints) -> np.ndarray:
@@ -251,103 +215,116 @@ def _rows_after_pose(
     return rows - state.lenses[number, 2], state.readouts[number]
 
 
-def _shutter_derivatives(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray | None, by_centre: np.ndarray):
-    """Derivatives of a rolling shutter: by `cy` as the row of the pose (N, 2), and by the readout (N, 2, 0 or 1)."""
-    assert layout.velocity_per_row is not None
-    late, readouts = _rows_after_pose(layout, state, ties, rows)
-    by_velocity = np.einsum("nai,ni->na", by_centre, layout.velocity_per_row[ties.view])
-    by_readout = (late[:, None] * by_velocity)[:, :, None]
-    return -readouts[:, None] * by_velocity, by_readout if layout.finds_readouts else by_readout[:, :, :0]
-
-
 def _points_of_observations(state: State, ties: TiePoints, rise_design: np.ndarray) -> np.ndarray:
     """Points (N, 3) of the observations."""
-    points = state.points[ties.point].copy()
+    points = state.points[ties.point]
     points[:, 2] += rise_design @ state.relief
     return points
 
 
-def _in_cam(state: State, ties: TiePoints, line: np.ndarray) -> np.ndarray:
-    """Lines of sight (N, 3) in the axes of their cameras."""
-    return np.einsum("nij,nj->ni", state.rotations[ties.view], line)
+def _rotations(state: State, ties: TiePoints) -> np.ndarray:
+    """Rotations (3, 3, N) from local to cam."""
+    return np.take(np.ascontiguousarray(np.moveaxis(state.rotations, 0, -1)), ties.view, axis=-1)
 
 
 def _at_unit_depth(in_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates (N, 2) where lines of sight meet the plane at depth 1, and their depths (N,); NaN behind."""
-    z = np.where(in_cam[:, 2] > 0.0, in_cam[:, 2], np.nan)
-    return in_cam[:, :2] / z[:, None], z
-
-
-def _focal(layout: Layout, state: State, ties: TiePoints) -> np.ndarray:
-    """Focal lengths (N, 2) [px] of the photographs of the observations."""
-    number = layout.lens_of[ties.view]
-    focal = state.lenses[number, 0]
-    return np.column_stack([focal, focal * layout.aspect[number]]) * _enlarged(state, ties)[:, None]
-
-
-def _pixels(layout: Layout, state: State, ties: TiePoints, distorted_xy: np.ndarray) -> np.ndarray:
-    """Pixels (N, 2) of distorted coordinates (N, 2)."""
-    return distorted_xy * _focal(layout, state, ties) + state.lenses[layout.lens_of[ties.view], 1:3]
+    """Coordinates (2, N) where lines of sight meet the plane at depth 1, and their depths (N,); NaN behind."""
+    z = np.where(in_cam[2] > 0.0, in_cam[2], np.nan)
+    return in_cam[:2] / z, z
 
 
 @dataclass(frozen=True)
-class _Projected:
-    """Pixels of lines of sight, with what their derivatives are made of."""
+class _LensOfRays:
+    """Lenses of N observations."""
 
-    pixels: np.ndarray  # (N, 2) [px]
-    in_cam: np.ndarray  # (N, 3): the lines in cam
-    by_cam: np.ndarray  # (N, 2, 3): derivatives by them
-    distorted_xy: np.ndarray  # (N, 2)
-    by_coefficients: np.ndarray  # (N, 2, 5): derivatives of distorted_xy by the coefficients of distortion
+    of_lens: np.ndarray  # (N,) [px]: focal length of the lens along x
+    enlarged: np.ndarray  # (N,): that of the photograph over it
+    aspect: np.ndarray  # (2, N): focal lengths along x and y over that along x
+    middle: np.ndarray  # (2, N) [px]
+    distortion: np.ndarray  # (5, N)
 
-    def by_line(self, state: State, ties: TiePoints) -> np.ndarray:
-        """Derivatives (N, 2, 3) by the lines of sight."""
-        return np.einsum("nai,nij->naj", self.by_cam, state.rotations[ties.view])
+    @classmethod
+    def of(cls, layout: Layout, state: State, ties: TiePoints) -> _LensOfRays:
+        number = layout.lens_of[ties.view]
+        focal, *middle_and_distortion = np.take(state.lenses.T, number, axis=1)
+        one = np.ones(len(number))
+        enlarged = one + state.focals[ties.view] if len(state.focals) else one
+        middle, distortion = np.split(np.array(middle_and_distortion), [2])
+        return cls(focal, enlarged, np.stack([one, layout.aspect[number]]), middle, distortion)
 
-    def by_lens(self, layout: Layout, state: State, ties: TiePoints) -> np.ndarray:
-        """Derivatives (N, 2, 8) by the lenses."""
-        aspect = layout.aspect[layout.lens_of[ties.view]]
-        one = np.ones(len(aspect))
-        by_focal = self.distorted_xy * np.column_stack([one, aspect]) * _enlarged(state, ties)[:, None]
-        by_middle = np.tile(np.eye(2), (len(aspect), 1, 1))
-        by_distortion = _focal(layout, state, ties)[:, :, None] * self.by_coefficients
-        return np.concatenate([by_focal[:, :, None], by_middle, by_distortion], axis=-1)
+    @property
+    def focal(self) -> np.ndarray:
+        """Focal lengths (2, N) [px] of the photographs."""
+        return self.aspect * (self.of_lens * self.enlarged)
 
-
-def _project(layout: Layout, state: State, ties: TiePoints, line: np.ndarray) -> _Projected:
-    """Pixels of lines of sight (N, 3) [m], local."""
-    in_cam = _in_cam(state, ties, line)
-    xy, z = _at_unit_depth(in_cam)
-    distorted_xy, by_xy, by_coefficients = distort(xy, state.lenses[layout.lens_of[ties.view], 3:])
-    zero, one = np.zeros(len(z)), np.ones(len(z))
-    flat = np.stack([np.column_stack([one, zero, -xy[:, 0]]), np.column_stack([zero, one, -xy[:, 1]])], axis=1)
-    by_cam = _focal(layout, state, ties)[:, :, None] * (by_xy @ flat) / z[:, None, None]
-    return _Projected(_pixels(layout, state, ties, distorted_xy), in_cam, by_cam, distorted_xy, by_coefficients)
+    def pixels(self, distorted_xy: np.ndarray) -> np.ndarray:
+        """Pixels (2, N) of distorted coordinates (2, N)."""
+        return distorted_xy * self.focal + self.middle
 
 
-def _enlarged(state: State, ties: TiePoints) -> np.ndarray:
-    """Focal lengths (N,) of the photographs of the observations, over those of their lenses."""
-    return 1.0 + state.focals[ties.view] if len(state.focals) else np.ones(len(ties.view))
+@dataclass(frozen=True)
+class _Seen:
+    """Observations with what their derivatives are made of."""
 
+    lens: _LensOfRays
+    pixels: np.ndarray  # (2, N) [px]
+    in_cam: np.ndarray  # (3, N) [m]: the lines of sight in cam
+    by_cam: np.ndarray  # (2, 3, N): derivatives by them
+    by_line: np.ndarray  # (2, 3, N): by them in local
+    distorted_xy: np.ndarray  # (2, N)
+    by_coefficients: np.ndarray  # (2, 5, N): derivatives of distorted_xy by the coefficients of distortion
+    wet: np.ndarray  # (K,) int64: observations through water
+    crossing: Crossing | None  # Of these
 
-def _cross(vectors: np.ndarray) -> np.ndarray:
-    """Skew-symmetric matrices (N, 3, 3) of vectors (N, 3): the cross product with them."""
-    x, y, z = vectors.T
-    zero = np.zeros(len(x))
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.column_stack(row) for row in rows], axis=1)
+    @classmethod
+    def of(
+        cls, layout: Layout, state: State, ties: TiePoints, rise_design: np.ndarray, rows: np.ndarray | None
+    ) -> _Seen:
+        lens, ends = _LensOfRays.of(layout, state, ties), _ends(layout, state, ties, rise_design, rows)
+        line = np.ascontiguousarray(lines_of_sight(*ends, state.water).T)
+        wet, crossing = np.zeros(0, dtype=np.int64), None
+        if state.water is not None:
+            over, under = (state.water.depth(each) for each in ends)
+            wet = np.flatnonzero((under > 0.0) & (over < 0.0))
+            bent, centres, points = (np.take(each, wet, axis=-1) for each in (line, ends[0].T, ends[1].T))
+            crossing = Crossing.of(bent, centres, points, state.water)
+        rotations = _rotations(state, ties)
+        in_cam = np.einsum("ijn,jn->in", rotations, line)
+        xy, z = _at_unit_depth(in_cam)
+        distorted_xy, by_xy, by_coefficients = distort(xy, lens.distortion)
+        by_plane = lens.focal[:, None] * by_xy / z
+        by_cam = np.concatenate([by_plane, -np.einsum("ain,in->an", by_plane, xy)[:, None]], axis=1)
+        by_line = _product(by_cam, rotations)
+        return cls(
+            lens, lens.pixels(distorted_xy), in_cam, by_cam, by_line, distorted_xy, by_coefficients, wet, crossing
+        )
 
+    def by_point(self) -> np.ndarray:
+        """Derivatives (2, 3, N) by the points."""
+        found = self.by_line.copy()
+        if self.crossing is not None:
+            found[..., self.wet] = _product(np.take(self.by_line, self.wet, axis=-1), self.crossing.by_point())
+        return found
 
-def _assemble_derivatives(layout: Layout, ties: TiePoints, dense: np.ndarray) -> csr_array:
-    """Derivatives (N, 2, 4 + 3 + 8 + 6), one more each with readouts, rate and focals, at their places, (2 N, P)."""
-    count = len(ties.view)
-    shared = np.tile(np.arange(NUM_WATER + NUM_RELIEF), (count, 1))
-    number = layout.lens_of[ties.view][:, None]
-    lens = layout.first_lens + NUM_LENS * number + np.arange(NUM_LENS)
-    readout = layout.first_readout + number[:, : int(layout.finds_readouts)]
-    rate = np.tile(np.arange(layout.first_rate, layout.first_focal), (count, 1))
-    focal = layout.first_focal + ties.view[:, None][:, : int(layout.finds_focals)]
-    pose = layout.first_pose + NUM_POSE * ties.view[:, None] + np.arange(NUM_POSE)
-    columns = np.repeat(np.concatenate([shared, lens, readout, rate, focal, pose], axis=1), 2, axis=0)
-    ends = np.arange(2 * count + 1) * columns.shape[1]
-    return csr_array((dense.reshape(-1), columns.reshape(-1), ends), shape=(2 * count, len(layout)))
+    def by_centre(self) -> np.ndarray:
+        """Derivatives (2, 3, N) by the centres of the cameras."""
+        found = -self.by_line
+        if self.crossing is not None:
+            found[..., self.wet] = _product(np.take(self.by_line, self.wet, axis=-1), self.crossing.by_centre())
+        return found
+
+    def by_water(self, state: State) -> np.ndarray:
+        """Derivatives (2, 4, N) by the water."""
+        found = np.zeros((2, NUM_WATER, self.in_cam.shape[1]))
+        if self.crossing is not None and state.water is not None:
+            found[..., self.wet] = _product(
+                np.take(self.by_line, self.wet, axis=-1), self.crossing.by_water(state.water)
+            )
+        return found
+
+    def by_lens(self) -> np.ndarray:
+        """Derivatives (2, 8, N) by the lenses."""
+        by_focal = self.distorted_xy * self.lens.aspect * self.lens.enlarged
+        by_middle = np.broadcast_to(np.eye(2)[:, :, None], (2, 2, self.in_cam.shape[1]))
+        by_distortion = self.lens.focal[:, None] * self.by_coefficients
+        return np.concatenate([by_focal[:, None], by_middle, by_distortion], axis=1)

@@ -9,15 +9,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from evaluation import robust
 from evaluation.robust import HUBER
 from survey.adjust.block.normal_matrix import EliminationOrder, elimination_order
 from survey.adjust.block.prediction import predict
-from survey.adjust.block.state import Layout, State
+from survey.adjust.block.state import NUM_POSE, Layout, State
 from survey.photos.poses import TiePoints
 
 
@@ -85,6 +87,14 @@ class Priors:
         return float(single @ single + self.signs @ (self.rows @ deviation) ** 2)
 
 
+class AlikeObservations(NamedTuple):
+    """G groups of observations, each of one point in photographs that share all parameters but their poses."""
+
+    point: np.ndarray  # (G,) int64
+    columns: np.ndarray  # (G, K) int64: the numbers of these parameters
+    summed: csr_array  # (G, N): sums over the observations of each group
+
+
 @dataclass(frozen=True)
 class Problem:
     """A block to adjust."""
@@ -104,6 +114,20 @@ class Problem:
     def order(self) -> EliminationOrder | None:
         """Order in which the parameters are eliminated; None where the normal matrix is best taken as dense."""
         return elimination_order(self.ties.point, self.ties.view, self.layout.photograph_of_parameters())
+
+    @cached_property
+    def rows_of_views(self) -> list[np.ndarray]:
+        """Numbers of the observations in each photograph."""
+        order = np.argsort(self.ties.view, kind="stable")
+        return np.split(order, np.searchsorted(self.ties.view[order], np.arange(1, len(self.layout.lens_of))))
+
+    @cached_property
+    def alike(self) -> AlikeObservations:
+        """The observations by points and the parameters that their photographs share."""
+        shared, number = np.unique(self.layout.columns[:, :-NUM_POSE], axis=0, return_inverse=True)
+        group, of_group = np.unique(self.ties.point * len(shared) + number.ravel()[self.ties.view], return_inverse=True)
+        summed = csr_array((np.ones(len(of_group)), of_group, np.arange(len(of_group) + 1)))
+        return AlikeObservations(group // len(shared), shared[group % len(shared)], csr_array(summed.T))
 
     def observations_of(self, points: np.ndarray) -> np.ndarray:
         """Numbers of the observations of points, given by their ascending numbers."""

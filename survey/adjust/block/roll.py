@@ -68,10 +68,6 @@ class Roll:
         mean = self.mean_roll(layout)
         return math.sqrt(max(float(mean @ covariance @ mean), 0.0))
 
-    def angle_between(self, before: np.ndarray, after: np.ndarray) -> float:
-        """Angle [rad] about the line from rotations (V, 3, 3) of all views to others."""
-        return roll_by_attitudes(self.across, before[self.views], after[self.views])
-
     def _by_turns(self, layout: Layout, turns: np.ndarray) -> np.ndarray:
         vector = np.zeros(len(layout))
         poses = vector[layout.first_pose :].reshape(-1, NUM_POSE)

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -120,17 +121,16 @@ _STEPS = (1e-3, 1e-6, 1e-6, 1e-6)
 
 
 def distorted(xy: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-    """Coordinates (N, 2) distorted by Brown's polynomial, of coefficients (N, 5) in the order of `COEFFICIENTS`."""
-    (x, y), (k1, k2, k3, p1, p2) = xy.T, coefficients.T
+    """Coordinates (2, N) distorted by Brown's polynomial, of coefficients (5, N) in the order of `COEFFICIENTS`."""
+    (x, y), (k1, k2, k3, p1, p2) = xy, coefficients
     row = k1, k2, p1, p2, k3, 0.0, 0.0, 0.0, np.inf, 0.0
-    return np.stack(distortion.distort({distortion.BROWN}, x, y, row), axis=-1)
+    return np.stack(distortion.distort({distortion.BROWN}, x, y, row))
 
 
 def distort(xy: np.ndarray, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """`distorted` coordinates (N, 2), and their derivatives by xy (N, 2, 2) and by the coefficients (N, 2, 5)."""
-    found, by_xy, *by_coefficients = distortion.brown_with_derivatives(*xy.T, *coefficients.T)
-    along_x, along_y = (np.stack(each, axis=-1) for each in by_coefficients)
-    return np.stack(found, axis=-1), np.stack(by_xy, axis=-1).reshape(-1, 2, 2), np.stack([along_x, along_y], axis=1)
+    """`distorted` coordinates (2, N), and their derivatives by xy (2, 2, N) and by the coefficients (2, 5, N)."""
+    found, by_xy, *by_coefficients = distortion.brown_with_derivatives(*xy, *coefficients)
+    return np.stack(found), np.stack(by_xy).reshape(2, 2, -1), np.array(by_coefficients)
 
 
 @dataclass(frozen=True)
@@ -180,6 +180,22 @@ class Layout:
 
     def __len__(self) -> int:
         return self.first_pose + NUM_POSE * len(self.lens_of)
+
+    @cached_property
+    def columns(self) -> np.ndarray:
+        """Numbers (V, K) of the parameters that observations in each photograph depend on: its pose is the last six."""
+        number, views = self.lens_of[:, None], np.arange(len(self.lens_of))[:, None]
+        shared = np.tile(np.r_[: NUM_WATER + NUM_RELIEF], (len(views), 1))
+        rate = np.tile(np.arange(self.first_rate, self.first_focal), (len(views), 1))
+        parts = [
+            shared,
+            self.first_lens + NUM_LENS * number + np.arange(NUM_LENS),
+            self.first_readout + number[:, : int(self.finds_readouts)],
+            rate,
+            self.first_focal + views[:, : int(self.finds_focals)],
+            self.first_pose + NUM_POSE * views + np.arange(NUM_POSE),
+        ]
+        return np.concatenate(parts, axis=1)
 
     def photograph_of_parameters(self) -> np.ndarray:
         """Number (P,) of the photograph whose focal length or pose each parameter is; -1 of those that all share."""

@@ -16,7 +16,7 @@ import numpy as np
 from evaluation.standards import TO_95, TVU
 from survey.adjust.block.normal_equations import system_at
 from survey.adjust.block.observed import CELLS, KINDS, PER_CELL, WINDOW
-from survey.adjust.block.prediction import Prediction, apparent_rise_design, linearise, predict
+from survey.adjust.block.prediction import Prediction, apparent_rise_design, design_matrix, linearise, predict
 from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, INDEX_STD, LEVEL_STD_M, prior_of, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import NUM_WATER, Layout
@@ -161,10 +161,12 @@ def _covariance(survey: Survey, gsd: float, ties: TiePoints, *, free: bool) -> t
     kind = np.full(len(ties.view), WINDOW)
     problem = Problem(prior.layout, ties, kind, priors_for(prior, ties), std_px, rise_design)
     linear = linearise(prior.layout, state, ties, rise_design)
-    return system_at(problem, state, std_px).normal.inverse(), prior.layout, linear
+    return system_at(problem, state, std_px).normal.inverse, prior.layout, linear
 
 
-def _heights(ties: TiePoints, covariance: np.ndarray, linear: Prediction) -> tuple[np.ndarray, np.ndarray]:
+def _heights(
+    ties: TiePoints, layout: Layout, covariance: np.ndarray, linear: Prediction
+) -> tuple[np.ndarray, np.ndarray]:
     """Standard deviations (M,) [m] of the heights of the places: by their own pixels, and by the parameters."""
     first = np.searchsorted(ties.point, np.arange(len(ties) + 1))
     of_point, common = np.empty(len(ties)), np.empty(len(ties))
@@ -174,14 +176,14 @@ def _heights(ties: TiePoints, covariance: np.ndarray, linear: Prediction) -> tup
         design = linear.by_point[of_place].reshape(-1, 3)
         inverse = np.linalg.pinv(design)
         of_point[number] = TIE_STD_PX * math.sqrt(float(np.sum(inverse[2] ** 2)))
-        move = -inverse[2] @ linear.by_parameters[np.column_stack([2 * of_place, 2 * of_place + 1]).ravel()].toarray()
+        move = -inverse[2] @ design_matrix(layout, ties.view[of_place], linear.by_parameters[of_place])
         common[number] = math.sqrt(max(float(move @ covariance @ move), 0.0))
     return of_point, common
 
 
 def _stds_of_heights(survey: Survey, plan: Plan, ties: TiePoints, depth_m: float) -> HeightStds:
-    covariance, _, linear = _covariance(survey, plan.gsd_m, ties, free=False)
-    of_points, common = _heights(ties, covariance, linear)
+    covariance, layout, linear = _covariance(survey, plan.gsd_m, ties, free=False)
+    of_points, common = _heights(ties, layout, covariance, linear)
     of_point = float(np.median(of_points)) * MATCH_STD_PX / plan.image_scale / TIE_STD_PX
     if not _is_adjusted(plan):
         wet = np.full(len(ties), survey.water is not None)

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,7 +30,7 @@ from scipy.spatial import cKDTree
 from geo.columns import portions
 from refract import FlatWater
 from survey.adjust.block.observed import original_rows
-from survey.adjust.block.prediction import linearise
+from survey.adjust.block.prediction import design_matrix, linearise
 from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, parameters_of, prior_of
 from survey.adjust.block.propagation import propagated_variance
 from survey.adjust.block.state import NUM_RELIEF, NUM_WATER, Layout, State
@@ -126,12 +127,10 @@ def place_jacobian_at(layout: Layout, state: State, ties: TiePoints, rows: np.nd
     """
     linear = linearise(layout, state, ties, np.zeros((len(ties.view), NUM_RELIEF)), rows)
     kept = np.r_[:NUM_WATER, layout.first_lens : len(layout)]
-    jacobian = np.empty((len(ties), 3, len(kept)))
-    for number in range(len(ties)):
-        of_point = ties.point == number
-        by_point = linear.by_point[of_point].reshape(-1, 3)
-        by_parameters = linear.by_parameters[np.repeat(of_point, 2)].toarray()[:, kept]
-        jacobian[number] = -(np.linalg.pinv(by_point) @ by_parameters)
+    design, jacobian = design_matrix(layout, ties.view, linear.by_parameters), np.empty((len(ties), 3, len(kept)))
+    for number, (first, end) in enumerate(pairwise(np.searchsorted(ties.point, np.arange(len(ties) + 1)))):
+        by_point = linear.by_point[first:end].reshape(-1, 3)
+        jacobian[number] = -(np.linalg.pinv(by_point) @ design[2 * first : 2 * end].toarray()[:, kept])
     return jacobian
 
 

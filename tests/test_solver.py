@@ -174,6 +174,13 @@ def test_still_water_is_solved_as_if_there_were_no_waves(monkeypatch):
     assert np.array_equal(std, same_std)
 
 
+def test_ground_that_is_dry_has_no_waves():
+    block, maps, _ = survey(1.0, 0.1, 0.6, 0.015)
+    dry = Block(block.device, block.cameras, block.images, None, -DEPTH)
+    kept = [middle(6) if m.view == 0 else np.zeros((SIZE, SIZE), dtype=bool) for m in maps]
+    assert learned(dry, maps, kept).moved_px == 0.0
+
+
 @pytest.mark.parametrize("slope", [slow(0.0), 0.5])
 def test_errors_of_the_start_vanish_without_noise_and_slopes_are_kept(slope):
     start, error, _, _ = solved(0.3, slope)

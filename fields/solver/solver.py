@@ -152,7 +152,7 @@ def solve_maps(
         return found, visibility, None
     with ThreadPoolExecutor(WORKERS) as pool, sharing_cores(block.device, WORKERS):
         is_wet = block.water is not None
-        if figures.moved_px > MOVING_PX:
+        if block.water is not None and block.water.n_water > 1.0 and figures.moved_px > MOVING_PX:
             views = with_waves(views, kept, gsd, pool)
             places = spread(count_in_squares(block, maps, kept))
             figures = figures_of(_solved_squares(views, kept, places, gsd, pool), gsd, is_wet=True)
@@ -235,7 +235,7 @@ def figures_of(samples: list[tuple[SolverTile, TileSolution]], gsd: float, *, is
         noise,
         spectral_slope_of(samples, roughness, response),
         sweep_slope_noise_ratio(samples, roughness, noise),
-        moved([displacements_of(tile, each, each.brightness) for tile, each in samples]) / gsd,
+        moved([displacements_of(tile, each, each.brightness) for tile, each in samples]) / gsd if is_wet else 0.0,
     )
 
 

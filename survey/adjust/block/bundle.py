@@ -35,7 +35,7 @@ _AS_PREDICTED, _POINT_STEPS = 0.5, 4
 _STEADY, _MOST_ROUNDS = 0.01, 6
 # A step that lowers the cost to more than the first share of it has them renewed, and until they then change by less
 # than the second one no minimum is looked for.
-_LOWERED, _NEARLY_STEADY = 0.5, 0.02
+_LOWERED, _NEARLY_STEADY = 0.5, 0.05
 # The cost may fall by so many times what the linear model predicts.
 _IN_SIGHT = 3.0
 # Advice in errors.

@@ -59,7 +59,7 @@ def test_where_a_strip_does_not_converge_the_line_is_named():
     rolls = rolls_of(survey_of(random_block(ONE_LINE)))
     assert rolls
     with (
-        pytest.raises(NotConvergedError, match=r"lie on one line, .* \(no step\): give a control point"),
+        pytest.raises(NotConvergedError, match=r"lie on one line, .* \(no step\): give control beside"),
         name_open_roll(rolls),
     ):
         raise NotConvergedError("no step")

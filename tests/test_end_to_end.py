@@ -257,7 +257,7 @@ def test_compare_on_the_command_line_gives_the_numbers_that_numpy_gives(noisy, t
     assert numbers["n_points"] == len(noisy.cloud.points)
     assert numbers["mean_inner90_m"] == pytest.approx(mean, abs=1e-6)
     assert numbers["std_inner90_m"] == pytest.approx(std, abs=1e-6)
-    assert "completeness of what cameras see" in shown.stdout
+    assert "of what cameras see" in shown.stdout
 
 
 def test_an_export_holds_the_points_of_the_run(noisy, tmp_path):

@@ -155,7 +155,11 @@ def _spline(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class Sea:
-    """The waves of a survey, by the power spectrum of their surfaces."""
+    """The waves of a survey, by the power spectrum of their surfaces.
+
+    Of wavelengths up to half of the shorter side of what a photograph shows: what is longer is a tilt or a bend of its
+    water, which errors of its pose and lens are, too.
+    """
 
     significant_height_m: float  # Four standard deviations of a surface
     slope_rms: float  # Root mean square of the steepest slope
@@ -167,6 +171,7 @@ class Sea:
         """Of a power spectrum (columns, half of the rows) of coefficients."""
         # Of the values of a B-spline, from its coefficients.
         power = spectrum * np.prod((2.0 + np.cos(grid.vector * grid.spacing)) / 3.0, axis=0) ** 2
+        power = np.where(grid.number * grid.spacing * min(grid.shape) >= 4.0 * np.pi, power, 0.0)
         (xx, xy), (_, yy) = ([grid.mean(power * one * other) for other in grid.vector] for one in grid.vector)
         peak = grid.number.flat[int(np.argmax(power))]
         axis = np.degrees(0.5 * np.arctan2(2.0 * xy, yy - xx)) % 180.0

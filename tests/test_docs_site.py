@@ -11,7 +11,7 @@ from survey.commands.verbs import VERBS
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 # What a reader has the patience for. Rows of tables cannot be broken in Markdown.
-README_LINES, LINE, PAGE_WORDS, MEASUREMENT_WORDS, ALL_WORDS = 110, 120, 1500, 1200, 34_500
+README_LINES, LINE, PAGE_WORDS, MEASUREMENT_WORDS, ALL_WORDS = 110, 120, 1500, 1200, 34_800
 # For whoever works on the program, with their most words: not counted among the pages of users.
 FOR_AUTHORS = {"decisions.md": 10_000, "theory.md": 1500, "field-theory.md": 1500, "papers.md": 3500}
 

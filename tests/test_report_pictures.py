@@ -50,8 +50,8 @@ def test_all_pictures_are_drawn_and_are_whole(plane_report):
     errors = "error error_bands error_depth error_histogram"
     names = f"completeness depth {errors} histograms orthophoto plan profile std unseen view views"
     assert [path.name for path in paths] == [f"{name}.png" for name in names.split()]
-    # There is no adjustment, which has four, and no control.
-    assert plane_report.num_steps == len(paths) == NUM_STEPS - 5
+    # There is no adjustment, which has four, no control, and still water.
+    assert plane_report.num_steps == len(paths) == NUM_STEPS - 6
     for path in paths:
         with Image.open(path) as image:
             assert np.asarray(image.convert("L")).std() > 5.0, path  # neither black nor white

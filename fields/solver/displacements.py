@@ -12,6 +12,7 @@ from fields.solver.appearance import Brightness
 from fields.solver.gauss_newton import TileSolution, gradients_of
 from fields.solver.tile import SolverTile
 from fields.solver.visibility import TileProjection
+from fields.waves.crossings import LEAST_DEPTH
 from fields.waves.surfaces import CellAdjustment, Displacements, find_surfaces
 from fields.waves.waves import Waves
 
@@ -23,8 +24,6 @@ _FULL, _SEEN = 0.4, 0.6
 _INLIER = 0.2
 # Larger displacements are steps to another feature of the texture.
 _LARGEST_PX = 2.5
-# Waves over shallower water [m] displace by less than is measured.
-_LEAST_DEPTH = 0.1
 # How wrong heights are is taken as alike within a Gauss window of this standard deviation, in cells.
 _ALIKE_CELLS = 4.0
 
@@ -49,7 +48,7 @@ def displacements_of(
     With the residuals from the albedo of all, the same weights and a common shift that is free, that is the same as a
     step of all photographs and of the albedo together.
     """
-    cells, ground = _Cells(tile, -found.ground.points[2] > _LEAST_DEPTH), found.ground
+    cells, ground = _Cells(tile, -found.ground.points[2] > LEAST_DEPTH), found.ground
     weight, residual = _without_outliers(brightness)
     gradient = gradients_of(tile, brightness.albedo)
     normal = np.array([[cells.sums(weight * one * other) for other in gradient] for one in gradient])

@@ -8,6 +8,8 @@ import numpy as np
 
 from refract import kernels
 
+# Waves over shallower water [m] displace by less than is measured.
+LEAST_DEPTH = 0.1
 _STEPS = 2
 _LEVEL = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 

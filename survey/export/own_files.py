@@ -59,9 +59,15 @@ _FOLDERS = {"cameras.txt": b"# bathynerf\n", "bed.qgs": b"<!-- made by bathynerf
 
 
 def is_own(path: Path) -> bool:
-    """Whether a file of a product's suffix, or a folder of a product, has the mark of bathynerf."""
+    """Whether a file of a product's suffix, or a folder of a product, has the mark of bathynerf.
+
+    A folder of rasters alone has it where all of them have.
+    """
     if path.is_dir():
-        return any((path / name).is_file() and _begins_with(b"", mark)(path / name) for name, mark in _FOLDERS.items())
+        rasters = list(path.rglob("*.tif"))
+        return (bool(rasters) and all(is_our_tiff(each) for each in rasters)) or any(
+            (path / name).is_file() and _begins_with(b"", mark)(path / name) for name, mark in _FOLDERS.items()
+        )
     return _OWN[path.suffix.lower()][1](path)
 
 

@@ -36,6 +36,8 @@ FAMILIES: dict[str, tuple[Product, ...]] = {
                 "Order of IHO S-44 by uncertainty, as GeoTIFF.", "orders.tif --resolution 1"),
         Product("orthophoto", _TIFF, "orthophoto", (*_CELLS, "survey"),
                 "The bed from above, from the photographs, as GeoTIFF.", "bed.tif --fill 0.5"),
+        Product("waves", ("",), "waves", (),
+                "Folder: height of the water in each photograph, as GeoTIFF.", "waves", is_folder=True),
     ),
     "Meshes": (
         Product("mesh", (".ply", ".obj", ".glb"), "meshes", ("crs", "resolution_m", "mesh_method", "watertight"),

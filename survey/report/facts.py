@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints
     from fields.sweep.maps import HeightMap
     from survey.compare.figures import Comparison
+    from survey.water.wave_surfaces import WaveSurfaces
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,7 @@ class ReportFacts:
     # What of the water was seen; None for a dry survey, or where nobody has looked
     coverage: CoverageFigures | None = None
     waves: WaveFigures | None = None  # None where no solver ran
+    surfaces: WaveSurfaces | None = None  # Of the water in each photograph; None where it was still
     cells: SeenCells | None = None  # Of the ground, with points and without; None where nobody has looked
 
     @property

@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from geo.crs import height_unit_m
-from survey.compare.canvas import colour_bar, map_canvas, plain_log_ticks, save, show
-from survey.display.palette import COUNTS, EMPTY, INK, OBLIQUE, RED, SPREADS, WATER
+from survey.compare.canvas import colour_bar, map_canvas, nice_limit, plain_log_ticks, save, show
+from survey.display.palette import COUNTS, DIFFERENCES, EMPTY, INK, OBLIQUE, RED, SPREADS, WATER
 from survey.display.plan_grid import PlanGrid
-from survey.display.quantities import LengthUnit, cell_size, share
+from survey.display.quantities import LengthUnit, cell_size, length, share
 from survey.escaping import figure_text
 from survey.photos.images import load_image
 from survey.report.facts import ReportFacts
@@ -28,6 +28,7 @@ from survey.report.seen_cells import SeenCells, cells_of
 
 if TYPE_CHECKING:
     from fields.sweep.maps import HeightMap
+    from survey.water.wave_surfaces import WaveSurfaces
 
 # The most pixels of a height map along its longer side.
 _PIXELS = 2000
@@ -149,6 +150,24 @@ def draw_view(path: Path, facts: ReportFacts, height_maps: Sequence[HeightMap]) 
     save(figure, path)
     words = f"Another view confirms {share_confirmed:.0%} of the pixels; the others are left grey."
     return Picture(path, "A photograph and its depth map", words)
+
+
+def draw_waves(path: Path, facts: ReportFacts, surfaces: WaveSurfaces) -> Picture:
+    """The surface of the water, without its tilt, in the photograph where it has the largest std, in plan."""
+    surface = max((each.without_tilt() for each in surfaces.over(facts.bed.xyz)), key=lambda each: each.std)
+    limit = nice_limit(surface.height)
+    unit = LengthUnit.of([limit])
+    end = limit * unit.per_metre
+    scale = ScalarMappable(Normalize(-end, end), DIFFERENCES)
+    _, axes = map_canvas(surface.grid.extent, facts.survey.frame.crs)
+    show(axes, image_of(surface.height * unit.per_metre, scale), surface.grid.extent)
+    colour_bar(axes, scale, f"height of the water [{unit.name}]")
+    words = (
+        "The roughest of all photographs, where its rays to the bed cross the water, without its tilt, which an error "
+        "of the pose is, too."
+    )
+    subtitle = f"{figure_text(surface.name)}, standard deviation {length(surface.std)}"
+    return finished(axes, path, "Surface of the water in a photograph", subtitle, words)
 
 
 def _bar(axes: Axes, scale: ScalarMappable, label: str, *, is_depth: bool) -> None:

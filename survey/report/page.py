@@ -34,6 +34,7 @@ _GROUPS = (
     ("Uncertainty and coverage", ("unseen", "views", "std", "histograms")),
     ("Comparison with the reference", ("error", "completeness", "error_histogram", "error_depth", "error_bands")),
     ("Residuals of the adjustment", ("parts", "control", "residuals_ground", "residuals_image", "correlation")),
+    ("Waves", ("waves",)),
     ("Flight", ("view", "plan")),
 )
 # These show several things side by side and take the whole width.

@@ -73,6 +73,8 @@ def drawings_of(facts: ReportFacts) -> dict[str, Callable[[Path], Picture]]:
     residuals = adjustment_pictures.residuals_of(facts.survey, facts.adjustment, facts.checkpoints)
     if residuals:
         drawings["control"] = partial(adjustment_pictures.draw_residuals, survey=facts.survey, residuals=residuals)
+    if facts.surfaces is not None and len(facts.bed):
+        drawings["waves"] = partial(maps.draw_waves, facts=facts, surfaces=facts.surfaces)
     drawings["plan"] = partial(flight.draw_plan, facts=facts)
     return drawings
 

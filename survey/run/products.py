@@ -40,7 +40,7 @@ from survey.run.folder import RunDir, seconds_of, versions, versions_of
 from survey.run.gate import gates_of_aim, verdict_of
 from survey.run.job import Job
 from survey.run.repeat import Truth, options_of, settings_text
-from survey.run.stage_solver import SIGHTINGS, WAVES
+from survey.run.stage_solver import SIGHTINGS, WAVES, load_surfaces
 from survey.run.stage_sweep import CONSISTENCY, MAPS, SATURATED
 from survey.run.stored import StoredBed, load_bed
 from survey.run.stored_maps import Stored
@@ -174,6 +174,7 @@ def _facts(
         light=None if survey.water is None else matched_light(survey.views),
         coverage=_coverage(survey, stored, cells),
         waves=WaveFigures.of(read_json_object(done["solver"] / WAVES)) if "solver" in done else None,
+        surfaces=load_surfaces(done["solver"], survey) if "solver" in done else None,
         cells=cells,
         headers={view.name: read_exif(view.path) for view in survey.views},
         notes=tile_warnings(survey, plan),

@@ -21,10 +21,13 @@ from survey.display.quantities import length
 from survey.files.json_values import read_json_object, write_json
 from survey.progress import shares
 from survey.run.stage_sweep import KEPT, MAPS, OWN, SCRATCH, SQUARES, solvable
-from survey.run.stored import save_arrays
+from survey.run.stored import load_arrays, save_arrays
 from survey.run.stored_maps import Stored, load_masks, map_store, save_maps
+from survey.water.wave_surfaces import WaveSurfaces
 
 if TYPE_CHECKING:
+    from survey.folder.survey import Survey
+    from survey.run.flight import Flight
     from survey.run.job import Job
 
 FIGURES, SOLVED, SIGHTINGS, WAVES = "figures.json", "solved.npz", "sightings.json", "waves.json"
@@ -118,3 +121,16 @@ def _save_waves(job: Job, folder: Path, moved_px: float, waves: Waves | None) ->
     names = np.array([view.name for view in job.survey.views])
     parts = {name: np.asarray(getattr(waves, name)) for name in ("corner", "spacing", "coefficients")}
     save_arrays(folder / SURFACES, names=names, **parts)
+
+
+def load_surfaces(folder: Path, flight: Flight | Survey) -> WaveSurfaces | None:
+    """The surface of each photograph of a flight; None where none were found, or the folder is that of many tiles."""
+    path = folder / SURFACES
+    if flight.water is None or not path.is_file():
+        return None
+    arrays, cameras = load_arrays(path), {view.name: view.camera for view in flight.views}
+    names = arrays["names"].tolist()
+    return WaveSurfaces(
+        names, arrays["corner"], float(arrays["spacing"]), arrays["coefficients"], [cameras[name] for name in names],
+        flight.water, flight.frame,
+    )  # fmt: skip

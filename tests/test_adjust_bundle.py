@@ -208,6 +208,15 @@ def test_at_the_solution_no_parameter_moves_by_more_than_a_fifth_of_its_standard
     assert np.abs(step / np.sqrt(np.diag(solution.covariance))).max() < 0.2
 
 
+def test_normal_equations_and_covariance_are_those_at_the_state_and_the_weights_of_a_solution(solved):
+    problem, solution = solved
+    expected = system_with(problem, solution.state, solution.weights).normal.dense()
+    scale = 1.0 / np.sqrt(np.diag(expected))
+    scaled = expected * np.outer(scale, scale)
+    np.testing.assert_allclose(solution.system.normal.dense() * np.outer(scale, scale), scaled, atol=1e-12)
+    np.testing.assert_allclose(scaled @ (solution.covariance / np.outer(scale, scale)), np.eye(len(scale)), atol=1e-6)
+
+
 def test_where_the_loss_is_nearly_linear_an_outlier_keeps_its_gradient_and_hardly_any_curvature_along_its_residual():
     block = draw_block(3, pixel_std=0.3, **SMALL)
     problem = problem_of(block)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from slow_cases import slow
 
 from survey.adjust.block.bundle import Solution, solve
@@ -101,6 +102,21 @@ def factor_of(seed: int, slope: float) -> float:
 def test_independent_errors_are_counted_once(seed):
     # The largest of three estimates, of up to some hundred squares each.
     assert 0.7 < factor_of(seed, 0.0) < 1.6
+
+
+@pytest.mark.parametrize("turn_deg", [0.17, slow(0.0), slow(0.57), slow(1.7)])
+def test_of_a_block_that_hardly_anything_orients_independent_errors_are_counted_once_from_wherever_it_starts(turn_deg):
+    problem, solution, sizes = adjusted(1, 0.0)
+    layout, state = problem.layout, solution.state
+    std = problem.priors.std.copy()
+    std[layout.first_pose :] = np.tile([3.0] * 3 + [np.radians(5.0)] * 3, len(layout.lens_of))
+    problem = replace(problem, priors=replace(problem.priors, std=std))
+    # About the vertical, where the water stays as it is: nothing but the priors tells.
+    turn = Rotation.from_rotvec([0.0, 0.0, np.radians(turn_deg)]).as_matrix().T
+    start = replace(state, centres=state.centres @ turn, points=state.points @ turn, rotations=state.rotations @ turn)
+    found = terrain_design_effect(problem, solve(problem, start), sizes, np.ones(len(problem.kind), dtype=bool))
+    # Derivatives after the last step and the covariance before it gave 3, and less than nothing in another block.
+    assert 0.7 < found < 1.6
 
 
 @pytest.mark.parametrize("seed", [0, slow(1)])

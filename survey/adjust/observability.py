@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from survey.adjust.block.bundle import NotConvergedError, Solution, levenberg_marquardt
+from survey.adjust.block.normal_equations import system_with
 from survey.adjust.block.observed import Observed
 from survey.adjust.block.priors import FREE_WATER, HELD_SHARE, PriorKnowledge
 from survey.adjust.block.problem import huber_weights
@@ -211,11 +212,12 @@ def adjusted_with(done: RobustSolution, held: np.ndarray, stated_std: np.ndarray
     std = np.where(held, HELD_SHARE * prior.std, prior.std)
     kept = replace(problem, priors=replace(problem.priors, std=std))
     start = done.solution.state.moved(prior.layout, *_step(done, held))
-    state, system = levenberg_marquardt(kept, start, std_px, factor)
+    state, _ = levenberg_marquardt(kept, start, std_px, factor)
     follow = covariance[:, held] @ np.linalg.inv(covariance[np.ix_(held, held)])
     more = np.diag(stated_std[held] ** 2) - covariance[np.ix_(held, held)]
     residuals = problem.residuals(state)
     weights = huber_weights(problem, residuals, std_px) / factor
+    system = system_with(kept, state, weights)
     found = Solution(state, covariance + propagated(follow, more), residuals, weights, done.solution.std_px, system)
     return replace(done, solution=found)
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from survey.adjust.block.normal_equations import System, huber_system
+from survey.adjust.block.normal_equations import System, huber_system, system_with
 from survey.adjust.block.problem import Problem, huber_loss, huber_weights, std_of_kinds
 from survey.adjust.block.state import State
 from survey.errors import SurveyError
@@ -56,7 +56,7 @@ class Solution:
     residuals: np.ndarray  # (N, 2) [px]
     weights: np.ndarray  # (N,) [1/px^2]
     std_px: np.ndarray  # (kinds,) [px]: standard deviation of a pixel coordinate of each kind
-    system: System
+    system: System  # At the state, with the weights
 
 
 def solve(problem: Problem, start: State, *, variance_factor: np.ndarray | None = None) -> Solution:
@@ -86,6 +86,9 @@ def _solved(problem: Problem, start: State, variance_factor: np.ndarray | None) 
         if (np.abs(std_px / before - 1.0) < _STEADY).all():
             break
     weights = huber_weights(problem, residuals, std_px) / variance_factor
+    # Where a prior hardly holds the block as a whole, a step turns the directions in which it is free: the covariance
+    # before the last one is none of derivatives after it.
+    system = system_with(problem, state, weights)
     return Solution(state, system.normal.inverse, residuals, weights, std_px, system)
 
 

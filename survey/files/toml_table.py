@@ -1,4 +1,4 @@
-"""Tables of a TOML file as frozen dataclasses, their keys and types checked, and the JSON schema of a table.
+"""Tables of a TOML file as frozen dataclasses, their keys and types checked.
 
 A dataclass is the schema of a table: its fields are the known keys, their types those of the values, their defaults
 the values of missing keys, with words and ranges (`key`). Its ``__post_init__`` checks how keys go together.
@@ -43,7 +43,6 @@ _WORD_OF_LIMIT = dict(zip(("above", "least", "below", "most"), _HOLDS, strict=Tr
 INLINE = {"inline": True}
 # A number in any form; signs that backslashes of a path become.
 _NUMBER, _CONTROL = re.compile(r"[+-]?[\d.,' ]*\d[\d.,' ]*(\s*[A-Za-z%°]+)?"), re.compile(r"[\x00-\x1f\x7f]")
-_SCHEMA_KINDS = {float: "number", int: "integer", bool: "boolean", str: "string"}
 
 
 def key(default: Any, expected: str = "", *, one_of: Iterable[Any] = (), **limits: float) -> Any:
@@ -230,7 +229,7 @@ class _Reader:
         """A dataclass from a table whose dotted name is `where`; empty for the whole file."""
         if not isinstance(values, dict):
             raise ConfigError(f"{where} = {values!r} was found where the table [{where}] was expected")
-        known = [field.name for field, _ in _fields_of(kind)]
+        known = [field.name for field, _ in fields_of(kind)]
         for name, value in values.items():
             if name not in known:
                 self._refuse(known, where, name, value)
@@ -317,7 +316,7 @@ class _Reader:
 
 def _all_keys(kind: type, where: str = "") -> Iterator[tuple[str, bool]]:
     """Dotted names of all keys under a table, and whether each is a table itself."""
-    for field, hint in _fields_of(kind):
+    for field, hint in fields_of(kind):
         dotted = _join(where, field.name)
         inner = [part for part in _parts(hint) if isinstance(part, type) and dataclasses.is_dataclass(part)]
         yield dotted, bool(inner)
@@ -361,55 +360,11 @@ def _words(kind: Any) -> str:
     return _KINDS[kind]
 
 
-def schema_of(kind: type) -> dict[str, Any]:
-    """The schema of a whole file, of a dataclass as `parse_toml` takes it."""
-    return {"$schema": "http://json-schema.org/draft-07/schema#", **_table(kind)}
-
-
-def _table(kind: type) -> dict[str, Any]:
-    keys = list(_fields_of(kind))
-    return {
-        "type": "object",
-        "description": (kind.__doc__ or "").partition("\n")[0],
-        "properties": {field.name: _key(hint, field) for field, hint in keys},
-        "required": [field.name for field, _ in keys if _is_required(field)],
-        "additionalProperties": False,
-    }
-
-
-def _fields_of(kind: type) -> Iterator[tuple[dataclasses.Field, Any]]:
+def fields_of(kind: type) -> Iterator[tuple[dataclasses.Field, Any]]:
     """Fields of a table with their types, those of inline records among them."""
     hints = typing.get_type_hints(kind)
     for field in keys_of(kind):
         if is_inline(field):
-            yield from _fields_of(hints[field.name])
+            yield from fields_of(hints[field.name])
         else:
             yield field, hints[field.name]
-
-
-def _is_required(field: dataclasses.Field) -> bool:
-    return field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-
-
-def _key(kind: Any, field: dataclasses.Field) -> dict[str, Any]:
-    schema = _value(kind, field.metadata.get(LIMITS, {}))
-    if field.metadata.get(ONE_OF):
-        schema = {"enum": list(field.metadata[ONE_OF])}
-    if field.metadata.get(EXPECTED):
-        schema["description"] = field.metadata[EXPECTED]
-    if field.default is not dataclasses.MISSING and field.default is not None:
-        schema["default"] = field.default
-    return schema
-
-
-def _value(kind: Any, limits: Mapping[str, float]) -> dict[str, Any]:
-    if isinstance(kind, types.UnionType):
-        schemas = [_value(part, limits) for part in typing.get_args(kind) if part is not type(None)]
-        return schemas[0] if len(schemas) == 1 else {"anyOf": schemas}
-    if dataclasses.is_dataclass(kind):
-        return _table(typing.cast("type", kind))
-    if typing.get_origin(kind) is tuple:
-        parts = typing.get_args(kind)
-        length = {} if parts[-1] is Ellipsis else {"minItems": len(parts), "maxItems": len(parts)}
-        return {"type": "array", "items": _value(parts[0], limits), **length}
-    return {"type": _SCHEMA_KINDS[kind], **limits}

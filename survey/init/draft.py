@@ -11,7 +11,7 @@ from survey.control.reading import read_control
 from survey.errors import FILE_NAME, ConfigError, ControlError, OutputError, SurveyError
 from survey.files.entries import require_plain_entries
 from survey.files.json_values import write_json
-from survey.files.toml_table import schema_of
+from survey.files.toml_schema import schema_of
 from survey.folder import infer
 from survey.folder.found import Found, read_headers
 from survey.init.crs import Answers, FolderPhotographs, SettingsTable, write_crs, write_origin

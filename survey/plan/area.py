@@ -145,7 +145,7 @@ class Tiling:
     # x, y [m], local: lines between the tiles, the outer ones included, rising
     x: tuple[float, ...]
     y: tuple[float, ...]
-    rim: float  # [m]: by which the maps of a tile reach into its neighbours
+    rim: float  # [m]: overlap of the maps of a tile with its neighbours
 
     @staticmethod
     def of(ground: Area, count: int, rim: float) -> Tiling:

@@ -52,7 +52,7 @@ class Job:
     survey_job : Job
         Itself; of a tile the job of the whole survey.
     bed_search : BedSearch or None
-        Heights and photographs by which the bed is searched, once they are known.
+        Heights and photographs of the search for the bed, once they are known.
     parts : sequence of Job
         The tiles, once `bed_search` is known; itself in one piece.
     waits_for_kernels : Event

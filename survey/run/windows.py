@@ -62,7 +62,7 @@ class Window:
 
 @dataclass(frozen=True)
 class BedSearch:
-    """Heights and photographs by which the bed is searched."""
+    """Heights and photographs of the search for the bed."""
 
     bound: tuple[float, float]  # (low, high) [m]: heights over the water plane between which the bed lies
     views: list[int]  # Those that get height maps

@@ -26,8 +26,6 @@ class Device:
     module: Any  # the Dr.Jit module with Float, UInt, ... ; None for torch.
     reason: str  # why this one, in words for the plan.
     place: str = "cpu"  # "cpu" or "cuda": where torch keeps its tensors
-    # Whether it has a memory of its own: what is computed stays there between the passes of the sweep
-    has_own_memory: bool = False
 
 
 def _find_llvm() -> str | None:
@@ -62,7 +60,7 @@ def _cuda() -> Device | None:
         return None
     import drjit.cuda as module
 
-    return Device("cuda", module, "a CUDA device is there", "cuda", has_own_memory=True)
+    return Device("cuda", module, "a CUDA device is there", "cuda")
 
 
 def _llvm() -> Device | None:
@@ -79,7 +77,7 @@ def _llvm() -> Device | None:
 
 @cache
 def memory_bytes(device: Device) -> int:
-    """Memory [bytes] of a device with memory of its own, by its driver; 0 where it is unknown."""
+    """Memory [bytes] of a CUDA device, by its driver; 0 of the others, and where it is unknown."""
     if device.place != "cuda":
         return 0
     number, found = ctypes.c_int(), ctypes.c_size_t()
@@ -132,7 +130,7 @@ def choose_device(wanted: str = "auto") -> Device:
 
     place = "cuda" if torch.cuda.is_available() and wanted != "cpu" else "cpu"
     reason = "torch was requested" if wanted == "torch" else f"{why}: torch runs the sweep, slower"
-    return Device("torch", None, reason, place, has_own_memory=place == "cuda")
+    return Device("torch", None, reason, place)
 
 
 @contextmanager

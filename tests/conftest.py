@@ -66,14 +66,6 @@ def device(request):
     return chosen
 
 
-@pytest.fixture(scope="session", params=["cpu", "torch", pytest.param("cuda", marks=pytest.mark.gpu)])
-def apart(request):
-    """As `device`, each with its images in its own memory between the kernels, where CUDA devices have them always."""
-    from apart_device import device_apart
-
-    return device_apart(request.param)
-
-
 @pytest.fixture(scope="session")
 def Float():
     """Dr.Jit floats on LLVM, differentiable."""

@@ -11,7 +11,6 @@ import numpy as np
 
 from fields.device import Device
 from fields.sweep.block import Block
-from fields.sweep.images import image_backend
 from fields.sweep.kernels.arrays import floats, host
 from fields.sweep.kernels.backend import kernels, run_job
 from fields.sweep.kernels.stack import Hypotheses, ViewStack
@@ -100,14 +99,9 @@ class PlaneBed:
 
 
 def match(stack: ViewStack, neighbours, start, step, count, radius, columns=None) -> tuple[np.ndarray, ...]:
-    """Height [m], score and curvature [1/m^2] of view 0 on the host: `fields.sweep.matching.match_view`."""
-    hypotheses = Hypotheses(image_backend(stack.device).to_device(stack.device, start), step, count)
-    return found_by(stack.device, match_view(Reference(stack, 0, list(neighbours), radius), hypotheses, columns))
-
-
-def found_by(device: Device, job) -> tuple[np.ndarray, ...]:
-    """Images that a job finds, on the host."""
-    return tuple(image_backend(device).to_host(each) for each in run_job(device, job))
+    """Height [m], score and curvature [1/m^2] of view 0 of `fields.sweep.matching.match_view`."""
+    job = match_view(Reference(stack, 0, list(neighbours), radius), Hypotheses(start, step, count), columns)
+    return run_job(stack.device, job)
 
 
 def buffers_of(device: Device, arrays) -> list:

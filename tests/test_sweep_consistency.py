@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plane_survey import TILTED, PlaneBed, found_by, look, ring
+from plane_survey import TILTED, PlaneBed, look, ring
 from scipy.spatial.transform import Rotation
 
 from fields.sweep import fusion
 from fields.sweep.block import Block
+from fields.sweep.kernels.backend import run_job
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import HeightMap
 from fields.sweep.photo_consistency import photo_consistency
@@ -28,8 +29,8 @@ def level_maps(device, heights, water=TILTED) -> ViewStack:
 
 
 def agreement(stack: ViewStack, view: int, peers: list[int], tolerance: float):
-    """`fields.sweep.fusion.agreement` on the host."""
-    return found_by(stack.device, fusion.agreement(stack, view, peers, tolerance))
+    """What `fields.sweep.fusion.agreement` finds."""
+    return run_job(stack.device, fusion.agreement(stack, view, peers, tolerance))
 
 
 def seen_by(stack: ViewStack, peer: int, height: float = OWN) -> np.ndarray:
@@ -50,7 +51,7 @@ def test_equal_heights_agree_in_every_peer_that_sees_them(device, water):
     np.testing.assert_array_equal(agreeing[clear], expected[clear])
     assert (agreeing == 3).any()
     assert (agreeing < 3).any()
-    assert agreeing.dtype == (np.float32 if device.has_own_memory else np.uint8)
+    assert agreeing.dtype == (np.uint8)
     np.testing.assert_array_equal(fused, np.float32(OWN))
     np.testing.assert_array_equal(spread, 0.0)
 

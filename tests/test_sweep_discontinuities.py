@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import pytest
-from plane_survey import PlaneBed, found_by, look, ring, texture
+from plane_survey import PlaneBed, look, ring, texture
 
 from fields.sweep import matching
 from fields.sweep.discontinuities import search_discontinuities
-from fields.sweep.images import image_backend
+from fields.sweep.kernels.backend import run_job
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.matching import Reference
 from fields.sweep.passes import DiscontinuitySearch
@@ -40,11 +40,9 @@ class Terrace:
 
 
 def searched_by(stack, neighbours, found, parallax, search, matched=None):
-    """What the search makes of height, score and curvature, all on the host."""
-    placed = tuple(image_backend(stack.device).to_device(stack.device, each) for each in found)
-    return found_by(
-        stack.device, search_discontinuities(Reference(stack, 0, neighbours, 2), placed, parallax, search, matched)
-    )
+    """What the search makes of height, score and curvature."""
+    job = search_discontinuities(Reference(stack, 0, neighbours, 2), found, parallax, search, matched)
+    return run_job(stack.device, job)
 
 
 def searched(device, height, truth, *, score=0.9, search=SEARCH, matched=None):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from plane_survey import buffers_of, held_in, windows_of
@@ -47,6 +49,16 @@ def test_behind_a_room_there_is_memory_for_the_last_vector_of_a_view(device, siz
     # Waits for the kernel that fills it.
     assert (held_in(device, copy, size) == np.arange(size)).all()
     assert (copy.memory[:size] == np.arange(size)).all()
+
+
+@pytest.mark.parametrize("device", ["cpu"], indirect=True)
+@pytest.mark.parametrize("radius", [1, 3])
+def test_windows_that_cuda_gathers_are_those_that_a_processor_reads_in_its_memory(device, rng, radius):
+    reference, *images = rng.normal(0.0, 40.0, (3, 14, 17)).astype(np.float32)
+    as_cuda = replace(device, name="cuda")
+    assert Buffer.of(as_cuda, 4).memory is None
+    found = [ncc_of(each, reference, np.stack(images), radius) for each in (device, as_cuda)]
+    np.testing.assert_allclose(*found, atol=SCORE)
 
 
 @pytest.mark.parametrize("radius", [1, 2, 3, 5])

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from plane_survey import SIZE, TILTED, PlaneBed, found_by, ring
+from plane_survey import SIZE, TILTED, PlaneBed, ring
 
 from fields.sweep.bed import unique_pixels
 from fields.sweep.block import Block
 from fields.sweep.fusion import agreement
-from fields.sweep.images import image_backend
-from fields.sweep.kernels.arrays import indices
 from fields.sweep.kernels.backend import run_job
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import HeightMap, trusted
@@ -39,11 +37,6 @@ def map_of(block: Block, view: int, off: float = 0.0) -> HeightMap:
     return HeightMap(view, height, ones, np.full(height.shape, 3, np.uint8), 0 * ones)
 
 
-def on_device(block: Block, maps: dict[int, HeightMap]) -> dict[int, HeightMap]:
-    """Maps as the passes take them."""
-    return {view: image_backend(block.device).upload(block.device, m) for view, m in maps.items()}
-
-
 def larger(part: np.ndarray) -> np.ndarray:
     """A mask of a quarter of the size at the size of the image."""
     return part.repeat(4, axis=0).repeat(4, axis=1)[: SIZE[1], : SIZE[0]]
@@ -51,7 +44,7 @@ def larger(part: np.ndarray) -> np.ndarray:
 
 def test_nearly_all_that_becomes_a_point_is_predicted_and_most_of_the_rest_is_left_out(block):
     maps = {view: map_of(block, view) for view in range(7)}
-    wanted = predict_selected_pixels(block, on_device(block, maps))
+    wanted = predict_selected_pixels(block, maps)
     kept = unique_pixels(block, list(maps.values()), gsd=0.015)
     points = sum(int(each.sum()) for each in kept)
     predicted = sum(int((keep & larger(wanted[view])).sum()) for view, keep in enumerate(kept))
@@ -66,30 +59,29 @@ def test_a_place_at_another_height_than_steeper_views_have_becomes_a_point(block
     order = sorted(maps, key=lambda view: block.cameras[view].cam_from_local[2][2])
     least = maps[order[-1]]
     middle = np.s_[SIZE[1] // 2 - 8 : SIZE[1] // 2 + 8, SIZE[0] // 2 - 8 : SIZE[0] // 2 + 8]
-    assert not larger(predict_selected_pixels(block, on_device(block, maps))[least.view])[middle].any()
+    assert not larger(predict_selected_pixels(block, maps)[least.view])[middle].any()
     least.height[middle] += 1.0
-    assert larger(predict_selected_pixels(block, on_device(block, maps))[least.view])[middle].all()
+    assert larger(predict_selected_pixels(block, maps)[least.view])[middle].all()
 
 
 def test_what_nothing_confirms_becomes_no_point(block):
     maps = {view: map_of(block, view) for view in range(7)}
     maps[0].agreeing[:] = 0
-    wanted = predict_selected_pixels(block, on_device(block, maps))
+    wanted = predict_selected_pixels(block, maps)
     assert not wanted[0].any()
     assert any(part.any() for part in wanted.values())
 
 
 def test_a_part_is_refined_as_the_whole_view_is_and_the_rest_stays(block):
-    backend, before = image_backend(block.device), map_of(block, 0, OFF_M)
+    before = map_of(block, 0, OFF_M)
     (of_view,) = view_passes(block, [0], REFINING, None)
-    placed = backend.upload(block.device, before)
-    whole = run_job(block.device, match_pass(block, REFINING, of_view, SweepSettings((-3.0, -1.0)), placed, 0)).map
+    whole = run_job(block.device, match_pass(block, REFINING, of_view, SweepSettings((-3.0, -1.0)), before, 0)).map
     part = np.zeros((SIZE[1] // 4, SIZE[0] // 4), dtype=bool)
     part[10:14, 12:20] = True
-    matched = run_job(block.device, refine_part(block, REFINING, of_view, placed, part))
-    height, complete = backend.to_host(matched.map.height), backend.to_host(whole.height)
+    matched = run_job(block.device, refine_part(block, REFINING, of_view, before, part))
+    height, complete = matched.map.height, whole.height
     mask = np.zeros(height.size, dtype=bool)
-    mask[backend.to_host(matched.refined_pixels)] = True
+    mask[matched.refined_pixels] = True
     assert mask.reshape(height.shape)[larger(part)].all()
     np.testing.assert_array_equal(height.ravel()[~mask], before.height.ravel()[~mask])
     off = np.abs(height - complete).ravel()[mask]
@@ -99,15 +91,13 @@ def test_a_part_is_refined_as_the_whole_view_is_and_the_rest_stays(block):
 
 
 def test_what_is_left_out_of_a_photograph_scores_nothing_in_a_part_of_it_either(device):
-    hole, backend = np.s_[44:50, 60:66], image_backend(device)
+    hole = np.s_[44:50, 60:66]
     photographs = [BED.photograph(camera) for camera in ring(6)]
     photographs[0][hole] = np.nan
     block = BED.block(device, ring(6), photographs)
     part = np.ones((SIZE[1] // 4, SIZE[0] // 4), dtype=bool)
     (of_view,) = view_passes(block, [0], REFINING, None)
-    before = backend.upload(device, map_of(block, 0, OFF_M))
-    matched = run_job(device, refine_part(block, REFINING, of_view, before, part))
-    score = backend.to_host(matched.map.score)
+    score = run_job(device, refine_part(block, REFINING, of_view, map_of(block, 0, OFF_M), part)).map.score
     assert (score[hole] == -1.0).all()
     assert (score[4:40, 4:40] > 0.5).mean() > 0.9
 
@@ -122,10 +112,9 @@ def test_images_smaller_than_a_tile_have_no_parts(block):
 def test_some_pixels_agree_as_they_do_among_all(block):
     maps = [map_of(block, view, 0.001 * view) for view in range(7)]
     stack = ViewStack.build(block.device, block.cameras, [m.height for m in maps], TILTED)
-    whole = found_by(block.device, agreement(stack, 0, [1, 2, 3], 0.05))
+    whole = run_job(block.device, agreement(stack, 0, [1, 2, 3], 0.05))
     pixels = np.arange(1000, 3000, 7)
-    some = indices(block.device, pixels) if block.device.has_own_memory else pixels
-    part = found_by(block.device, agreement(stack, 0, [1, 2, 3], 0.05, some))
+    part = run_job(block.device, agreement(stack, 0, [1, 2, 3], 0.05, pixels))
     for few, every in zip(part, whole, strict=True):
         np.testing.assert_allclose(few, every.ravel()[pixels], rtol=0.0, atol=1e-6)
 

@@ -12,7 +12,6 @@ from plane_survey import TILTED, PlaneBed, ring
 from rippled_pair import SIZE, rippled_pair
 
 from fields.sweep.bed import is_supported
-from fields.sweep.images import image_backend
 from fields.sweep.kernels.backend import run_job
 from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.maps import HeightMap, OrderedMaps, height_std, trusted
@@ -117,11 +116,8 @@ def matched(device, images, match):
     truth = BED.true_height(cameras[0]).astype(np.float32)
     start = np.full_like(truth, truth.mean() - 0.5 * STEP * (NUM_HYPOTHESES - 1))
     stack = BED.block(device, cameras, images).stack(1.0)
-    backend = image_backend(device)
-    hypotheses = Hypotheses(backend.to_device(device, start), STEP, NUM_HYPOTHESES)
-    found = run_job(device, match(Reference(stack, 0, OTHERS, 2), hypotheses))
+    found = run_job(device, match(Reference(stack, 0, OTHERS, 2), Hypotheses(start, STEP, NUM_HYPOTHESES)))
     images, radius = found if match is match_with_adaptive_windows else (found, 2)
-    images = [backend.to_host(each) for each in images]
     return images, radius, np.abs(images[0] - truth)[8:-8, 8:-8]
 
 

@@ -8,11 +8,10 @@ window needs its surroundings at its own height, or on its own wall, not at the 
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from fields.sweep.images import image_backend
+from fields.median import median
+from fields.sweep.images import local_min_max, median_above, tile_extents, tile_gradients
 from fields.sweep.kernels.backend import Job
 from fields.sweep.matching import Found, Reference, match_tiles
 from fields.sweep.passes import MATCHED_NCC, DiscontinuitySearch
@@ -42,45 +41,42 @@ def search_discontinuities(
         Pixels that are searched: those that were matched, of a view of which parts were not.
     """
     stack, height, score = reference.stack, found[0], found[1]
-    backend = image_backend(stack.device)
-    typical = backend.median(score) if matched is None else backend.median_above(score, -1.0)
+    typical = median(score) if matched is None else median_above(score, -1.0)
     if typical is None or typical < search.least_score or min(height.shape) < search.tile_px + 2 * search.radius:
         return found
-    low, high = backend.local_min_max(height, search.around_px)
-    searched = backend.exceeds_shift(low, high, parallax, search.reach_px)
+    low, high = local_min_max(height, search.around_px)
+    searched = (high - low) * parallax > search.reach_px
     if matched is not None:
         # Heights continue beyond what was matched, and lines between them look like discontinuities.
-        searched = searched & backend.to_device(stack.device, matched)
-    if not backend.any_true(searched):
+        searched &= matched
+    if not searched.any():
         return found
     nearby = Reference(stack, reference.view, reference.neighbours[: search.neighbours], search.radius)
-    spacing, least = search.spacing_px / parallax, backend.full(stack.device, height.shape, MATCHED_NCC)
-    size, bounds = search.tile_px, backend.tile_extents(searched, low, high, search.tile_px)
+    spacing, least = search.spacing_px / parallax, np.full(height.shape, MATCHED_NCC, dtype=np.float32)
+    size, bounds = search.tile_px, tile_extents(searched, low, high, search.tile_px)
     level = ImageTiles.of(searched, bounds, spacing, size, search.radius)
     found = yield from _best_of_tiles(nearby, found, level, spacing, least)
     if search.walls:
-        width, gradients = 2.0 * search.radius + 1.0, backend.tile_gradients(height, searched, size)
+        width, gradients = 2.0 * search.radius + 1.0, tile_gradients(height, searched, size)
         slope = wall_slopes(stack.cameras[nearby.view], stack.water, gradients, bounds, size, width)
         upright = ImageTiles.of(searched, bounds, spacing, size, search.radius, slope)
-        found = yield from _best_of_tiles(nearby, found, upright, spacing, backend.pixelwise_max(least, found[1]))
+        found = yield from _best_of_tiles(nearby, found, upright, spacing, np.maximum(least, found[1]))
     return found
 
 
-def _best_of_tiles(reference: Reference, found: Found, tiles: ImageTiles, spacing: float, least: Any) -> Job[Found]:
+def _best_of_tiles(
+    reference: Reference, found: Found, tiles: ImageTiles, spacing: float, least: np.ndarray
+) -> Job[Found]:
     """Heights replaced by those of tiles, with hypotheses ``spacing`` [m] apart, where these score over ``least``."""
-    stack, backend = reference.stack, image_backend(reference.stack.device)
-    better, worse = [backend.flat_copy(each) for each in found], backend.flat_view(least)
+    better, worse = [each.flatten() for each in found], least.ravel()
 
-    def take(own: Any, pixels: Any, matched: list[Any]) -> None:
-        keep = own & (matched[1] > backend.values_at(worse, pixels))
+    def take(own: np.ndarray, pixels: np.ndarray, matched: list[np.ndarray]) -> None:
+        keep = own & (matched[1] > worse[pixels])
         for target, each in zip(better, matched, strict=True):
-            backend.put(target, pixels, each, keep)
+            target[pixels[keep]] = each[keep]
 
-    def starts(part: slice, _pixels: Any) -> Any:
-        return backend.tile_starts(stack.device, tiles, part)
-
-    yield from match_tiles(reference, tiles, starts, spacing, take)
-    height, score, curvature = (backend.reshaped(each, found[0].shape) for each in better)
+    yield from match_tiles(reference, tiles, lambda part, _: tiles.starts(part).ravel(), spacing, take)
+    height, score, curvature = (each.reshape(found[0].shape) for each in better)
     return height, score, curvature
 
 
@@ -100,7 +96,7 @@ def wall_slopes(
     Parameters
     ----------
     gradients : (rows, columns, 2)
-        Direction in which the heights of each tile rise, of any length: `fields.sweep.images_host.tile_gradients`.
+        Direction in which the heights of each tile rise, of any length: `fields.sweep.images.tile_gradients`.
     extent : (rows, columns) each [m]
         Lowest and highest height of the tiles.
     size : [px]

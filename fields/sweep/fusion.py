@@ -6,23 +6,23 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import repeat
-from typing import Any
 
+import cv2
 import numpy as np
 
 from fields.image_store import LazyImages
 from fields.median import median
 from fields.sweep.block import Block
-from fields.sweep.images import image_backend
 from fields.sweep.kernels.arrays import host
 from fields.sweep.kernels.backend import Job, Launch, run_jobs
 from fields.sweep.kernels.lookups import compare_heights, count_seeing_through
 from fields.sweep.kernels.stack import ViewStack, largest
 from fields.sweep.maps import HeightMap, Maps, OrderedMaps, StoreFactory, trusted, views_of
 from fields.sweep.passes import MATCHED_NCC
+from fields.sweep.planes import extrapolate_planes
 
-# Number of agreeing peers, fused heights and their spread: images of `fields.sweep.images.image_backend`.
-_Agreement = tuple[Any, Any, Any]
+# Number of agreeing peers, fused heights and their spread.
+_Agreement = tuple[np.ndarray, np.ndarray, np.ndarray]
 # Number of height maps that each is compared with.
 PEERS = 12
 # A height that no other view confirms is replaced by the median over a square of this side [px].
@@ -34,7 +34,7 @@ class ComparedViews:
     """Views that the map of a view is compared with, and its compared pixels (flat indices; None for all)."""
 
     peers: list[int]
-    pixels: Any | None = None
+    pixels: np.ndarray | None = None
 
 
 def fuse(
@@ -53,12 +53,12 @@ def fuse(
     where these lie in one: a better start. A pixel that matched nothing confirms nothing either. Maps that are not
     compared keep what they have.
     """
-    fused, backend = make_store(), image_backend(block.device)
+    fused = make_store()
     for m, tolerance, (agreeing, height, spread) in _agreement(block, maps, scale, compared):
-        height = backend.where(agreeing > 0, height, backend.median_blur(m.height, _SURROUNDINGS_PX))
-        found = HeightMap(m.view, height, m.score, agreeing, backend.to_half(spread))
+        height = np.where(agreeing > 0, height, cv2.medianBlur(m.height, _SURROUNDINGS_PX))
+        found = HeightMap(m.view, height, m.score, agreeing, spread.astype(np.float16))
         if is_intermediate:
-            found = replace(found, height=backend.extrapolate_planes(height, trusted(found), tolerance))
+            found = replace(found, height=extrapolate_planes(height, trusted(found), tolerance))
         fused[m.view] = found
     for view in set(maps) - set(fused):
         fused[view] = maps[view]
@@ -73,33 +73,34 @@ def _agreement(
 
     Where only some pixels of a view are compared, the others keep the values of its map.
     """
-    chosen, backend = sorted(maps), image_backend(block.device)
+    chosen = sorted(maps)
     cameras = [block.cameras[v].scaled(scale) if scale != 1.0 else block.cameras[v] for v in chosen]
 
-    def matched(number: int) -> Any:
+    def matched(number: int) -> np.ndarray:
         m = maps[chosen[number]]
-        return backend.where(m.score > MATCHED_NCC, m.height, math.nan)
+        return np.where(m.score > MATCHED_NCC, m.height, np.float32(np.nan))
 
     images = LazyImages(matched, len(chosen), largest(cameras), 1)
     heights = ViewStack.build(block.device, cameras, images, block.water)
 
     def job(view: int) -> Job[tuple[HeightMap, float, _Agreement]]:
         m, others, pixels = maps[view], compared[view].peers, compared[view].pixels
-        tolerance = block.agreement_tolerance(view, others, backend.median(m.height))
+        tolerance = block.agreement_tolerance(view, others, median(m.height))
         found = yield from agreement(heights, chosen.index(view), [chosen.index(p) for p in others], tolerance, pixels)
         if pixels is not None:
-            full_maps = [backend.flat_copy(each) for each in (m.agreeing, m.height, m.spread)]
+            full_maps = [each.flatten() for each in (m.agreeing, m.height, m.spread)]
             for target, each in zip(full_maps, found, strict=True):
-                backend.put(target, pixels, each)
-            found = tuple(backend.reshaped(each, m.height.shape) for each in full_maps)
+                target[pixels] = each
+            count, height, spread = (each.reshape(m.height.shape) for each in full_maps)
+            found = count, height, spread
         return m, tolerance, found
 
     yield from run_jobs(block.device, (job(view) for view in chosen if view in compared and compared[view].peers))
 
 
 def agreement(
-    heights: ViewStack, view: int, peers: list[int], tolerance: float, pixels: Any | None = None
-) -> Job[tuple[Any, Any, Any]]:
+    heights: ViewStack, view: int, peers: list[int], tolerance: float, pixels: np.ndarray | None = None
+) -> Job[_Agreement]:
     """Agreement of the height map of one view with those of its peers.
 
     The bed point of each pixel is projected into each peer, whose own height there (bilinear) is compared.
@@ -122,14 +123,16 @@ def agreement(
     spread : float32 [m]
         Standard deviation (population) of the same.
     """
-    backend = image_backend(heights.device)
-    shape = (heights.height_of(view), heights.width_of(view)) if pixels is None else (len(pixels),)
+    own = heights.images[view] if pixels is None else heights.images[view].ravel()[pixels]
 
     def launch() -> Launch:
         return Launch(list(compare_heights(heights, view, peers, tolerance, pixels)))
 
     sums = yield launch
-    return backend.agreement_statistics(backend.heights_at(heights, view, pixels), sums, shape)
+    count, total, square = (each.reshape(own.shape) for each in sums)
+    mean = total / (count + 1.0)
+    spread = np.sqrt(np.maximum(square / (count + 1.0) - mean * mean, 0.0))
+    return count.astype(np.uint8), own + mean, spread
 
 
 def num_comparable(block: Block, maps: Sequence[HeightMap]) -> Iterator[np.ndarray | None]:

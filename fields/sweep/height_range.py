@@ -7,7 +7,6 @@ import numpy as np
 from scipy import ndimage
 
 from fields.sweep.block import Block
-from fields.sweep.images import image_backend
 from fields.sweep.kernels.backend import run_job
 from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.matching import Reference, match_with_adaptive_windows
@@ -51,7 +50,6 @@ def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]
     # Of a tile perhaps none: its windows hold heights at which no view shows it.
     chosen = [chosen[i] for i in np.unique(np.linspace(0, len(chosen) - 1, NUM_VIEWS).astype(int))] if chosen else []
     heights, steps, radius = [np.empty(0)], [0.0], WINDOW_RADIUS
-    backend = image_backend(block.device)
     for view in chosen:
         others = block.neighbours(view, NUM_NEIGHBOURS)
         if not others:
@@ -61,11 +59,10 @@ def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]
         if count < _FEWEST_HYPOTHESES:
             block.release(scale)
             return limits
-        start = backend.full(block.device, (stack.height, stack.width), limits[0])
+        start = np.full((stack.height, stack.width), limits[0], dtype=np.float32)
         reference = Reference(stack, view, others, radius)
         job = match_with_adaptive_windows(reference, Hypotheses(start, step, count))
-        found, radius = run_job(block.device, job)
-        z, score, curvature = (backend.to_host(each) for each in found)
+        (z, score, curvature), radius = run_job(block.device, job)
         confident = CONFIDENT_NCC * (2 * WINDOW_RADIUS + 1) / (2 * radius + 1)
         # A chance match is isolated; the bed continues in the pixels around.
         supported = np.abs(z - cv2.medianBlur(z, 5)) < step

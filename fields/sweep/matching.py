@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fields.sweep.images import image_backend
+from fields.sweep.images import fill_nearest, median_above, put_strip, strip_indices
 from fields.sweep.kernels.arrays import floats
 from fields.sweep.kernels.backend import Job, Launch, kernels
 from fields.sweep.kernels.lookups import rays_of_pixels, rays_of_rows
@@ -18,8 +18,8 @@ from fields.sweep.kernels.stack import Hypotheses, ViewStack
 from fields.sweep.passes import MATCHED_NCC
 from fields.sweep.tiles import ImageTiles
 
-# Height [m], score and curvature [1/m^2] of each pixel: images of `fields.sweep.images.image_backend`.
-Found = tuple[Any, Any, Any]
+# Height [m], score and curvature [1/m^2] of each pixel, (height, width) float32.
+Found = tuple[np.ndarray, np.ndarray, np.ndarray]
 # Lanes of the widest vectors.
 _VECTOR = 16
 # Samples (neighbours x hypotheses x pixels) of one launch: 32 MB an array.
@@ -69,12 +69,10 @@ def match_view(reference: Reference, hypotheses: Hypotheses, columns: np.ndarray
         pixel.
     """
     stack, view, radius, start = reference.stack, reference.view, reference.radius, hypotheses.start
-    backend = image_backend(stack.device)
     width, height = stack.width_of(view), stack.height_of(view)
     per_row = len(reference.neighbours) * hypotheses.count * width
     rows = max(4 * radius + 4, min(height, SAMPLES_PER_LAUNCH // per_row))
-    none = (backend.full(stack.device, (height, width), value) for value in (-1.0, 0.0))
-    found = [backend.flat_copy(start), *(backend.flat_view(each) for each in none)]
+    found = [start.flatten(), *(np.full(height * width, value, dtype=np.float32) for value in (-1.0, 0.0))]
     columns = np.tile([0, width], (height, 1)) if columns is None else columns
     rows_to_match = np.flatnonzero(columns[:, 1] > columns[:, 0])
     rows_to_match = (
@@ -90,21 +88,21 @@ def match_view(reference: Reference, hypotheses: Hypotheses, columns: np.ndarray
         left, right = _span(int(spans[:, 0].min()), int(spans[:, 1].max()), width, radius)
         inner = slice(max(int(spans[:, 0].min()), radius), min(int(spans[:, 1].max()), width - radius))
         strip = np.s_[first - radius : last + radius, left:right]
-        grey, begin = backend.grey(stack, view, strip), backend.crop(start, strip)
+        grey, begin = stack.images[view][strip], start[strip]
         rays = partial(_rays_of_strip, stack, view, strip)
         results = yield partial(_launch, reference, rays, grey, replace(hypotheses, start=begin), right - left)
         for target, result in zip(found, results, strict=True):
-            backend.put_strip(target, width, result, (slice(first, last), inner), strip[1], radius)
-    best, score, curvature = (backend.reshaped(each, (height, width)) for each in found)
-    return backend.fill_nearest(best, score > MATCHED_NCC), score, curvature
+            put_strip(target, width, result, (slice(first, last), inner), strip[1], radius)
+    best, score, curvature = (each.reshape(height, width) for each in found)
+    return fill_nearest(best, score > MATCHED_NCC), score, curvature
 
 
 def match_tiles(
     reference: Reference,
     tiles: ImageTiles,
-    starts: Callable[[slice, Any], Any],
+    starts: Callable[[slice, np.ndarray], np.ndarray],
     step: float,
-    take: Callable[[Any, Any, list[Any]], None],
+    take: Callable[[np.ndarray, np.ndarray, list[np.ndarray]], None],
 ) -> Job[None]:
     """Matching of tiles with their halos, a batch of them at a time; otherwise as `match_view`.
 
@@ -119,16 +117,17 @@ def match_tiles(
     height [m], score [-], curvature [1/m^2] : list of float32
     """
     stack, view, side = reference.stack, reference.view, tiles.side
-    backend, device, num = image_backend(stack.device), stack.device, len(reference.neighbours)
+    num = len(reference.neighbours)
     most, launch = SAMPLES_PER_LAUNCH // num, _LAUNCH_SAMPLES // num
     # The first window begins so many pixels into the first tile.
     lost = tiles.radius * (side + 1)
     for part, count in tiles.batches(most, launch):
-        pixels = backend.tile_indices(device, tiles, part)
-        rays = partial(rays_of_pixels, stack, view, pixels)
-        grey, hypotheses = backend.grey_at(stack, view, pixels), Hypotheses(starts(part, pixels), step, count)
+        pixels = tiles.pixels(part)
+        own, flat = tiles.own(part, pixels).ravel(), pixels.ravel()
+        rays = partial(rays_of_pixels, stack, view, flat)
+        grey, hypotheses = stack.images[view].ravel()[flat], Hypotheses(starts(part, flat), step, count)
         results = yield partial(_launch, reference, rays, grey, hypotheses, side)
-        take(backend.own_pixels(device, tiles, part, pixels, lost), backend.trim_halo(pixels, lost), results)
+        take(own[lost : len(own) - lost], flat[lost : len(flat) - lost], results)
 
 
 def _launch(reference: Reference, rays: Callable[[], Any], grey: Any, hypotheses: Hypotheses, width: int) -> Launch:
@@ -164,9 +163,7 @@ def _rays_of_strip(stack: ViewStack, view: int, strip: tuple[slice, slice]) -> A
     rows, columns = strip
     if columns.stop - columns.start == stack.width_of(view):
         return rays_of_rows(stack, view, rows.start, rows.stop - rows.start)
-    return rays_of_pixels(
-        stack, view, image_backend(stack.device).strip_indices(stack.device, strip, stack.width_of(view))
-    )
+    return rays_of_pixels(stack, view, strip_indices(strip, stack.width_of(view)))
 
 
 def match_with_adaptive_windows(
@@ -185,15 +182,15 @@ def match_with_adaptive_windows(
     found = yield from match_view(reference, hypotheses, columns(radius))
     if np.isfinite(stack.images[reference.view]).mean() < _WHOLE:
         return found, radius
-    while (asked := _radius_asked_for(stack, found[1], radius, hypotheses.count)) != radius:
+    while (asked := _radius_asked_for(found[1], radius, hypotheses.count)) != radius:
         radius = asked
         found = yield from match_view(replace(reference, radius=radius), hypotheses, columns(radius))
     return found, radius
 
 
-def _radius_asked_for(stack: ViewStack, score: Any, radius: int, count: int) -> int:
+def _radius_asked_for(score: np.ndarray, radius: int, count: int) -> int:
     """`radius_for` the scores (height, width) of a view."""
-    matched = image_backend(stack.device).median_above(score, -1.0)
+    matched = median_above(score, -1.0)
     return radius if matched is None else radius_for(matched, score.shape, radius, count)
 
 

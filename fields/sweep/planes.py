@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -13,7 +10,6 @@ import numpy as np
 from fields.image_store import Masks
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.map_points import MapPoints, far_from, thin_out
-from refract import kernels
 
 # Heights around a pixel on a wall lie in one plane: residuals (rms) below this share of its slope. A step has 0.47.
 _MOST_BENT = 0.4
@@ -125,68 +121,33 @@ def extrapolate_planes(height: np.ndarray, known: np.ndarray, tolerance: float) 
     return found
 
 
-@dataclass(frozen=True)
-class Sums:
-    """Sums over the square about each pixel, of known pixels (n) at places x, y from its middle with heights z.
-
-    The pixels may be an array of any library, and of any shape.
-    """
-
-    n: Any
-    x: Any
-    y: Any
-    z: Any
-    xx: Any
-    yy: Any
-    xy: Any
-    xz: Any
-    yz: Any
-    zz: Any
-
-    @staticmethod
-    def of(
-        weight: Any, height: Any, along: Callable[[Any, int, int], Any], over: Callable[[Any], Any] | None = None
-    ) -> Sums:
-        """Sums of weights, 1 where a height is known, else 0, and of heights [m] times these, in float32.
-
-        ``along(values, power, axis)`` are sums over a side of the square of values times a power of the distance
-        [px], along rows (0) or columns (1), and ``over(values)`` those over the square.
-        """
-        w0, w1, w2 = (along(weight, power, 0) for power in range(3))
-        z0, z1 = (along(height, power, 0) for power in range(2))
-        square = height * height
-        return Sums(
-            n=along(w0, 0, 1), x=along(w1, 0, 1), y=along(w0, 1, 1), z=along(z0, 0, 1),
-            xx=along(w2, 0, 1), yy=along(w0, 2, 1), xy=along(w1, 1, 1), xz=along(z1, 0, 1), yz=along(z0, 1, 1),
-            zz=along(along(square, 0, 0), 0, 1) if over is None else over(square),
-        )  # fmt: skip
-
-
-def plane_through(sums: Sums) -> tuple[Any, Any]:
-    """Height at the middle of each square of the plane through the known heights in it, and how far they leave it.
+def _planes(height: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Height at each pixel of the plane through the known ones in the square about it, and how far these leave it.
 
     The latter, a root mean square, is infinite where too few are known, or in a line.
     """
-    xp = kernels.namespace(sums.n)
-    each = 1.0 / xp.maximum(sums.n, 0.5)
-    x, y, z = (part * each for part in (sums.x, sums.y, sums.z))
-    xx, yy, xy = sums.xx * each - x * x, sums.yy * each - y * y, sums.xy * each - x * y
-    xz, yz, zz = sums.xz * each - x * z, sums.yz * each - y * z, sums.zz * each - z * z
-    # The determinant over the trace is nearly the variance in the direction in which the pixels spread least.
-    spread = xx * yy - xy * xy
-    enough = (sums.n >= _LEAST_KNOWN * SIDE_PX**2) & (spread > _LEAST_SPREAD_PX**2 * (xx + yy))
-    over = 1.0 / xp.where(enough, spread, 1.0)
-    across, down = (yy * xz - xy * yz) * over, (xx * yz - xy * xz) * over
-    off = xp.sqrt(xp.maximum(zz - across * xz - down * yz, 0.0))
-    return z - across * x - down * y, xp.where(enough, off, math.inf)
-
-
-def _planes(height: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Height at each pixel of the plane through the known ones around it, and how far these leave it; inf without."""
     weight = known.astype(np.float32)
     base = np.float32(np.vdot(weight.astype(np.float64), height) / np.count_nonzero(known))
-    plane, off = plane_through(Sums.of(weight, weight * (height - base), _along, _over))
-    return base + plane, off
+    over_base = weight * (height - base)
+    w0, w1, w2 = (_along(weight, power, 0) for power in range(3))
+    z0, z1 = (_along(over_base, power, 0) for power in range(2))
+    n = _along(w0, 0, 1)
+    # Means over the known pixels of places x, y from the middle, heights z, and their products.
+    each = 1.0 / np.maximum(n, 0.5)
+    x, y, z = _along(w1, 0, 1) * each, _along(w0, 1, 1) * each, _along(z0, 0, 1) * each
+    xx, yy, xy = (
+        _along(w2, 0, 1) * each - x * x, _along(w0, 2, 1) * each - y * y, _along(w1, 1, 1) * each - x * y
+    )  # fmt: skip
+    xz, yz, zz = (
+        _along(z1, 0, 1) * each - x * z, _along(z0, 1, 1) * each - y * z, _over(over_base * over_base) * each - z * z
+    )  # fmt: skip
+    # The determinant over the trace is nearly the variance in the direction in which the pixels spread least.
+    spread = xx * yy - xy * xy
+    enough = (n >= _LEAST_KNOWN * SIDE_PX**2) & (spread > _LEAST_SPREAD_PX**2 * (xx + yy))
+    over = 1.0 / np.where(enough, spread, 1.0)
+    across, down = (yy * xz - xy * yz) * over, (xx * yz - xy * xz) * over
+    off = np.sqrt(np.maximum(zz - across * xz - down * yz, 0.0))
+    return base + (z - across * x - down * y), np.where(enough, off, np.inf)
 
 
 def _over(values: np.ndarray) -> np.ndarray:

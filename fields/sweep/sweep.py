@@ -8,20 +8,19 @@ second on the hypotheses follow the relief (`fields.sweep.kernels`), so that win
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from fields.device import Device, memory_bytes
 from fields.image_store import LazyImages
 from fields.sweep.block import Block
 from fields.sweep.fusion import PEERS, ComparedViews, fuse
-from fields.sweep.images import image_backend
+from fields.sweep.images import masked_means, median_above, newly_visible
+from fields.sweep.kernels.arrays import host
 from fields.sweep.kernels.backend import Job, run_jobs
 from fields.sweep.kernels.lookups import compare_heights
 from fields.sweep.kernels.stack import ViewStack, largest
-from fields.sweep.maps import HeightMap, Maps, MemoryBudget, OrderedMaps, StoreFactory, trusted
+from fields.sweep.maps import HeightMap, Maps, OrderedMaps, StoreFactory, trusted
 from fields.sweep.passes import MATCHED_NCC, POINTS_SHARE, Pass
 from fields.sweep.tiles import PART_SIDE_PX
 from fields.sweep.view_pass import (
@@ -35,77 +34,8 @@ from fields.sweep.view_pass import (
 )
 from fields.sweep.views import Footprint
 
-# Share of the memory of a device that maps may take; a pixel of a map takes four float32.
-_SHARE, _PIXEL_BYTES = 0.5, 16
 # Size of a part: four pixels a side.
 _SCALE = 0.25
-
-
-def device_map_store(device: Device, make_store: StoreFactory, budget_bytes: int | None = None) -> StoreFactory:
-    """Factory of map stores for the kernels of a device; ``make_store`` is that of stores on the host.
-
-    Maps on the device take ``budget_bytes``, by default half of its memory.
-    """
-    if not device.has_own_memory:
-        return make_store
-    budget = MemoryBudget(int(_SHARE * memory_bytes(device)) if budget_bytes is None else budget_bytes)
-    return lambda: DeviceMaps(device, make_store(), budget)
-
-
-def to_host_maps(device: Device, maps: Maps, make_store: StoreFactory) -> Maps:
-    """Maps moved to the memory of the host; the store on the device is emptied."""
-    if not device.has_own_memory:
-        return maps
-    found = make_store()
-    for view in list(maps):
-        found[view] = image_backend(device).download(maps.pop(view))
-    return found
-
-
-class DeviceMaps(MutableMapping[int, HeightMap]):
-    """Maps by view, on the device while the budget lasts, the others on the host.
-
-    Parameters
-    ----------
-    on_host : store of the maps that do not fit
-    """
-
-    def __init__(self, device: Device, on_host: Maps, budget: MemoryBudget):
-        self._device, self._on_host, self._budget = device, on_host, budget
-        self._held: dict[int, HeightMap] = {}
-
-    def __getitem__(self, view: int) -> HeightMap:
-        if view in self._held:
-            return self._held[view]
-        return image_backend(self._device).upload(self._device, self._on_host[view])
-
-    def __setitem__(self, view: int, m: HeightMap) -> None:
-        self.pop(view, None)
-        if _bytes_of(m) <= self._budget.left:
-            self._budget.left -= _bytes_of(m)
-            self._held[view] = m
-        else:
-            self._on_host[view] = image_backend(self._device).download(m)
-
-    def __delitem__(self, view: int) -> None:
-        if view in self._held:
-            self._budget.left += _bytes_of(self._held.pop(view))
-        else:
-            del self._on_host[view]
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(sorted({*self._held, *self._on_host}))
-
-    def __len__(self) -> int:
-        return len(self._held) + len(self._on_host)
-
-    def __contains__(self, view: object) -> bool:
-        return view in self._held or view in self._on_host
-
-
-def _bytes_of(m: HeightMap) -> int:
-    rows, columns = m.height.shape
-    return _PIXEL_BYTES * rows * columns
 
 
 def sweep(
@@ -131,8 +61,7 @@ def sweep(
     OrderedMaps of HeightMap at the scale of the last pass, in the order of `chosen`
         Views that overlap with no other are left out.
     """
-    make_device_store = device_map_store(block.device, make_store)
-    maps = make_device_store()
+    maps = make_store()
     work = [view_passes(block, chosen, p, None if n else settings.bound) for n, p in enumerate(settings.passes)]
     views = sorted({each.view for of_pass in work for each in of_pass})
     peers = {view: block.neighbours(view, PEERS, candidates=views) for view in views}
@@ -141,11 +70,10 @@ def sweep(
     for number, pass_ in enumerate(passes):
         refined = state.match(number, maps)
         if state.fused[number]:
-            maps = state.fuse(number, maps, refined, make_device_store)
+            maps = state.fuse(number, maps, refined, make_store)
         if number + 1 == len(passes) or passes[number + 1].scale != pass_.scale:
             block.release(pass_.scale)
-    swept = to_host_maps(block.device, maps, make_store)
-    return OrderedMaps(swept, [view for view in chosen if view in swept])
+    return OrderedMaps(maps, [view for view in chosen if view in maps])
 
 
 class _Sweep:
@@ -181,13 +109,13 @@ class _Sweep:
         self._selected: dict[int, np.ndarray] = {}
         self._done, self._total, self._reported = 0.0, 0.0, 0.0
 
-    def match(self, number: int, maps: Maps) -> dict[int, Any]:
+    def match(self, number: int, maps: Maps) -> dict[int, np.ndarray]:
         """Match the views of a pass into ``maps``; the refined pixels of views of which only parts were matched."""
         block, settings, work = self._block, self._settings, self._work[number]
         pass_, extra_px = settings.passes[number], self._extra_radius_px
         if pass_.points_only and not self._selected:
             self._selected = predict_selected_pixels(block, maps)
-        selected, refined = self._selected, dict[int, Any]()
+        selected, refined = self._selected, dict[int, np.ndarray]()
         to_do = sum(self.fused[number:]) + _samples(settings.passes[number:], self._work[number:], extra_px)
         self._total = self._done + to_do
         # A generator: each job holds a map.
@@ -209,7 +137,7 @@ class _Sweep:
             self._report(samples)
         return refined
 
-    def fuse(self, number: int, maps: Maps, refined: Mapping[int, Any], make_store: StoreFactory) -> Maps:
+    def fuse(self, number: int, maps: Maps, refined: Mapping[int, np.ndarray], make_store: StoreFactory) -> Maps:
         """Maps after fusion of those of a pass, which are emptied; of views in ``refined`` these pixels take part."""
         block, pass_, views = self._block, self._settings.passes[number], self.views[number]
         block.release(pass_.scale)
@@ -217,7 +145,7 @@ class _Sweep:
         if pass_.in_area:
             # The others neither confirm nor are confirmed.
             for view in views - set(refined):
-                pixels[view] = image_backend(block.device).indices_of(maps[view].score > MATCHED_NCC)
+                pixels[view] = np.flatnonzero(maps[view].score > MATCHED_NCC)
         compared = {
             view: ComparedViews(self._peers[view], pixels.get(view))
             for view in views
@@ -262,18 +190,14 @@ def predict_selected_pixels(block: Block, maps: Mapping[int, HeightMap]) -> dict
         return {}
     order = sorted(maps, key=lambda view: block.cameras[view].cam_from_local[2][2])
     cameras = [block.cameras[view].scaled(_SCALE) for view in order]
-    backend, shapes = image_backend(block.device), [(camera.height, camera.width) for camera in cameras]
-
-    def trusted_heights(m: HeightMap, shape: tuple[int, int]) -> Any:
-        """Mean of the trusted heights in each part of a map [m]; NaN without any."""
-        return backend.masked_means(m.height, trusted(m), shape)
-
-    known = {view: trusted_heights(maps[view], shape) for view, shape in zip(order, shapes, strict=True)}
-    extents = {view: backend.min_max(height) for view, height in known.items()}
+    known = {
+        view: masked_means(maps[view].height, trusted(maps[view]), (camera.height, camera.width))
+        for view, camera in zip(order, cameras, strict=True)
+    }
     ground = {
-        view: Footprint.of(camera, block.water, extent)
-        for camera, (view, extent) in zip(cameras, extents.items(), strict=True)
-        if extent is not None
+        view: Footprint.of(camera, block.water, (float(np.nanmin(known[view])), float(np.nanmax(known[view]))))
+        for view, camera in zip(order, cameras, strict=True)
+        if np.isfinite(known[view]).any()
     }
     heights = ViewStack.build(
         block.device,
@@ -287,9 +211,9 @@ def predict_selected_pixels(block: Block, maps: Mapping[int, HeightMap]) -> dict
         steeper = [
             n for n in range(number) if view in ground and order[n] in ground and ground[view].meets(ground[order[n]])
         ]
-        middle = backend.median_above(known[view], -math.inf) if steeper else None
+        middle = median_above(known[view], -math.inf) if steeper else None
         if middle is not None:
             tolerance = block.agreement_tolerance(view, block.neighbours(view, 8, candidates=order), middle)
-            against, _, _ = compare_heights(heights, number, steeper, tolerance)
-        selected[view] = backend.newly_visible(block.device, known[view], against)
+            against = host(block.device, compare_heights(heights, number, steeper, tolerance)[0])
+        selected[view] = newly_visible(known[view], against)
     return selected

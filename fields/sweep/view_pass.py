@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import cv2
 import numpy as np
 
+from fields.median import median
 from fields.sweep.block import Block
 from fields.sweep.corner_rays import Area, CornerRays, extremes_of_squares, squares_over_area
 from fields.sweep.discontinuities import search_discontinuities
-from fields.sweep.images import image_backend
+from fields.sweep.images import upsample
 from fields.sweep.kernels.backend import Job
 from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.maps import HeightMap
@@ -54,8 +54,7 @@ class MatchedView:
 
     map: HeightMap
     extra_radius_px: int = 0  # radius of its windows less that of the pass
-    # flat indices of the refined pixels, where `fields.sweep.images.image_backend` has them; None of a whole view
-    refined_pixels: Any | None = None
+    refined_pixels: np.ndarray | None = None  # flat indices of the refined pixels; None of a whole view
 
 
 def view_passes(block: Block, chosen: list[int], pass_: Pass, bound: tuple[float, float] | None) -> list[ViewPass]:
@@ -102,15 +101,15 @@ def match_pass(
 
     The radius of the windows is that of the pass plus ``extra_radius_px``, or more where the scores ask for it.
     """
-    stack, view, backend = block.stack(pass_.scale), of_view.view, image_backend(block.device)
+    stack, view = block.stack(pass_.scale), of_view.view
     bound, area = settings.bound, settings.area
     shape = (stack.height_of(view), stack.width_of(view))
-    middle = 0.5 * (bound[0] + bound[1]) if before is None else backend.median(before.height)
+    middle = 0.5 * (bound[0] + bound[1]) if before is None else median(before.height)
     step = _step(block, pass_, view, of_view.neighbours, middle)
     if before is None:
-        start = backend.full(block.device, shape, bound[0])
+        start = np.full(shape, bound[0], dtype=np.float32)
     else:
-        start = backend.subtract(backend.upsample(before.height, shape), step * (of_view.count // 2))
+        start = upsample(before.height, shape) - np.float32(step * (of_view.count // 2))
 
     over_area: list[np.ndarray] = []  # Asked for twice where heights are searched, too
 
@@ -120,9 +119,8 @@ def match_pass(
         if not pass_.in_area or before is None:
             return columns_seeing_area(stack.cameras[view], block.water, area, bound, radius)
         if not over_area:
-            height = backend.to_host(before.height)
             rays_of = partial(block.corner_rays, view)
-            over_area.append(columns_over_area(block.cameras[view], shape, area, height, rays_of))
+            over_area.append(columns_over_area(block.cameras[view], shape, area, before.height, rays_of))
         return over_area[0]
 
     radius = pass_.radius + extra_radius_px
@@ -138,7 +136,8 @@ def match_pass(
         parallax = pass_.spacing_px / step
         found = yield from search_discontinuities(reference, found, parallax, pass_.discontinuities, matched)
     height, score, _ = found
-    m = backend.new_map(view, height, _of_shown(block, pass_, view, score))
+    score = _of_shown(block, pass_, view, score).astype(np.float16)
+    m = HeightMap(view, height, score, np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.float16))
     return MatchedView(m, extra_radius_px=radius - pass_.radius)
 
 
@@ -148,30 +147,30 @@ def refine_part(block: Block, pass_: Pass, of_view: ViewPass, before: HeightMap,
     ``part`` (height, width) bool is at a share of the size. All tiles that hold some of it are matched; other pixels
     stay as they were ``before``.
     """
-    stack, view, backend = block.stack(pass_.scale), of_view.view, image_backend(block.device)
-    step = _step(block, pass_, view, of_view.neighbours, backend.median(before.height))
+    stack, view = block.stack(pass_.scale), of_view.view
+    step = _step(block, pass_, view, of_view.neighbours, median(before.height))
     tiles = ImageTiles.over(part, before.height.shape, PART_SIDE_PX - 2 * pass_.radius, pass_.radius, of_view.count)
-    tiles = replace(tiles, wanted=backend.to_device(block.device, tiles.wanted))
-    height, score = backend.flat_copy(before.height), backend.flat_copy(before.score)
-    lowest = backend.flat_view(backend.subtract(before.height, step * (of_view.count // 2)))
+    shape, height, score = before.height.shape, before.height.flatten(), before.score.flatten()
+    lowest = height - np.float32(step * (of_view.count // 2))
 
-    def take(own: Any, pixels: Any, matched: list[Any]) -> None:
+    def take(own: np.ndarray, pixels: np.ndarray, matched: list[np.ndarray]) -> None:
         best, best_score, _ = matched
-        backend.put(height, pixels, best, own & (best_score > MATCHED_NCC))
-        backend.put(score, pixels, best_score, own)
+        better = own & (best_score > MATCHED_NCC)
+        height[pixels[better]] = best[better]
+        score[pixels[own]] = best_score[own]
 
     reference = Reference(stack, view, of_view.neighbours, pass_.radius, _least_known(block))
-    yield from match_tiles(reference, tiles, lambda _, pixels: backend.values_at(lowest, pixels), step, take)
-    height, score = (backend.reshaped(each, before.height.shape) for each in (height, score))
-    m = replace(before, height=height, score=_of_shown(block, pass_, view, score))
-    return MatchedView(m, refined_pixels=backend.indices_of(tiles.wanted))
+    yield from match_tiles(reference, tiles, lambda _, pixels: lowest[pixels], step, take)
+    score = _of_shown(block, pass_, view, score.reshape(shape))
+    m = replace(before, height=height.reshape(shape), score=score)
+    return MatchedView(m, refined_pixels=np.flatnonzero(tiles.wanted))
 
 
-def _of_shown(block: Block, pass_: Pass, view: int, score: Any) -> Any:
+def _of_shown(block: Block, pass_: Pass, view: int, score: np.ndarray) -> np.ndarray:
     """Scores, -1 at masked pixels of the photograph, however much around them is known."""
     if pass_.scale < 1.0 or block.images.are_unmasked:
         return score
-    return image_backend(block.device).mask_scores(block.device, block.images[view], score)
+    return np.where(np.isnan(block.images[view]), score.dtype.type(-1.0), score)
 
 
 def _least_known(block: Block) -> float:

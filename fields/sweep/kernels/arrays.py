@@ -19,10 +19,6 @@ import numpy as np
 from fields.device import Device
 from refract import kernels
 
-_SIGN = 1 << 31
-# Bits of a key before a digit, and of the digit.
-_DIGITS = ((0, 11), (11, 11), (22, 10))
-
 
 def _drjit() -> Any:
     """The module, which says nothing of its types; imported where arrays are not torch's."""
@@ -36,28 +32,6 @@ def is_torch(array: Any) -> bool:
     return kernels.namespace(array).name == "torch"
 
 
-def flatten(image: Any) -> Any:
-    """Pixels of an image (height, width), row by row; a flat array stays as it is."""
-    if is_torch(image):
-        return image.reshape(-1)
-    drjit = _drjit()
-    return image.array if drjit.is_tensor_v(image) else image
-
-
-def unflatten(flat: Any, shape: tuple[int, ...]) -> Any:
-    """Image of flat pixels, evaluated."""
-    if is_torch(flat):
-        return flat.reshape(shape)
-    drjit = _drjit()
-    drjit.eval(flat)
-    return drjit.tensor_t(type(flat))(flat, shape)
-
-
-def size_of(flat: Any) -> int:
-    """Number of pixels."""
-    return len(flat)
-
-
 def arange(like: Any, count: int) -> Any:
     """Whole numbers 0 to ``count`` - 1, on the device of an array."""
     if is_torch(like):
@@ -65,7 +39,7 @@ def arange(like: Any, count: int) -> Any:
 
         return torch.arange(count, device=like.device)
     drjit = _drjit()
-    return drjit.arange(drjit.int32_array_t(type(flatten(like))), count)
+    return drjit.arange(drjit.int32_array_t(type(like)), count)
 
 
 def scalar(like: Any, value: float) -> Any:
@@ -74,22 +48,8 @@ def scalar(like: Any, value: float) -> Any:
     if is_torch(like):
         return int(value) if is_whole else float(value)
     drjit = _drjit()
-    kind = type(flatten(like))
+    kind = type(like)
     return drjit.opaque(drjit.int32_array_t(kind) if is_whole else drjit.float32_array_t(kind), value)
-
-
-def vector(like: Any, values: np.ndarray) -> Any:
-    """Numbers (N,) of the host, whole ones or float32, on the device of an array."""
-    is_whole = np.issubdtype(values.dtype, np.integer)
-    values = np.ascontiguousarray(values, dtype=np.int32 if is_whole else np.float32)
-    if is_torch(like):
-        import torch
-
-        found = torch.from_numpy(values).to(like.device)
-        return found.long() if is_whole else found
-    drjit = _drjit()
-    kind = type(flatten(like))
-    return (drjit.int32_array_t(kind) if is_whole else drjit.float32_array_t(kind))(values)
 
 
 def to_float(array: Any) -> Any:
@@ -113,14 +73,7 @@ def constant_array(like: Any, value: float, count: int) -> Any:
 
         return torch.full((count,), value, device=like.device)
     drjit = _drjit()
-    return drjit.opaque(drjit.float32_array_t(type(flatten(like))), value, count)
-
-
-def copy_of(flat: Any) -> Any:
-    """Copy that may be written to."""
-    if is_torch(flat):
-        return flat.clone()
-    return type(flat)(flat)
+    return drjit.opaque(drjit.float32_array_t(type(like)), value, count)
 
 
 def gather(flat: Any, index: Any) -> Any:
@@ -131,69 +84,19 @@ def gather(flat: Any, index: Any) -> Any:
     return drjit.gather(type(flat), flat, drjit.uint32_array_t(type(index))(index))
 
 
-def scatter(target: Any, index: Any, values: Any, mask: Any | None = None) -> None:
-    """Set values at indices, where an optional mask is True."""
+def scatter(target: Any, index: Any, values: Any, mask: Any) -> None:
+    """Set values at indices where a mask is True."""
     if is_torch(target):
-        if mask is None:
-            target[index] = values
-        else:
-            target[index[mask]] = values[mask]
+        target[index[mask]] = values[mask]
         return
     drjit = _drjit()
-    index = drjit.uint32_array_t(type(index))(index)
-    drjit.scatter(target, values, index, True if mask is None else mask)
-
-
-def nonzero(mask: Any) -> Any:
-    """Indices of the True values of a mask (N,)."""
-    if is_torch(mask):
-        return mask.nonzero()[:, 0]
-    drjit = _drjit()
-    found = drjit.compress(mask)
-    return drjit.int32_array_t(type(found))(found)
+    drjit.scatter(target, values, drjit.uint32_array_t(type(index))(index), mask)
 
 
 def evaluate(*arrays: Any) -> None:
     """Evaluate the traced arrays of Dr.Jit."""
     if not is_torch(arrays[0]):
         _drjit().eval(*arrays)
-
-
-def as_numpy(array: Any) -> np.ndarray:
-    """Flat array, or image, as numpy."""
-    return array.cpu().numpy() if is_torch(array) else array.numpy()
-
-
-def count_true(mask: Any) -> int:
-    """Number of True values of a mask (N,); waits for it."""
-    if is_torch(mask):
-        return int(mask.sum())
-    drjit = _drjit()
-    return int(drjit.count(mask)[0])
-
-
-def kth_smallest(flat: Any, rank: int) -> float:
-    """Value of a rank, from 0; waits for it. No value may be NaN."""
-    if is_torch(flat):
-        return float(flat.sort().values[rank])
-    drjit = _drjit()
-    # Bits of floats rise with them once those of negative ones are turned over.
-    bits = drjit.reinterpret_array(drjit.uint32_array_t(type(flat)), flat)
-    keys = drjit.select(bits >= _SIGN, ~bits, bits | _SIGN)
-    drjit.eval(keys)
-    digits = 0
-    # Radix selection: a histogram of the next digit of all keys that begin with the digits found before.
-    for known, width in _DIGITS:
-        shift = 32 - known - width
-        begins_so = (keys >> (32 - known)) == drjit.opaque(type(keys), digits) if known else True
-        counts = drjit.zeros(type(keys), 1 << width)
-        drjit.scatter_add(counts, type(keys)(1), (keys >> shift) & ((1 << width) - 1), begins_so)
-        up_to = np.cumsum(counts.numpy(), dtype=np.int64)
-        digit = int(np.searchsorted(up_to, rank, side="right"))
-        rank -= int(up_to[digit - 1]) if digit else 0
-        digits = digits << width | digit
-    found = np.uint32(digits ^ _SIGN if digits & _SIGN else ~digits & 0xFFFFFFFF)
-    return float(found.view(np.float32))
 
 
 # Alignment of arrays. Kernels of Dr.Jit load whole vectors, and one is compiled for each combination of aligned arrays.
@@ -203,14 +106,12 @@ _SPARE = ALIGNED_BYTES // 4
 _SWITCH_INTERVAL_S = 3e-4
 
 
-def floats(device: Device, array: Any) -> Any:
-    """Flat float32 array of the device; arrays that are on the device are not copied.
+def floats(device: Device, array: np.ndarray) -> Any:
+    """Flat float32 array of the device.
 
     Dr.Jit on the CPU reads a contiguous array of float32 where it lies, if that is aligned: it must not be written to
     afterwards.
     """
-    if not isinstance(array, np.ndarray):
-        return flatten(array)
     flat = np.ascontiguousarray(array, dtype=np.float32).ravel()
     if device.module is not None:
         return device.module.Float(_aligned(flat))
@@ -219,13 +120,8 @@ def floats(device: Device, array: Any) -> Any:
     return torch.tensor(flat, device=device.place)
 
 
-def indices(device: Device, array) -> Any:
-    """Flat array of indices on the device, copied: uint32 in Dr.Jit, int64 in torch.
-
-    Those that are on the device stay there.
-    """
-    if device.has_own_memory and not isinstance(array, np.ndarray):
-        return array if device.module is None else device.module.UInt(array)
+def indices(device: Device, array: np.ndarray) -> Any:
+    """Flat array of indices on the device, copied: uint32 in Dr.Jit, int64 in torch."""
     if device.module is not None:
         return device.module.UInt(_aligned(np.ascontiguousarray(array, dtype=np.uint32).ravel()))
     import torch
@@ -301,13 +197,8 @@ def hypothesis_and_pixel(device: Device, count: int, strip: int) -> tuple[Any, A
 
 
 def host(device: Device, array) -> np.ndarray:
-    """Flat array of the device as numpy."""
+    """Flat array of the device as numpy, after a wait for the kernels that fill it."""
     return array.numpy() if device.module is not None else array.reshape(-1).cpu().numpy()
-
-
-def results(device: Device, launched: list[Any]) -> list[Any]:
-    """Results of kernels as flat arrays where the passes work on them: on the host, after a wait, or on the device."""
-    return launched if device.has_own_memory else [host(device, each) for each in launched]
 
 
 @contextmanager

@@ -15,8 +15,10 @@ from itertools import count
 from types import ModuleType
 from typing import Any, TypeVar
 
+import numpy as np
+
 from fields.device import Device
-from fields.sweep.kernels.arrays import results
+from fields.sweep.kernels.arrays import host
 
 
 def kernels(device: Device) -> ModuleType:
@@ -43,8 +45,8 @@ class Launch:
     inputs: Any = None
 
 
-# Yields what is to be launched, receives the results as flat arrays each time, and returns what it found.
-Job = Generator[Callable[[], Launch], list[Any], Found]
+# Yields what is to be launched, receives the results as flat arrays of the host each time, and returns what it found.
+Job = Generator[Callable[[], Launch], list[np.ndarray], Found]
 
 
 def run_job(device: Device, job: Job[Found]) -> Found:
@@ -63,7 +65,7 @@ def run_jobs(device: Device, jobs: Iterable[Job[Found]], most: int = 2) -> Itera
             if running is not None:
                 number, job, launched = running
                 # Waits; no kernel runs until the next launch, and the inputs of the last ones are freed.
-                finished = number, job, results(device, launched.results)
+                finished = number, job, [host(device, each) for each in launched.results]
                 running = None
                 del launched
             if turn.ready:
@@ -87,7 +89,7 @@ class _Queue:
     found: dict[int, Any]
     ready: deque[tuple[int, Job, Callable[[], Launch]]]
 
-    def advance(self, number: int, job: Job, results: list[Any] | None) -> None:
+    def advance(self, number: int, job: Job, results: list[np.ndarray] | None) -> None:
         """Send a job its results and queue its next launch, or store what it returns."""
         try:
             self.ready.append((number, job, next(job) if results is None else job.send(results)))

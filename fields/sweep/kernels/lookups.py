@@ -15,16 +15,15 @@ import numpy as np
 from fields.device import Device
 from fields.sweep.kernels.arrays import (
     arange,
-    as_numpy,
     constant_array,
     evaluate,
     floats,
     gather,
+    host,
     indices,
     integer_part,
     scalar,
     scatter,
-    size_of,
     to_float,
 )
 from fields.sweep.kernels.rays import point_at, project, refracted_rays
@@ -51,7 +50,7 @@ def rays_of_rows(stack: ViewStack, view: int, first_row: int, rows: int) -> list
     return _refracted_rays(stack, view, index + scalar(index, first_row * stack.width_of(view)))
 
 
-def rays_of_pixels(stack: ViewStack, view: int, pixels: Any) -> list:
+def rays_of_pixels(stack: ViewStack, view: int, pixels: np.ndarray) -> list:
     """Rays of chosen pixels (flat indices) of a view."""
     return _refracted_rays(stack, view, indices(stack.device, pixels))
 
@@ -67,7 +66,7 @@ def _refracted_rays(stack: ViewStack, view: int, index: Any) -> list:
     return rays
 
 
-def rays_and_heights(stack: ViewStack, view: int, pixels: Any) -> tuple[list, Any]:
+def rays_and_heights(stack: ViewStack, view: int, pixels: np.ndarray) -> tuple[list, Any]:
     """Rays of chosen pixels (flat indices) of a view, and their heights in a stack of height maps."""
     own_height = gather(stack.pixels[view], indices(stack.device, pixels))
     evaluate(own_height)
@@ -109,7 +108,7 @@ def sample(stack: ViewStack, view: int, u: Any, v: Any, inside: Any) -> Any:
 
 
 def compare_heights(
-    stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: Any | None = None
+    stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: np.ndarray | None = None
 ) -> tuple[Any, Any, Any]:
     """Height differences to the peers: each pixel of `view`, or some (flat indices), projected at its own height.
 
@@ -123,7 +122,7 @@ def compare_heights(
     else:
         rays, own_height = rays_and_heights(stack, view, pixels)
     xp, most = kernels.namespace(own_height), scalar(own_height, float(tolerance))
-    count, total, square = (constant_array(own_height, 0.0, size_of(own_height)) for _ in range(3))
+    count, total, square = (constant_array(own_height, 0.0, len(own_height)) for _ in range(3))
     for group in groups(peers):
         for peer in group:
             difference = sample(stack, peer, *project_rays(stack, rays, own_height, peer)) - own_height
@@ -134,13 +133,13 @@ def compare_heights(
     return count, total, square
 
 
-def count_seeing_through(stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: Any) -> Any:
+def count_seeing_through(stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: np.ndarray) -> Any:
     """Number of peers (P) that see through the points of pixels (flat indices) of height map `view` to something lower.
 
     All four of the peer's pixels about the point are lower by more than `tolerance` [m]; NaN sees nothing.
     """
     rays, own_height = rays_and_heights(stack, view, pixels)
-    count = constant_array(own_height, 0.0, size_of(own_height))
+    count = constant_array(own_height, 0.0, len(own_height))
     least = own_height - scalar(own_height, float(tolerance))
     for group in groups(peers):
         for peer in group:
@@ -162,7 +161,7 @@ def find_duplicates(
     """
     heights = stack.pixels[other]
     xp, least, most = kernels.namespace(heights), scalar(heights, float(tolerance)), scalar(heights, float(close_m))
-    claimed, close = (constant_array(heights, 0.0, size_of(heights)) for _ in range(2))
+    claimed, close = (constant_array(heights, 0.0, len(heights)) for _ in range(2))
     u, v, inside = project_rays(stack, rays, own_height, other)
     corner, fx, fy = corner_of(stack, other, u, v, inside)
     four = four_about(stack, other, corner)
@@ -175,7 +174,7 @@ def find_duplicates(
         scatter(claimed, place, to_float(same), same)
         scatter(close, place, to_float(near), near)
     evaluate(claimed, close)
-    return as_numpy(claimed) > 0.0, as_numpy(close) > 0.0
+    return host(stack.device, claimed) > 0.0, host(stack.device, close) > 0.0
 
 
 def vote_on_points(
@@ -202,5 +201,5 @@ def vote_on_points(
         through, matches = through & is_trusted, matches | (is_trusted & (xp.abs(height - points[2]) < reach))
     found = [to_float(votes) for votes in (spans, through, matches & inside)]
     evaluate(*found)
-    spans, through, matches = (as_numpy(votes) > 0.0 for votes in found)
+    spans, through, matches = (host(stack.device, votes) > 0.0 for votes in found)
     return spans, through, matches

@@ -23,11 +23,9 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
-from fields.sweep.kernels.arrays import flatten, nonzero, scalar
 from fields.sweep.kernels.stack import CameraTerms, ViewStack
 from fields.sweep.kernels.water import KernelWater
 from refract import kernels
@@ -126,19 +124,13 @@ def segments(count: int) -> list[range]:
     return [range(first, end) for first, end in pairwise(ends)]
 
 
-def straddling_pixels(stack: ViewStack, start: Any, step: float, part: range) -> Any:
-    """Pixels (n,) int whose hypotheses from ``start`` [m] on lie on both sides of the water surface.
-
-    Where the heights are, on the host or on the device.
-    """
+def straddling_pixels(stack: ViewStack, start: np.ndarray, step: float, part: range) -> np.ndarray:
+    """Pixels (n,) int whose hypotheses from ``start`` [m] on lie on both sides of the water surface."""
     if not stack.kernel_water.is_refracting:
         return np.empty(0, dtype=np.int64)
     tide = max(abs(camera.tide) for camera in stack.cameras)
     low, high = part.start * step - tide, (part.stop - 1) * step + tide
-    if isinstance(start, np.ndarray):
-        return np.flatnonzero((start < -low) & (start > -high))
-    start = flatten(start)
-    return nonzero((start < scalar(start, -low)) & (start > scalar(start, -high)))
+    return np.flatnonzero((start < -low) & (start > -high))
 
 
 def in_front_of_camera(place) -> tuple:

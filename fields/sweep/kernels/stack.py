@@ -94,7 +94,7 @@ def largest(cameras: Sequence[PinholeCamera]) -> tuple[int, int]:
 class Hypotheses:
     """Height hypotheses of a number of pixels: ``start + j * step`` over the water plane, for j from 0 to count - 1."""
 
-    start: Any  # array of the pixels, on the host or on the device [m]
+    start: np.ndarray  # of the pixels [m]
     step: float  # [m]
     count: int
 

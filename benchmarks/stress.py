@@ -18,7 +18,7 @@ import json
 import shutil
 import sys
 import tempfile
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -220,7 +220,7 @@ class Campaign:
     def _errors(run: Path, survey: Path) -> Errors | None:
         if not (run / "cloud.las").is_file():
             return None
-        return replace(errors_of(run / "cloud.las", case_of(survey)), blocks={})
+        return errors_of(run / "cloud.las", case_of(survey))
 
 
 def read(path: Path) -> dict[tuple[str, float], Outcome]:

@@ -19,24 +19,18 @@ from survey.benchmark.text import (
     comparison,
     draw_pareto_front,
     legend_of,
-    lines_of,
     over_surveys,
     pareto_front,
     table,
-    unpaired,
 )
 from survey.errors import SurveyError
 from survey.simulate.drawn import DrawnScene, draw_survey
 
 
-def errors(scale: float = 1.0, seed: int = 0, noise: float = 0.0) -> Errors:
-    """Errors of a std of 10 mm times `scale`, in blocks whose roughness varies."""
-    rng = np.random.default_rng(7)
-    rough = 0.01 * scale * rng.uniform(0.7, 1.3, 100)
-    rough *= 1.0 + noise * np.random.default_rng(seed).standard_normal(100)
-    blocks = {f"{i},0": [1000.0, 0.0, 1000.0 * float(s) ** 2] for i, s in enumerate(rough)}
-    std = float(np.sqrt(np.mean(rough**2)))
-    return Errors(100_000, 0.0, std, 2.0 * std, {"0.05": 0.9, "0.1": 0.95, "0.2": 0.99}, 0.95, 0.0, 0.01, blocks)
+def errors(scale: float = 1.0) -> Errors:
+    """Errors of a std of 10 mm times `scale`."""
+    std = 0.01 * scale
+    return Errors(100_000, 0.0, std, 2.0 * std, {"0.05": 0.9, "0.1": 0.95, "0.2": 0.99}, 0.95, 0.0, 0.01)
 
 
 def record(method: str = "full", times: tuple[float, ...] = (10.0,), found: Errors | None = None) -> Record:
@@ -48,17 +42,13 @@ def results(*records: Record, processor: str = "one") -> Results:
     return Results({"processor": processor}, {"numpy": "2"}, "abc", records)
 
 
-def verdicts(now: Results, then: Results) -> dict[str, str]:
-    return {change.figure: change.verdict for change in changes(now, then)}
-
-
 def test_results_are_read_as_they_were_written(tmp_path):
     found = results(record(), replace(record("mdw"), errors=None, words="refused"))
     write_results(tmp_path / "results.json", found)
     assert read_results(tmp_path / "results.json") == found
 
 
-RECORDS = '{"version": 1, "machine": {}, "versions": {}, "commit": "", "records": [{}]}'
+RECORDS = '{"version": 2, "machine": {}, "versions": {}, "commit": "", "records": [{}]}'
 
 
 @pytest.mark.parametrize(
@@ -67,9 +57,9 @@ RECORDS = '{"version": 1, "machine": {}, "versions": {}, "commit": "", "records"
         ("", "not a valid JSON"),
         (RECORDS[:40], "not a valid JSON"),
         ("[]", "no 'version', expected version"),
-        ('{"version": 1, "records": [{}]}', "no 'machine'"),
+        ('{"version": 2, "records": [{}]}', "no 'machine'"),
         (RECORDS, "record 1 of"),
-        ('{"version": 99}', "layout 99, expected 1"),
+        ('{"version": 99}', "layout 99, expected 2"),
     ],
 )
 def test_a_file_that_is_no_result_is_refused_in_one_sentence(tmp_path, text, found):
@@ -81,108 +71,57 @@ def test_a_file_that_is_no_result_is_refused_in_one_sentence(tmp_path, text, fou
     assert "; " in str(error.value)
 
 
-def test_a_cloud_of_three_quarters_of_the_error_is_better_and_the_same_one_is_as_before():
-    assert verdicts(results(record(found=errors(0.75))), results(record()))["error"] == "better"
-    assert verdicts(results(record(found=errors(1.3))), results(record()))["error"] == "worse"
-    assert verdicts(results(record()), results(record()))["error"] == "as before"
+def over(cases: int, found: list[Errors]) -> Results:
+    """Results of a method on surveys whose clouds have such errors."""
+    return results(*(replace(record(found=each), case=f"s{n}") for n, each in zip(range(cases), found, strict=True)))
 
 
-def test_a_change_that_is_lost_among_the_blocks_is_no_change():
-    noisy = record(found=errors(1.002, seed=3, noise=0.3))
-    assert verdicts(results(noisy), results(record()))["error"] == "as before"
+def verdicts(now: list[Errors], then: list[Errors]) -> dict[str, str]:
+    found = changes(over(len(now), now), over(len(then), then))
+    return {change.figure: change.verdict for change in over_surveys(found)}
 
 
-def test_times_are_judged_with_three_repeats_on_one_machine_only():
-    slow, fast = record(times=(10.0, 10.2, 10.1)), record(times=(5.0, 5.1, 5.05))
-    assert verdicts(results(fast), results(slow))["wall_s"] == "better"
-    assert verdicts(results(slow), results(fast))["processor_s"] == "worse"
-    assert verdicts(results(fast), results(slow, processor="other"))["wall_s"] == "not judged"
-    assert verdicts(results(record()), results(slow))["wall_s"] == "not judged"
+def test_errors_over_several_surveys_are_judged_by_their_scatter():
+    then = [errors(scale) for scale in (1.0, 2.0, 0.5, 1.5)]
+    less, more = ([errors(by * each.std_m / 0.01) for each in then] for by in (0.75, 1.3))
+    mixed = [errors(by * each.std_m / 0.01) for each, by in zip(then, (0.75, 1.3, 0.8, 1.2), strict=True)]
+    judged = [verdicts(now, then)["error"] for now in (less, more, mixed, then)]
+    assert judged == ["better", "worse", "as before", "as before"]
+    assert verdicts(less[:2], then[:2]) == {}
 
 
-def test_memory_is_judged_as_times_are():
-    light, heavy = record(times=(10.0, 10.2, 10.1)), record(times=(10.0, 10.2, 10.1))
-    heavy = replace(heavy, costs=tuple(replace(cost, peak_bytes=2 * cost.peak_bytes) for cost in heavy.costs))
-    assert verdicts(results(heavy), results(light))["memory"] == "worse"
-    assert verdicts(results(light), results(heavy))["memory"] == "better"
-    assert verdicts(results(light), results(light))["memory"] == "as before"
-    assert verdicts(results(heavy), results(light, processor="other"))["memory"] == "not judged"
-
-
-def test_completeness_and_coverage_are_judged_beyond_their_noise():
-    then = errors()
-    lost = replace(then, completeness=then.completeness | {"0.05": 0.89, "0.2": 0.9895}, coverage=0.97)
-    found = verdicts(results(record(found=lost)), results(record(found=then)))
-    assert found["complete at 0.05 m"] == "worse"
-    assert found["complete at 0.2 m"] == "as before"
-    assert found["std covers"] == "worse"
-    back = verdicts(results(record(found=then)), results(record(found=lost)))
+def test_completeness_and_coverage_and_the_mean_are_judged_by_differences():
+    then = [errors()] * 3
+    losses = (0.010, 0.012, 0.009)
+    lost = [replace(errors(), completeness={"0.05": 0.9 - loss, "0.2": 0.99}, coverage=0.97) for loss in losses]
+    now = verdicts(lost, then)
+    assert (now["complete at 0.05 m"], now["std covers"]) == ("worse", "worse")
+    assert now["complete at 0.2 m"] == "as before"
+    back = verdicts(then, lost)
     assert (back["complete at 0.05 m"], back["std covers"]) == ("better", "better")
     # Whether too few or too many are covered.
-    few = replace(then, coverage=0.93)
-    assert verdicts(results(record(found=few)), results(record(found=lost)))["std covers"] == "as before"
-    # Standard deviations over straight rays are of no height.
-    straight = [results(record("straight", found=each)) for each in (lost, then)]
-    assert "std covers" not in verdicts(*straight)
-    (line,) = [
-        line for line in lines_of(changes(*(results(record(found=e)) for e in (lost, then)))) if "0.05 m" in line
-    ]
-    assert line.endswith("complete at 0.05 m -1.00 points worse")
-
-
-def lifted(found: Errors, by: float) -> Errors:
-    """The same errors with every distance so much larger."""
-    blocks = {name: [n, total + n * by, squares + 2.0 * by * total + n * by**2]
-              for name, (n, total, squares) in found.blocks.items()}  # fmt: skip
-    return replace(found, mean_m=found.mean_m + by, blocks=blocks)
-
-
-def test_a_mean_that_leaves_zero_on_either_side_is_worse():
+    few, many = ([replace(errors(), coverage=c) for c in each] for each in ((0.93, 0.935, 0.925), (0.965, 0.97, 0.975)))
+    assert verdicts(few, many)["std covers"] == "as before"
     for by in (0.002, -0.002):
-        assert verdicts(results(record(found=lifted(errors(), by))), results(record()))["mean"] == "worse"
-        assert verdicts(results(record()), results(record(found=lifted(errors(), by))))["mean"] == "better"
-    assert verdicts(results(record(found=lifted(errors(), 1e-4))), results(record()))["mean"] == "as before"
+        assert verdicts([replace(errors(), mean_m=by)] * 3, then)["mean"] == "worse"
+    (change,) = [c for c in over_surveys(changes(over(3, lost), over(3, then))) if c.figure == "complete at 0.05 m"]
+    assert change.step == pytest.approx(-np.mean(losses))
+    # Standard deviations over straight rays are of no height.
+    straight = [results(record("straight", found=each)) for each in (lost[0], then[0])]
+    assert "std covers" not in [change.figure for change in changes(*straight)]
 
 
-def test_differences_over_several_surveys_are_taken_together():
-    cases = ("a", "b", "c")
-    then = results(*(replace(record(), case=case) for case in cases))
-    losses = (0.010, 0.012, 0.009)
-    now = results(
-        *(
-            replace(record(found=replace(errors(), completeness={"0.05": 0.9 - loss})), case=case)
-            for case, loss in zip(cases, losses, strict=True)
-        )
-    )
-    (change,) = [c for c in over_surveys(changes(now, then)) if c.figure == "complete at 0.05 m"]
-    assert change.verdict == "worse"
-    assert change.difference == pytest.approx(-np.mean(losses))
-
-
-def test_a_lost_cloud_is_worse():
-    lost = replace(record(), errors=None)
-    assert verdicts(results(lost), results(record())) == {"has a cloud": "worse"}
-    assert lines_of(changes(results(lost), results(record()))) == ["survey full standard given cpu: has a cloud worse"]
-
-
-def test_over_several_surveys_ratios_are_taken_together_and_times_of_one_repeat_are_judged():
+def test_times_and_memory_are_compared_on_one_machine_only():
     then = results(*(replace(record(times=(t,)), case=f"s{t:g}") for t in (5.0, 10.0, 40.0, 80.0)))
-    now = replace(then, records=tuple(_faster(r, by) for r, by in zip(then.records, (2.0, 2.2, 1.9, 2.1), strict=True)))
+    by = (2.0, 2.2, 1.9, 2.1)
+    now = replace(then, records=tuple(_faster(r, b) for r, b in zip(then.records, by, strict=True)))
     found = {change.figure: change for change in over_surveys(changes(now, then))}
     assert found["wall_s"].verdict == "better"
-    assert found["wall_s"].ratio == pytest.approx((2.0 * 2.2 * 1.9 * 2.1) ** -0.25)
+    assert np.exp(found["wall_s"].step) == pytest.approx(np.prod(by) ** -0.25)
     assert found["wall_s"].key == ("4 surveys", "full", "standard", "given", "cpu")
-    assert found["error"].verdict == "as before"
-    mixed = replace(
-        then, records=tuple(_faster(r, by) for r, by in zip(then.records, (2.0, 0.5, 1.9, 0.6), strict=True))
-    )
-    assert {c.verdict for c in over_surveys(changes(mixed, then)) if c.figure == "wall_s"} == {"as before"}
+    assert (found["memory"].verdict, found["error"].verdict) == ("as before", "as before")
     elsewhere = replace(now, machine={"processor": "other"})
-    assert [change.figure for change in over_surveys(changes(elsewhere, then))] == _OF_CLOUDS
-    assert over_surveys(changes(replace(now, records=now.records[:2]), then)) == []
-
-
-_OF_CLOUDS = ["error", "mean", "complete at 0.05 m", "complete at 0.1 m", "complete at 0.2 m", "std covers"]
+    assert not {"wall_s", "processor_s", "memory"} & {change.figure for change in changes(elsewhere, then)}
 
 
 def _faster(slow: Record, by: float) -> Record:
@@ -191,14 +130,15 @@ def _faster(slow: Record, by: float) -> Record:
     )
 
 
-def test_records_that_only_one_result_has_are_named():
-    now, then = results(record(), record("sweep")), results(record(), record("mdw"))
-    ours, theirs = unpaired(now, then)
-    assert [key[1] for key in ours + theirs] == ["sweep", "mdw"]
-    lines = comparison(now, then)
+def test_changes_of_one_survey_are_shown_and_clouds_that_one_result_lacks_are_named():
+    lost = replace(record("mdw"), errors=None)
+    now = results(record(found=replace(errors(0.75), completeness={"0.05": 0.89})), record("sweep"), lost)
+    lines = comparison(now, results(record(), record("mdw")))
+    assert "survey full standard given cpu: error 0.750" in lines
+    assert "survey full standard given cpu: complete at 0.05 m -1.00 points" in lines
     assert lines[-2:] == [
-        "only in this result: 1 records, survey sweep standard given cpu",
-        "only in the earlier result: 1 records, survey mdw standard given cpu",
+        "only in this result: 1 clouds, survey sweep standard given cpu",
+        "only in the earlier result: 1 clouds, survey mdw standard given cpu",
     ]
 
 

@@ -8,7 +8,7 @@ the literature does.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,12 +24,9 @@ from survey.errors import SurveyError
 from survey.files.json_values import plain
 
 # Version of the layout of the file; another one is not read.
-VERSION = 1
+VERSION = 2
 _TABLE = ("version", "machine", "versions", "commit", "records")
 TOLERANCES_M = (0.05, 0.1, 0.2)
-_INNER = 0.9
-# Blocks along the longer side of the area: enough of them to resample, each many points wide.
-_BLOCKS = 16
 _STD, _STD_COMMON = "std", "std_common"
 
 
@@ -59,9 +56,6 @@ class Errors:
     # median_m, common_m [m] or None: that median, and the median of `std_common`; within 2.6 times it in 99 % of cases
     median_m: float | None = None
     common_m: float | None = None
-    # dict of str to (n, sum, sum of squares): signed distances of the inner 90 % by block of the plan [m, m2]: what
-    # another result of the same survey is compared with, block by block
-    blocks: dict[str, list[float]] = field(default_factory=dict, repr=False)
 
     @property
     def error_m(self) -> float:
@@ -149,13 +143,12 @@ def errors_of(cloud: Path, case: Case) -> Errors:
     found = compare_surfaces(
         cloud, case.reference, CompareOptions(TOLERANCES_M, visible=case.visible, bounds=case.bounds)
     )
-    of_all, distances = found.figures.summary.distances, found.distances
+    of_all = found.figures.summary.distances
     shares = {
         f"{scores.tolerance_m:g}": scores.completeness if case.visible is None else scores.completeness_visible
         for scores in found.figures.tolerances
     }
     coverage, median_m, common_m = _stated(found)
-    inner = np.abs(distances) <= np.nanquantile(np.abs(distances), _INNER)
     return Errors(
         n_points=of_all.n_points,
         mean_m=of_all.mean_inner90_m,
@@ -165,7 +158,6 @@ def errors_of(cloud: Path, case: Case) -> Errors:
         coverage=coverage,
         median_m=median_m,
         common_m=common_m,
-        blocks=_blocks(found.points[inner, :2], distances[inner], case),
     )
 
 
@@ -187,19 +179,6 @@ def _stated(found: Comparison) -> tuple[float | None, float | None, float | None
     common = common[np.isfinite(common)]
     covered = Coverage.of(error - median, std[_STD], np.isfinite(std[_STD]))
     return covered.share, median, float(np.median(common)) if len(common) else None
-
-
-def _blocks(plan: np.ndarray, distances: np.ndarray, case: Case) -> dict[str, list[float]]:
-    """Number, sum and sum of squares of distances by block; its name is "column,row" from the corner of the bounds."""
-    low = plan.min(axis=0) if case.bounds is None else np.array(case.bounds[:2])
-    high = plan.max(axis=0) if case.bounds is None else np.array(case.bounds[2:])
-    cell = np.floor((plan - low) / (float((high - low).max()) / _BLOCKS)).astype(np.int64)
-    cells, number = np.unique(cell, axis=0, return_inverse=True)
-    sums = [
-        np.bincount(number.ravel(), weights=values) for values in (np.ones_like(distances), distances, distances**2)
-    ]
-    # Six digits: far less than an interval of their ratios has.
-    return {f"{x},{y}": [float(f"{v:.6g}") for v in row] for (x, y), row in zip(cells, np.transpose(sums), strict=True)}
 
 
 @dataclass(frozen=True)

@@ -1,47 +1,42 @@
 """Results of a benchmark as text and picture: rows of a table, changes between two results, a Pareto front.
 
-Errors and means are compared in pairs of blocks in plan: both clouds come from the same photographs and share most of
-their noise. Times and memory are compared where both were measured on the same machine and often enough. Completeness
-and the coverage of the standard deviations are shares of the whole cloud, whose differences count beyond `NOISE`. Over
-several surveys the changes of each method are taken together, which judges times that were measured once, too.
+Changes are judged over several surveys, by their scatter; of a single one they are only shown.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy.stats import t as student
 
-from survey.benchmark.records import METHODS, Cost, Errors, Record, Results
+from survey.benchmark.records import METHODS, Cost, Record, Results
 from survey.compare.canvas import canvas, plain_log_ticks, save
 from survey.display.blocks import aligned
 from survey.display.palette import INK, RED, SERIES, SOFT
-from survey.display.quantities import length
+from survey.display.quantities import length, listed
 
 _COLOURS = (*SERIES, RED, INK)
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "<", ">")
-_DRAWS, _SEED = 2000, 20_261_122
-_LEVEL = (2.5, 97.5)
-# Fewer repeats than this do not show how a time varies; fewer blocks not how an error does.
-MIN_REPEATS, MIN_BLOCKS = 3, 10
-# Fewer surveys than this are not taken together.
-MIN_SURVEYS = 3
-ANOTHER_MACHINE = "another machine"
+# Fewer surveys than this are not taken together; the quantile of Student's distribution for 95 %.
+MIN_SURVEYS, _UPPER = 3, 0.975
 COMPLETE, MEAN, COVERS = "complete", "mean", "std covers"
-# Smaller differences are noise: of the mean as a share of the error, of completeness and of coverage as shares.
-NOISE = {MEAN: 0.05, COMPLETE: 0.002, COVERS: 0.01}
 # Nominal share of the errors within 1.96 standard deviations.
 _COVERED = 0.95
-BETTER, WORSE, SAME, UNKNOWN = "better", "worse", "as before", "not judged"
+BETTER, WORSE, SAME = "better", "worse", "as before"
+_COSTS: dict[str, Callable[[Cost], float]] = {
+    "wall_s": lambda cost: cost.wall_s,
+    "processor_s": lambda cost: cost.processor_s,
+    "memory": lambda cost: cost.peak_bytes,
+}
 _HEAD = ("survey", "method", "quality", "poses", "device", "time", "processor", "memory", "mean", "std",
          "complete 0.2, 0.1, 0.05 m", "std covers", "")  # fmt: skip
 
 # Of differences in hundredths.
 _UNITS = {COMPLETE: " points", MEAN: " % of the error", COVERS: " points away from 95 %"}
-# Records that are named where others cannot be paired.
+# Clouds that are named where one result lacks them.
 _MOST_NAMED = 3
 
 
@@ -111,150 +106,76 @@ def legend_of(methods: Sequence[str], cases: Sequence[str]) -> list[tuple[str, s
 
 @dataclass(frozen=True)
 class ResultChange:
-    """Change of a figure of a record: the ratio of now over then, or the difference of now less then."""
+    """Change of a figure of a record, or of a method over several surveys."""
 
     key: tuple[str, ...]  # Of the record
     figure: str
-    ratio: float  # NaN where it is a difference
-    # (low, high) or None: of ratio or difference, 95 %; None where there is too little to tell
-    interval: tuple[float, float] | None
-    verdict: str  # "better", "worse", "as before" or "not judged"
-    reason: str = ""  # Of "not judged"
-    # Of completeness; of the distance of the coverage from 95 %; of the mean's absolute value over the error then. NaN
-    # where it is a ratio.
-    difference: float = float("nan")
+    # Natural logarithm of now over then; of completeness, of the distance of the coverage from 95 % and of the mean's
+    # absolute value over the error then, now less then
+    step: float
+    interval: tuple[float, float] | None = None  # Of the step, 95 %; None of a single record
 
     @property
-    def kind(self) -> str:
-        """The figure without its tolerance: what its noise is known by."""
-        return self.figure.partition(" at ")[0]
+    def verdict(self) -> str:
+        """Whether it is for better or worse, by its interval; empty without one."""
+        if self.interval is None:
+            return ""
+        low, high = sorted(-end for end in self.interval) if self.figure.startswith(COMPLETE) else self.interval
+        return BETTER if high < 0.0 else WORSE if low > 0.0 else SAME
+
+    def __str__(self) -> str:
+        unit = _UNITS.get(self.figure.partition(" at ")[0])
+        steps = np.array([self.step, *(self.interval or ())])
+        shown = [f"{ratio:.3f}" for ratio in np.exp(steps)] if unit is None else [f"{100.0 * s:+.2f}" for s in steps]
+        between = f" ({' to '.join(shown[1:])})" if self.interval else ""
+        return f"{' '.join(self.key)}: {self.figure} {shown[0]}{between}{unit or ''} {self.verdict}".rstrip()
 
 
 def changes(new: Results, old: Results) -> list[ResultChange]:
-    """All figures of all records that both have; a cloud that one lacks is a change too."""
-    earlier = {record.key: record for record in old.records}
-    same_machine = new.machine == old.machine
+    """All figures of all records of a cloud that both have; times and memory where they are of one machine."""
+    now, then = _with_cloud(new), _with_cloud(old)
+    costs = _COSTS if new.machine == old.machine else {}
     found = []
-    for record in new.records:
-        before = earlier.get(record.key)
-        if before is not None:
-            found += _of_record(record, before, same_machine)
-    return found
+    for key in now.keys() & then.keys():
+        found += [ResultChange(key, figure, step) for figure, step in _steps_of_errors(now[key], then[key])]
+        for figure, of in costs.items():
+            a, b = (np.median([of(cost) for cost in record.costs]) for record in (now[key], then[key]))
+            found.append(ResultChange(key, figure, float(np.log(a / b))))
+    return sorted(found, key=lambda change: change.key)
+
+
+def _with_cloud(results: Results) -> dict[tuple[str, ...], Record]:
+    return {record.key: record for record in results.records if record.errors is not None}
+
+
+def _steps_of_errors(new: Record, old: Record) -> Iterator[tuple[str, float]]:
+    now, then = new.errors, old.errors
+    assert now is not None
+    assert then is not None
+    yield "error", float(np.log(now.error_m / then.error_m))
+    yield MEAN, (abs(now.mean_m) - abs(then.mean_m)) / then.error_m
+    for tolerance in sorted(now.completeness.keys() & then.completeness.keys(), key=float):
+        yield f"{COMPLETE} at {tolerance} m", now.completeness[tolerance] - then.completeness[tolerance]
+    # Standard deviations of clouds over straight rays are those of apparent depths.
+    if METHODS[new.method].is_refracted and now.coverage is not None and then.coverage is not None:
+        yield COVERS, abs(now.coverage - _COVERED) - abs(then.coverage - _COVERED)
 
 
 def over_surveys(found: list[ResultChange]) -> list[ResultChange]:
-    """The changes of each method and figure over all surveys: the geometric mean of ratios, the mean of differences.
+    """The changes of each method and figure over all surveys, `MIN_SURVEYS` at least: means with Student's interval.
 
-    The interval is Student's, of ratios that of their logarithms: surveys count as drawn from all that could be.
+    Surveys count as drawn from all that could be.
     """
-    groups: dict[tuple[tuple[str, ...], str], list[ResultChange]] = {}
+    groups: dict[tuple[tuple[str, ...], str], list[float]] = {}
     for change in found:
-        if (np.isfinite(change.ratio) or change.kind in NOISE) and change.reason != ANOTHER_MACHINE:
-            groups.setdefault((change.key[1:], change.figure), []).append(change)
-    return [
-        _change_over_surveys(key, figure, group) for (key, figure), group in groups.items() if len(group) >= MIN_SURVEYS
-    ]
-
-
-def _change_over_surveys(key: tuple[str, ...], figure: str, group: list[ResultChange]) -> ResultChange:
-    name, is_difference = (f"{len(group)} surveys", *key), group[0].kind in NOISE
-    values = np.array([change.difference for change in group]) if is_difference else np.log([c.ratio for c in group])
-    half = student.ppf(0.5 * (1.0 + 0.01 * (_LEVEL[1] - _LEVEL[0])), len(values) - 1) * values.std(ddof=1)
-    middle, half = float(values.mean()), float(half) / len(values) ** 0.5
-    if is_difference:
-        return _differs(name, figure, middle, (middle - half, middle + half))
-    interval = (float(np.exp(middle - half)), float(np.exp(middle + half)))
-    return ResultChange(name, figure, float(np.exp(middle)), interval, _verdict(*interval))
-
-
-def unpaired(new: Results, old: Results) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
-    """Keys of the records that only the one has, and of those that only the other has."""
-    new_keys, old_keys = ({record.key for record in results.records} for results in (new, old))
-    return sorted(new_keys - old_keys), sorted(old_keys - new_keys)
-
-
-def _of_record(new: Record, old: Record, same_machine: bool) -> list[ResultChange]:
-    if new.errors is None or old.errors is None:
-        if (new.errors is None) == (old.errors is None):
-            return []
-        verdict = WORSE if new.errors is None else BETTER
-        return [ResultChange(new.key, "has a cloud", float("nan"), None, verdict)]
-    found = [_error(new.key, new.errors, old.errors), _mean(new.key, new.errors, old.errors)]
-    for tolerance in sorted(new.errors.completeness.keys() & old.errors.completeness.keys(), key=float):
-        after, before = (errors.completeness[tolerance] for errors in (new.errors, old.errors))
-        found.append(_differs(new.key, f"{COMPLETE} at {tolerance} m", after - before))
-    shares = (new.errors.coverage, old.errors.coverage)
-    if METHODS[new.method].is_refracted and shares[0] is not None and shares[1] is not None:
-        found.append(_differs(new.key, COVERS, abs(shares[0] - _COVERED) - abs(shares[1] - _COVERED)))
-    costs: tuple[tuple[str, Callable[[Cost], float]], ...] = (
-        ("wall_s", lambda cost: cost.wall_s),
-        ("processor_s", lambda cost: cost.processor_s),
-        ("memory", lambda cost: float(cost.peak_bytes)),
-    )
-    for figure, of in costs:
-        a, b = (np.array([of(cost) for cost in record.costs]) for record in (new, old))
-        found.append(_cost(new.key, figure, a, b, same_machine))
-    return found
-
-
-def _error(key: tuple[str, ...], new: Errors, old: Errors) -> ResultChange:
-    """Root mean square of the inner 90 %, by a bootstrap over pairs of blocks."""
-    ratio, drawn = new.error_m / old.error_m, _bootstrap_sums(new, old)
-    if isinstance(drawn, str):
-        return ResultChange(key, "error", ratio, None, UNKNOWN, drawn)
-    rms = [np.sqrt(sums[:, 2] / sums[:, 0]) for sums in drawn]
-    return _judged(key, "error", ratio, rms[0] / rms[1])
-
-
-def _mean(key: tuple[str, ...], new: Errors, old: Errors) -> ResultChange:
-    """Bias of the inner 90 % over the earlier error, by a bootstrap over pairs of blocks."""
-    difference, drawn = (abs(new.mean_m) - abs(old.mean_m)) / old.error_m, _bootstrap_sums(new, old)
-    if isinstance(drawn, str):
-        return ResultChange(key, MEAN, float("nan"), None, UNKNOWN, drawn, difference)
-    off = [np.abs(sums[:, 1] / sums[:, 0]) for sums in drawn]
-    low, high = (float(v) for v in np.percentile((off[0] - off[1]) / old.error_m, _LEVEL))
-    return _differs(key, MEAN, difference, (low, high))
-
-
-def _bootstrap_sums(new: Errors, old: Errors) -> tuple[np.ndarray, np.ndarray] | str:
-    """Bootstrap sums (draws, 3) of both over pairs of the blocks that both have; the reason where these are too few."""
-    shared = sorted(new.blocks.keys() & old.blocks.keys())
-    if len(shared) < MIN_BLOCKS:
-        return f"{len(shared)} blocks in common, expected {MIN_BLOCKS}"
-    a, b = (np.array([errors.blocks[name] for name in shared]) for errors in (new, old))
-    drawn = np.random.default_rng(_SEED).integers(len(shared), size=(_DRAWS, len(shared)))
-    return a[drawn].sum(axis=1), b[drawn].sum(axis=1)
-
-
-def _cost(key: tuple[str, ...], figure: str, new: np.ndarray, old: np.ndarray, same_machine: bool) -> ResultChange:
-    ratio = float(np.median(new) / np.median(old))
-    if not same_machine:
-        return ResultChange(key, figure, ratio, None, UNKNOWN, ANOTHER_MACHINE)
-    if min(len(new), len(old)) < MIN_REPEATS:
-        return ResultChange(key, figure, ratio, None, UNKNOWN, f"expected --repeats {MIN_REPEATS} or more in both")
-    rng = np.random.default_rng(_SEED)
-    a, b = (np.median(values[rng.integers(len(values), size=(_DRAWS, len(values)))], axis=1) for values in (new, old))
-    return _judged(key, figure, ratio, a / b)
-
-
-def _judged(key: tuple[str, ...], figure: str, ratio: float, ratios: np.ndarray) -> ResultChange:
-    low, high = (float(v) for v in np.percentile(ratios, _LEVEL))
-    return ResultChange(key, figure, ratio, (low, high), _verdict(low, high))
-
-
-def _differs(
-    key: tuple[str, ...], figure: str, difference: float, interval: tuple[float, float] | None = None
-) -> ResultChange:
-    """A difference: beyond noise, and with an interval, where there is one, on the same side of zero."""
-    change = ResultChange(key, figure, float("nan"), interval, SAME, "", difference)
-    is_one_sided = interval is None or interval[0] > 0.0 or interval[1] < 0.0
-    if abs(difference) <= NOISE[change.kind] or not is_one_sided:
-        return change
-    return replace(change, verdict=BETTER if (difference > 0.0) == (change.kind == COMPLETE) else WORSE)
-
-
-def _verdict(low: float, high: float) -> str:
-    return BETTER if high < 1.0 else WORSE if low > 1.0 else SAME
+        groups.setdefault((change.key[1:], change.figure), []).append(change.step)
+    means = []
+    for (key, figure), steps in groups.items():
+        if len(steps) >= MIN_SURVEYS:
+            half = float(student.ppf(_UPPER, len(steps) - 1) * np.std(steps, ddof=1)) / len(steps) ** 0.5
+            mean = float(np.mean(steps))
+            means.append(ResultChange((f"{len(steps)} surveys", *key), figure, mean, (mean - half, mean + half)))
+    return means
 
 
 def table(results: Results) -> list[str]:
@@ -281,31 +202,12 @@ def _row(record: Record, is_front: bool) -> tuple[str, ...]:
 
 
 def comparison(new: Results, old: Results) -> list[str]:
-    """Changes for better or worse: over all surveys, then of each, then what could not be compared."""
+    """Changes over all surveys, then of each, then the clouds that only one result has."""
     found = changes(new, old)
-    lines = lines_of(over_surveys(found)) + lines_of(found)
-    for keys, where in zip(unpaired(new, old), ("this", "the earlier"), strict=True):
+    lines = [str(change) for change in (*over_surveys(found), *found)]
+    now, then = _with_cloud(new).keys(), _with_cloud(old).keys()
+    for keys, where in ((now - then, "this"), (then - now, "the earlier")):
         if keys:
-            named = "; ".join(" ".join(key) for key in keys[:_MOST_NAMED])
-            lines.append(f"only in {where} result: {len(keys)} records, {named}{'; ...' * (len(keys) > _MOST_NAMED)}")
+            named = listed([" ".join(key) for key in sorted(keys)], _MOST_NAMED)
+            lines.append(f"only in {where} result: {len(keys)} clouds, {named}")
     return lines
-
-
-def lines_of(changes: list[ResultChange]) -> list[str]:
-    """Lines of text, one for each change."""
-    lines = []
-    for change in changes:
-        reason = f": {change.reason}" if change.reason else ""
-        lines.append(f"{' '.join(change.key)}: {change.figure}{_difference_text(change)} {change.verdict}{reason}")
-    return lines
-
-
-def _difference_text(change: ResultChange) -> str:
-    if np.isnan(change.ratio) and np.isnan(change.difference):
-        return ""
-    if np.isnan(change.difference):
-        between = "" if change.interval is None else f" ({change.interval[0]:.3f} to {change.interval[1]:.3f})"
-        return f" {change.ratio:.3f}{between}"
-    low, high = change.interval or (np.nan, np.nan)
-    between = "" if change.interval is None else f" ({100.0 * low:+.2f} to {100.0 * high:+.2f})"
-    return f" {100.0 * change.difference:+.2f}{between}{_UNITS[change.kind]}"

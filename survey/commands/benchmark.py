@@ -43,7 +43,7 @@ class RunOptions:
     device: Annotated[
         list[Device] | None, _measured(metavar=words_of(Device), help="Repeatable; default: all that are present.")
     ] = None
-    repeats: Annotated[int, _measured(metavar="N", help="Rounds; times get intervals from three on.")] = 1
+    repeats: Annotated[int, _measured(metavar="N", help="Rounds; times are medians.")] = 1
 
 
 @grouped
@@ -54,7 +54,7 @@ def run(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for all results.")] = FOLDER,
     measured: RunOptions = RunOptions(),
     against: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="An earlier results.json: say what became better or worse.")
+        Path | None, typer.Option(metavar="FILE", help="An earlier results.json: list what has changed.")
     ] = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,

@@ -19,15 +19,19 @@ FILE = Path(bathynerf.__file__)
 
 
 def for_editors() -> dict[str, tuple[str, str]]:
-    """Module and name there of each name that the file imports for type checkers alone."""
-    tree = ast.parse(FILE.read_text(encoding="utf-8"))
-    (block,) = (n for n in tree.body if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING")
-    imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
+    """Module and name there of each name that editors and type checkers are told."""
+    tree = ast.parse(FILE.with_suffix(".pyi").read_text(encoding="utf-8"))
+    imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
     return {alias.asname or alias.name: (str(node.module), alias.name) for node in imports for alias in node.names}
 
 
 def test_the_names_for_editors_are_the_public_names():
-    assert sorted([*for_editors(), "__version__"]) == bathynerf.__all__ == dir(bathynerf)
+    (named,) = (
+        node.value
+        for node in ast.parse(FILE.with_suffix(".pyi").read_text(encoding="utf-8")).body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__"
+    )
+    assert sorted(ast.literal_eval(named)) == bathynerf.__all__ == dir(bathynerf)
 
 
 @pytest.mark.parametrize("name", sorted(for_editors()))
@@ -83,7 +87,7 @@ def installed(tmp_path) -> Path:
         (root / package).symlink_to(ROOT / package)
     (root / "bathynerf").unlink()
     (root / "bathynerf").mkdir()
-    for file in (ROOT / "bathynerf").glob("*.py"):
+    for file in (ROOT / "bathynerf").glob("*.py*"):
         (root / "bathynerf" / file.name).write_text(file.read_text(encoding="utf-8"), encoding="utf-8")
     package_of_others(root / "evaluation")
     info = root / "evaluation-0.0.2.dist-info"

@@ -90,8 +90,8 @@ DISK_FOLDERS = (
     | {"survey/simulate/output", "survey/simulate/staging", "survey/volume"}
 )
 GIVEN_PATHS = {"Path", "RunDir"}
-# These search what is installed on the machine: libLLVM, and foreign packages.
-SEARCHES = {"fields/device.py", "bathynerf/_packages.py"}
+# These read what is installed on the machine: libLLVM, foreign packages, the list of public names.
+SEARCHES = {"fields/device.py", "bathynerf/_packages.py", "bathynerf/__init__.py"}
 # The files that import a module by a name that they put together, which no other test here can follow.
 IMPORT_BY_NAME_FILES = {"bathynerf/__init__.py", "fields/models.py", "geo/files.py", "survey/export/product.py"}
 IMPORT_BY_NAME = {"import_module", ".import_module", "__import__"}
@@ -302,7 +302,9 @@ def is_defined(name: str) -> bool:
             return True
         if file.is_file():
             rest = parts[number : number + 1]
-            return not rest or re.search(rf"\b{rest[0]}\b", file.read_text(encoding="utf-8")) is not None
+            stub = file.with_suffix(".pyi")
+            said = (stub if stub.is_file() else file).read_text(encoding="utf-8")
+            return not rest or re.search(rf"\b{rest[0]}\b", said) is not None
     return False
 
 

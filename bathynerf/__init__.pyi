@@ -1,0 +1,78 @@
+from geo.errors import GeoError
+from geo.frames import LocalFrame
+from geo.las import read_cloud, write_cloud
+from geo.reading import read_reference
+from geo.shapes import Cloud, Mesh
+from refract.camera import PinholeCamera
+from refract.curved.bicubic import BicubicWater
+from refract.curved.wavy import WavyWater
+from refract.distortion import Distortion
+from refract.media import water_index
+from refract.paths import trace
+from refract.projection import project
+from refract.surfaces import FlatWater, WaterSurface
+from survey.adjust.waterline import estimate_water
+from survey.compare.comparison import compare_files as compare
+from survey.compare.options import CompareOptions
+from survey.errors import SurveyError
+from survey.export.export import export
+from survey.export.product import ExportOptions
+from survey.export.profiles import Profile, profiles_along
+from survey.export.render import render
+from survey.folder.survey import Survey as LoadedSurvey
+from survey.folder.survey import load_survey
+from survey.handles.run import Dem, Run
+from survey.handles.survey import Survey
+from survey.photos.cameras import View
+from survey.plan.choices import Choices
+from survey.plan.plan import Plan, make_plan
+from survey.progress import Progress
+from survey.run.process import process
+from survey.simulate.drawn import draw_survey
+from survey.simulate.drawn.settings import DrawnScene
+from survey.simulate.staging.simulate import simulate
+
+__version__: str
+
+__all__ = [
+    "BicubicWater",
+    "Choices",
+    "Cloud",
+    "CompareOptions",
+    "Dem",
+    "Distortion",
+    "DrawnScene",
+    "ExportOptions",
+    "FlatWater",
+    "GeoError",
+    "LoadedSurvey",
+    "LocalFrame",
+    "Mesh",
+    "PinholeCamera",
+    "Plan",
+    "Profile",
+    "Progress",
+    "Run",
+    "Survey",
+    "SurveyError",
+    "View",
+    "WaterSurface",
+    "WavyWater",
+    "__version__",
+    "compare",
+    "draw_survey",
+    "estimate_water",
+    "export",
+    "load_survey",
+    "make_plan",
+    "process",
+    "profiles_along",
+    "project",
+    "read_cloud",
+    "read_reference",
+    "render",
+    "simulate",
+    "trace",
+    "water_index",
+    "write_cloud",
+]

@@ -53,15 +53,7 @@ class Alignment:
 
 
 def align(differences: Differences, stable: np.ndarray, correlation: Correlation) -> tuple[Differences, Alignment]:
-    """The differences after the second survey was aligned to the first in height, with the shift.
-
-    Parameters
-    ----------
-    stable : (rows, columns) bool
-        Cells that did not change.
-    correlation : Correlation
-        Of the errors of cells.
-    """
+    """The differences after the second survey was aligned to the first in height by stable cells, with the shift."""
     known = stable & differences.is_known
     if known.sum() < FEWEST_CELLS:
         raise ValueError(f"{int(known.sum())} cells of both surveys lie in it, expected at least {FEWEST_CELLS}")

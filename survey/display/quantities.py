@@ -188,12 +188,7 @@ def size(num_bytes: float) -> str:
 def foot_m(units: str | None, crs: CRS) -> float | None:
     """The length of the foot that lengths are shown in [m], None for metres.
 
-    Parameters
-    ----------
-    units : "metres", "feet" or None
-        None leaves it to the CRS; "feet" are those of the CRS, else international ones.
-    crs : pyproj.CRS
-        With a height.
+    ``units`` None leaves it to the CRS, which has a height; "feet" are those of the CRS, else international ones.
     """
     if units == "metres":
         return None

@@ -86,12 +86,7 @@ def check_survey(
 ) -> list[CheckSection]:
     """Check a survey and describe what `process` would do; nothing is computed and nothing written.
 
-    Parameters
-    ----------
-    checked : Checked, optional
-        Result of `require_processable` for the folder, if it was called already.
-    aim, chooses_workers : optional
-        See `survey.plan.run_plan.plan_run`.
+    ``checked`` is that of `require_processable`, if it was called already; others as `survey.plan.run_plan.plan_run`.
     """
     checked = require_processable(folder, chosen) if checked is None else checked
     if checked.survey is None:

@@ -121,10 +121,7 @@ def verdict_text(verdict: Verdict, found: str, advice: str) -> str:
 def level_warning(found: Found, survey: Survey | None) -> str | None:
     """Warning where an adjustment will hardly determine the level; None where one is given, or it may.
 
-    Parameters
-    ----------
-    survey : Survey or None
-        None where the poses are not known yet; attitudes are then those in XMP.
+    Where the poses are not known yet (``survey`` None), attitudes are those in XMP.
     """
     water = found.config.water
     is_given = water is None or water.level_m is not None or water.sources.clicks is not None

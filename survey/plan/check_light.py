@@ -92,17 +92,9 @@ def lost_share(glitter: Glitter) -> float:
 
 
 def motion_text(speed: float | None, exposure: float | None, pixel: float | None, known: str = "") -> str:
-    """The verdict on blur by motion.
+    """The verdict on blur by motion: speed [m/s], exposure [s] and ground pixel [m] of the photograph with the most.
 
-    Parameters
-    ----------
-    speed : [m/s] or None
-        Of the photograph with the most motion; None where it is unknown, as for the next two.
-    exposure : [s] or None
-    pixel : [m] or None
-        What a pixel covers on the ground.
-    known : str
-        Of how many photographs this is known, in words.
+    ``known`` says of how many photographs these are known.
     """
     if speed is None or exposure is None or pixel is None:
         missing = "the speed" if speed is None else "the exposure time" if exposure is None else "the flying height"

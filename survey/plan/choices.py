@@ -18,37 +18,7 @@ STD_QUANTILE = 0.95
 class Choices(ProcessConfig):
     """Options of a run, with their defaults; the words are those of `survey.words`.
 
-    Attributes
-    ----------
-    quality : "draft", "standard" or "fine"
-    device : "auto", "cpu" or "cuda"
-    field : "auto", "solver", "boxes", "off" or a model of `fields.models.IN_LAYER`
-        What refines the heights of the sweep: least squares over all photographs, with boxes or alone, nothing, or a
-        field trained in a layer about them, for ``render --field``; "auto" leaves it to the plan.
-    target_std_m : [m], optional
-        Standard deviation that is wanted on 95 % of the ground, each height's own without `std_common`: the least work
-        that is foreseen to reach it; `survey.run.aim` chooses quality and image scale.
-    time_budget_s : [s], optional
-        Wall clock of the whole run: the best that is foreseen to fit.
-    poses : "auto", "fixed" or "refine"
-        Whether poses and lens are adjusted together with the water; "auto" leaves it to the plan.
-    image_scale : float, optional
-        At which photographs are worked on: 1, a half, a quarter, ...; default by their size and the quality.
-    calibrate_water : bool
-        First estimate level, slopes and index of the water from the photographs, as if nothing were known of them;
-        those that are not observable keep their given values.
-    true_colour : bool
-        Give the points the bed's own colour, the water taken away, instead of the photographs'.
-    tiles : int, optional
-        Rectangles of the ground that are worked on one after the other; default: as the memory asks for.
-    memory : str, optional
-        Memory that the run may take, as "8GB"; default: most of what is free.
-    workers : int, optional
-        Processes that compute tiles; default one, and on the command line by tiles, cores and memory. Of a scheduler
-        those that are waited for. A script that gives more than one needs ``if __name__ == "__main__":``, as each
-        process loads it again.
-    scheduler : str, optional
-        Address of a Dask scheduler whose workers compute tiles, features and matches, as "tcp://host:8786".
+    A script that gives more than one worker needs ``if __name__ == "__main__":``, as each process loads it again.
     """
 
     quality: str = Quality.standard.value
@@ -74,6 +44,12 @@ class Choices(ProcessConfig):
         if self.time_budget_s is not None:
             parts.append(f"at most {self.time_budget_s:g} s")
         return " in ".join(parts)
+
+
+# Each with its help on the command line.
+Choices.__doc__ = f"{Choices.__doc__}\n    Attributes\n    ----------\n" + "".join(
+    f"    {field.name} : {field.type}\n        {field.metadata[OPTION].help}\n" for field in fields(ProcessConfig)
+)
 
 
 def option_of(key: str) -> str:

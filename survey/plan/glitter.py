@@ -59,17 +59,7 @@ def glitters(directions: np.ndarray, sun: np.ndarray, up: np.ndarray, wind_m_s: 
 
 
 class GlitterOfFlight:
-    """Rays of a flight, for the glitter of any sun.
-
-    Parameters
-    ----------
-    up : (3,)
-        Normal of the water, local.
-    places : Places, optional
-        Of the bed.
-    water : FlatWater, optional
-        Over these places.
-    """
+    """Rays of a flight over water of a normal (3,), local, for the glitter of any sun; places of the bed under it."""
 
     def __init__(
         self, cameras: list[PinholeCamera], up: np.ndarray, places: Places | None = None, water: FlatWater | None = None

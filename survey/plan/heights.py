@@ -53,13 +53,7 @@ class HeightRange:
 
 
 def height_range(survey: Survey, flying_m: float) -> HeightRange:
-    """The range of heights searched for the bed.
-
-    Parameters
-    ----------
-    flying_m : [m]
-        Median height of the cameras over the water, or over the ground as far as it is known.
-    """
+    """The range of heights searched for the bed; ``flying_m`` [m]: of the cameras over water or ground, median."""
     if survey.config.area.heights is not None:
         return _of_config(survey, survey.config.area.heights)
     points = survey.observations.points

@@ -24,58 +24,28 @@ OF_RUN = ("aim", "tiles", "workers")
 
 @dataclass(frozen=True)
 class Plan:
-    """Plan of a run: what `process` does.
+    """Plan of a run: what `process` does."""
 
-    Attributes
-    ----------
-    quality : "draft", "standard" or "fine"
-    device : "cuda", "llvm" or "torch"
-        Where kernels run: Dr.Jit on CUDA, Dr.Jit on the CPU by LLVM, or torch on the CPU.
-    image_scale : [-]
-        Scale of the images in the run, at most 1.
-    gsd_m : [m]
-        Ground sampling distance at that size, median over the views: at the water, or the ground of a dry
-        survey.
-    height_m : [m]
-        Height of the cameras over the water or ground, median.
-    footprint_m : (width, height) [m]
-        What one image covers there, median.
-    decisions : tuple of Decision
-    recipe : Recipe
-        The numbers of the quality.
-    field : "solver", "off" or a model of `fields.models.IN_LAYER`
-        What refines the heights of the sweep.
-    boxes : bool
-        Whether the bed beside and under depth steps is searched in boxes: `fields.occluded`.
-    device_asked : "auto", "cpu" or "cuda"
-    pose_choice : "refine", "fixed" or "check"
-        Whether poses, lens and water are adjusted first, or only if a sample of photographs contradicts the poses.
-    pose_reason : str
-        Why, in words.
-    skips : Skips
-        Work to skip that the scene does not need.
-    tiling : Tiling, optional
-        Tiles of the ground; None for one piece.
-    workers : int
-        Processes that compute tiles; 1 for that of the run itself.
-    """
-
-    quality: str
-    device: str
-    image_scale: float
+    quality: str  # "draft", "standard" or "fine"
+    device: str  # Where kernels run: Dr.Jit on CUDA, on the CPU by LLVM, or torch: "cuda", "llvm" or "torch"
+    image_scale: float  # [-]: of the images in the run, at most 1
+    # gsd_m, height_m, footprint_m [m], medians over the views: ground sampling distance at that size, height of the
+    # cameras, width and height of what an image covers; at the water, or the ground of a dry survey
     gsd_m: float
     height_m: float
     footprint_m: tuple[float, float]
     decisions: tuple[Decision, ...]
-    recipe: Recipe = RECIPES["standard"]
-    field: str = "off"
-    boxes: bool = False
-    device_asked: str = "auto"
+    recipe: Recipe = RECIPES["standard"]  # The numbers of the quality
+    field: str = "off"  # What refines the heights of the sweep: "solver", "off" or one of `fields.models.IN_LAYER`
+    boxes: bool = False  # Whether the bed beside and under depth steps is searched in boxes: `fields.occluded`
+    device_asked: str = "auto"  # "auto", "cpu" or "cuda"
+    # "refine", "fixed" or "check", and why: whether poses, lens and water are adjusted first, or only if a sample of
+    # photographs contradicts the poses
     pose_choice: str = "fixed"
     pose_reason: str = ""
-    skips: Skips = SKIPS
-    tiling: Tiling | None = None
-    workers: int = 1
+    skips: Skips = SKIPS  # Work to skip that the scene does not need
+    tiling: Tiling | None = None  # Tiles of the ground; None for one piece
+    workers: int = 1  # Processes that compute tiles; 1 for that of the run itself
 
     @property
     def refines_points_only(self) -> bool:
@@ -97,14 +67,9 @@ class Plan:
 
 
 def make_plan(survey: Survey, chosen: Choices = USUAL) -> Plan:
-    """Plan for a survey.
+    """Plan for a survey and the options of a run.
 
     Raises SurveyError if CUDA is asked for and there is none.
-
-    Parameters
-    ----------
-    survey : Survey
-    chosen : Choices
     """
     survey = flattened(survey)
     recipe, device = RECIPES[chosen.quality], device_decision(chosen.device)

@@ -21,23 +21,10 @@ def plan_run(
     chooses_workers: bool = False,
     earlier_tiles: int | None = None,
 ) -> tuple[Plan, Workload, tuple[str, ...]]:
-    """Plan of a run on a survey whose poses are known.
+    """Plan and workload of a run on a survey whose poses are known, and warnings where tiles are not accurate enough.
 
-    Parameters
-    ----------
-    aim : Decision, optional
-        By which quality and image scale were chosen.
-    chooses_workers : bool
-        Choose the number of processes for tiles where no number is given.
-    earlier_tiles : int, optional
-        Number of tiles of an unfinished run that goes on.
-
-    Returns
-    -------
-    Plan
-    Workload
-    tuple of str
-        Warnings where a plane or a local frame is not accurate enough for a tile.
+    ``aim`` is by which quality and image scale were chosen; ``chooses_workers`` whether a number of processes for tiles
+    is chosen where none is given; ``earlier_tiles`` that of an unfinished run that goes on.
     """
     plan = make_plan(survey, chosen)
     amounts = amounts_of_run(survey, plan)

@@ -72,18 +72,10 @@ def choose_tiles(
     earlier: int | None = None,
     chooses_workers: bool = False,
 ) -> TileChoice:
-    """Tiles of a survey by its memory, and processes for them.
+    """Tiles of a survey by its memory, with the workload in one piece and the amounts of the run, and their processes.
 
-    Parameters
-    ----------
-    workload : Workload
-        In one piece.
-    amounts : Amounts
-        Those of the run.
-    earlier : int, optional
-        Number of tiles of an unfinished run that goes on.
-    chooses_workers : bool
-        Take as many processes as the machine has room for, where no number is asked for.
+    ``earlier`` is the number of tiles of an unfinished run that goes on; ``chooses_workers`` whether to take as many
+    processes as the machine has room for, where no number is asked for.
     """
     require_dask(chosen)
     why = ""
@@ -259,10 +251,7 @@ def _memory(survey: Survey, plan: Plan, tiling: Tiling, amounts: Amounts) -> flo
 def window_pixels(survey: Survey, plan: Plan, sides: tuple[float, float]) -> np.ndarray:
     """Pixels (K,) of the windows in which some photographs show a rectangle of the ground in their middle.
 
-    Parameters
-    ----------
-    sides : (east, north) [m]
-        Of the rectangle; bounding boxes of it are larger in photographs that are turned or tilted.
+    It has sides (east, north) [m]; bounding boxes of it are larger in photographs that are turned or tilted.
     """
     survey = flattened(survey)
     views = [survey.views[k] for k in np.unique(np.linspace(0, len(survey.views) - 1, _SAMPLE).astype(int))]

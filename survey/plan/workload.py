@@ -99,12 +99,7 @@ def workload_of(survey: Survey, plan: Plan, amounts: Amounts | None = None) -> W
 
 
 def workload_of_images(sizes_px: Sequence[tuple[int, int]], chosen: Choices) -> Workload:
-    """Estimate for photographs without poses: an upper bound of memory and disk; time with structure from motion.
-
-    Parameters
-    ----------
-    sizes_px : (width, height) of each photograph
-    """
+    """Estimate for photographs of some sizes without poses: a bound of memory and disk, time with their poses."""
     recipe, scale = RECIPES[chosen.quality], chosen.image_scale
     if scale is None:
         scale = min(image_scale(width, height, recipe.megapixels) for width, height in sizes_px)

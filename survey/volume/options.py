@@ -90,13 +90,7 @@ class VolumeOptions(FieldConfig):
 
 
 def field_config(run: str | Path, survey: str | None) -> FieldConfig:
-    """[field] in the current survey.toml of a run's survey, with absolute paths.
-
-    Parameters
-    ----------
-    survey : str, optional
-        Folder of the survey, if it was moved since the run.
-    """
+    """[field] in the current survey.toml of a run's survey (its folder, if it was moved), with absolute paths."""
     with LoadedRun(run) as loaded:
         folder = survey_folder(loaded, survey)
     settings = settings_of(folder) if folder.is_dir() else None

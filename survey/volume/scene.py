@@ -124,21 +124,8 @@ class BedBox:
         return Scene(self.box, self.bed[inside], train, held, self.pixel_m)
 
 
-def load_scene(
-    run: LoadedRun,
-    flight: Flight,
-    options: VolumeOptions,
-    advance: Callable[[], object],
-) -> Scene:
-    """The training data of a run.
-
-    Parameters
-    ----------
-    flight : Flight
-        Its photographs, where they are now.
-    advance : callable
-        Called after each photograph.
-    """
+def load_scene(run: LoadedRun, flight: Flight, options: VolumeOptions, advance: Callable[[], object]) -> Scene:
+    """The training data of a run, its photographs where they are now; ``advance`` is called after each of them."""
     ground = BedBox.of_run(run, flight, options)
     shown = photographs_of(ground, flight, advance)
     held = shown[_held_of(options)]
@@ -261,16 +248,7 @@ def _heights_about(bed: np.ndarray, cell: float) -> tuple[float, float]:
 
 
 class VolumeFolder:
-    """The folder of a volume: settings and state of its training.
-
-    Parameters
-    ----------
-    path : Path
-    settings : dict
-        All that the training depends on.
-    inputs : ReadFiles
-        What is read, and must not be written over.
-    """
+    """The folder of a volume: all settings that its training depends on, and its state."""
 
     def __init__(self, path: Path, settings: dict[str, Any], inputs: ReadFiles):
         self.path, self._inputs = path, inputs

@@ -37,18 +37,9 @@ IN_MEMORY = 1
 
 
 class SubmoduleViews:
-    """Renderer of the trained submodules of a field, loaded from their folders when they are needed.
+    """Renderer of the trained submodules of the field in a folder, which are loaded when they are needed.
 
-    Parameters
-    ----------
-    folder : Path
-        Of the field.
-    ground : BedBox
-        Of all of them.
-    counts : (int, int)
-        Cells along x and y.
-    drop : str
-        A word of `survey.words.Drop`.
+    The ground is that of all, counts are their cells along x and y, ``drop`` is a word of `survey.words.Drop`.
     """
 
     def __init__(

@@ -43,7 +43,7 @@ def results(*records: Record, processor: str = "one") -> Results:
 
 
 def test_results_are_read_as_they_were_written(tmp_path):
-    found = results(record(), replace(record("mdw"), errors=None, words="refused"))
+    found = results(record(), replace(record("straight"), errors=None, words="refused"))
     write_results(tmp_path / "results.json", found)
     assert read_results(tmp_path / "results.json") == found
 
@@ -131,20 +131,20 @@ def _faster(slow: Record, by: float) -> Record:
 
 
 def test_changes_of_one_survey_are_shown_and_clouds_that_one_result_lacks_are_named():
-    lost = replace(record("mdw"), errors=None)
+    lost = replace(record("straight"), errors=None)
     now = results(record(found=replace(errors(0.75), completeness={"0.05": 0.89})), record("sweep"), lost)
-    lines = comparison(now, results(record(), record("mdw")))
+    lines = comparison(now, results(record(), record("straight")))
     assert "survey full standard given cpu: error 0.750" in lines
     assert "survey full standard given cpu: complete at 0.05 m -1.00 points" in lines
     assert lines[-2:] == [
         "only in this result: 1 clouds, survey sweep standard given cpu",
-        "only in the earlier result: 1 clouds, survey mdw standard given cpu",
+        "only in the earlier result: 1 clouds, survey straight standard given cpu",
     ]
 
 
 def test_the_front_holds_what_nothing_beats_in_both_time_and_error(tmp_path):
     fast, good = record("sweep", (5.0,), errors(2.0)), record("full", (10.0,), errors(1.0))
-    beaten = record("mdw", (20.0,), errors(1.5))
+    beaten = record("straight", (20.0,), errors(1.5))
     found = (fast, good, beaten)
     assert pareto_front(found) == {fast.key, good.key}
     draw_pareto_front(tmp_path / "front.png", found)

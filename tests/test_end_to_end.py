@@ -195,16 +195,17 @@ def test_the_las_file_says_where_it_lies_and_what_its_points_are(noisy):
 
 
 @pytest.mark.slow
-def test_the_field_leaves_the_bed_where_it_is_and_takes_noise_off(noisy):
-    swept = inner90(noisy.distances.signed)
-    shutil.copytree(noisy.folder, noisy.folder.with_name("refined"))
-    refined = DrawnRun(noisy.scene, noisy.folder.with_name("refined"))
-    again = bathynerf("process", refined.folder, "--field", "mdw")
-    assert again.exit_code == 0, again.stderr
-    assert "sweep: used again" in again.stderr
-    mean, std = inner90(refined.distances.signed)
-    assert abs(mean) < BIAS_M
-    assert std < swept[1]
+def test_a_field_is_added_to_a_run_and_leaves_its_cloud(noisy):
+    run = DrawnRun(noisy.scene, noisy.folder.with_name("trained"))
+    shutil.copytree(noisy.folder, run.folder)
+    clouds = []
+    for options in (("--quality", "standard"), ("--quality", "standard", "--field", "mdw")):
+        said = bathynerf("process", run.folder, *options)
+        assert said.exit_code == 0, said.stderr
+        clouds.append((run.folder / "bathynerf" / "cloud.las").read_bytes())
+    assert "solver: used again" in said.stderr
+    assert "field:" in said.stderr
+    assert clouds[0] == clouds[1]
 
 
 @pytest.mark.slow

@@ -1,8 +1,6 @@
-"""The field of a run: trained in a layer about displaced heights, stored, and asked for the heights of pixels."""
+"""The field of a run: trained in a layer about displaced heights, stored, and rendered."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +11,7 @@ from plane_survey import TILTED, PlaneBed, ring
 from fields.models import IN_LAYER
 from fields.sweep.maps import Sources
 from survey.errors import SurveyError
-from survey.run.stage_field import fit, layer_about, steps_for, with_heights
+from survey.run.stage_field import fit, layer_about, steps_for
 from survey.run.stored import FIELD_SETTINGS, FIELD_STATE
 from survey.run.stored_field import RestoredField, load_layer_field, save_layer_field
 
@@ -24,8 +22,8 @@ GSD = 0.03
 def errors_mm(sources: Sources, field: RestoredField, bed: PlaneBed = BED) -> np.ndarray:
     """Of the field's heights at all pixels but the outermost, against the true bed."""
     found = []
-    for camera, height_map in zip(sources.cameras, sources.maps, strict=True):
-        height = with_heights(field, camera, height_map, np.ones(height_map.height.shape, dtype=bool))[0].height
+    for camera in sources.cameras:
+        height = field.view(camera, dry=False).bed_height
         found.append((height - bed.true_height(camera))[5:-5, 5:-5].ravel())
     return 1e3 * np.concatenate(found)
 
@@ -84,40 +82,6 @@ def test_of_photographs_count_the_pixels_whose_height_lies_in_the_layer():
     assert 0 < len(cropped.pixels[0]) < len(photographs.pixels[0])
     with pytest.raises(SurveyError, match="no confirmed height lies inside the area"):
         layer_about(sources, GSD, (50.0, 50.0, 51.0, 51.0))
-
-
-def test_the_field_leaves_pixels_alone_that_it_was_not_asked_for_or_that_lie_elsewhere():
-    cameras = ring(4)
-    sources = plane_sources(BED, cameras)
-    field, mast = untrained(sources), sources.maps[0].height.copy()
-    mast[20:30, 40:50] += 0.5
-    keep = np.zeros(mast.shape, dtype=bool)
-    keep[10:40, 30:60] = True
-    found, moved = with_heights(field, cameras[0], replace(sources.maps[0], height=mast), keep)
-    changed = found.height != mast
-    assert not changed[~keep].any()
-    assert not changed[20:30, 40:50].any()
-    assert moved == keep.sum() - 100
-    assert np.abs(found.height - mast)[keep].max() < 3e-3
-    nothing, none = with_heights(field, cameras[0], replace(sources.maps[0], height=mast), np.zeros_like(keep))
-    assert none == 0
-    np.testing.assert_array_equal(nothing.height, mast)
-
-
-def test_the_field_moves_no_pixel_by_more_than_half_the_layer():
-    cameras = ring(4)
-    sources = plane_sources(BED, cameras)
-    field = untrained(sources)
-    model = field.renderer.model
-    with torch.no_grad():
-        model.regression.coarse.bias.fill_(np.arctanh(0.7))  # The bed 0.7 halves above the raster
-    for share, moves in ((0.2, True), (-0.2, True), (-0.4, False)):
-        lowered = replace(sources.maps[1], height=sources.maps[1].height + np.float32(share * model.box.half))
-        keep = np.zeros(lowered.height.shape, dtype=bool)
-        keep[5:-5, 5:-5] = True
-        found, moved = with_heights(field, cameras[1], lowered, keep)
-        assert moved == (keep.sum() if moves else 0)
-        np.testing.assert_array_equal(found.height != lowered.height, keep & moves)
 
 
 @pytest.mark.parametrize(

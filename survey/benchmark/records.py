@@ -199,7 +199,6 @@ METHODS = {
     for method in (
         Method("full", "whole chain"),
         Method("sweep", "sweep alone", field="off"),
-        Method("mdw", "trained field", field="mdw"),
         Method("straight", "straight rays", is_refracted=False),
         Method("times_index", "straight rays, depth times n", is_refracted=False, correction="times_index"),
         Method("per_camera", "straight rays, corrected per camera", is_refracted=False, correction="per_camera"),

@@ -36,7 +36,7 @@ class Plan:
     footprint_m: tuple[float, float]
     decisions: tuple[Decision, ...]
     recipe: Recipe = RECIPES["standard"]  # The numbers of the quality
-    field: str = "off"  # What refines the heights of the sweep: "solver", "off" or one of `fields.models.IN_LAYER`
+    field: str = "off"  # "off", "solver", or a model of `fields.models.IN_LAYER`, trained about the solver's heights
     boxes: bool = False  # Whether the bed beside and under depth steps is searched in boxes: `fields.occluded`
     device_asked: str = "auto"  # "auto", "cpu" or "cuda"
     # "refine", "fixed" or "check", and why: whether poses, lens and water are adjusted first, or only if a sample of
@@ -48,9 +48,14 @@ class Plan:
     workers: int = 1  # Processes that compute tiles; 1 for that of the run itself
 
     @property
+    def solves(self) -> bool:
+        """Whether heights are those of the solver."""
+        return self.field != "off"
+
+    @property
     def refines_points_only(self) -> bool:
         """Whether the finer passes of the sweep leave out pixels that do not become points: the solver follows."""
-        return self.field == "solver" and self.skips.points
+        return self.solves and self.skips.points
 
     def as_dict(self) -> dict:
         """Plain numbers, texts and lists, to be saved with the run."""
@@ -126,7 +131,7 @@ def _field(recipe: Recipe, chosen: Choices) -> Decision:
 
 def has_boxes(field: str, asked: str) -> bool:
     """Whether a run looks for the bed in boxes: after the solver, unless the field was set."""
-    return field == "solver" and asked in ("auto", "boxes")
+    return field != "off" and asked != "solver"
 
 
 # Photographs are compared pixel by pixel there.

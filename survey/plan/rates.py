@@ -58,7 +58,7 @@ def parts_s(amounts: Amounts, num_cores: int) -> dict[str, float]:
     """Times [s] of the parts of a run on idle cores, by the names of their stages, in order."""
     num_views, whole_mpx, map_px = len(amounts.view_px), amounts.photographs_px.sum() / 1e6, float(amounts.map_px.sum())
     parts = {"Images": _DECODING_S * whole_mpx}
-    solves, mpx = amounts.field == "solver", min(whole_mpx, num_views * _MOST_MPX)
+    solves, mpx = amounts.field != "off", min(whole_mpx, num_views * _MOST_MPX)
     if amounts.poses == "check":
         parts["Poses"] = _CHECK_S[0] + _CHECK_S[1] * mpx * min(_CHECKED / num_views, 1.0)
     elif amounts.poses == "refine":

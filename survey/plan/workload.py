@@ -209,7 +209,7 @@ def memory_of(amounts: Amounts) -> float:
     sweep = read + maps + _kept(pixels, _COMPARED) + _BYTES_OF_WORK * float(pixels.max())
     of_field = amounts.points if amounts.field in IN_LAYER else 0.0
     trained = _BYTES_OF_FIELD * of_field + _BYTES_OF_RAYS * min(of_field, _RAYS_OF_CELLS)
-    solver = _kept(of_maps, _SURFACES) + _BYTES_OF_TILES + masks if amounts.field == "solver" else 0.0
+    solver = _kept(of_maps, _SURFACES) + _BYTES_OF_TILES + masks if amounts.field != "off" else 0.0
     bed = read + masks + POINT_BYTES * amounts.points
     decoding = _BYTES_OF_DECODING * float(amounts.photographs_px.max())
     return _BASE_BYTES + held + max(decoding, sweep + trained, solver, bed)

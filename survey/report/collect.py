@@ -88,7 +88,7 @@ def baselines_of(facts: ReportFacts) -> Baselines | None:
     return Baselines(
         places=int(known.sum()),
         views_per_place=float(np.median(is_seen.sum(axis=1))),
-        rows=(*rows, *_measured(comparison, facts.sweep_comparison, facts.plan.field)),
+        rows=(*rows, *_measured(comparison, facts.sweep_comparison)),
         note=_NOTE,
     )
 
@@ -114,19 +114,13 @@ def _rays(survey: Survey, water: FlatWater, places: np.ndarray) -> tuple[np.ndar
     return np.stack(centres, axis=1), np.stack(directions, axis=1), np.stack(is_seen, axis=1)
 
 
-def _measured(comparison: Comparison, of_sweep: Comparison | None, field: str) -> list[BaselineRow]:
-    """The refractive sweep and what refined its heights; one row where nothing did.
-
-    The solver goes on from a sweep whose heights are not refined to the end, a trained field from one alone.
-    """
+def _measured(comparison: Comparison, of_sweep: Comparison | None) -> list[BaselineRow]:
+    """The refractive sweep, whose heights are not refined to the end, and the solver; one row where it is off."""
     of_run = comparison.figures.wet
     if of_sweep is None:
         named = {"this run: sweep alone": of_run}
     else:
-        is_solved = field == "solver"
-        before = "sweep before the solver" if is_solved else "sweep alone"
-        refined_by = "solver" if is_solved else f"trained field {field}"
-        named = {before: of_sweep.figures.wet, f"this run: sweep and {refined_by}": of_run}
+        named = {"sweep before the solver": of_sweep.figures.wet, "this run: sweep and solver": of_run}
     return [_row(name, "measured", part) for name, part in named.items() if part]
 
 

@@ -112,7 +112,7 @@ def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     axes = _show(image_of(values * unit.per_metre, scale), facts, grid)
     bar = colour_bar(axes, scale, f"standard deviation [{unit.name}]")
     plain_log_ticks(bar.ax.yaxis)
-    source = _OF_SOLVER if facts.plan.field == "solver" else _OF_SWEEP
+    source = _OF_SOLVER if facts.plan.solves else _OF_SWEEP
     words = f"Random part for each point, {source}; without the part common to all heights by water, lens and poses."
     subtitle = f"mean of each cell of {cell_size(grid.side_m)}"
     return finished(axes, path, "Standard deviation of the height", subtitle, words)

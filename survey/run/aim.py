@@ -132,7 +132,7 @@ def _scales(survey: Survey) -> list[float]:
 
 def _candidate(survey: Survey, chosen: Choices, quality: str, scale: float, std_m: float) -> Candidate:
     plan = make_plan(survey, replace(chosen, quality=quality, image_scale=scale))
-    return Candidate(quality, scale, std_m if plan.field == "solver" else math.nan, workload_of(survey, plan).seconds)
+    return Candidate(quality, scale, std_m if plan.solves else math.nan, workload_of(survey, plan).seconds)
 
 
 def _on_ground(std_m: float) -> str:

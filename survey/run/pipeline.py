@@ -114,15 +114,11 @@ def _needs_colour(job: Job) -> bool:
 
 
 def _is_solved(job: Job) -> bool:
-    return job.plan.field == "solver"
+    return job.plan.solves
 
 
 def _has_field(job: Job) -> bool:
     return job.plan.field in IN_LAYER
-
-
-def _is_refined(job: Job) -> bool:
-    return _is_solved(job) or _has_field(job)
 
 
 # What decides the rays of the photographs, and the size and the pixels that are worked on.
@@ -195,7 +191,7 @@ STAGES = (
     ),
     Stage(
         name="field",
-        needs=("sweep",),
+        needs=("sweep", "solver"),
         depends_on=(*_VIEWS, "area", "frame", "gsd", "rays", "water_colour"),
         files=FIELD_FILES,
         compute=train_field,
@@ -203,7 +199,7 @@ STAGES = (
     ),
     Stage(
         name="points",
-        needs=("sweep", "solver", "field"),
+        needs=("sweep", "solver"),
         depends_on=(*_VIEWS, "area", "frame", "gsd", "true_colour", "boxes"),
         files=(POINTS,),
         compute=find_points,
@@ -220,6 +216,6 @@ STAGES = (
 
 # What the cloud would be of the sweep alone: a baseline for the report.
 OF_SWEEP_ALONE = (
-    replace(STAGES[-2], name="points_of_sweep", needs=("sweep",), is_on=_is_refined),
-    replace(STAGES[-1], name="bed_of_sweep", needs=("adjust", "points_of_sweep"), is_on=_is_refined),
+    replace(STAGES[-2], name="points_of_sweep", needs=("sweep",), is_on=_is_solved),
+    replace(STAGES[-1], name="bed_of_sweep", needs=("adjust", "points_of_sweep"), is_on=_is_solved),
 )

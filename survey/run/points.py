@@ -19,13 +19,11 @@ from survey.adjust.result.adjustment import Adjustment, read_adjustment
 from survey.adjust.result.std_of_block import std_of_block
 from survey.plan.area import within
 from survey.plan.sweep_block import camera_of
-from survey.run.stage_field import with_heights
 
 if TYPE_CHECKING:
     from fields.sweep.block import Block
     from survey.folder.survey import Survey
     from survey.run.job import Job
-    from survey.run.stored_field import RestoredField
 
 LEAST_STD_PX = 0.01
 
@@ -61,16 +59,15 @@ class RefinedMaps:
     maps: Sequence[HeightMap]
     kept: Sequence[np.ndarray]  # (height, width) bool each, as `fields.sweep.bed.unique_pixels` finds them
     solved: Sequence[SolvedMap] | None = None
-    field: RestoredField | None = None
 
 
-def bed_points(job: Job, found: RefinedMaps, advance: Callable[[float], None]) -> tuple[BedPoints, np.ndarray, int]:
+def bed_points(job: Job, found: RefinedMaps, advance: Callable[[float], None]) -> tuple[BedPoints, np.ndarray]:
     """Points of the bed without duplicates, coloured from the photograph that shows each steepest.
 
-    Returns the points, the tides (N,) [m] of their photographs, and how many took their height from the field.
+    Returns the points and the tides (N,) [m] of their photographs.
     """
     survey, plan, block = job.survey, job.plan, job.block
-    parts, sources, tides, moved, area = [], [], [], 0, job.ground
+    parts, sources, tides, area = [], [], [], job.ground
     comparable_of = num_comparable(block, found.maps)
     for number, (height_map, keep, comparable) in enumerate(zip(found.maps, found.kept, comparable_of, strict=True)):
         view = survey.views[height_map.view]
@@ -81,9 +78,6 @@ def bed_points(job: Job, found: RefinedMaps, advance: Callable[[float], None]) -
         if len(block.neighbours(height_map.view, PEERS)) == 1:
             keep = keep & is_supported(height_map.height, trusted(height_map), tolerance)
         keep = keep[: camera.height, : camera.width]
-        if found.field is not None:
-            height_map, taken = with_heights(found.field, camera, height_map, keep)
-            moved += taken
         final, std = (height_map, None) if found.solved is None else found.solved[number].over(height_map)
         std = std_of_kept(final, keep, tolerance, std, comparable)
         points = points_of(camera, survey.water, final, keep, rgb, std)
@@ -97,7 +91,7 @@ def bed_points(job: Job, found: RefinedMaps, advance: Callable[[float], None]) -
         tides.append(camera.tide)
         advance(1.0)
     bed, is_kept = BedPoints.consume_where(parts, lambda xyz: has_neighbours(xyz, plan.gsd_m))
-    return bed, np.array(tides)[np.concatenate(sources)[is_kept]], moved
+    return bed, np.array(tides)[np.concatenate(sources)[is_kept]]
 
 
 def _parallax(block: Block, height_map: HeightMap) -> float:

@@ -33,7 +33,6 @@ from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.photos.intersection import equations_of_lines
 from survey.plan.area import inside
-from survey.plan.sweep_block import device_word
 from survey.progress import shares
 from survey.run.job import colour_of
 from survey.run.points import RefinedMaps, adjustment_of, bed_points, is_placed, with_std_of_block
@@ -55,7 +54,6 @@ from survey.water.surface import Departure
 if TYPE_CHECKING:
     from survey.folder.survey import Survey
     from survey.run.job import Job
-    from survey.run.stored_field import RestoredField
 
 # Steps to where a ray meets the surface: each leaves the square of its slope, a thousandth, of the error.
 _STEPS = 2
@@ -209,7 +207,7 @@ def with_occluded(
 
 
 def find_points(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
-    """Points of the bed, those of a tile by their places, with the heights of the solver or the field, if there are."""
+    """Points of the bed, those of a tile by their places, with the heights of the solver, if there are."""
     bed = points_of_bed(job, needs) if len(Stored(needs["sweep"] / MAPS, HeightMap)) else BedPoints.empty()
     if job.cell is not None:
         bed = replace(bed, xyz=job.in_survey(bed.xyz))
@@ -222,20 +220,17 @@ def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
     """Points of the bed in their colours, with the std of their own; of the boxes, too, where the plan has them."""
     survey = job.survey
     maps = Stored(needs["sweep"] / MAPS, HeightMap)
-    field = _field_of(job, needs["field"]) if "field" in needs else None
     solved = Stored(needs["solver"] / SOLVED, SolvedMap) if "solver" in needs else None
-    is_of_sweep = job.plan.field != "off" and field is None and solved is None
+    is_of_sweep = job.plan.solves and solved is None
     with job.progress.stage("Points of the sweep alone" if is_of_sweep else "Points", len(maps)) as stage:
         kept = load_masks(needs["sweep"] / KEPT)
         if solved is not None:
             kept = without_ghosts(job.block, SolvedHeights(maps, solved), kept, job.plan.gsd_m)
-        bed, tide, moved = bed_points(job, RefinedMaps(maps, kept, solved, field), stage.advance)
+        bed, tide = bed_points(job, RefinedMaps(maps, kept, solved), stage.advance)
     if solved is not None and job.plan.boxes and len(bed):
         bed, tide = with_occluded(job, maps, solved, bed, tide)
     if survey.water is not None and survey.observations.departure is not None:
         bed = through_surface(bed, [view.camera for view in survey.views], survey.water, survey.observations.departure)
-    if field is not None:
-        job.progress.detail(f"{moved:,} of {len(bed):,} points take their height from the field")
     if job.chosen.true_colour and len(bed):
         # Imported where it is needed: it takes torch, whose import takes seconds.
         from fields.colour.true_colour import true_colours
@@ -290,9 +285,3 @@ def _gathered(of_parts: Sequence[Path], path: Path) -> tuple[BedPoints, np.ndarr
     columns = mapped_arrays(path if len(of_parts) > 1 else of_parts[0])
     points_crs = columns.pop("points_crs")
     return BedPoints(**columns), points_crs
-
-
-def _field_of(job: Job, folder: Path) -> RestoredField:
-    from survey.run.stored_field import load_layer_field
-
-    return load_layer_field(folder, job.survey.water, device_word(job.plan))

@@ -1,19 +1,21 @@
-"""The stage of the field: a radiance field in a layer about the bed of the sweep, and the heights that it gives."""
+"""The stage of the field: a radiance field for views, in a layer about the heights of the solver."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from fields.solver.solver import SolvedMap
 from fields.sweep.maps import HeightMap, Sources, trusted
 from survey.errors import SurveyError
 from survey.plan.area import within
 from survey.plan.sweep_block import device_word
 from survey.progress import shares
+from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import MAPS
 from survey.run.stored_maps import Stored
 
@@ -32,8 +34,6 @@ SAMPLES = 8
 HALF_CELLS, HALF_SPREADS = 2.0, 3.0
 # A pixel is used if its own height lies within this share of half of the layer.
 INSIDE = 0.7
-# Pixels whose heights are asked for together.
-PIXELS_AT_ONCE = 32768
 # Learning rates fall to this share of their start.
 FINAL_RATE = 0.05
 # Paths of a step: the more, the larger the layer, and fewer where there are not enough for this many steps.
@@ -45,7 +45,8 @@ def train_field(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     # Imported where it is needed, as below: it takes torch, whose import takes seconds.
     from survey.run.stored_field import save_layer_field
 
-    maps = Stored(needs["sweep"] / MAPS, HeightMap)
+    swept, solved = Stored(needs["sweep"] / MAPS, HeightMap), Stored(needs["solver"] / SOLVED, SolvedMap)
+    maps = [of_map.over(height_map)[0] for of_map, height_map in zip(solved, swept, strict=True)]
     with job.progress.stage("Field", 1.0) as stage:
         field, figures = trained(job, maps, shares(stage))
     job.progress.note(f"field: {figures.psnr_db:.1f} dB after {figures.steps:,} steps")
@@ -55,7 +56,7 @@ def train_field(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 def trained(
     job: Job, maps: Sequence[HeightMap], progress: Callable[[float], None]
 ) -> tuple[RestoredField, VolumeFigures]:
-    """The field about the heights of the sweep, and the figures of its training; errors as `layer_about`."""
+    """The field about heights, and the figures of its training; errors as `layer_about`."""
     plan, sources = job.plan, job.sources(maps)
     layer, photographs = layer_about(sources, plan.gsd_m, job.ground)
     steps, rays = steps_for(plan.recipe.rays_per_cell, int(layer.known.sum()))
@@ -139,11 +140,7 @@ class _OwnPoints:
 
 def _trusted_points(camera: PinholeCamera, height_map: HeightMap, water: FlatWater | None) -> _OwnPoints:
     """Points of the trusted pixels of a map."""
-    return _points_of(camera, height_map, water, trusted(height_map)[: camera.height, : camera.width])
-
-
-def _points_of(camera: PinholeCamera, height_map: HeightMap, water: FlatWater | None, keep: np.ndarray) -> _OwnPoints:
-    """Points of the pixels of ``keep`` (height, width) bool."""
+    keep = trusted(height_map)[: camera.height, : camera.width]
     path = camera.paths(camera.pixel_centres()[keep], water)
     rows, columns = np.nonzero(keep)
     xyz = path.at_height(height_map.height[rows, columns].astype(np.float64), water)
@@ -164,31 +161,3 @@ def _meetings(own: _OwnPoints, layer: Layer) -> tuple[np.ndarray, np.ndarray]:
     is_inside = (moved * direction[:, 2]).abs() < INSIDE * layer.half
     is_inside &= layer.holds(xyz + moved[:, None] * direction)
     return own.length + moved.numpy(), is_inside.numpy()
-
-
-def with_heights(
-    field: RestoredField, camera: PinholeCamera, height_map: HeightMap, keep: np.ndarray
-) -> tuple[HeightMap, int]:
-    """A map with the heights [m] of the field at the pixels of ``keep`` (height, width) bool, and their number.
-
-    A pixel whose own height lies outside the layer (another surface passes there) keeps the sweep's.
-    """
-    import torch
-
-    from fields.image_based import heights_over
-    from fields.volume.paths import Rays
-
-    layer, height, moved = cast("Layer", field.renderer.model.box), height_map.height.copy(), 0
-    own = _points_of(camera, height_map, field.water, keep)
-    start, is_inside = _meetings(own, layer)
-    flat, start = own.flat[is_inside], start[is_inside]
-    for first in range(0, len(flat), PIXELS_AT_ONCE):
-        rows, columns = np.divmod(flat[first : first + PIXELS_AT_ONCE], camera.width)
-        grey = np.zeros((len(rows), 3), dtype=np.uint8)
-        paths = Rays.of(camera, np.stack([columns, rows], axis=-1) + 0.5, grey, 0).paths(field.water, None)
-        paths = layer.about(paths, torch.from_numpy(start[first : first + PIXELS_AT_ONCE]))
-        found = heights_over(field.points(paths), field.water)
-        near = np.abs(found - height[rows, columns]) < layer.half
-        height[rows[near], columns[near]] = found[near]
-        moved += int(near.sum())
-    return replace(height_map, height=height), moved

@@ -15,14 +15,13 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import torch
 
-from fields.compositing import quantile_height
-from fields.device import choose_device, half_the_threads, tensor_place
+from fields.device import choose_device, tensor_place
 from fields.image_based import NovelView, heights_over, normals_of
 from fields.models import APPEARANCE
 from fields.volume.appearance import appearance_vectors
 from fields.volume.layer import Layer
 from fields.volume.model import Setup, build_model
-from fields.volume.paths import Box, Paths
+from fields.volume.paths import Box
 from fields.volume.renderer import VolumeImage, VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.shell import Shell
@@ -112,15 +111,6 @@ class RestoredField:
     recipe: VolumeRecipe
     water: FlatWater | None  # Of the survey
     step: int  # Steps that its training has done
-
-    @half_the_threads()
-    @torch.no_grad()
-    def points(self, paths: Paths) -> np.ndarray:
-        """Positions (N, 3) [m], local, of the median of the weights of paths."""
-        samples = self.renderer.samples(paths, self.cells, self.recipe.samples, jitter=False)
-        weights = self.renderer.weigh(paths, samples)[0]
-        found = paths.at(quantile_height(weights, samples.edges)[:, None])[:, 0]
-        return found.cpu().numpy().astype(np.float64)
 
     def view(self, camera: PinholeCamera, dry: bool, look: int = 0) -> NovelView:
         """View of a camera, with the water or, ``dry``, without it, in the appearance of a photograph by its number."""

@@ -60,7 +60,7 @@ class PlanOptions:
         most=LARGEST,
     )
     device: str | None = _how(None, "Where to compute; default: auto.", one_of=Device)
-    field: str | None = _how(None, "What refines the heights; default: auto.", one_of=FIELDS)
+    field: str | None = _how(None, "What follows the sweep; default: auto.", one_of=FIELDS)
     poses: str | None = _how(
         None, "Adjust poses, lens and water together, or take the poses as they are; default: auto.", one_of=Poses
     )

@@ -116,9 +116,9 @@ def test_a_folder_with_other_things_in_it_is_refused(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("changes", "named"),
     [({"num_views": 2}, "at least 3"), ({"seed": -1}, "from zero on"), ({"n_water": 0.7}, "1.333"),
-     ({"depth_m": 0.0}, "depth_m of a drawn scene is 0.0; give a number above zero"),
-     ({"flying_m": 3.0}, "twice the depth"), ({"focal_px": float("nan")}, "above zero"),
-     ({"readout_s": 1.0}, "neither below zero")],
+     ({"depth_m": 0.0}, "depth_m of a drawn scene is 0, expected a number above 0"),
+     ({"flying_m": 3.0}, "twice the depth"), ({"focal_px": float("nan")}, "above 0"),
+     ({"readout_s": 1.0}, "at most 0.25")],
 )  # fmt: skip
 def test_scenes_that_cannot_be_drawn_are_refused_with_the_mend(changes, named):
     with pytest.raises(SurveyError, match=named):

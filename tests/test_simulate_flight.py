@@ -14,7 +14,7 @@ from refract import FlatWater
 from refract.lens import Lens
 from survey.display.palette import OBLIQUE
 from survey.errors import SurveyError
-from survey.simulate.flight.coverage import SYSTEMATIC_PX, coverage, picture
+from survey.simulate.flight.coverage import coverage, draw_flight
 from survey.simulate.flight.patterns import PATTERNS, FlightSettings, Site, plan_flight
 
 LENS = Lens("PINHOLE", (1750.0, 1750.0, 512.0, 384.0), 1024, 768)
@@ -99,48 +99,9 @@ def test_footprints_are_where_corners_of_images_meet_the_bed_through_the_water()
         np.testing.assert_allclose(back[:4], [[0, 0], [1024, 0], [1024, 768], [0, 768]], atol=1e-6)
 
 
-def test_a_block_that_looks_down_hides_the_level_and_says_so_and_obliques_show_it():
-    nadir, crossed = coverage(fly(patterns=("nadir",)), SITE), coverage(fly(patterns=("nadir", "oblique")), SITE)
-    assert any("cannot observe the water level" in warning for warning in nadir.warnings)
-    assert crossed.level_px_per_m > 5.0 * nadir.level_px_per_m
-    assert crossed.masked_level_error_m == SYSTEMATIC_PX / crossed.level_px_per_m
-    assert not any("water level" in warning for warning in crossed.warnings)
-
-
-def test_what_a_level_leaves_between_rays_is_what_points_cannot_follow():
-    # By brute force: the level half a decimetre off, every point where its rays then meet best.
-    site = Site((20.0, 16.0), 3.5, WATER)
-    cameras = fly(site, patterns=("oblique",), ring_views=5)
-    off = FlatWater((0.0, 0.0, 0.05), n_water=1.333)
-    x, y = (c.ravel() for c in np.meshgrid(*(np.linspace(-0.45 * s, 0.45 * s, 9) for s in site.size_m)))
-    points = np.stack([x, y, np.full(x.size, -3.5)], axis=-1)
-
-    def pixels(at, water):
-        return np.stack([camera.project(at, water) for camera in cameras], axis=1)
-
-    measured = pixels(points, WATER)
-    seen = ((measured > 0.0) & (measured < (1024, 768))).all(axis=-1)
-    enough = seen.sum(axis=1) >= 3
-    found, step = points.copy(), 1e-4 * np.eye(3)
-    for _ in range(6):
-        slopes = np.stack([(pixels(found + s, off) - pixels(found - s, off)) / 2e-4 for s in step], axis=-1)
-        rest = measured - pixels(found, off)
-        for k in np.flatnonzero(enough):
-            found[k] += np.linalg.lstsq(slopes[k, seen[k]].reshape(-1, 3), rest[k, seen[k]].ravel(), rcond=None)[0]
-    left = (measured - pixels(found, off))[seen & enough[:, None]]
-    expected = np.sqrt(np.mean(left**2)) / 0.05
-    # The brute force moves the level by 5 cm, over which the answer bends by a few parts in a thousand.
-    assert coverage(cameras, site).level_px_per_m == pytest.approx(expected, rel=0.01)
-
-
-def test_a_dry_site_has_no_level_to_observe():
-    dry = Site((60.0, 40.0), 0.0, None)
-    assert coverage(fly(dry), dry).masked_level_error_m is None
-
-
 def test_a_gap_in_the_plan_is_named():
     cover = coverage(fly(patterns=("nadir",))[:4], SITE)
-    assert any("fewer than three photographs" in warning for warning in cover.warnings)
+    assert cover.unseen_share > 0.5
 
 
 def test_flights_deviate_by_chance_alike_for_the_same_seed():
@@ -155,7 +116,7 @@ def test_flights_deviate_by_chance_alike_for_the_same_seed():
     ("changes", "named"),
     [({"height_m": None}, "height_m, above the water, gsd_m"), ({"gsd_m": 0.02}, "not both"),
      ({"patterns": ("spiral",)}, "nadir, five, oblique, outer"), ({"forward_overlap": 0.99}, "share of the footprint"),
-     ({"tilt_deg": 70.0}, "0 .straight down. to 60"), ({"height_m": -3.0}, "above zero"), ({"wobble": 0.5}, "0 to 0.1"),
+     ({"tilt_deg": 70.0}, "0 .straight down. to 60"), ({"height_m": -3.0}, "above 0"), ({"wobble": 0.5}, "at most 0.1"),
      ({"height_m": None, "gsd_m": 1e-4}, "under the water"), ({"height_m": 0.5}, "photographs, expected 3 to")],
 )  # fmt: skip
 def test_flights_that_cannot_be_are_refused_with_the_mend(changes, named):
@@ -175,12 +136,12 @@ def test_a_view_of_the_horizon_is_refused():
         plan_flight(FlightSettings(height_m=39.0, tilt_deg=45.0), wide, SITE, 1)
 
 
-def test_the_picture_of_a_plan_is_a_png_that_shows_views_and_cameras():
+def test_the_picture_of_a_plan_is_a_png_that_shows_views_and_cameras(tmp_path):
     cameras = fly(SITE, patterns=("nadir", "oblique"), forward_overlap=0.6)
-    image = picture(cameras, coverage(cameras, SITE), SITE)
+    draw_flight(tmp_path / "flight.png", cameras, coverage(cameras, SITE), SITE)
     from PIL import Image
 
-    with Image.open(io.BytesIO(image)) as shown:
+    with Image.open(tmp_path / "flight.png") as shown:
         pixels = np.asarray(shown.convert("RGB"))
     assert min(pixels.shape[:2]) > 500
     oblique = 255.0 * np.array(to_rgb(OBLIQUE))

@@ -10,78 +10,55 @@ import numpy as np
 
 from refract import PinholeCamera
 from survey.errors import SurveyError
+from survey.files.toml_table import key, require_valid
 
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 # Tilt of the convergent views from the plumb line, least and most [rad].
 _TILTS = (math.radians(10.0), math.radians(35.0))
-# Limits of drones and their slowest sensors.
-_FASTEST_M_S, _LONGEST_READOUT_S = 30.0, 0.25
-# Beyond these the bed is no longer visible.
-_MOST_GLINT, _MOST_CONTRAST = 0.6, 1.5
-# Change of the highest tides in an hour.
-_MOST_RISE_M = 3.0
 
 
 @dataclass(frozen=True)
 class DrawnScene:
     """A bed, the water over it and a flight; the defaults are the survey of the demo."""
 
-    size_m: tuple[float, float] = (11.0, 10.0)  # (east, north): of the area that is evaluated, about the origin
-    depth_m: float = 2.8  # Greatest mean depth; the bed undulates about 0.1 of it
-    n_water: float = 1.333  # 1 leaves rays straight, with the colours of water
+    size_m: tuple[float, float] = key((11.0, 10.0), above=0)  # (east, north): of what is evaluated, about the origin
+    depth_m: float = key(2.8, above=0)  # Greatest mean depth; the bed undulates about 0.1 of it
+    # 1 leaves rays straight, with the colours of water
+    n_water: float = key(1.333, "1.0 to 1.6; fresh water has 1.333", least=1.0, most=1.6)
     level_m: float = 584.2  # Height of the water surface at the origin, in crs
     # slope_east, slope_north [-]: rise of the water surface per metre along the grid axes
     slope_east: float = 0.0
     slope_north: float = 0.0
-    num_views: int = 20
-    nadir_share: float = 0.6
-    image_px: tuple[int, int] = (480, 360)  # (width, height)
-    focal_px: float = 840.0
-    flying_m: float = 21.0  # Height of the cameras over the water
-    noise: float = 1.0  # Standard deviation [grey levels]; 0 writes PNG without loss instead of JPEG
-    seed: int = 1
+    num_views: int = key(20, "at least 3: fewer views cannot be reconstructed", least=3)
+    nadir_share: float = key(0.6, "0 to 1, which has no tilted views", least=0, most=1)
+    image_px: tuple[int, int] = key((480, 360), above=0)  # (width, height)
+    focal_px: float = key(840.0, above=0)
+    flying_m: float = key(21.0, above=0)  # Height of the cameras over the water
+    noise: float = key(1.0, least=0)  # Standard deviation [grey levels]; 0 writes PNG without loss instead of JPEG
+    seed: int = key(1, "a whole number from zero on", least=0)
     crs: str = "EPSG:25832+7837"  # Projected, in metres, with heights
     origin: tuple[float, float] = (676120.0, 5311480.0)  # (easting, northing), in crs
-    cell_m: float = 0.025  # Spacing of the vertices of the bed, and so of the true mesh
-    texel_m: float = 0.01  # Spacing of its texels, which should be finer than any pixel
-    speed_m_s: float = 0.0  # Of the camera, at each photograph in another level direction
-    readout_s: float = 0.0  # Of its rolling shutter, from the first to the last row; 0 for a global shutter
-    glint_share: float = 0.0  # Share of the pixels of all photographs that the sun on the waves saturates
+    cell_m: float = key(0.025, above=0)  # Spacing of the vertices of the bed, and so of the true mesh
+    texel_m: float = key(0.01, above=0)  # Spacing of its texels, which should be finer than any pixel
+    # Of the camera, at each photograph in another level direction, at most that of the fastest drones
+    speed_m_s: float = key(0.0, least=0, most=30)
+    # Of its rolling shutter, from the first to the last row; 0 for a global shutter
+    readout_s: float = key(0.0, least=0, most=0.25)
+    # Share of the pixels of all photographs that the sun on the waves saturates; beyond the limit no bed is visible
+    glint_share: float = key(0.0, least=0, most=0.6)
     # Standard deviation over mean of the light that waves focus on the bed, with other waves in each photograph
-    caustic_contrast: float = 0.0
+    caustic_contrast: float = key(0.0, least=0, most=1.5)
     # [deg C] of fresh water, or None. Photographs then have an index per channel (`refract.channel_indices`), the truth
     # that of green, and survey.toml that of the sodium line, with its wavelength; `n_water` is not used.
     temperature_c: float | None = None
-    rise_m: float = 0.0  # Of the water from the first photograph to the last, an hour later; `level_m` is its mean
+    # Of the water from the first photograph to the last, an hour later, as in the highest tides; `level_m` is its mean
+    rise_m: float = key(0.0, least=-3, most=3)
     shore: bool = False  # A bank that rises out of the water in the north
     objects: bool = True  # A boat, an amphora, rocks
     water: bool = True  # False for a dry bed
 
     def __post_init__(self):
-        for name in ("size_m", "depth_m", "image_px", "focal_px", "cell_m", "texel_m"):
-            value = getattr(self, name)
-            if not all(math.isfinite(v) and v > 0.0 for v in (value if isinstance(value, tuple) else (value,))):
-                raise SurveyError(f"{name} of a drawn scene is {value}; give a number above zero")
-        if not (0.0 <= self.speed_m_s <= _FASTEST_M_S and 0.0 <= self.readout_s <= _LONGEST_READOUT_S):
-            raise SurveyError(
-                f"speed_m_s is {self.speed_m_s:g} and readout_s {self.readout_s:g}, expected at most {_FASTEST_M_S:g} "
-                f"m/s and {_LONGEST_READOUT_S:g} s, and neither below zero"
-            )
-        if not (0.0 <= self.glint_share <= _MOST_GLINT and 0.0 <= self.caustic_contrast <= _MOST_CONTRAST):
-            raise SurveyError(
-                f"glint_share is {self.glint_share:g} and caustic_contrast {self.caustic_contrast:g}, expected 0 to "
-                f"{_MOST_GLINT:g} and 0 to {_MOST_CONTRAST:g}"
-            )
-        if not abs(self.rise_m) <= _MOST_RISE_M:
-            raise SurveyError(f"rise_m is {self.rise_m:g}, expected at most {_MOST_RISE_M:g} m up or down in an hour")
-        if self.seed < 0:
-            raise SurveyError(f"seed is {self.seed}, expected a whole number from zero on")
-        if self.num_views < 3:
-            raise SurveyError(f"a drawn survey of {self.num_views} views cannot be reconstructed; give at least 3")
-        if not 0.0 <= self.nadir_share <= 1.0:
-            raise SurveyError(f"nadir_share is {self.nadir_share:g}, expected 0 to 1; 1 has no tilted views")
-        if not 1.0 <= self.n_water <= 1.6:
-            raise SurveyError(f"n_water is {self.n_water:g}, expected 1.0 to 1.6; fresh water has 1.333")
+        require_valid(self, DrawnScene, lambda field: f"{field.name} of a drawn scene")
         if self.flying_m < 2.0 * self.depth_m:
             raise SurveyError(
                 f"flying_m is {self.flying_m:g}, expected at least twice the depth of {self.depth_m:g} m: "

@@ -12,6 +12,7 @@ import numpy as np
 from refract import FlatWater, PinholeCamera
 from refract.lens import Lens
 from survey.errors import ConfigError, SurveyError
+from survey.files.toml_table import key, require_valid
 
 # Least angle of an image's upper border below the horizon [rad]: nearer to it water reflects, and footprints are
 # endless.
@@ -23,6 +24,7 @@ _MOST_VIEWS = 5000
 # East and north [m], tilt from the plumb line and heading, clockwise from north [rad].
 Pose = tuple[float, float, float, float]
 PATTERNS = ("nadir", "five", "oblique", "outer")
+_OVERLAP, _TILT = "0 to 0.97, a share of the footprint", "degrees from 0 (straight down) to 60"
 
 
 @dataclass(frozen=True)
@@ -190,45 +192,36 @@ class FlightSettings:
 
     # File of planned poses, in a format of poses of surveys; the settings of patterns are then not used
     poses: str | None = None
-    speed_m_s: float | None = None  # [m/s] or None: of the drone while it photographs
+    speed_m_s: float | None = key(None, above=0)  # [m/s] or None: of the drone while it photographs
     # [m]: standard deviation of GPS positions, in each direction: 0.02 with RTK or PPK, 3 without
-    position_std_m: float = 0.02
-    height_m: float | None = None  # [m]: of the cameras above the water, or above the origin where there is none
-    gsd_m: float | None = None  # [m]: of the bed straight below, seen through the water
+    position_std_m: float = key(0.02, above=0)
+    # [m]: of the cameras above the water, or above the origin where there is none
+    height_m: float | None = key(None, above=0)
+    gsd_m: float | None = key(None, above=0)  # [m]: of the bed straight below, seen through the water
     # some of "nadir" (strips of nadir views), "five" (the same strips with four more cameras that look ahead, back,
     # left and right), "oblique" (rings of views at a point of interest), "outer" (strips outside the four sides that
     # look in)
     patterns: tuple[str, ...] = ("nadir", "oblique")
     # forward_overlap, side_overlap [-]: share of a photograph's footprint on the bed that the next photograph, and the
     # next strip, covers again
-    forward_overlap: float = 0.8
-    side_overlap: float = 0.7
+    forward_overlap: float = key(0.8, _OVERLAP, least=0, most=0.97)
+    side_overlap: float = key(0.7, _OVERLAP, least=0, most=0.97)
     heading_deg: float = 90.0  # [deg]: of the strips, clockwise from north
-    tilt_deg: float = 30.0  # [deg]: of all oblique views from the plumb line
+    tilt_deg: float = key(30.0, _TILT, least=0, most=60)  # [deg]: of all oblique views from the plumb line
     # (east, north) [m]: point of interest of the rings, from the origin, on the bed
     target: tuple[float, float] = (0.0, 0.0)
-    ring_views: int = 8  # Views of each ring
-    ring_tilts_deg: tuple[float, ...] = ()  # [deg]: one ring for each; default: one of `tilt_deg`
+    ring_views: int = key(8, above=0)  # Views of each ring
+    # [deg]: one ring for each; default: one of `tilt_deg`
+    ring_tilts_deg: tuple[float, ...] = key((), _TILT, least=0, most=60)
     # [-]: deviation of the flight from the plan: of positions as a share of the height, of angles in radians
-    wobble: float = 0.01
+    wobble: float = key(0.01, least=0, most=0.1)
 
     def __post_init__(self):
         if sum(value is not None for value in (self.poses, self.height_m, self.gsd_m)) != 1:
             raise ConfigError(
                 "flight: give exactly one of height_m, above the water, gsd_m, on the bed, and poses, a file; not both"
             )
-        for name in ("height_m", "gsd_m", "ring_views", "speed_m_s", "position_std_m"):
-            value = getattr(self, name)
-            if value is not None and value <= 0:
-                raise ConfigError(f"flight.{name} is {value:g}, expected a number above zero")
+        require_valid(self, FlightSettings, lambda field: f"flight.{field.name}")
         unknown = [word for word in self.patterns if word not in PATTERNS]
         if unknown or not self.patterns:
             raise ConfigError(f"flight.patterns is {list(self.patterns)}, expected some of {', '.join(PATTERNS)}")
-        for name, value in (("forward_overlap", self.forward_overlap), ("side_overlap", self.side_overlap)):
-            if not 0.0 <= value <= 0.97:
-                raise ConfigError(f"flight.{name} is {value:g}, expected 0 to 0.97, a share of the footprint")
-        for tilt in (self.tilt_deg, *self.ring_tilts_deg):
-            if not 0.0 <= tilt <= 60.0:
-                raise ConfigError(f"flight: a tilt of {tilt:g} degrees; expected 0 (straight down) to 60")
-        if not 0.0 <= self.wobble <= 0.1:
-            raise ConfigError(f"flight.wobble is {self.wobble:g}, expected 0 to 0.1")

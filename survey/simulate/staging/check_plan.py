@@ -119,7 +119,7 @@ def _flight_rows(plan: ScenePlan, survey: Survey) -> list[tuple[str, str]]:
     duration = "" if speed is None else f", {_duration(path / speed)} at {speed:g} m/s without the turns"
     over = "the water" if site.water is not None else "the ground"
     wide, deep = plan.settings.area.size_m
-    unseen = float((coverage(cameras, site).num_views < 3).mean())
+    unseen = coverage(cameras, site).unseen_share
     return [
         ("area", f"{wide:g} x {deep:g} m, the bed {site.depth_m:g} m deep, in {survey.frame.crs.name}"),
         ("camera", f"{lens.model}, {lens.width} x {lens.height} px, focal length {lens.focal[0]:.1f} px"),

@@ -20,7 +20,7 @@ from survey.files.outputs import ReadFiles, require_folder
 from survey.progress import current
 from survey.simulate.drawn.ground import build_ground
 from survey.simulate.drawn.settings import DrawnScene
-from survey.simulate.flight.coverage import SYSTEMATIC_PX, BedCoverage, coverage, picture
+from survey.simulate.flight.coverage import BedCoverage, coverage, draw_flight
 from survey.simulate.ground.ground import (
     Ground,
     Material,
@@ -92,8 +92,7 @@ def simulate_flight(path: str | Path, output: str | Path) -> None:
     table, drawing = (output / name for name in _FLIGHT)
     with write_whole(table) as stream:
         stream.write(cameras_csv(names, plan.cameras, plan.frame).encode("utf-8"))
-    with write_whole(drawing) as stream:
-        stream.write(picture(plan.cameras, cover, plan.site))
+    draw_flight(drawing, plan.cameras, cover, plan.site)
 
 
 def _require_output(output: Path, path: Path, settings: SceneSettings) -> None:
@@ -121,7 +120,7 @@ def _changed(settings: SceneSettings, mode: str | None, preview: bool) -> SceneS
 
 
 def _say_of(plan: ScenePlan, cover: BedCoverage) -> None:
-    """Report GSD, number of views, observability of the level, and warnings."""
+    """Report GSD, number of views, and warnings."""
     heights = [float(camera.centre[2]) - plan.site.level for camera in plan.cameras]
     height, focal = sum(heights) / len(heights), plan.lens.focal[0]
     gsd_cm = 100.0 * (height + plan.site.apparent_depth) / focal
@@ -130,13 +129,11 @@ def _say_of(plan: ScenePlan, cover: BedCoverage) -> None:
         f"{len(plan.cameras)} photographs from {height:.1f} m, GSD {gsd_cm:.1f} cm on the bed, each point of it in "
         f"{cover.num_views.min()} to {cover.num_views.max()} of them"
     )
-    if cover.masked_level_error_m is not None:
-        progress.note(
-            f"systematic image errors of {SYSTEMATIC_PX:g} px can shift the estimated water level by "
-            f"{min(cover.masked_level_error_m, 99.0):.2f} m"
+    if cover.unseen_share > 0.0:
+        progress.warn(
+            f"{100.0 * cover.unseen_share:.0f} % of the area is seen by fewer than three photographs; give more "
+            "overlap, or a smaller area"
         )
-    for warning in cover.warnings:
-        progress.warn(warning)
 
 
 def stage_scene(plan: ScenePlan) -> StagedScene:

@@ -106,12 +106,10 @@ def test_normals_point_up_and_on_walls_to_the_side_that_is_open(rng):
     assert (normals[8000:, 0] > 0.0).mean() > 0.97
 
 
-def test_points_that_lie_too_far_apart_and_unknown_methods_are_refused(rng):
+def test_points_that_lie_too_far_apart_are_refused(rng):
     for points in (wavy(rng)[:2], 100.0 * wavy(rng)[:50]):
         with pytest.raises(SurveyError, match=r"make no surface at --resolution 0\.1"):
             surface(points)
-    with pytest.raises(SurveyError, match="--mesh-method is ball, expected one of delaunay, poisson"):
-        surface(wavy(rng), method="ball")
 
 
 def test_a_poisson_surface_is_near_the_points_and_trimmed_at_holes(rng):

@@ -27,7 +27,8 @@ from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.export.bed_cells import POINTS, BedRaster, LevelFit, cells_over, fill_gaps, round_side
 from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells
-from survey.export.product import require_lengths, require_not_too_fine
+from survey.export.product import require_not_too_fine
+from survey.files.toml_table import require_options
 from survey.progress import current
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ class _Points:
 
 def bed_raster(run: LoadedRun, options: ExportOptions) -> BedRaster:
     """The raster of the bed of a run, made once for the products of a command."""
-    require_lengths(options)
+    require_options(options)
     key = ("bed raster", options.crs, options.resolution_m, options.fill_m)
     return run.once(key, lambda: _bed_raster(run, options))
 

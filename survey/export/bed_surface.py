@@ -20,7 +20,6 @@ from geo.shapes import Mesh
 from survey.errors import SurveyError
 from survey.export.plan_triangles import most_certain, triangles
 
-METHODS = ("delaunay", "poisson")
 _NEIGHBOURS = 12
 _CHUNK = 50_000
 # Orientation spreads by one point per round: enough for walls a hundred points high.
@@ -52,7 +51,6 @@ def bed_surface(
     overhangs); `watertight` closes the surface with walls and a bottom, see `solid_of`. Errors name the path. A vertex
     has the colour of the point next to it, on the bottom that of the surface above.
     """
-    require_method(method)
     if method == "delaunay":
         chosen, faces = delaunay_surface(points, std, spacing_m)
         vertices, colours = points[chosen], rgb[chosen]
@@ -68,12 +66,6 @@ def bed_surface(
         vertices, faces, above = solid_of(vertices, faces, spacing_m)
         colours = colours[above]
     return Mesh(vertices, faces, rgb=colours)
-
-
-def require_method(method: str) -> None:
-    """Raise SurveyError for an unknown method."""
-    if method not in METHODS:
-        raise SurveyError(f"--mesh-method is {method}, expected one of {', '.join(METHODS)}")
 
 
 def oriented_normals(points: np.ndarray) -> np.ndarray:

@@ -16,11 +16,12 @@ from geo.errors import UnwritableFile
 from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun
 from survey.export.own_files import is_own, kind_of
-from survey.export.product import ExportOptions, Product, require_lengths, require_makeable
+from survey.export.product import ExportOptions, Product, require_makeable
 from survey.export.registry import PRODUCTS
 from survey.export.styles import write_style
 from survey.files.json_values import read_json_object, write_json
 from survey.files.outputs import ReadFiles, require_file, require_folder
+from survey.files.toml_table import option_name, require_options
 from survey.progress import current
 from survey.stage_key import code_hash, stage_key
 
@@ -53,7 +54,7 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
         The files, whether written now or unchanged since an earlier export.
     """
     options = options or ExportOptions()
-    require_lengths(options)
+    require_options(options)
     wanted = _wanted(files)
     _require_effect([product for product, _ in wanted], options)
     with LoadedRun(run) as loaded:
@@ -138,8 +139,9 @@ def _require_effect(products: list[Product], options: ExportOptions) -> None:
         if getattr(options, field.name) == field.default or any(field.name in p.takes for p in products):
             continue
         takers = ", ".join(_name(product) for product in PRODUCTS if field.name in product.takes)
-        option = "--" + field.name.removesuffix("_m").replace("_", "-")
-        raise SurveyError(f"{option} has no effect on what is exported here; leave it out, or export one of {takers}")
+        raise SurveyError(
+            f"{option_name(field)} has no effect on what is exported here; leave it out, or export one of {takers}"
+        )
 
 
 def _name(product: Product) -> str:

@@ -10,7 +10,7 @@ from geo.gltf import write_glb
 from geo.obj import write_obj
 from geo.ply import write_ply
 from geo.shapes import Mesh
-from survey.export.bed_surface import bed_surface, require_method
+from survey.export.bed_surface import bed_surface
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
 
@@ -51,8 +51,7 @@ def _mesh(path: Path, run: LoadedRun, options: ExportOptions) -> Mesh:
 
 
 def check_mesh(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    """Raise SurveyError or GeoError for an unknown method, a missing library, or a run without its frame."""
-    require_method(options.mesh_method)
+    """Raise SurveyError or GeoError for a missing library, or a run without its frame."""
     if options.mesh_method == "poisson":
         library_for(path, "open3d", "mesh", to_write=True)
     # The frame in which it is made.

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from survey.errors import SurveyError
+from survey.files.limits import LARGEST
+from survey.files.toml_table import option
 
 if TYPE_CHECKING:
     from survey.export.loaded import LoadedRun
 
-# Limits of --resolution [m]: no aerial photograph resolves the first, and no survey is as wide as the second.
-_LEAST_SIDE, _LARGEST_SIDE = 1e-4, 1e5
 # Finer cells repeat their neighbours, and fill the disk [px].
 _FINEST_PX = 0.05
 # By suffix, the module that writes a file and the extra that brings it, where it is not always there.
@@ -23,32 +23,58 @@ _LIBRARIES = {
 }  # fmt: skip
 
 
+_made, _mesh = partial(option, "How they are made"), partial(option, "Meshes")
+
+
 @dataclass(frozen=True)
 class ExportOptions:
     """Options of products; each product says in `Product.takes` which of these it follows."""
 
-    crs: str | None = None  # CRS of the product; None for that of the run
-    resolution_m: float | None = None  # [m]: Side of a cell; None leaves it to the product
-    fill_m: float = 0.0  # [m]: Gaps up to this width are filled
-    mesh_method: str = "delaunay"  # "delaunay" or "poisson": See `survey.export.bed_surface`
-    watertight: bool = False  # Close the mesh with walls and a bottom
-    interval_m: float | None = None  # [m]: Between contours; None leaves it to the product
-    no_bed: bool = False  # Add points where no bed was found, and of the water over them
-    survey: str | None = None  # Folder of the survey, if it was moved since the run
-    # "none", "shoal" or "mean": What is kept of the soundings of a cell: all, the shoalest, or their mean
-    thin: str = "none"
-
-
-def require_lengths(options: ExportOptions) -> None:
-    """Raise SurveyError where the side of a cell or the width of gaps is unusable."""
-    side, fill = options.resolution_m, options.fill_m
-    if side is not None and not _LEAST_SIDE <= side <= _LARGEST_SIDE:
-        raise SurveyError(
-            f"--resolution is {side:g}, expected the side of a cell in metres, from {_LEAST_SIDE:g} to "
-            f"{_LARGEST_SIDE:g}, e.g. 0.1"
-        )
-    if not (math.isfinite(fill) and fill >= 0.0):
-        raise SurveyError(f"--fill is {fill:g}, expected the width of the gaps to fill in metres, e.g. 0.5")
+    resolution_m: float | None = _made(
+        "M",
+        "Side of a cell [m]; default: by the density of the points.",
+        name="--resolution",
+        # No aerial photograph resolves the first, and no survey is as wide as the second.
+        expected="the side of a cell in metres, from 0.0001 to 100000, e.g. 0.1",
+        least=1e-4,
+        most=1e5,
+    )
+    # Of the product; None for that of the run
+    crs: str | None = _made("CRS", "CRS of products, e.g. EPSG:32632; heights are kept unless it has a vertical part.")
+    fill_m: float = _made(
+        "M",
+        "Fill gaps up to this width [m].",
+        name="--fill",
+        default=0.0,
+        expected="the width of the gaps to fill in metres, e.g. 0.5",
+        least=0.0,
+        most=LARGEST,
+    )
+    mesh_method: str = _mesh(
+        "METHOD",
+        "delaunay: one height per place; poisson: with overhangs (extra mesh).",
+        default="delaunay",
+        one_of=("delaunay", "poisson"),
+    )
+    watertight: bool = _mesh(None, "Close the mesh with walls and a bottom.", name="--watertight", default=False)
+    interval_m: float | None = _made(
+        "M",
+        "Contour interval [m]; default: about ten contours.",
+        name="--interval",
+        expected="metres between contours, e.g. 0.25",
+        above=0.0,
+        most=LARGEST,
+    )
+    no_bed: bool = _made(
+        None, "Add water without a bed to LAS, LAZ, COPC: class 45, and 41 above it.", name="--no-bed", default=False
+    )
+    thin: str = _made(
+        None,
+        "Thinning of soundings to one per cell; none: keep all.",
+        default="none",
+        one_of=("none", "shoal", "mean"),
+    )
+    survey: str | None = _made("DIR", "Survey folder, if it was moved since the run.")
 
 
 def require_not_too_fine(side_m: float, pixel_m: float) -> None:

@@ -21,7 +21,6 @@ from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
 from survey.progress import current
 
-THIN = ("none", "shoal", "mean")
 # XYZ has the first three.
 COLUMNS = ("easting", "northing", "height", "depth_m", "std_m", "std_common_m", "points")
 _HEAD = ",".join((*COLUMNS, "crs"))
@@ -30,9 +29,7 @@ _ROWS = 100_000
 
 
 def check_soundings(_path: Path, _run: LoadedRun, options: ExportOptions) -> None:
-    """Raise SurveyError where the thinning is unknown, or there is none for a resolution."""
-    if options.thin not in THIN:
-        raise SurveyError(f"--thin is {options.thin}, expected one of {', '.join(THIN)}")
+    """Raise SurveyError where there is no thinning for a resolution."""
     if options.thin == "none" and options.resolution_m is not None:
         raise SurveyError("--resolution is the cell of which a sounding is kept; give --thin shoal or --thin mean too")
 

@@ -118,6 +118,9 @@ def in_crs(run: LoadedRun, options: ExportOptions, local: np.ndarray) -> np.ndar
     return (points if options.crs is None else run.transformation_to(options.crs)(points))[:, :2]
 
 
+check_contours = check_layer
+
+
 def write_contours(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     """Lines of equal depth; of equal height in a dry survey."""
     grid = bed_raster(run, options)
@@ -152,14 +155,6 @@ def check_shoreline(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     """Raise SurveyError for a dry survey, else as `check_layer`."""
     if not np.isfinite(run.columns("depth")["depth"]).any():
         raise SurveyError(f"{run.bed_header.name} is a dry survey and has no shoreline; leave --shoreline out")
-    check_layer(path, run, options)
-
-
-def check_contours(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    """Raise SurveyError where the interval of contours is none, else as `check_layer`."""
-    asked = options.interval_m
-    if asked is not None and not (math.isfinite(asked) and asked > 0.0):
-        raise SurveyError(f"--interval is {asked:g}, expected metres between contours, e.g. 0.25")
     check_layer(path, run, options)
 
 

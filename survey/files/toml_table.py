@@ -110,6 +110,16 @@ def option(
     )
 
 
+def option_name(field: dataclasses.Field) -> str:
+    """The option of the command line that sets a field."""
+    return field.metadata[OPTION].name or f"--{field.name.replace('_', '-')}"
+
+
+def require_options(record: Any) -> None:
+    """Raise ConfigError where the value of a field that an option sets is none that it takes."""
+    require_valid(record, type(record), option_name)
+
+
 def keys_of(record: Any) -> Iterator[dataclasses.Field]:
     """The fields of a dataclass, or of one of its values, that are keys of its table or hold some of them."""
     return (field for field in dataclasses.fields(record) if not field.metadata.get(OPTION_ALONE))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from survey.display.quantities import bytes_of, length
-from survey.files.toml_table import OPTION, require_valid
+from survey.files.toml_table import OPTION, option_name, require_valid
 from survey.settings.tables import ProcessConfig
 from survey.words import Device, Poses, Quality
 
@@ -29,7 +29,7 @@ class Choices(ProcessConfig):
     true_colour: bool = False
 
     def __post_init__(self) -> None:
-        require_valid(self, ProcessConfig, lambda field: option_of(field.name))
+        require_valid(self, ProcessConfig, option_name)
         if self.memory is not None:
             bytes_of(self.memory)
 
@@ -54,8 +54,7 @@ Choices.__doc__ = f"{Choices.__doc__}\n    Attributes\n    ----------\n" + "".jo
 
 def option_of(key: str) -> str:
     """The option of the command line that sets a key of [process]."""
-    names = {field.name: field.metadata[OPTION].name for field in fields(ProcessConfig)}
-    return names[key] or f"--{key.replace('_', '-')}"
+    return next(option_name(field) for field in fields(ProcessConfig) if field.name == key)
 
 
 def choices_of(asked: ProcessConfig) -> Choices:

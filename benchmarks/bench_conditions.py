@@ -26,7 +26,7 @@ from evaluation.vertical import WALL_DEG
 from survey.benchmark.benchmark import run_bathynerf
 from survey.benchmark.cases import Case, case_of, variant
 from survey.compare.comparison import CompareOptions, compare_surfaces
-from survey.compare.options import to_local
+from survey.compare.frame import to_local
 from survey.errors import FILE_NAME
 from survey.simulate.output.writing import write_survey
 

@@ -9,6 +9,8 @@ from typing import IO
 
 from fields.models import IN_LAYER
 
+# Panels of help that several verbs have.
+FILES, COMPARED = "Files of results", "What is compared"
 # The run folder in a survey folder, where no other is named.
 RUN_FOLDER = "bathynerf"
 # In a run folder: what structure from motion keeps.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,6 +11,7 @@ from command_line import bathynerf, fake_module, raising, without_times
 from small_survey import small_survey
 
 from survey import progress as progress_room
+from survey.compare.options import CompareOptions
 from survey.display.blocks import Rows, Section, Table
 from survey.errors import SurveyError
 from survey.export.product import ExportOptions
@@ -136,20 +136,6 @@ def test_export_needs_something_to_write_and_prints_what_it_wrote(monkeypatch):
 
 
 def test_compare_hands_its_options_on_and_prints_the_lines_in_columns(monkeypatch):
-    @dataclass(frozen=True)
-    class CompareOptions:
-        tolerances_m: tuple[float, ...]
-        visible: Path | None
-        bounds: tuple[float, ...] | None
-        sign: str
-        water_level: float | None
-        checkpoints: Path | None
-        outliers: str | None
-        c2c: bool
-        m3c2_radius_m: float | None
-        json_path: Path | None
-        report_dir: Path | None
-
     calls = []
 
     def compare_files(cloud, reference, *, options):
@@ -162,7 +148,7 @@ def test_compare_hands_its_options_on_and_prints_the_lines_in_columns(monkeypatc
             Section("Distances", [Table(("depth", "mean, inner"), [("0 to 1 m", "0.1")], heading="By depth")]),
         ]
     }
-    fake_module(monkeypatch, "survey.compare.comparison", CompareOptions=CompareOptions, compare_files=compare_files)
+    fake_module(monkeypatch, "survey.compare.comparison", compare_files=compare_files)
     fake_module(monkeypatch, "survey.compare.tables", sections_of=sections.get)
     result = bathynerf("compare", "c.las", "r.ply", "--tolerance", "0.05", "--bounds", "-1", "2", "3", "4.5",
                        "--tolerance", "0.2", "--water-level", "3.5", "--checkpoints", "k.csv", "--outliers", "sor:6,2",
@@ -180,6 +166,6 @@ def test_compare_hands_its_options_on_and_prints_the_lines_in_columns(monkeypatc
         "depth     inner",
         "0 to 1 m    0.1",
     ]
-    options = CompareOptions((0.05, 0.2), Path("v.ply"), (-1.0, 2.0, 3.0, 4.5), "winding", 3.5, Path("k.csv"),
-                             "sor:6,2", True, 0.5, Path("n.json"), Path("d"))  # fmt: skip
+    options = CompareOptions((0.05, 0.2), "winding", Path("k.csv"), True, 0.5, Path("v.ply"), (-1.0, 2.0, 3.0, 4.5),
+                             3.5, "sor:6,2", Path("n.json"), Path("d"))  # fmt: skip
     assert calls == [(Path("c.las"), Path("r.ply"), options)]

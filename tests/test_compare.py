@@ -31,7 +31,7 @@ from survey.compare.comparison import CompareOptions, compare_files, compare_sur
 from survey.compare.options import CompareError
 from survey.compare.pictures import completeness_map, error_map, histogram
 from survey.compare.tables import sections_of
-from survey.errors import OutputError
+from survey.errors import OutputError, SurveyError
 
 # Six standard deviations of a share of that many samples.
 SAMPLING = 6 * 0.5 / NUM_SAMPLES**0.5
@@ -323,9 +323,9 @@ def test_bounds_that_leave_nothing_are_refused_with_the_extent_of_the_cloud(clou
     [
         ({"bounds": (2.0, 0.0, 1.0, 1.0)}, "E0 below E1"),
         ({"bounds": (0.0, 0.0, float("nan"), 1.0)}, "four finite numbers"),
-        ({"tolerances_m": (0.0,)}, "--tolerance is 0, expected metres above zero"),
-        ({"tolerances_m": (float("nan"),)}, "--tolerance is nan"),
-        ({"sign": "down"}, "expected up or winding"),
+        ({"tolerances_m": (0.2, 0.0)}, r"--tolerance is \[0.2, 0.0\], expected metres above zero"),
+        ({"tolerances_m": (float("nan"),)}, r"--tolerance is \[nan\]"),
+        ({"sign": "down"}, "expected one of up, winding"),
         ({"tolerances_m": ()}, "--tolerance has no value"),
         ({"outliers": "sor:0,2"}, "expected sor:K,S"),
         ({"outliers": "iqr:6,2"}, "expected sor:K,S"),
@@ -335,7 +335,7 @@ def test_bounds_that_leave_nothing_are_refused_with_the_extent_of_the_cloud(clou
     ],
 )
 def test_options_without_meaning_are_refused_before_anything_is_read(tmp_path, options, message):
-    with pytest.raises(CompareError, match=message):
+    with pytest.raises(SurveyError, match=message):
         compared(tmp_path / "none.las", tmp_path / "none.ply", **options)
 
 

@@ -19,7 +19,7 @@ from geo import Mesh, write_whole
 from survey.benchmark.cases import Case
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.compare.figures import Comparison
-from survey.compare.options import to_local
+from survey.compare.frame import to_local
 from survey.errors import SurveyError
 from survey.files.json_values import plain
 

@@ -10,7 +10,8 @@ from typing import Annotated
 import typer
 
 from survey.commands.console import command
-from survey.commands.options import FILES, Quiet, Verbose, grouped
+from survey.commands.options import Quiet, Verbose, grouped
+from survey.words import FILES
 
 EXAMPLES = """
     bathynerf change spring/bathynerf autumn/bathynerf

@@ -9,14 +9,14 @@ from dataclasses import Field, asdict, fields, is_dataclass, replace
 from enum import Enum
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, get_origin, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
 from survey.errors import ConfigError
 from survey.files.toml_table import ONE_OF, OPTION, Option, parse_values
 from survey.settings.tables import HOW, PlanOptions, ProcessConfig
-from survey.words import Device
+from survey.words import COMPARED, Device
 
 PREFIX = "BATHYNERF_PROCESS_"
 
@@ -28,9 +28,6 @@ def words_of(kind: Iterable[str]) -> str:
 
 # After Ctrl-C, for verbs that resume.
 KEPT = "finished work is kept, and the same command resumes from there"
-
-# Panels of help that several verbs have.
-FILES, COMPARED = "Files of results", "What is compared"
 
 SurveyFolder = Annotated[Path, typer.Argument(metavar="SURVEY", help="Folder with images and survey.toml.")]
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder written by process.")]
@@ -69,13 +66,18 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
     @wraps(command)
     def run(**given: Any) -> None:
         records = {
-            name: group(**{option: given.pop(option) for option in offered[name]}) for name, group in groups.items()
+            name: group(**{option: _frozen(given.pop(option)) for option in offered[name]})
+            for name, group in groups.items()
         }
         command(**given, **records)
 
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return run
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
 
 
 def _offered(group: type) -> dict[str, Any]:
@@ -94,6 +96,8 @@ def _annotated(field: Field, hint: Any) -> Any:
     words = field.metadata[ONE_OF]
     if words and isinstance(words[0], Enum):
         hint = type(words[0]) | None
+    if get_origin(hint) is tuple and get_args(hint)[-1] is Ellipsis:
+        hint = list[get_args(hint)[0]]  # type: ignore[misc]
     names = () if made.name is None else (made.name,)
     shown = field.default is not None
     return Annotated[

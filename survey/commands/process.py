@@ -10,9 +10,9 @@ import typer
 
 from survey.commands.console import command
 from survey.commands.faults import require_address_space
-from survey.commands.options import COMPARED, KEPT, Quiet, SurveyFolder, Verbose, Visible, config_of, grouped
+from survey.commands.options import KEPT, Quiet, SurveyFolder, Verbose, Visible, config_of, grouped
 from survey.settings.tables import ProcessConfig
-from survey.words import RUN_FOLDER
+from survey.words import COMPARED, RUN_FOLDER
 
 EXAMPLES = """
     bathynerf process my_survey

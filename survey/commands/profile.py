@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from survey.commands.console import command
-from survey.commands.options import FILES, Quiet, Verbose
+from survey.commands.options import Quiet, Verbose
+from survey.words import FILES
 
 EXAMPLES = """
     bathynerf profile RUN --lines sections.geojson

@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -21,27 +22,20 @@ from evaluation import (
     spatial_blocks,
     summarise,
 )
+from evaluation.c2m import Sign
 from evaluation.completeness import SEED
 from geo import Mesh
 from geo.files import existing_file, reporting_disk_errors
 from geo.shapes import vertices_of
 from survey.compare import measure
 from survey.compare.figures import M3C2, Circumstances, CloudToCloud, Comparison, Figures, numbers_of
+from survey.compare.frame import metres_in_crs, to_local, within
 from survey.compare.inputs import InputPaths, Inputs, is_table, level_of_cloud, load_inputs
 from survey.compare.measure import ComparedScene, checkpoint_accuracy, read_checkpoints
-from survey.compare.options import (
-    Bounds,
-    CompareOptions,
-    as_text,
-    check_options,
-    check_outputs,
-    metres_in_crs,
-    outlier_filter,
-    to_local,
-    within,
-)
+from survey.compare.options import Bounds, CompareOptions, as_text, check_options, outlier_filter
 from survey.compare.pictures import write_report
 from survey.files.json_values import write_json
+from survey.files.outputs import ReadFiles, is_json, require_file, require_folder
 from survey.files.point_table import Units
 from survey.progress import current
 
@@ -68,7 +62,7 @@ def compare_files(cloud: str | Path, reference: str | Path, *, options: CompareO
     options = options or CompareOptions()
     cloud, reference = Path(cloud), Path(reference)
     check_options(options)
-    check_outputs(options, cloud, reference)
+    _check_outputs(options, cloud, reference)
     comparison = compare_surfaces(cloud, reference, options)
     if options.report_dir is not None:
         with current().stage("Pictures"):
@@ -87,7 +81,7 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     inputs, checkpoints = _read(cloud, reference, options)
     inputs, is_left, of_outliers = _without_outliers(inputs, options)
     scene = ComparedScene.of(inputs, options.bounds, is_left, max(options.tolerances_m))
-    distances, surface, of_distances = measure.distances_of(scene, options.sign)
+    distances, surface, of_distances = measure.distances_of(scene, cast("Sign", options.sign))
     blocks = spatial_blocks(scene.points[:, :2], distances.signed)
     depth = measure.bed_depth(scene, distances.nearest, options.water_level)
     reaches = _reaches(scene, options.tolerances_m)
@@ -127,6 +121,15 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     )
     points, targets = inputs.cloud.points[inputs.inside], inputs.frame.crs_from_local(scene.targets)
     return Comparison(figures, points, distances.signed, distances.nearest, depth, targets, first.targets, inputs)
+
+
+def _check_outputs(options: CompareOptions, cloud: Path, reference: Path) -> None:
+    """Raise OutputError where numbers or pictures must not, or cannot, be written; see `survey.files.outputs`."""
+    given = (cloud, reference, options.visible, options.checkpoints)
+    inputs = ReadFiles.of(*(Path(path) for path in given if path is not None))
+    json_path, report_dir = (path and Path(path) for path in (options.json_path, options.report_dir))
+    require_file("--json", json_path, inputs, kind="a JSON file", is_of_kind=is_json)
+    require_folder("--report", report_dir, inputs, may_hold_inputs=True)
 
 
 def _read(cloud: Path, reference: Path, options: CompareOptions) -> tuple[Inputs, tuple[np.ndarray, Path] | None]:
@@ -176,7 +179,7 @@ def _circumstances(
         widening=blocks.widening,
         water_level=options.water_level,
         method="cloud to mesh" if is_mesh else "cloud to local planes of a cloud",
-        sign=options.sign if is_mesh else "up",
+        sign=cast("Sign", options.sign) if is_mesh else "up",
         crs=None if crs is None else crs.name,
         bounds=options.bounds,
         cloud=str(paths.cloud),

@@ -27,7 +27,8 @@ from geo.shapes import (
     vertices_of,
 )
 from geo.values import check_values, rounded_coordinates
-from survey.compare.options import Bounds, CompareError, ShiftedFrame, as_text, within
+from survey.compare.frame import ShiftedFrame, within
+from survey.compare.options import Bounds, CompareError, as_text
 from survey.files.crs_lines import crs_of_comment
 from survey.files.csv_table import Row
 from survey.files.point_table import PLACE, Units, has_depths, read_points

@@ -39,8 +39,9 @@ from geo.crs import height_unit_m
 from geo.files import existing_file
 from geo.shapes import excluded_points, vertices_of
 from survey.compare.figures import CheckpointFigures, Parts, ReferenceSurface, Vertical, VerticalUncertainty
+from survey.compare.frame import metres_in_crs, to_local, within
 from survey.compare.inputs import DEPTH_NAMES, GIVE_LEVEL, Inputs
-from survey.compare.options import Bounds, CompareError, metres_in_crs, to_local, within
+from survey.compare.options import Bounds, CompareError
 from survey.display.quantities import named
 from survey.files.crs_lines import crs_of_comment
 from survey.files.point_table import PLACE, Units, read_points, require_exact, several_heights

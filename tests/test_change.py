@@ -15,8 +15,9 @@ from slow_cases import slow
 from geo.las import read_cloud, write_cloud
 from geo.reproject import Reprojection
 from geo.vectors import Layer, write_geojson, write_geopackage
-from survey.change.change import ChangeOptions, align, change_between
+from survey.change.change import align, change_between
 from survey.change.differences import Correlation, Differences, measured_correlation, volume_of
+from survey.change.options import ChangeOptions
 
 SHAPE, SIDE, LENGTH = (48, 60), 0.5, 1.5
 

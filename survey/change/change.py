@@ -7,8 +7,7 @@ remains: its variance less the smallest one of the survey, once at the cell and 
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,16 +23,17 @@ from survey.change.differences import (
     ChangeError,
     Correlation,
     Differences,
-    StatedStd,
     Volume,
     cloud_path,
     differences_of,
     measured_correlation,
     volume_of,
 )
+from survey.change.options import ChangeOptions
 from survey.display.quantities import MINUS, length, share
 from survey.files.json_values import write_json
 from survey.files.outputs import ReadFiles, is_json, is_png, require_file
+from survey.files.toml_table import require_options
 from survey.progress import current
 
 # Fewer cells than this do not determine a mean, nor reveal which of them changed.
@@ -81,22 +81,6 @@ def _varying_common_std(differences: Differences, used: np.ndarray) -> np.ndarra
 
 
 @dataclass(frozen=True)
-class ChangeOptions:
-    """Options of `change_between`."""
-
-    area: Path | None = None  # A vector file of polygons; None: all that both surveys cover
-    # Polygons of unchanged ground, to which the second survey is aligned in height; None: no alignment
-    stable: Path | None = None
-    resolution_m: float | None = None  # Side of a cell; None: by the spacing of the points
-    correlation_length_m: float | None = None  # Of errors of cells; None: measured
-    shared: float = 0.0  # -1 to 1: correlation of what each survey has in common in all its cells
-    stated: StatedStd = field(default_factory=StatedStd)
-    json_path: Path | None = None
-    tif_path: Path | None = None
-    picture_path: Path | None = None
-
-
-@dataclass(frozen=True)
 class Change:
     """Changes between two surveys."""
 
@@ -116,9 +100,7 @@ def change_between(first: Path, second: Path, options: ChangeOptions) -> Change:
     """Compare two surveys and write what is asked for."""
     _require_options(first, second, options)
     with current().stage("Reading"):
-        differences, cells, notes = differences_of(
-            first, second, stated=options.stated, shared=options.shared, side_m=options.resolution_m
-        )
+        differences, cells, notes = differences_of(first, second, options)
         inside = differences.is_known
         if options.area is not None:
             inside &= _cells_in(options.area, cells)
@@ -252,19 +234,7 @@ def _cells_in(path: Path, cells: Grid) -> np.ndarray:
 
 
 def _require_options(first: Path, second: Path, options: ChangeOptions) -> None:
-    lengths = {
-        "--resolution": options.resolution_m,
-        "--correlation-length": options.correlation_length_m,
-        "--std": options.stated.own_m,
-    }
-    for name, value in lengths.items():
-        if value is not None and not (math.isfinite(value) and value > 0.0):
-            raise ChangeError(f"{name} is {value:g}, expected metres above 0, e.g. 0.5")
-    common = options.stated.common_m
-    if common is not None and not (math.isfinite(common) and common >= 0.0):
-        raise ChangeError(f"--std-common is {common:g}, expected metres, at least 0, e.g. 0.02")
-    if not -1.0 <= options.shared <= 1.0:
-        raise ChangeError(f"--common-correlation is {options.shared:g}, expected -1 to 1; 0 where nothing is shared")
+    require_options(options)
     paths = [existing_file(cloud_path(path)) for path in (first, second)]
     polygons = [path for path in (options.area, options.stable) if path is not None]
     read = ReadFiles.of(*paths, *(existing_file(layer_of(path)[0]) for path in polygons))

@@ -36,6 +36,7 @@ from geo.grid import Grid
 from geo.projection import ground_units_m
 from geo.reproject import Reprojection
 from geo.shapes import ground_of, in_height_unit
+from survey.change.options import ChangeOptions
 from survey.errors import SurveyError
 from survey.export.bed_cells import cells_over, round_side
 from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells
@@ -174,14 +175,6 @@ class ChangeError(SurveyError):
 
 
 @dataclass(frozen=True)
-class StatedStd:
-    """Standard deviations [m] for clouds without them: of a single height, and common to all."""
-
-    own_m: float | None = None
-    common_m: float | None = None
-
-
-@dataclass(frozen=True)
 class SurveyPoints:
     """A cloud of the bed with the standard deviations of its heights."""
 
@@ -201,15 +194,13 @@ def cloud_path(path: Path) -> Path:
     return run.cloud_path
 
 
-def differences_of(
-    first: Path, second: Path, *, stated: StatedStd, shared: float, side_m: float | None
-) -> tuple[Differences, Grid, list[str]]:
+def differences_of(first: Path, second: Path, options: ChangeOptions) -> tuple[Differences, Grid, list[str]]:
     """The second survey minus the first, the cells, and notes on the surveys."""
     clouds = [_cloud(path) for path in (first, second)]
     crs, notes = _common_crs(clouds, (first, second))
     surveys = []
     for cloud, path in zip(clouds, (first, second), strict=True):
-        each, of_survey = _survey_points(cloud, path, crs, stated)
+        each, of_survey = _survey_points(cloud, path, crs, options)
         surveys.append(each)
         notes += of_survey
     require_same_place(surveys[0].points, surveys[1].points, str(first), str(second))
@@ -217,11 +208,12 @@ def differences_of(
     high = np.min([each.points[:, :2].max(axis=0) for each in surveys], axis=0)
     metres = ground_units_m(crs, 0.5 * (low + high))
     spacing = max(_spacing_m(each.points, metres) for each in surveys)
-    side = round_side(_SPACINGS_PER_CELL * spacing) if side_m is None else side_m
+    side = options.resolution_m or round_side(_SPACINGS_PER_CELL * spacing)
     cells = cells_over(np.array([low, high]), crs, side)
     layers = [_raster_of(each, cells, crs, spacing) for each in surveys]
     (height_a, std_a, common_a), (height_b, std_b, common_b) = layers
-    differences = Differences(height_b - height_a, np.hypot(std_a, std_b), np.stack([common_a, common_b]), shared, side)
+    common = np.stack([common_a, common_b])
+    differences = Differences(height_b - height_a, np.hypot(std_a, std_b), common, options.shared, side)
     if not differences.is_known.any():
         raise ChangeError(
             f"{first} and {second} have no cell of {side:g} m in common that points of both cover; give a larger "
@@ -257,7 +249,7 @@ def _common_crs(clouds: list[Cloud], paths: tuple[Path, Path]) -> tuple[CRS, lis
     return crs if has_height(crs) else crs.to_3d(), notes
 
 
-def _survey_points(cloud: Cloud, path: Path, crs: CRS, stated: StatedStd) -> tuple[SurveyPoints, list[str]]:
+def _survey_points(cloud: Cloud, path: Path, crs: CRS, options: ChangeOptions) -> tuple[SurveyPoints, list[str]]:
     """The points of a survey with their standard deviations, in the common CRS, and notes on them."""
     own, notes = cloud.crs, []
     if own is not None and has_height(own) and not same_crs(own, crs):
@@ -275,8 +267,8 @@ def _survey_points(cloud: Cloud, path: Path, crs: CRS, stated: StatedStd) -> tup
             # Equal but for the unit of heights.
             cloud = replace(cloud, points=cloud.points * [1.0, 1.0, height_unit_m(own) / unit_m])
         cloud = in_height_unit(cloud, unit_m)
-    std, of_own = _values(cloud, "std", stated.own_m, path, "--std")
-    common, of_common = _values(cloud, "std_common", stated.common_m, path, "--std-common")
+    std, of_own = _values(cloud, "std", options.std_m, path, "--std")
+    common, of_common = _values(cloud, "std_common", options.std_common_m, path, "--std-common")
     keep = np.isfinite(std) & np.isfinite(common) & np.isfinite(cloud.points).all(axis=1)
     if not keep.any():
         raise ChangeError(f"no point of {path} has a standard deviation; give --std and --std-common")

@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from survey.errors import SurveyError
 from survey.files.limits import LARGEST
@@ -17,6 +18,8 @@ from survey.words import COMPARED, FILES
 
 Bounds = tuple[float, float, float, float]
 _measured, _compared, _written = (partial(option, panel) for panel in ("What is measured", COMPARED, FILES))
+
+_LENGTH: dict[str, Any] = {"expected": "metres above zero, e.g. 0.2", "above": 0.0, "most": LARGEST}
 
 
 class CompareError(SurveyError):
@@ -29,32 +32,18 @@ class CompareOptions:
 
     # [m]; the first is that of the keys at the top
     tolerances_m: tuple[float, ...] = _measured(
-        "M",
-        "For completeness and F-score [m]; repeatable.",
-        name="--tolerance",
-        default=(0.2,),
-        expected="metres above zero, e.g. 0.2",
-        above=0.0,
-        most=LARGEST,
+        "M", "For completeness and F-score [m]; repeatable.", name="--tolerance", default=(0.2,), **_LENGTH
     )
     # See `evaluation.distance_to_mesh`
     sign: str = _measured(
-        None,
-        "Positive above, or on the front of a face by its winding.",
-        default="up",
-        one_of=("up", "winding"),
+        None, "Positive above, or on the front of a face by its winding.", default="up", one_of=("up", "winding")
     )
     # See `survey.compare.measure`
     checkpoints: Path | None = _measured("CSV", "Check points: easting, northing, height and, if known, sigma.")
     c2c: bool = _measured(None, "Also cloud-to-cloud distances, both ways.", name="--c2c", default=False)
     # See `evaluation.m3c2_distances`
     m3c2_radius_m: float | None = _measured(
-        "RADIUS",
-        "Also M3C2 distances, with this cylinder radius [m].",
-        name="--m3c2",
-        expected="metres above zero, e.g. 0.5",
-        above=0.0,
-        most=LARGEST,
+        "RADIUS", "Also M3C2 distances, with this cylinder radius [m].", name="--m3c2", **_LENGTH
     )
     visible: Path | None = _compared("FILE", "Points of the reference that cameras see.")
     bounds: Bounds | None = _compared("E0 N0 E1 N1", "Crop the cloud to these bounds.")

@@ -69,10 +69,7 @@ class ExportOptions:
         None, "Add water without a bed to LAS, LAZ, COPC: class 45, and 41 above it.", name="--no-bed", default=False
     )
     thin: str = _made(
-        None,
-        "Thinning of soundings to one per cell; none: keep all.",
-        default="none",
-        one_of=("none", "shoal", "mean"),
+        None, "Thinning of soundings to one per cell; none: keep all.", default="none", one_of=("none", "shoal", "mean")
     )
     survey: str | None = _made("DIR", "Survey folder, if it was moved since the run.")
 

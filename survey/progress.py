@@ -123,7 +123,7 @@ class Progress:
     Parameters
     ----------
     verbosity : int
-        -2 nothing, -1 only warnings, 0 stages and notes, 1 also details.
+        -2 nothing, -1 only warnings, 0 notes and how far the run is, 1 also stages and details.
     log_path : Path, optional
         Gets every line, details and times included, whatever the verbosity. Appended to, so that the log of a
         resumed run is complete.
@@ -269,7 +269,7 @@ class Progress:
             self._begin(step)
             self._last_line = self.now()
         if not self._is_shown:
-            self._emit(f"{step.title} ...")
+            self._emit(f"{step.title} ...", at_verbosity=1)
         if outermost:
             ticking = self._bars if self._is_shown else _Ticking(self)
         try:
@@ -282,7 +282,7 @@ class Progress:
             self.steps.remove(step)
             if outermost and not self._expected:
                 self._forget_task()
-        self._emit(f"{step.title}: done in {clock(step.seconds)}")
+        self._emit(f"{step.title}: done in {clock(step.seconds)}", at_verbosity=1)
 
     def note(self, text: str) -> None:
         """A line that the user should see."""
@@ -298,6 +298,11 @@ class Progress:
         text = printable(text)
         LOGGER.debug("%s", text)
         self._line(text, at_verbosity=1)
+
+    def details(self, texts: Iterable[str]) -> None:
+        """Lines for the log, shown with ``-v`` only."""
+        for text in texts:
+            self.detail(text)
 
     def warn(self, text: str) -> None:
         """A line that the user must see."""
@@ -326,10 +331,10 @@ class Progress:
         _CURRENT.reset(self._token)
         self.close()
 
-    def _emit(self, text: str) -> None:
+    def _emit(self, text: str, *, at_verbosity: float = 0) -> None:
         text = printable(text)
         LOGGER.info("%s", text)
-        self._line(text)
+        self._line(text, at_verbosity=at_verbosity)
 
     def _line(self, text: str, *, at_verbosity: float = 0) -> None:
         stamped = f"{time.strftime(_TIME)} {text}"

@@ -28,6 +28,12 @@ def test_check_of_a_good_survey_prints_findings_and_plan_and_ends_with_code_0(tm
         assert words in result.stdout
 
 
+@pytest.fixture(autouse=True)
+def has_settings(monkeypatch):
+    """Commands here are given no folder, and write none."""
+    fake_module(monkeypatch, "survey.init.draft", require_settings=lambda *_: None, draft=None)
+
+
 def test_one_q_leaves_out_the_progress_and_two_the_results_too(monkeypatch):
     def process(*_args, **_options):
         progress_room.current().note("a note")

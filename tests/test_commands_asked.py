@@ -141,6 +141,7 @@ def test_a_wrong_key_of_the_file_is_named(text, words):
 def test_options_stand_over_the_environment_and_this_over_survey_toml(monkeypatch, tmp_path):
     calls = []
     fake_module(monkeypatch, "survey.run.process", process=lambda *_, **options: calls.append(options) or 0)
+    fake_module(monkeypatch, "survey.init.draft", require_settings=lambda *_: None)
     monkeypatch.setenv("BATHYNERF_PROCESS_QUALITY", "fine")
     monkeypatch.setenv("BATHYNERF_PROCESS_DEVICE", "cpu")
     bathynerf("process", "s")

@@ -35,7 +35,7 @@ def cut_image(folder: Path):
 
 
 BAD_INPUT = {
-    "no survey.toml": (remove_toml, ["no survey.toml", "GPS position", 'crs = "EPSG']),
+    "no survey.toml": (remove_toml, ["neither the photographs nor their poses tell", '--crs "EPSG']),
     "unknown key": (spoil_toml(("level_m", "levl_m")), ["survey.toml", "unknown key levl_m", "[water] level_m"]),
     "no images": (remove_images, ["no images in", "images"]),
     "truncated JPEG": (cut_image, ["0003.jpg", "damaged or cut off", "copy it again"]),

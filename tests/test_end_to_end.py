@@ -200,7 +200,7 @@ def test_a_field_is_added_to_a_run_and_leaves_its_cloud(noisy):
     shutil.copytree(noisy.folder, run.folder)
     clouds = []
     for options in (("--quality", "standard"), ("--quality", "standard", "--field", "mdw")):
-        said = bathynerf("process", run.folder, *options)
+        said = bathynerf("process", run.folder, "-v", *options)
         assert said.exit_code == 0, said.stderr
         clouds.append((run.folder / "bathynerf" / "cloud.las").read_bytes())
     assert "solver: used again" in said.stderr
@@ -213,7 +213,7 @@ def test_the_solver_takes_noise_off_and_its_standard_deviation_covers_the_errors
     swept = inner90(noisy.distances.signed)
     solved = DrawnRun(noisy.scene, noisy.folder.with_name("solved"))
     shutil.copytree(noisy.folder, solved.folder)
-    again = bathynerf("process", solved.folder, "--field", "solver")
+    again = bathynerf("process", solved.folder, "--field", "solver", "-v")
     assert again.exit_code == 0, again.stderr
     # Before the solver the sweep refines less than alone.
     assert "which pixels the sweep refines" in again.stderr

@@ -111,10 +111,6 @@ def test_check_and_init_name_the_file(tmp_path):
     text = draft(folder, Answers(level_m=LEVEL))
     assert "# Found: positions of 4 of 4 images are those in geo.txt (ETRS89 / UTM zone 32N)" in text
     assert tomllib.loads(text)["crs"].startswith("EPSG:25832+")
-    found = find_survey(folder)
-    assert found.findings.assumptions[1].startswith(
-        'crs = "EPSG:25832+5773", that of geo.txt, with heights taken as they are'
-    )
 
 
 def test_the_angles_of_the_file_make_it_no_poses(tmp_path):

@@ -1,4 +1,4 @@
-"""A survey folder without survey.toml or without poses: what is inferred, what is handed to structure from motion."""
+"""A survey folder with few settings or without poses: what is inferred, what is handed to structure from motion."""
 
 from __future__ import annotations
 
@@ -8,34 +8,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from placed_by_gps import solved
-from small_survey import LEVEL, camera_lines, replaced, small_survey, write_image, write_poses
+from small_survey import LEVEL, camera_lines, replaced, small_survey, write_image
 
 from refract.lens import Lens
-from survey.errors import ConfigError, ControlError, PosesError
-from survey.folder.found import find_survey
-from survey.folder.infer import NO_WATER, config_of_images
+from survey.errors import ConfigError, PosesError
+from survey.folder.infer import NO_WATER, image_folder_of
 from survey.folder.survey import load_survey
 from survey.photos.exif import Exif
-from survey.settings.config import SurveyConfig
 from survey.sfm.gps import gps_positions
 
+CRS_ALONE = 'crs = "EPSG:32632+5773"\n'
 
-def test_without_survey_toml_the_zone_comes_from_the_positions_and_it_says_what_it_assumed(tmp_path):
-    folder = small_survey(tmp_path / "s", gps=True, toml=None)
+
+def test_a_crs_alone_suffices_and_the_survey_says_what_it_assumed(tmp_path):
+    folder = small_survey(tmp_path / "s", gps=True, toml=CRS_ALONE)
     for i, line in enumerate(camera_lines()):
         e, n, h = (float(v) for v in line.split(",")[1:4])
         write_image(folder / "images" / f"{i:04d}.jpg", gps=(e, n, h), FocalLengthIn35mmFilm=50)
     survey = load_survey(folder)
-    assert survey.config.crs == "EPSG:32632+5773"
     assert survey.water is None
     assert survey.views[0].camera.fx == pytest.approx(50.0 / 36.0 * 64.0)
     said = "\n".join(survey.findings.assumptions)
-    for words in (
-        "only poses found",
-        'crs = "EPSG:32632+5773"',
-        "from EXIF and not a calibration",
-        "centre",
-    ):
+    for words in ("only poses found", "from EXIF and not a calibration", "centre"):
         assert words in said
     # Nobody said that all ground is dry: the verdict of a run is amber.
     assert NO_WATER in survey.findings.warnings
@@ -44,32 +38,25 @@ def test_without_survey_toml_the_zone_comes_from_the_positions_and_it_says_what_
 @pytest.mark.parametrize(
     ("toml", "is_wet", "is_doubted"),
     [
-        ('name = "quarry"', False, True),
-        ('crs = "EPSG:32632+5773"', False, True),
         ("dry = false", False, True),
         ("dry = true", False, False),
-        ('crs = "EPSG:32632+5773"\ndry = true', False, False),
         ("[water]\nlevel_m = 2105.0", True, False),
         ("[water]\nlevel_m = 2105.0\nrefractive_index = 1.34\nlevel_std_m = 0.1", True, False),
     ],
 )
 def test_a_survey_without_water_is_in_doubt_unless_it_says_that_it_is_dry(tmp_path, toml, is_wet, is_doubted):
-    folder = small_survey(tmp_path / "s", gps=True, toml=toml)
+    folder = small_survey(tmp_path / "s", gps=True, toml=CRS_ALONE + toml)
     for i, line in enumerate(camera_lines()):
         e, n, h = (float(v) for v in line.split(",")[1:4])
         write_image(folder / "images" / f"{i:04d}.jpg", gps=(e, n, h), FocalLengthIn35mmFilm=50)
     survey = load_survey(folder)
-    assert survey.config.crs == "EPSG:32632+5773"
     assert (survey.water is not None, NO_WATER in survey.findings.warnings) == (is_wet, is_doubted)
-    assert is_wet == any(
-        "level of the water counts from mean sea level" in said for said in survey.findings.assumptions
-    )
 
 
-@pytest.mark.parametrize("place", ["level_at = [589012.0, 5194736.0]", "slope_north = 0.004"])
-def test_water_that_has_a_place_needs_the_crs_of_it(tmp_path, place):
-    folder = small_survey(tmp_path / "s", gps=True, toml=f"[water]\nlevel_m = 2105.0\n{place}\n")
-    with pytest.raises(ConfigError, match="crs is missing"):
+@pytest.mark.parametrize("toml", ['name = "quarry"', "[water]\nlevel_m = 2105.0\n"])
+def test_settings_need_a_crs_and_the_error_proposes_one(tmp_path, toml):
+    folder = small_survey(tmp_path / "s", gps=True, toml=toml)
+    with pytest.raises(ConfigError, match=r'crs is missing; .*crs = "EPSG:32632\+5773"'):
         load_survey(folder)
 
 
@@ -79,67 +66,33 @@ def test_dry_ground_has_no_water(tmp_path):
         load_survey(folder)
 
 
-def test_images_in_the_survey_folder_itself_are_found_and_those_of_a_run_are_not(tmp_path):
-    folder = small_survey(tmp_path / "s", gps=True, toml=None)
-    (folder / "cameras.csv").unlink()
-    for image in list((folder / "images").iterdir()):
-        image.rename(folder / image.name)
-    (folder / "images").rmdir()
-    write_image(folder / "bathynerf" / "depth.png")
-    found = find_survey(folder)
-    assert list(found.images) == ["0000.jpg", "0001.jpg", "0002.jpg", "0003.jpg"]
-    assert found.poses_path is None
-
-
-def test_without_survey_toml_poses_have_to_fit_the_positions(tmp_path):
-    folder = small_survey(tmp_path / "s", gps=True, toml=None)
-    write_poses(folder, [line.replace(",589", ",489") for line in camera_lines()])
-    with pytest.raises(ConfigError, match="does not fit the GPS positions of the images in the UTM zone"):
-        load_survey(folder)
-
-
-def test_nothing_to_infer_a_survey_from_is_an_error_with_an_example(tmp_path):
-    folder = small_survey(tmp_path / "a", toml=None)
-    with pytest.raises(ConfigError, match=r"no survey\.toml and no image a GPS position.* crs = "):
-        load_survey(folder)
-    (tmp_path / "b").mkdir()
-    with pytest.raises(ConfigError, match=r"no survey\.toml and no images to infer it from; put the photographs"):
-        load_survey(tmp_path / "b")
-
-
-def test_the_control_points_of_opendronemap_tell_the_crs_where_nothing_else_does(tmp_path):
-    folder = small_survey(tmp_path / "s", toml=None)
-    (folder / "cameras.csv").unlink()
-    line = "676120.0 5311480.0 584.2 30.0 20.0 0000.jpg a"
-    (folder / "gcp_list.txt").write_text(f"+proj=utm +zone=32 +datum=WGS84 +units=m +no_defs\n{line}\n")
-    found = find_survey(folder)
-    assert found.config.crs == "EPSG:32632+5773"
-    assert found.control is not None
-    assert any("that of gcp_list.txt" in text for text in found.findings.assumptions)
-    (folder / "gcp_list.txt").write_text("EPSG:4326\n10.1 47.9 584.2 30.0 20.0 0000.jpg a\n")
-    with pytest.raises(ConfigError, match=r"not in a projected CRS .* \[control\] gcps"):
-        find_survey(folder)
+def test_without_survey_toml_it_says_what_writes_it(tmp_path):
+    with pytest.raises(ConfigError, match=r"has no survey\.toml; bathynerf init writes it"):
+        load_survey(small_survey(tmp_path / "a", gps=True, toml=None))
 
 
 @pytest.mark.parametrize(
-    ("header", "crs"),
+    ("places", "folder"),
     [
-        ("EPSG:25832", "EPSG:25832+5773"),
-        ("EPSG:25832+7837", "EPSG:25832+7837"),
-        ("WGS84 UTM 32N", "EPSG:32632+5773"),
-        ("+proj=utm +zone=32 +datum=WGS84 +units=m +no_defs", "EPSG:32632+5773"),
+        (("images", "100MEDIA"), "images"),
+        ((".", "bathynerf"), "."),
+        (("DCIM/100MEDIA",), "DCIM/100MEDIA"),
+        (("DCIM/100MEDIA", "DCIM/101MEDIA", "bathynerf", "masks"), "DCIM"),
     ],
 )
-def test_the_heights_of_control_points_are_those_of_their_crs_where_it_has_some(tmp_path, header, crs):
-    folder = tmp_path / "s"
-    write_image(folder / "images" / "0000.jpg")
-    (folder / "gcp_list.txt").write_text(f"{header}\n676120 5311480 581 4 5 0000.jpg a\n")
-    config, said = config_of_images(folder, SurveyConfig(), {}, None)
-    assert config.crs == crs
-    assert ("taken as above mean sea level" in said.assumptions[0]) == crs.endswith("5773")
-    (folder / "gcp_list.txt").write_text(f"{header}\n")
-    with pytest.raises(ControlError, match="has no points after the line with its CRS; add them"):
-        config_of_images(folder, SurveyConfig(), {}, None)
+def test_photographs_are_found_where_a_card_has_them(tmp_path, places, folder):
+    for place in places:
+        write_image(tmp_path / place / "0000.jpg")
+    assert image_folder_of(tmp_path) == folder
+
+
+def test_photographs_in_several_folders_or_in_none_are_asked_for(tmp_path):
+    with pytest.raises(ConfigError, match=r"has no photographs and no survey\.toml; put those of the survey into"):
+        image_folder_of(tmp_path)
+    for place in ("monday", "tuesday"):
+        write_image(tmp_path / place / "0000.jpg")
+    with pytest.raises(ConfigError, match="has photographs in monday, tuesday and no"):
+        image_folder_of(tmp_path)
 
 
 def test_without_poses_and_positions_there_is_nothing_to_start_from(tmp_path):

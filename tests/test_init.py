@@ -7,7 +7,7 @@ import tomllib
 
 import numpy as np
 import pytest
-from command_line import bathynerf
+from command_line import bathynerf, fake_module
 from foreign_block import HEIGHT, SIZE, draw_block, in_utm, write_images
 from scipy.spatial.transform import Rotation
 from small_survey import unposed, write_image
@@ -70,6 +70,7 @@ def test_what_a_program_leaves_becomes_a_survey_that_check_accepts(tmp_path, mad
     level = () if made is photographs_alone else ("--level", LEVEL)
     written = bathynerf("init", folder, *level)
     assert written.exit_code == 0, written.output
+    assert "level_m" in written.output
     settings = tomllib.loads((folder / "survey.toml").read_text())
     assert settings["crs"] == "EPSG:32632+5773"
     assert settings["water"] == ({"level_m": LEVEL} if level else {})
@@ -125,14 +126,17 @@ def test_a_terminal_is_asked_for_what_no_file_tells(tmp_path):
 
     def ask(question: str) -> str:
         asked.append(question)
-        return "5773" if "Heights" in question else "2109.5"
+        return "5773" if "Heights" in question else "2109.5 sea"
 
     with pytest.raises(ConfigError, match="expected one of the codes"):
         draft(tmp_path, Answers(ask=ask))
     assert "9274 EVRF2000 Austria" in asked[0]
     settings = tomllib.loads(draft(tmp_path, Answers(crs="EPSG:32632+5773", ask=ask)))
-    assert settings["water"]["level_m"] == 2109.5
+    assert settings["water"] == {"level_m": 2109.5, "refractive_index": 1.34, "index_wavelength_nm": 589.3}
     assert len(asked) == 2
+    assert tomllib.loads(draft(tmp_path, Answers(crs="EPSG:32632+5773", ask=lambda _: "dry")))["dry"] is True
+    with pytest.raises(ConfigError, match="expected a number such as 12"):
+        draft(tmp_path, Answers(crs="EPSG:32632+5773", ask=lambda _: "deep"))
 
 
 @pytest.mark.parametrize(
@@ -181,3 +185,114 @@ def test_heights_above_the_ellipsoid_become_national_ones_only_by_the_grid_of_th
         assert lat_lon != (0.0, -30.0)
         assert written["crs"].endswith("+5709")
         assert written["cameras"]["gps_height"] == "ellipsoidal"
+
+
+def bare_card(folder):
+    """Photographs as a card has them."""
+    photographs_alone(folder)
+    (folder / "DCIM").mkdir()
+    (folder / "images").rename(folder / "DCIM" / "100MEDIA")
+    return folder
+
+
+@pytest.fixture
+def processed(monkeypatch):
+    """The folders that process is called for."""
+    calls = []
+    fake_module(monkeypatch, "survey.run.process", process=lambda folder, *_, **__: calls.append(folder) or 0)
+    return calls
+
+
+def test_process_writes_the_settings_of_bare_photographs_and_goes_on(tmp_path, processed):
+    folder = bare_card(tmp_path / "s")
+    refused = bathynerf("process", folder)
+    assert refused.exit_code == 2
+    assert "--level" in refused.output
+    assert "--dry" in refused.output
+    assert not (folder / "survey.toml").exists()
+    for _ in range(2):  # The same command resumes a run
+        done = bathynerf("process", folder, "--level", LEVEL, "--sea")
+        assert done.exit_code == 0, done.output
+    settings = tomllib.loads((folder / "survey.toml").read_text())
+    assert settings["images"] == {"dir": "DCIM/100MEDIA"}
+    assert settings["water"]["refractive_index"] == 1.34
+    assert processed == [folder] * 2
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--level", 3.0), "--level is 3.0, but"),
+        (("--dry",), "--dry is True, but"),
+        (("--crs", "EPSG:25832+7837"), "has EPSG:32632+5773; change it there, or leave --crs out"),
+    ],
+)
+def test_options_that_contradict_the_settings_are_refused(tmp_path, processed, options, said):
+    folder = bare_card(tmp_path / "s")
+    assert bathynerf("init", folder, "--level", LEVEL).exit_code == 0
+    refused = bathynerf("process", folder, *options)
+    assert (refused.exit_code, processed) == (2, [])
+    assert said in refused.output
+
+
+def test_check_of_bare_photographs_says_what_process_would_write_and_writes_nothing(tmp_path):
+    folder = bare_card(tmp_path / "s")
+    checked = bathynerf("check", folder)
+    assert checked.exit_code == 0, checked.output
+    assert 'dir = "DCIM/100MEDIA"' in checked.stdout
+    assert not (folder / "survey.toml").exists()
+
+
+def control_alone(folder, header, place, height=581):
+    write_image(folder / "images" / "0000.jpg")
+    (folder / "gcp_list.txt").write_text(f"{header}\n{place} {height} 4 5 0000.jpg a\n")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("header", "crs"),
+    [
+        ("EPSG:25832+7837", "EPSG:25832+7837"),
+        ("+proj=utm +zone=32 +datum=WGS84 +units=m +no_defs", "EPSG:32632+"),
+        ("WGS84 UTM 32N", "EPSG:32632+"),
+    ],
+)
+def test_the_crs_of_control_points_is_taken_with_its_heights(tmp_path, header, crs):
+    folder = control_alone(tmp_path / "s", header, "676120 5311480")
+    settings = tomllib.loads(draft(folder, Answers(level_m=LEVEL)))
+    assert settings["crs"].startswith(crs)
+    assert settings["control"] == {"gcps": "gcp_list.txt"}
+
+
+def test_a_national_grid_brings_the_heights_that_epsg_combines_with_it(tmp_path):
+    folder = control_alone(tmp_path / "s", "EPSG:27700", "351139.7 512875.8")
+    assert tomllib.loads(draft(folder, Answers(level_m=LEVEL)))["crs"] == "EPSG:27700+5701"
+
+
+def test_photographs_that_nothing_places_are_refused(tmp_path):
+    write_image(tmp_path / "images" / "0000.jpg")
+    with pytest.raises(ConfigError, match="nothing tells where the photographs lie"):
+        draft(tmp_path, Answers(level_m=LEVEL))
+
+
+def test_the_question_for_the_level_says_where_the_cameras_are(tmp_path):
+    photographs_alone(tmp_path)
+    asked = []
+    draft(tmp_path, Answers(ask=lambda question: asked.append(question) or ""))
+    assert "cameras are at 21" in asked[-1]
+
+
+def test_bounds_of_the_cameras_are_proposed(tmp_path):
+    photographs_alone(tmp_path)
+    (line,) = [line for line in draft(tmp_path, Answers()).splitlines() if line.startswith("# bounds")]
+    low_e, low_n, high_e, high_n = tomllib.loads(line.removeprefix("# "))["bounds"]
+    assert 5.0 < high_e - low_e < 20.0
+    assert 5.0 < high_n - low_n < 20.0
+
+
+def test_names_of_files_stay_in_their_comment(tmp_path):
+    table = SettingsTable("cameras")
+    table.set("poses", "a.csv", "not certain: there is also b\n[water]\nlevel_m = 1")
+    table.add_comments("Found: \x1b[2J.")
+    assert tomllib.loads(table.text()) == {"cameras": {"poses": "a.csv"}}
+    assert "\x1b" not in table.text()

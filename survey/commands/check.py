@@ -76,17 +76,27 @@ def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> It
     """Sections on contents and gaps of a survey, its light, its expected accuracy, and what an aim takes."""
     from survey.adjust.result.foreseen import foreseen_section
     from survey.folder.found import process_config
+    from survey.init.crs import Answers
+    from survey.init.draft import draft
     from survey.plan.check import CheckSection, check_survey, require_processable
     from survey.plan.check_light import light_section
     from survey.plan.choices import choices_of
     from survey.progress import current
     from survey.run.aim import AimedPlan, plan_for_aim
+    from survey.settings.config import parse_config, settings_of
 
     shortage = address_space_shortage()
     if shortage is not None:
         current().warn(shortage)
     chosen = choices_of(asked.over(process_config(folder)))
-    checked = require_processable(folder, chosen)
+    config = None
+    if folder.is_dir() and settings_of(folder) is None:
+        text = draft(folder, Answers())
+        yield CheckSection(
+            "No survey.toml; init and process write", tuple(("", line) for line in text.split("\n") if line)
+        )
+        config = parse_config(text)
+    checked = require_processable(folder, chosen, config)
     aimed = AimedPlan(chosen)
     if checked.survey is not None:
         aimed = plan_for_aim(checked.survey, chosen, refuses=False)

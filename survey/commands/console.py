@@ -53,6 +53,12 @@ class ConsoleResults:
         for label, text in rows:
             self.line(wrap_for(text, sys.stdout, label=label.ljust(left), indent=" " * left))
 
+    def file(self, path: Path) -> None:
+        """Print the path of a text file and its lines that are not empty, wrapped to the terminal."""
+        self.line(path)
+        for line in filter(None, path.read_text(encoding="utf-8").splitlines()):
+            self.line(wrap_for(line, sys.stdout, label="  ", indent="      "))
+
     def section(self, section: Section) -> None:
         """Print the title, texts and tables of a section."""
         if section.title:

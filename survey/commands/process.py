@@ -10,12 +10,13 @@ import typer
 
 from survey.commands.console import command
 from survey.commands.faults import require_address_space
-from survey.commands.options import KEPT, Quiet, SurveyFolder, Verbose, Visible, config_of, grouped
+from survey.commands.options import KEPT, Quiet, Told, Verbose, Visible, config_of, grouped
 from survey.settings.tables import ProcessConfig
 from survey.words import COMPARED, RUN_FOLDER
 
 EXAMPLES = """
     bathynerf process my_survey
+    bathynerf process photographs --level 12.34
     bathynerf process my_survey -o draft --quality draft
     bathynerf process my_survey --target-std 0.02
     bathynerf process my_survey --time-budget 300
@@ -25,11 +26,14 @@ EXAMPLES = """
 
 @grouped
 def run(
-    survey: SurveyFolder,
+    survey: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Photographs, in images/, DCIM/ or itself; survey.toml, if any.")
+    ],
     output: Annotated[
         str | None,
         typer.Option("-o", "--output", metavar="RUN", help=f"Run folder, or a URL; default: SURVEY/{RUN_FOLDER}."),
     ] = None,
+    told: Told = Told(),
     asked: ProcessConfig = ProcessConfig(),
     resume: Annotated[bool, typer.Option(help="Reuse finished stages of an earlier run.")] = True,
     reference: Annotated[
@@ -39,7 +43,10 @@ def run(
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
-    """Compute the point cloud of the bed and a report in a run folder.
+    """Compute the point cloud of the bed and a report in a run folder, from photographs.
+
+    Where there is no survey.toml, it is written first, as by init: with what no file states from options, or asked for
+    on a terminal, and a comment at each value that is assumed.
 
     Options that are not given come from environment variables, e.g. BATHYNERF_PROCESS_QUALITY=fine, then [process] in
     survey.toml, then the defaults.
@@ -49,6 +56,11 @@ def run(
     folder = local_run(survey, output)
     with command(verbose, quiet, folder, stopped=KEPT, reads=survey) as results:
         require_address_space()
+        from survey.init.draft import require_settings
+
+        written = require_settings(survey, told.answers(needs_level=True))
+        if written is not None:
+            results.file(written)
         from survey.run.process import process
 
         code = process(

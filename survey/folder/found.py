@@ -47,7 +47,7 @@ class Found:
     """Contents of a survey folder."""
 
     folder: Path
-    config: SurveyConfig  # As read, or inferred where there is no survey.toml; the water has a level, if there is water
+    config: SurveyConfig  # As read; the water has a level, if there is water
     crs: CRS  # Horizontal and vertical
     # name to path: sorted by name; a name is the path below the image folder, with forward slashes
     images: dict[str, Path]
@@ -80,8 +80,8 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
         what = "is a file" if folder.exists() else "does not exist"
         raise SurveyError(f"the survey folder {folder} {what}; expected a folder with images and {FILE_NAME}")
     toml = folder / FILE_NAME
-    if config is None:
-        config = infer.settings_or_inferred(folder)
+    if config is None and (config := settings_of(folder)) is None:
+        raise ConfigError(f"{folder} has no {FILE_NAME}; bathynerf init writes it, and process does, from photographs")
     place = folder / config.images.local_dir
     if is_url(config.images.dir):
         fetch_images(config.images.dir, place)
@@ -89,13 +89,10 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     poses_path, findings = _poses_path(folder, config, images)
     headers, added = read_headers(folder, place, images)
     findings += added
-    if not toml.is_file() or (config.crs is None and infer.says_no_place(config)):
-        config, added = infer.config_of_images(folder, config, headers, poses_path)
-        findings += added
     if config.crs is None:
         raise ConfigError(f"{toml}: crs is missing; {infer.crs_advice(headers)}")
     use_grids(folder / GRIDS_FOLDER)
-    crs = parse_crs(config.crs, where=f"crs in {toml}" if toml.is_file() else "the inferred crs")
+    crs = parse_crs(config.crs, where=f"crs in {toml}")
     config, levels, tide, added = with_level(folder, config, headers, crs)
     findings += added
     if poses_path is not None and config.water is not None:

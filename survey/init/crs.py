@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from textwrap import shorten
 from typing import Any
@@ -11,6 +12,8 @@ from typing import Any
 import numpy as np
 import tomli_w
 from pyproj import CRS
+from pyproj.database import query_crs_info
+from pyproj.enums import PJType
 
 from geo.area_of_use import height_systems_at, likely_crs, require_at
 from geo.crs import (
@@ -18,12 +21,15 @@ from geo.crs import (
     crs_code,
     has_height,
     horizontal_crs,
+    middle_lon_lat,
     parse_crs,
     utm_code,
     vertical_crs,
 )
+from geo.transformation import lon_lat
 from survey.control.points import GivenPoint
 from survey.errors import ConfigError, PosesError
+from survey.escaping import printable
 from survey.folder import infer
 from survey.folder.found import Found
 from survey.folder.gps_placement import place_poses
@@ -49,19 +55,45 @@ class Answers:
     crs: str | None = None
     level_m: float | None = None
     is_dry: bool = False  # There is no water
+    is_sea: bool = False  # It is sea water
     # (easting, northing, height) or None: of the local frame of poses, in crs
     origin: tuple[float, float, float] | None = None
+    needs_level: bool = False  # Even where photographs may tell it
     ask: Ask | None = None  # callable or None: None where nobody is there to be asked
 
-    def number(self, question: str, *, otherwise: str | None) -> float | None:
-        """The number that a person answers; None without an answer, unless that is the error `otherwise`."""
-        text = "" if self.ask is None else self.ask(question).strip()
-        if not text and otherwise is not None:
-            raise ConfigError(otherwise)
-        try:
-            return float(text) if text else None
-        except ValueError as error:
-            raise ConfigError(f'the answer to "{question}" is "{text}", expected a number such as 12.34') from error
+    def __post_init__(self):
+        if self.is_dry and (self.is_sea or self.level_m is not None):
+            raise ConfigError(
+                f"--dry says that there is no water, and {'--sea' if self.is_sea else '--level'} describes it; keep one"
+            )
+
+    def with_level(self, heights: str, *, can_do_without: bool) -> Answers:
+        """These with the level that a person answers, in `heights` in words, or that there is no water.
+
+        Raises ConfigError where nobody answers, unless the level can be found from the photographs.
+        """
+        if self.ask is None and can_do_without and not self.needs_level:
+            return self
+        if self.ask is not None:
+            or_empty = "; empty: found from the photographs" if can_do_without else ""
+            text = self.ask(
+                f"Height of the water [m] {heights}: as 12.34, for the sea 12.34 sea, without water dry{or_empty}"
+            ).strip()
+            level, _, kind = text.partition(" ")
+            if text == "dry":
+                return replace(self, is_dry=True)
+            if kind in ("", "sea") and level:
+                with suppress(ValueError):
+                    return replace(self, level_m=float(level), is_sea=self.is_sea or bool(kind))
+            if text:
+                raise ConfigError(f'the answer is "{text}", expected a number such as 12.34, 12.34 sea, or dry')
+            if can_do_without:
+                return self
+        raise ConfigError(
+            f"the height of the water {heights} is not known; init and process take it as --level 12.34, or --dry "
+            "where there is no water; or put gauge.csv, shoreline.csv or gnss_points.csv (docs/waterline.md) into the "
+            "folder"
+        )
 
 
 @dataclass
@@ -74,12 +106,12 @@ class SettingsTable:
     def set(self, key: str, value: Any, comment: str = "", more: tuple[str, ...] = ()) -> None:
         """Add a key with a comment behind it, and lines of comment below."""
         line = f"{key} = {_toml(value)}"
-        self.lines.append(f"{line}    # {comment}" if comment else line)
-        self.lines += [f"# {text}" for text in more]
+        self.lines.append(f"{line}    # {printable(comment)}" if comment else line)
+        self.add_comments(*more)
 
     def add_comments(self, *comments: str) -> None:
         """Add lines of comment."""
-        self.lines += [f"# {text}" for text in comments]
+        self.lines += [f"# {printable(text)}" for text in comments]
 
     def text(self) -> str:
         """The table in TOML; empty where it has no line."""
@@ -104,11 +136,15 @@ class FolderPhotographs:
 
     @property
     def lat_lon(self) -> tuple[float, float] | None:
-        """Latitude and longitude of the survey [deg], by EXIF, else by geocentric poses; None without both."""
+        """Latitude and longitude of the survey [deg], by EXIF, else by geocentric poses, else by control points."""
         if (middle := middle_of(self.headers)) is not None:
             return middle
         if self.file is not None and self.file.frame is PoseFrame.GEOCENTRIC:
             lon, lat = middle_of_geocentric(self.file)
+            return lat, lon
+        if self.control and (crs := self.control[0].crs) is not None:
+            places = np.array([point.place[:2] for point in self.control])
+            lon, lat = middle_lon_lat(lon_lat(horizontal_crs(crs), places)).tolist()
             return lat, lon
         return None
 
@@ -127,7 +163,7 @@ def write_crs(photographs: FolderPhotographs, answers: Answers, top: SettingsTab
         if given is None and answers.ask is not None:
             given = answers.ask(f"{by}. EPSG code with a vertical part, e.g. EPSG:25832+7837").strip()
         if not given:
-            raise ConfigError(f'{by}; give it, e.g. --crs "EPSG:25832+7837"')
+            raise ConfigError(f'{by}; init and process take it as --crs "EPSG:25832+7837"')
         crs = parse_crs(given, where="--crs")
         at = np.array([] if photographs.lat_lon is None else [photographs.lat_lon[::-1]]).reshape(-1, 2)
         require_at(crs, at, "the photographs", "--crs")
@@ -160,7 +196,15 @@ def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
     zone = utm_code_of(dict(photographs.headers))
     by = f"the UTM zone of the GPS positions in {position_sources(photographs.headers)}"
     if zone is None and photographs.lat_lon is not None:
-        zone, by = utm_code(*photographs.lat_lon), "the UTM zone of the poses"
+        zone, by = (
+            utm_code(*photographs.lat_lon),
+            f"the UTM zone of the {'control points' if file is None else 'poses'}",
+        )
+    if zone is None and file is None and not photographs.control:
+        raise ConfigError(
+            "nothing tells where the photographs lie: they have no GPS positions, and there are neither poses nor "
+            "control points with marks; add cameras.csv, geo.txt, gcp_list.txt or others of docs/formats.md"
+        )
     if zone is None:
         return None, "neither the photographs nor their poses tell the coordinate reference system (crs)"
     if file is not None and file.crs is None and file.frame in (PoseFrame.GRID, PoseFrame.ENU):
@@ -173,10 +217,12 @@ def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
 def _of_control(photographs: FolderPhotographs) -> tuple[str, str] | None:
     """The projected CRS of control points, as their file states it or by where they lie; None where neither tells."""
     points, place = photographs.control, photographs.lat_lon
-    stated = None if not points or points[0].crs is None else horizontal_crs(points[0].crs)
+    stated = points[0].crs if points else None
     if stated is not None:
-        code = crs_code(stated)
-        return (code, "that of the control points") if code is not None and stated.is_projected else None
+        # Of a CRS without a code, as OpenDroneMap has them, EPSG's that is nearly the same.
+        plan = horizontal_crs(stated)
+        code = crs_code(stated) or (f"EPSG:{epsg}" if (epsg := plan.to_epsg()) is not None else None)
+        return (code, "that of the control points") if code is not None and plan.is_projected else None
     if not points or place is None:
         return None
     zone = CRS(f"EPSG:{utm_code(*place)}")
@@ -193,9 +239,12 @@ def _vertical(
     place = photographs.lat_lon
     systems = () if place is None else height_systems_at(*place)
     listed = tuple(_label(system) for system in systems)
-    chosen = systems[0] if len(systems) == 1 else None
-    if len(systems) > 1 and answers.ask is not None:
-        choice = answers.ask(f"Heights: {'; '.join(listed)}. Code, or empty for EGM96").strip().removeprefix("EPSG:")
+    chosen = systems[0] if len(systems) == 1 else _combined_with(CRS(horizontal), systems)
+    if chosen is None and systems and answers.ask is not None:
+        question = (
+            f"Heights of the water and of control: {'; '.join(listed)}. Code, or empty for mean sea level (EGM96)"
+        )
+        choice = answers.ask(question).strip().removeprefix("EPSG:")
         chosen = next((system for system in systems if str(system.to_epsg()) == choice), None)
         if choice and chosen is None:
             raise ConfigError(f'the answer is "{choice}", expected one of the codes {"; ".join(listed)}')
@@ -210,6 +259,12 @@ def _vertical(
     )
     more += tuple(f"    {system}" for system in listed)
     return EGM96_HEIGHT, f"heights above mean sea level (EGM96), as in {position_sources(photographs.headers)}", more
+
+
+def _combined_with(plan: CRS, systems: Sequence[CRS]) -> CRS | None:
+    """The first of vertical CRSs that EPSG combines with a horizontal one, as a country uses them; None where none."""
+    names = {info.name for info in query_crs_info("EPSG", PJType.COMPOUND_CRS)}
+    return next((system for system in systems if f"{plan.name} + {system.name}" in names), None)
 
 
 def _of_ellipsoidal(

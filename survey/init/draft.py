@@ -5,6 +5,10 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
+from pyproj import CRS
+
+from geo.crs import vertical_crs
 from geo.files import write_whole
 from survey.control.points import GivenPoint
 from survey.control.reading import read_control
@@ -17,8 +21,9 @@ from survey.folder.found import Found, read_headers
 from survey.init.crs import Answers, FolderPhotographs, SettingsTable, write_crs, write_origin
 from survey.photos.images import list_images
 from survey.pose_files import find_poses, read_poses
-from survey.settings.config import SurveyConfig, parse_config
-from survey.sfm.gps import is_whole
+from survey.settings.config import SurveyConfig, parse_config, settings_of
+from survey.sfm.gps import is_whole, positions_in_crs
+from survey.water.index import FRESH_WATER, SEA_WATER, SODIUM_NM
 
 # The form in which TOML extensions of editors find a schema (Taplo, Even Better TOML, Tombi).
 SCHEMA_NAME = "survey.schema.json"
@@ -56,6 +61,12 @@ def write_schema(folder: Path) -> Path:
     return path
 
 
+def settings_or_draft(folder: Path) -> SurveyConfig:
+    """The settings in a folder, else those that `write_settings` would write there."""
+    settings = settings_of(folder)
+    return parse_config(draft(folder, Answers())) if settings is None else settings
+
+
 def write_settings(folder: Path, answers: Answers, *, force: bool = False, names_schema: bool = False) -> Path:
     """Write survey.toml into a folder, with the schema of `write_schema` in its first line if it is to be named there.
 
@@ -71,19 +82,40 @@ def write_settings(folder: Path, answers: Answers, *, force: bool = False, names
     return path
 
 
+def require_settings(folder: Path, answers: Answers) -> Path | None:
+    """Write survey.toml where there is none, and return its path; raise ConfigError where one says other than told."""
+    _require_folder(folder)
+    config = settings_of(folder)
+    if config is None:
+        return write_settings(folder, answers)
+    level_m = None if config.water is None else config.water.level_m
+    for option, told, given in (
+        ("--crs", answers.crs, config.crs),
+        ("--level", answers.level_m, level_m),
+        ("--dry", answers.is_dry or None, config.dry),
+        ("--origin", answers.origin, config.local.origin),
+    ):
+        if told not in (None, given):
+            says = "does not say so" if given is None else f"has {given}"
+            raise ConfigError(
+                f"{option} is {told}, but {folder / FILE_NAME} {says}; change it there, or leave {option} out"
+            )
+    return None
+
+
 def draft(folder: Path, answers: Answers) -> str:
     """Settings in TOML for a folder of photographs, and of poses, control and water levels found with them."""
-    top, images, cameras, water, control, local = (
-        SettingsTable(name) for name in ("", "images", "cameras", "water", "control", "local")
+    top, images, cameras, water, control, area, local = (
+        SettingsTable(name) for name in ("", "images", "cameras", "water", "control", "area", "local")
     )
     top.set("name", folder.resolve().name)
-    inferred = infer.config_of_folder(folder)
-    found = list_images(folder / inferred.images.dir, deep=inferred.images.dir != ".")
-    if inferred.images.dir != "images":
-        images.set("dir", inferred.images.dir)
+    place = infer.image_folder_of(folder)
+    found = list_images(folder / place, deep=place != ".")
+    if place != "images":
+        images.set("dir", place, f"{len(found)} photographs")
     if (folder / "masks").is_dir():
         images.set("masks", "masks", "black is left out")
-    headers, findings = read_headers(folder, folder / inferred.images.dir, found)
+    headers, findings = read_headers(folder, folder / place, found)
     poses = find_poses(folder)
     if poses:
         others = ", ".join(path.relative_to(folder).as_posix() for path in poses[1:])
@@ -104,33 +136,45 @@ def draft(folder: Path, answers: Answers) -> str:
     crs = write_crs(photographs, answers, top, cameras)
     config = parse_config("\n".join(table.text() for table in (top, images, cameras)))
     write_origin(photographs, answers, Found(folder, config, crs, found, headers, photographs.poses_path), local)
-    if answers.is_dry:
-        top.set("dry", True, "no ground is under water")
-    else:
-        _write_water(folder, photographs, answers, water)
+    places = np.array(list(positions_in_crs(headers, crs, config.cameras.gps_height)[0].values())).reshape(-1, 3)
+    if len(places):
+        low, high = places[:, :2].min(axis=0).tolist(), places[:, :2].max(axis=0).tolist()
+        area.add_comments(
+            f"bounds = {[round(each, 1) for each in low + high]}    # of the cameras; without it all is taken"
+        )
+    _write_water(folder, photographs, answers, _heights_of(crs, places), top, water)
     _write_control(folder, control)
-    text = "\n".join(table.text() for table in (top, images, cameras, local, control, water) if table.lines)
+    text = "\n".join(table.text() for table in (top, images, cameras, local, area, control, water) if table.lines)
     parse_config(text)
     return text
 
 
-def _write_water(folder: Path, photographs: FolderPhotographs, answers: Answers, water: SettingsTable) -> None:
+def _heights_of(crs: CRS, places: np.ndarray) -> str:
+    """Heights of a CRS in words, and those of the cameras (N, 3) in it."""
+    vertical = vertical_crs(crs)
+    name = "above the ellipsoid" if vertical is None else f"as {vertical.name}"
+    low, high = (places[:, 2].min(), places[:, 2].max()) if len(places) else (0.0, 0.0)
+    return f"{name}, in which the cameras are at {low:.1f} to {high:.1f}" if len(places) else name
+
+
+def _write_water(
+    folder: Path,
+    photographs: FolderPhotographs,
+    answers: Answers,
+    heights: str,
+    top: SettingsTable,
+    water: SettingsTable,
+) -> None:
     files = {key: name for key in _WATER_FILES if (name := _named(folder, _WATER_FILES[key])) is not None}
-    level = answers.level_m
-    if level is None and not files:
+    if answers.level_m is None and not files and not answers.is_dry:
         num_placed = sum(is_whole(header.lat_lon_height) for header in photographs.headers.values())
         can_do_without = photographs.poses_path is None and num_placed >= _FEWEST_FOR_LEVEL
-        otherwise = (
-            "the height of the water is not known; give it in the heights of crs, e.g. --level 12.34, put a file "
-            "gauge.csv, shoreline.csv or gnss_points.csv (docs/waterline.md) into the folder, or --dry where there is "
-            "no water"
-        )
-        question = "Height of the water in the heights of crs [m]"
-        if can_do_without:
-            question += "; empty: to be found from the photographs"
-        level = answers.number(question, otherwise=None if can_do_without else otherwise)
-    if level is not None:
-        water.set("level_m", level, "height of the water in the heights of crs")
+        answers = answers.with_level(heights, can_do_without=can_do_without)
+    if answers.is_dry:
+        top.set("dry", True, "no ground is under water")
+        return
+    if answers.level_m is not None:
+        water.set("level_m", answers.level_m, "height of the water in the heights of crs")
         water.add_comments(*(f'{key} = "{name}"' for key, name in files.items()))
         water.add_comments("level_std_m = 0.02    # how well it is known, e.g. from a staff")
     elif files:
@@ -141,7 +185,13 @@ def _write_water(folder: Path, photographs: FolderPhotographs, answers: Answers,
         water.add_comments(
             "level_m = 12.34    # not known: found from the photographs, where oblique views cross; better give it"
         )
-    water.add_comments("refractive_index: not certain, taken as that of fresh water, 1.333; the sea has 1.340.")
+    if answers.is_sea:
+        water.set("refractive_index", SEA_WATER, "of the sea")
+        water.set("index_wavelength_nm", SODIUM_NM, "that of handbooks")
+    else:
+        water.add_comments(
+            f"refractive_index: not certain, taken as that of fresh water, {FRESH_WATER}; the sea has {SEA_WATER:.3f}."
+        )
 
 
 def _write_control(folder: Path, control: SettingsTable) -> None:
@@ -168,9 +218,3 @@ def _named(folder: Path, stems: tuple[str, ...]) -> str | None:
     """The file with one of these names, the first of them that is there."""
     file_of = {path.stem.lower(): path for path in sorted(folder.iterdir()) if path.suffix.lower() in _SUFFIXES}
     return next((file_of[stem].name for stem in stems if stem in file_of), None)
-
-
-def require_level_and_dry_apart(answers: Answers) -> None:
-    """Raise ConfigError where both a level and --dry are given."""
-    if answers.is_dry and answers.level_m is not None:
-        raise ConfigError("--dry says that there is no water, and --level gives its height; keep one")

@@ -13,11 +13,11 @@ from geo.errors import GeoError
 from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.errors import SurveyError
-from survey.folder import infer
 from survey.folder.found import Found, find_survey
 from survey.folder.local_frame import water_plane
 from survey.folder.motion import velocities_of, with_motion
 from survey.folder.pairing import read_file_poses
+from survey.init.draft import settings_or_draft
 from survey.photos.cameras import View
 from survey.photos.intersection import projection_and_jacobian
 from survey.run.flight import FLIGHT, load_flight
@@ -118,7 +118,7 @@ def survey_to_mark(folder: Path) -> tuple[SurveyConfig, Found]:
     if not folder.is_dir():
         what = "is a file" if folder.exists() else "does not exist"
         raise SurveyError(f"the survey folder {folder} {what}; expected a folder with photographs")
-    config = infer.settings_or_inferred(folder)
+    config = settings_or_draft(folder)
     bare = replace(config, control=ControlConfig())
     clicks = None if config.water is None else config.water.sources.clicks
     if clicks is not None and not (folder / clicks).is_file():

@@ -69,20 +69,25 @@ def list_images(folder: Path, *, deep: bool = True) -> dict[str, Path]:
     return {path.relative_to(folder).as_posix(): path for path in files}
 
 
-def photographs_elsewhere(folder: Path, but: Path | None = None) -> str:
-    """Where else below a folder photographs lie, or files of other kinds in `but`, as a part of a sentence."""
-    if not folder.is_dir():
-        return ""
+def photographs_below(folder: Path, but: Path | None = None) -> dict[str, int]:
+    """Folders with photographs, by their path in a folder, and how many; outside of `but`, runs and masks.
+
+    Of several folders in one, as of DCIM, it is that one.
+    """
     by_top: dict[str, list[Path]] = defaultdict(list)
-    for path in folder.rglob("*"):
+    for path in sorted(folder.rglob("*")) if folder.is_dir() else ():
         own = path.relative_to(folder)
         is_left_out = is_hidden(own) or own.parts[0] in (RUN_FOLDER, "masks") or (but and path.is_relative_to(but))
         if len(own.parts) > 1 and path.suffix.lower() in SUFFIXES and not is_left_out:
-            by_top[own.parts[0]].append(path.parent)
-    if by_top:
-        top, places = max(by_top.items(), key=lambda item: len(item[1]))
-        common = Path(os.path.commonpath(places)).relative_to(folder).as_posix()
-        return f', but {len(places)} photographs lie in {folder / top}: write [images] dir = "{common}" for them'
+            by_top[own.parts[0]].append(own.parent)
+    return {Path(os.path.commonpath(places)).as_posix(): len(places) for places in by_top.values()}
+
+
+def photographs_elsewhere(folder: Path, but: Path | None = None) -> str:
+    """Where else below a folder photographs lie, or files of other kinds in `but`, as a part of a sentence."""
+    if places := photographs_below(folder, but):
+        place = max(places, key=lambda each: places[each])
+        return f', but {places[place]} photographs lie in {folder / place}: write [images] dir = "{place}" for them'
     kinds = Counter(path.suffix for path in (but.rglob("*") if but else ()) if path.suffix and path.is_file())
     return f", but {kinds.most_common(1)[0][1]} files ending in {kinds.most_common(1)[0][0]}" if kinds else ""
 

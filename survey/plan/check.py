@@ -58,12 +58,12 @@ class Checked:
         return self.warnings if self.level_warning is None else (self.level_warning, *self.warnings)
 
 
-def require_processable(folder: Path, chosen: Choices = USUAL) -> Checked:
-    """Test a survey and the options of its run as `check` and `process` do before any computation."""
+def require_processable(folder: Path, chosen: Choices = USUAL, config: SurveyConfig | None = None) -> Checked:
+    """Test a survey, by its settings or `config`, and the options of its run, before any computation."""
     if chosen.device == Device.cuda:
         device_decision(chosen.device)
     require_dask(chosen)
-    found = find_survey(Path(folder))
+    found = find_survey(Path(folder), config=config)
     if found.config.water is None and (chosen.true_colour or chosen.calibrate_water):
         option = "--true-colour takes the water away" if chosen.true_colour else "--calibrate-water estimates the water"
         raise SurveyError(f"{option}, but the survey has none; leave the option out, or give [water]")

@@ -85,11 +85,11 @@ def reusable_result(stage: Stage, key: Key, job: Job, run: RunDir, *, resume: bo
     name = job.stage_name(stage.name)
     folder = run.finished_stage(name, key, stage.files) if resume else None
     if folder is not None:
-        job.progress.note(f"{name}: used again, nothing that it depends on has changed")
+        job.progress.detail(f"{name}: used again, nothing that it depends on has changed")
         return folder
     why = run.recompute_reason(name, key) if resume else "--no-resume"
     if why is not None:
-        job.progress.note(f"{name}: computed again: {why}")
+        job.progress.detail(f"{name}: computed again: {why}")
     return None
 
 

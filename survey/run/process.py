@@ -130,15 +130,15 @@ def _with_poses(checked: Checked, chosen: Choices, run: RunDir, progress: Progre
     spreads = chosen.scheduler is not None and type(run) is RunDir
     workers = partial(workers_for, chosen.workers or 1, chosen.scheduler, needs, progress.note)
     with computing_on(workers) if spreads else nullcontext():
-        return load_survey(found.folder, found=found, workspace=run.sfm_path, report=progress.note)
+        return load_survey(found.folder, found=found, workspace=run.sfm_path, report=progress.detail)
 
 
 def _announce(survey: Survey, plan: Plan, workload: Workload, progress: Progress) -> None:
     progress.note(f"{survey.name}: {len(survey.views)} views, a pixel covers {length(plan.gsd_m)} of the ground")
-    progress.notes(f"assumed: {text}" for text in survey.findings.assumptions)
+    progress.details(f"assumed: {text}" for text in survey.findings.assumptions)
     for text in survey.findings.warnings:
         progress.warn(text)
-    progress.notes(f"plan: {decision.name}: {decision.choice} ({decision.reason})" for decision in plan.decisions)
+    progress.details(f"plan: {decision.name}: {decision.choice} ({decision.reason})" for decision in plan.decisions)
     progress.note(f"workload: {workload}")
     progress.expect(workload.parts_s)
 

@@ -49,7 +49,7 @@ def use_misfit(job: Job, folder: Path) -> None:
     misfit_px = -1.0 if misfit is None else misfit
     provenance = replace(job.survey.provenance, pose_misfit_px=misfit_px, contradiction=found.contradiction)
     job.use_survey(replace(job.survey, provenance=provenance))
-    job.progress.note(f"plan: poses: {job.plan.pose_choice} ({job.plan.pose_reason})")
+    job.progress.detail(f"plan: poses: {job.plan.pose_choice} ({job.plan.pose_reason})")
 
 
 FILES = (JSON, ARRAYS, CAMERAS, *MODEL)
@@ -75,7 +75,7 @@ def use_adjustment(job: Job, folder: Path) -> None:
     survey = apply_adjustment(job.survey, found)
     sentences = [f"{row.name} {row.verdict}" for row in found.parameters]
     for text in (*sentences, *found.notes):
-        job.progress.note(f"adjustment: {text}")
+        job.progress.detail(f"adjustment: {text}")
     for text in found.warnings:
         job.progress.warn(text)
     job.use_survey(replace(survey, findings=survey.findings + Findings(found.notes, found.warnings)))

@@ -190,15 +190,15 @@ def with_occluded(
             shares(stage),
         )
     if not found.num_boxes:
-        job.progress.note("boxes: none, the cloud has no holes beside depth steps")
+        job.progress.detail("boxes: none, the cloud has no holes beside depth steps")
         return bed, tide
     if found.is_no_bed:
-        job.progress.note(
+        job.progress.detail(
             f"boxes: of {found.num_boxes} beside depth steps hardly any show a bed in the holes of the cloud; none used"
         )
         return bed, tide
     left_out = f" ({found.num_left_out} with fewer left out)" if found.num_left_out else ""
-    job.progress.note(
+    job.progress.detail(
         f"boxes: {found.num_boxes} beside depth steps, where the cloud has holes{left_out}; {len(found.points):,} more "
         "points, on which three photographs or more agree"
     )
@@ -264,10 +264,10 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         std_placed = None
         if of_block is not None:
             of_median = length(median(of_block))
-            job.progress.note(f"std: {of_median} (median) of it from tilt and shift of the block")
+            job.progress.detail(f"std: {of_median} (median) of it from tilt and shift of the block")
             std_placed = of_block if is_placed(survey) else None
         basis = BASIS_STATED if found is None else BASIS_ADJUSTED
-        job.progress.note(f"std_common: {length(median(common))} (median), by {basis}")
+        job.progress.detail(f"std_common: {length(median(common))} (median), by {basis}")
         save_bed(folder, StoredBed(bed, xyz_in_crs, survey.frame.crs, survey.name, job.plan.gsd_m, common, std_placed))
     (folder / GATHERED).unlink(missing_ok=True)
 

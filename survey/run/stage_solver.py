@@ -112,9 +112,9 @@ def _save_waves(job: Job, folder: Path, moved_px: float, waves: Waves | None) ->
     write_json(folder / WAVES, {"moved_px": moved_px, "sea": None if sea is None else asdict(sea)})
     if waves is None or sea is None:
         if job.survey.water is not None:
-            job.progress.note(f"waves: off, {moved}")
+            job.progress.detail(f"waves: off, {moved}")
         return
-    job.progress.note(
+    job.progress.detail(
         f"waves: {moved}; a surface for each: significant wave height {length(sea.significant_height_m)}, slope "
         f"{sea.slope_rms:.3f} rms, peak at a wavelength of {length(sea.peak_length_m)}"
     )

@@ -69,7 +69,7 @@ def sweep_views(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
             finished = with_wide_windows(block, finished, heights, job.swept_ground, make_store)
             save_maps(folder / MAPS, HeightMap, finished)
             consistency = photo_consistency(block, finished, job.whole_camera)
-    job.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(job.survey)}")
+    job.progress.detail(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(job.survey)}")
     names = [view.name for view in job.survey.views]
     _save_of_photographs(
         folder,

@@ -45,4 +45,4 @@ def use_colour(job: Job, folder: Path) -> None:
     note = f"absorption_per_m = [{listed}], from the photographs, and no veiling_light"
     findings = job.survey.findings + Findings(assumptions=(note,))
     job.survey = replace(job.survey, config=replace(job.survey.config, water=water), findings=findings)
-    job.progress.note(f"water colour: {note}")
+    job.progress.detail(f"water colour: {note}")

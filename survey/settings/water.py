@@ -154,12 +154,6 @@ class WaterConfig:
         """Whether a level, or a file of it, is given."""
         return self.level_m is not None or bool(self.sources.named)
 
-    @property
-    def has_no_place(self) -> bool:
-        """Whether nothing here is a place in plan, in crs; photographs have places of their own."""
-        in_plan = (self.level_at, self.sources.shoreline, self.sources.gnss_points, self.sources.surface)
-        return all(each is None for each in in_plan) and self.slope_east == self.slope_north == 0.0
-
     def require_level(self) -> None:
         """Raise ConfigError where neither a level nor a file of it is given.
 

@@ -17,7 +17,7 @@ from survey.photos.texture import MatchedLight
 from survey.settings.config import WaterConfig
 
 # Wavelength of handbooks: the sodium line.
-FRESH_WATER, SODIUM_NM = 1.333, 589.3
+FRESH_WATER, SEA_WATER, SODIUM_NM = 1.333, 1.340, 589.3
 # Std of an assumed index: any water from fresh to that of the sea, 0.007 above, is as likely.
 ASSUMED_INDEX_STD = 0.004
 
@@ -30,7 +30,7 @@ def refractive_index(given: WaterConfig, light: Callable[[], MatchedLight]) -> t
     if given.medium.temperature_c is not None:
         return _of_water(given, given.medium.temperature_c, light())
     if given.refractive_index is None:
-        message = "fresh water (the sea has 1.340, 0.7 % more depth), "
+        message = f"fresh water (the sea has {SEA_WATER:.3f}, 0.7 % more depth), "
         return _converted(FRESH_WATER, SODIUM_NM, light(), message)
     if given.medium.index_wavelength_nm is None:
         return given.refractive_index, Findings()

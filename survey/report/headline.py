@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-
-import numpy as np
 
 from evaluation import IhoS44
 from survey.compare.tables import limits_label
@@ -23,11 +21,14 @@ from survey.display.quantities import (
     share,
     volume,
 )
-from survey.report.facts import Gate, RunVerdict
+from survey.report.facts import WHOLE_STD, Gate, RunVerdict
 from survey.report.figures import ReportFigures
+from survey.report.photographs import left_out_shares
 
 # 95 % of normal errors are within so many standard deviations.
 _SIGMAS_95 = 1.96
+# Values of gates in words, by their unit.
+_OF_UNIT: dict[str, tuple[Callable[[float], str], float]] = {"%": (share, 0.01), "mm": (length, 0.001)}
 # Smaller things than so many ground sampling distances are smoothed away by the windows that are matched.
 _SMALLEST_GSD = 5.0
 
@@ -51,14 +52,23 @@ class Card:
     detail: str = ""
 
 
-def headline(verdict: RunVerdict | None, warnings: tuple[str, ...]) -> Headline:
-    """Green where all gates are met without a warning, amber with one, red where a gate failed."""
+def headline(verdict: RunVerdict | None, warnings: tuple[str, ...], draft_command: str | None = None) -> Headline:
+    """Green where all gates are met without a warning, amber with one, red where a gate failed.
+
+    A draft, of which the command is given, is not judged by the gates of a cloud for use: it is amber.
+    """
     if verdict is None:
         return Headline("unjudged", "Not judged", "No quality gates were applied to this run.", ())
     gates = verdict.gates
     num_failed = sum(not gate.passed for gate in gates)
     if num_failed:
         message = f"{num_failed} of {len(gates)} quality gates {'is' if num_failed == 1 else 'are'} not met."
+        if draft_command is not None:
+            sentence = (
+                "A first look: it shows where a bed is found, and whether settings and flight are right. Of a cloud "
+                f"for use {message} {draft_command.replace('--quality draft', '--quality standard')} makes one."
+            )
+            return Headline("doubtful", "Draft", sentence, gates)
         return Headline("failed", "Failed", f"{message} Do not use the cloud without checking it.", gates)
     all_met = "All quality gates are met"
     if warnings:
@@ -90,12 +100,10 @@ def _of_cloud(figures: ReportFigures) -> Iterator[Card]:
     yield Card("Points of the bed", count(cloud.points), over)
     if (depth := cloud.depth_m) is not None:
         yield Card("Median depth", height(depth.median), f"{height(depth.min)} to {height(depth.max)}")
-    if (std := cloud.std_m) is not None:
-        yield Card("Height std, median", length(std.median), f"95 % below {length(std.p95)}")
     for gate in () if figures.verdict is None else figures.verdict.gates:
-        if gate.unit == "%" and is_known(gate.value):
-            value, limit = share(0.01 * gate.value), share(0.01 * gate.limit)
-            yield Card(gate.name.capitalize(), value, f"{limit} required")
+        if is_known(gate.value) and gate.unit in _OF_UNIT and gate.name != WHOLE_STD:
+            said, scale = _OF_UNIT[gate.unit]
+            yield Card(gate.name.capitalize(), said(scale * gate.value), f"required: {said(scale * gate.limit)}")
 
 
 def _of_flight(figures: ReportFigures) -> Iterator[Card]:
@@ -162,9 +170,7 @@ def coverage(figures: ReportFigures) -> list[Block]:
         ),
         ("no bed, one photograph only", f"{_part(found.one_view_m2, water_m2)}: no second ray to intersect"),
     ]
-    white = [each.saturated for each in figures.photographs]
-    if white:
-        rows.append(("white by glint or exposure", f"{share(float(np.mean(white)))} of the pixels of all photographs"))
+    rows += left_out_shares(figures.photographs)
     if figures.left_out:
         rows.append(("photographs without a pose", f"{len(figures.left_out)}: what they alone show is missing"))
     return [Rows(rows)]

@@ -27,6 +27,7 @@ from survey.report import adjustment_tables, checkpoints, photographs, tables, w
 from survey.report.figures import ReportFigures
 from survey.report.headline import cards, coverage, headline, limitations
 from survey.report.raster import Picture
+from survey.words import Quality
 
 # Headings of the pictures with the names of their files.
 _GROUPS = (
@@ -58,7 +59,7 @@ def render_page(figures: ReportFigures, pictures: list[Picture]) -> str:
         palette=palette,
         survey=figures.survey,
         head_lines=[*photographs.head_lines(figures.taken), *_unit_line()],
-        verdict=headline(figures.verdict, figures.warnings),
+        verdict=headline(figures.verdict, figures.warnings, _draft_command(figures)),
         cards=cards(figures),
         num_warnings=len(figures.warnings),
         groups=_grouped(pictures),
@@ -105,6 +106,11 @@ def _sections(figures: ReportFigures) -> list[Section]:
         Section("Run time", tables.timings(figures.timings_s, figures.total_s)),
         Section("Software versions", [Rows(list(figures.versions.items()))] if figures.versions else []),
     ]
+
+
+def _draft_command(figures: ReportFigures) -> str | None:
+    """The command of a draft; None of another quality."""
+    return figures.settings.get("command") if figures.plan.quality == Quality.draft else None
 
 
 def _unit_line() -> list[str]:

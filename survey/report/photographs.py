@@ -83,38 +83,28 @@ def photograph_warnings(photographs: tuple[PhotographFigures, ...]) -> list[str]
     ]
 
 
-def summary(photographs: tuple[PhotographFigures, ...]) -> list[str]:
-    """Sentences for the log on what is left out of the photographs."""
-    if not photographs:
-        return []
-    white = float(np.mean([each.saturated for each in photographs]))
-    known = [each.outlying for each in photographs if each.outlying is not None]
-    unlike = float(np.mean(known)) if known else 0.0
-    sentences = []
-    if white >= _LEAST_SAID:
-        sentences.append(f"left out as white: {share(white)} of the pixels")
-    if unlike >= _LEAST_SAID:
-        sentences.append(f"{share(unlike)} of the points in a photograph differ from all others and are downweighted")
-    return sentences
+def left_out_shares(photographs: tuple[PhotographFigures, ...]) -> list[tuple[str, str]]:
+    """What is left out of the photographs, in their mean, as labels and shares; without what is 0.0 %."""
+    white = [each.saturated for each in photographs]
+    unlike = [each.outlying for each in photographs if each.outlying is not None]
+    means = {
+        "left out as white, of the pixels": float(np.mean(white)) if white else 0.0,
+        "differing from all others, of the points in a photograph": float(np.mean(unlike)) if unlike else 0.0,
+    }
+    return [(label, share(mean)) for label, mean in means.items() if mean >= _LEAST_SAID]
 
 
 def table(photographs: tuple[PhotographFigures, ...], left_out: Sequence[str] = ()) -> list[Block]:
     """Means over the photographs, those that lose most, and all of them; nothing where there are none."""
-    every = _every(photographs, left_out)
-    if not photographs:
-        return every
-    white = float(np.mean([each.saturated for each in photographs]))
-    rows = [("white, in the mean of all photographs", share(white))]
-    known = [each.outlying for each in photographs if each.outlying is not None]
-    if known:
-        rows.append(("differing from all others, in the mean", share(float(np.mean(known)))))
+    rows = left_out_shares(photographs)
     worst = sorted(photographs, key=lambda each: -each.saturated - (each.outlying or 0.0))
     notable = [each for each in worst if each.saturated > _NOTABLE_WHITE or (each.outlying or 0.0) > _NOTABLE_OUTLYING][
         :_MOST_ROWS
     ]
     cells = [(each.name, share(each.saturated), share(each.outlying)) for each in notable]
     titles = ("photograph", "white, of its pixels", "differing from all others, of the points in it")
-    return [Rows(rows), *([Table(titles, cells)] if cells else []), *every]
+    blocks: list[Block] = [Rows(rows)] if rows else []
+    return [*blocks, *([Table(titles, cells)] if cells else []), *_every(photographs, left_out)]
 
 
 def _every(photographs: tuple[PhotographFigures, ...], left_out: Sequence[str]) -> list[Block]:

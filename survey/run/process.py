@@ -37,6 +37,7 @@ from survey.run.result import Owner
 from survey.run.start_workers import WorkerNeeds, workers_for
 from survey.settings.tables import ProcessConfig
 from survey.sfm.distributed import computing_on
+from survey.words import Quality
 
 QUALITY_GATE_FAILED = 3
 
@@ -115,7 +116,8 @@ def process(
         progress.detail(f"report: {run.report_html_path}")
         for gate in verdict.gates:
             if not gate.passed:
-                progress.warn(f"quality gate: {gate.sentence}; all outputs are written")
+                of = "a draft, for a first look" if job.plan.quality == Quality.draft else "quality gate"
+                progress.warn(f"{of}: {gate.sentence}; all outputs are written")
     return 0 if verdict.passed else QUALITY_GATE_FAILED
 
 

@@ -32,7 +32,7 @@ from survey.plan.tiling import tile_warnings
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.checkpoints import checkpoint_warnings
 from survey.report.facts import RunVerdict, dry_warnings
-from survey.report.photographs import PhotographFigures, photograph_warnings, photographs_of, summary
+from survey.report.photographs import PhotographFigures, left_out_shares, photograph_warnings, photographs_of
 from survey.report.seen_cells import CoverageFigures, SeenCells, cells_of, coverage_of
 from survey.report.waves import WaveFigures
 from survey.run.flight import save_flight
@@ -126,7 +126,7 @@ def _write_report(finished: FinishedRun, stored: StoredBed) -> RunVerdict:
     facts = _facts(finished, stored, options, cells, verdict)
     for text in (*dry_warnings(job.survey, stored.bed), *photograph_warnings(facts.photographs)):
         progress.warn(text)
-    progress.details(summary(facts.photographs))
+    progress.details(f"{label}: {share}" for label, share in left_out_shares(facts.photographs))
     with progress.stage("Report", NUM_STEPS) as stage:
         figures = write_report(folder, facts, stage.advance)
     for text in checkpoint_warnings(figures.checkpoints):

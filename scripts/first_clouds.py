@@ -29,8 +29,6 @@ HOME, USER = "/home/you", 1000
 LEVEL = "584.2"
 # The true bed less 30 cm at its edge.
 BOUNDS = "676115.3 5311475.8 676124.7 5311484.2"
-# Longer output is cut in the middle: so many of its first (of process, one) and last lines stay.
-HEAD, TAIL = 11, 6
 # The first is shown, all are compared with the true bed.
 SURVEYS = ("photographs", "metashape", "odm", "colmap")
 
@@ -89,17 +87,12 @@ def install(root: Path, wheel: str, has_wheels: bool) -> str:
 
 
 def try_survey(root: Path, name: str) -> str:
-    """The section of a survey: its three commands with what they print."""
-    commands = [
-        f"bathynerf init {name} --level {LEVEL}",
-        f"bathynerf check {name}",
-        f"bathynerf process {name} --quality draft",
-    ]
-    shown = ["## From photographs alone\n\nPhotographs of a drone with RTK positions, and nothing else.\n"]
-    for command in commands:
-        lines = cut(run(root, command), 1 if " process " in command else HEAD)
-        shown.append(f"    $ {command}\n" + indented(lines))
-    return "\n".join(shown)
+    """The section of a survey: its command with what it prints."""
+    command = f"bathynerf process {name} --level {LEVEL} --quality draft"
+    return (
+        "## From photographs alone\n\nPhotographs of a drone with RTK positions, and nothing else.\n\n"
+        f"    $ {command}\n{indented(transcript(run(root, command)))}"
+    )
 
 
 def compared(root: Path) -> str:
@@ -121,12 +114,9 @@ def millimetres(line: str) -> str:
     return f"{1000 * float(mean):.1f} mm | {1000 * float(std):.1f} mm"
 
 
-def cut(text: str, head: int) -> list[str]:
-    """The lines of a transcript without times of the day, of a long one the first ``head`` and the last."""
-    lines = [re.sub(r"^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d ", "", line.rstrip()) for line in text.splitlines()]
-    if len(lines) > head + TAIL + 2:
-        return [*lines[:head], f"... ({len(lines) - head - TAIL} lines)", *lines[-TAIL:]]
-    return lines
+def transcript(text: str) -> list[str]:
+    """The lines of a transcript without times of the day."""
+    return [re.sub(r"^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d ", "", line.rstrip()) for line in text.splitlines()]
 
 
 def indented(lines: list[str]) -> str:
@@ -139,14 +129,13 @@ def indented(lines: list[str]) -> str:
 
 def page(parts: list[str]) -> str:
     head = (
-        "# The first cloud, in three commands\n\n"
-        "`init` writes survey.toml from what a folder holds, `check` says what would be done, `process` does it. What "
-        "follows\nwas run in a bare Debian with Python and nothing else, by a user without rights "
-        "(`scripts/first_clouds.py`), on a drawn\nsurvey of 18 photographs of 480 x 360 px (`examples/exports.py`); "
-        "the text is the terminal's, cut where it is long. The\nwater stands at 584.2 m: `--level` is what no file "
-        "tells. Poses of\n"
-        "[Metashape](from-metashape.md), [OpenDroneMap](from-odm.md) and [COLMAP](from-colmap.md) take the same three "
-        "commands.\n"
+        "# The first cloud, in one command\n\n"
+        "`process` writes survey.toml from what a folder holds, with a comment at everything that it assumed, and "
+        "computes the\ncloud. The output below is from a bare Debian with Python alone, without root "
+        "(`scripts/first_clouds.py`), for a\nsimulated survey of 18 photographs of 480 x 360 px "
+        "(`examples/exports.py`). The water stands at 584.2 m, which no file\nstates: `--level`; on a terminal it is "
+        "asked for. Poses of [Metashape](from-metashape.md), [OpenDroneMap](from-odm.md)\nand "
+        "[COLMAP](from-colmap.md) take the same command.\n"
     )
     return "\n".join([head, *parts]).rstrip() + "\n"
 

@@ -15,14 +15,13 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
 
-import drjit
 import numpy as np
 import torch
 from gallery_canvas import BLUE, IN_WATER, RED, canvas, label, save
@@ -51,70 +50,17 @@ class Library:
     Attributes
     ----------
     name : str
-    vectors, numbers : from numpy (K, 3) and (K,) into the library
-    back : vectors of the library to float64 (K, 3)
-    finish : waits until results are there
-    backward : of vectors and a function of them: the gradient of the sum of its vectors; None without gradients
+    array : from numpy into the library
     """
 
     name: str
-    vectors: Callable[[np.ndarray], Any]
-    numbers: Callable[[np.ndarray], Any]
-    back: Callable[[Any], np.ndarray]
-    finish: Callable[[Any], None]
-    backward: Callable[[Any, Callable], None] | None
+    array: Callable[[np.ndarray], Any]
 
 
-def libraries() -> Iterator[Library]:
-    """All that are installed; Dr.Jit on each backend that it finds."""
-    yield Library("numpy float64", np.asarray, np.asarray, np.asarray, _nothing, None)
-    for bits in (32, 64):
-        yield _torch(bits)
-    for backend in (drjit.JitBackend.LLVM, drjit.JitBackend.CUDA):
-        if drjit.has_backend(backend):
-            for bits in (32, 64):
-                yield _drjit(backend, bits)
-
-
-def _nothing(result) -> None:
-    """Results of numpy and of torch on the CPU are there when the call returns."""
-
-
-def _torch(bits: int) -> Library:
-    dtype = getattr(torch, f"float{bits}")
-
-    def array(values):
-        return torch.tensor(values, dtype=dtype)
-
-    def backward(points, function):
-        function(points.detach().requires_grad_()).sum().backward()
-
-    return Library(f"torch float{bits}", array, array, lambda v: v.double().numpy(), _nothing, backward)
-
-
-def _drjit(backend, bits: int) -> Library:
-    module = (drjit.llvm if backend == drjit.JitBackend.LLVM else drjit.cuda).ad
-    suffix = "64" if bits == 64 else ""
-    Vector, Float = getattr(module, f"Array3f{suffix}"), getattr(module, f"Float{suffix}")
-
-    def finish(result):
-        drjit.eval(result)
-        drjit.sync_thread()
-
-    def backward(points, function):
-        leaf = Vector(drjit.detach(points))
-        drjit.enable_grad(leaf)
-        drjit.backward(sum(function(leaf)))
-        finish(drjit.grad(leaf))
-
-    return Library(
-        f"Dr.Jit float{bits} ({backend.name})",
-        lambda v: Vector(np.ascontiguousarray(v.T, f"float{bits}")),
-        lambda v: Float(np.ascontiguousarray(v, f"float{bits}")),
-        lambda v: np.asarray(v, np.float64).T,
-        finish,
-        backward,
-    )
+LIBRARIES = (
+    Library("numpy float64", np.asarray),
+    *(Library(f"torch float{bits}", partial(torch.tensor, dtype=getattr(torch, f"float{bits}"))) for bits in (32, 64)),
+)
 
 
 def seconds(run: Callable[[], None]) -> float:
@@ -210,25 +156,29 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1))
 
 
+def _double(vectors: Any) -> np.ndarray:
+    return np.asarray(vectors, np.float64)
+
+
 def round_trip(library: Library, H, h, steps: int) -> np.ndarray:
     """Angles [rad] between rays and the directions in which their points appear: project after trace."""
     centres, rays, depths = extreme_rays(H, h)
-    centre, ray = library.vectors(centres), library.vectors(rays)
-    points = trace(centre, ray, WATER).at_height(library.numbers(-depths), WATER)
-    return angle_between(library.back(project(points, centre, WATER, steps=steps).direction), library.back(ray))
+    centre, ray = library.array(centres), library.array(rays)
+    points = trace(centre, ray, WATER).at_height(library.array(-depths), WATER)
+    return angle_between(_double(project(points, centre, WATER, steps=steps).direction), _double(ray))
 
 
 def drone_errors(library: Library) -> list[np.ndarray]:
     """Angles [rad] between the directions of `project` after each number of steps and the true ones."""
     cameras, rays, points = drone_geometry()
-    centre, point = library.vectors(cameras), library.vectors(points)
-    return [angle_between(library.back(project(point, centre, WATER, steps=steps).direction), rays) for steps in STEPS]
+    centre, point = library.array(cameras), library.array(points)
+    return [angle_between(_double(project(point, centre, WATER, steps=steps).direction), rays) for steps in STEPS]
 
 
 def of_steps(library: Library) -> list[dict]:
     """Time and errors of `project` after each number of steps, with and without gradients, and those of `trace`."""
     cameras, rays, points = drone_geometry()
-    centre, ray, point = (library.vectors(v) for v in (cameras, rays, points))
+    centre, ray, point = (library.array(v) for v in (cameras, rays, points))
     H, h = np.geomspace(1e-3, 1e4, 10), np.concatenate([[0.0], np.geomspace(1e-6, 1e3, 10)])
 
     def down(direction):
@@ -236,8 +186,9 @@ def of_steps(library: Library) -> list[dict]:
         return path.crossing + path.water_direction
 
     def pair(function, leaf):
-        plain = seconds(lambda: library.finish(function(leaf)))
-        graded = None if library.backward is None else seconds(lambda: library.backward(leaf, function))
+        plain, graded = seconds(lambda: function(leaf)), None
+        if torch.is_tensor(leaf):
+            graded = seconds(lambda: function(leaf.detach().requires_grad_()).sum().backward())
         return plain / COUNT * 1e9, graded and graded / COUNT * 1e9
 
     plain, graded = pair(down, ray)
@@ -279,7 +230,7 @@ def bound(ratio: np.ndarray) -> np.ndarray:
     return HALF_UNIT * (2.0 + np.sqrt(2.0) * turn.max(axis=1))
 
 
-def picture(every: list[Library], path: Path) -> None:
+def picture(every: Sequence[Library], path: Path) -> None:
     """Left, error against steps over drone geometry; right, error against the ratio of depth to height, with its bound.
 
     Libraries of one precision differ in the last digits alone: each precision has one colour.
@@ -319,13 +270,12 @@ def main() -> None:
     parser.add_argument("--plain", action="store_true", help="measure only torch beside plain lines")
     arguments = parser.parse_args()
     torch.set_num_threads(os.cpu_count() or 1)
-    every = list(libraries())
     if arguments.picture:
-        picture(every, PICTURE)
+        picture(LIBRARIES, PICTURE)
         return
     sys.stdout.write(plain_table(*drone_geometry(), WATER) + "\n")
     if not arguments.plain:
-        records = [record for library in every for record in of_steps(library)]
+        records = [record for library in LIBRARIES for record in of_steps(library)]
         sys.stdout.write("\n" + error_table(records) + "\n")
 
 

@@ -4,7 +4,7 @@
 
 Prints a table: microseconds per ray for the way down (intersect, normal, bend), per point
 for the way back up, the same as multiples of flat water, and the share of points seen along the traced ray, along
-another path, and along none. Then the same swell on Dr.Jit.
+another path, and along none.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from refract.curved import BicubicWater, WavyWater
 from refract.surfaces import FlatWater
 
 COUNT = 20_000
-DRJIT_COUNT = 500_000
 STEPS = 4
 # Directions nearer to each other than this are those of one path.
 SAME_RAD = 1e-9
@@ -99,34 +98,7 @@ def main() -> None:
             + "".join(f"| {share:.1%} " for share in shares)
             + f"| {angle[same].max():.0e} |"
         )
-    sys.stdout.write("\n".join(rows) + "\n" + on_drjit())
-
-
-def on_drjit() -> str:
-    """A sentence on the swell in Dr.Jit, if it runs here."""
-    import drjit
-
-    if not drjit.has_backend(drjit.JitBackend.LLVM):
-        return "Dr.Jit finds no LLVM here\n"
-    from drjit.llvm import Float64
-
-    (_, swell, depth, _) = list(surfaces())[2]
-    camera, ray = (tuple(map(Float64, v)) for v in drone_rays(DRJIT_COUNT))
-    drjit.eval(camera, ray)
-
-    def timed(task):
-        def evaluated():
-            result = task()
-            drjit.eval(result)
-            drjit.sync_thread()
-            return result
-
-        return best_time(evaluated)
-
-    seconds_down, bed = timed(lambda: down(swell, camera, ray, depth))
-    seconds_up, _ = timed(lambda: swell.crossing(camera, bed, STEPS)[0])
-    rates = (DRJIT_COUNT / seconds / 1e6 for seconds in (seconds_down, seconds_up))
-    return "The swell on Dr.Jit (LLVM, float64): {:.1f} M rays/s down, {:.1f} M points/s up\n".format(*rates)
+    sys.stdout.write("\n".join(rows) + "\n")
 
 
 if __name__ == "__main__":

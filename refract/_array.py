@@ -1,7 +1,8 @@
 """Array namespace: the functions that numpy, torch and Dr.Jit name differently, so that formulas are written once.
 
-The optics are written once, component by component, and run unchanged on numpy (float64, the oracle),
-torch (float32 or float64, differentiable) and Dr.Jit (compiled for CPU or GPU).
+The optics are written once, component by component (`refract.kernels`), and run unchanged on numpy (float64, the
+oracle), torch (float32 or float64, differentiable) and Dr.Jit (compiled for CPU or GPU). Arrays of vectors, and curved
+surfaces, are those of numpy and torch.
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ def _is_array(x) -> bool:
 # `double` and `like` convert arrays to float64 and to the precision of the second argument, and leave plain numbers
 # alone; `fixed` detaches a value from its derivatives, and `tracked`
 # says whether any argument may carry some, in reverse or forward mode; `eps` is the spacing of numbers near one;
-# `orders` is the number of orders of derivatives; `same` is the value of a mask that is the same everywhere, None if it
-# is not, or if knowing it would mean waiting for the device; `none` says whether a mask holds nowhere, false where that
-# cannot be read, and has Dr.Jit evaluate the state of a loop.
+# `same` is the value of a mask that is the same everywhere, None if it is not, or if knowing it would mean waiting for
+# the device. Of numpy and torch alone: `orders` is the number of orders of derivatives, and `none` says whether a mask
+# holds nowhere, false where that cannot be read.
 _NUMPY = SimpleNamespace(
     name="numpy", sqrt=np.sqrt, sin=np.sin, cos=np.cos, atan=np.arctan, exp=np.exp, isnan=np.isnan,
     where=np.where, minimum=np.minimum, maximum=np.maximum, abs=np.abs,
@@ -38,7 +39,7 @@ _NUMPY = SimpleNamespace(
     fixed=lambda x: x,
     tracked=lambda *arrays: False,
     same=lambda mask: _same(mask),
-    none=lambda mask, *state: not mask.any(),
+    none=lambda mask: not mask.any(),
 )  # fmt: skip
 
 
@@ -132,20 +133,12 @@ def root(value):
 
 def alike(*values) -> tuple:
     """`values`, plain numbers included, as arrays of the one library found among them; numpy becomes float64."""
-    if namespace(*values).name != "drjit":
-        return common(**{f"argument {k}": value for k, value in enumerate(values, start=1)})
-    like = next(type(value) for value in values if namespace(value).name == "drjit")
-    return tuple(like(value) for value in values)
+    return common(**{f"argument {k}": value for k, value in enumerate(values, start=1)})
 
 
 def as_numpy(array) -> np.ndarray:
-    """A copy in numpy float64 of an array of any library, without its gradient."""
-    library = namespace(array).name
-    if library == "torch":
-        array = array.detach().cpu()
-    elif library == "drjit":
-        array = sys.modules["drjit"].detach(array)
-    return np.asarray(array, dtype=np.float64)
+    """A copy in numpy float64 of an array of numpy or torch, without its gradient."""
+    return np.asarray(array.detach().cpu() if namespace(array).name == "torch" else array, dtype=np.float64)
 
 
 # Elements of a block: a dozen temporaries of 64 kB each stay in the L2 cache, and no new page is allocated.
@@ -163,12 +156,12 @@ def in_blocks(function, *arrays) -> tuple[np.ndarray, ...]:
 
 
 def common(**arrays) -> tuple:
-    """The named arguments in one library: Dr.Jit or torch if any of them is, else numpy float64.
+    """The named arguments in one library: torch if any of them is, else numpy float64.
 
-    Raises ValueError: naming the arguments and their shapes.
+    Raises ValueError: naming the arguments and their shapes; TypeError if an array is Dr.Jit's.
     """
-    if any(_is_drjit(a) for a in arrays.values()):
-        return _common_drjit(arrays)
+    if any(namespace(a).name == "drjit" for a in arrays.values()):
+        raise TypeError("expected arrays of numpy or torch, got Dr.Jit's; refract.kernels takes their components")
     torch = sys.modules.get("torch")
     tensors = [a for a in arrays.values() if torch is not None and torch.is_tensor(a)]
     like = None
@@ -179,55 +172,13 @@ def common(**arrays) -> tuple:
     try:
         np.broadcast_shapes(*shapes.values())
     except ValueError:
-        raise _cannot_broadcast(shapes) from None
+        found = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+        raise ValueError(f"expected shapes that broadcast against each other, got {found}") from None
     return same
-
-
-def _is_drjit(array) -> bool:
-    return namespace(array).name == "drjit"
-
-
-def _cannot_broadcast(shapes: dict[str, tuple]) -> ValueError:
-    found = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
-    return ValueError(f"expected shapes that broadcast against each other, got {found}")
-
-
-def _common_drjit(arrays: dict) -> tuple:
-    """`common` for Dr.Jit: vectors are Array3f or Array3f64, of shape (3, rays); numpy vectors (..., 3) join them."""
-    import drjit
-
-    leaf = next(drjit.leaf_t(a) for a in arrays.values() if _is_drjit(a))
-
-    def convert(array):
-        if _is_drjit(array):
-            return array
-        array = as_numpy(array)
-        if array.ndim == 0:
-            return leaf(float(array))
-        return _vector(*(leaf(np.ascontiguousarray(array[..., c]).ravel()) for c in range(array.shape[-1])))
-
-    same = tuple(convert(a) for a in arrays.values())
-    if len({drjit.width(a) for a in same} - {1}) > 1:
-        raise _cannot_broadcast({name: tuple(a.shape) for name, a in zip(arrays, same, strict=True)})
-    return same
-
-
-def _vector(*components):
-    """The Dr.Jit vector of Dr.Jit components, in double precision if any of them is."""
-    import drjit
-
-    like = sum(components)
-    module = sys.modules[type(like).__module__]
-    suffix = "f64" if drjit.type_v(like) == drjit.VarType.Float64 else "f"
-    return getattr(module, f"Array{len(components)}{suffix}")(*components)
 
 
 def components(vectors):
-    """The x, y, z arrays of vectors: last axis of length 3 in numpy and torch, Array3f or Array3f64 in Dr.Jit."""
-    if _is_drjit(vectors):
-        if sys.modules["drjit"].size_v(vectors) != 3 or vectors.ndim != 2:
-            raise ValueError(f"expected vectors Array3f or Array3f64 of shape (3, ...), got {tuple(vectors.shape)}")
-        return vectors[0], vectors[1], vectors[2]
+    """The x, y, z arrays of vectors (..., 3)."""
     if vectors.ndim == 0 or vectors.shape[-1] != 3:
         raise ValueError(f"expected vectors of shape (..., 3), got {tuple(vectors.shape)}")
     return vectors[..., 0], vectors[..., 1], vectors[..., 2]
@@ -236,8 +187,6 @@ def components(vectors):
 def stack(x, y, z):
     """The inverse of `components`, broadcasting the three arrays, or plain numbers, against each other."""
     xp = namespace(x, y, z)
-    if xp.name == "drjit":
-        return _vector(x, y, z)
     if xp.name == "torch" and xp.tracked(x, y, z):
         import torch
 

@@ -1,27 +1,21 @@
-"""Checks of arguments: numbers of a water surface, their ranges, and empty arrays.
+"""Checks of arguments: numbers of a water surface, and their ranges.
 
-Numbers are plain ones, or arrays of any library, which may carry gradients. Impossible values are errors; values
-outside the range to which a formula was fitted are warnings. Dr.Jit cannot combine empty arrays with numbers: functions
-are called with one NaN (or zero) instead.
+Numbers are plain ones, or arrays of numpy or torch, which may carry gradients. Impossible values are errors; values
+outside the range to which a formula was fitted are warnings.
 """
 
 from __future__ import annotations
 
-import copy
-import math
-import sys
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import fields, is_dataclass
-from functools import cache, wraps
 
 import numpy as np
 
-from refract._array import as_like, as_numpy, compiling, namespace, transformed
+from refract._array import as_like, as_numpy, namespace, transformed
 
 
 def number(value):
-    """A plain number as float, several as numpy float64; arrays of torch and Dr.Jit as they are."""
+    """A plain number as float, several as numpy float64; arrays of torch as they are."""
     if namespace(value).name != "numpy":
         return value
     array = np.asarray(value, dtype=np.float64)
@@ -46,7 +40,7 @@ def in_library(value, like):
     xp = namespace(like)
     if not isinstance(value, np.ndarray) or xp.name == "numpy":
         return value
-    return type(xp.double(like))(value.ravel()) if xp.name == "drjit" else as_like(value, xp.double(like))
+    return as_like(value, xp.double(like))
 
 
 class OutsideFit(UserWarning):
@@ -72,58 +66,3 @@ def warn_outside(model: str, ranges: Mapping[str, tuple[float, float]], *, stack
         if outside.size:
             message = f"{name} is {outside[0]:g}, outside the range {low:g} to {high:g} of {model}"
             warnings.warn(message, OutsideFit, stacklevel=stacklevel)
-
-
-def of_any_size(function):
-    """Decorator: if a Dr.Jit array in the arguments, or in a dataclass among them, is empty, so are all results."""
-
-    @wraps(function)
-    def call(*args, **options):
-        drjit = None if compiling() else sys.modules.get("drjit")
-        if drjit is None or not any(_has_empty(drjit, each) for each in (*args, *options.values())):
-            return function(*args, **options)
-
-        def filled(array):
-            if drjit.width(array):
-                return array
-            return type(array)(math.nan) if drjit.is_float_v(array) else drjit.zeros(type(array), 1)
-
-        found = function(
-            *(_mapped(drjit, each, filled) for each in args),
-            **{name: _mapped(drjit, each, filled) for name, each in options.items()},
-        )
-        return _mapped(drjit, found, lambda array: drjit.zeros(type(array), 0))
-
-    return call
-
-
-# Most arguments: asking Dr.Jit about each would take as long as some calls.
-_NOT_OF_DRJIT = (np.ndarray, float, int, type(None))
-
-
-@cache
-def _names_of_fields(kind: type) -> tuple[str, ...]:
-    return tuple(each.name for each in fields(kind))
-
-
-def _has_empty(drjit, value) -> bool:
-    if isinstance(value, _NOT_OF_DRJIT):
-        return False
-    if isinstance(value, tuple | list):
-        return any(_has_empty(drjit, each) for each in value)
-    if is_dataclass(value) and not isinstance(value, type):
-        return any(_has_empty(drjit, getattr(value, name)) for name in _names_of_fields(type(value)))
-    return drjit.is_array_v(value) and drjit.width(value) == 0
-
-
-def _mapped(drjit, value, change):
-    """The same value with its Dr.Jit arrays changed; dataclasses are copied without their own checks."""
-    if isinstance(value, tuple | list):
-        changed = [_mapped(drjit, each, change) for each in value]
-        return type(value)(*changed) if hasattr(value, "_fields") else type(value)(changed)
-    if is_dataclass(value) and not isinstance(value, type):
-        other = copy.copy(value)
-        for each in fields(value):
-            object.__setattr__(other, each.name, _mapped(drjit, getattr(value, each.name), change))
-        return other
-    return change(value) if drjit.is_array_v(value) else value

@@ -10,11 +10,6 @@ import drjit
 dr: Any = drjit  # says nothing of its types
 
 
-def none(mask, *state) -> bool:
-    dr.eval(mask, *state)
-    return not dr.any(mask)
-
-
 NAMESPACE = SimpleNamespace(
     name="drjit", sqrt=dr.sqrt, sin=dr.sin, cos=dr.cos, atan=dr.atan, exp=dr.exp, isnan=dr.isnan,
     where=dr.select, minimum=dr.minimum, maximum=dr.maximum, abs=dr.abs,
@@ -22,8 +17,6 @@ NAMESPACE = SimpleNamespace(
     double=lambda x: dr.float64_array_t(type(x))(x) if dr.is_array_v(x) else x,
     like=lambda x, other: type(other)(x),
     eps=lambda x: 2.0 * dr.epsilon(x),
-    orders=1,
     same=lambda mask: None,
-    none=none,
     fixed=dr.detach, tracked=lambda *arrays: any(dr.is_array_v(x) and dr.grad_enabled(x) for x in arrays),
 )  # fmt: skip

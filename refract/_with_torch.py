@@ -66,5 +66,5 @@ NAMESPACE = SimpleNamespace(
     eps=lambda x: torch.finfo(x.dtype).eps,
     orders=2,
     fixed=if_tensor(torch.Tensor.detach), tracked=tracked, same=same,
-    none=lambda mask, *state: not transformed() and not mask.any(),
+    none=lambda mask: not transformed() and not mask.any(),
 )  # fmt: skip

@@ -1,8 +1,7 @@
 """Refractive index of water relative to air, from wavelength, temperature and salinity, and for mixed channels.
 
-All arguments may be plain numbers or arrays of one library (numpy, torch, Dr.Jit), which broadcast against each
-other; results are differentiable in all of them. The ranges of arrays are checked, so Dr.Jit evaluates
-them. NaN gives NaN.
+All arguments may be plain numbers or arrays of numpy or torch, which broadcast against each other; results are
+differentiable in all of them. NaN gives NaN.
 
 An index *relative to air* is what Snell's law at the water surface takes, with 1 for the air above: an absolute one,
 relative to vacuum, over the index of air, 1.00027.
@@ -19,7 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from refract._array import alike, as_numpy
-from refract._numbers import of_any_size, require, warn_outside
+from refract._numbers import require, warn_outside
 
 # Effective wavelengths of red, green and blue of a camera in daylight. Sensors differ by some 10 nm, which changes the
 # index by 3e-4 in the red and 6e-4 in the blue: 0.02 and 0.04 % of the depth.
@@ -33,7 +32,6 @@ _SHORTEST_NM, _LONGEST_NM, _HALVINGS = 400.0, 700.0, 40
 USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU = 15.0, 0.0
 
 
-@of_any_size
 def water_index(wavelength_nm, temperature_c, salinity_psu):
     """Refractive index of fresh or sea water relative to air, after Quan and Fry.
 
@@ -79,7 +77,6 @@ def water_index(wavelength_nm, temperature_c, salinity_psu):
     )
 
 
-@of_any_size
 def channel_indices(temperature_c, salinity_psu, wavelengths_nm=CHANNEL_WAVELENGTHS_NM):
     """`water_index` at the effective wavelengths of the channels of a camera: by default of red, green, blue.
 
@@ -93,7 +90,6 @@ def channel_indices(temperature_c, salinity_psu, wavelengths_nm=CHANNEL_WAVELENG
     return tuple(water_index(wavelength, temperature_c, salinity_psu) for wavelength in wavelengths_nm)
 
 
-@of_any_size
 def freezing_point(salinity_psu):
     """Temperature [deg C] at which water of a salinity [per mille] freezes at one atmosphere.
 
@@ -117,7 +113,7 @@ def _water(wavelength_nm, temperature_c, salinity_psu):
             f"temperature_c is {found[frozen][0]:g}, but this water freezes at {freezes[frozen][0] + 0.0:.2f}; "
             "correct it, or salinity_psu"
         )
-    warn_outside("Quan and Fry (1995)", _FITTED, stacklevel=5, wavelength_nm=wave, temperature_c=t, salinity_psu=s)
+    warn_outside("Quan and Fry (1995)", _FITTED, stacklevel=4, wavelength_nm=wave, temperature_c=t, salinity_psu=s)
     return wave, t, s
 
 

@@ -8,7 +8,7 @@ from typing import Any, final
 
 from refract import kernels
 from refract._array import common, components, namespace, quiet, spread, stack
-from refract._numbers import in_library, of_any_size
+from refract._numbers import in_library
 from refract.snell import Regime, regime_counts
 from refract.surfaces import FlatWater, WaterSurface, derivable, height_over, require_surface
 
@@ -30,7 +30,6 @@ class BentPaths:
     tide: float = 0.0  # [m]: how high the surface that bent the rays stands over the one that heights count from
 
     @property
-    @of_any_size
     def regime(self):
         """`Regime` of each ray, (...) int."""
         xp = namespace(self.air_length)
@@ -52,7 +51,6 @@ class BentPaths:
         up = (0.0, 0.0, by)
         return replace(self, origin=self.origin + up, crossing=self.crossing + up, tide=self.tide + by)
 
-    @of_any_size
     @quiet
     def at(self, t):
         """Points (..., 3) [m] at path length ``t`` (...) [m] from the camera, air and water legs together.
@@ -69,7 +67,6 @@ class BentPaths:
         points = kernels.point_at_distance(crossing, water_direction, t - t_air)
         return stack(*kernels.chosen(valid, points, math.nan))
 
-    @of_any_size
     def at_height(self, height, water: FlatWater | None):
         """Points (..., 3) [m] where the paths are ``height`` (...) [m] above the water plane.
 
@@ -92,7 +89,6 @@ class BentPaths:
         return stack(*kernels.chosen(valid, tuple(xp.like(p, self.air_length) for p in points), math.nan))
 
 
-@of_any_size
 @quiet
 def trace(origin, direction, surface: WaterSurface | None) -> BentPaths:
     """Bend camera rays at the water surface.
@@ -102,7 +98,7 @@ def trace(origin, direction, surface: WaterSurface | None) -> BentPaths:
 
     Parameters
     ----------
-    origin, direction : (..., 3) numpy, torch, or Dr.Jit Array3f or Array3f64; local [m] and unit
+    origin, direction : (..., 3) numpy or torch; local [m] and unit
         Camera centres and directions of view; they broadcast.
     surface : WaterSurface or None
         None leaves every ray straight and dry.
@@ -149,11 +145,7 @@ def _paths(origin, direction, refracted, wet, parallel) -> BentPaths:
     crossing, air_length, bent = refracted
     xp, like = namespace(air_length), components(direction)[0]
     air_length = xp.like(air_length, like)
-    zero = air_length * 0.0
     crossing, bent = (stack(*(xp.like(v, like) for v in c)) for c in (crossing, bent))
-    if xp.name == "drjit":
-        origin, direction, bent = (stack(*(v + zero for v in components(c))) for c in (origin, direction, bent))
-        return BentPaths(origin, direction, crossing, air_length, bent, wet, parallel)
     air_length, wet, parallel = spread(air_length, wet, parallel, bent[..., 0])[:3]
     origin, direction, crossing, bent = spread(origin, direction, crossing, bent)
     return BentPaths(origin, direction, crossing, air_length, bent, wet, parallel)

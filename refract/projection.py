@@ -8,7 +8,6 @@ from typing import Any, final
 
 from refract import kernels
 from refract._array import common, components, namespace, quiet, spread, stack
-from refract._numbers import of_any_size
 from refract.snell import Regime, regime_counts
 from refract.surfaces import FlatWater, WaterSurface, derivable, height_over, require_surface
 
@@ -47,21 +46,18 @@ class Projection:
     _first: tuple = field(repr=False)
 
     @property
-    @of_any_size
     @quiet
     def crossing(self):
         """See the class."""
         return _stacked(self._valid, kernels.minus(self._point, self._legs[1]), self.depth)
 
     @property
-    @of_any_size
     @quiet
     def air_length(self):
         """See the class."""
         return self._select(0.0, _length(*self._first))
 
     @property
-    @of_any_size
     @quiet
     def water_length(self):
         """See the class."""
@@ -74,7 +70,6 @@ class Projection:
         return xp.where(self._valid, xp.like(number, self.depth), math.nan)
 
     @property
-    @of_any_size
     def regime(self):
         """`Regime` of each ray, (...) int."""
         xp, length = namespace(self.depth), self.air_length + self.water_length
@@ -106,7 +101,6 @@ def _stacked(keep, triple, like):
     return stack(*kernels.chosen(keep, tuple(xp.like(v, like) for v in triple), math.nan))
 
 
-@of_any_size
 @quiet
 def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_STEPS) -> Projection:
     """Projection of points of the bed into a camera: the least optical path (Fermat) through the surface.
@@ -117,7 +111,7 @@ def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_
 
     Parameters
     ----------
-    points : (..., 3) [m], local; numpy, torch, or a Dr.Jit Array3f or Array3f64
+    points : (..., 3) [m], local; numpy or torch
     camera : (3,) or (..., 3) [m], local
         Camera centre.
     surface : WaterSurface or None
@@ -144,8 +138,7 @@ def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_
     direction = _stacked(seen, tuple(c * inverse for c in legs[0]), point[0])
     depth = xp.where(valid, xp.like(depth, point[0]), math.nan)
     numbers = depth, wet, valid & below
-    if xp.name != "drjit":
-        numbers = spread(*numbers, direction[..., 0])[:3]
+    numbers = spread(*numbers, direction[..., 0])[:3]
     return Projection(
         direction, *numbers, _valid=valid, _point=kernels.double(point), _legs=legs, _first=(squared, inverse)
     )
@@ -178,7 +171,6 @@ def _legs(point, centre, surface, steps: int) -> tuple:
     return legs, depth, below
 
 
-@of_any_size
 @quiet
 def crossing_point(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_STEPS):
     """Point of the water surface (..., 3) [m], local, through which the camera sees a point of the bed.

@@ -8,7 +8,7 @@
     R_s = ((a - b) / (a + b))^2     T_s = 4 a b / (a + b)^2       electric field along the surface
     R_p = ((c - d) / (c + d))^2     T_p = 4 c d / (c + d)^2       electric field in the plane of incidence
 
-(M. Born and E. Wolf, Principles of Optics, section 1.5.) Numpy, torch and Dr.Jit alike.
+(M. Born and E. Wolf, Principles of Optics, section 1.5.)
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 
 from refract import kernels
 from refract._array import alike, as_numpy, common, components, namespace, quiet, stack
-from refract._numbers import hold, of_any_size
+from refract._numbers import hold
 
 
 class Regime(IntEnum):
@@ -51,7 +51,6 @@ def regime_counts(regime) -> dict[str, int]:
     return {kind.name.lower(): int(found[kind]) for kind in Regime}
 
 
-@of_any_size
 @quiet
 def bend(ray, normal, *, n_from, n_to):
     """Direction of a ray after it crosses the water surface.
@@ -61,7 +60,7 @@ def bend(ray, normal, *, n_from, n_to):
 
     Parameters
     ----------
-    ray : (..., 3) unit, any one frame; numpy, torch, or a Dr.Jit Array3f or Array3f64
+    ray : (..., 3) unit, any one frame; numpy or torch
         Direction of travel before the crossing.
     normal : (3,) or (..., 3) unit, same frame
         Surface normal on the side the ray comes from, so ``ray . normal < 0``.
@@ -98,7 +97,6 @@ def _require_positive(n_from, n_to) -> None:
         raise ValueError(f"expected finite refractive indices above zero, got n_from {n_from} and n_to {n_to}")
 
 
-@of_any_size
 @quiet
 def bend_regime(ray, normal, *, n_from, n_to):
     """Regime of each ray in `bend`: an array (...) of codes, for `regime_counts`. Arguments as for `bend`."""
@@ -115,7 +113,6 @@ def bend_regime(ray, normal, *, n_from, n_to):
     return xp.where(unit, code, int(Regime.INVALID))
 
 
-@of_any_size
 def apparent_depth(depth, angle, *, n_water: float):
     """Sagittal apparent depth [m]: ``h cos(a) / sqrt(n^2 - sin^2 a)``; ``h / n`` at nadir.
 
@@ -129,7 +126,6 @@ def apparent_depth(depth, angle, *, n_water: float):
     return depth * xp.cos(angle) / xp.sqrt(n_water**2 - xp.sin(angle) ** 2)
 
 
-@of_any_size
 def true_depth(apparent, angle, *, n_water: float):
     """Inverse of `apparent_depth`: true depth [m] of a point whose sagittal image lies at `apparent` [m]."""
     apparent, angle = alike(apparent, angle)
@@ -137,7 +133,6 @@ def true_depth(apparent, angle, *, n_water: float):
     return apparent * xp.sqrt(n_water**2 - xp.sin(angle) ** 2) / xp.cos(angle)
 
 
-@of_any_size
 def apparent_depth_tangential(depth, angle, *, n_water: float):
     """Tangential apparent depth [m]: ``h n^2 cos^3(a) / (n^2 - sin^2 a)^(3/2)``."""
     depth, angle = alike(depth, angle)
@@ -145,7 +140,6 @@ def apparent_depth_tangential(depth, angle, *, n_water: float):
     return depth * n_water**2 * xp.cos(angle) ** 3 / (n_water**2 - xp.sin(angle) ** 2) ** 1.5
 
 
-@of_any_size
 def tangential_shift(depth, angle, *, n_water: float):
     """Shift [m] of the tangential image toward the camera: ``h (n^2 - 1) tan^3(angle in water)``."""
     depth, angle = alike(depth, angle)
@@ -173,7 +167,6 @@ class Fresnel(NamedTuple):
         return 0.5 * (self.transmittance_s + self.transmittance_p)
 
 
-@of_any_size
 def fresnel_coefficients(cos_from, *, n_from, n_to) -> Fresnel:
     """Power coefficients (reflectance, transmittance) of a smooth surface between two media, in either direction.
 

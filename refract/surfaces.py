@@ -14,7 +14,7 @@ import numpy as np
 
 from refract import kernels
 from refract._array import components, namespace, root
-from refract._numbers import hold, in_library, number, of_any_size, require_index
+from refract._numbers import hold, in_library, number, require_index
 from refract.kernels import GRAZING
 
 # Steps of `kernels.air_share` that reach the last bits for all heights, depths and distances (docs/optics.md).
@@ -24,7 +24,7 @@ ENOUGH_STEPS_SINGLE, ENOUGH_STEPS_DOUBLE = 3, 4
 class WaterSurface(Protocol):
     """Protocol of a water surface for `trace` and `project`, in the local frame [m].
 
-    Component arrays are numpy float64, torch or Dr.Jit; where an answer is the same everywhere it may be a plain
+    Component arrays are numpy float64 or torch; where an answer is the same everywhere it may be a plain
     number, which broadcasts.
     """
 
@@ -79,7 +79,7 @@ def derivable(surface: WaterSurface | None, *arrays) -> bool:
     """Whether rays or surface may carry derivatives, or the surface requires valid numbers everywhere."""
     xp = namespace(*arrays)
     plain = surface is None or (isinstance(surface, FlatWater) and surface.is_plain)
-    return not plain if xp.name == "numpy" else xp.name == "drjit" or not plain or xp.tracked(*arrays)
+    return not plain if xp.name == "numpy" else not plain or xp.tracked(*arrays)
 
 
 def _up(slope_x, slope_y) -> tuple[Any, Any, Any]:
@@ -88,15 +88,9 @@ def _up(slope_x, slope_y) -> tuple[Any, Any, Any]:
     return -slope_x / length, -slope_y / length, 1.0 / length
 
 
-def _library(value) -> str:
-    """The library of an array; for Dr.Jit its module, since arrays with and without gradients are of different ones."""
-    name = namespace(value).name
-    return type(value).__module__ if name == "drjit" else name
-
-
 def _require_broadcast(like, numbers) -> None:
     """ValueError unless the numbers of a water broadcast against an array of rays without their last axis."""
-    if namespace(like).name == "drjit" or all(isinstance(v, float) for v in numbers):
+    if all(isinstance(v, float) for v in numbers):
         return
     shapes = [tuple(v.shape) for v in (like, *numbers) if hasattr(v, "shape")]
     try:
@@ -115,9 +109,9 @@ class FlatWater:
 
     Each of its numbers is one for all rays, or an array of shape (...) with one for each, which broadcasts against the
     rays without their last axis: a level per photograph, or, with one more axis, an index per colour channel. Tensors
-    and Dr.Jit arrays let gradients flow to level, tilt and index; the rays must then come from the same library (and
-    the same Dr.Jit module: `drjit.llvm.ad`, not `drjit.llvm`). Raises ValueError if the index is outside 1 to 2, or a
-    number is not finite. Numbers inside a transform of torch, which cannot be read, are not checked.
+    let gradients flow to level, tilt and index; the rays must then be tensors, too. Raises ValueError if the index is
+    outside 1 to 2, or a number is not finite. Numbers inside a transform of torch, which cannot be read, are not
+    checked.
 
     Parameters
     ----------
@@ -163,13 +157,11 @@ class FlatWater:
         """`up`, whatever x and y."""
         return _up(in_library(self.slope_x, x), in_library(self.slope_y, x))
 
-    @of_any_size
     def height(self, x, y):
         """Height z of the surface [m] at local x, y [m]."""
         px, py, pz, _, slope_x, slope_y = (in_library(v, x) for v in self._numbers)
         return pz + slope_x * (x - px) + slope_y * (y - py)
 
-    @of_any_size
     def depth(self, points):
         """Depth below the surface [m] along its normal, positive in water, of points (..., 3) [m], local."""
         position = components(points)
@@ -178,8 +170,8 @@ class FlatWater:
 
     def _require_library_of(self, *triples) -> None:
         """TypeError unless rays come from where the numbers of the water do, if those are not plain."""
-        own = {_library(v) for v in self._numbers} - {"numpy"}
-        given = {_library(v) for triple in triples for v in triple}
+        own = {namespace(v).name for v in self._numbers} - {"numpy"}
+        given = {namespace(v).name for triple in triples for v in triple}
         if own and own != given:
             raise TypeError(
                 f"numbers of this FlatWater are arrays of {', '.join(sorted(own))}, rays and points of "

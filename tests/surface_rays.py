@@ -1,4 +1,4 @@
-"""Rays over a water surface and back, and vectors in each array library, for the tests of `refract`."""
+"""Rays over a water surface and back, and arrays of each library, for the tests of `refract`."""
 
 from __future__ import annotations
 
@@ -25,35 +25,25 @@ def llvm():
     return ad
 
 
-# Array libraries with a precision: torch has it in its dtype, Dr.Jit in its kind of vectors.
-LIBRARIES = ["numpy", "torch.float64", "torch.float32", "Array3f64", "Array3f"]
-DOUBLE, SINGLE = ["numpy", "torch.float64", "Array3f64"], ["torch.float32", "Array3f"]
+# Array libraries of vectors, with a precision; numbers are Dr.Jit's, too.
+LIBRARIES = ["numpy", "torch.float64", "torch.float32"]
+DOUBLE, SINGLE = LIBRARIES[:2], ["torch.float32", "drjit"]
 
 
-def vectors(library, array):
-    """Vectors (..., 3) of numpy in a library; Dr.Jit keeps them as columns."""
-    array = np.asarray(array)
+def array_of(library, values):
+    """Values of numpy in a library."""
     if library == "numpy":
-        return array
-    if library.startswith("torch"):
-        import torch
+        return np.asarray(values)
+    if library == "drjit":
+        return llvm().Float(values)
+    import torch
 
-        return torch.tensor(array, dtype=getattr(torch, library.removeprefix("torch.")))
-    dtype = np.float64 if library.endswith("64") else np.float32
-    return getattr(llvm(), library)(np.ascontiguousarray(array.reshape(-1, 3).T, dtype))
-
-
-def numbers(library, array):
-    """Numbers (...) of numpy in a library."""
-    if library.startswith("Array3f"):
-        return getattr(llvm(), library.replace("Array3f", "Float"))(array)
-    return np.asarray(array) if library == "numpy" else vectors(library, array)
+    return torch.tensor(np.asarray(values), dtype=getattr(torch, library.removeprefix("torch.")))
 
 
-def rows(found):
-    """Vectors (..., 3), or numbers, of any library as float64 of numpy."""
-    found = np.asarray(found, dtype=np.float64)
-    return found if found.ndim < 2 or found.shape[-1] == 3 else found.T
+def as_double(found):
+    """An array of any library as float64 of numpy."""
+    return np.asarray(found, dtype=np.float64)
 
 
 class Bowl(CurvedWater):

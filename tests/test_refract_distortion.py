@@ -10,7 +10,7 @@ import numpy as np
 import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
-from surface_rays import SINGLE, numbers, rows
+from surface_rays import SINGLE, array_of, as_double
 
 from refract import FlatWater
 from refract.distortion import AFFINE, BROWN, FISHEYE, RATIONAL, Distortion, distort, kinds_of, row_of, undistort
@@ -132,10 +132,10 @@ def test_a_rational_lens_ends_before_its_pole():
 def test_every_library_distorts_alike(distortion, library, rng):
     x, y = places(rng)
     kinds, truth = {distortion.kind}, distortion.distorted(x, y)
-    found = distort(kinds, numbers(library, x), numbers(library, y), distortion.row)
-    np.testing.assert_allclose([rows(v) for v in found], truth, rtol=0.0, atol=SINGLE_PX)
-    back = undistort(kinds, *(numbers(library, v) for v in truth), distortion.row)
-    np.testing.assert_allclose([rows(v) for v in back], [x, y], rtol=0.0, atol=4.0 * SINGLE_PX)
+    found = distort(kinds, array_of(library, x), array_of(library, y), distortion.row)
+    np.testing.assert_allclose([as_double(v) for v in found], truth, rtol=0.0, atol=SINGLE_PX)
+    back = undistort(kinds, *(array_of(library, v) for v in truth), distortion.row)
+    np.testing.assert_allclose([as_double(v) for v in back], [x, y], rtol=0.0, atol=4.0 * SINGLE_PX)
 
 
 @pytest.mark.parametrize("library", ["numpy", *SINGLE])
@@ -153,9 +153,9 @@ def test_lenses_of_several_kinds_among_the_rays_each_keep_their_own(lenses, libr
         if lens is not None:
             expected[:, which == k] = lens.distorted(x[which == k], y[which == k])
     found = distort(
-        kinds_of(lenses), numbers(library, x), numbers(library, y), [numbers(library, row) for row in lens_rows]
+        kinds_of(lenses), array_of(library, x), array_of(library, y), [array_of(library, row) for row in lens_rows]
     )
-    np.testing.assert_allclose([rows(v) for v in found], expected, rtol=0.0, atol=SINGLE_PX)
+    np.testing.assert_allclose([as_double(v) for v in found], expected, rtol=0.0, atol=SINGLE_PX)
 
 
 def test_a_bent_border_has_places_between_its_corners_and_reaches_as_far_as_it_looks():

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from surface_rays import LIBRARIES, array_of
 
 from refract.snell import fresnel_coefficients
 
@@ -18,8 +19,8 @@ IN_AIR = np.radians(np.linspace(0.0, 90.0, 181))
 IN_WATER = np.linspace(0.0, CRITICAL - 1.7e-4, 181)
 
 
-def into_water(angle, wrap=np.asarray):
-    return fresnel_coefficients(wrap(np.cos(angle)), n_from=1.0, n_to=N)
+def into_water(angle):
+    return fresnel_coefficients(np.cos(angle), n_from=1.0, n_to=N)
 
 
 @pytest.mark.parametrize(
@@ -79,18 +80,12 @@ def test_the_surface_is_the_same_from_both_sides():
         np.testing.assert_allclose(ours[:-2], others[:-2], rtol=1e-11, atol=1e-15)
 
 
-@pytest.mark.parametrize("library", ["numpy", "torch64", "torch32", "drjit"])
-def test_what_is_reflected_and_what_passes_add_up_to_one(library, request):
-    eps = EPS32 if library in ("torch32", "drjit") else float(np.finfo(np.float64).eps)
-    wrap = {
-        "numpy": lambda: np.asarray,
-        "torch64": lambda: torch.tensor,
-        "torch32": lambda: lambda v: torch.tensor(v, dtype=torch.float32),
-        "drjit": lambda: request.getfixturevalue("Float"),
-    }[library]()
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_what_is_reflected_and_what_passes_add_up_to_one(library):
+    eps = EPS32 if library == "torch.float32" else float(np.finfo(np.float64).eps)
     for angles, n_from, n_to in ((IN_AIR, 1.0, N), (IN_WATER, N, 1.0), (np.linspace(0.9, 1.5, 50), N, 1.0)):
         exact = fresnel_coefficients(np.cos(angles), n_from=n_from, n_to=n_to)
-        found = fresnel_coefficients(wrap(np.cos(angles)), n_from=n_from, n_to=n_to)
+        found = fresnel_coefficients(array_of(library, np.cos(angles)), n_from=n_from, n_to=n_to)
         sums = (found.reflectance_s + found.transmittance_s, found.reflectance_p + found.transmittance_p)
         for total in (*sums, found.reflectance + found.transmittance):
             np.testing.assert_allclose(np.asarray(total), 1.0, atol=4 * eps)  # measured 2
@@ -130,19 +125,6 @@ def test_gradients_are_finite_everywhere_and_zero_beyond_the_critical_angle(dtyp
     fresnel_coefficients(leaf, n_from=1.0, n_to=N).reflectance_s.sum().backward()
     # Along the surface R_s falls as 1 - 4 a / b.
     assert leaf.grad[0].item() == pytest.approx(-4.0 / math.sqrt(N * N - 1.0), rel=1e-6)
-
-
-def test_drjit_gives_the_gradient_of_torch(Float):
-    import drjit
-
-    cosine = np.linspace(0.0, 1.0, 101)
-    ours = Float(cosine)
-    drjit.enable_grad(ours)
-    drjit.backward(fresnel_coefficients(ours, n_from=N, n_to=1.0).reflectance)
-    twin = torch.tensor(cosine, requires_grad=True)
-    fresnel_coefficients(twin, n_from=N, n_to=1.0).reflectance.sum().backward()
-    # The derivative is 20 next to the critical angle and its own derivative 1e3; measured 4.5e-5.
-    np.testing.assert_allclose(np.asarray(drjit.grad(ours)), twin.grad.numpy(), atol=1e-4)
 
 
 def test_diffuse_light_is_reflected_as_the_squared_index_demands():

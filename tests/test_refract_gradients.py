@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 from fifty_digits import exact_derivatives, worst
-from surface_rays import LIBRARIES, llvm
 from torch.func import hessian, jacfwd, jacrev, jvp, vmap
 
 from refract import FlatWater, Regime, bend, bend_regime, project, trace
@@ -88,7 +87,7 @@ def hard_cases():
     return rays, np.array(points), np.array(cameras)
 
 
-def gradients_torch(rays, points, camera, dtype):
+def gradients(rays, points, camera, dtype):
     """Gradients of everything that `trace` and `project` say, with respect to everything that they are given."""
     leaves = [leaf(v, dtype) for v in (rays, points, camera, 0.0, 1.333, 0.01, -0.02)]
     ray, point, centre, z, n, slope_x, slope_y = leaves
@@ -100,48 +99,21 @@ def gradients_torch(rays, points, camera, dtype):
     return [v.grad.numpy() for v in leaves]
 
 
-def gradients_drjit(rays, points, camera, library):
-    Vector, Float = getattr(llvm(), library), getattr(llvm(), library.replace("Array3f", "Float"))
-    leaves = [Vector(rays.T), Vector(points.T), Vector(*map(float, camera)), *map(Float, (0.0, 1.333, 0.01, -0.02))]
-    import drjit
-
-    drjit.enable_grad(leaves)
-    ray, point, centre, z, n, slope_x, slope_y = leaves
-    water = FlatWater((0.0, 0.0, z), n_water=n, slope_x=slope_x, slope_y=slope_y)
-    path, found = trace(centre, ray, water), project(point, centre, water)
-    told = [*path.crossing, path.air_length, *path.water_direction, *path.at_height(-2.0, water)]
-    told += [*found.direction, *found.crossing, found.air_length, found.water_length, found.depth]
-    drjit.backward(sum(drjit.sum(drjit.select(drjit.isfinite(v), v, 0.0)) for v in told))
-    grads = [np.asarray(drjit.grad(v)) for v in leaves]
-    return [g.T if g.ndim == 2 and g.shape[1] > 1 else g.squeeze() for g in grads]
-
-
-def gradients(rays, points, camera, library):
-    if library.startswith("torch"):
-        return gradients_torch(rays, points, camera, getattr(torch, library.removeprefix("torch.")))
-    return gradients_drjit(rays, points, camera, library)
-
-
-# Dr.Jit compiles each of the cases: half a minute for a type of numbers.
-@pytest.mark.parametrize("library", [*LIBRARIES[1:4], pytest.param("Array3f", marks=pytest.mark.slow)])
-def test_every_gradient_is_finite_whatever_becomes_of_the_rays(library):
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_every_gradient_is_finite_whatever_becomes_of_the_rays(dtype):
     rays, points, cameras = hard_cases()
     for camera in cameras:
-        for gradient in gradients(rays, points, camera, library):
+        for gradient in gradients(rays, points, camera, dtype):
             assert np.isfinite(gradient).all()
 
 
-@pytest.mark.parametrize("library", LIBRARIES[2:])
-def test_all_libraries_have_the_gradients_of_torch_in_float64(rng, library):
+def test_float32_has_the_gradients_of_float64(rng):
     rays = rng.normal(size=(20, 3)) - [0.0, 0.0, 3.0]
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    points, camera = rng.uniform([-20, -20, -9], [20, 20, 3], (20, 3)), np.array([1.0, 2.0, 30.0])
-    # Sums over forty rays of derivatives of up to 50, some of which cancel.
-    relative, absolute = (1e-12, 1e-12) if library == "Array3f64" else (2e-5, 2e-3)
-    for found, exact in zip(
-        gradients(rays, points, camera, library), gradients(rays, points, camera, "torch.float64"), strict=True
-    ):
-        np.testing.assert_allclose(found, exact, rtol=relative, atol=absolute)
+    given = rays, rng.uniform([-20, -20, -9], [20, 20, 3], (20, 3)), np.array([1.0, 2.0, 30.0])
+    for found, exact in zip(gradients(*given, torch.float32), gradients(*given, torch.float64), strict=True):
+        # Sums over forty rays of derivatives of up to 50, some of which cancel.
+        np.testing.assert_allclose(found, exact, rtol=2e-5, atol=2e-3)
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])

@@ -80,15 +80,3 @@ def test_crossing_and_point_meet_as_the_depth_goes_to_zero():
     tangent_in_water = 20.0 / math.sqrt(1.333**2 * (20.0**2 + 30.0**2) - 20.0**2)
     # 1e-14: coordinates of 20 m; the share of the depth grows by h / H, 3e-5 at 1 mm
     np.testing.assert_allclose(shift, depth * tangent_in_water, rtol=1e-4, atol=1e-14)
-
-
-def test_a_camera_on_or_under_the_surface_looks_straight(rng):
-    water = FlatWater((0.0, 0.0, 0.0), n_water=1.333)
-    points = rng.uniform([-5, -5, -9], [5, 5, 3], (100, 3))
-    for z in (0.0, -0.5, -20.0):
-        np.testing.assert_array_equal(crossing_point(points, np.array([1.0, 2.0, z]), water), points)
-
-
-def test_without_water_the_point_itself_is_seen(rng):
-    points = rng.normal(size=(7, 3))
-    np.testing.assert_array_equal(crossing_point(points, np.zeros(3), None), points)

@@ -7,9 +7,9 @@ curvature shortens the steps to the root of a parabola below that height, so tha
 Up, light takes a crossing S at which the optical length |C - S| + n |S - P| is least (Fermat). From the crossing of a
 level plane, Newton's steps are taken where they shorten the length, and a part of them elsewhere.
 
-Vectors are triples of component arrays (numpy, torch, Dr.Jit), as in `refract.kernels`. Both solvers work without
+Vectors are triples of component arrays (numpy, torch), as in `refract.kernels`. Both solvers work without
 derivatives; Newton's steps at the root attach these (the implicit function theorem): each step makes one more order
-exact, the first two in torch, the first in Dr.Jit.
+exact, the first two in torch.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _PLANE_STEPS = 4
 class CurvedWater(ABC):
     """A base for surfaces of which height and gradient are known: the rest of `WaterSurface` follows.
 
-    For component arrays of numpy, torch and Dr.Jit, whatever `height` and `gradient` take; derivatives flow to all that
+    For component arrays of numpy and torch, whatever `height` and `gradient` take; derivatives flow to all that
     they depend on. Where the surface ends they must be NaN.
 
     Examples
@@ -153,7 +153,7 @@ class CurvedWater(ABC):
             arrived = active & ((xp.abs(move) <= _TINY * t) | (high - low <= _TINY * t + rounding))
             met = met | arrived
             active = active & ~arrived & (following < math.inf) & ~(is_above & (t >= end))
-            if xp.none(active, t, low, high, over, rate, met):
+            if xp.none(active):
                 break
             t = xp.where(active, following, t)
             over, rate = map(xp.fixed, self._clearance(origin, direction, t))
@@ -238,7 +238,7 @@ class CurvedWater(ABC):
             step_x, step_y = _newton_step(gradient, _convex(hessian))
             size = xp.sqrt(step_x * step_x + step_y * step_y)
             is_converged = is_converged | (size <= tolerance)
-            if xp.none(~is_converged, x, y, length, gradient, hessian, part):
+            if xp.none(~is_converged):
                 break
             back = part * xp.where(size > depth, depth / xp.where(size > 0.0, size, 1.0), 1.0)
             new_x, new_y = x + back * step_x, y + back * step_y

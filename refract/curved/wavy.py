@@ -18,10 +18,10 @@ from refract.curved.curved_water import CurvedWater
 class WavyWater(CurvedWater):
     """A plane with a sum of sinusoidal waves, in a right-handed frame with z up.
 
-    The surface is ``z = plane + sum_i a_i sin(k_i . (r - r0) + phi_i)``. All numbers may be 0-d tensors or Dr.Jit
-    scalars, and amplitudes, wave vectors and phases tensors of the shapes below: gradients then flow to them, and the
-    rays must come from the same library. Raises ValueError if the numbers of waves differ, the index is outside 1 to 2,
-    or a number is not finite.
+    The surface is ``z = plane + sum_i a_i sin(k_i . (r - r0) + phi_i)``. All numbers may be 0-d tensors, and
+    amplitudes, wave vectors and phases tensors of the shapes below: gradients then flow to them, and the rays must be
+    tensors, too. Raises ValueError if the numbers of waves differ, the index is outside 1 to 2, or a number is not
+    finite.
 
     Parameters
     ----------

@@ -90,7 +90,7 @@ def steps_for(name: str, scene: SwitchScene, seconds: float) -> int:
     for steps in (COMPILING, TIMED):
         renderer = renderer_of(name, scene.train.water, steps, 0)
         start = time.process_time()
-        train_volume(renderer, scene.train, replace(TRAINING, steps=steps, refresh=()), lambda share: None)
+        train_volume(renderer, scene.train, replace(TRAINING, steps=steps, refresh=()), lambda *done: None)
         spent = time.process_time() - start
     return max(round(seconds * TIMED / spent), TIMED)
 
@@ -116,7 +116,7 @@ def measure(name: str, where: str, seconds: float, seed: int) -> dict:
     renderer, looks = renderer_of(name, scene.train.water, steps, seed), []
     start, waited, due = time.process_time(), 0.0, 1.0
 
-    def look(share: float) -> None:
+    def look(share: float, _errors: list[float]) -> None:
         nonlocal waited, due
         spent = time.process_time() - start - waited
         if spent < due and share < 1.0:

@@ -183,7 +183,7 @@ def row(model: str, scene: ObjectScene, options, steps: int, seed: int) -> dict:
     built = build(model, scene, options, steps=steps, seed=seed)
     training = Training(steps=steps, rays=options.rays, samples=options.samples)
     start = time.perf_counter()
-    cells, figures = train_volume(built, scene.train, training, lambda share: None, seed=seed)
+    cells, figures = train_volume(built, scene.train, training, lambda *done: None, seed=seed)
     seconds, memory = time.perf_counter() - start, device_mb(options.device)
     rate, error = [], []
     for number, camera in enumerate(scene.held.cameras):
@@ -260,7 +260,7 @@ def step_times(models: tuple[str, ...], scene: ObjectScene, options) -> dict[str
     for turn in range(TIMED[0] + 1):
         for model, built in scenes.items():
             start = time.perf_counter()
-            train_volume(built, scene.train, training, lambda share: None)
+            train_volume(built, scene.train, training, lambda *done: None)
             if turn:  # the first compiles
                 seconds[model].append((time.perf_counter() - start) / TIMED[1])
     return {model: statistics.median(s) for model, s in seconds.items()}
@@ -281,12 +281,12 @@ def print_memory(scene: str, model: str, options) -> None:
     training = Training(steps=POOL_STEPS, rays=options.rays, samples=options.samples, refresh=())
     # Compilers and libraries are loaded once, for all models alike.
     tiny = build("mdw", loaded, argparse.Namespace(**(vars(options) | {"cells": 16})), steps=options.steps)
-    train_volume(tiny, loaded.train, replace(training, rays=64), lambda share: None)
+    train_volume(tiny, loaded.train, replace(training, rays=64), lambda *done: None)
     before = _resident_mb("VmRSS")
     Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
     built = build(model, loaded, options, steps=options.steps)
     switch_to_fine(built)
-    train_volume(built, loaded.train, training, lambda share: None)
+    train_volume(built, loaded.train, training, lambda *done: None)
     sys.stdout.write(f"{_resident_mb('VmHWM') - before:.1f}\n")
 
 

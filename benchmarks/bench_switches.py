@@ -106,7 +106,7 @@ def measure(row: Row, training: Training, seed: int) -> dict:
     )
     training = replace(training, losses=row.losses)
     start = time.process_time()
-    cells, figures = train_volume(scene, data.train, training, lambda done: None, seed=seed)
+    cells, figures = train_volume(scene, data.train, training, lambda *done: None, seed=seed)
     seconds = time.process_time() - start
     if length:
         scene.appearance = match_appearance(scene, data.held.left_half, cells)

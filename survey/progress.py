@@ -215,7 +215,7 @@ class Progress:
         if (task := self._task) is not None:
             self._bars.remove_task(task.id)
 
-    def _show(self, step: Step) -> None:
+    def _show(self, step: Step, detail: str = "") -> None:
         """Show how far the run is in an outermost step."""
         if (task := self._task) is None:
             return
@@ -224,12 +224,12 @@ class Progress:
             if step.name in self._expected:
                 self._shares[step.name] = max(step.share, self._shares[step.name])
             done = self._done_s
-        self._bars.update(task.id, completed=done, description=printable(step.title))
+        self._bars.update(task.id, completed=done, description=printable(f"{step.title} {detail}".rstrip()))
 
     def advanced(self, step: Step, detail: str = "") -> None:
         """Take in that a step has advanced."""
         if step is self.steps[0]:
-            self._show(step)
+            self._show(step, detail)
         if not self._is_shown:
             self.say_if_due(step, detail)
 

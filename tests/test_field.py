@@ -72,7 +72,13 @@ def test_a_field_is_trained_extracted_rendered_and_compared(folder, run):
     cloud = read_cloud(folder / "f" / "cloud.las")
     assert report["points"] == len(cloud.points) > 100
     assert report["photographs"] == 3
-    assert len(report["held_out_psnr_db"]) == 1
+    assert len(report["held_out_psnr_db"]) == len(report["held_out_ssim"]) == 1
+    training = report["training"]
+    assert [step for step, *_ in training["history"]] == [1, 2, 3, 4]
+    assert all(abs(db) < 60.0 for _, *both in training["history"] for db in both)
+    assert min(report["cost"].values()) > 0.0
+    with Image.open(folder / "f" / "training.png") as picture:
+        assert min(picture.size) > 300
     # The bed slopes by a tenth over 8 m.
     over = report["over_the_bed_of_the_run_m"]
     assert abs(over["median_m"]) < 0.3

@@ -39,7 +39,7 @@ def test_training_brings_a_displaced_bed_back_in_both_stages():
     assert np.median(errors_mm(sources, untrained(sources))) == pytest.approx(15.0, abs=0.5)
     shares: list[float] = []
     steps, rays = steps_for(30.0, int(layer.known.sum()))
-    field, figures = fit(layer, photographs, "mdw", steps, rays, "cpu", shares.append)
+    field, figures = fit(layer, photographs, "mdw", steps, rays, "cpu", lambda share, errors: shares.append(share))
     after = errors_mm(sources, field)
     # Half a cell off at the start.
     assert abs(np.median(after)) < 2.0

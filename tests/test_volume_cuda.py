@@ -78,7 +78,7 @@ def test_training_learns_what_it_learns_on_the_processor(name):
         proposal = model.proposal(setup)
         renderer = VolumeRenderer(model, column=WaterColumn(), proposal=proposal).to(wanted)
         training = Training(steps=100, rays=256, samples=24, cells=CELLS)
-        cells, figures = train_volume(renderer, photographs, training, lambda share: None)
+        cells, figures = train_volume(renderer, photographs, training, lambda *done: None)
         found.append((figures.psnr_db, psnr_of(renderer, cells, photographs)))
         assert len(surface_of(renderer, photographs, cells, samples=24, side=0.05).xyz)
     # Samples are drawn with other random numbers: between seeds figures differ by some tenths.
@@ -92,7 +92,7 @@ def test_a_training_goes_on_from_its_state_on_either_device(then):
         model = build_model("mdw", Setup(BOX, CELLS, choose_device(wanted), steps=64))
         renderer = VolumeRenderer(model, column=WaterColumn()).to(wanted)
         training = Training(steps=steps, rays=128, samples=24, cells=CELLS)
-        _, figures = train_volume(renderer, photographs, training, lambda share: None, checkpoints=kept)
+        _, figures = train_volume(renderer, photographs, training, lambda *done: None, checkpoints=kept)
     assert kept.state["step"] == 64
     assert figures.psnr_db > 10.0
 
@@ -106,6 +106,6 @@ def test_all_losses_and_appearance_run_there():
         ncc=0.1, ssim=0.1, virtual_patches=0.1, patch_px=4,
     )  # fmt: skip
     training = Training(steps=10, rays=256, samples=24, cells=CELLS, losses=losses)
-    cells, figures = train_volume(renderer, photographs, training, lambda share: None)
+    cells, figures = train_volume(renderer, photographs, training, lambda *done: None)
     assert np.isfinite(figures.psnr_db)
     assert match_appearance(renderer, photographs, cells, steps=3, rays=64).weight.is_cuda

@@ -26,7 +26,7 @@ BED_M = -1.5
 SMALL = {"n_min": 8, "n_max": 32, "channels": 4, "degree": 0, "hidden": 16, "switch_window": 20}
 
 
-def quietly(share: float) -> None:
+def quietly(share: float, errors: list[float]) -> None:
     """Progress that nobody looks at."""
 
 
@@ -51,7 +51,7 @@ SHORT = Training(steps=300, rays=384, samples=24, cells=32, refresh=(0.6,))
 def test_training_finds_a_bed_under_water_from_nothing_coarse_to_fine():
     photographs = bed_photographs(BED_M, views=9)
     renderer, shares = tensor_renderer(), []
-    cells, figures = train_volume(renderer, photographs, SHORT, shares.append)
+    cells, figures = train_volume(renderer, photographs, SHORT, lambda share, errors: shares.append(share))
     found = heights(renderer, cells, photographs)
     cell = BOX.edge / 32
     assert abs(np.median(found) - BED_M) < cell

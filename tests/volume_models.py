@@ -101,7 +101,7 @@ def check_learning(make: Make, *, steps: int, share: float, proposal: Proposal |
 
     before = error()
     training = Training(steps=steps, rays=128, samples=24, refresh=(), final_rate=0.3)
-    train_volume(renderer, photographs, training, lambda share: None, cells=cells)
+    train_volume(renderer, photographs, training, lambda *done: None, cells=cells)
     assert error() < share * before
     return renderer
 

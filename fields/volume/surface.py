@@ -21,6 +21,8 @@ from refract import FlatWater
 LEAST_OPACITY = 0.5
 # Photographs that a cell of the surface needs.
 LEAST_VIEWS = 2
+# Paths of which one has to meet a surface before all of them are followed.
+SAMPLE = 4096
 
 
 @dataclass(frozen=True)
@@ -91,8 +93,13 @@ def surface_of(
         rendered = renderer.render(paths, renderer.samples(paths, cells, samples, jitter=False))
         return distance_of(rendered, rule, density)
 
+    some = photographs.draw(SAMPLE, renderer.model.box, np.random.default_rng(0)).to(renderer.model.place)
+    chunk = chunk_of(renderer, samples)
+    met = [distances(some[first : first + chunk]).isfinite().any() for first in range(0, SAMPLE, chunk)]
+    if not any(met):
+        return _agreed([np.zeros((0, 8))], renderer.model.box, side)
     for view in range(len(photographs.cameras)):
-        parts.append(_of_view(renderer, photographs, view, chunk_of(renderer, samples), distances))
+        parts.append(_of_view(renderer, photographs, view, chunk, distances))
         advance()
     return _agreed(parts, renderer.model.box, side)
 

@@ -24,6 +24,8 @@ from refract import WaterSurface
 POOL_STEPS = 32
 # Number of last steps over which the reported error is taken.
 LAST_STEPS = 100
+# Moments of a training at which its error is reported, and paths of photographs held out that are predicted then.
+MOMENTS, HELD_PATHS = 25, 4096
 ADAM_EPS = 1e-15
 # Cells of the proxy whose density is evaluated at once.
 CHUNK = 1 << 18
@@ -54,6 +56,8 @@ class VolumeFigures:
     changed_at: tuple[int, ...]  # Steps at which the model changed its parameters or their rates
     psnr_db: float  # Of the photographs, over the last steps
     parameters: int
+    # Steps done, PSNR [dB] of the photographs since the moment before, and of those held out where there are some
+    history: list[tuple[int, float, float | None]]
 
 
 class Checkpoints(Protocol):
@@ -71,20 +75,25 @@ def train_volume(
     renderer: VolumeRenderer,
     photographs: Photographs,
     training: Training,
-    progress: Callable[[float], None],
+    progress: Callable[[float, list[float]], None],
     *,
     cells: Cells | None = None,
     seed: int = 0,
     checkpoints: Checkpoints | None = None,
+    held: Photographs | None = None,
 ) -> tuple[Cells, VolumeFigures]:
     """Fit a volume and its surroundings to photographs.
 
     Parameters
     ----------
+    progress : callable
+        Called after each step with the share done and the errors of all steps.
     cells : Cells or None
         Where surfaces may be at first (of the sweep, or of points of structure from motion); None: anywhere in the box.
     checkpoints : Checkpoints or None
         A training that goes on from one computes what it would have computed without the interruption.
+    held : Photographs or None
+        Photographs held out, whose prediction is followed.
 
     Returns
     -------
@@ -99,18 +108,24 @@ def train_volume(
     if checkpoints is not None and (saved := checkpoints.load()) is not None:
         state.restore(saved, renderer)
     refresh = {round(share * training.steps) for share in training.refresh}
+    moments = {max(round(training.steps * moment / MOMENTS), 1) for moment in range(1, MOMENTS + 1)}
+    followed = None if held is None else _held_paths(held, renderer)
     for paths in _batches(photographs, renderer.model, training, seed, state.step):
         if checkpoints is not None:
             checkpoints.save(lambda: state.saved(renderer), last=False)
         if state.step in refresh:
             state.cells = proxy_of(renderer, state.cells, training.margin * state.cells.edge)
         _step(renderer, paths, training, state, photographs.water)
-        progress(state.step / training.steps)
+        if state.step in moments:
+            since = state.history[-1][0] if state.history else 0
+            held_db = None if followed is None else _predicted_db(renderer, followed, state.cells, training.samples)
+            state.history.append((state.step, psnr_db(state.losses[since:]), held_db))
+        progress(state.step / training.steps, state.losses)
     if checkpoints is not None:
         checkpoints.save(lambda: state.saved(renderer), last=True)
     parameters = sum(p.numel() for p in renderer.parameters())
-    figures = VolumeFigures(training.steps, tuple(state.changed), psnr_db(state.losses[-LAST_STEPS:]), parameters)
-    return state.cells, figures
+    of_last = psnr_db(state.losses[-LAST_STEPS:])
+    return state.cells, VolumeFigures(training.steps, tuple(state.changed), of_last, parameters, state.history)
 
 
 @dataclass
@@ -122,6 +137,7 @@ class _State:
     optimiser: torch.optim.Adam
     losses: list[float] = field(default_factory=list)
     changed: list[int] = field(default_factory=list)
+    history: list[tuple[int, float, float | None]] = field(default_factory=list)
 
     @staticmethod
     def begun(renderer: VolumeRenderer, cells: Cells) -> _State:
@@ -136,6 +152,7 @@ class _State:
             "optimiser": self.optimiser.state_dict(),
             "losses": torch.tensor(self.losses, dtype=torch.float64),
             "changed": self.changed,
+            "history": self.history,
             "generator": _generator_states(),
         }
 
@@ -146,6 +163,7 @@ class _State:
         self.optimiser = adam(renderer.rates(), eps=ADAM_EPS)
         self.optimiser.load_state_dict(saved["optimiser"])
         self.step, self.changed, self.losses = saved["step"], list(saved["changed"]), saved["losses"].tolist()
+        self.history = [tuple(moment) for moment in saved["history"]]
         self.cells = Cells(self.cells.box, saved["occupied"]).to(renderer.model.place)
         _restore_generators(saved["generator"])
 
@@ -167,6 +185,19 @@ def _step(
         state.changed.append(state.step)
         state.optimiser = adam(renderer.rates(), eps=ADAM_EPS)
     state.step += 1
+
+
+def _held_paths(held: Photographs, renderer: VolumeRenderer) -> Paths | None:
+    """Some paths of photographs held out; None where there are none, or where each would need its own appearance."""
+    if renderer.appearance is not None or not any(len(pixels) for pixels in held.pixels):
+        return None
+    return held.draw(HELD_PATHS, renderer.model.box, np.random.default_rng(0)).to(renderer.model.place)
+
+
+@torch.no_grad()
+def _predicted_db(renderer: VolumeRenderer, paths: Paths, cells: Cells, samples: int) -> float:
+    rendered = renderer.render(paths, renderer.samples(paths, cells, samples, jitter=False))
+    return psnr_db([float(((rendered.rgb - paths.rgb) ** 2).mean())])
 
 
 @torch.no_grad()

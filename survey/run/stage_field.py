@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -14,7 +15,7 @@ from fields.sweep.maps import HeightMap, Sources, trusted
 from survey.errors import SurveyError
 from survey.plan.area import within
 from survey.plan.sweep_block import device_word
-from survey.progress import shares
+from survey.progress import Step
 from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import MAPS
 from survey.run.stored_maps import Stored
@@ -48,20 +49,18 @@ def train_field(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     swept, solved = Stored(needs["sweep"] / MAPS, HeightMap), Stored(needs["solver"] / SOLVED, SolvedMap)
     maps = [of_map.over(height_map)[0] for of_map, height_map in zip(solved, swept, strict=True)]
     with job.progress.stage("Field", 1.0) as stage:
-        field, figures = trained(job, maps, shares(stage))
+        field, figures = trained(job, maps, stage)
     job.progress.note(f"field: {figures.psnr_db:.1f} dB after {figures.steps:,} steps")
     save_layer_field(folder, field)
 
 
-def trained(
-    job: Job, maps: Sequence[HeightMap], progress: Callable[[float], None]
-) -> tuple[RestoredField, VolumeFigures]:
+def trained(job: Job, maps: Sequence[HeightMap], stage: Step) -> tuple[RestoredField, VolumeFigures]:
     """The field about heights, and the figures of its training; errors as `layer_about`."""
     plan, sources = job.plan, job.sources(maps)
     layer, photographs = layer_about(sources, plan.gsd_m, job.ground)
     steps, rays = steps_for(plan.recipe.rays_per_cell, int(layer.known.sum()))
     given = {"absorption": sources.absorption, "veil": sources.veil}
-    return fit(layer, photographs, plan.field, steps, rays, device_word(plan), progress, given)
+    return fit(layer, photographs, plan.field, steps, rays, device_word(plan), reporting(stage, rays), given)
 
 
 def fit(
@@ -71,7 +70,7 @@ def fit(
     steps: int,
     rays: int,
     device: str,
-    progress: Callable[[float], None] = lambda done: None,
+    progress: Callable[[float, list[float]], None] = lambda share, errors: None,
     given: dict[str, Any] | None = None,
 ) -> tuple[RestoredField, VolumeFigures]:
     """A field of a model in a layer, fitted to photographs in so many steps of so many paths, and its figures.
@@ -91,6 +90,21 @@ def fit(
     )
     cells, figures = train_volume(renderer, photographs, training, progress, cells=Cells.everywhere(layer, 1))
     return RestoredField(renderer, cells, recipe, water, steps), figures
+
+
+def reporting(stage: Step, rays: int) -> Callable[[float, list[float]], None]:
+    """Progress of a training of so many rays a step in a stage whose total is 1, with its error and pace in words."""
+    from fields.training import psnr_db
+    from fields.volume.train import LAST_STEPS
+
+    steps = count(1)
+
+    def report(share: float, errors: list[float]) -> None:
+        pace = next(steps) * rays / max(stage.seconds, 1e-9)
+        detail = f"{psnr_db(errors[-LAST_STEPS:]):.1f} dB, {pace:,.0f} rays/s"
+        stage.advance(share - stage.done, detail=detail)
+
+    return report
 
 
 def steps_for(rays_per_cell: float, cells: int) -> tuple[int, int]:

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from evaluation import distance_statistics, psnr
+from evaluation import distance_statistics, psnr, ssim
+from evaluation.images.inputs import largest_rectangle
 from fields.image_based import heights_over
 from fields.volume.surface import Surface
 from geo import read_reference
 from geo.las import write_cloud
+from survey.compare.canvas import canvas, save
 from survey.compare.comparison import compare_files
 from survey.compare.figures import numbers_of
 from survey.compare.options import CompareOptions
@@ -28,7 +30,9 @@ from survey.volume.scene import REPORT, VolumeFolder, load_scene
 from survey.volume.submodules import train_submodules
 from survey.volume.training import FieldResult, surface_in, train
 
-CLOUD, VIEWS, HELD = "cloud.las", "views", "held out"
+CLOUD, VIEWS, HELD, CURVE = "cloud.las", "views", "held out", "training.png"
+# Side of the windows of SSIM.
+SSIM_PX = 11
 
 
 def train_field(run: str | Path, output: str | Path, options: VolumeOptions | None = None) -> dict[str, Any]:
@@ -64,7 +68,7 @@ def train_field(run: str | Path, output: str | Path, options: VolumeOptions | No
             **made.report,
             "points": len(made.surface.xyz),
             "over_the_bed_of_the_run_m": _over_bed(made),
-            "held_out_psnr_db": _held_out(made, output / HELD, right_half=_fits_held(options)),
+            **_held_out(made, output / HELD, right_half=_fits_held(options)),
         }
     if not report["points"]:
         current().note(
@@ -85,6 +89,7 @@ def _one(run: LoadedRun, flight: Flight, options: VolumeOptions, folder: VolumeF
     with current().stage("Photographs", len(flight.views)) as stage:
         scene = load_scene(run, flight, options, stage.advance)
     trained = train(scene, flight, options, folder)
+    _draw_curve(folder.path / CURVE, trained.figures.history)
     surface, views = surface_in(trained), trained.held_views()
     return FieldResult(surface, scene.bed, scene.held, trained.view, views, trained.report())
 
@@ -119,15 +124,19 @@ def _fits_held(options: VolumeOptions) -> bool:
     return options.appearance and options.submodules is None
 
 
-def _held_out(made: FieldResult, folder: Path, *, right_half: bool) -> dict[str, float]:
-    """PSNR [dB] of the photographs held out, over the pixels that show the box; their renderings go into the folder."""
-    held, found = made.held, {}
+def _held_out(made: FieldResult, folder: Path, *, right_half: bool) -> dict[str, dict[str, float]]:
+    """PSNR [dB] over the pixels of the photographs held out that show the box, and SSIM over their largest rectangle.
+
+    Their renderings go into the folder.
+    """
+    held = made.held
+    found: dict[str, dict[str, float]] = {"held_out_psnr_db": {}, "held_out_ssim": {}}
     targets = [
         Target(name, camera, folder / Path(name).with_suffix(""))
         for name, camera in zip(held.names, held.photographs.cameras, strict=True)
     ]
     if not targets:
-        return {}
+        return found
     views = {id(target.camera): view for target, view in zip(targets, made.held_views, strict=True)}
     write_views(targets, lambda camera: views[id(camera)])
     for number, target in enumerate(targets):
@@ -136,9 +145,26 @@ def _held_out(made: FieldResult, folder: Path, *, right_half: bool) -> dict[str,
         mask.flat[held.photographs.pixels[number]] = True
         if right_half:
             mask[:, : target.camera.width // 2] = False
+        photograph = held.photographs.images[number] / 255.0
         if mask.any():
-            found[target.name] = psnr(held.photographs.images[number] / 255.0, shown, mask)
+            found["held_out_psnr_db"][target.name] = psnr(photograph, shown, mask)
+        window = largest_rectangle(mask)
+        if min(photograph[window].shape[:2]) >= SSIM_PX:
+            found["held_out_ssim"][target.name] = ssim(photograph[window], shown[window])
     return found
+
+
+def _draw_curve(path: Path, history: list[tuple[int, float, float | None]]) -> None:
+    """Draw the PSNR of a training over its steps: of its photographs, and of those held out."""
+    figure, axes = canvas(6.0, 4.0)
+    steps, own, held = zip(*history, strict=True)
+    axes.plot(steps, own, label="photographs")
+    if None not in held:
+        axes.plot(steps, held, label="photographs held out")
+    axes.set_xlabel("steps")
+    axes.set_ylabel("PSNR [dB]")
+    axes.legend()
+    save(figure, path)
 
 
 def rows_of(report: dict[str, Any], output: Path) -> list[tuple[str, str]]:
@@ -150,8 +176,9 @@ def rows_of(report: dict[str, Any], output: Path) -> list[tuple[str, str]]:
         ("training", f"{report['photographs']} photographs, PSNR {training['psnr_db']:.1f} dB"),
     ]
     if report["held_out_psnr_db"]:
-        held = list(report["held_out_psnr_db"].values())
-        rows.append(("held out", f"{len(held)} photographs, PSNR {np.mean(held):.1f} dB (mean)"))
+        held, alike = (list(report[key].values()) for key in ("held_out_psnr_db", "held_out_ssim"))
+        means = f"PSNR {np.mean(held):.1f} dB" + (f", SSIM {np.mean(alike):.3f}" if alike else "")
+        rows.append(("held out", f"{len(held)} photographs, {means} (mean)"))
     rows.append(("surface", f"{report['points']:,} points"))
     if report["points"]:
         inner = f"{length(over['mean_inner90_m'])} +- {length(over['std_inner90_m'])}"

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+import psutil
 
 from fields.image_based import NovelView
 from fields.volume.appearance import match_appearance
@@ -15,8 +17,9 @@ from fields.volume.sampling import Cells
 from fields.volume.surface import Surface, surface_of
 from fields.volume.train import Checkpoints, Training, VolumeFigures, train_volume
 from refract import PinholeCamera
-from survey.progress import current, shares
+from survey.progress import current
 from survey.run.flight import Flight
+from survey.run.stage_field import reporting
 from survey.run.stored_field import RestoredField
 from survey.volume.options import VolumeOptions
 from survey.volume.scene import NamedPhotographs, Scene
@@ -35,6 +38,7 @@ class Trained:
     scene: Scene
     flight: Flight
     options: VolumeOptions
+    cost: dict[str, float]  # Time of the steps of this command, and memory after them
 
     def view(self, camera: PinholeCamera, dry: bool, look: int = 0) -> NovelView:
         """View of a camera, with the water or, ``dry``, without it, in the appearance of a photograph by its number."""
@@ -56,6 +60,7 @@ class Trained:
         """Figures of the training."""
         return {
             "training": asdict(self.figures),
+            "cost": self.cost,
             "box_m": self.scene.box.size.tolist(),
             "photographs": len(self.scene.train.names),
             "pixel_m": self.scene.pixel_m,
@@ -91,17 +96,24 @@ def train(scene: Scene, flight: Flight, options: VolumeOptions, checkpoints: Che
         losses=options.of_losses(),
     )
     start = None if options.from_scratch else scene.cells_about_bed(training.cells, training.margin)
+    cpu = time.process_time()
     with current().stage("Training", 1.0) as stage:
         proxy, figures = train_volume(
             renderer,
             scene.train.photographs,
             training,
-            shares(stage),
+            reporting(stage, training.rays),
             cells=start,
             seed=options.seed,
             checkpoints=checkpoints,
+            held=None if options.submodules else scene.held.photographs,
         )
-    return Trained(renderer, proxy, figures, scene, flight, options)
+    cost = {
+        "wall_s": stage.seconds,
+        "cpu_s": time.process_time() - cpu,
+        "memory_bytes": psutil.Process().memory_info().rss,
+    }
+    return Trained(renderer, proxy, figures, scene, flight, options, cost)
 
 
 def surface_in(trained: Trained) -> Surface:

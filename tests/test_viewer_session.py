@@ -82,7 +82,7 @@ def test_a_browser_never_draws_more_points_than_the_limit(shown, monkeypatch):
     for height in (20.0, 2.0, 1.0, 6.0):
         browser.look_down(height)
         cloud.redraw()
-        wanted = SELECT(shown.tree, detail.viewpoint_of(browser.camera), 60_000)
+        wanted = SELECT(shown.tree, detail.camera_in_browser(browser.camera), 60_000)
         browser.until(lambda wanted=wanted: {f"/cloud/{n}" for n in wanted} <= set(browser.nodes))
         assert sum(len(node.points) for node in browser.nodes.values()) <= 60_000
     cloud.close()

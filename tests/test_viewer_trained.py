@@ -14,8 +14,8 @@ from shown_run import served, shown_of
 
 from refract import FlatWater
 from survey.run.stored_field import save_layer_field
-from survey.viewer.shown import TrainedField, camera_of
-from survey.viewer.tree import Viewpoint
+from survey.viewer.shown import TrainedField
+from survey.viewer.tree import camera_of_screen
 
 WATER = FlatWater((0.0, 0.0, 0.0))
 DOWN = np.diag([1.0, -1.0, -1.0])
@@ -28,17 +28,16 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_the_camera_of_a_viewpoint_sees_the_same(folder):
-    view = Viewpoint(np.array([1.0, 2.0, 9.0]), DOWN, math.radians(50.0), 1.5, 900.0)
-    camera = camera_of(view, 100)
-    assert (camera.width, camera.height) == (150, 100)
-    top = camera.directions(np.array([75.0, 0.0]))
+def test_the_camera_of_a_screen_sees_what_it_shows():
+    camera = camera_of_screen(np.array([1.0, 2.0, 9.0]), DOWN, math.radians(50.0), 1.5, 900.0)
+    assert (camera.width, camera.height) == (1350, 900)
+    top = camera.directions(np.array([675.0, 0.0]))
     assert math.degrees(math.acos(-top[2])) == pytest.approx(25.0)
 
 
 @pytest.mark.parametrize("dry", [True, False])
 def test_the_picture_shows_the_field_and_white_beside_it(folder, dry):
-    view = Viewpoint(np.array([0.0, 0.0, 8.0]), DOWN, math.radians(60.0), 1.5, 900.0)
+    view = camera_of_screen(np.array([0.0, 0.0, 8.0]), DOWN, math.radians(60.0), 1.5, 900.0)
     picture = TrainedField.of_run(folder, WATER).picture(view, dry=dry)
     assert picture.shape == (200, 300, 3)
     is_white = (picture == 255).all(axis=2)
@@ -61,7 +60,7 @@ def test_a_field_is_loaded_once_however_many_clicks_there_are_and_keeps_its_note
         return lambda camera, dry: seen
 
     field = TrainedField("mdw", load)
-    view = Viewpoint(np.array([0.0, 0.0, 8.0]), DOWN, math.radians(60.0), 1.5, 900.0)
+    view = camera_of_screen(np.array([0.0, 0.0, 8.0]), DOWN, math.radians(60.0), 1.5, 900.0)
     with ThreadPoolExecutor(4) as pool:
         pictures = list(pool.map(lambda _click: field.picture(view, dry=True), range(4)))
     assert len(loads) == 1

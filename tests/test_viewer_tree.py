@@ -7,7 +7,17 @@ import math
 import numpy as np
 import pytest
 
-from survey.viewer.tree import CloudTree, Viewpoint, build_tree, pick, point_sizes, seen_nodes, select_nodes, spacing_px
+from refract import PinholeCamera
+from survey.viewer.tree import (
+    CloudTree,
+    build_tree,
+    camera_of_screen,
+    pick,
+    point_sizes,
+    seen_nodes,
+    select_nodes,
+    spacing_px,
+)
 
 # Straight down: x to the east, y of the image to the south.
 DOWN = np.diag([1.0, -1.0, -1.0])
@@ -23,8 +33,8 @@ def tree() -> CloudTree:
     return build_tree(np.column_stack([plan, 0.3 * np.sin(plan[:, 0])]))
 
 
-def above(east: float, north: float, height: float, *, height_px: float = 800.0) -> Viewpoint:
-    return Viewpoint(np.array([east, north, height]), DOWN, math.radians(60.0), 1.5, height_px)
+def above(east: float, north: float, height: float, *, height_px: float = 800.0) -> PinholeCamera:
+    return camera_of_screen(np.array([east, north, height]), DOWN, math.radians(60.0), 1.5, height_px)
 
 
 def test_each_point_is_in_one_node_and_within_its_cube(tree):
@@ -54,10 +64,9 @@ def test_points_in_one_place_are_a_tree_too():
     assert sorted(tree.rows(0).tolist()) == [0, 1, 2, 3, 4]
 
 
-def in_frame(view: Viewpoint, points: np.ndarray) -> np.ndarray:
-    x, y, z = ((points - view.position) @ view.cam_from_local.T).T
-    limit = math.tan(0.5 * view.fov)
-    return (z > 0.0) & (np.abs(y) < limit * z) & (np.abs(x) < view.aspect * limit * z)
+def in_frame(view: PinholeCamera, points: np.ndarray) -> np.ndarray:
+    pixels = view.project(points, None)
+    return ((points - view.centre) @ view.cam_from_local[2] > 0.0) & view.sees(pixels)
 
 
 @pytest.mark.parametrize("view", [above(10.0, 10.0, 30.0), above(3.0, 4.0, 2.0), above(40.0, 10.0, 3.0)])
@@ -66,7 +75,7 @@ def test_nodes_that_are_cut_off_have_no_point_in_the_frame(tree, view):
     for node in np.flatnonzero(~seen):
         assert not in_frame(view, tree.points[tree.rows(node)]).any()
     # Looking past the bed, nothing is left.
-    assert seen.any() == (view.position[0] < 20.0)
+    assert seen.any() == (view.centre[0] < 20.0)
 
 
 @pytest.mark.parametrize("most", [20_000, 60_000, 10**9])

@@ -19,7 +19,7 @@ from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun
 from survey.files.outputs import ReadFiles
 from survey.viewer.shown import load_shown
-from survey.viewer.tree import Viewpoint
+from survey.viewer.tree import camera_of_screen
 from survey.volume.field import train_field
 from survey.volume.options import VolumeOptions
 from survey.volume.scene import VolumeFolder
@@ -54,7 +54,7 @@ def test_the_viewer_renders_it_from_a_browsers_place(folder, monkeypatch):
     (field,) = shown.fields
     assert field.name == "vm"
     above = shown.middle + np.array([0.0, 0.0, 8.0])
-    down = Viewpoint(above, np.diag([1.0, -1.0, -1.0]), math.radians(60.0), 1.5, 900.0)
+    down = camera_of_screen(above, np.diag([1.0, -1.0, -1.0]), math.radians(60.0), 1.5, 900.0)
     wet, dry = (field.picture(down, dry=dry) for dry in (False, True))
     assert wet.shape == dry.shape == (40, 60, 3)
     assert (wet != dry).any()

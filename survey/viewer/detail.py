@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from refract import PinholeCamera
 from survey.photos.rotations import rotation_from_quaternion
 from survey.viewer.shown import Shown
-from survey.viewer.tree import MOST_POINTS, Viewpoint, point_sizes, select_nodes
+from survey.viewer.tree import MOST_POINTS, camera_of_screen, point_sizes, select_nodes
 
 if TYPE_CHECKING:
     import viser
@@ -35,10 +36,10 @@ class Style:
         return self.kind, self.limits
 
 
-def viewpoint_of(camera: viser.CameraHandle) -> Viewpoint:
-    """The viewpoint of a browser."""
+def camera_in_browser(camera: viser.CameraHandle) -> PinholeCamera:
+    """The camera of a browser."""
     rotation = rotation_from_quaternion(*(float(v) for v in camera.wxyz))
-    return Viewpoint(np.asarray(camera.position), rotation.T, camera.fov, camera.aspect, float(camera.image_height))
+    return camera_of_screen(np.asarray(camera.position), rotation.T, camera.fov, camera.aspect, camera.image_height)
 
 
 def node_arrays(shown: Shown, node: int, style: Style) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -85,7 +86,7 @@ class CloudInBrowser:
 
     def _draw(self) -> None:
         """Send missing nodes; stops early on new requests, after at least one node."""
-        style, tree, view = self._style, self._shown.tree, viewpoint_of(self._client.camera)
+        style, tree, view = self._style, self._shown.tree, camera_in_browser(self._client.camera)
         nodes = select_nodes(tree, view) if style.is_shown else np.empty(0, dtype=np.int64)
         self._make_room(nodes)
         for node in nodes.tolist():

@@ -16,7 +16,7 @@ from survey.errors import SurveyError
 from survey.escaping import markdown, printable
 from survey.photos.cameras import View
 from survey.progress import current
-from survey.viewer.detail import Style, viewpoint_of
+from survey.viewer.detail import Style, camera_in_browser
 from survey.viewer.shown import SCALES, Shown, TrainedField
 from survey.viewer.sightings import thumbnail
 from survey.viewer.slices import LocalReference
@@ -301,7 +301,7 @@ def add_field(server: viser.ViserServer, field: TrainedField, show: Callable[[np
             return
         notification = event.client.add_notification("trained field", "is being rendered", loading=True)
         try:
-            show(field.picture(viewpoint_of(event.client.camera), dry=not wet.value))
+            show(field.picture(camera_in_browser(event.client.camera), dry=not wet.value))
             for note in field.notes:
                 event.client.add_notification("trained field", note)
         # Torch raises RuntimeError where a device has too little memory.

@@ -21,9 +21,11 @@ from survey.photos.cameras import View
 from survey.progress import current
 from survey.run.flight import Flight
 from survey.viewer.slices import LocalReference, load_reference
-from survey.viewer.tree import CloudTree, Viewpoint, build_tree
+from survey.viewer.tree import CloudTree, build_tree
 
 if TYPE_CHECKING:
+    from matplotlib.colors import Colormap
+
     from fields.image_based import NovelView
 
 # Rows of a rendered picture, which then takes a second or two of one core.
@@ -36,12 +38,11 @@ _SOME = 200_000
 _FIELD = "field"
 _COLUMNS = ("xyz", "rgb", "std", "std_common", "num_views", "depth")
 # Colour of unknown values.
-UNKNOWN = (128, 128, 128)
+UNKNOWN = "#808080"
 # Quantiles of the values at the two ends of the colours, and of the absolute distances to a reference.
 _SHARES, _OF_ERRORS = (0.02, 0.98), 0.9
 # Points by which a range is found.
 _SOME_VALUES = 200_000
-_STEPS = 256
 
 
 class TrainedField:
@@ -73,10 +74,10 @@ class TrainedField:
     def _render(self) -> Render:
         return self._load(self.notes.append)
 
-    def picture(self, view: Viewpoint, *, dry: bool) -> np.ndarray:
-        """Rendering (rows, columns, 3) uint8 from a viewpoint, white beside the bed; ``dry``: along straight rays."""
+    def picture(self, camera: PinholeCamera, *, dry: bool) -> np.ndarray:
+        """Rendering (rows, columns, 3) uint8 of a screen, white beside the bed; ``dry``: along straight rays."""
         with self._lock:
-            seen = self._render(camera_of(view, _ROWS), dry)
+            seen = self._render(camera.scaled(_ROWS / camera.height), dry)
         return np.where(seen.coloured[..., None], seen.rgb, np.uint8(_PAPER))
 
 
@@ -84,15 +85,6 @@ def _of_run(folder: Path, water: FlatWater | None) -> Render:
     from survey.run.stored_field import load_layer_field
 
     return load_layer_field(folder, water, "auto").view
-
-
-def camera_of(view: Viewpoint, rows: int) -> PinholeCamera:
-    """The camera of a viewpoint with so many rows of pixels."""
-    focal = view.focal_px * rows / view.height_px
-    columns = max(round(rows * view.aspect), 1)
-    return PinholeCamera(
-        view.position, view.cam_from_local, focal, focal, 0.5 * columns, 0.5 * rows, columns, rows
-    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -118,11 +110,8 @@ class Scale:
 
     def colours(self, values: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
         """Colours (N, 3) uint8 of values (N,)."""
-        low, high = limits
-        share = (values - low) / (high - low)
-        known = np.isfinite(share)
-        step = np.clip(np.where(known, share, 0.0) * _STEPS, 0, _STEPS - 1).astype(np.int64)
-        return np.where(known[:, None], _table(self.colormap)[step], np.array(UNKNOWN, dtype=np.uint8))
+        share = (values - limits[0]) / (limits[1] - limits[0])
+        return _colormap(self.colormap)(np.ma.masked_invalid(share), bytes=True)[..., :3]
 
     def legend(self, limits: tuple[float, float]) -> str:
         """The quantity with the values of the first and the last colour."""
@@ -131,20 +120,19 @@ class Scale:
 
     def bar(self, width: int, height: int) -> np.ndarray:
         """The colours from low to high as a picture (height, width, 3) uint8."""
-        steps = (np.arange(width) * _STEPS) // width
-        return np.broadcast_to(_table(self.colormap)[steps], (height, width, 3)).copy()
+        return np.repeat(self.colours(np.linspace(0.0, 1.0, width), (0.0, 1.0))[None], height, axis=0)
 
 
 @lru_cache
-def _table(name: str) -> np.ndarray:
-    """The colours (256, 3) uint8 of a colour map."""
+def _colormap(name: str) -> Colormap:
+    """A colour map, of `UNKNOWN` where a value is."""
     from matplotlib import colormaps
 
     from survey.display import palette
 
     drawn = getattr(palette, name, None)
     colormap = drawn if callable(drawn) else colormaps[drawn or name]
-    return np.round(255.0 * colormap(np.linspace(0.0, 1.0, _STEPS))[:, :3]).astype(np.uint8)
+    return colormap.with_extremes(bad=UNKNOWN)
 
 
 # By the name of the column in `survey.viewer.shown.Shown`, in the order in which they are offered.

@@ -20,7 +20,7 @@ from survey.escaping import markdown
 from survey.photos.cameras import View
 from survey.photos.images import load_image
 from survey.photos.pixels import damage_named, open_image
-from survey.viewer.detail import Style, viewpoint_of
+from survey.viewer.detail import Style, camera_in_browser
 from survey.viewer.shown import SCALES, Shown
 from survey.viewer.slices import picture_of, slice_of
 from survey.viewer.tree import CloudTree, is_blocked, pick
@@ -221,7 +221,7 @@ class Clicks:
 
     def _clicked(self, event: viser.SceneClickEvent) -> None:
         origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
-        angle = _AIM_PX / viewpoint_of(event.client.camera).focal_px
+        angle = _AIM_PX / camera_in_browser(event.client.camera).fy
         row = pick(self._shown.tree, origin, direction, angle=angle, least_m=0.5 * self._shown.gsd_m)
         with self._lock:
             if row is not None:

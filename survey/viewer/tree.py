@@ -1,4 +1,4 @@
-"""The cloud of a run as an octree: its nodes, picking, and the level of detail for a viewpoint.
+"""The cloud of a run as an octree: its nodes, picking, and the level of detail for the camera of a screen.
 
 Each point is in one node; coarse nodes hold a thinned cloud of all below them. Picking is done on the server, where all
 points are. Drawn are the nodes in the view frustum, refined until their points are a pixel apart.
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geo.copc import CELLS, build_octree
+from refract import PinholeCamera
 
 # Steps along the largest extent: finer than any cloud, and they fit into 32 bits.
 _STEPS = 2**30
@@ -147,62 +148,53 @@ def _nodes_on(tree: CloudTree, origin: np.ndarray, along: np.ndarray, angle: flo
     return zip(touched[order].tolist(), entry[order].tolist(), strict=True)
 
 
-@dataclass(frozen=True)
-class Viewpoint:
-    """A pinhole without distortion, its principal point in the middle of the screen."""
-
-    position: np.ndarray  # (3,) [m], local
-    cam_from_local: np.ndarray  # (3, 3): camera axes are x right, y down, z forward
-    fov: float  # [rad]: of the height of the screen
-    aspect: float  # [-]: width over height
-    height_px: float  # [px]
-
-    @property
-    def focal_px(self) -> float:
-        """Focal length [px]."""
-        return 0.5 * self.height_px / math.tan(0.5 * self.fov)
-
-    def planes(self) -> np.ndarray:
-        """Normals (5, 3), local, of the planes through the camera that bound what it sees, pointing inwards."""
-        down = math.tan(0.5 * self.fov)
-        right = down * self.aspect
-        inwards = np.array(
-            [[1.0, 0.0, right], [-1.0, 0.0, right], [0.0, 1.0, down], [0.0, -1.0, down], [0.0, 0.0, 1.0]]
-        )
-        return inwards / np.linalg.norm(inwards, axis=1, keepdims=True) @ self.cam_from_local
+def camera_of_screen(
+    position: np.ndarray, cam_from_local: np.ndarray, fov: float, aspect: float, height_px: float
+) -> PinholeCamera:
+    """The camera of a screen by the field of view of its height [rad] and width over height."""
+    height = max(round(height_px), 1)
+    width, focal = max(round(height * aspect), 1), 0.5 * height / math.tan(0.5 * fov)
+    return PinholeCamera(position, cam_from_local, focal, focal, 0.5 * width, 0.5 * height, width, height)
 
 
-def seen_nodes(tree: CloudTree, view: Viewpoint) -> np.ndarray:
+def _bounding_planes(camera: PinholeCamera) -> np.ndarray:
+    """Normals (5, 3), local, of the planes through a camera that bound what it sees, pointing inwards."""
+    right, down = 0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy
+    inwards = np.array([[1.0, 0.0, right], [-1.0, 0.0, right], [0.0, 1.0, down], [0.0, -1.0, down], [0.0, 0.0, 1.0]])
+    return inwards / np.linalg.norm(inwards, axis=1, keepdims=True) @ camera.cam_from_local
+
+
+def seen_nodes(tree: CloudTree, camera: PinholeCamera) -> np.ndarray:
     """Mask (M,) bool of the nodes in the view frustum: those whose cube no bounding plane cuts off."""
     half = 0.5 * tree.side
-    middle = tree.low + half[:, None] - view.position
-    planes = view.planes()
+    middle = tree.low + half[:, None] - camera.centre
+    planes = _bounding_planes(camera)
     reach = half[:, None] * np.abs(planes).sum(axis=1)
     return (middle @ planes.T + reach >= 0.0).all(axis=1)
 
 
-def spacing_px(tree: CloudTree, view: Viewpoint) -> np.ndarray:
+def spacing_px(tree: CloudTree, camera: PinholeCamera) -> np.ndarray:
     """Distance of neighbouring points of nodes on the screen (M,) [px], at the nearest place of their cubes."""
-    nearest = np.clip(view.position, tree.low, tree.low + tree.side[:, None])
-    distance = np.linalg.norm(nearest - view.position, axis=1)
-    return view.focal_px * tree.spacing / np.maximum(distance, tree.spacing)
+    nearest = np.clip(camera.centre, tree.low, tree.low + tree.side[:, None])
+    distance = np.linalg.norm(nearest - camera.centre, axis=1)
+    return camera.fy * tree.spacing / np.maximum(distance, tree.spacing)
 
 
-def select_nodes(tree: CloudTree, view: Viewpoint, most_points: int = MOST_POINTS) -> np.ndarray:
+def select_nodes(tree: CloudTree, camera: PinholeCamera, most_points: int = MOST_POINTS) -> np.ndarray:
     """Nodes (K,) int to draw, the most needed first; with a node come all nodes above it.
 
     A node is drawn where its parent is too coarse for the screen; a parent is nearer and coarser than its children, so
     that a limit on the number of points cuts off the finest ones.
     """
-    coarseness = spacing_px(tree, view)
+    coarseness = spacing_px(tree, camera)
     needed = np.where(tree.parent < 0, np.inf, coarseness[tree.parent])
-    selected = np.flatnonzero(seen_nodes(tree, view) & (needed > _FINEST_PX))
+    selected = np.flatnonzero(seen_nodes(tree, camera) & (needed > _FINEST_PX))
     # Stable: of equals, parents come first as they do in the tree.
     selected = selected[np.argsort(-needed[selected], kind="stable")]
     return selected[np.cumsum(tree.counts[selected]) <= most_points]
 
 
-def point_sizes(tree: CloudTree, nodes: np.ndarray, view: Viewpoint, finest_m: float) -> np.ndarray:
+def point_sizes(tree: CloudTree, nodes: np.ndarray, camera: PinholeCamera, finest_m: float) -> np.ndarray:
     """Sizes (M,) [m] of points that leave no gap, where some nodes are drawn: the spacing of the finest ones there.
 
     Leaves have the spacing of the cloud, ``finest_m``. Of nodes that are not drawn the size means nothing.
@@ -211,7 +203,7 @@ def point_sizes(tree: CloudTree, nodes: np.ndarray, view: Viewpoint, finest_m: f
     drawn[nodes] = True
     size = np.where(tree.is_leaf(), finest_m, np.maximum(tree.spacing, finest_m))
     misses = np.zeros(len(tree), dtype=bool)
-    seen = seen_nodes(tree, view)
+    seen = seen_nodes(tree, camera)
     children = np.flatnonzero(tree.parent >= 0)
     misses[tree.parent[children[seen[children] & ~drawn[children]]]] = True
     finer = np.full(len(tree), finest_m)

@@ -13,13 +13,10 @@ from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
 from survey.folder import local_frame
 from survey.folder.found import find_survey
-from survey.folder.survey import load_survey
-from survey.photos.cameras import View
-from survey.pose_files import read_poses
+from survey.run.flight import load_flight
 
 # Points at a time: each has an angle for every camera.
 _BATCH = 100_000
-CAMERAS, MODEL = "cameras.csv", "sparse"
 
 
 @dataclass(frozen=True)
@@ -32,8 +29,7 @@ class _Scene:
 def write_corrected(path: Path, run: Path, survey: Path, correction: str) -> None:
     """The cloud of a run over straight rays, of the survey without its water, its depths corrected, as LAS.
 
-    `survey` is the folder with water: its level and index are taken, and its cameras where the run has found none. The
-    correction is "times_index" or "per_camera".
+    `survey` is the folder with water, whose level and index are taken. The correction is "times_index" or "per_camera".
     """
     cloud = read_cloud(run / "cloud.las")
     scene = _scene(run, survey)
@@ -76,23 +72,9 @@ def _depths(points: np.ndarray, apparent: np.ndarray, scene: _Scene, correction:
 
 
 def _scene(run: Path, survey: Path) -> _Scene:
-    """The cameras that the run found, else those of the survey, with the water of the survey."""
-    if not (run / CAMERAS).is_file():
-        loaded = load_survey(survey)
-        water, _ = loaded.require_water()
-        return _Scene(loaded.frame, tuple(view.camera for view in loaded.views), water)
-    found = find_survey(survey)
-    lenses = {pose.name: pose.lens for pose in read_poses(run / MODEL).poses}
-    poses = [pose for pose in read_poses(run / CAMERAS).poses if lenses.get(pose.name) is not None]
-    middle = np.median([pose.centre for pose in poses], axis=0)
-    frame = LocalFrame(found.crs, (float(middle[0]), float(middle[1]), float(middle[2])))
-    centres = np.array([pose.centre for pose in poses])
-    views = []
-    for pose, centre, axes in zip(poses, frame.local_from_crs(centres), frame.local_from_grid(centres), strict=True):
-        lens = lenses[pose.name]
-        assert lens is not None
-        views.append(View(pose.name, found.images[pose.name], lens.camera(centre, pose.cam_from_world @ axes.T), lens))
-    plane = local_frame.water_in_local(found.config, frame, views)[1]
+    """The cameras of the run, with the water of the survey."""
+    flight = load_flight(run)
+    plane = local_frame.water_in_local(find_survey(survey).config, flight.frame, list(flight.views))[1]
     if plane is None:
         raise SurveyError(f"{survey} has no water whose refraction could be corrected")
-    return _Scene(frame, tuple(view.camera for view in views), plane)
+    return _Scene(flight.frame, tuple(view.camera for view in flight.views), plane)

@@ -23,7 +23,7 @@ from survey.export.novel_views import image_based_field
 from survey.files.outputs import ReadFiles, require_file, require_folder
 from survey.folder.found import poses_inputs, survey_inputs
 from survey.folder.pairing import lens_from_config
-from survey.folder.pose_frames import cams_from_local, points_in_crs
+from survey.folder.pose_frames import poses_in_local
 from survey.photos.poses import PoseFile, PoseFrame
 from survey.pose_files import read_poses
 from survey.progress import current
@@ -177,28 +177,12 @@ def _cameras(file: PoseFile, path: Path, frame: LocalFrame, config: SurveyConfig
             f"the poses in {path} are in a local frame, but the run's cameras were not; give a table of positions in "
             f"{frame.crs.name} instead (image, easting, northing, height, omega, phi, kappa)"
         )
-    centres = np.array([pose.centre for pose in file.poses]).reshape(-1, 3)
-    if file.frame is not PoseFrame.LOCAL:
-        in_crs = points_in_crs(file, centres, frame.crs, config.cameras.gps_height)
-        centres = frame.local_from_crs(in_crs)
-        _require_finite(file, centres, path, frame)
-        rotations = cams_from_local(file, file.poses, in_crs, frame)
-    else:
-        rotations = np.array([pose.cam_from_world for pose in file.poses])
+    centres, rotations = poses_in_local(file, path, frame, config.cameras.gps_height)
     lenses = [pose.lens or _lens(config.cameras, path) for pose in file.poses]
     return {
         pose.name: lens.camera(centre, rotation)
         for pose, lens, centre, rotation in zip(file.poses, lenses, centres, rotations, strict=True)
     }
-
-
-def _require_finite(file: PoseFile, centres: np.ndarray, path: Path, frame: LocalFrame) -> None:
-    for pose, centre in zip(file.poses, centres, strict=True):
-        if not np.isfinite(centre).all():
-            raise SurveyError(
-                f"the position {pose.centre.tolist()} of {pose.name} in {path} is not on the map of {frame.crs.name}; "
-                "correct it"
-            )
 
 
 def _lens(config: CamerasConfig, path: Path) -> Lens:

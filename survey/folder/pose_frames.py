@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
@@ -87,6 +88,18 @@ def cams_from_local(file: PoseFile, poses: Sequence[Pose], centres_crs: np.ndarr
         lon, lat, _ = _geodetic(file, np.array([pose.centre for pose in poses]))
         rotations = rotations @ np.swapaxes(enu_from_geocentric(lon, lat), -1, -2)
     return rotations @ np.swapaxes(frame.local_from_enu(centres_crs), -1, -2)
+
+
+def poses_in_local(file: PoseFile, path: Path, frame: LocalFrame, gps_height: str) -> tuple[np.ndarray, np.ndarray]:
+    """Centres (N, 3) [m] and rotations (N, 3, 3) from local of the poses of a file, all of which are on the map."""
+    centres = points_in_local(file, np.array([pose.centre for pose in file.poses]).reshape(-1, 3), frame, gps_height)
+    for pose, is_known in zip(file.poses, np.isfinite(centres).all(axis=1), strict=True):
+        if not is_known:
+            raise PosesError(
+                f"the position {pose.centre.tolist()} of {pose.name} in {path} is not on the map of {frame.crs.name}; "
+                "correct it, or the CRS"
+            )
+    return centres, cams_from_local(file, file.poses, frame.crs_from_local(centres), frame)
 
 
 def points_in_local(file: PoseFile, points: np.ndarray, frame: LocalFrame, gps_height: str) -> np.ndarray:

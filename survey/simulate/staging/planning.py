@@ -14,10 +14,9 @@ from geo.frames import LocalFrame
 from geo.sun import Sun, sun_at
 from refract import PinholeCamera
 from refract.lens import MODELS, Lens, LensError, coefficients_of
-from survey.errors import ConfigError, PosesError, SurveyError
+from survey.errors import ConfigError, SurveyError
 from survey.folder.faults import place_of
-from survey.folder.pose_frames import cams_from_local, points_in_crs
-from survey.photos.poses import PoseFrame
+from survey.folder.pose_frames import poses_in_local
 from survey.pose_files import read_poses
 from survey.simulate.flight.patterns import Site, plan_flight
 from survey.simulate.ground.ground import bed_from_file
@@ -108,15 +107,7 @@ def _cameras_of(path: Path, lens: Lens, frame: LocalFrame) -> list[PinholeCamera
     """Cameras at the poses of a file, in its order."""
     if not path.is_file():
         raise ConfigError(f"flight.poses names {path}, which does not exist; correct the path")
-    file = read_poses(path)
-    centres = np.array([pose.centre for pose in file.poses])
-    if file.frame is PoseFrame.LOCAL:
-        rotations = np.array([pose.cam_from_world for pose in file.poses])
-    else:
-        in_crs = points_in_crs(file, centres, frame.crs, "crs")
-        centres, rotations = frame.local_from_crs(in_crs), cams_from_local(file, file.poses, in_crs, frame)
-    if not np.isfinite(centres).all():
-        raise PosesError(f"{path} has positions that are not on the map of {frame.crs.name}; correct them, or crs")
+    centres, rotations = poses_in_local(read_poses(path), path, frame, "crs")
     return [lens.pinhole(centre, rotation) for centre, rotation in zip(centres, rotations, strict=True)]
 
 

@@ -125,17 +125,14 @@ def read_results(path: Path) -> Results:
     records = []
     try:
         for entry in table["records"]:
-            records.append(_record(entry))
+            errors = None if entry["errors"] is None else Errors(**entry["errors"])
+            costs = tuple(Cost(**cost) for cost in entry["costs"])
+            records.append(Record(**(entry | {"costs": costs, "errors": errors})))
     except (KeyError, TypeError, AttributeError) as error:
         raise SurveyError(
             f"record {len(records) + 1} of {path} has not the fields of layout {VERSION}; measure it again"
         ) from error
     return Results(table["machine"], table["versions"], table["commit"], tuple(records))
-
-
-def _record(entry: dict) -> Record:
-    errors = None if entry["errors"] is None else Errors(**entry["errors"])
-    return Record(**(entry | {"costs": tuple(Cost(**cost) for cost in entry["costs"]), "errors": errors}))
 
 
 def errors_of(cloud: Path, case: Case) -> Errors:

@@ -116,7 +116,8 @@ def volume_of(differences: Differences, cells: np.ndarray, correlation: Correlat
     area = differences.side_m**2
     own = np.where(cells, np.nan_to_num(differences.std), 0.0)
     first, second = (float(np.where(cells, np.nan_to_num(c), 0.0).sum()) for c in differences.common)
-    variance = _correlated_sum(own, differences.side_m, correlation)
+    products, distance = _autocorrelation(own, differences.side_m)
+    variance = float((products * correlation.at(distance)).sum())
     variance += first**2 + second**2 - 2.0 * differences.shared * first * second
     total = float(np.where(cells, np.nan_to_num(differences.height), 0.0).sum())
     return Volume(area * total, area * math.sqrt(max(variance, 0.0)), area * int(cells.sum()))
@@ -149,12 +150,6 @@ def measured_correlation(differences: Differences, cells: np.ndarray) -> Correla
         share = float(np.clip((weight * value * shape).sum() / (weight * shape**2).sum(), 0.0, 1.0))
         best = min(best, (float((weight * (value - share * shape) ** 2).sum()), share, float(length)))
     return Correlation(best[1], best[2], spread)
-
-
-def _correlated_sum(own: np.ndarray, side_m: float, correlation: Correlation) -> float:
-    """Variance of the sum of errors with standard deviations (rows, columns), 0 where there is none."""
-    products, distance = _autocorrelation(own, side_m)
-    return float((products * correlation.at(distance)).sum())
 
 
 def _autocorrelation(values: np.ndarray, side_m: float) -> tuple[np.ndarray, np.ndarray]:

@@ -140,7 +140,7 @@ def _empty(run: LoadedRun, cells: Grid, level: LevelFit | None, pixel_m: float) 
 def _fill_in(grid: BedRaster, points: _Points) -> None:
     """Fit the cells, tile by tile."""
     cells, at = grid.cells, points.at
-    margin = margin_of(grid.pixel_m) / cells.side_m
+    margin = MARGIN_SQUARES * _SQUARE_PX * grid.pixel_m / cells.side_m
     side = _tile_side(len(points), cells, margin)
     tiles = np.floor(at / side).astype(np.int32)
     across = -(-cells.shape[1] // side)
@@ -191,11 +191,6 @@ def _tile_side(num_points: int, cells: Grid, margin: float) -> int:
     """Cells along a tile of about `_POINTS_PER_TILE` points, and at least those of the margin."""
     per_cell = num_points / (cells.shape[0] * cells.shape[1])
     return max(min(int(math.sqrt(_POINTS_PER_TILE / per_cell)), _LARGEST_TILE), math.ceil(margin))
-
-
-def margin_of(pixel: float) -> float:
-    """Radius around a place within which points decide about it [m], for a pixel [m]."""
-    return MARGIN_SQUARES * _SQUARE_PX * pixel
 
 
 def seen_from_above(

@@ -43,7 +43,8 @@ def image_based_field(
     """
     flight = flight_of(run, survey)
     photographs = _Photographs(run, flight)
-    points = flight.frame.local_from_crs(_sample(run.columns("points_crs")["points_crs"]))
+    points_crs = run.columns("points_crs")["points_crs"]
+    points = flight.frame.local_from_crs(points_crs[:: max(len(points_crs) // _COMPARED, 1)])
     mapped = photographs.mapped
     load = lru_cache(max(_MOST_BYTES // photographs.source(min(mapped)).num_bytes, _FEWEST))(photographs.source)
     field = ImageBasedField(
@@ -91,10 +92,6 @@ class _Photographs:
         # Maps of smaller photographs are padded.
         small = camera.scaled(self._scale)
         return np.where(confirmed, height_map.height, np.float32(np.nan))[: small.height, : small.width]
-
-
-def _sample(points: np.ndarray) -> np.ndarray:
-    return points[:: max(len(points) // _COMPARED, 1)]
 
 
 def _gains(

@@ -106,7 +106,8 @@ class _Knots:
     def of(flight: Flight, cells: Grid, window: Window, height: np.ndarray) -> _Knots:
         low, high = float(np.nanmin(height)), float(np.nanmax(height))
         middle, half = 0.5 * (low + high), max(0.5 * (high - low), 0.5 * _LEAST_RELIEF_M)
-        rows, columns = (_knots(n) for n in window.shape)
+        # The first cell and the last are knots, too.
+        rows, columns = (np.unique(np.append(np.arange(0, n, _STEP), [n - 1])) for n in window.shape)
         east = cells.origin[0] + (window.left + columns + 0.5) * cells.step[0]
         north = cells.origin[1] + (window.top + rows + 0.5) * cells.step[1]
         levels = np.array([middle - half, middle, middle + half]) / height_unit_m(cells.crs)
@@ -147,11 +148,6 @@ def _local(flight: Flight, cells: Grid, points: np.ndarray) -> np.ndarray:
     if not cells.crs.equals(frame.crs):
         points = Reprojection.between(cells.crs, frame.crs)(points.reshape(-1, 3)).reshape(points.shape)
     return frame.local_from_crs(points)
-
-
-def _knots(count: int) -> np.ndarray:
-    """Cells that are knots, the first and the last among them."""
-    return np.unique(np.append(np.arange(0, count, _STEP), [count - 1]))
 
 
 def _between(knots: np.ndarray, count: int) -> np.ndarray:

@@ -117,7 +117,13 @@ def targets_of(run: RunDir, frame: LocalFrame, cameras: Path, output: Path) -> l
         for name, camera in posed.items()
     ]
     for picture in (path for target in targets for path in _pictures(target.stem) if path.exists()):
-        require_file("-o", picture, inputs, kind="a picture that render wrote", is_of_kind=is_our_picture)
+        require_file(
+            "-o",
+            picture,
+            inputs,
+            kind="a picture that render wrote",
+            is_of_kind=lambda head: _SOFTWARE.encode() in head,
+        )
     return targets
 
 
@@ -192,11 +198,6 @@ def _lens(config: CamerasConfig, path: Path) -> Lens:
             "instead, or the two keys and process again"
         )
     return lens_from_config(config, {})[0]
-
-
-def is_our_picture(head: bytes) -> bool:
-    """Whether a file that begins so is a picture that `write_view` wrote."""
-    return _SOFTWARE.encode() in head
 
 
 def _stem(output: Path, name: str, path: Path, *, is_short: bool) -> Path:

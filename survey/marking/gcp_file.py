@@ -77,7 +77,7 @@ def with_marks(path: Path, marks: Iterable[ControlMark], crs: CRS, images: Itera
                 cells = _cells_without_mark(lines[unmarked[mark.point]])
                 kept[unmarked[mark.point]] = None
             else:
-                cells = [*_coordinates(mark.place, crs, file_crs), *[""] * 3, *_words(mark)]
+                cells = [*_coordinates(mark.place, crs, file_crs), *[""] * 3, mark.point, *["check"] * mark.is_check]
             line = mark_line(cells[:3], mark.pixel, mark.image, cells[6:])
             if of_mark:
                 kept |= dict.fromkeys(of_mark) | {of_mark[0]: line}
@@ -113,10 +113,6 @@ def _cells_without_mark(line: str) -> list[str]:
 
 def _is_nameless(line: str) -> bool:
     return len(line_cells(line)) == 6
-
-
-def _words(mark: ControlMark) -> list[str]:
-    return [mark.point, "check"] if mark.is_check else [mark.point]
 
 
 def header_of(crs: CRS) -> str:

@@ -47,8 +47,9 @@ def flattened(survey: Survey) -> Survey:
     Away from the origin level ground falls below z = 0, by 7.8 m at 10 km, which is more than the height of some
     flights. Unchanged where it falls by less than 5 cm.
     """
-    centres = _raised(survey, np.array([view.camera.centre for view in survey.views]))
-    if not np.isfinite(centres).all() or _drop_of_ground(survey, centres) < _LEAST_DROP_M:
+    given = np.array([view.camera.centre for view in survey.views])
+    centres = _raised(survey, given)
+    if not np.isfinite(centres).all() or np.abs(centres[:, 2] - given[:, 2]).max() < _LEAST_DROP_M:
         return survey
     views = tuple(
         replace(view, camera=replace(view.camera, centre=centre))
@@ -75,11 +76,6 @@ def _raised(survey: Survey, points: np.ndarray) -> np.ndarray:
     frame = survey.frame
     heights = frame.crs_from_local(points)[:, 2] - frame.origin[2]
     return np.column_stack([points[:, :2], heights * height_unit_m(frame.crs)])
-
-
-def _drop_of_ground(survey: Survey, raised: np.ndarray) -> float:
-    centres = np.array([view.camera.centre for view in survey.views])
-    return float(np.abs(raised[:, 2] - centres[:, 2]).max())
 
 
 def plane_name(survey: Survey) -> str:

@@ -177,7 +177,9 @@ def _motion(found: Found, survey: Survey | None) -> tuple[float | None, float | 
     speeds = {name: velocity.speed for name, velocity in velocities.items()}
     exposures = {name: header.exposure_s for name, header in found.headers.items() if header.exposure_s is not None}
     both = sorted(speeds.keys() & exposures.keys(), key=lambda name: speeds[name] * exposures[name])
-    pixel = gsd_m(survey) if survey is not None else _gsd_by_headers(found)
+    focal, height = _focal_px(found), _height_m(found)
+    by_headers = None if focal is None or height is None else height / focal
+    pixel = by_headers if survey is None else gsd_m(survey)
     if not both:
         return max(speeds.values(), default=None), max(exposures.values(), default=None), pixel, ""
     known = "" if len(both) == len(found.images) else f"; known of {len(both)} of {len(found.images)}"
@@ -196,12 +198,6 @@ def _gps_places(found: Found) -> dict[str, np.ndarray]:
         name: np.array([across * (lon - lon0), per_degree * (lat - lat0), np.nan_to_num(height - height0)])
         for name, (lat, lon, height) in known.items()
     }
-
-
-def _gsd_by_headers(found: Found) -> float | None:
-    """Ground sampling distance [m] by the image headers: the median of heights over focal lengths."""
-    focal, height = _focal_px(found), _height_m(found)
-    return None if focal is None or height is None else height / focal
 
 
 def _focal_px(found: Found) -> float | None:

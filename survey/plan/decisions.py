@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from refract import FlatWater, PinholeCamera
 from refract.distortion import kinds_of
 from survey.errors import SurveyError
 from survey.folder.pose_priors import BY_FILE
@@ -41,15 +40,12 @@ def refraction(survey: Survey) -> Decision:
         return Decision("refraction", "off", "the index of the water is 1, as if it were air")
     slope = math.hypot(water.slope_x, water.slope_y)
     tilt = f", sloped by {slope:.4f}" if slope > 1e-6 else ""
-    num_to_horizon = sum(_sees_beside_water(view.camera, water) for view in survey.views)
+    outlines = [view.camera.directions(view.camera.outline()) for view in survey.views]
+    num_to_horizon = sum(bool((rays @ np.array(water.up) >= 0.0).any()) for rays in outlines)
     horizon = (
         f"; {num_to_horizon} of {len(survey.views)} views look past the water to the horizon" if num_to_horizon else ""
     )
     return Decision("refraction", "on", f"water of index {water.n_water:.4f} at {given.level_m:g} m{tilt}{horizon}")
-
-
-def _sees_beside_water(camera: PinholeCamera, water: FlatWater) -> bool:
-    return bool((camera.directions(camera.outline()) @ np.array(water.up) >= 0.0).any())
 
 
 def lens_terms(survey: Survey) -> Decision:

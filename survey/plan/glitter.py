@@ -84,7 +84,7 @@ class GlitterOfFlight:
         shares = [float(glitters(rays, sun, up, wind_m_s).mean()) for rays, sun in pairs]
         mirrors = suns - 2.0 * (suns @ up)[:, None] * up
         num_mirrored = sum(
-            bool(sun @ up > 0.0) and _in_frame(camera, mirror)
+            bool(sun @ up > 0.0 and camera.sees(camera.project(camera.centre + mirror, None)))
             for camera, sun, mirror in zip(self._cameras, suns, mirrors, strict=True)
         )
         every = free = None
@@ -118,7 +118,3 @@ def _pixels(camera: PinholeCamera) -> np.ndarray:
 def _low_and_median(seen: np.ndarray) -> tuple[float, float]:
     counts = seen.sum(axis=0)
     return float(np.quantile(counts, 0.1)), float(np.median(counts))
-
-
-def _in_frame(camera: PinholeCamera, direction: np.ndarray) -> bool:
-    return bool(camera.sees(camera.project(camera.centre + direction, None)))

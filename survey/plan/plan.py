@@ -15,7 +15,7 @@ from survey.plan.choices import USUAL, Choices
 from survey.plan.decisions import Decision, finer_passes, lens_terms, pixels, pose_choice, refraction
 from survey.plan.heights import dry_ground, in_words
 from survey.plan.recipe import RECIPES, Recipe, camera_height_m, gsd_m, image_decision, image_scale_of
-from survey.water.surface import EARTH, Departure
+from survey.water.surface import EARTH
 from survey.water.tides import MOST_SHIFT_PX
 
 # Decisions that follow from the photographs alone, or were made before the run.
@@ -89,7 +89,8 @@ def make_plan(survey: Survey, chosen: Choices = USUAL) -> Plan:
         refraction(survey),
         lens_terms(survey),
         pixels(survey),
-        *_level(survey),
+        *_tide(survey),
+        *_by_place(survey),
         field,
         finer_passes(field.choice),
         *((_BOXES,) if boxes else ()),
@@ -155,21 +156,18 @@ def device_decision(device: str) -> Decision:
     return Decision("device", chosen.name, chosen.reason)
 
 
-def _level(survey: Survey) -> tuple[Decision, ...]:
-    """Decisions on levels by photograph and by place; none for one plane at a constant level."""
+def _by_place(survey: Survey) -> tuple[Decision, ...]:
+    """Decision to follow water that is not a plane; none for a plane."""
     departure = survey.observations.departure
-    return (*_tide(survey), *(() if departure is None else (_by_place(survey, departure),)))
-
-
-def _by_place(survey: Survey, departure: Departure) -> Decision:
-    """Decision to follow water that is not a plane."""
+    if departure is None:
+        return ()
     under = np.array([view.camera.centre[:2] for view in survey.views])
     distance = length(float(np.abs(departure.at(under)[0]).max()))
     moved = "points of the bed are moved to it"
     if departure.source == EARTH:
-        return Decision(EARTH, "followed", f"still water lies up to {distance} below its tangent plane; {moved}")
+        return (Decision(EARTH, "followed", f"still water lies up to {distance} below its tangent plane; {moved}"),)
     message = f"{departure.source} lies up to {distance} off one plane under the cameras"
-    return Decision("level", "by place", f"{message}; {moved}")
+    return (Decision("level", "by place", f"{message}; {moved}"),)
 
 
 def _tide(survey: Survey) -> tuple[Decision, ...]:

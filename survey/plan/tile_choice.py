@@ -109,7 +109,8 @@ def _as_needed(
     ground, one = ground_of(survey, plan), float(workload.memory_bytes)
     for_workers = max(1 if chosen.scheduler is None else 2, chosen.workers or 1)
     for_geometry, why = _for_water(survey, plan)
-    if (for_frames := _for_frames(ground)) > for_geometry:
+    for_frames = math.prod(math.ceil((ground[axis + 2] - ground[axis]) / FRAME_M) for axis in (0, 1))
+    if for_frames > for_geometry:
         for_geometry, why = for_frames, "a local frame serves for a kilometre"
     budget, source = _budget(chosen)
     in_one = f"in one piece the run takes about {size(one)} of memory"
@@ -163,11 +164,6 @@ def _for_water(survey: Survey, plan: Plan) -> tuple[int, str]:
         if px <= MOST_SKEW_PX:
             break
     return min(tried)[1], f"rays of a point bent at one plane are skew by up to {tried[0][0]:.2g} px"
-
-
-def _for_frames(ground: Area) -> int:
-    """Number of tiles of a kilometre at most along each side."""
-    return math.prod(math.ceil((ground[axis + 2] - ground[axis]) / FRAME_M) for axis in (0, 1))
 
 
 def has_dask() -> bool:

@@ -143,7 +143,8 @@ def amounts_of_run(survey: Survey, plan: Plan) -> Amounts:
             raise SurveyError(str(error)) from error
         chosen = overlap.cover(*plan.recipe.times_seen, area)
         num_covered = int((overlap.seen.sum(axis=0) >= 2).sum())
-        points = num_covered * _cell_area(overlap.cells) / plan.gsd_m**2
+        sides = [np.diff(np.unique(overlap.cells[:, axis])).min() for axis in (0, 1)]
+        points = num_covered * float(sides[0] * sides[1]) / plan.gsd_m**2
     if area is not None:
         x0, y0, x1, y1 = grown(area, AREA_MARGIN_M)
         points = min(points, (x1 - x0) * (y1 - y0) / plan.gsd_m**2)
@@ -219,8 +220,3 @@ def _kept(pixels: np.ndarray, of_what: tuple[float, float, int]) -> float:
     """Bytes of images of so many pixels each of which the last few are kept; see `fields.image_store`."""
     each, budget, fewest = of_what
     return each * min(float(np.sum(pixels)), max(budget / each, fewest * float(np.max(pixels))))
-
-
-def _cell_area(cells: np.ndarray) -> float:
-    """Area [m^2] of one cell of a regular grid (N, 3)."""
-    return float(np.diff(np.unique(cells[:, 0])).min() * np.diff(np.unique(cells[:, 1])).min())

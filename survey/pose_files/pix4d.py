@@ -44,7 +44,7 @@ class _Camera:
 
 def read_pix4d(path: Path) -> PoseFile:
     """Poses in crs, with lenses where the file of cameras is there."""
-    path = _file_of(path)
+    path = _files_in(path)[0] if path.is_dir() else path
     stem = _stem(path)
     cameras_path, external_path = (path.with_name(stem + ending) for ending in (_CAMERAS, _EXTERNAL))
     cameras = _cameras(cameras_path) if cameras_path.is_file() else {}
@@ -141,10 +141,6 @@ def _crs(path: Path) -> CRS | None:
 def _stem(path: Path) -> str:
     """The name of the project."""
     return path.name.removesuffix(_EXTERNAL).removesuffix(_CAMERAS)
-
-
-def _file_of(path: Path) -> Path:
-    return _files_in(path)[0] if path.is_dir() else path
 
 
 def _files_in(folder: Path) -> list[Path]:

@@ -66,9 +66,8 @@ class Sensor:
             if camera.motion is not None:
                 late = rows[part, None] + v - camera.cy
                 origin = origin + np.broadcast_to(late * camera.motion, rays.shape).reshape(-1, 3)
-            radiance = radiance_of(
-                np.broadcast_to(origin, (rays.size // 3, 3)), rays.reshape(-1, 3), _seed_of(seed, number)
-            )
+            own_seed = int(np.random.default_rng([*seed, number]).integers(1 << 31))
+            radiance = radiance_of(np.broadcast_to(origin, (rays.size // 3, 3)), rays.reshape(-1, 3), own_seed)
             total[part] += radiance.reshape(rays.shape).sum(axis=1)
         return (total / self.samples).reshape(camera.height, camera.width, 3)
 
@@ -115,8 +114,3 @@ def _horizontal(direction: np.ndarray) -> np.ndarray:
     level = np.array([direction[0], direction[1], 0.0])
     length = np.linalg.norm(level)
     return level / length if length > 0.0 else level
-
-
-def _seed_of(seed: tuple[int, int], number: int) -> int:
-    """A seed below 2**31 for one part of one image."""
-    return int(np.random.default_rng([*seed, number]).integers(1 << 31))

@@ -20,7 +20,6 @@ from fields.volume.photographs import Photographs, may_show, pixels_over
 from fields.volume.sampling import Cells
 from fields.volume.surface import LEAST_VIEWS
 from geo.files import reporting_disk_errors, write_whole
-from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera
 from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun, Photograph, at_scale
@@ -95,7 +94,7 @@ class BedBox:
     @staticmethod
     def of_run(run: LoadedRun, flight: Flight, options: VolumeOptions) -> BedBox:
         """The box of the whole bed, or of the part in the bounds."""
-        bed = _bed_of(run, flight.frame, options.bounds)
+        bed = flight.frame.local_from_crs(_within(run.columns("points_crs")["points_crs"], options.bounds))
         box = _box_about(bed, options.cells)
         ground = BedBox(box, bed, flight.water, options.straight, run.bed_header.gsd_m)
         return ground.read_for(box.edge, options)
@@ -162,11 +161,6 @@ def training_photographs(
             Path(options.monocular), learned.names, learned.photographs.cameras
         )
     return learned
-
-
-def _bed_of(run: LoadedRun, frame: LocalFrame, bounds: tuple[float, float, float, float] | None) -> np.ndarray:
-    """Points (N, 3) [m], local, of the bed in bounds in crs."""
-    return frame.local_from_crs(_within(run.columns("points_crs")["points_crs"], bounds))
 
 
 @dataclass(frozen=True)

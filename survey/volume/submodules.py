@@ -66,7 +66,8 @@ def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, fol
             continue
         surface = surface_in(trained)
         free_unused(choose_device(options.device))
-        surfaces.append(_chosen(surface, grid.owner(surface.xyz) == number))
+        own = grid.owner(surface.xyz) == number
+        surfaces.append(Surface(*(getattr(surface, column.name)[own] for column in fields(Surface))))
         reports[name] = trained.report() | {"points": len(surfaces[-1].xyz)}
     if not reports:
         raise SurveyError(f"none of {len(grid)} submodules has enough photographs; ask for fewer --submodules")
@@ -80,7 +81,8 @@ def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, fol
         )
     report = _summary(reports, ground, held) | {"left_out": left_out, "submodules": reports}
     held_views = (views.view(camera) for camera in held.photographs.cameras)
-    return FieldResult(_joined(surfaces), ground.scene(held, held).bed, held, views.view, held_views, report)
+    joined = Surface(*(np.concatenate([getattr(e, column.name) for e in surfaces]) for column in fields(Surface)))
+    return FieldResult(joined, ground.scene(held, held).bed, held, views.view, held_views, report)
 
 
 def _grid_of(ground: BedBox, options: VolumeOptions) -> Grid:
@@ -145,14 +147,6 @@ def _matched_vectors(views: SubmoduleViews, flight: Flight, ground: BedBox) -> d
             free_unused(choose_device(views.device))
             stage.advance()
     return {views.folders[number].name: vectors[k].tolist() for k, number in enumerate(numbers)}
-
-
-def _chosen(surface: Surface, keep: np.ndarray) -> Surface:
-    return Surface(*(getattr(surface, each.name)[keep] for each in fields(Surface)))
-
-
-def _joined(surfaces: list[Surface]) -> Surface:
-    return Surface(*(np.concatenate([getattr(e, column.name) for e in surfaces]) for column in fields(Surface)))
 
 
 def _summary(reports: dict[str, dict[str, Any]], ground: BedBox, held: NamedPhotographs) -> dict[str, Any]:

@@ -294,15 +294,10 @@ def vertex_texture(shape: TriangleMesh, rgb: np.ndarray) -> VertexTexture:
     return VertexTexture((np.asarray(rgb) / 255.0) ** GAMMA, vertices, faces)
 
 
-def linear_image(path: Path) -> np.ndarray:
-    """An image file as linear albedo (rows, columns, 3) float32."""
-    linear = ((np.arange(256) / 255.0) ** GAMMA).astype(np.float32)
-    return linear[eight_bits(read_rgb(path))]
-
-
 def _image(path: Path, texel_m: float) -> ImageTexture:
+    linear = ((np.arange(256) / 255.0) ** GAMMA).astype(np.float32)
     # The first row of an image is its north.
-    image = np.ascontiguousarray(linear_image(path)[::-1])
+    image = np.ascontiguousarray(linear[eight_bits(read_rgb(path))][::-1])
     rows, columns = image.shape[:2]
     west, south = -0.5 * (columns - 1) * texel_m, -0.5 * (rows - 1) * texel_m
     return draped_texture(image, west, south, texel_m)

@@ -72,8 +72,8 @@ class Sunlight:
         toward, foot = mi.Vector3f(in_air), mi.Point3f(place)
         power = mi.Color3f(self.light.sun_irradiance / math.cos(0.5 * r) ** 2)
         free = mi.Bool(True)
-        # Off the ground, on the side of the sun.
-        off = _clearance(place)
+        # Off the ground, on the side of the sun, above the rounding of float32 at that distance from the origin.
+        off = (1.0 + dr.max(dr.abs(place))) * _CLEAR
         start = place + dr.copysign(off, dr.dot(normal, in_air)) * normal
         if dr.hint(self.plane is not None, mode="scalar"):
             point, up, n = self.plane
@@ -112,11 +112,6 @@ def absorbed(mi: ModuleType, colour: WaterOptics, length):
 def not_(mask):
     """Logical not; ``~`` would turn the plain bool of the scalar variant into a number."""
     return mask ^ True
-
-
-def _clearance(place):
-    """Offset of a ray's start from a surface [m]: above the rounding of float32 at that distance from the origin."""
-    return (1.0 + dr.max(dr.abs(place))) * _CLEAR
 
 
 def _fresnel(cosine, inside, n: float):

@@ -27,6 +27,7 @@ from survey.plan.glitter import GlitterOfFlight
 from survey.plan.plan import make_plan
 from survey.plan.recipe import gsd_m
 from survey.plan.workload import room_warnings, workload_of
+from survey.progress import rough
 from survey.settings.config import AreaConfig, SurveyConfig, WaterConfig
 from survey.simulate.flight.coverage import NADIR_DEG, coverage
 from survey.simulate.scene_file import read_scene
@@ -34,8 +35,6 @@ from survey.simulate.staging.planning import ScenePlan, plan_scene, sun_of
 
 # Shares of the area seen by fewer than three photographs, up to which coverage is good, and fair.
 _UNSEEN = 0.0, 0.05
-# Shorter flights are given in seconds.
-_SHORT_S = 120.0
 # The day is sampled in these steps, while the sun is high enough to light the bed.
 _STEP_MIN, _LOWEST_SUN_DEG = 15, 15.0
 _NO_TIME = 'unknown: give [light] time, e.g. time = "2026-07-14T09:30+02:00"'
@@ -116,7 +115,7 @@ def _flight_rows(plan: ScenePlan, survey: Survey) -> list[tuple[str, str]]:
     down = sum(tilt <= NADIR_DEG for tilt in tilted)
     path = float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum())
     speed = plan.settings.flight.speed_m_s
-    duration = "" if speed is None else f", {_duration(path / speed)} at {speed:g} m/s without the turns"
+    duration = "" if speed is None else f", {rough(path / speed)} at {speed:g} m/s without the turns"
     over = "the water" if site.water is not None else "the ground"
     wide, deep = plan.settings.area.size_m
     unseen = coverage(cameras, site).unseen_share
@@ -135,10 +134,6 @@ def _flight_rows(plan: ScenePlan, survey: Survey) -> list[tuple[str, str]]:
             "give more overlap, or let the strips begin outside the area",
         )),
     ]  # fmt: skip
-
-
-def _duration(seconds: float) -> str:
-    return f"{seconds:.0f} seconds" if seconds < _SHORT_S else f"{seconds / 60.0:.0f} minutes"
 
 
 def _light_rows(plan: ScenePlan, survey: Survey, wind_m_s: float) -> list[tuple[str, str]]:

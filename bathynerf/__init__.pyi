@@ -21,6 +21,7 @@ from survey.export.profiles import Profile, profiles_along
 from survey.export.render import render
 from survey.folder.survey import Survey as LoadedSurvey
 from survey.folder.survey import load_survey
+from survey.handles.field import Field, train_field
 from survey.handles.run import Dem, Run
 from survey.handles.survey import Survey
 from survey.photos.cameras import View
@@ -43,6 +44,7 @@ __all__ = [
     "Distortion",
     "DrawnScene",
     "ExportOptions",
+    "Field",
     "FlatWater",
     "GeoError",
     "LoadedSurvey",
@@ -73,6 +75,7 @@ __all__ = [
     "render",
     "simulate",
     "trace",
+    "train_field",
     "water_index",
     "write_cloud",
 ]

@@ -14,13 +14,13 @@ from PIL import Image
 
 import survey.viewer.shown
 import survey.volume.scene
+from bathynerf import Field, train_field
 from survey.commands.faults import BAD_INPUT
 from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun
 from survey.files.outputs import ReadFiles
 from survey.viewer.shown import load_shown
 from survey.viewer.tree import camera_of_screen
-from survey.volume.field import train_field
 from survey.volume.options import VolumeOptions
 from survey.volume.scene import VolumeFolder
 from survey.volume.stored import StoredVolume
@@ -33,7 +33,7 @@ def folder(tmp_path_factory):
     """A run ``run`` with a field ``f``, and the photographs' own cameras rendered in ``f/views``."""
     folder = tmp_path_factory.mktemp("stored")
     run = run_over(painted_survey(folder / "s"), folder / "run")
-    train_field(run, folder / "f", VolumeOptions(**{**vars(OPTIONS), "cameras": folder / "s" / "cameras.csv"}))
+    train_field(run, folder / "f", **{**vars(OPTIONS), "cameras": folder / "s" / "cameras.csv"})
     return folder
 
 
@@ -45,6 +45,29 @@ def test_it_renders_what_the_training_rendered(folder):
         before = np.asarray(picture)
     assert (seen.seen == (before[..., 3] > 0)).mean() > 0.999
     assert np.abs(seen.rgb.astype(int) - before[..., :3])[seen.seen].max() <= 1
+
+
+def test_its_folder_is_rendered_and_opened_by_itself(folder, tmp_path):
+    found = bathynerf("render", folder / "f", "--cameras", folder / "s" / "cameras.csv", "-o", tmp_path / "views")
+    assert found.exit_code == 0, found.stderr
+    for name in ("0001.png", "0002.png"):
+        assert (tmp_path / "views" / name).read_bytes() == (folder / "f" / "views" / name).read_bytes()
+    field = Field(folder / "f")
+    assert field.run == folder / "run"
+    assert len(field.surface.points) == field.report["points"]
+    assert "data:image/png" in field._repr_html_()
+    with pytest.raises(SurveyError, match="holds no trained field"):
+        Field(folder / "run")
+
+
+def test_a_field_whose_run_is_gone_says_how_it_is_told(folder, tmp_path):
+    shutil.copytree(folder / "f", tmp_path / "f")
+    settings = json.loads((tmp_path / "f" / "settings.json").read_text())
+    (tmp_path / "f" / "settings.json").write_text(json.dumps(settings | {"run": str(tmp_path / "moved")}))
+    with pytest.raises(SurveyError, match="moved, which is not there; give the same options"):
+        Field(tmp_path / "f")
+    # Trained to the end: the same command only reads it, and writes the place of the run.
+    assert train_field(folder / "run", tmp_path / "f", **vars(OPTIONS)).run == folder / "run"
 
 
 def test_the_viewer_renders_it_from_a_browsers_place(folder, monkeypatch):

@@ -22,7 +22,7 @@ from refract import WaterSurface
 
 # Paths are drawn for this many steps at once.
 POOL_STEPS = 32
-# Number of last steps over which the reported error is taken.
+# Number of last steps over which the reported error is taken, at most.
 LAST_STEPS = 100
 # Moments of a training at which its error is reported, and paths of photographs held out that are predicted then.
 MOMENTS, HELD_PATHS = 25, 4096
@@ -124,7 +124,8 @@ def train_volume(
     if checkpoints is not None:
         checkpoints.save(lambda: state.saved(renderer), last=True)
     parameters = sum(p.numel() for p in renderer.parameters())
-    of_last = psnr_db(state.losses[-LAST_STEPS:])
+    # Of a short training the last tenth: its first steps know nothing.
+    of_last = psnr_db(state.losses[-max(min(LAST_STEPS, training.steps // 10), 1) :])
     return state.cells, VolumeFigures(training.steps, tuple(state.changed), of_last, parameters, state.history)
 
 

@@ -14,6 +14,7 @@ from survey.words import Device
 EXAMPLES = """
     bathynerf render my_survey/bathynerf -o pictures --dry \\
         --cameras my_survey/cameras.csv
+    bathynerf render mdw -o pictures --cameras cameras.csv
 """
 
 
@@ -32,9 +33,19 @@ def run(
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
-    """Render the bed of a run for other cameras: colours, heights, distances and normals."""
+    """Render the bed of a run, or a trained field, for other cameras: colours, heights, distances and normals.
+
+    RUN may also be a folder of `bathynerf field`.
+    """
     with command(verbose, quiet, output, reads=run) as results:
         from survey.export.render import render
+        from survey.volume.folder import is_field
 
-        for path in render(run, cameras, output, dry=dry, trained=field, survey=survey, device=device.value):
+        if is_field(run):
+            from survey.volume.stored import render_field
+
+            pictures = render_field(run, cameras, output, dry=dry, device=device.value)
+        else:
+            pictures = render(run, cameras, output, dry=dry, trained=field, survey=survey, device=device.value)
+        for path in pictures:
             results.line(path)

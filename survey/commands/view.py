@@ -44,14 +44,18 @@ def run(
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
-    """View a run in the browser: cloud, water and photographs (extra viewer).
+    """View a run, or a trained field, in the browser: cloud, water and photographs (extra viewer).
 
+    RUN may also be a folder of `bathynerf field`.
     While `process` is running, height maps are shown as they are finished. Ctrl-C ends it. From another machine:
     ssh -L 8080:localhost:8080 HOST.
     """
     with command(verbose, quiet, run, reads=run) as results:
         from survey.viewer.session import ViewOptions, export_page, serve
+        from survey.volume.folder import is_field, run_of
 
+        if is_field(run):
+            run, field = run_of(run), run
         if export is not None and field is not None:
             raise SurveyError("a field is rendered by the server; leave out --field or --export")
         options = ViewOptions(survey=survey, reference=reference, field=field, host=host, port=port)

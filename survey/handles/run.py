@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
-import html
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,6 +18,7 @@ from geo.las import read_cloud
 from geo.lines import Line
 from geo.raster import read_raster
 from geo.shapes import Cloud, Mesh
+from survey.display.embedded import picture_html, table_html
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
@@ -275,16 +274,5 @@ class Run:
         for name in _PICTURES:
             path = self._run.pictures_path / name
             if path.is_file():
-                data = base64.b64encode(path.read_bytes()).decode()
-                return f'<img alt="{path.stem}" style="max-width: 40em" src="data:image/png;base64,{data}">'
+                return picture_html(path)
         return ""
-
-
-def table_html(rows: Iterable[tuple[str, object]]) -> str:
-    """A table of labels and values."""
-    lines = (
-        f"<tr><th style='text-align: left'>{html.escape(label)}</th>"
-        f"<td style='text-align: left'>{html.escape(str(value))}</td></tr>"
-        for label, value in rows
-    )
-    return f"<table>{''.join(lines)}</table>"

@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from survey.display.embedded import table_html
 from survey.files.remote import local_run
 from survey.folder import survey as folder_survey
 from survey.folder.found import Found, find_survey
-from survey.handles.run import Run, table_html
+from survey.handles.run import Run
 from survey.plan.check import CheckSection, check_survey
 from survey.plan.choices import Choices
 

@@ -74,7 +74,8 @@ class VolumeOptions(FieldConfig):
         made = ("rule", "density", "reference", "cameras", "dry", "survey", "device", "drop")
         settings = {name: value for name, value in asdict(self).items() if name not in made}
         priors = None if self.monocular is None else priors_hash(Path(self.monocular))
-        return {"result": run.stages} | settings | {"monocular": priors}
+        of_run = {"run": str(run.folder.path.absolute()), "result": run.stages}
+        return of_run | settings | {"monocular": priors}
 
     @property
     def recipe(self) -> VolumeRecipe:

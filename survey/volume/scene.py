@@ -265,7 +265,8 @@ class VolumeFolder:
         return VolumeFolder(self.path / name, self._settings | {"part": name}, self._inputs)
 
     def _require_same(self, before: dict[str, Any], settings: dict[str, Any]) -> None:
-        keys = [key for key in {**before, **settings} if before.get(key) != settings.get(key)]
+        # A run may have been moved.
+        keys = [key for key in {**before, **settings} if key != "run" and before.get(key) != settings.get(key)]
         if "result" in keys:
             raise OutputError(
                 f"-o names {self.path}, whose field was trained on another run, or on an earlier result of this one; "

@@ -11,14 +11,27 @@ from fields.volume.submodules import counts_of
 from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
+from survey.export.render import targets_of, write_views
 from survey.files.json_values import read_json_object
 from survey.progress import current
 from survey.run.stored import FIELD_SETTINGS, FIELD_STATE
 from survey.run.stored_field import VolumeRecipe
+from survey.volume.folder import is_field, run_of
 from survey.volume.options import VolumeOptions
 from survey.volume.scene import BedBox
-from survey.volume.submodule_views import FOLDER, SubmoduleViews
+from survey.volume.submodule_views import SubmoduleViews
 from survey.words import Drop
+
+
+def render_field(
+    folder: str | Path, cameras: str | Path, output: str | Path, *, dry: bool = False, device: str = "auto"
+) -> list[Path]:
+    """Render the field in a folder for the cameras of a file; pictures and errors as `survey.export.render.render`."""
+    folder = Path(folder)
+    with LoadedRun(run_of(folder)) as run:
+        view = StoredVolume.of_run(folder, run).load(device)
+        targets = targets_of(run.folder, run.flight.frame, Path(cameras), Path(output))
+        return write_views(targets, lambda camera: view(camera, dry))
 
 
 @dataclass(frozen=True)
@@ -35,8 +48,7 @@ class StoredVolume:
     @staticmethod
     def of_run(folder: Path, run: LoadedRun) -> StoredVolume:
         """The volume in a folder, if it was trained on this run as it is now."""
-        is_trained = (folder / FIELD_STATE).is_file() or (folder / FOLDER).is_dir()
-        if not (folder / FIELD_SETTINGS).is_file() or not is_trained:
+        if not is_field(folder):
             raise SurveyError(
                 f"{folder} holds no trained field ({FIELD_SETTINGS} and {FIELD_STATE}); train one: bathynerf field "
                 f"{run.folder.path} -o {folder}"

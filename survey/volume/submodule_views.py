@@ -27,11 +27,12 @@ from survey.errors import SurveyError
 from survey.files.json_values import read_json_object
 from survey.run.stored import FIELD_STATE
 from survey.run.stored_field import VolumeRecipe, novel_view, read_state
+from survey.volume.folder import SUBMODULES
 from survey.volume.scene import REPORT, BedBox
 from survey.words import Drop
 
 # Folder of the submodules in that of their field; file of their matched appearance vectors there; visibility of each.
-FOLDER, VECTORS, VISIBILITY = "submodules", "looks.json", "visibility.pt"
+VECTORS, VISIBILITY = "looks.json", "visibility.pt"
 # Submodules that are kept in memory: while the next one is read there are two.
 IN_MEMORY = 1
 
@@ -62,8 +63,8 @@ class SubmoduleViews:
             if part is None:
                 continue
             self._with_bed.append(name)
-            if (folder / FOLDER / name / FIELD_STATE).is_file():
-                self.folders[number], self.boxes[number] = folder / FOLDER / name, part.box
+            if (folder / SUBMODULES / name / FIELD_STATE).is_file():
+                self.folders[number], self.boxes[number] = folder / SUBMODULES / name, part.box
         if not self.folders:
             raise SurveyError(
                 f"nothing of the field in {folder} is trained yet; run bathynerf field again with the same options"

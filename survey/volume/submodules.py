@@ -22,6 +22,7 @@ from survey.export.loaded import LoadedRun
 from survey.files.json_values import write_json
 from survey.progress import current
 from survey.run.flight import Flight
+from survey.volume.folder import SUBMODULES
 from survey.volume.options import VolumeOptions
 from survey.volume.scene import (
     BedBox,
@@ -32,7 +33,7 @@ from survey.volume.scene import (
     photographs_of,
     training_photographs,
 )
-from survey.volume.submodule_views import FOLDER, VECTORS, VISIBILITY, SubmoduleViews
+from survey.volume.submodule_views import VECTORS, VISIBILITY, SubmoduleViews
 from survey.volume.training import FieldResult, Trained, surface_in, train
 from survey.words import Drop
 
@@ -59,7 +60,7 @@ def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, fol
         part = ground.within(grid.box_of(number), options.cells)
         message = f"{name}, {number + 1} of {len(grid)}"
         try:
-            trained = _trained(part, flight, options, partial(folder.part, f"{FOLDER}/{name}"), held, message)
+            trained = _trained(part, flight, options, partial(folder.part, f"{SUBMODULES}/{name}"), held, message)
         except TooFewPhotographs as error:
             left_out[name] = str(error)
             current().note(f"submodule {name} is left out: {error}")
@@ -74,8 +75,8 @@ def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, fol
     views = SubmoduleViews(
         folder.path, options.recipe, ground, grid.counts, options.device, options.drop or Drop.geometry
     )
-    if options.appearance and not (folder.path / FOLDER / VECTORS).is_file():
-        write_json(folder.path / FOLDER / VECTORS, _matched_vectors(views, flight, ground))
+    if options.appearance and not (folder.path / SUBMODULES / VECTORS).is_file():
+        write_json(folder.path / SUBMODULES / VECTORS, _matched_vectors(views, flight, ground))
         views = SubmoduleViews(
             folder.path, options.recipe, ground, grid.counts, options.device, options.drop or Drop.geometry
         )

@@ -1,0 +1,74 @@
+"""A trained radiance field as an object: its surface, figures and views."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from geo.las import read_cloud
+from geo.shapes import Cloud
+from survey.display.embedded import picture_html, table_html
+from survey.files.json_values import read_json_object
+from survey.volume.field import CLOUD, CURVE, rows_of
+from survey.volume.field import train_field as train
+from survey.volume.folder import run_of
+from survey.volume.options import VolumeOptions
+from survey.volume.scene import REPORT
+from survey.volume.stored import render_field
+
+
+def train_field(run: str | Path, output: str | Path, **options: Any) -> Field:
+    """Train a radiance field on a run, or continue its training; keywords are those of `VolumeOptions`.
+
+    >>> field = train_field("harbour/bathynerf", "mdw", model="mdw", steps=3000)        # doctest: +SKIP
+
+    Raises SurveyError or GeoError as `bathynerf field` does.
+
+    Parameters
+    ----------
+    run : str or Path
+        Folder that `process` made.
+    output : str or Path
+        A new folder, or one with the same training in it.
+    """
+    train(run, output, VolumeOptions(**options))
+    return Field(output)
+
+
+class Field:
+    """A folder of `bathynerf field`; files are read when they are first needed.
+
+    Raises SurveyError if the folder holds no trained field.
+
+    Attributes
+    ----------
+    folder : Path
+    run : Path
+        Folder of the run that it was trained on.
+    """
+
+    def __init__(self, folder: str | Path):
+        self.folder = Path(folder)
+        self.run = run_of(self.folder)
+
+    def __repr__(self) -> str:
+        return f"Field({str(self.folder)!r})"
+
+    @cached_property
+    def surface(self) -> Cloud:
+        """The points of its surface, in the CRS of the survey."""
+        return read_cloud(self.folder / CLOUD)
+
+    @cached_property
+    def report(self) -> dict[str, Any]:
+        """All figures, as report.json has them; ``report["training"]["history"]`` is the curve of the training."""
+        return read_json_object(self.folder / REPORT)
+
+    def render(self, cameras: str | Path, output: str | Path, *, dry: bool = False, device: str = "auto") -> list[Path]:
+        """Render views for other cameras; see `survey.volume.stored.render_field`."""
+        return render_field(self.folder, cameras, output, dry=dry, device=device)
+
+    def _repr_html_(self) -> str:
+        """HTML for notebooks: the figures, and the curve of the training."""
+        return table_html(rows_of(self.report, self.folder)) + picture_html(self.folder / CURVE)

@@ -28,7 +28,6 @@ BROWN, RATIONAL, FISHEYE, AFFINE = "brown", "rational", "fisheye", "affine"
 _COUNTS = {BROWN: 5, RATIONAL: 8, FISHEYE: 4, AFFINE: 7}
 _COEFFICIENTS = 8
 ROW = _COEFFICIENTS + 2
-KINDS = frozenset(_COUNTS)
 
 # The farthest from the axis that a model is evaluated: a tangent of 8 (83 degrees), and 89 degrees for a fisheye lens.
 _FARTHEST, _WIDEST = 8.0, math.radians(89.0)

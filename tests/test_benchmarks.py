@@ -26,7 +26,6 @@ SMALLEST = {
     "bench_lookup": "--samples 1024 --rounds 1",
     "bench_mesh": "{run} {survey} --methods delaunay",
     "bench_optics": "--plain",
-    "bench_plan": "{survey} --quality draft",
     "bench_random": "--seeds 102-102 -o {work} --quality draft",
     "bench_reach": "{work} --kilometre",
     "bench_solver": "{survey} --ways solver -o {work}",

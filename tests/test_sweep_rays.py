@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from fields.device import choose_device
-from fields.skips import SKIPS
 from fields.sweep.kernels.rays import (
     MOST_HYPOTHESES,
     fit_curve,
@@ -36,7 +35,7 @@ def camera(place: np.ndarray, tilt: float, toward: float, focal: float) -> Pinho
 
 def misses(water: FlatWater | None, span_px: float) -> np.ndarray:
     """How far [px] places on courses are from those of the points, in random pairs that look at one place."""
-    rng, surface, found = np.random.default_rng(1), kernel_water(water, SKIPS), []
+    rng, surface, found = np.random.default_rng(1), kernel_water(water), []
     for _ in range(200):
         height = rng.uniform(10.0, 60.0)
         depth, focal = rng.uniform(0.5, 0.4 * height), WIDTH * rng.uniform(0.8, 1.6)
@@ -96,6 +95,11 @@ def test_hypotheses_through_the_water_are_told_from_others():
     assert len(straddling_pixels(dry, start, 0.1, part)) == 0
 
 
+@pytest.mark.parametrize("water", [None, FlatWater((0.0, 0.0, 0.0), n_water=1.0)])
+def test_kernels_do_not_bend_rays_without_water_and_in_water_of_index_one(water):
+    assert not kernel_water(water).is_refracting
+
+
 def test_a_surface_that_no_kernel_is_written_for_is_named():
     with pytest.raises(TypeError, match="sweep and solver take FlatWater or None, got WavyWater"):
-        kernel_water(WavyWater((0.0, 0.0, 0.0), (0.05,), ((1.0, 0.5),)), SKIPS)
+        kernel_water(WavyWater((0.0, 0.0, 0.0), (0.05,), ((1.0, 0.5),)))

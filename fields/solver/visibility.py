@@ -12,7 +12,6 @@ import numpy as np
 
 from fields.device import Device
 from fields.image_store import GreyImages
-from fields.skips import SKIPS
 from fields.solver.appearance import Brightness
 from fields.solver.tile import SolverTile
 from fields.sweep.kernels.arrays import constant, floats, host
@@ -231,7 +230,7 @@ class Projector:
 
     def __init__(self, device: Device, cameras: Mapping[int, PinholeCamera], water: FlatWater | None):
         self.device, self._cameras = device, cameras
-        self._water = kernel_water(water, SKIPS)
+        self._water = kernel_water(water)
         self._beyond = CameraTerms.of(list(cameras.values()))
         table = camera_table(list(cameras.values()), self._beyond, self._water)
         self._table, self._n_water = table, 1.0 if water is None else float(water.n_water)

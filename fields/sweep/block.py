@@ -11,7 +11,6 @@ from scipy.sparse import csr_array
 
 from fields.device import Device
 from fields.image_store import GreyImages, LazyImages
-from fields.skips import SKIPS, Skips
 from fields.sweep import views
 from fields.sweep.corner_rays import CornerRays
 from fields.sweep.kernels.arrays import release
@@ -144,10 +143,9 @@ class Block(Overlap):
         water: FlatWater | None,
         height: float,
         saturated: Sequence[float] = (),
-        skips: Skips = SKIPS,
         ground: tuple[float, float, float, float] | None = None,
     ):
-        self.device, self.skips = device, skips
+        self.device = device
         self.images = images if isinstance(images, GreyImages) else GreyImages(images)
         if len(cameras) < 2 or len(cameras) != len(self.images):
             raise ValueError(
@@ -174,7 +172,7 @@ class Block(Overlap):
                 )
             elif not self.images.are_unmasked:
                 images = LazyImages(lambda view: fill_small_holes(full_size[view]), len(cameras), largest(cameras))
-            self._stacks[scale] = ViewStack.build(self.device, cameras, images, self.water, self.skips)
+            self._stacks[scale] = ViewStack.build(self.device, cameras, images, self.water)
         return self._stacks[scale]
 
     def corner_rays(self, view: int, squares: tuple[int, int]) -> CornerRays:
@@ -187,7 +185,7 @@ class Block(Overlap):
     def part(self, chosen: list[int]) -> Block:
         """Block of a subset of the views."""
         cameras, images = [self.cameras[view] for view in chosen], (self.images[view] for view in chosen)
-        return Block(self.device, cameras, images, self.water, self.height, skips=self.skips)
+        return Block(self.device, cameras, images, self.water, self.height)
 
     def release(self, scale: float) -> None:
         """Drop the images at a scale."""

@@ -90,7 +90,7 @@ def places_in_plan(
 
     ``in_frame`` takes points (N, 3) to those in another frame, whose places are wanted.
     """
-    stack = ViewStack.build(block.device, [block.cameras[m.view]], [m.height], block.water, block.skips)
+    stack = ViewStack.build(block.device, [block.cameras[m.view]], [m.height], block.water)
     rays = rays_of_rows(stack, 0, 0, stack.height)
     points = point_at(rays, floats(block.device, m.height))
     over_water = np.stack([host(block.device, each) for each in points])

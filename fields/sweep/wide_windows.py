@@ -88,7 +88,7 @@ def _smoothed(block: Block) -> Block:
         return np.where(known & (share > _LEAST_KNOWN), values / np.maximum(share, 1e-6), np.float32(np.nan))
 
     images = (smooth(block.images[view]) for view in range(len(block.cameras)))
-    return Block(block.device, block.cameras, images, block.water, block.height, skips=block.skips)
+    return Block(block.device, block.cameras, images, block.water, block.height)
 
 
 def _merged(narrow: HeightMap, wide: HeightMap) -> HeightMap:

@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from fields.skips import SKIPS, Skips
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
@@ -43,7 +42,6 @@ class Plan:
     # photographs contradicts the poses
     pose_choice: str = "fixed"
     pose_reason: str = ""
-    skips: Skips = SKIPS  # Work to skip that the scene does not need
     tiling: Tiling | None = None  # Tiles of the ground; None for one piece
     workers: int = 1  # Processes that compute tiles; 1 for that of the run itself
 
@@ -52,17 +50,12 @@ class Plan:
         """Whether heights are those of the solver."""
         return self.field != "off"
 
-    @property
-    def refines_points_only(self) -> bool:
-        """Whether the finer passes of the sweep leave out pixels that do not become points: the solver follows."""
-        return self.solves and self.skips.points
-
     def as_dict(self) -> dict:
         """Plain numbers, texts and lists, to be saved with the run."""
         values = asdict(replace(self, tiling=None))
-        poses, skips = (values.pop("pose_choice"), values.pop("pose_reason")), values.pop("skips")
+        poses = values.pop("pose_choice"), values.pop("pose_reason")
         del values["tiling"], values["workers"]
-        return {**values, "poses": poses, "skips": skips}
+        return {**values, "poses": poses}
 
     def again(self, survey: Survey, chosen: Choices) -> Plan:
         """The plan for a survey of the same photographs, e.g. with adjusted water; tiles stay."""
@@ -114,7 +107,6 @@ def make_plan(survey: Survey, chosen: Choices = USUAL) -> Plan:
         device_asked=chosen.device,
         pose_choice=poses.choice,
         pose_reason=poses.reason,
-        skips=SKIPS,
     )
 
 

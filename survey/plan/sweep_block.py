@@ -60,7 +60,7 @@ def load_block(
         area = local_area(survey)
         ground = None if area is None else grown(area, AREA_MARGIN_M)
         greys = GreyImages(images(), store_array)
-        return Block(backend(plan), cameras, greys, survey.water, bed, tuple(whites), plan.skips, ground)
+        return Block(backend(plan), cameras, greys, survey.water, bed, tuple(whites), ground)
     except ValueError as error:
         raise SurveyError(str(error)) from error
 

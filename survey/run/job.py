@@ -186,7 +186,7 @@ class Job:
     @property
     def swept_ground(self) -> Area | None:
         """The same, of the heights that the sweep finds."""
-        return self.ground if self.plan.skips.area else None
+        return self.ground
 
     def in_survey(self, xyz: np.ndarray) -> np.ndarray:
         """Points (N, 3) [m] in the local frame of the survey, from those in that of the job."""
@@ -256,7 +256,7 @@ class Job:
             "name": lambda: survey.name,
             "size": lambda: plan.image_scale,
             "gsd": lambda: plan.gsd_m,
-            "refined": lambda: plan.refines_points_only,
+            "refined": lambda: plan.solves,
             "coverage": lambda: plan.recipe.times_seen,
             "boxes": lambda: plan.boxes,
             "rays": lambda: (plan.field, plan.recipe.rays_per_cell),

@@ -55,21 +55,20 @@ def sweep_views(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
             save_masks(folder / name, [])
         _save_of_photographs(folder, {}, {}, [])
         return
-    block, (low, high) = job.block, job.bound
+    block, bound = job.block, job.bound
     with job.progress.stage("Sweep", 1.0) as stage:
-        heights = (low, high) if job.plan.skips.heights else job.limits
-        passes = before_solver(PASSES) if job.plan.refines_points_only else PASSES
+        passes = before_solver(PASSES) if job.plan.solves else PASSES
         passes = passes if job.cell is None else in_area(passes)
         with map_store(folder / SCRATCH, HeightMap, show=_live(job, folder)) as make_store:
-            settings = SweepSettings(heights, passes, job.swept_ground)
+            settings = SweepSettings(bound, passes, job.swept_ground)
             swept = sweep(block, job.views_to_match, settings, shares(stage), make_store=make_store)
             if not swept and job.cell is None:
                 raise SurveyError("no two photographs overlap; check that the poses belong to the images")
             finished = _finished(block, swept, make_store)
-            finished = with_wide_windows(block, finished, heights, job.swept_ground, make_store)
+            finished = with_wide_windows(block, finished, bound, job.swept_ground, make_store)
             save_maps(folder / MAPS, HeightMap, finished)
             consistency = photo_consistency(block, finished, job.whole_camera)
-    job.progress.detail(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(job.survey)}")
+    job.progress.detail(f"bound: bed between {bound[0]:.2f} and {bound[1]:.2f} m over the {plane_name(job.survey)}")
     names = [view.name for view in job.survey.views]
     _save_of_photographs(
         folder,

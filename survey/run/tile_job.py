@@ -209,7 +209,6 @@ class TileJob(Job):
             self.survey.water,
             middle,
             white,
-            self.plan.skips,
             self.ground,
         )
 

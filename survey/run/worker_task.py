@@ -89,7 +89,7 @@ class WorkerJob:
         self._search = search
         cameras, plan = cameras_of_block(survey, self.survey_job.plan), self.survey_job.plan
         self.survey_job.__dict__["block"] = Block(
-            backend(plan), cameras, images, survey.water, 0.5 * sum(search.bound), saturated, plan.skips
+            backend(plan), cameras, images, survey.water, 0.5 * sum(search.bound), saturated
         )
 
     def tile(self, number: int) -> TileJob:

@@ -97,5 +97,5 @@ class WaveSurfaces:
 
     def _nodes(self, view: int, places: np.ndarray) -> np.ndarray:
         """Column and row (..., 2), with fractions, of places (..., 3) [m], local, among the coefficients."""
-        plane = PlaneWater.of(self.water, skips_air=False)
+        plane = PlaneWater.of(self.water)
         return (((places - plane.origin) @ plane.from_local.T)[..., :2] - self.corner[view]) / self.spacing

@@ -12,12 +12,11 @@ import numpy as np
 
 from fields.device import Device, memory_bytes
 from fields.image_store import LazyImages, LruCache, num_cached
-from fields.skips import SKIPS, Skips
 from fields.sweep.kernels.arrays import constant, floats, words
 from fields.sweep.kernels.water import KernelWater, kernel_water
 from refract import FlatWater, PinholeCamera
-from refract.distortion import KINDS, kinds_of, row_of
 from refract.distortion import ROW as LENS_ROW
+from refract.distortion import kinds_of, row_of
 
 # Numbers in a row of `camera_table`: rotation (9), centre (3) and six of the image; motion.
 _PINHOLE_ROW, _MOTION_ROW = 18, 3
@@ -42,10 +41,8 @@ class CameraTerms:
     tides: bool  # Whether any camera had another level of the water than the plane
 
     @staticmethod
-    def of(cameras: list[PinholeCamera], skips: Skips = SKIPS) -> CameraTerms:
-        """Terms of some cameras, or all that there may be."""
-        if not skips.lens:
-            return CameraTerms(KINDS, True, True)
+    def of(cameras: list[PinholeCamera]) -> CameraTerms:
+        """Terms of some cameras."""
         moves, tides = any(c.motion is not None for c in cameras), any(c.tide != 0.0 for c in cameras)
         return CameraTerms(kinds_of(c.distortion for c in cameras), moves, tides)
 
@@ -107,10 +104,9 @@ class ViewStack:
     cameras: list[PinholeCamera]
     images: Sequence[np.ndarray]  # (height, width) float32 each
     water: FlatWater | None
-    skips: Skips = SKIPS
 
     @staticmethod
-    def build(device: Device, cameras, images, water, skips: Skips = SKIPS) -> ViewStack:
+    def build(device: Device, cameras, images, water) -> ViewStack:
         """Stack images (height, width) float; all must have the size of their camera, `LazyImages` that of the largest.
 
         Raises ValueError if a size differs.
@@ -123,7 +119,7 @@ class ViewStack:
             expected, found = sizes, [image.shape for image in images]
         if len(images) != len(sizes) or found != expected:
             raise ValueError(f"a stack holds images of the sizes of their cameras {expected}; got images of {found}")
-        return ViewStack(device, list(cameras), images, water, skips)
+        return ViewStack(device, list(cameras), images, water)
 
     @property
     def height(self) -> int:
@@ -144,12 +140,12 @@ class ViewStack:
     @cached_property
     def kernel_water(self) -> KernelWater:
         """The water as the kernels take it."""
-        return kernel_water(self.water, self.skips)
+        return kernel_water(self.water)
 
     @cached_property
     def terms(self) -> CameraTerms:
         """Terms beyond the pinhole model of its cameras."""
-        return CameraTerms.of(self.cameras, self.skips)
+        return CameraTerms.of(self.cameras)
 
     @cached_property
     def camera_rows(self) -> list[list]:

@@ -12,7 +12,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from fields.skips import Skips
 from refract import FlatWater, kernels
 
 # The water plane in its own frame.
@@ -52,15 +51,14 @@ class PlaneWater:
     n_water: float | None  # Refractive index; None where rays are straight
 
     @staticmethod
-    def of(water: FlatWater | None, *, skips_air: bool) -> PlaneWater:
-        """The plane of a survey; ``skips_air`` takes an index of one for no water."""
-        index = 1.0 if water is None else water.n_water
-        index = None if index == 1.0 and skips_air else index
+    def of(water: FlatWater | None) -> PlaneWater:
+        """The plane of a survey; in water of index one rays are straight."""
         if water is None:
-            return PlaneWater(np.zeros(3), np.eye(3), index)
+            return PlaneWater(np.zeros(3), np.eye(3), None)
         up = np.asarray(water.up, dtype=np.float64)
         east = np.array([1.0, 0.0, 0.0]) - up[0] * up
         east /= np.linalg.norm(east)
+        index = None if water.n_water == 1.0 else water.n_water
         return PlaneWater(up * (up @ np.asarray(water.point)), np.stack([east, np.cross(up, east), up]), index)
 
     @property
@@ -80,11 +78,11 @@ class PlaneWater:
         return kernels.crossing_of_point(centre, point, plane, steps)[0]
 
 
-def kernel_water(water: FlatWater | None, skips: Skips) -> KernelWater:
+def kernel_water(water: FlatWater | None) -> KernelWater:
     """The water of a survey as the kernels take it.
 
     Raises TypeError if no kernel is written for this surface.
     """
     if water is None or isinstance(water, FlatWater):
-        return PlaneWater.of(water, skips_air=skips.air)
+        return PlaneWater.of(water)
     raise TypeError(f"sweep and solver take FlatWater or None, got {type(water).__name__}")

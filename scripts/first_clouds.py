@@ -109,9 +109,9 @@ def compared(root: Path) -> str:
 
 
 def millimetres(line: str) -> str:
-    """Mean and standard deviation of a line of compare, as two cells of a table."""
-    mean, std = re.findall(r"\b(?:mean|std) (-?\d+\.\d+)", line)[:2]
-    return f"{1000 * float(mean):.1f} mm | {1000 * float(std):.1f} mm"
+    """Mean and standard deviation of a row of compare, as two cells of a table."""
+    _, _, mean, _, std, *_ = re.split(r"\s{2,}", line)
+    return f"{mean} mm | {std} mm"
 
 
 def transcript(text: str) -> list[str]:
@@ -131,11 +131,11 @@ def page(parts: list[str]) -> str:
     head = (
         "# The first cloud, in one command\n\n"
         "`process` writes survey.toml from what a folder holds, with a comment at everything that it assumed, and "
-        "computes the\ncloud. The output below is from a bare Debian with Python alone, without root "
-        "(`scripts/first_clouds.py`), for a\nsimulated survey of 18 photographs of 480 x 360 px "
-        "(`examples/exports.py`). The water stands at 584.2 m, which no file\nstates: `--level`; on a terminal it is "
-        "asked for. Poses of [Metashape](from-metashape.md), [OpenDroneMap](from-odm.md)\nand "
-        "[COLMAP](from-colmap.md) take the same command.\n"
+        "computes the\ncloud. The output below is of a simulated survey of 18 photographs of 480 x 360 px "
+        "(`examples/exports.py`);\n`scripts/first_clouds.py` repeats it in a bare Debian with Python alone, without "
+        "root. The water stands at 584.2 m,\nwhich no file states: `--level`; on a terminal it is asked for. Poses of "
+        "[Metashape](from-metashape.md),\n[OpenDroneMap](from-odm.md) and [COLMAP](from-colmap.md) take the same "
+        "command.\n"
     )
     return "\n".join([head, *parts]).rstrip() + "\n"
 

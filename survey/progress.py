@@ -10,7 +10,7 @@ import logging
 import math
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from pathlib import Path
@@ -199,15 +199,6 @@ class Progress:
         self._show(step)
 
     @property
-    def share(self) -> float:
-        """Share of the run, or of the stage where nothing is expected of the run, that is done."""
-        return 0.0 if self._task is None else self._task.percentage / 100.0
-
-    def refresh(self) -> None:
-        """Show the present state on a terminal."""
-        self._bars.refresh()
-
-    @property
     def _task(self) -> Task | None:
         return next(iter(self._bars.tasks), None)
 
@@ -284,25 +275,16 @@ class Progress:
                 self._forget_task()
         self._emit(f"{step.title}: done in {clock(step.seconds)}", at_verbosity=1)
 
-    def note(self, text: str) -> None:
-        """A line that the user should see."""
-        self._emit(text)
-
-    def notes(self, texts: Iterable[str]) -> None:
+    def note(self, *texts: str) -> None:
         """Lines that the user should see."""
         for text in texts:
-            self.note(text)
+            self._emit(text)
 
-    def detail(self, text: str) -> None:
-        """A line for the log, shown with ``-v`` only."""
-        text = printable(text)
-        LOGGER.debug("%s", text)
-        self._line(text, at_verbosity=1)
-
-    def details(self, texts: Iterable[str]) -> None:
+    def detail(self, *texts: str) -> None:
         """Lines for the log, shown with ``-v`` only."""
-        for text in texts:
-            self.detail(text)
+        for text in map(printable, texts):
+            LOGGER.debug("%s", text)
+            self._line(text, at_verbosity=1)
 
     def warn(self, text: str) -> None:
         """A line that the user must see."""

@@ -14,8 +14,8 @@ from survey.control.local_control import require_near
 from survey.control.points import GivenPoint
 from survey.display.quantities import distance_text
 from survey.errors import ControlError
-from survey.init.crs import Answers
 from survey.init.draft import draft
+from survey.init.options import InitOptions
 
 # Places with the national grid there, and the UTM zone with heights that a survey may have.
 PLACES = [
@@ -70,7 +70,7 @@ def test_init_takes_the_crs_of_the_control(tmp_path, lon, lat, grid, utm, states
     head = f"# EPSG:{grid}\n" if states else ""
     rows = [f"{point.name},{','.join(f'{v:.3f}' for v in point.place)}" for point in points_in(grid, lon, lat)]
     (tmp_path / "gcps.csv").write_text(head + "name,easting,northing,height\n" + "\n".join(rows) + "\n")
-    settings = tomllib.loads(draft(tmp_path, Answers(level_m=2.0)))
+    settings = tomllib.loads(draft(tmp_path, InitOptions(level_m=2.0)))
     if states:
         assert settings["crs"].startswith(f"EPSG:{grid}+")
     else:

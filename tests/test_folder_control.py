@@ -54,7 +54,7 @@ def test_the_control_and_check_points_of_a_drawn_survey_are_in_crs_and_local(dat
     assert point.std.tolist() == [0.01, 0.01, 0.01]
     assert survey.observations.control.marks_std_px == 0.5
     assert (len(survey.observations.checkpoints), rod.name, rod.crs[2]) == (20, "rod1", -0.139)
-    assert any("std_m = 0.01" in text for text in survey.findings.assumptions)
+    assert any("0.01 m is assumed" in text for text in survey.findings.warnings)
     assert stage_key(survey.observations.control, survey.observations.checkpoints, survey.observations.priors)
 
 
@@ -69,10 +69,8 @@ def test_a_survey_has_its_control_in_local_and_its_settings_say_what_was_assumed
     assert [point.name for point in survey.observations.control.points] == ["p1", "p2", "p3"]
     for point, (_, *place) in zip(survey.observations.control.points, POINTS, strict=True):
         assert (point.local == survey.frame.local_from_crs(place)).all()
-    assert survey.findings.assumptions == (
-        "[control] std_m = 0.01, the standard deviation of control points in metres",
-        "[control] marks_std_px = 0.5, the std of their marks in pixels",
-    )
+    assert survey.findings.assumptions == ("[control] marks_std_px = 0.5, the std of their marks in pixels",)
+    assert any("stated for 3 of 3 control points: 0.01 m is assumed" in text for text in survey.findings.warnings)
     assert (survey.config.control.std_m, survey.config.control.marks_std_px) == (0.01, 0.5)
 
 

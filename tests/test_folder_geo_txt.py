@@ -15,8 +15,8 @@ from survey.errors import ConfigError, PosesError
 from survey.folder.found import find_survey, survey_inputs
 from survey.folder.geo_txt import with_positions
 from survey.folder.pose_priors import accuracy_of_gps, common_up_std_of_exif
-from survey.init.crs import Answers
 from survey.init.draft import draft
+from survey.init.options import InitOptions
 from survey.photos.exif import Exif, TablePlace, without_void_fixes
 from survey.plan.check import check_survey
 from survey.pose_files import find_poses
@@ -108,7 +108,7 @@ def test_check_and_init_name_the_file(tmp_path):
     sections = check_survey(folder)
     assert rows_of(sections, "Found")["positions"].startswith("4 of 4 images have one in geo.txt, heights 2126.5")
     (folder / "survey.toml").unlink()
-    text = draft(folder, Answers(level_m=LEVEL))
+    text = draft(folder, InitOptions(level_m=LEVEL))
     assert "# Found: positions of 4 of 4 images are those in geo.txt (ETRS89 / UTM zone 32N)" in text
     assert tomllib.loads(text)["crs"].startswith("EPSG:25832+")
 

@@ -62,7 +62,6 @@ def test_dry_ground_near_the_photographs_counts_and_its_accuracy_is_asked_for(tm
     assert np.abs(ground.points - kept).max() < 1e-3
     assert ground.std_m == (0.1, 0.1)
     assert "reference_std_m" in said.warnings[0]
-    assert "reference_std_m" in said.assumptions[0]
 
 
 def test_what_a_cloud_of_process_carries_says_how_well_it_is_known(tmp_path):

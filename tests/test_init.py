@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,8 +18,9 @@ from test_pose_files_opensfm import REFERENCE, block_json, tracks_csv
 from geo.area_of_use import height_systems_at
 from geo.crs import vertical_crs
 from survey.errors import ConfigError
-from survey.init.crs import Answers, FolderPhotographs, SettingsTable, write_crs
+from survey.init.crs import FolderPhotographs, SettingsTable, write_crs
 from survey.init.draft import draft
+from survey.init.options import InitOptions
 from survey.photos.exif import Exif
 from survey.photos.xmp import ELLIPSOIDAL
 
@@ -80,24 +82,24 @@ def test_what_a_program_leaves_becomes_a_survey_that_check_accepts(tmp_path, mad
 
 def test_the_origin_of_a_colmap_model_is_that_of_its_gps_positions(tmp_path):
     colmap(tmp_path)
-    local = tomllib.loads(draft(tmp_path, Answers(level_m=LEVEL)))["local"]
+    local = tomllib.loads(draft(tmp_path, InitOptions(level_m=LEVEL)))["local"]
     # The axes of EXIF are those of WGS 84, and 15 m apart they turn by 1e-6: the rest is that GPS has 1e-7 degrees.
     assert local["origin"] == pytest.approx(in_utm(np.zeros((1, 3)))[0], abs=0.05)
 
 
 def test_a_model_that_is_not_in_metres_is_left_to_the_gps_positions(tmp_path):
     colmap(tmp_path, scale=0.1)
-    text = draft(tmp_path, Answers(level_m=LEVEL))
+    text = draft(tmp_path, InitOptions(level_m=LEVEL))
     assert tomllib.loads(text)["local"] == {}
     assert "are their own: placed with a scale of 10 and a rotation by 0 degrees by" in text
 
 
 def test_a_local_frame_without_gps_needs_its_origin(tmp_path):
     colmap(tmp_path, gps=False)
-    answers = Answers(crs="EPSG:25832+5778", level_m=LEVEL)
+    options = InitOptions(crs="EPSG:25832+5778", level_m=LEVEL)
     with pytest.raises(ConfigError, match="--origin"):
-        draft(tmp_path, answers)
-    given = tomllib.loads(draft(tmp_path, Answers(answers.crs, LEVEL, origin=(1.0, 2.0, 3.0))))
+        draft(tmp_path, options)
+    given = tomllib.loads(draft(tmp_path, replace(options, origin=(1.0, 2.0, 3.0))))
     assert given["local"]["origin"] == [1.0, 2.0, 3.0]
 
 
@@ -129,14 +131,14 @@ def test_a_terminal_is_asked_for_what_no_file_tells(tmp_path):
         return "5773" if "Heights" in question else "2109.5 sea"
 
     with pytest.raises(ConfigError, match="expected one of the codes"):
-        draft(tmp_path, Answers(ask=ask))
+        draft(tmp_path, InitOptions(ask=ask))
     assert "9274 EVRF2000 Austria" in asked[0]
-    settings = tomllib.loads(draft(tmp_path, Answers(crs="EPSG:32632+5773", ask=ask)))
+    settings = tomllib.loads(draft(tmp_path, InitOptions(crs="EPSG:32632+5773", ask=ask)))
     assert settings["water"] == {"level_m": 2109.5, "refractive_index": 1.34, "index_wavelength_nm": 589.3}
     assert len(asked) == 2
-    assert tomllib.loads(draft(tmp_path, Answers(crs="EPSG:32632+5773", ask=lambda _: "dry")))["dry"] is True
+    assert tomllib.loads(draft(tmp_path, InitOptions(crs="EPSG:32632+5773", ask=lambda _: "dry")))["dry"] is True
     with pytest.raises(ConfigError, match="expected a number such as 12"):
-        draft(tmp_path, Answers(crs="EPSG:32632+5773", ask=lambda _: "deep"))
+        draft(tmp_path, InitOptions(crs="EPSG:32632+5773", ask=lambda _: "deep"))
 
 
 @pytest.mark.parametrize(
@@ -154,7 +156,7 @@ def test_a_terminal_is_asked_for_what_no_file_tells(tmp_path):
 def test_files_are_taken_by_their_names(tmp_path, name, table, key):
     photographs_alone(tmp_path / "s")
     (tmp_path / "s" / name).write_text("")
-    settings = tomllib.loads(draft(tmp_path / "s", Answers()))
+    settings = tomllib.loads(draft(tmp_path / "s", InitOptions()))
     assert settings[table] == {key: name}
 
 
@@ -176,7 +178,7 @@ def photographs_above_the_ellipsoid(lat, lon):
 def test_heights_above_the_ellipsoid_become_national_ones_only_by_the_grid_of_the_geoid(lat_lon):
     """Whether the grid is installed is the machine's business; crs and gps_height have to agree either way."""
     top, cameras = SettingsTable(""), SettingsTable("cameras")
-    crs = write_crs(photographs_above_the_ellipsoid(*lat_lon), Answers(), top, cameras)
+    crs = write_crs(photographs_above_the_ellipsoid(*lat_lon), InitOptions(), top, cameras)
     written = tomllib.loads(top.text() + cameras.text())
     if vertical_crs(crs) is None:
         assert written["crs"].endswith("+4979")
@@ -222,9 +224,9 @@ def test_process_writes_the_settings_of_bare_photographs_and_goes_on(tmp_path, p
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--level", 3.0), "--level is 3.0, but"),
-        (("--dry",), "--dry is True, but"),
-        (("--crs", "EPSG:25832+7837"), "has EPSG:32632+5773; change it there, or leave --crs out"),
+        (("--level", 3.0), "level_m is told to be 3.0, but"),
+        (("--dry",), "dry is told to be True, but"),
+        (("--crs", "EPSG:25832+7837"), "has EPSG:32632+5773; change it there"),
     ],
 )
 def test_options_that_contradict_the_settings_are_refused(tmp_path, processed, options, said):
@@ -259,32 +261,32 @@ def control_alone(folder, header, place, height=581):
 )
 def test_the_crs_of_control_points_is_taken_with_its_heights(tmp_path, header, crs):
     folder = control_alone(tmp_path / "s", header, "676120 5311480")
-    settings = tomllib.loads(draft(folder, Answers(level_m=LEVEL)))
+    settings = tomllib.loads(draft(folder, InitOptions(level_m=LEVEL)))
     assert settings["crs"].startswith(crs)
     assert settings["control"] == {"gcps": "gcp_list.txt"}
 
 
 def test_a_national_grid_brings_the_heights_that_epsg_combines_with_it(tmp_path):
     folder = control_alone(tmp_path / "s", "EPSG:27700", "351139.7 512875.8")
-    assert tomllib.loads(draft(folder, Answers(level_m=LEVEL)))["crs"] == "EPSG:27700+5701"
+    assert tomllib.loads(draft(folder, InitOptions(level_m=LEVEL)))["crs"] == "EPSG:27700+5701"
 
 
 def test_photographs_that_nothing_places_are_refused(tmp_path):
     write_image(tmp_path / "images" / "0000.jpg")
     with pytest.raises(ConfigError, match="nothing tells where the photographs lie"):
-        draft(tmp_path, Answers(level_m=LEVEL))
+        draft(tmp_path, InitOptions(level_m=LEVEL))
 
 
 def test_the_question_for_the_level_says_where_the_cameras_are(tmp_path):
     photographs_alone(tmp_path)
     asked = []
-    draft(tmp_path, Answers(ask=lambda question: asked.append(question) or ""))
+    draft(tmp_path, InitOptions(ask=lambda question: asked.append(question) or ""))
     assert "cameras are at 21" in asked[-1]
 
 
 def test_bounds_of_the_cameras_are_proposed(tmp_path):
     photographs_alone(tmp_path)
-    (line,) = [line for line in draft(tmp_path, Answers()).splitlines() if line.startswith("# bounds")]
+    (line,) = [line for line in draft(tmp_path, InitOptions()).splitlines() if line.startswith("# bounds")]
     low_e, low_n, high_e, high_n = tomllib.loads(line.removeprefix("# "))["bounds"]
     assert 5.0 < high_e - low_e < 20.0
     assert 5.0 < high_n - low_n < 20.0

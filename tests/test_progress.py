@@ -28,6 +28,11 @@ def clock() -> Clock:
     return Clock()
 
 
+def share_of(progress: Progress) -> float:
+    """Of the run, as its bar shows it."""
+    return progress._bars.tasks[0].percentage / 100.0
+
+
 def work(step: Step, clock: Clock, parts: int, seconds_each: float) -> None:
     """Do so many parts, each in the same time."""
     for _ in range(parts):
@@ -89,7 +94,7 @@ def test_the_share_of_a_run_only_rises_and_ends_at_all_of_it(begun, tiles, advan
                     for _ in range(advances):
                         clock.now += 1.0
                         step.advance()
-                        shares.append(progress.share)
+                        shares.append(share_of(progress))
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(1.0)
 
@@ -100,7 +105,7 @@ def test_times_expected_later_take_the_place_of_those_that_have_not_begun(clock)
         with progress.stage("features"):
             clock.now += 20.0
         progress.expect({"sweep": 30.0})
-        assert progress.share == pytest.approx(0.25)
+        assert share_of(progress) == pytest.approx(0.25)
 
 
 def test_a_terminal_shows_one_line(clock, monkeypatch):
@@ -111,7 +116,7 @@ def test_a_terminal_shows_one_line(clock, monkeypatch):
         progress.expect({"Boxes beside edges": 100.0, "Report": 100.0})
         with progress.stage("Boxes beside edges", total=100, part=(98, 100)) as step:
             work(step, clock, 100, 2.0)
-            progress.refresh()
+            progress._bars.refresh()
     shown = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", stream.getvalue())
     lines = [line for line in re.split(r"[\r\n]+", shown) if " 50% " in line]
     assert lines

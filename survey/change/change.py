@@ -229,7 +229,7 @@ def _aligned(
 def _cells_in(path: Path, cells: Grid) -> np.ndarray:
     """Whether the middle of each cell (rows, columns) lies in a polygon of a file."""
     polygons = read_polygons(path, cells.crs, cells.box)
-    current().notes(assumed_crs(path))
+    current().note(*assumed_crs(path))
     return cells_inside(polygons, cells)
 
 

@@ -222,7 +222,7 @@ def _cloud(path: Path) -> Cloud:
     if not isinstance(shape, Cloud):
         raise ChangeError(f"{path} is a mesh, expected a run folder or a cloud as LAS, LAZ or COPC")
     cloud, notes = ground_of(shape, path)
-    current().notes(notes)
+    current().note(*notes)
     return cloud
 
 

@@ -76,8 +76,8 @@ def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> It
     """Sections on contents and gaps of a survey, its light, its expected accuracy, and what an aim takes."""
     from survey.adjust.result.foreseen import foreseen_section
     from survey.folder.found import process_config
-    from survey.init.crs import Answers
     from survey.init.draft import draft
+    from survey.init.options import InitOptions
     from survey.plan.check import CheckSection, check_survey, require_processable
     from survey.plan.check_light import light_section
     from survey.plan.choices import choices_of
@@ -91,7 +91,7 @@ def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> It
     chosen = choices_of(asked.over(process_config(folder)))
     config = None
     if folder.is_dir() and settings_of(folder) is None:
-        text = draft(folder, Answers())
+        text = draft(folder, InitOptions())
         yield CheckSection(
             "No survey.toml; init and process write", tuple(("", line) for line in text.split("\n") if line)
         )

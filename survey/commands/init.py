@@ -8,8 +8,9 @@ from typing import Annotated
 import typer
 
 from survey.commands.console import command
-from survey.commands.options import Quiet, Told, Verbose, grouped
+from survey.commands.options import Quiet, Verbose, asking, grouped
 from survey.errors import FILE_NAME
+from survey.init.options import InitOptions
 
 EXAMPLES = """
     bathynerf init my_survey
@@ -23,7 +24,7 @@ def run(
     folder: Annotated[
         Path, typer.Argument(metavar="FOLDER", help="Folder with photographs, in images/, DCIM/ or itself.")
     ],
-    told: Told = Told(),
+    told: InitOptions = InitOptions(),
     schema: Annotated[
         bool, typer.Option("--schema", help="Also write survey.schema.json, by which editors complete and check keys.")
     ] = False,
@@ -40,10 +41,10 @@ def run(
         from survey.init.draft import SCHEMA_LINE, write_schema, write_settings
         from survey.progress import current
 
-        answers, toml = told.answers(needs_level=False), folder / FILE_NAME
+        options, toml = asking(told, needs_level=False), folder / FILE_NAME
         if schema:
             results.line(write_schema(folder))
             if toml.exists() and not force:
                 current().note(f"{toml} is kept; editors find the schema by {SCHEMA_LINE.strip()} in its first line")
                 return
-        results.file(write_settings(folder, answers, force=force, names_schema=schema))
+        results.file(write_settings(folder, options, force=force, names_schema=schema))

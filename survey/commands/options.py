@@ -6,22 +6,20 @@ import inspect
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import Field, asdict, dataclass, fields, is_dataclass, replace
+from dataclasses import Field, asdict, fields, is_dataclass, replace
 from enum import Enum
-from functools import partial, wraps
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
 from survey.errors import ConfigError
 from survey.escaping import printable
 from survey.files.toml_table import ONE_OF, OPTION, Option, parse_values
+from survey.init.options import InitOptions
 from survey.settings.tables import HOW, PlanOptions, ProcessConfig
 from survey.words import COMPARED, Device, wrap_for
-
-if TYPE_CHECKING:
-    from survey.init.crs import Answers
 
 PREFIX = "BATHYNERF_PROCESS_"
 
@@ -49,30 +47,9 @@ Quiet = Annotated[
 ]
 
 
-_told = partial(typer.Option, rich_help_panel="Of photographs without survey.toml")
-
-
-@dataclass(frozen=True)
-class Told:
-    """What no file states of photographs, for a new survey.toml."""
-
-    level: Annotated[float | None, _told(metavar="M", help="Height of the water in the heights of the CRS [m].")] = None
-    sea: Annotated[bool, _told("--sea", help="The water is that of the sea, not fresh.")] = False
-    dry: Annotated[bool, _told("--dry", help="There is no water.")] = False
-    crs: Annotated[
-        str | None, _told(metavar="CRS", help="Horizontal and vertical, e.g. EPSG:25832+7837; default: found.")
-    ] = None
-    origin: Annotated[
-        tuple[float, float, float] | None,
-        _told(metavar="E N H", help="Zero point of poses in a local frame, in the CRS."),
-    ] = None
-
-    def answers(self, *, needs_level: bool) -> Answers:
-        """These, and a person at the terminal, if there is one."""
-        from survey.init.crs import Answers
-
-        ask = _ask if sys.stdin.isatty() and sys.stderr.isatty() else None
-        return Answers(self.crs, self.level, self.dry, self.sea, self.origin, needs_level, ask)
+def asking(told: InitOptions, *, needs_level: bool) -> InitOptions:
+    """These options, and a person at the terminal to be asked for others, if there is one."""
+    return replace(told, ask=_ask if sys.stdin.isatty() and sys.stderr.isatty() else None, needs_level=needs_level)
 
 
 def _ask(question: str) -> str:

@@ -10,7 +10,8 @@ import typer
 
 from survey.commands.console import command
 from survey.commands.faults import require_address_space
-from survey.commands.options import KEPT, Quiet, Told, Verbose, Visible, config_of, grouped
+from survey.commands.options import KEPT, Quiet, Verbose, Visible, asking, config_of, grouped
+from survey.init.options import InitOptions
 from survey.settings.tables import ProcessConfig
 from survey.words import COMPARED, RUN_FOLDER
 
@@ -33,7 +34,7 @@ def run(
         str | None,
         typer.Option("-o", "--output", metavar="RUN", help=f"Run folder, or a URL; default: SURVEY/{RUN_FOLDER}."),
     ] = None,
-    told: Told = Told(),
+    told: InitOptions = InitOptions(),
     asked: ProcessConfig = ProcessConfig(),
     resume: Annotated[bool, typer.Option(help="Reuse finished stages of an earlier run.")] = True,
     reference: Annotated[
@@ -58,7 +59,7 @@ def run(
         require_address_space()
         from survey.init.draft import require_settings
 
-        written = require_settings(survey, told.answers(needs_level=True))
+        written = require_settings(survey, asking(told, needs_level=True))
         if written is not None:
             results.file(written)
         from survey.run.process import process

@@ -97,7 +97,7 @@ class Bed:
             inputs = load_inputs(InputPaths(file, reference), None)
             self._cloud, self._reference, crs = masked_cloud(inputs.cloud, inputs.inside), inputs.reference, inputs.crs
             notes = inputs.notes
-        current().notes(notes)
+        current().note(*notes)
         if crs is None:
             raise ProfileError(f"{file} names no CRS, which places the lines in it; give the run folder instead")
         self.crs = crs if has_height(crs) else crs.to_3d()
@@ -243,7 +243,7 @@ def profiles_along(
     require_file("--picture", picture, read, kind="a PNG", is_of_kind=is_png)
     require_file("--dxf", drawing, read, kind="a DXF", is_of_kind=lambda head: b"SECTION" in head[:64] or not head)
     bed = Bed(path, truth)
-    current().notes(assumed_crs(lines))
+    current().note(*assumed_crs(lines))
     found = _over_bed([bed.along(line, step_m) for line in read_lines(lines, bed.crs, bed.box)], lines)
     if table is not None:
         write_csv(table, found)

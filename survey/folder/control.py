@@ -103,9 +103,8 @@ def find_control(
         contents.append(Content(marks=read_control(folder / config.marks).marks))
     sizes = {name: header.size_px for name, header in headers.items()}
     merged, of_files = merge_control(contents, crs, sizes)
-    untold = _unstated_accuracy(config, merged)
-    config, assumed = _with_stds(config, merged)
-    findings += of_files + Findings(assumed, untold)
+    config, of_stds = _with_stds(config, merged)
+    findings += of_files + of_stds
     found = FoundControl(config, merged, (*checkpoints, *merged.unmarked))
     return found, findings + Findings(warnings=_doubts(found, crs, level))
 
@@ -136,30 +135,18 @@ def _doubts(found: FoundControl, crs: CRS, level: float | None) -> tuple[str, ..
     return tuple(warnings)
 
 
-def _unstated_accuracy(config: ControlConfig, merged: MergedControl) -> tuple[str, ...]:
-    """Warning where neither settings nor files state the accuracy of control points."""
-    untold = [point for point in merged.points if point.std_m is None]
-    if config.std_m is not None or not untold:
-        return ()
-    return (
-        f"no accuracy is stated for {len(untold)} of {len(merged.points)} control points: {DEFAULT_STD_M:g} m is "
+def _with_stds(config: ControlConfig, merged: MergedControl) -> tuple[ControlConfig, Findings]:
+    """Settings with all standard deviations, missing ones assumed; a warning where nothing states that of points."""
+    untold = sum(point.std_m is None for point in merged.points)
+    warnings = () if config.std_m is not None or not untold else (
+        f"no accuracy is stated for {untold} of {len(merged.points)} control points: {DEFAULT_STD_M:g} m is "
         "assumed, as of GNSS with corrections or a total station; give [control] std_m, e.g. 0.03, or [0.02, 0.03] "
         "horizontally and vertically",
-    )
-
-
-def _with_stds(config: ControlConfig, merged: MergedControl) -> tuple[ControlConfig, tuple[str, ...]]:
-    """Settings with all standard deviations, missing ones assumed."""
-    std_m, marks_std_px = config.std_m, config.marks_std_px
-    assumptions = []
-    if std_m is None:
-        std_m = DEFAULT_STD_M
-        if any(point.std_m is None for point in merged.points):
-            assumptions.append(f"[control] std_m = {std_m:g}, the standard deviation of control points in metres")
-    if marks_std_px is None:
-        marks_std_px = DEFAULT_MARKS_STD_PX
-        assumptions.append(f"[control] marks_std_px = {marks_std_px:g}, the std of their marks in pixels")
-    return replace(config, std_m=std_m, marks_std_px=marks_std_px), tuple(assumptions)
+    )  # fmt: skip
+    assumed = f"[control] marks_std_px = {DEFAULT_MARKS_STD_PX:g}, the std of their marks in pixels"
+    findings = Findings((assumed,) if config.marks_std_px is None else (), warnings)
+    std_m, marks_std_px = config.std_m or DEFAULT_STD_M, config.marks_std_px or DEFAULT_MARKS_STD_PX
+    return replace(config, std_m=std_m, marks_std_px=marks_std_px), findings
 
 
 def place_control(
@@ -282,7 +269,7 @@ def read_ground(
     num_all = len(cloud.points)
     if given.stable is not None:
         polygons = read_polygons(folder / given.stable, frame.crs, plan_box(cloud.points))
-        current().notes(assumed_crs(folder / given.stable))
+        current().note(*assumed_crs(folder / given.stable))
         inside = points_inside(polygons, cloud.points[:, :2])
         if not inside.any():
             raise ControlError(f"no point of {path} lies in the polygons of {given.stable}; correct them or their CRS")
@@ -362,18 +349,14 @@ def _shared_std(
     given: float | tuple[float, float] | None, cloud: Cloud, name: str
 ) -> tuple[tuple[float, float], Findings]:
     """Standard deviation of a shift of the reference: as given, as the cloud carries it, or assumed."""
-    if isinstance(given, tuple):
-        return given, Findings()
     if given is not None:
-        return (given, given), Findings()
+        return given if isinstance(given, tuple) else (given, given), Findings()
     carried = cloud.extra.get("std_common")
     if carried is not None and np.isfinite(carried).any():
         std = float(np.nanmedian(carried))
         return (std, std), Findings((f"[control] reference_std_m = {std:.2g}, the std_common of {name}",))
-    return (REFERENCE_STD_M, REFERENCE_STD_M), Findings(
-        (f"[control] reference_std_m = {REFERENCE_STD_M:g}, what all points of {name} may be off by together",),
-        (
-            f"no accuracy is stated for {name}: {REFERENCE_STD_M:g} m in common is assumed; give [control] "
-            "reference_std_m, e.g. 0.05, or [0.1, 0.05] horizontally and vertically",
-        ),
+    message = (
+        f"no accuracy is stated for {name}: {REFERENCE_STD_M:g} m in common is assumed; give [control] "
+        "reference_std_m, e.g. 0.05, or [0.1, 0.05] horizontally and vertically"
     )
+    return (REFERENCE_STD_M, REFERENCE_STD_M), Findings(warnings=(message,))

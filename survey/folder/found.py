@@ -28,7 +28,7 @@ from survey.photos.exif import SUFFIXES, Exif, exif_places, position_sources, re
 from survey.photos.images import fetch_images, list_images, same_files
 from survey.photos.names import ImageNames
 from survey.pose_files import find_poses, find_unread, pose_files, read_poses
-from survey.settings.config import SurveyConfig, settings_of
+from survey.settings.config import ImagesConfig, SurveyConfig, settings_of
 from survey.settings.tables import ProcessConfig
 from survey.sfm.datum import EXACT, DatumStd, plan_std, smallest
 from survey.sfm.gps import PositionTransform, datum_warnings, transforms_into_crs
@@ -224,7 +224,7 @@ def survey_inputs(folder: Path) -> ReadFiles:
     """Settings, poses, photographs, masks, control and measured water levels of a survey folder."""
     if not folder.is_dir():
         return ReadFiles()
-    config = infer.settings_or_inferred(folder)
+    config = settings_of(folder) or SurveyConfig(images=ImagesConfig(dir=infer.image_folder_of(folder)))
     named = [folder / FILE_NAME]
     if config.water is not None:
         named += [folder / path for path in config.water.sources.named.values()]

@@ -16,13 +16,6 @@ from survey.photos.exif import SUFFIXES, Exif, utm_code_of
 from survey.photos.images import photographs_below
 from survey.photos.names import ImageNames
 from survey.photos.poses import PoseFile
-from survey.settings.config import ImagesConfig, SurveyConfig, settings_of
-
-
-def settings_or_inferred(folder: Path) -> SurveyConfig:
-    """Settings of a folder: those of its survey.toml, else with the folder of photographs alone; raises ConfigError."""
-    settings = settings_of(folder)
-    return SurveyConfig(images=ImagesConfig(dir=image_folder_of(folder))) if settings is None else settings
 
 
 def image_folder_of(folder: Path) -> str:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from textwrap import shorten
 from typing import Any
@@ -35,65 +34,16 @@ from survey.folder.found import Found
 from survey.folder.gps_placement import place_poses
 from survey.folder.pairing import pair
 from survey.folder.pose_frames import middle_of_geocentric, points_in_crs
+from survey.init.options import InitOptions
 from survey.photos.exif import Exif, middle_of, position_sources, utm_code_of
 from survey.photos.poses import PoseFile, PoseFrame
 from survey.photos.xmp import ELLIPSOIDAL
 from survey.sfm.datum import area_at, height_transformer
 from survey.words import GEO_TXT
 
-# Asks a person; returns the answer, which may be empty.
-Ask = Callable[[str], str]
 _WGS84_3D = 4979
 # Control points of a survey lie this near to its photographs [m].
 _NEAR_CONTROL_M = 3000.0
-
-
-@dataclass(frozen=True)
-class Answers:
-    """Answers from options of the command line, or by a person at the terminal."""
-
-    crs: str | None = None
-    level_m: float | None = None
-    is_dry: bool = False  # There is no water
-    is_sea: bool = False  # It is sea water
-    # (easting, northing, height) or None: of the local frame of poses, in crs
-    origin: tuple[float, float, float] | None = None
-    needs_level: bool = False  # Even where photographs may tell it
-    ask: Ask | None = None  # callable or None: None where nobody is there to be asked
-
-    def __post_init__(self):
-        if self.is_dry and (self.is_sea or self.level_m is not None):
-            raise ConfigError(
-                f"--dry says that there is no water, and {'--sea' if self.is_sea else '--level'} describes it; keep one"
-            )
-
-    def with_level(self, heights: str, *, can_do_without: bool) -> Answers:
-        """These with the level that a person answers, in `heights` in words, or that there is no water.
-
-        Raises ConfigError where nobody answers, unless the level can be found from the photographs.
-        """
-        if self.ask is None and can_do_without and not self.needs_level:
-            return self
-        if self.ask is not None:
-            or_empty = "; empty: found from the photographs" if can_do_without else ""
-            text = self.ask(
-                f"Height of the water [m] {heights}: as 12.34, for the sea 12.34 sea, without water dry{or_empty}"
-            ).strip()
-            level, _, kind = text.partition(" ")
-            if text == "dry":
-                return replace(self, is_dry=True)
-            if kind in ("", "sea") and level:
-                with suppress(ValueError):
-                    return replace(self, level_m=float(level), is_sea=self.is_sea or bool(kind))
-            if text:
-                raise ConfigError(f'the answer is "{text}", expected a number such as 12.34, 12.34 sea, or dry')
-            if can_do_without:
-                return self
-        raise ConfigError(
-            f"the height of the water {heights} is not known; init and process take it as --level 12.34, or --dry "
-            "where there is no water; or put gauge.csv, shoreline.csv or gnss_points.csv (docs/waterline.md) into the "
-            "folder"
-        )
 
 
 @dataclass
@@ -155,13 +105,13 @@ class FolderPhotographs:
         return 2 * sum(datum == ELLIPSOIDAL for datum in parts) > len(parts)
 
 
-def write_crs(photographs: FolderPhotographs, answers: Answers, top: SettingsTable, cameras: SettingsTable) -> CRS:
+def write_crs(photographs: FolderPhotographs, options: InitOptions, top: SettingsTable, cameras: SettingsTable) -> CRS:
     """Add crs, and gps_height where heights in EXIF are ellipsoidal; returns the CRS."""
-    horizontal, by = (None, "") if answers.crs is not None else _horizontal(photographs)
+    horizontal, by = (None, "") if options.crs is not None else _horizontal(photographs)
     if horizontal is None:
-        given = answers.crs
-        if given is None and answers.ask is not None:
-            given = answers.ask(f"{by}. EPSG code with a vertical part, e.g. EPSG:25832+7837").strip()
+        given = options.crs
+        if given is None and options.ask is not None:
+            given = options.ask(f"{by}. EPSG code with a vertical part, e.g. EPSG:25832+7837").strip()
         if not given:
             raise ConfigError(f'{by}; init and process take it as --crs "EPSG:25832+7837"')
         crs = parse_crs(given, where="--crs")
@@ -174,7 +124,7 @@ def write_crs(photographs: FolderPhotographs, answers: Answers, top: SettingsTab
     if has_height(CRS(horizontal)):
         top.set("crs", horizontal, by)
         return parse_crs(horizontal)
-    vertical, comment, more = _vertical(photographs, horizontal, answers, cameras)
+    vertical, comment, more = _vertical(photographs, horizontal, options, cameras)
     code = f"{horizontal}+{vertical}"
     crs = parse_crs(code)
     top.set("crs", code, f"{by}, with {comment}", more)
@@ -233,18 +183,18 @@ def _of_control(photographs: FolderPhotographs) -> tuple[str, str] | None:
 
 
 def _vertical(
-    photographs: FolderPhotographs, horizontal: str, answers: Answers, cameras: SettingsTable
+    photographs: FolderPhotographs, horizontal: str, options: InitOptions, cameras: SettingsTable
 ) -> tuple[int | None, str, tuple[str, ...]]:
     """EPSG code of the heights, what they are, and what else they might be."""
     place = photographs.lat_lon
     systems = () if place is None else height_systems_at(*place)
     listed = tuple(_label(system) for system in systems)
     chosen = systems[0] if len(systems) == 1 else _combined_with(CRS(horizontal), systems)
-    if chosen is None and systems and answers.ask is not None:
+    if chosen is None and systems and options.ask is not None:
         question = (
             f"Heights of the water and of control: {'; '.join(listed)}. Code, or empty for mean sea level (EGM96)"
         )
-        choice = answers.ask(question).strip().removeprefix("EPSG:")
+        choice = options.ask(question).strip().removeprefix("EPSG:")
         chosen = next((system for system in systems if str(system.to_epsg()) == choice), None)
         if choice and chosen is None:
             raise ConfigError(f'the answer is "{choice}", expected one of the codes {"; ".join(listed)}')
@@ -301,7 +251,7 @@ def _area(system: CRS) -> str:
     return shorten(name.rstrip("."), 60, placeholder=" ...")
 
 
-def write_origin(photographs: FolderPhotographs, answers: Answers, found: Found, local: SettingsTable) -> None:
+def write_origin(photographs: FolderPhotographs, options: InitOptions, found: Found, local: SettingsTable) -> None:
     """Add the origin of poses in a local frame, as given, else by GPS; raises where poses have no place in crs."""
     file = photographs.file
     if file is None:
@@ -309,8 +259,8 @@ def write_origin(photographs: FolderPhotographs, answers: Answers, found: Found,
     if file.frame is not PoseFrame.LOCAL:
         points_in_crs(file, np.array([pose.centre for pose in file.poses]), found.crs, "crs")
         return
-    if answers.origin is not None:
-        local.set("origin", list(answers.origin))
+    if options.origin is not None:
+        local.set("origin", list(options.origin))
         return
     try:
         placed, findings = place_poses(found, file, list(pair(found, file.poses)[0].values()))

@@ -18,7 +18,8 @@ from survey.files.json_values import write_json
 from survey.files.toml_schema import schema_of
 from survey.folder import infer
 from survey.folder.found import Found, read_headers
-from survey.init.crs import Answers, FolderPhotographs, SettingsTable, write_crs, write_origin
+from survey.init.crs import FolderPhotographs, SettingsTable, write_crs, write_origin
+from survey.init.options import InitOptions
 from survey.photos.images import list_images
 from survey.pose_files import find_poses, read_poses
 from survey.settings.config import SurveyConfig, parse_config, settings_of
@@ -64,46 +65,43 @@ def write_schema(folder: Path) -> Path:
 def settings_or_draft(folder: Path) -> SurveyConfig:
     """The settings in a folder, else those that `write_settings` would write there."""
     settings = settings_of(folder)
-    return parse_config(draft(folder, Answers())) if settings is None else settings
+    return parse_config(draft(folder, InitOptions())) if settings is None else settings
 
 
-def write_settings(folder: Path, answers: Answers, *, force: bool = False, names_schema: bool = False) -> Path:
+def write_settings(
+    folder: str | Path, options: InitOptions = InitOptions(), *, force: bool = False, names_schema: bool = False
+) -> Path:
     """Write survey.toml into a folder, with the schema of `write_schema` in its first line if it is to be named there.
 
-    Returns its path.
+    Returns its path. Raises SurveyError where something is missing that neither a file nor an option states.
     """
+    folder = Path(folder)
     _require_folder(folder)
     path = folder / FILE_NAME
     if path.exists() and not force:
         raise OutputError(f"{path} exists; --force replaces it")
-    text = (SCHEMA_LINE if names_schema else "") + draft(folder, answers)
+    text = (SCHEMA_LINE if names_schema else "") + draft(folder, options)
     with write_whole(path) as stream:
         stream.write(text.encode())
     return path
 
 
-def require_settings(folder: Path, answers: Answers) -> Path | None:
+def require_settings(folder: Path, options: InitOptions) -> Path | None:
     """Write survey.toml where there is none, and return its path; raise ConfigError where one says other than told."""
     _require_folder(folder)
     config = settings_of(folder)
     if config is None:
-        return write_settings(folder, answers)
-    level_m = None if config.water is None else config.water.level_m
-    for option, told, given in (
-        ("--crs", answers.crs, config.crs),
-        ("--level", answers.level_m, level_m),
-        ("--dry", answers.is_dry or None, config.dry),
-        ("--origin", answers.origin, config.local.origin),
-    ):
-        if told not in (None, given):
-            says = "does not say so" if given is None else f"has {given}"
-            raise ConfigError(
-                f"{option} is {told}, but {folder / FILE_NAME} {says}; change it there, or leave {option} out"
-            )
+        return write_settings(folder, options)
+    given = (None if config.water is None else config.water.level_m, config.dry, config.crs, config.local.origin)
+    for name, value in zip(("level_m", "dry", "crs", "origin"), given, strict=True):
+        told = getattr(options, name)
+        if told not in (None, False, value):
+            says = "does not say so" if value is None else f"has {value}"
+            raise ConfigError(f"{name} is told to be {told}, but {folder / FILE_NAME} {says}; change it there")
     return None
 
 
-def draft(folder: Path, answers: Answers) -> str:
+def draft(folder: Path, options: InitOptions) -> str:
     """Settings in TOML for a folder of photographs, and of poses, control and water levels found with them."""
     top, images, cameras, water, control, area, local = (
         SettingsTable(name) for name in ("", "images", "cameras", "water", "control", "area", "local")
@@ -133,16 +131,16 @@ def draft(folder: Path, answers: Answers) -> str:
             "Not certain: the lens, by EXIF where it states the focal length. With a calibration:",
             'model = "OPENCV"    # with size_px, focal_px, principal_point_px and distortion (docs/survey-toml.md)',
         )
-    crs = write_crs(photographs, answers, top, cameras)
+    crs = write_crs(photographs, options, top, cameras)
     config = parse_config("\n".join(table.text() for table in (top, images, cameras)))
-    write_origin(photographs, answers, Found(folder, config, crs, found, headers, photographs.poses_path), local)
+    write_origin(photographs, options, Found(folder, config, crs, found, headers, photographs.poses_path), local)
     places = np.array(list(positions_in_crs(headers, crs, config.cameras.gps_height)[0].values())).reshape(-1, 3)
     if len(places):
         low, high = places[:, :2].min(axis=0).tolist(), places[:, :2].max(axis=0).tolist()
         area.add_comments(
             f"bounds = {[round(each, 1) for each in low + high]}    # of the cameras; without it all is taken"
         )
-    _write_water(folder, photographs, answers, _heights_of(crs, places), top, water)
+    _write_water(folder, photographs, options, _heights_of(crs, places), top, water)
     _write_control(folder, control)
     text = "\n".join(table.text() for table in (top, images, cameras, local, area, control, water) if table.lines)
     parse_config(text)
@@ -160,21 +158,21 @@ def _heights_of(crs: CRS, places: np.ndarray) -> str:
 def _write_water(
     folder: Path,
     photographs: FolderPhotographs,
-    answers: Answers,
+    options: InitOptions,
     heights: str,
     top: SettingsTable,
     water: SettingsTable,
 ) -> None:
     files = {key: name for key in _WATER_FILES if (name := _named(folder, _WATER_FILES[key])) is not None}
-    if answers.level_m is None and not files and not answers.is_dry:
+    if options.level_m is None and not files and not options.dry:
         num_placed = sum(is_whole(header.lat_lon_height) for header in photographs.headers.values())
         can_do_without = photographs.poses_path is None and num_placed >= _FEWEST_FOR_LEVEL
-        answers = answers.with_level(heights, can_do_without=can_do_without)
-    if answers.is_dry:
+        options = options.with_level(heights, can_do_without=can_do_without)
+    if options.dry:
         top.set("dry", True, "no ground is under water")
         return
-    if answers.level_m is not None:
-        water.set("level_m", answers.level_m, "height of the water in the heights of crs")
+    if options.level_m is not None:
+        water.set("level_m", options.level_m, "height of the water in the heights of crs")
         water.add_comments(*(f'{key} = "{name}"' for key, name in files.items()))
         water.add_comments("level_std_m = 0.02    # how well it is known, e.g. from a staff")
     elif files:
@@ -185,7 +183,7 @@ def _write_water(
         water.add_comments(
             "level_m = 12.34    # not known: found from the photographs, where oblique views cross; better give it"
         )
-    if answers.is_sea:
+    if options.sea:
         water.set("refractive_index", SEA_WATER, "of the sea")
         water.set("index_wavelength_nm", SODIUM_NM, "that of handbooks")
     else:

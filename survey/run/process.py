@@ -137,10 +137,10 @@ def _with_poses(checked: Checked, chosen: Choices, run: RunDir, progress: Progre
 
 def _announce(survey: Survey, plan: Plan, workload: Workload, progress: Progress) -> None:
     progress.note(f"{survey.name}: {len(survey.views)} views, a pixel covers {length(plan.gsd_m)} of the ground")
-    progress.details(f"assumed: {text}" for text in survey.findings.assumptions)
+    progress.detail(*(f"assumed: {text}" for text in survey.findings.assumptions))
     for text in survey.findings.warnings:
         progress.warn(text)
-    progress.details(f"plan: {decision.name}: {decision.choice} ({decision.reason})" for decision in plan.decisions)
+    progress.detail(*(f"plan: {decision.name}: {decision.choice} ({decision.reason})" for decision in plan.decisions))
     progress.note(f"workload: {workload}")
     progress.expect(workload.parts_s)
 

@@ -126,7 +126,7 @@ def _write_report(finished: FinishedRun, stored: StoredBed) -> RunVerdict:
     facts = _facts(finished, stored, options, cells, verdict)
     for text in (*dry_warnings(job.survey, stored.bed), *photograph_warnings(facts.photographs)):
         progress.warn(text)
-    progress.details(f"{label}: {share}" for label, share in left_out_shares(facts.photographs))
+    progress.detail(*(f"{label}: {share}" for label, share in left_out_shares(facts.photographs)))
     with progress.stage("Report", NUM_STEPS) as stage:
         figures = write_report(folder, facts, stage.advance)
     for text in checkpoint_warnings(figures.checkpoints):
@@ -134,7 +134,7 @@ def _write_report(finished: FinishedRun, stored: StoredBed) -> RunVerdict:
     if (std := figures.height_std) is not None:
         shared = "" if std.shared is None else f", of which {length(std.shared)} are shared by large parts of the cloud"
         progress.note(f"height, one sigma, all included: {length(std.whole)} (median){shared}")
-    progress.details(figures.notes)
+    progress.detail(*figures.notes)
     return verdict
 
 

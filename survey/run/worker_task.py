@@ -139,13 +139,13 @@ class _RecordedProgress(Progress):
         super().__init__(verbosity=-2)
         self.lines: list[tuple[str, str]] = []
 
-    def detail(self, text: str) -> None:
+    def detail(self, *texts: str) -> None:
         """Record a `Progress.detail`."""
-        self.lines.append(("detail", text))
+        self.lines += [("detail", text) for text in texts]
 
-    def note(self, text: str) -> None:
+    def note(self, *texts: str) -> None:
         """Record a `Progress.note`."""
-        self.lines.append(("note", text))
+        self.lines += [("note", text) for text in texts]
 
     def warn(self, text: str) -> None:
         """Record a `Progress.warn`."""

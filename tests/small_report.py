@@ -59,7 +59,11 @@ def write_plane_report(survey: Survey, folder: Path) -> SimpleNamespace:
     """A finished report against a reference 4 mm above the bed, its run and its figures."""
     bed = plane_bed(survey)
     facts = facts_of(
-        survey, bed, height_maps=[plane_height_map(survey, 1)], verdict=RunVerdict((MET,)), notes=("a note",)
+        survey,
+        bed,
+        height_maps=[plane_height_map(survey, 1)],
+        verdict=RunVerdict((MET,)),
+        warnings=("a doubt of the plan",),
     )
     write_bed_las(folder / "cloud.las", StoredBed(bed, facts.points_crs, survey.frame.crs, "small", 0.05))
     reference = write_plane_mesh(folder / "reference.ply", survey, raised_m=RAISED_M)

@@ -14,7 +14,7 @@ from test_adjust_parts import cut
 
 from survey.adjust.result.adjustment import ControlResidual, Status
 from survey.control.points import Checkpoint, Control, ControlPoint
-from survey.display.quantities import length
+from survey.display.quantities import length, typeset
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import load_survey
 from survey.report import ReportFacts
@@ -103,9 +103,9 @@ def test_control_and_check_points_are_told_apart(facts):
     control, check = adjustment_of(facts.survey, facts.adjustment).control_groups
     assert (control.name, control.num, control.rms_px) == ("control", 1, pytest.approx(0.31))
     assert check.rms_m == pytest.approx((0.012, 0.006, 0.021))
-    assert check.le90_m == pytest.approx(1.6448536 * 0.021)
+    assert check.le95_m == pytest.approx(1.9599640 * 0.021)
     # Of two errors that are alike, the square over the variance is that of an exponential distribution: -2 ln 0.1.
-    assert check.ce90_m == pytest.approx(np.sqrt(-2.0 * np.log(0.1)) * np.sqrt((0.012**2 + 0.006**2) / 2.0), rel=1e-6)
+    assert check.ce95_m == pytest.approx(np.sqrt(-2.0 * np.log(0.05)) * np.sqrt((0.012**2 + 0.006**2) / 2.0), rel=1e-6)
 
 
 def test_correlations_leave_out_what_was_not_to_move(facts):
@@ -125,9 +125,9 @@ def test_the_page_has_verdicts_control_and_the_uncertainty_of_all_heights(facts)
     page = render_page(figures, [])
     assert "<h2>Adjustment</h2>" in page
     for row in facts.adjustment.parameters:
-        assert f"{row.name} {row.verdict}" in page
+        assert typeset(f"{row.name} {row.verdict}") in page
     assert "gcp2" in page
-    assert figures.adjustment.note in figures.notes
+    assert figures.adjustment.note[1:] in page
 
 
 def test_a_card_has_the_common_standard_deviation(facts):

@@ -71,8 +71,8 @@ def test_all_check_points_are_in_the_figures_those_under_water_and_above_apart(s
     assert (everything.name, everything.num, wet.num, dry.num) == ("all", 2, 1, 1)
     assert everything.mean_m == pytest.approx(-0.015, abs=ROUNDING_M)
     assert everything.rms_m == pytest.approx(math.sqrt(0.5 * (0.02**2 + 0.01**2)), abs=ROUNDING_M)
-    # 90 % of a normal distribution lie within 1.645 standard deviations.
-    assert everything.le90_m == pytest.approx(1.6448536 * everything.rms_m)
+    # 90 % of a normal distribution lie within 1.96 standard deviations.
+    assert everything.le95_m == pytest.approx(1.9599640 * everything.rms_m)
     assert everything.largest_m == pytest.approx(-0.02, abs=ROUNDING_M)
     text, groups, each = checkpoint_blocks(found)
     assert "1 of 3 have no value" in text.text

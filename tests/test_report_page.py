@@ -43,7 +43,7 @@ def test_report_json_keeps_its_names(plane_report):
     assert list(found) == [
         "verdict", "survey", "taken", "water", "plan", "cloud", "comparison", "iho_s44", "checkpoints", "height_std_m",
         "stated", "coverage", "waves", "adjustment", "baselines", "photographs", "photographs_left_out", "timings_s",
-        "versions", "settings", "assumptions", "warnings", "notes",
+        "versions", "settings", "assumptions", "warnings",
     ]  # fmt: skip
     assert list(found["verdict"]["gates"][0]) == ["name", "value", "limit", "unit", "passed", "sentence"]
     assert list(found["survey"]["crs"]) == ["name", "code", "unit", "height_unit"]
@@ -82,7 +82,7 @@ def test_report_html_shows_the_figures_of_report_json(plane_report):
         "<td>sweep</td>",
         "61.2</td>",
         "meets the TVU",
-        "a note",
+        "a doubt of the plan",
         "quality = &#34;standard&#34;",
     ):
         assert text in page, text

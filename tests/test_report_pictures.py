@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
@@ -16,6 +17,7 @@ from small_survey import TOML, small_survey
 
 from geo import LocalFrame
 from geo.grid import Grid
+from survey.compare.canvas import map_canvas, write_labels
 from survey.display.palette import RED
 from survey.display.plan_grid import PlanGrid
 from survey.folder.survey import load_survey
@@ -173,3 +175,25 @@ def test_the_map_of_what_was_not_found_says_how_much_of_the_ground_it_is(shallow
         colours = np.asarray(image.convert("RGB")).reshape(-1, 3)
     red = np.array([int(RED[k : k + 2], 16) for k in (1, 3, 5)])
     assert (np.abs(colours - red.astype(int)).sum(axis=1) < 6).mean() > 0.02
+
+
+def test_labels_cover_neither_points_nor_each_other():
+    figure, axes = map_canvas((0.0, 10.0, 0.0, 10.0), None)
+    places = np.array([[5.0, 5.0], [5.3, 5.2], [5.6, 4.9], [9.9, 9.9], [1.0, 1.0]])
+    write_labels(axes, places, ["rod1", "rod2", "rod3", "rod4", "rod5"])
+    renderer = figure.canvas.get_renderer()
+    boxes = [text.get_window_extent(renderer) for text in axes.texts if text.get_text().startswith("rod")]
+    assert len(boxes) >= 4
+    assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
+    assert not any(box.contains(*place) for box in boxes for place in axes.transData.transform(places))
+
+
+def test_the_scale_bar_lies_below_the_map_and_is_true_to_scale():
+    figure, axes = map_canvas((512300.0, 512340.0, 5960000.0, 5960030.0), CRS("EPSG:25832"))
+    (bar,) = axes.lines
+    (start, end), heights = bar.get_data()
+    (label,) = [text.get_text() for text in axes.texts if text.get_text().endswith(" m")]
+    west, east = axes.get_xlim()
+    assert (end - start) * (east - west) == pytest.approx(float(label.removesuffix(" m")))
+    assert max(heights) < 0.0
+    assert axes.transAxes.transform((0.0, heights[0]))[1] > 0.0

@@ -1,4 +1,4 @@
-"""What the cloud states of itself: LE90 and the orders of IHO S-44, against their formulas."""
+"""What the cloud states of itself: LE95 and the orders of IHO S-44, against their formulas."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import pytest
 from small_bed import plane_bed
 from small_report import facts_of
 
-from survey.report.checkpoints import CE90, LE90, stated_of, table
+from survey.report.checkpoints import CE95, LE95, stated_of, table
 from survey.report.collect import figures_of
 from survey.report.headline import cards
 
 
-def test_le90_and_ce90_hold_90_percent_of_normal_errors(rng):
+def test_le95_and_ce95_hold_95_percent_of_normal_errors(rng):
     errors = rng.standard_normal((200_000, 2))
     # One share of 200 000 has a standard deviation of 0.0007.
-    assert (np.abs(errors[:, 0]) < LE90).mean() == pytest.approx(0.9, abs=0.003)
-    assert (np.hypot(*errors.T) < CE90).mean() == pytest.approx(0.9, abs=0.003)
+    assert (np.abs(errors[:, 0]) < LE95).mean() == pytest.approx(0.95, abs=0.003)
+    assert (np.hypot(*errors.T) < CE95).mean() == pytest.approx(0.95, abs=0.003)
 
 
 def test_orders_are_those_of_the_stated_uncertainty_at_95_percent():
@@ -31,7 +31,7 @@ def test_orders_are_those_of_the_stated_uncertainty_at_95_percent():
         ("2", pytest.approx(0.96)),
     ]
     assert found.strictest.name == "Special"
-    assert found.le90_m == pytest.approx(LE90 * 0.15 / 1.96)
+    assert found.le95_m == pytest.approx(LE95 * 0.15 / 1.96)
     assert stated_of(np.full(10, 3.0), depth[:10]).strictest is None
     assert table(found)[0].rows[2][0] == "IHO S-44, vertical, Special"
 

@@ -18,6 +18,7 @@ from survey.display.quantities import (
     height,
     length,
     lengths_in_feet,
+    typeset,
     volume,
 )
 from survey.errors import ConfigError
@@ -118,3 +119,14 @@ def test_without_a_browser_the_page_says_what_to_do(tmp_path):
     broken.chmod(0o755)
     with pytest.raises(UnwritableFile, match="no display"):
         write_pdf(tmp_path / "report.html", tmp_path / "report.pdf", browsers=(str(broken),))
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("level_m found: -0.06 +- 0.01 m", "level_m found: −0.06 ± 0.01 m"),
+        ("-9.2 to -0.1 m; 2026-11-29, IMG-12.jpg, UTC-5", "−9.2 to −0.1 m; 2026-11-29, IMG-12.jpg, UTC-5"),
+    ],
+)
+def test_a_minus_of_a_page_is_no_hyphen(text, shown):
+    assert typeset(text) == shown

@@ -53,7 +53,7 @@ def shore(tmp_path_factory):
     small = {"size_m": (2.2, 2.2), "image_px": (144, 120), "num_views": 8}
     with pytest.MonkeyPatch.context() as patch:
         # Half of the time of so small a survey.
-        empty = SimpleNamespace(notes=(), checkpoints=None, height_std=None)
+        empty = SimpleNamespace(checkpoints=None, height_std=None)
         patch.setattr("survey.run.products.write_report", lambda *_: empty)
         yield drawn(tmp_path_factory.mktemp("shore") / "survey", shore=True, **small)
 

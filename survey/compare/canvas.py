@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,8 +16,8 @@ from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import PcolorImage
-from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
+from matplotlib.transforms import Bbox
 from pyproj import CRS
 
 from geo import write_whole
@@ -45,11 +46,8 @@ _SHOWN = 0.98
 # Height over width of a map; long narrow surveys get empty margins, so that title and ticks have room.
 _FLATTEST, _TALLEST = 0.3, 1.5
 _BAR_WIDTH_IN = 0.2
-# Of words on a map, which stand out from any colour.
-_HALO = [withStroke(linewidth=3, foreground="white")]
-_ON_MAP: dict[str, Any] = {
-    "ha": "center", "va": "bottom", "color": INK, "fontsize": 9, "zorder": 6, "path_effects": _HALO,
-}  # fmt: skip
+# Side of the mark of a point [pt].
+_POINT_PT = 8.0
 
 
 def nice_limit(distances: np.ndarray) -> float:
@@ -132,8 +130,7 @@ def map_canvas(extent: Extent, crs: CRS | None, *, below_in: float = 0.0) -> tup
         formatter.set_scientific(False)
         axis.set_major_formatter(formatter)
     unit_m = crs.axis_info[0].unit_conversion_factor if crs is not None else 1.0
-    end = _scale_bar(axes, unit_m * EARTH_RADIUS_M / aspect if angular else unit_m)
-    _north_arrow(axes, end + 0.05)
+    _scale_bar(axes, unit_m * EARTH_RADIUS_M / aspect if angular else unit_m)
     return figure, axes
 
 
@@ -159,26 +156,47 @@ def _plain(axes: Axes) -> Axes:
     return axes
 
 
-def _north_arrow(axes: Axes, at: float) -> None:
-    """A north arrow of the grid, at a share of the width beside the scale bar."""
-    arrow = {"arrowstyle": "-|>", "color": INK, "shrinkA": 0.0, "shrinkB": 0.0, "path_effects": _HALO}
-    axes.annotate("N", (at, 0.105), (at, 0.022), xycoords="axes fraction", weight="bold", arrowprops=arrow, **_ON_MAP)
-
-
-def _scale_bar(axes: Axes, metres_per_unit: float) -> float:
-    """A bar of a round number of metres, about a sixth of the width, in the lower left corner; returns its end [-]."""
+def _scale_bar(axes: Axes, metres_per_unit: float) -> None:
+    """A bar of a round number of metres, about a sixth of the width, and grid north, below the map to the right."""
     west, east = axes.get_xlim()
     width_m = (east - west) * metres_per_unit
     power = 10.0 ** math.floor(math.log10(width_m / 6.0))
     length_m = max(step * power for step in (1.0, 2.0, 5.0) if step * power <= width_m / 6.0)
-    share = length_m / width_m
-    across = axes.get_xaxis_transform()
-    start = west + 0.04 * (east - west)
-    end = start + share * (east - west)
-    axes.plot([start, end], [0.03, 0.03], transform=across, color="white", lw=6, solid_capstyle="butt", zorder=5)
-    axes.plot([start, end], [0.03, 0.03], transform=across, color=INK, lw=3, solid_capstyle="butt", zorder=6)
-    axes.text(0.5 * (start + end), 0.042, f"{length_m:g} m", transform=across, **_ON_MAP)
-    return 0.04 + share
+    start, end, inch = 0.94 - length_m / width_m, 0.94, axes.figure.dpi / axes.bbox.height
+    words: dict[str, Any] = {"transform": axes.transAxes, "va": "center", "color": INK, "fontsize": 9}
+    axes.plot(
+        [start, end],
+        [-0.45 * inch] * 2,
+        color=INK,
+        lw=3,
+        solid_capstyle="butt",
+        clip_on=False,
+        transform=axes.transAxes,
+    )
+    axes.text(start - 0.015, -0.45 * inch, f"{length_m:g} m", ha="right", **words)
+    axes.text(0.985, -0.45 * inch, "↑\nN", ha="center", linespacing=0.9, weight="bold", **words)
+
+
+def write_labels(axes: Axes, places: np.ndarray, texts: Sequence[str]) -> None:
+    """Texts beside places (N, 2) of axes, each in the first of four corners where it covers no place and no other.
+
+    One that would cover something in all four is left out.
+    """
+    renderer = figure_of(axes).canvas.get_renderer()  # type: ignore[attr-defined]
+    lay_out(figure_of(axes))
+    size = _POINT_PT * figure_of(axes).dpi / 72.0
+    taken = [Bbox.from_bounds(x - size / 2, y - size / 2, size, size) for x, y in axes.transData.transform(places)]
+    for text, place in zip(texts, places, strict=True):
+        for across, up in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+            label = axes.annotate(
+                figure_text(text), place, (5 * across, 5 * up), textcoords="offset points", fontsize=7.5, color=INK,
+                ha="left" if across > 0 else "right", va="bottom" if up > 0 else "top", zorder=6,
+            )  # fmt: skip
+            box = label.get_window_extent(renderer)
+            if not any(box.overlaps(other) for other in taken):
+                taken.append(box)
+                break
+            label.remove()
 
 
 def write_title(axes: Axes, title: str, subtitle: str = "") -> None:

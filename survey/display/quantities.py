@@ -32,6 +32,11 @@ _FOOT = 0.3048
 _ALIKE = 1e-4
 
 
+def typeset(text: str) -> str:
+    """A text of logs with the signs that numbers of a page have: a minus that is no hyphen, and ±."""
+    return re.sub(r"(?<![\w.])-(?=\.?\d)", MINUS, text.replace("+-", "±"))
+
+
 @contextmanager
 def lengths_in_feet(foot_m: float | None) -> Iterator[None]:
     """Within this block lengths are shown in feet of so many metres; None: in metres."""

@@ -13,7 +13,7 @@ from survey.adjust.result.std_common import CommonError, common_error
 from survey.adjust.result.std_of_block import Part, parts_of_adjustment
 from survey.display.quantities import length
 from survey.folder.survey import Survey
-from survey.report.checkpoints import CE90, LE90
+from survey.report.checkpoints import CE95, LE95
 
 # Parameters with a smaller standard deviation were held fixed.
 HELD_STD = 1e-7
@@ -68,10 +68,10 @@ class ControlGroup:
     num: int
     rms_m: Axes  # (east, north, up) [m]
     rms_px: float  # Of all marks
-    # ce90_m, le90_m [m]: within which 90 % of normal errors are in plan and in height: 2.146 and 1.645 times the root
+    # ce95_m, le95_m [m]: within which 95 % of normal errors are in plan and in height: 2.448 and 1.96 times the root
     # mean squares
-    ce90_m: float
-    le90_m: float
+    ce95_m: float
+    le95_m: float
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ def _control_groups(control: tuple[ControlResidual, ...]) -> tuple[ControlGroup,
             px = float(np.sqrt((marks * squares).sum() / max(marks.sum(), 1)))
             rms = _rms(np.array([row.residual_m for row in rows]))
             in_plan = float(np.hypot(rms[0], rms[1])) / np.sqrt(2.0)
-            groups.append(ControlGroup(name, len(rows), rms, px, float(CE90 * in_plan), LE90 * rms[2]))
+            groups.append(ControlGroup(name, len(rows), rms, px, float(CE95 * in_plan), LE95 * rms[2]))
     return tuple(groups)
 
 

@@ -18,11 +18,20 @@ from evaluation.bootstrap import cell_counts, cell_means, cell_numbers
 from geo.projection import ground_units_m
 from survey.adjust.result.adjustment import Adjustment
 from survey.adjust.result.std_of_block import part_numbers
-from survey.compare.canvas import canvas, colour_bar, extent_around, map_canvas, nice_limit, save, show, write_title
+from survey.compare.canvas import (
+    canvas,
+    colour_bar,
+    extent_around,
+    map_canvas,
+    nice_limit,
+    save,
+    show,
+    write_labels,
+    write_title,
+)
 from survey.display.palette import BLUE, DIFFERENCES, INK, LAND, RED, SERIES, SOFT, SPREADS
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, length, number
-from survey.escaping import figure_text
 from survey.folder.survey import Survey
 from survey.report.adjustment_figures import correlations, shown_lenses
 from survey.report.checkpoints import CheckpointAccuracy
@@ -225,11 +234,8 @@ def draw_residuals(path: Path, survey: Survey, residuals: Sequence[Residual]) ->
     for part, mark, colour, label in ((~is_check, "^", INK, "control point"), (is_check, "s", LAND, "check point")):
         if part.any():
             axes.plot(*places[part].T, mark, ms=6.0, mfc=colour, mec=INK, mew=0.8, label=label, zorder=5)
-    for each, far, distance in zip(residuals, is_far, distances, strict=True):
-        name = f"{each.name} (shortened: {length(float(distance))})" if far else each.name
-        axes.annotate(
-            figure_text(name), each.place, (5, 5), textcoords="offset points", fontsize=7.5, color=INK, zorder=6
-        )
+    cut = [f" (shortened: {length(distance)})" if far else "" for far, distance in zip(is_far, distances, strict=True)]
+    write_labels(axes, places, [f"{each.name}{short}" for each, short in zip(residuals, cut, strict=True)])
     figure.legend(loc="lower center", ncols=2, frameon=False, fontsize=9)
     unit = LengthUnit.of([longest])
     subtitle = f"magnified: an arrow an eighth as long as the map is wide means {unit.text(longest)}"

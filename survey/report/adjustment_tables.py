@@ -125,21 +125,26 @@ def _control(found: AdjustmentFigures) -> list[Table]:
         return []
     unit = LengthUnit.of([value for row in found.control for value in row.residual_m])
     axes = tuple(f"{axis} [{unit.name}]" for axis in ("east", "north", "up"))
-    rows = [
-        (row.name, "check" if row.is_check else "control", "under water" if row.is_wet else "dry",
-         *(unit.number(value) for value in row.residual_m), count(row.num_marks), number(row.rms_px, 2))
-        for row in found.control
-    ]  # fmt: skip
-    titles = ("point", "role", "lies", *axes, "marks", "rms [px]")
-    each = Table(titles, rows, num_texts=3, heading="Control points: adjusted less given")
-    return [_groups(found.control_groups, unit, axes), each]
+    tables = [_groups(found.control_groups, unit, axes)]
+    for is_check, heading in (
+        (False, "Control points, adjusted to, not independent: adjusted less given"),
+        (True, "Check points with marks, not adjusted to: adjusted less given"),
+    ):
+        rows = [
+            (row.name, "under water" if row.is_wet else "dry", *(unit.number(value) for value in row.residual_m),
+             count(row.num_marks), number(row.rms_px, 2))
+            for row in found.control if row.is_check == is_check
+        ]  # fmt: skip
+        if rows:
+            tables.append(Table(("point", "lies", *axes, "marks", "rms [px]"), rows, num_texts=2, heading=heading))
+    return tables
 
 
 def _groups(groups: Sequence[ControlGroup], unit: LengthUnit, axes: tuple[str, ...]) -> Table:
     rows = [
         (f"{group.name} points", count(group.num),
-         *(unit.number(value) for value in (*group.rms_m, group.ce90_m, group.le90_m)), number(group.rms_px, 2))
+         *(unit.number(value) for value in (*group.rms_m, group.ce95_m, group.le95_m)), number(group.rms_px, 2))
         for group in groups
     ]  # fmt: skip
-    spread = tuple(f"{name} [{unit.name}]" for name in ("CE90", "LE90"))
+    spread = tuple(f"{name} [{unit.name}]" for name in ("plan, 95 %", "height, 95 %"))
     return Table(("rms of", "number", *axes, *spread, "marks [px]"), rows, heading="Control and check points")

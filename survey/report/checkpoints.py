@@ -19,8 +19,8 @@ from survey.display.quantities import count, length, named, share
 from survey.folder.survey import Survey
 from survey.water.surface import height_above
 
-# 90 % of normal errors are within so many standard deviations: along one axis, and in two that are alike.
-LE90, CE90 = 1.644854, 2.145966
+# 95 % of normal errors are within so many standard deviations: along one axis, and in two that are alike.
+LE95, CE95 = 1.959964, 2.447747
 _SHARE = 0.95
 _NOTE = (
     "By the standard deviations that the cloud states, random and shared, taken as those of normal errors; nothing is "
@@ -51,8 +51,8 @@ class StatedOrder:
 class StatedFigures:
     """Stated uncertainty of the heights of the cloud."""
 
-    # [m]: median of 1.645 standard deviations, random and shared: the error of a height that 90 % are below
-    le90_m: float
+    # [m]: median of 1.96 standard deviations, random and shared: the error of a height that 95 % are below
+    le95_m: float
     points_wet: int
     orders: tuple[StatedOrder, ...]  # The strictest first; none without points under water
 
@@ -79,14 +79,14 @@ def stated_of(std_m: np.ndarray | ComputedColumn, depth_m: np.ndarray | Computed
         for (name, _, _), num_within in zip(TVU, nums_within, strict=False)
         if points_wet
     ]
-    return StatedFigures(LE90 * middle, points_wet, tuple(shares))
+    return StatedFigures(LE95 * middle, points_wet, tuple(shares))
 
 
 def table(found: StatedFigures | None) -> list[Block]:
-    """LE90, and how many points each order takes; nothing without points."""
+    """Error of a height at 95 %, and how many points each order takes; nothing without points."""
     if found is None:
         return []
-    rows = [("height, 90 % (LE90), median", length(found.le90_m))]
+    rows = [("height, 95 %, median", length(found.le95_m))]
     rows += [
         (
             f"IHO S-44, vertical, {order.name}",
@@ -121,7 +121,7 @@ class CheckpointGroup:
     mean_m: float
     rms_m: float
     largest_m: float
-    le90_m: float  # [m]: 1.645 times `rms_m`: 90 % of normal errors are smaller
+    le95_m: float  # [m]: 1.96 times `rms_m`: 95 % of normal errors are smaller
 
 
 @dataclass(frozen=True)
@@ -229,4 +229,4 @@ def _group(name: str, rows: Sequence[CheckpointRow]) -> CheckpointGroup | None:
         return None
     largest = known[int(np.argmax(np.abs(known)))]
     rms = float(np.sqrt(np.mean(known**2)))
-    return CheckpointGroup(name, len(known), float(known.mean()), rms, float(largest), LE90 * rms)
+    return CheckpointGroup(name, len(known), float(known.mean()), rms, float(largest), LE95 * rms)

@@ -132,7 +132,6 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
     """All figures of a report; a gate that was not met is one of its warnings."""
     survey = facts.survey
     adjustment = adjustment_of(survey, facts.adjustment)
-    adjustment_notes = [] if adjustment is None or adjustment.note is None else [adjustment.note]
     failed = [gate.sentence for gate in facts.verdict.gates if not gate.passed] if facts.verdict else []
     left_out, checkpoints = _left_out(survey), facts.checkpoints
     return ReportFigures(
@@ -154,8 +153,8 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
             *photograph_warnings(facts.photographs),
             *checkpoint_warnings(checkpoints),
             *survey.findings.warnings,
+            *facts.warnings,
         ),
-        notes=(*facts.notes, *adjustment_notes),
         checkpoints=checkpoints,
         height_std=height_std(facts.bed.std, facts.std_common) if len(facts.bed) else None,
         adjustment=adjustment,

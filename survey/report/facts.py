@@ -85,7 +85,7 @@ class ReportFacts:
     comparison: Comparison | None = None
     # The same of the cloud that the sweep alone would have given; None where there is no field or no reference
     sweep_comparison: Comparison | None = None
-    notes: tuple[str, ...] = ()  # Further sentences for the reader
+    warnings: tuple[str, ...] = ()  # Of the plan
     versions: dict[str, str] = field(default_factory=dict)  # dict: of what computed, by name
     verdict: RunVerdict | None = None  # The quality gates
     adjustment: Adjustment | None = None  # None where poses and water were used as they came

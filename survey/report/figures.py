@@ -171,10 +171,9 @@ class ReportFigures:
     timings_s: dict[str, float]  # dict: seconds by stage [s], in order
     versions: dict[str, str]  # dict: of what computed, by name
     settings: dict  # The effective settings, by section and key, as JSON holds them
-    # assumptions, warnings, notes: Sentences for the reader
+    # assumptions, warnings: Sentences for the reader
     assumptions: tuple[str, ...]
     warnings: tuple[str, ...]
-    notes: tuple[str, ...]
     checkpoints: CheckpointAccuracy | None = None  # None without check points
     adjustment: AdjustmentFigures | None = None  # None where poses and water were used as they came
     photographs: tuple[PhotographFigures, ...] = ()  # What of each was left out of matching
@@ -217,7 +216,6 @@ def json_of(figures: ReportFigures) -> dict:
         "settings": figures.settings,
         "assumptions": figures.assumptions,
         "warnings": figures.warnings,
-        "notes": figures.notes,
     })  # fmt: skip
 
 

@@ -21,12 +21,11 @@ from survey.display.quantities import (
     share,
     volume,
 )
+from survey.report.checkpoints import LE95
 from survey.report.facts import WHOLE_STD, Gate, RunVerdict
 from survey.report.figures import ReportFigures
 from survey.report.photographs import left_out_shares
 
-# 95 % of normal errors are within so many standard deviations.
-_SIGMAS_95 = 1.96
 # Values of gates in words, by their unit.
 _OF_UNIT: dict[str, tuple[Callable[[float], str], float]] = {"%": (share, 0.01), "mm": (length, 0.001)}
 # Smaller things than so many ground sampling distances are smoothed away by the windows that are matched.
@@ -160,15 +159,15 @@ def coverage(figures: ReportFigures) -> list[Block]:
     if not water_m2:
         return []
     std = "" if found.water_std_m3 is None else f" ± {volume(found.water_std_m3)} (one sigma)"
+    gaps = (
+        ("no bed, two photographs or more", found.two_views_m2,
+         "turbid or too deep, glint, moving plants, or a bed without texture"),
+        ("no bed, one photograph only", found.one_view_m2, "no second ray to intersect"),
+    )  # fmt: skip
     rows = [
         ("bed found", _part(found.wet_m2, water_m2)),
         ("water over it", f"{volume(found.water_m3)}{std}"),
-        (
-            "no bed, two photographs or more",
-            f"{_part(found.two_views_m2, water_m2)}: turbid or too deep, glint, moving plants, or a bed without "
-            "texture",
-        ),
-        ("no bed, one photograph only", f"{_part(found.one_view_m2, water_m2)}: no second ray to intersect"),
+        *((label, f"{_part(gap_m2, water_m2)}: {why}") for label, gap_m2, why in gaps if gap_m2),
     ]
     rows += left_out_shares(figures.photographs)
     if figures.left_out:
@@ -184,9 +183,9 @@ def limitations(figures: ReportFigures) -> list[Block]:
     """Fitness of the cloud for purposes, in sentences with this run's figures."""
     parts, std = [], figures.height_std
     if std is not None:
-        message = f"A typical height is within {length(_SIGMAS_95 * std.whole)} of the truth in 95 of 100 cases"
+        message = f"A typical height is within {length(LE95 * std.whole)} of the truth in 95 of 100 cases"
         if std.shared:
-            shared = length(_SIGMAS_95 * std.shared)
+            shared = length(LE95 * std.shared)
             message += f"; of that, {shared} are a common shift of all heights, which averaging does not reduce"
         parts.append(f"{message}, if level, index and positions are as accurate as stated.")
     parts.append(

@@ -22,7 +22,7 @@ from survey.compare.tables import comparison as comparison_blocks
 from survey.compare.tables import iho_s44
 from survey.display import palette
 from survey.display.blocks import Block, Rows, Section, Sentences
-from survey.display.quantities import LengthUnit
+from survey.display.quantities import LengthUnit, typeset
 from survey.report import adjustment_tables, checkpoints, photographs, tables, waves
 from survey.report.figures import ReportFigures
 from survey.report.headline import cards, coverage, headline, limitations
@@ -43,7 +43,16 @@ _WIDE = ("view", "profile", "error_bands")
 # After the end of the document, where readers look no further.
 MARK = b"% bathynerf\n"
 BROWSERS = (
-    *("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge", "msedge"),
+    *(
+        "chromium-headless-shell",
+        "chromium",
+        "chromium-browser",
+        "google-chrome",
+        "google-chrome-stable",
+        "chrome",
+        "microsoft-edge",
+        "msedge",
+    ),
     # Where it is no program of the path.
     "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
     "/Applications/Microsoft Edge.app/Contents/MacOS/Microsoft Edge",
@@ -78,6 +87,7 @@ def _template() -> jinja2.Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["typeset"] = typeset
     return environment.get_template("page.html")
 
 
@@ -102,7 +112,6 @@ def _sections(figures: ReportFigures) -> list[Section]:
         Section("Processing decisions", tables.decisions(figures.plan.decisions)),
         Section("Assumptions", _listed(figures.assumptions)),
         Section("Warnings", _listed(figures.warnings)),
-        Section("Notes", _listed(figures.notes)),
         Section("Run time", tables.timings(figures.timings_s, figures.total_s)),
         Section("Software versions", [Rows(list(figures.versions.items()))] if figures.versions else []),
     ]

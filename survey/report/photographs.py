@@ -10,7 +10,7 @@ from datetime import datetime
 import numpy as np
 
 from fields.sweep.photo_consistency import Consistency
-from survey.display.blocks import Block, Folded, Rows, Table
+from survey.display.blocks import Block, Folded, Rows, Table, Text
 from survey.display.quantities import named, share
 from survey.photos.exif import Exif
 from survey.photos.texture import MOSTLY_WHITE
@@ -21,12 +21,10 @@ from survey.settings.config import ReportConfig
 _LEAST_OF_MEDIAN, _FEWEST_POINTS = 0.25, 100
 # A photograph with less than this share of the median contrast is blurred.
 _BLURRED = 0.3
-# Worth a row in the page; all are in report.json.
-_NOTABLE_WHITE, _NOTABLE_OUTLYING, _MOST_ROWS = 0.02, 0.15, 20
 # Tables of more photographs open on a click.
 _FEW = 40
-# A share is said that is not 0.0 %.
-_LEAST_SAID = 0.0005
+# A share is said that is not 0.0 %; the use of a photograph of which nothing is left out.
+_LEAST_SAID, _WHOLE = 0.0005, "yes"
 # Cameras with this many serial numbers or fewer are listed by them.
 _FEW_SERIALS = 4
 
@@ -95,33 +93,28 @@ def left_out_shares(photographs: tuple[PhotographFigures, ...]) -> list[tuple[st
 
 
 def table(photographs: tuple[PhotographFigures, ...], left_out: Sequence[str] = ()) -> list[Block]:
-    """Means over the photographs, those that lose most, and all of them; nothing where there are none."""
-    rows = left_out_shares(photographs)
-    worst = sorted(photographs, key=lambda each: -each.saturated - (each.outlying or 0.0))
-    notable = [each for each in worst if each.saturated > _NOTABLE_WHITE or (each.outlying or 0.0) > _NOTABLE_OUTLYING][
-        :_MOST_ROWS
-    ]
-    cells = [(each.name, share(each.saturated), share(each.outlying)) for each in notable]
-    titles = ("photograph", "white, of its pixels", "differing from all others, of the points in it")
-    blocks: list[Block] = [Rows(rows)] if rows else []
-    return [*blocks, *([Table(titles, cells)] if cells else []), *_every(photographs, left_out)]
-
-
-def _every(photographs: tuple[PhotographFigures, ...], left_out: Sequence[str]) -> list[Block]:
-    """Each photograph of the folder: whether it is used, what of it is left out, and why."""
-    if not photographs and not left_out:
+    """Means over the photographs, and each of which something is left out; nothing where there are none."""
+    num = len(photographs) + len(left_out)
+    if not num:
         return []
-    rows = [(each.name, _use(each), share(each.saturated), share(each.outlying)) for each in photographs]
+    rows = [
+        (each.name, _use(each), share(each.saturated), share(each.outlying))
+        for each in photographs
+        if _use(each) != _WHOLE or max(each.saturated, each.outlying or 0.0) >= _LEAST_SAID
+    ]
     rows += [(name, "left out: no pose", "", "") for name in left_out]
-    titles = ("photograph", "used", "white", "differing")
-    summary = f"All {len(rows)} photographs, {len(left_out)} of them left out"
-    return [Folded(summary, Table(titles, sorted(rows), num_texts=2), len(rows) <= _FEW)]
+    titles = ("photograph", "used", "white, of its pixels", "differing from all others, of the points in it")
+    means: list[Block] = [Rows(left_out_shares(photographs))]
+    message = f"All {num} photographs, {len(left_out)} of them left out"
+    if not rows:
+        return [*means, Text(f"{message}; each is used whole.")]
+    return [*means, Folded(message, Table(titles, sorted(rows), num_texts=2), len(rows) <= _FEW)]
 
 
 def _use(each: PhotographFigures) -> str:
     if each.useless:
         return f"nothing of it: {each.useless}"
-    return "little of it: more than half white" if each.saturated > MOSTLY_WHITE else "yes"
+    return "little of it: more than half white" if each.saturated > MOSTLY_WHITE else _WHOLE
 
 
 @dataclass(frozen=True)

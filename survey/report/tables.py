@@ -160,10 +160,10 @@ def checkpoints(found: CheckpointAccuracy | None) -> list[Block]:
 def _checkpoint_statistics(found: CheckpointAccuracy, unit: LengthUnit) -> list[Table]:
     rows = [
         (group.name, count(group.num),
-         *(unit.number(value) for value in (group.mean_m, group.rms_m, group.largest_m, group.le90_m)))
+         *(unit.number(value) for value in (group.mean_m, group.rms_m, group.largest_m, group.le95_m)))
         for group in found.groups
     ]  # fmt: skip
-    names = ("mean", "RMS", "largest", "LE90")
+    names = ("mean", "RMS", "largest", "95 %")
     return [Table(("check points", "compared", *(f"{name} [{unit.name}]" for name in names)), rows)] if rows else []
 
 

@@ -134,7 +134,6 @@ def _write_report(finished: FinishedRun, stored: StoredBed) -> RunVerdict:
     if (std := figures.height_std) is not None:
         shared = "" if std.shared is None else f", of which {length(std.shared)} are shared by large parts of the cloud"
         progress.note(f"height, one sigma, all included: {length(std.whole)} (median){shared}")
-    progress.detail(*figures.notes)
     return verdict
 
 
@@ -177,7 +176,7 @@ def _facts(
         surfaces=load_surfaces(done["solver"], survey) if "solver" in done else None,
         cells=cells,
         headers={view.name: read_exif(view.path) for view in survey.views},
-        notes=tile_warnings(survey, plan),
+        warnings=tile_warnings(survey, plan),
     )
 
 

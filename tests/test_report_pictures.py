@@ -189,7 +189,7 @@ def test_labels_cover_neither_points_nor_each_other():
 
 
 def test_the_scale_bar_lies_below_the_map_and_is_true_to_scale():
-    figure, axes = map_canvas((512300.0, 512340.0, 5960000.0, 5960030.0), CRS("EPSG:25832"))
+    _, axes = map_canvas((512300.0, 512340.0, 5960000.0, 5960030.0), CRS("EPSG:25832"))
     (bar,) = axes.lines
     (start, end), heights = bar.get_data()
     (label,) = [text.get_text() for text in axes.texts if text.get_text().endswith(" m")]

@@ -54,6 +54,7 @@ def write_cloud(
     std_common_m: np.ndarray | None = None,
     classification: np.ndarray | None = None,
     user_data: np.ndarray | None = None,
+    total_uncertainty_m: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> None:
     """Write a cloud as LAS 1.4, point format 7, whole or not at all; compressed if the suffix is .laz.
 
@@ -88,6 +89,8 @@ def write_cloud(
         Classes to write instead of those by ``is_wet``, e.g. with 45 (no bottom found) among them.
     user_data : (N,) uint8, optional
         How each point was found, written to the field "user data"; 0 where not given.
+    total_uncertainty_m : vertical and horizontal (N,) [m], optional
+        At 95 %, as "total_tvu" and "total_thu".
     """
     path = Path(path)
     if path.suffix.lower() not in _SUFFIXES:
@@ -99,6 +102,8 @@ def write_cloud(
     extra = {
         "depth": depth_m, "std": std_m, "std_common": common, "num_views": num_views, "incidence": incidence_deg,
     }  # fmt: skip
+    if total_uncertainty_m is not None:
+        extra |= dict(zip(("total_tvu", "total_thu"), total_uncertainty_m, strict=True))
     _require_sound(points, {"rgb": rgb, "is_wet": is_wet if classification is None else classification} | extra)
 
     header = _header(points, crs, path)

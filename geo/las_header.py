@@ -40,6 +40,9 @@ EXTRA_BYTES = (
     ("std_common", np.dtype(np.float32), "part that all heights share, m"),
     ("num_views", np.dtype(np.uint16), "photographs that agree"),
     ("incidence", np.dtype(np.float32), "angle at the water in air, deg"),
+    # Names and level of confidence of NOAA's cBLUE; only where they are asked for.
+    ("total_tvu", np.dtype(np.float32), "vertical uncertainty, 95 %, m"),
+    ("total_thu", np.dtype(np.float32), "horizontal uncertainty, 95 %, m"),
 )
 _HAS_NO_DATA, _HAS_RANGE = 1, 2 | 4
 # Reserved, type, options, name, unused, then three slots each for no data, minimum, maximum, scale, offset.
@@ -145,7 +148,7 @@ def _crs_of_keys(table: GeoKeyDirectoryVlr) -> CRS:
 
 
 def add_extra_bytes(header: laspy.LasHeader, values: dict[str, np.ndarray | ComputedColumn]) -> None:
-    """Declare `EXTRA_BYTES` in a header, for values (N,) by name.
+    """Declare those of `EXTRA_BYTES` that have values (N,), by name, in a header.
 
     Notes
     -----
@@ -153,7 +156,7 @@ def add_extra_bytes(header: laspy.LasHeader, values: dict[str, np.ndarray | Comp
     here and stored as a plain record, which laspy does not change.
     """
     descriptors = []
-    for name, dtype, description in EXTRA_BYTES:
+    for name, dtype, description in (each for each in EXTRA_BYTES if each[0] in values):
         header.add_extra_dim(laspy.ExtraBytesParams(name, dtype, description))
         descriptors.append(_descriptor(name, dtype, description, _range(values[name], dtype)))
     header.vlrs.extract("ExtraBytesVlr")
@@ -173,7 +176,7 @@ def _range(values: np.ndarray | ComputedColumn, dtype: np.dtype) -> np.ndarray:
 def stored_extra(values: dict[str, np.ndarray | ComputedColumn], part: slice | np.ndarray) -> dict[str, np.ndarray]:
     """A part of values (N,), by name, as they are to be stored."""
     found = {}
-    for name, dtype, _ in EXTRA_BYTES:
+    for name, dtype, _ in (each for each in EXTRA_BYTES if each[0] in values):
         raw = np.asarray(values[name][part])
         found[name] = np.where(np.isfinite(raw), raw, NO_DATA).astype(dtype)
     return found

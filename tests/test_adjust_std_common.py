@@ -35,6 +35,17 @@ def of_change(step: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
     return found.points, std_common(found.points, wet, survey, found, GSD)
 
 
+def test_in_plan_it_is_what_all_poses_that_move_along_one_axis_move_places():
+    block, found = drawn_adjustment(dry_share=0.0)
+    step = along(found, {"x": 0.02})
+    found = replace(found, covariance=replace(found.covariance, matrix=np.outer(step, step)))
+    survey, wet = changed(survey_of(block), ties=None), np.ones(len(found.points), dtype=bool)
+    in_plan = std_common(found.points, wet, survey, found, GSD, in_plan=True)
+    # The root mean square over both axes; level water moves nothing.
+    np.testing.assert_allclose(in_plan, 0.02 / math.sqrt(2.0), rtol=1e-3)
+    assert std_common(found.points, wet, survey, found, GSD).max() < 1e-3
+
+
 def test_no_height_is_exact():
     _, std = of_change({})
     assert (std > 0.0).all()

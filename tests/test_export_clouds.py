@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -21,6 +21,7 @@ from survey.progress import Progress
 from survey.run.folder import RunDir
 from survey.run.keys import Key
 from survey.run.stored import load_bed, save_bed
+from survey.settings.config import SurveyConfig, WaterConfig, dump_config
 
 # LAS steps by 1 mm: half a step, and the rounding of a northing of 5e6 m.
 LAS_ROUNDING = 0.5e-3 + 1e-8
@@ -62,6 +63,25 @@ def test_las_laz_and_copc_have_the_points_their_crs_and_their_extra_bytes(stored
     np.testing.assert_array_equal(cloud.extra["num_views"], stored.bed.num_views)
     np.testing.assert_allclose(cloud.extra["incidence"], np.degrees(stored.bed.incidence), rtol=FLOAT_EPS)
     assert cloud.crs.sub_crs_list[0].to_epsg() == 25832
+
+
+def test_total_uncertainties_have_all_parts_at_95_percent(stored, tmp_path):
+    number = len(stored.bed)
+    common, plan = (np.full(number, value, dtype=np.float32) for value in (0.03, 0.02))
+    run = run_of(replace(stored, std_common=common, std_plan=plan), tmp_path / "run")
+    water = WaterConfig(level_m=0.0, refractive_index=1.333)
+    RunDir(run).settings_path.write_text(dump_config(SurveyConfig(crs="EPSG:25832+5783", water=water)))
+    export(run, options=ExportOptions(tpu=True), las=tmp_path / "out.las")
+    extra = read_cloud(tmp_path / "out.las").extra
+    std = stored.bed.std.astype(np.float64)
+    np.testing.assert_allclose(extra["total_tvu"], 1.959964 * np.hypot(std, 0.03), rtol=1e-5)
+    angle = np.arcsin(np.sin(stored.bed.incidence) / np.where(stored.bed.wet, 1.333, 1.0))
+    in_plan = np.sqrt((np.tan(angle) * std) ** 2 + (0.5 * stored.gsd_m) ** 2 + 0.02**2)
+    np.testing.assert_allclose(extra["total_thu"], 2.447747 * in_plan, rtol=1e-5)
+    export(run, las=tmp_path / "plain.las")
+    assert "total_tvu" not in read_cloud(tmp_path / "plain.las").extra
+    with pytest.raises(SurveyError, match="have no standard deviation in plan; process the survey again"):
+        export(run_of(stored, tmp_path / "earlier"), options=ExportOptions(tpu=True), las=tmp_path / "e.las")
 
 
 def test_ply_has_the_points_in_double_precision_and_the_scalars_with_their_units(stored, run_folder, tmp_path):

@@ -14,7 +14,6 @@ from geo.projection import ground_units_m
 from geo.raster import SOFTWARE, RasterBand, RasterForm
 from geo.raster import write_bag as write_bag_file
 from survey.errors import SurveyError
-from survey.export.bed_cells import BedRaster
 from survey.export.bed_raster import bed_raster
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
@@ -101,7 +100,8 @@ def write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     def values(window: Window) -> np.ndarray:
         std, depth = grid.stds(window), grid.depths(window)
         vertical = order_by_tvu(std, depth)
-        horizontal = order_by_thu(plan_std(grid, window, std, n_water, run.plan_std_m), depth)
+        sine = np.sin(grid.incidence[window.slices].astype(np.float64)) / n_water
+        horizontal = order_by_thu(plan_std(std, sine, grid.pixel_m, run.plan_std_m), depth)
         # The stricter order has the smaller number.
         return np.stack([np.maximum(vertical, horizontal), vertical, horizontal])
 
@@ -120,14 +120,14 @@ def write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     write_raster(path, grid, values, *bands, tags=tags, dtype="uint8", nodata=0, resampling="NEAREST")
 
 
-def plan_std(grid: BedRaster, window: Window, std: np.ndarray, n_water: float, cameras_std: float) -> np.ndarray:
-    """Standard deviation (rows, columns) [m] along each axis in plan of the positions of the points of cells.
+def plan_std(std: np.ndarray, sine: np.ndarray, pixel_m: float, shared_std: float | np.ndarray) -> np.ndarray:
+    """Standard deviation (...) [m] along each axis in plan of points of standard deviations (...) [m] in height.
 
-    By the error in height along the ray in water, half a pixel on the bed, and the positions of the cameras.
+    By the error in height along the ray at the point, the ``sine`` (...) of whose angle to the vertical is given, half
+    a pixel on the bed, and what poses, lens and water have shared in it.
     """
-    sine = np.sin(grid.incidence[window.slices].astype(np.float64)) / n_water
     tangent = sine / np.sqrt(1.0 - sine**2)
-    return np.sqrt((tangent * std) ** 2 + (0.5 * grid.pixel_m) ** 2 + cameras_std**2)
+    return np.sqrt((tangent * std) ** 2 + (0.5 * pixel_m) ** 2 + shared_std**2)
 
 
 style_bag, style_s44 = of_heights, of_orders

@@ -102,6 +102,7 @@ class LoadedRun:
             points_crs=bed.points_crs[~withheld],
             std_common=None if bed.std_common is None else bed.std_common[~withheld],
             std_placed=None if bed.std_placed is None else bed.std_placed[~withheld],
+            std_plan=None if bed.std_plan is None else bed.std_plan[~withheld],
         )
 
     @cached_property

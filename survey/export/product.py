@@ -68,6 +68,7 @@ class ExportOptions:
     no_bed: bool = _made(
         None, "Add water without a bed to LAS, LAZ, COPC: class 45, and 41 above it.", name="--no-bed", default=False
     )
+    tpu: bool = _made(None, "Add total_tvu and total_thu [m], 95 %, to LAS, LAZ, COPC.", name="--tpu", default=False)
     thin: str = _made(
         None, "Thinning of soundings to one per cell; none: keep all.", default="none", one_of=("none", "shoal", "mean")
     )

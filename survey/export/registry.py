@@ -10,11 +10,11 @@ _LINES = (*_VECTOR, ".dxf", ".zip")
 _BY_GDAL = "GeoJSON, DXF (extra dxf), GPKG, zipped shapefile (extra vector)."
 FAMILIES: dict[str, tuple[Product, ...]] = {
     "Points": (
-        Product("las", (".las",), "clouds", ("crs", "no_bed"),
+        Product("las", (".las",), "clouds", ("crs", "no_bed", "tpu"),
                 "Points as LAS 1.4.", "bed.las"),
-        Product("laz", (".laz",), "clouds", ("crs", "no_bed"),
+        Product("laz", (".laz",), "clouds", ("crs", "no_bed", "tpu"),
                 "Points as LAZ, LAS compressed.", "bed.laz --crs EPSG:4326"),
-        Product("copc", (".copc.laz",), "clouds", ("crs", "no_bed"),
+        Product("copc", (".copc.laz",), "clouds", ("crs", "no_bed", "tpu"),
                 "Points as cloud-optimised LAZ, from which readers fetch parts.", "bed.copc.laz"),
         Product("ply", (".ply",), "clouds", ("crs",),
                 "Points as binary PLY in double precision.", "bed.ply"),

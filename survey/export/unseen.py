@@ -106,6 +106,7 @@ def with_unseen(run: LoadedRun, stored: StoredBed, crs: str | None) -> tuple[Sto
         points_crs=np.concatenate([stored.points_crs, points, points]),
         std_common=None if common is None else np.concatenate([common, unknown, unknown]),
         std_placed=None,
+        std_plan=None if stored.std_plan is None else np.concatenate([stored.std_plan, unknown, unknown]),
     )
     return with_all, np.concatenate(classes).astype(np.uint8)
 

@@ -49,7 +49,12 @@ from survey.run.stored_maps import Stored
 TOLERANCES_M = (0.2, 0.05)
 
 
-def write_bed_las(path: Path, stored: StoredBed, classification: np.ndarray | None = None) -> None:
+def write_bed_las(
+    path: Path,
+    stored: StoredBed,
+    classification: np.ndarray | None = None,
+    total_uncertainty_m: tuple[np.ndarray, np.ndarray] | None = None,
+) -> None:
     """The cloud as LAS, or LAZ or COPC by the suffix, with classes (N,) other than its own; see `geo.write_cloud`."""
     bed = stored.bed
     write_cloud(
@@ -65,6 +70,7 @@ def write_bed_las(path: Path, stored: StoredBed, classification: np.ndarray | No
         std_common_m=stored.std_common,
         classification=classification,
         user_data=bed.origin,
+        total_uncertainty_m=total_uncertainty_m,
     )
 
 

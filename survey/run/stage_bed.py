@@ -260,6 +260,7 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
                 "together (bathynerf check) and that the views overlap"
             )
         common = std_common(bed.xyz, bed.wet, survey, found, job.plan.gsd_m, new_column(len(bed)))
+        in_plan = std_common(bed.xyz, bed.wet, survey, found, job.plan.gsd_m, new_column(len(bed)), in_plan=True)
         bed, of_block = with_std_of_block(bed, survey, found, job.plan.gsd_m, new_column)
         std_placed = None
         if of_block is not None:
@@ -268,7 +269,8 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
             std_placed = of_block if is_placed(survey) else None
         basis = BASIS_STATED if found is None else BASIS_ADJUSTED
         job.progress.detail(f"std_common: {length(median(common))} (median), by {basis}")
-        save_bed(folder, StoredBed(bed, xyz_in_crs, survey.frame.crs, survey.name, job.plan.gsd_m, common, std_placed))
+        of_places = common, std_placed, in_plan
+        save_bed(folder, StoredBed(bed, xyz_in_crs, survey.frame.crs, survey.name, job.plan.gsd_m, *of_places))
     (folder / GATHERED).unlink(missing_ok=True)
 
 

@@ -37,6 +37,8 @@ _LENGTHS_AT = 26
 # Bytes that are read at a time, and that the header of an array of numpy takes at most.
 _PORTION, _MOST_HEADER = 4_000_000, 1 << 16
 BED_FILE, SURVEY_FILE = "bed.npz", "survey.json"
+# Columns of a stored bed beside those of its points.
+OF_PLACES = ("std_common", "std_placed", "std_plan")
 # Of a trained field; `survey.run.stored_field` reads and writes them.
 FIELD_FILES = FIELD_STATE, FIELD_SETTINGS = "state.pt", "settings.json"
 
@@ -74,6 +76,8 @@ class StoredBed:
     # (N,) float32 [m] or None: the part of the standard deviations in `bed` by how GPS or control has placed the block
     # (`survey.adjust.result.std_of_block`); None where nothing placed it, and of a file without that column
     std_placed: np.ndarray | None = None
+    # (N,) float32 [m] or None: standard deviation of the places in plan along one axis, by water, lens and poses
+    std_plan: np.ndarray | None = None
 
     def std_of_photographs(self) -> np.ndarray | ComputedColumn:
         """Standard deviations (N,) [m] of the heights without `std_placed`: as good as the photographs are."""
@@ -201,10 +205,7 @@ def save_bed(folder: str | Path, stored: StoredBed) -> None:
     folder = Path(folder)
     columns: dict[str, np.ndarray | Column] = {"points_crs": stored.points_crs}
     columns |= {f.name: getattr(stored.bed, f.name) for f in dataclasses.fields(stored.bed)}
-    if stored.std_common is not None:
-        columns["std_common"] = stored.std_common
-    if stored.std_placed is not None:
-        columns["std_placed"] = stored.std_placed
+    columns |= {name: std for name in OF_PLACES if (std := getattr(stored, name)) is not None}
     write_arrays(folder / BED_FILE, columns.items())
     record = {"crs_wkt": stored.crs.to_wkt(), "name": stored.name, "gsd_m": stored.gsd_m}
     write_json(folder / SURVEY_FILE, record)
@@ -218,7 +219,7 @@ def load_bed(folder: str | Path) -> StoredBed:
     header = load_bed_header(folder)
     try:
         points_crs = arrays.pop("points_crs")
-        parts = [arrays.pop(name, None) for name in ("std_common", "std_placed")]
+        parts = [arrays.pop(name, None) for name in OF_PLACES]
         return StoredBed(BedPoints(**arrays), points_crs, header.crs, header.name, header.gsd_m, *parts)
     except (KeyError, TypeError) as error:
         raise _no_bed(folder, error) from error

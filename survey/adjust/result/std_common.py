@@ -163,6 +163,8 @@ def std_common(
     found: Adjustment | None,
     gsd: float,
     out: np.ndarray | None = None,
+    *,
+    in_plan: bool = False,
 ) -> np.ndarray:
     """Standard deviation (N,) float32 [m] of heights by water, lens and poses.
 
@@ -178,6 +180,8 @@ def std_common(
         Ground sampling distance.
     out : (N,) float32, optional
         Where the result goes, which may lie in a file.
+    in_plan : bool
+        Of places in plan instead, along one axis: the root mean square of east and north.
 
     Returns
     -------
@@ -190,12 +194,13 @@ def std_common(
         ties = seen_places(places_of(xyz, wet == is_wet), survey)
         if not len(ties):
             continue
-        variance = _variance(survey, found, ties, gsd)
+        x, y, z = _variances(survey, found, ties, gsd)
+        variance = 0.5 * (x + y) if in_plan else z
         for part in portions(len(xyz), PORTION):
             kind = wet[part] == is_wet
             std[part][kind] = np.sqrt(interpolated(ties.start[:, :2], variance, xyz[part][kind, :2]))
     if survey.plan_std_m > 0.0:
-        std[:] = np.hypot(std, shift_std(xyz, survey.plan_std_m))
+        std[:] = np.hypot(std, survey.plan_std_m if in_plan else shift_std(xyz, survey.plan_std_m))
     return np.maximum(std, np.float32(_LEAST_M), out=std)
 
 
@@ -289,18 +294,18 @@ def _some(views: np.ndarray) -> np.ndarray:
     return views[np.linspace(0, len(views) - 1, min(len(views), _VIEWS)).round().astype(np.int64)]
 
 
-def _variance(survey: Survey, found: Adjustment | None, ties: TiePoints, gsd: float) -> np.ndarray:
-    """Variance of the height of each place (K,) [m^2]."""
+def _variances(survey: Survey, found: Adjustment | None, ties: TiePoints, gsd: float) -> np.ndarray:
+    """Variances (3, K) [m^2] of places along x, y and z, local."""
     if found is not None:
-        jacobian = height_jacobian(found, survey.water, ties)
-        return propagated_variance(jacobian, found.covariance.matrix)
+        jacobian = np.moveaxis(place_jacobian(found, survey.water, ties), 1, 0)
+        return np.stack([propagated_variance(along, found.covariance.matrix) for along in jacobian])
     prior, of_water = prior_of(survey, gsd, free_water=True), prior_of(survey, gsd).std[:NUM_WATER]
     std = np.concatenate([of_water, prior.std[prior.layout.first_lens :]])
     # Structure from motion and poses without any word on them have no standard deviation of their own.
     std = np.where(np.isfinite(std), std, EXACT_STD_M)
     rows = ties.pixel[:, 1]
-    jacobian = place_jacobian_at(prior.layout, replace(prior.state, points=ties.start), ties, rows)[:, 2]
-    return (jacobian**2) @ std**2
+    jacobian = place_jacobian_at(prior.layout, replace(prior.state, points=ties.start), ties, rows)
+    return np.stack([(along**2) @ std**2 for along in np.moveaxis(jacobian, 1, 0)])
 
 
 def interpolated(at: np.ndarray, values: np.ndarray, places: np.ndarray) -> np.ndarray:

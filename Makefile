@@ -29,7 +29,7 @@ READY_DOCS := $(VENV)/ready-docs
 DEMO := .demo/survey
 RUN := $(DEMO)/bathynerf
 # Those that need neither survey data nor hours; each file says at its head how it is run.
-BENCHMARKS := optics surfaces lookup sweep compare
+BENCHMARKS := optics sweep compare
 # Of this the small size, some eight minutes of an idle core: errors of all models over time.
 FIELDS := error_time
 TRUTH := $(DEMO)/truth

@@ -28,7 +28,7 @@ from survey.benchmark.text import comparison, pareto_front
 from survey.compare.canvas import canvas, save
 from survey.display.palette import INK, RED, SERIES, SOFT
 
-COLOURS = dict(zip(METHODS, (*SERIES, RED, SOFT), strict=True))
+COLOURS = dict(zip(METHODS, (*SERIES, RED), strict=True))
 # By depth, and by the number of photographs.
 MARKERS = {"0.5": "o", "2": "s", "3.5": "^", "8": "D"}
 SIZES = {"20": 5, "130": 8, "520": 11}

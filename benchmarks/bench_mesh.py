@@ -20,13 +20,14 @@ import numpy as np
 from evaluation.c2m import distance_to_mesh
 from evaluation.completeness import is_reached, sample_mesh
 from geo.reading import read_reference
-from survey.export.bed_surface import METHODS, bed_surface
+from survey.export.bed_surface import bed_surface
 from survey.plan.area import within
 from survey.run.flight import load_flight
 from survey.run.folder import RunDir
 from survey.run.stored import load_bed
 
 TOLERANCES_M = (0.05, 0.02)
+METHODS = ("delaunay", "poisson")
 
 
 class Truth:

@@ -1,11 +1,10 @@
 """What do trace and project cost, and how far off are they, per library, precision and number of steps?
 
-    python benchmarks/bench_optics.py [--plain | --picture]
+    python benchmarks/bench_optics.py [--plain]
 
 Prints tables of run time against error over drone geometry and over the extremes, and what torch takes beside a few
-plain lines. With --picture docs/img/optics_error.png is drawn instead, which times nothing; with --plain only the table
-of plain lines. Two minutes; on a busy machine believe no figure but the ratios to plain lines, which count processor
-time.
+plain lines; with --plain only these. Two minutes; on a busy machine believe no figure but the ratios to plain lines,
+which count processor time.
 """
 
 from __future__ import annotations
@@ -15,31 +14,22 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from gallery_canvas import BLUE, IN_WATER, RED, canvas, label, save
 
 from refract import FlatWater, project, trace
-from survey.display.palette import INK, SOFT
 
 ROUNDS = 40
-DOCS = Path(__file__).resolve().parent.parent / "docs"
-PICTURE = DOCS / "img" / "optics_error.png"
 FOCAL_PX = 1750.0
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.333)
 COUNT = 1 << 18
 STEPS = range(7)
-# Depth over height of drone surveys: 10 cm of water from 120 m, and 15 m from 5 m.
-SURVEYS = (0.1 / 120.0, 15.0 / 5.0)
-# The rounding of a float32, half a unit in the last place, relative.
-HALF_UNIT = 2.0**-24
 BUDGET_S = 0.4  # per figure: as many rounds as fit, two at least; the best one counts
 
 
@@ -217,62 +207,12 @@ def error_table(records: list[dict]) -> str:
     return "\n".join(rows)
 
 
-def bound(ratio: np.ndarray) -> np.ndarray:
-    """Worst angle [rad] by which the rounding of a point to float32 turns its ray, for depths in camera heights.
-
-    Half a unit in the last place of both coordinates along the plane, ``sqrt(2) 2^-24 D``, over ``dD / d angle``, and
-    the rounding of the direction itself.
-    """
-    angle = np.radians(np.concatenate([np.linspace(1.0, 70.0, 200), 90.0 - np.geomspace(0.1, 20.0, 800)]))
-    x, n, h = np.tan(angle), WATER.n_water, ratio[:, None]
-    q = 1.0 / np.sqrt(n * n + (n * n - 1.0) * x * x)
-    turn = (x + h * x * q) / ((1.0 + h * n * n * q**3) * (1.0 + x * x))
-    return HALF_UNIT * (2.0 + np.sqrt(2.0) * turn.max(axis=1))
-
-
-def picture(every: Sequence[Library], path: Path) -> None:
-    """Left, error against steps over drone geometry; right, error against the ratio of depth to height, with its bound.
-
-    Libraries of one precision differ in the last digits alone: each precision has one colour.
-    """
-    figure, axes = canvas(10.0, 4.4, ncols=2)
-    left, right = axes.flat
-    ratios = np.geomspace(1e-9, 1e9, 55)
-    for library in every:
-        is_double = library.name.split()[1] == "float64"
-        style = {"color": BLUE if is_double else RED, "lw": 1.4, "alpha": 0.8}
-        worst = [error.max() * FOCAL_PX for error in drone_errors(library)]
-        left.semilogy(STEPS, worst, "o-", ms=4, **style)
-        errors = round_trip(library, [1.0], ratios, steps=16).reshape(len(ratios), -1).max(axis=1)
-        right.loglog(ratios, errors, **style)
-    label(left, "How many steps are enough", "steps of Halley's method", "worst error of a direction [px]")
-    left.axhline(0.01, color=SOFT, lw=0.8, ls="--")
-    left.text(6.0, 0.013, "a hundredth of a pixel", color=SOFT, fontsize=8.5, ha="right", va="bottom")
-    left.text(6.0, 3e-4, "float32", color=RED, fontsize=9.5, ha="right", va="bottom")
-    left.text(6.0, 1e-12, "float64", color=BLUE, fontsize=9.5, ha="right", va="bottom")
-    title = "How exact at any depth: a ray down and back up"
-    label(right, title, "depth of the point over height of the camera", "worst error of a direction [rad]")
-    right.loglog(ratios, bound(ratios), color=INK, lw=1.0, ls="--")
-    right.text(2e-9, 2.2e-7, "bound: rounding of the point", color=INK, fontsize=8.5, va="bottom")
-    right.text(2e-9, 4e-8, "float32", color=RED, fontsize=9.5, va="top")
-    right.text(2e-9, 4e-16, "float64", color=BLUE, fontsize=9.5, va="bottom")
-    low, high = SURVEYS
-    right.axvspan(low, high, color=IN_WATER, lw=0, zorder=0)
-    right.text(np.sqrt(low * high), 2e-11, "drone surveys", color=SOFT, fontsize=8.5, ha="center", rotation=90)
-    right.set_ylim(1e-17, 1e-4)
-    save(figure, path)
-
-
 def main() -> None:
     """Measure and print, or draw."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--picture", action="store_true", help="draw the picture of docs/ alone")
     parser.add_argument("--plain", action="store_true", help="measure only torch beside plain lines")
     arguments = parser.parse_args()
     torch.set_num_threads(os.cpu_count() or 1)
-    if arguments.picture:
-        picture(LIBRARIES, PICTURE)
-        return
     sys.stdout.write(plain_table(*drone_geometry(), WATER) + "\n")
     if not arguments.plain:
         records = [record for library in LIBRARIES for record in of_steps(library)]

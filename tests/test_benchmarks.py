@@ -23,7 +23,6 @@ SMALLEST = {
     "bench_conditions": "nothing -o {work} --seeds 1-1 --quality draft",
     "bench_error_time": "{work} --models vm --seconds 0.2",
     "bench_field": "{work} --objects ship --models vm --steps 5 --scale 0.05 --cells 16 --rays 64 --samples 8",
-    "bench_lookup": "--samples 1024 --rounds 1",
     "bench_mesh": "{run} {survey} --methods delaunay",
     "bench_optics": "--plain",
     "bench_random": "--seeds 102-102 -o {work} --quality draft",
@@ -35,7 +34,6 @@ SMALLEST = {
     "bench_switches": "-o {work} --only none --steps 2 --seeds 1",
     "bench_tiles": "{survey} --tiles 2 -o {work}/tiles.json",
     "bench_true_colour": "{work} --seeds 1",
-    "bench_water_plane": "--count 2",
     "draw_gallery": "dispersion -o {work}",
     "draw_survey": "{run} -o {work}",
     "field_surveys": "{work} --seeds 12-12",
@@ -53,7 +51,6 @@ WITH_DATA = {
 # Why the others are not run.
 TOO_LARGE = {
     "bench_drawn": "its smallest part takes an hour; tests/test_bench_parts.py has its table and its picture",
-    "bench_surfaces": "it has one size, of minutes",
     "draw_held_out": "it draws what bench_survey_field rendered of data/wreck_water",
     "tables": "it writes tables of pages, which tests/test_bench_parts.py compares",
 }
@@ -64,7 +61,7 @@ def test_every_benchmark_is_run_or_has_a_reason():
     assert sorted([*SMALLEST, *WITH_DATA, *TOO_LARGE]) == PROGRAMS
 
 
-@pytest.mark.parametrize("name", sorted({*PROGRAMS} - {"bench_surfaces", "tables"}))
+@pytest.mark.parametrize("name", sorted({*PROGRAMS} - {"tables"}))
 def test_a_benchmark_says_how_it_is_run(name, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", [f"{name}.py", "--help"])
     with pytest.raises(SystemExit) as ended:

@@ -204,7 +204,7 @@ def test_readings_at_a_few_stakes_are_one_plane(rng, places):
 @pytest.mark.parametrize("width", [0.5, 10.0])
 @pytest.mark.parametrize("wrong", [0.0, 0.05])
 def test_scatter_hardly_ever_gives_an_alarm(rng, width, wrong):
-    # 1 of 600 with scatter that is stated two times too small or too large (benchmarks/bench_water_plane.py).
+    # 1 of 600 with scatter that is stated two times too small or too large.
     alarms = 0
     for _ in range(60):
         count = int(rng.integers(16, 150))

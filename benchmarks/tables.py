@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parent.parent
 RESULTS, DOCS = ROOT / "benchmarks" / "results", ROOT / "docs"
 # Method and quality of the rows of data/quick.
 QUICK = (
-    ("full", "draft"), ("full", "standard"), ("mdw", "standard"), ("straight", "standard"),
+    ("full", "draft"), ("full", "standard"), ("straight", "standard"),
     ("times_index", "standard"), ("per_camera", "standard"),
 )  # fmt: skip
 # Of surveys with straight rays: name in the results, words, mean depth [m].

@@ -16,7 +16,7 @@ from geo.las import read_cloud, write_cloud
 from geo.reproject import Reprojection
 from geo.vectors import Layer, write_geojson, write_geopackage
 from survey.change.change import align, change_between
-from survey.change.differences import Correlation, Differences, measured_correlation, volume_of
+from survey.change.differences import Correlation, Differences, measured_correlation, shared_photographs, volume_of
 from survey.change.options import ChangeOptions
 
 SHAPE, SIDE, LENGTH = (48, 60), 0.5, 1.5
@@ -180,7 +180,7 @@ def test_what_cannot_be_is_refused_in_one_sentence(tmp_path, options, words):
 
 def test_a_cloud_without_stds_needs_them_stated(tmp_path):
     cloud = write(tmp_path / "a.las", 1)
-    las = laspy.read(cloud)
+    las = laspy.read(write(tmp_path / "b.las", 2))
     las.remove_extra_dims(["std", "std_common"])
     las.write(tmp_path / "plain.las")
     refused = bathynerf("change", cloud, tmp_path / "plain.las", "--resolution", "0.5")
@@ -190,12 +190,24 @@ def test_a_cloud_without_stds_needs_them_stated(tmp_path):
     assert said.exit_code == 0, said.output
 
 
-def test_the_same_survey_twice_needs_the_length_stated(tmp_path):
+def test_a_survey_is_not_compared_with_itself(tmp_path):
     cloud = write(tmp_path / "a.las", 1)
-    refused = bathynerf("change", cloud, cloud, "--resolution", "0.5")
+    refused = bathynerf("change", cloud, cloud)
     assert refused.exit_code == 2
-    assert "--correlation-length" in refused.output
-    assert bathynerf("change", cloud, cloud, "--resolution", "0.5", "--correlation-length", "1").exit_code == 0
+    assert "hold the same points: give two surveys" in refused.output
+
+
+@pytest.mark.parametrize(("began", "is_said"), [("2026-05-01T10:00", True), ("2026-06-01T10:00", False), (None, False)])
+def test_two_runs_of_one_flight_are_said_to_be(tmp_path, began, is_said):
+    for name, first in (("a", "2026-05-01T10:00"), ("b", began)):
+        report = {"taken": {"first": first}, "photographs": [{"name": "1.jpg"}, {"name": f"{name}.jpg"}]}
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "report.json").write_text(json.dumps(report))
+    said = shared_photographs(tmp_path / "a", tmp_path / "b")
+    assert [text.startswith("both runs are of the flight of 2026-05-01T10:00 and share 1 phot") for text in said] == (
+        [True] if is_said else []
+    )
+    assert shared_photographs(tmp_path / "a", tmp_path / "cloud.las") == []
 
 
 def test_volumes_after_an_alignment_on_stable_ground_hold_the_truth():

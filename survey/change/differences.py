@@ -40,6 +40,7 @@ from survey.change.options import ChangeOptions
 from survey.errors import SurveyError
 from survey.export.bed_cells import cells_over, round_side
 from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells
+from survey.files.json_values import read_json_object
 from survey.progress import current
 from survey.run.folder import RunDir
 
@@ -192,7 +193,10 @@ def cloud_path(path: Path) -> Path:
 def differences_of(first: Path, second: Path, options: ChangeOptions) -> tuple[Differences, Grid, list[str]]:
     """The second survey minus the first, the cells, and notes on the surveys."""
     clouds = [_cloud(path) for path in (first, second)]
+    if np.array_equal(clouds[0].points, clouds[1].points):
+        raise ChangeError(f"{first} and {second} hold the same points: give two surveys")
     crs, notes = _common_crs(clouds, (first, second))
+    notes += shared_photographs(first, second)
     surveys = []
     for cloud, path in zip(clouds, (first, second), strict=True):
         each, of_survey = _survey_points(cloud, path, crs, options)
@@ -215,6 +219,23 @@ def differences_of(first: Path, second: Path, options: ChangeOptions) -> tuple[D
             "--resolution, or surveys that overlap"
         )
     return differences, cells, notes
+
+
+def shared_photographs(first: Path, second: Path) -> list[str]:
+    """A note where two runs are of the same flight: they share its photographs by name, and its first moment."""
+    reports = [RunDir(path).report_json_path for path in (first, second) if path.is_dir()]
+    if len(reports) < 2 or not all(path.is_file() for path in reports):
+        return []
+    flights = [read_json_object(path) for path in reports]
+    began = [(flight.get("taken") or {}).get("first") for flight in flights]
+    names = [{each["name"] for each in flight.get("photographs", ())} for flight in flights]
+    shared = names[0] & names[1]
+    if began[0] is None or began[0] != began[1] or not shared:
+        return []
+    return [
+        f"both runs are of the flight of {began[0]} and share {len(shared)} photographs: what differs is how they were "
+        "processed, and their errors are not independent (--common-correlation)"
+    ]
 
 
 def _cloud(path: Path) -> Cloud:

@@ -15,19 +15,23 @@ from slow_cases import slow
 from solved_tiles import nowhere, plain_tile
 
 from fields.device import choose_device
+from fields.image_store import GreyImages
 from fields.solver.appearance import appearance_of, brightness_of
 from fields.solver.gauss_newton import Start, TileSolution, second_differences_of, stiffness_of
+from fields.solver.moving_water import bed_of, still_photograph, without_waves
 from fields.solver.roughness import roughness_of
 from fields.solver.solver import (
     SolvedMap,
     SolverFigures,
     count_in_squares,
     figures_of,
+    sampled,
     solve_maps,
     solve_sample,
     spread,
 )
 from fields.solver.tile import SolverTile, tiles_of
+from fields.solver.views import Views
 from fields.solver.visibility import Occluder, Projector, lookup, lookup_window, project_tiles
 from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap
@@ -172,6 +176,53 @@ def test_still_water_is_solved_as_if_there_were_no_waves(monkeypatch):
     same, same_std, _ = errors_in_waves(0.0)
     assert np.array_equal(error, same)
     assert np.array_equal(std, same_std)
+
+
+def over_still_water(amplitude: float) -> Block | None:
+    """Photographs through waves as they would be over still water."""
+    block, maps, _ = survey(1.0, 0.1, 0.6, amplitude)
+    kept = [middle(6) if m.view == 0 else np.zeros((SIZE, SIZE), dtype=bool) for m in maps]
+    views = Views.of(block, maps)
+    sample = sampled(views, kept, spread(count_in_squares(block, maps, kept)))
+    found = without_waves(block, views, kept, sample, GSD)
+    return None if found is None else found[0]
+
+
+def test_rough_water_is_taken_out_of_photographs(monkeypatch):
+    monkeypatch.setattr("fields.solver.moving_water.ROUGH_PX", 0.2)
+    rough, found, still = survey(1.0, 0.1, 0.6, 0.05)[0], over_still_water(0.05), survey(1.0, 0.1)[0]
+    assert found is not None
+    for view in range(len(still.images)):
+        before, after = (np.std((each.images[view] - still.images[view])[20:-20, 20:-20]) for each in (rough, found))
+        # What waves of nine photographs have in common stays, a third of them, and what pixels do not resolve.
+        assert after < 0.8 * before
+
+
+def test_a_photograph_through_a_known_surface_is_as_over_still_water():
+    count, spacing, turns = 64, 0.25, np.array([[5, 2], [-2, 7]])
+    corner, vectors = np.full(2, -0.5 * count * spacing), 2.0 * np.pi * turns / (count * spacing)
+    sea, bed = WavyWater((*corner, 0.0), [0.02, 0.01], vectors, n_water=1.33), Bed(0.1)
+    # So that pixels resolve it.
+    bed.paint = 20.0 * ndimage.gaussian_filter(bed.paint, 6.0, mode="wrap")
+    block, maps, _ = survey(1.0, 0.1, 0.0)
+    through = [bed.photograph(camera, 1.0, 0.0, sea) for camera in block.cameras]
+    views = Views.of(block.with_images(GreyImages(through)), maps)
+    nodes = spacing * np.arange(count) + corner[0]
+    values = ndimage.spline_filter(sea.height(*np.meshgrid(nodes, nodes, indexing="ij")), order=3, mode="grid-wrap")
+    of_all = np.tile(values.astype(np.float32), (len(through), 1, 1))
+    optics = Waves.still(*views.projector.optics)
+    corners = np.tile(corner, (len(through), 1))
+    waves = replace(optics, corner=corners, spacing=spacing, coefficients=of_all)
+    points = bed_of(views, [np.ones((SIZE, SIZE), dtype=bool)] * len(maps))
+    for view in (0, 3):
+        still = bed.photograph(block.cameras[view], 1.0, 0.0)
+        left = still_photograph(views, waves, view, points) - still
+        assert np.nanstd(left) < 0.2 * np.std(through[view] - still)
+
+
+def test_photographs_of_smooth_water_are_swept_as_they_are():
+    assert over_still_water(0.0) is None
+    assert over_still_water(0.005) is None
 
 
 def test_ground_that_is_dry_has_no_waves():

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from fields.waves.crossings import Crossings
 from fields.waves.surfaces import CellAdjustment, Displacements, Posterior, find_surfaces
@@ -156,9 +157,26 @@ def test_rasters_have_the_displacements_of_the_solved_surfaces(drawn):
     side = SPACING * (np.arange(40) + 0.5)
     points = np.stack([each.ravel() for each in np.meshgrid(side, side, [-3.0], indexing="ij")]).astype(np.float32)
     rays = waves.crossings(0, points)
-    found = waves.through(0, rays, rays.place).T
+    found = rays.displacement(*waves.surface(0, rays.place)).T
     expected = drawn.found.displacement[first]
     assert np.sqrt(np.mean((found - expected) ** 2)) < 0.02 * expected.std()
+
+
+def test_surfaces_displace_as_rays_that_they_bend():
+    # Waves that fit the raster of their coefficients, of slopes of 0.1.
+    count, spacing, amplitude, turns = 48, 0.5, 0.05, np.array([[6, 3], [-2, 7]])
+    vectors, centre, points = 2.0 * np.pi * turns / (count * spacing), np.array([3.0, -5.0, 30.0]), some_points()
+    water = WavyWater((-12.0, -12.0, 0.0), [amplitude, amplitude], vectors, n_water=INDEX)
+    nodes = spacing * np.arange(count) - 12.0
+    values = water.height(*np.meshgrid(nodes, nodes, indexing="ij"))
+    coefficients = ndimage.spline_filter(values, order=3, mode="grid-wrap").astype(np.float32)[None]
+    still = Waves.still(centre[None], np.zeros(1), INDEX)
+    waves = dataclasses.replace(still, corner=np.full((1, 2), -12.0), spacing=spacing, coefficients=coefficients)
+    found = waves.displacement(0, points)
+    shown_at = points.astype(np.float64)
+    shown_at[:2] += found
+    missed = place_on_bed(centre, Crossings.of(centre, shown_at, INDEX).place, -shown_at[2], water) - points[:2]
+    assert np.sqrt(np.mean(missed**2)) < 0.02 * np.sqrt(np.mean(found**2))
 
 
 def test_the_sea_is_described(drawn):

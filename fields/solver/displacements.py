@@ -142,9 +142,9 @@ def waves_of(parts: Sequence[TileDisplacements], still: Waves, spacing: float, b
             rays.by_gradient.transpose(2, 0, 1),
         )
         if before is not None:
-            applied = before.displacement(each, places).T
-            found["measured"][at] += applied
-            crossing[at] += applied
+            # The equations of all rounds are linear, in the surfaces as a whole.
+            crossing[at] = (place := before.through(each, places)[0]).T
+            found["measured"][at] += rays.displacement(*before.surface(each, place)).T
     displacements = Displacements(crossing=crossing, by_height=by_height, by_gradient=by_gradient, **found)
     posterior = find_surfaces(displacements, len(still.centres), spacing)
     return still.with_surfaces(posterior, *_variances(point[first, :2], posterior.errors, spacing))

@@ -10,9 +10,9 @@ from itertools import groupby, islice
 import cv2
 import numpy as np
 
-from fields.solver.appearance import appearance_of, brightness_of
-from fields.solver.displacements import CELL_PX, TileDisplacements, displacements_of, moved, waves_of
-from fields.solver.gauss_newton import Start, TileSolution, shift_information, stiffness_of
+from fields.solver.displacements import displacements_of, moved
+from fields.solver.gauss_newton import TileSolution, shift_information, stiffness_of
+from fields.solver.moving_water import MOVING_PX, with_waves
 from fields.solver.noise import (
     NoiseShares,
     Shifts,
@@ -34,7 +34,7 @@ from fields.solver.uncertainty import (
     subpixel_relief,
 )
 from fields.solver.views import WORKERS, TileTask, Views
-from fields.solver.visibility import TileProjection, VisibilityCounts
+from fields.solver.visibility import VisibilityCounts
 from fields.sweep.block import Block
 from fields.sweep.kernels.arrays import sharing_cores
 from fields.sweep.maps import HeightMap, OrderedMaps, small_sample_factor, views_of
@@ -49,8 +49,6 @@ _SIGNIFICANT = 6.0
 # Heights of the sweep come from windows of this side. Noise makes the photographs agree on nine heights that follow it
 # better than on the true ones by more than this logarithm in one window of a thousand (chi-square, nine degrees).
 _WINDOW_PX, _REFUTED = 3, 0.5 * 27.9
-# Where photographs are displaced by more under water, surfaces of it are found, in so many rounds.
-MOVING_PX, WAVE_ROUNDS = 0.1, 2
 # Fewest photographs for a height: its own does not depend on it.
 _FEWEST = 2
 
@@ -117,6 +115,7 @@ def solve_maps(
     gsd: float,
     progress: Callable[[float], None],
     make_store: Callable[[], MutableMapping[int, SolvedMap]] = dict,
+    waves: Waves | None = None,
 ) -> tuple[OrderedMaps, VisibilityCounts, Waves | None]:
     """Solve the kept pixels of all maps, about the heights of the sweep; some keep these (`rejects_update`).
 
@@ -133,6 +132,8 @@ def solve_maps(
     progress : called with the share done, 0 to 1
     make_store : callable
         Factory of the store of the solutions; default in memory.
+    waves : Waves
+        Surfaces of the water that were found before.
 
     Returns
     -------
@@ -142,7 +143,7 @@ def solve_maps(
     Waves
         Surfaces of the water; None where it is still.
     """
-    views, visibility = Views.of(block, maps), VisibilityCounts.none(len(block.images))
+    views, visibility = replace(Views.of(block, maps), waves=waves), VisibilityCounts.none(len(block.images))
     solved, total, done = make_store(), 0, 0
     for index, wanted in enumerate(kept):
         solved[index] = SolvedMap.empty()
@@ -152,7 +153,8 @@ def solve_maps(
         return found, visibility, None
     with ThreadPoolExecutor(WORKERS) as pool, sharing_cores(block.device, WORKERS):
         is_wet = block.water is not None
-        if block.water is not None and block.water.n_water > 1.0 and figures.moved_px > MOVING_PX:
+        moves = waves is not None or figures.moved_px > MOVING_PX
+        if block.water is not None and block.water.n_water > 1.0 and moves:
             views = with_waves(views, kept, gsd, pool)
             places = spread(count_in_squares(block, maps, kept))
             figures = figures_of(_solved_squares(views, kept, places, gsd, pool), gsd, is_wet=True)
@@ -176,26 +178,6 @@ def solve_maps(
     return found, visibility, views.waves
 
 
-def with_waves(views: Views, kept: Sequence[np.ndarray], gsd: float, pool: Executor) -> Views:
-    """Views with the surfaces of the water, from the kept pixels of all maps at their heights.
-
-    Displacements are measured by linear steps: the surfaces of a round are where the next one starts.
-    """
-
-    def measured(job: TileTask, projected: TileProjection, _start: Start) -> TileDisplacements:
-        grey = projected.sample(views.images, np.zeros(len(job.tile), dtype=np.float32))
-        brightness = brightness_of(appearance_of(job.tile, grey).albedo(grey))
-        return displacements_of(job.tile, projected, brightness)
-
-    still = Waves.still(*views.projector.optics)
-    for _ in range(WAVE_ROUNDS):
-        jobs = (job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted))
-        parts = [found for _, found in views.projected(jobs, pool, measured) if len(found.cell)]
-        if parts:
-            views = replace(views, waves=waves_of(parts, still, CELL_PX * gsd, views.waves))
-    return views
-
-
 def count_in_squares(block: Block, maps: Sequence[HeightMap], kept: Sequence[np.ndarray]) -> list[list[int]]:
     """Kept pixels in each square of `SAMPLE_PX` of each map that has some; none of maps that no other view overlaps."""
     return [
@@ -205,18 +187,28 @@ def count_in_squares(block: Block, maps: Sequence[HeightMap], kept: Sequence[np.
 
 
 def solve_sample(
-    block: Block, maps: Sequence[HeightMap], kept: Sequence[np.ndarray], places: list[tuple[int, int]], gsd: float
+    block: Block,
+    maps: Sequence[HeightMap],
+    kept: Sequence[np.ndarray],
+    places: list[tuple[int, int]],
+    gsd: float,
+    waves: Waves | None = None,
 ) -> list[tuple[SolverTile, TileSolution]]:
     """Solved squares of a block, for `figures_of`, by their places of `spread`."""
     with ThreadPoolExecutor(WORKERS) as pool, sharing_cores(block.device, WORKERS):
-        return _solved_squares(Views.of(block, maps), kept, places, gsd, pool)
+        return _solved_squares(replace(Views.of(block, maps), waves=waves), kept, places, gsd, pool)
 
 
 def _solved_squares(
     views: Views, kept: Sequence[np.ndarray], places: list[tuple[int, int]], gsd: float, pool: Executor
 ) -> list[tuple[SolverTile, TileSolution]]:
-    jobs = [next(islice(views.jobs(index, kept[index], SAMPLE_PX), place, None)) for index, place in places]
+    jobs = sampled(views, kept, places)
     return [each for _, each in views.solved(jobs, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
+
+
+def sampled(views: Views, kept: Sequence[np.ndarray], places: list[tuple[int, int]]) -> list[TileTask]:
+    """Squares by their places of `spread`."""
+    return [next(islice(views.jobs(index, kept[index], SAMPLE_PX), place, None)) for index, place in places]
 
 
 def figures_of(samples: list[tuple[SolverTile, TileSolution]], gsd: float, *, is_wet: bool) -> SolverFigures:

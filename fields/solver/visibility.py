@@ -179,13 +179,13 @@ def project_tiles(
         index = np.flatnonzero(inside)
         change = (raised - at) / np.float32(tolerance)
         shift = _solve_2x2(right - at, down - at, change) * np.float32(_STEP_PX)
+        if other in maps:
+            inside[index] = ~_is_occluded(maps[other], at.take(index, axis=1), start[index] + np.float32(tolerance))
         if waves is not None:
             near = ground[index]
             aside = np.zeros_like(at)
             aside[:, index] = near.in_pixels(waves.displacement(other, near.points)) / np.float32(_STEP_PX)
             at = at + (right - at) * aside[0] + (down - at) * aside[1]
-        if other in maps:
-            inside[index] = ~_is_occluded(maps[other], at.take(index, axis=1), start[index] + np.float32(tolerance))
         inside &= np.isfinite(shift).all(axis=0)
         for number in np.flatnonzero(shows):
             part = parts[number]

@@ -10,9 +10,13 @@ from scipy import fft
 
 from fields.waves.crossings import Crossings
 from fields.waves.surfaces import Posterior, Sea
+from refract import kernels
 
 # Nodes of the raster of a surface to a spacing of its coefficients: cubic lookups keep waves of four spacings.
 _FINER = 2
+# Of the search for where a ray meets the surface: each leaves a fifth of the error, or less.
+_SEARCH_STEPS = 3
+_LEVEL = (0.0, 0.0, 1.0)
 # OpenCV takes positions as an image, with sides below 32768: they are laid out in lines of so many.
 _LINE = 2048
 
@@ -53,16 +57,35 @@ class Waves:
 
     def displacement(self, view: int, points: np.ndarray) -> np.ndarray:
         """Displacements (2, N) [m] along the plane at which a photograph shows points (3, N) [m]."""
-        rays = self.crossings(view, points)
-        found = self.through(view, rays, rays.place)
-        # The ray to a displaced point crosses beside.
-        return self.through(view, rays, rays.place + found)
+        return self.through(view, points)[1]
 
-    def through(self, view: int, rays: Crossings, place: np.ndarray) -> np.ndarray:
-        """Displacements (2, N) [m] of points with a surface as it is at places (2, N) [m]."""
+    def through(self, view: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Places (2, N) [m] at which the rays to points (3, N) [m] meet a surface, and their `displacement`."""
+        place = self.crossings(view, points).place
+        for _ in range(_SEARCH_STEPS):
+            place, displacement = self._traced(view, place, points)
+        return place, np.where(points[2] < self.tides[view], displacement, np.float32(0.0))
+
+    def _traced(self, view: int, place: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """One step of `through`: places (2, N) [m] from guesses, and the displacements (2, N) [m] at these."""
+        centre, depth = self.centres[view].astype(np.float32)[:, None], np.float32(self.tides[view]) - points[2]
+        height, gradient = self.surface(view, place)
+        air = np.vstack([place, height[None]]) - centre
+        air /= np.sqrt((air**2).sum(axis=0))
+        upward = 1.0 / np.sqrt(1.0 + (gradient**2).sum(axis=0))
+        normal = -upward * gradient[0], -upward * gradient[1], upward
+        (*water, down), (*still, down_still) = (
+            kernels.bend(tuple(air), each, 1.0, self.n_water) for each in (normal, _LEVEL)
+        )
+        reached = place - np.stack(water) / down * (depth + height)
+        without = place - air[:2] / air[2] * height - np.stack(still) / down_still * depth
+        return place + points[:2] - reached, without - reached
+
+    def surface(self, view: int, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Heights (N,) [m] and gradients (2, N) of a surface at places (2, N) [m]."""
         node = (place - self.corner[view][:, None]) * (_FINER / self.spacing)
         height, *slopes = (_lookup(each, node, cv2.INTER_CUBIC) for each in self.raster(view))
-        return rays.displacement(height, np.stack(slopes))
+        return height, np.stack(slopes)
 
     def raster(self, view: int) -> np.ndarray:
         """Height of a surface and its slopes (3, rows, columns), at `_FINER` nodes to a spacing."""

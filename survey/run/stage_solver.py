@@ -20,7 +20,7 @@ from fields.waves.waves import Waves
 from survey.display.quantities import length
 from survey.files.json_values import read_json_object, write_json
 from survey.progress import shares
-from survey.run.stage_sweep import KEPT, MAPS, OWN, SCRATCH, SQUARES, solvable
+from survey.run.stage_sweep import KEPT, MAPS, SCRATCH, SQUARES, learned_from, load_rough_water, solvable
 from survey.run.stored import load_arrays, save_arrays
 from survey.run.stored_maps import Stored, load_masks, map_store, save_maps
 from survey.water.wave_surfaces import WaveSurfaces
@@ -58,12 +58,8 @@ def learn_figures(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 
 def _sample_of(job: Job, swept: Path, squares: list[tuple[int, int]]) -> list:
     """Solved squares of the maps of a part."""
-    kept = load_masks(swept / KEPT)
-    if job.cell is not None:
-        for number, own in enumerate(load_masks(swept / OWN)):
-            kept[number] = kept[number] & own
-    maps = Stored(swept / MAPS, HeightMap)
-    return solve_sample(job.block, maps, solvable(job.block, maps, kept), squares, job.plan.gsd_m)
+    maps, (waves, _) = Stored(swept / MAPS, HeightMap), load_rough_water(swept)
+    return solve_sample(job.block, maps, learned_from(job, swept), squares, job.plan.gsd_m, waves)
 
 
 def save_figures(folder: Path, figures: SolverFigures | None) -> None:
@@ -94,13 +90,13 @@ def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         write_json(folder / SIGHTINGS, {})
         write_json(folder / WAVES, {"moved_px": 0.0, "sea": None})
         return
-    kept = solvable(job.block, maps, load_masks(swept / KEPT))
+    kept, (before, moved_px) = solvable(job.block, maps, load_masks(swept / KEPT)), load_rough_water(swept)
     with job.progress.stage("Solver", 1.0) as stage, map_store(folder / SCRATCH, SolvedMap) as make_store:
         solved, visibility, waves = solve_maps(
-            job.block, maps, kept, figures, job.plan.gsd_m, shares(stage), make_store
+            job.block, maps, kept, figures, job.plan.gsd_m, shares(stage), make_store, before
         )
         save_maps(folder / SOLVED, SolvedMap, solved)
-    _save_waves(job, folder, 0.0 if figures is None else figures.moved_px, waves)
+    _save_waves(job, folder, moved_px if figures is None else max(moved_px, figures.moved_px), waves)
     names = [view.name for view in job.survey.views]
     counts = zip(names, visibility.seen.tolist(), visibility.outlying.tolist(), strict=True)
     write_json(folder / SIGHTINGS, {name: pair for name, *pair in counts})

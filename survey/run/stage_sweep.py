@@ -10,8 +10,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from fields.image_store import Masks
-from fields.solver.solver import count_in_squares
+from fields.solver.moving_water import without_waves
+from fields.solver.solver import count_in_squares, sampled, spread
+from fields.solver.views import Views
 from fields.sweep.bed import unique_pixels
 from fields.sweep.fusion import remove_free_space_violations
 from fields.sweep.map_points import places_in_plan
@@ -21,11 +25,13 @@ from fields.sweep.photo_consistency import photo_consistency
 from fields.sweep.sweep import sweep
 from fields.sweep.view_pass import SweepSettings
 from fields.sweep.wide_windows import wet_pairs, with_wide_windows
+from fields.waves.waves import Waves
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
 from survey.plan.area import grown, inside, plane_name
 from survey.progress import shares
-from survey.run.stored_maps import IN_MEMORY, LiveMaps, Stored, map_store, save_maps, save_masks
+from survey.run.stored import load_arrays, save_arrays
+from survey.run.stored_maps import IN_MEMORY, LiveMaps, Stored, load_masks, map_store, save_maps, save_masks
 
 if TYPE_CHECKING:
     from fields.sweep.block import Block
@@ -40,6 +46,9 @@ KEPT, OWN = "kept.npz", "own.npz"
 # Pixels that the solver may learn from, in squares of each map.
 SQUARES = "squares.json"
 FILES = (MAPS, KEPT, SQUARES, SATURATED, CONSISTENCY)
+# Where photographs were swept as over still water.
+ROUGH_WATER = "rough_water.npz"
+_OF_WAVES = ("centres", "tides", "n_water", "corner", "spacing", "coefficients", "variance", "variance_corner")
 # In the folder of the stage, while it lasts: maps that are worked on.
 SCRATCH = "scratch"
 # Points so far beyond a tile count as neighbours of its own [ground sampling distances].
@@ -55,8 +64,36 @@ def sweep_views(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
             save_masks(folder / name, [])
         _save_of_photographs(folder, {}, {}, [])
         return
-    block, bound = job.block, job.bound
-    with job.progress.stage("Sweep", 1.0) as stage:
+    squares = _sweep_block(job, folder, job.block, "Sweep")
+    low, high = job.bound
+    job.progress.detail(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(job.survey)}")
+    water = job.survey.water
+    if water is None or water.n_water == 1.0 or not job.plan.solves or not any(map(sum, squares)):
+        return
+    views, kept = Views.of(job.block, Stored(folder / MAPS, HeightMap)), learned_from(job, folder)
+    found = without_waves(job.block, views, kept, sampled(views, kept, spread(squares)), job.plan.gsd_m)
+    if found is not None:
+        still, waves, moved_px = found
+        job.progress.note(f"waves: photographs shifted by {moved_px:.2f} px; swept again as over still water")
+        _sweep_block(job, folder, still, "Sweep without waves")
+        arrays = {name: np.asarray(getattr(waves, name)) for name in _OF_WAVES}
+        save_arrays(folder / ROUGH_WATER, moved_px=np.array(moved_px), **arrays)
+
+
+def load_rough_water(folder: Path) -> tuple[Waves | None, float]:
+    """Surfaces of rough water that the sweep found, and how far they displace photographs [px]; None and 0 without."""
+    if not (folder / ROUGH_WATER).is_file():
+        return None, 0.0
+    found = load_arrays(folder / ROUGH_WATER)
+    centres, tides, n_water, corner, spacing, coefficients, variance, of = (found[name] for name in _OF_WAVES)
+    waves = Waves(centres, tides, float(n_water), corner, float(spacing), coefficients, variance, of)
+    return waves, float(found["moved_px"])
+
+
+def _sweep_block(job: Job, folder: Path, block: Block, title: str) -> list[list[int]]:
+    """Sweep photographs and write what is found; the pixels that the solver may learn from, in squares of each map."""
+    bound = job.bound
+    with job.progress.stage(title, 1.0) as stage:
         passes = before_solver(PASSES) if job.plan.solves else PASSES
         passes = passes if job.cell is None else in_area(passes)
         with map_store(folder / SCRATCH, HeightMap, show=_live(job, folder)) as make_store:
@@ -68,14 +105,14 @@ def sweep_views(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
             finished = with_wide_windows(block, finished, bound, job.swept_ground, make_store)
             save_maps(folder / MAPS, HeightMap, finished)
             consistency = photo_consistency(block, finished, job.whole_camera)
-    job.progress.detail(f"bound: bed between {bound[0]:.2f} and {bound[1]:.2f} m over the {plane_name(job.survey)}")
-    names = [view.name for view in job.survey.views]
+    names, squares = [view.name for view in job.survey.views], _choose_pixels(job, folder)
     _save_of_photographs(
         folder,
         dict(zip(names, block.saturated, strict=True)),
         {name: asdict(each) for name, each in zip(names, consistency, strict=False)},
-        _choose_pixels(job, folder),
+        squares,
     )
+    return squares
 
 
 def _live(job: Job, folder: Path) -> Callable[[HeightMap], None]:
@@ -96,7 +133,7 @@ def _choose_pixels(job: Job, folder: Path) -> list[list[int]]:
     kept = unique_pixels(block, maps, job.plan.gsd_m)
     save_masks(folder / KEPT, kept)
     if job.cell is None:
-        return count_in_squares(block, maps, solvable(block, maps, kept))
+        return count_in_squares(block, maps, learned_from(job, folder))
     own, around = kept.copy(), grown(job.cell, _BESIDE_GSD * job.plan.gsd_m)
     for number, m in enumerate(maps):
         places = places_in_plan(block, m, job.in_survey if job.has_frame else None)
@@ -104,9 +141,16 @@ def _choose_pixels(job: Job, folder: Path) -> list[list[int]]:
         own[number] = inside(places, job.cell)
     save_masks(folder / KEPT, kept)
     save_masks(folder / OWN, own)
-    for number in range(len(maps)):
-        kept[number] = kept[number] & own[number]
-    return count_in_squares(block, maps, solvable(block, maps, kept))
+    return count_in_squares(block, maps, learned_from(job, folder))
+
+
+def learned_from(job: Job, folder: Path) -> Masks:
+    """Pixels of the maps that are solved, of a tile its own."""
+    kept = load_masks(folder / KEPT)
+    if job.cell is not None:
+        for number, own in enumerate(load_masks(folder / OWN)):
+            kept[number] = kept[number] & own
+    return solvable(job.block, Stored(folder / MAPS, HeightMap), kept)
 
 
 def solvable(block: Block, maps: Sequence[HeightMap], kept: Masks) -> Masks:

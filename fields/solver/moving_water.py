@@ -1,0 +1,105 @@
+"""Surfaces of moving water in photographs, and the photographs as they would be over still water."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from fields.image_store import GreyImages
+from fields.solver.appearance import appearance_of, brightness_of
+from fields.solver.displacements import CELL_PX, TileDisplacements, displacements_of, moved, waves_of
+from fields.solver.gauss_newton import Start
+from fields.solver.views import WORKERS, TileTask, Views
+from fields.solver.visibility import Ground, TileProjection, lookup
+from fields.sweep.block import Block
+from fields.sweep.kernels.arrays import host, sharing_cores
+from fields.waves.waves import Waves
+
+# Where photographs are displaced by more under water, surfaces of it are found, in rounds until one finds no more than
+# that, and so many at most.
+MOVING_PX, MOST_ROUNDS = 0.1, 4
+# Where they are displaced by more, windows match the wrong heights: the sweep is to see them as over still water.
+ROUGH_PX = 0.5
+# Displacements are found at nodes so far apart, at the bed of every so many pixels of the maps.
+_NODE_PX = 4
+
+
+def with_waves(views: Views, kept: Sequence[np.ndarray], gsd: float, pool: Executor) -> Views:
+    """Views with the surfaces of the water, from the kept pixels of all maps at their heights.
+
+    Displacements are measured by linear steps: the surfaces of a round are where the next one starts.
+    """
+    still = Waves.still(*views.projector.optics)
+    for _ in range(MOST_ROUNDS):
+        jobs = (job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted))
+        parts = [found for found in _measured(views, jobs, pool) if len(found.cell)]
+        if not parts:
+            break
+        views = replace(views, waves=waves_of(parts, still, CELL_PX * gsd, views.waves))
+        if moved(parts) < MOVING_PX * gsd:
+            break
+    return views
+
+
+def _measured(views: Views, jobs: Iterable[TileTask], pool: Executor) -> Iterable[TileDisplacements]:
+    """Displacements in tiles at the heights of their maps, against those by the surfaces of the views."""
+
+    def one(job: TileTask, projected: TileProjection, _start: Start) -> TileDisplacements:
+        grey = projected.sample(views.images, np.zeros(len(job.tile), dtype=np.float32))
+        return displacements_of(job.tile, projected, brightness_of(appearance_of(job.tile, grey).albedo(grey)))
+
+    return (found for _, found in views.projected(jobs, pool, one))
+
+
+def without_waves(
+    block: Block, views: Views, kept: Sequence[np.ndarray], sample: Iterable[TileTask], gsd: float
+) -> tuple[Block, Waves, float] | None:
+    """Photographs as they would be over still water, the surfaces, and how far these displace them [px].
+
+    None where a sample of tiles shows no rough water: `ROUGH_PX`.
+    """
+    with ThreadPoolExecutor(WORKERS) as pool, sharing_cores(block.device, WORKERS):
+        moved_px = moved(list(_measured(views, sample, pool))) / gsd
+        if moved_px < ROUGH_PX:
+            return None
+        views = with_waves(views, kept, gsd, pool)
+    if views.waves is None:
+        return None
+    bed = bed_of(views, kept)
+    images = GreyImages(still_photograph(views, views.waves, view, bed) for view in range(len(block.cameras)))
+    return block.with_images(images), views.waves, moved_px
+
+
+def bed_of(views: Views, kept: Sequence[np.ndarray]) -> np.ndarray:
+    """Points (N, 3) of the bed, in the frame of the water."""
+    parts = []
+    for m, wanted in zip(views.maps, kept, strict=True):
+        row, column = (each * _NODE_PX for each in np.nonzero(wanted[::_NODE_PX, ::_NODE_PX]))
+        points = views.projector.points(m.view, np.stack([column, row], axis=-1) + 0.5, m.height[row, column])
+        parts.append(np.stack([host(views.device, each) for each in points], axis=-1))
+    return np.concatenate(parts)
+
+
+def still_photograph(views: Views, waves: Waves, view: int, bed: np.ndarray) -> np.ndarray:
+    """A photograph (height, width) as it would be over still water, in whole grey levels; NaN where not known."""
+    camera, tree = views.cameras[view], cKDTree(bed[:, :2])
+    rows, columns = -(-camera.height // _NODE_PX), -(-camera.width // _NODE_PX)
+    down, across = np.mgrid[:rows, :columns].reshape(2, -1) * _NODE_PX + 0.5 * _NODE_PX
+    pixels, height = np.stack([across, down], axis=-1), np.full(rows * columns, np.median(bed[:, 2]))
+    places = np.concatenate([pixels, pixels, *(pixels + step for step in np.eye(2))])
+    for _ in range(2):
+        found = views.projector.points(view, places, np.tile(height, 4))
+        points = np.stack([host(views.device, each) for each in found]).reshape(3, 4, -1)
+        height = bed[tree.query(points[:2, 0].T)[1], 2]
+    ground = Ground.of(points)
+    shift = ground.in_pixels(waves.displacement(view, ground.points)).reshape(2, rows, columns).astype(np.float32)
+    size = columns * _NODE_PX, rows * _NODE_PX
+    x, y = (cv2.resize(each, size)[: camera.height, : camera.width] for each in shift)
+    row, column = np.mgrid[: camera.height, : camera.width].astype(np.float32) + np.float32(0.5)
+    still = lookup(views.images[view], (column + x).ravel(), (row + y).ravel(), cv2.INTER_CUBIC)
+    return np.rint(still).reshape(camera.height, camera.width)

@@ -59,11 +59,21 @@ class MarkStore:
         self.clicks_path = found.folder / (CLICKS if named is None else named)
         self._cache: dict[Path, tuple[object, Any]] = {}
         self._done: list[Edit] = []
-        contents = self._contents()
+        control, files = config.control, self._files()
+        # Those that state the accuracy of points, or have points without marks.
+        self._accuracy_files = [
+            name
+            for name, content in files.items()
+            if not content.marks and (name in control.gcp_files or any(point.std_m for point in content.points))
+        ]
+        contents = [*files.values()]
+        if control.marks is not None:
+            contents.append(Content(marks=read_control(found.folder / control.marks).marks))
+        if control.checkpoints is not None:
+            contents.append(Content(points=read_checkpoints(found.folder / control.checkpoints)))
         self._fixed = self._in_survey_crs([point for content in contents for point in content.points])
         # Marks of other files go into gcp_list.txt when it is written first.
         self._foreign = self._of_photographs([mark for content in contents for mark in content.marks])
-        self._accuracy_files = self._coordinate_files()
         self._added: dict[str, GivenPoint] = {}
         self._waterline: dict[str, None] = {}
 
@@ -195,31 +205,14 @@ class MarkStore:
             self._cache[path] = stamp, read(path)
         return self._cache[path][1]
 
-    def _contents(self) -> list[Content]:
-        """Contents of the other files of control and check points, and of that of --points."""
-        folder, control = self._found.folder, self._config.control
-        paths = [folder / name for name in control.gcp_files if folder / name != self.control_path]
-        paths += [] if self._points_path is None else [self._points_path]
-        contents = [read_control(path) for path in paths if not _is_same(path, self.control_path)]
-        if control.marks is not None:
-            contents.append(Content(marks=read_control(folder / control.marks).marks))
-        if control.checkpoints is not None:
-            contents.append(Content(points=read_checkpoints(folder / control.checkpoints)))
-        return contents
-
-    def _coordinate_files(self) -> list[str]:
-        """Control files that state the accuracy of points, or have points without marks."""
-        folder, found = self._found.folder, []
-        for name in self._config.control.gcp_files:
-            if folder / name != self.control_path and not read_control(folder / name).marks:
-                found.append(name)
-        path = self._points_path
-        if path is not None and not _is_same(path, self.control_path):
-            content = read_control(path)
-            name = Path(os.path.relpath(path, folder)).as_posix()
-            if not content.marks and any(point.std_m for point in content.points) and name not in found:
-                found.append(name)
-        return found
+    def _files(self) -> dict[str, Content]:
+        """Contents of the other files of control points, and of that of --points, by their names in [control]."""
+        folder = self._found.folder
+        paths = {name: folder / name for name in self._config.control.gcp_files}
+        if self._points_path is not None:
+            paths.setdefault(Path(os.path.relpath(self._points_path, folder)).as_posix(), self._points_path)
+        own = self.control_path.resolve()
+        return {name: read_control(path) for name, path in paths.items() if path.resolve() != own}
 
     def _in_survey_crs(self, points: list[GivenPoint]) -> dict[str, GivenPoint]:
         found: dict[str, GivenPoint] = {}
@@ -243,7 +236,3 @@ def _control_name(folder: Path, config: SurveyConfig) -> str:
         if gcp_list.FORMAT.recognises(path) if path.is_file() else path.suffix.lower() == ".txt":
             return name
     return GCP_LIST
-
-
-def _is_same(path: Path, other: Path) -> bool:
-    return path.resolve() == other.resolve()

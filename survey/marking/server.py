@@ -10,9 +10,8 @@ import json
 import secrets
 import sys
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, lru_cache
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
@@ -45,8 +44,8 @@ _SAFE = {
 }
 TILE_PX = 512
 _QUALITY = 92
-# Cache of decoded photographs: a few of 45 megapixels, hundreds of small ones.
-_KEPT_BYTES = 600e6
+# Decoded photographs that are kept, those that were read last: 45 megapixels take 180 MB.
+_KEPT = 4
 
 
 class PhotographTiles:
@@ -57,14 +56,16 @@ class PhotographTiles:
     """
 
     def __init__(self, images: Mapping[str, Path]):
-        self._images = images
-        self._kept: OrderedDict[str, list[np.ndarray]] = OrderedDict()
-        self._lock = threading.Lock()
-        self._decoding: dict[str, threading.Lock] = {}
+        self._images, self._decoding = images, threading.Lock()
+        self._levels = lru_cache(_KEPT)(lambda image: pyramid(eight_bits(read_rgb(images[image]))))
 
     def jpeg(self, image: str, level: int, column: int, row: int) -> bytes:
         """A tile of at most `TILE_PX` pixels along each side."""
-        levels = self._levels(image)
+        if image not in self._images:
+            raise ImageError(f"there is no photograph {image}")
+        # A page asks for many tiles of a photograph at once.
+        with self._decoding:
+            levels = self._levels(image)
         left, top = column * TILE_PX, row * TILE_PX
         is_there = 0 <= level < len(levels) and left >= 0 and top >= 0
         part = levels[level][top : top + TILE_PX, left : left + TILE_PX] if is_there else np.zeros((0, 0, 3))
@@ -72,30 +73,6 @@ class PhotographTiles:
             raise ImageError(f"{image} has no tile {column}, {row} at level {level}")
         _, packed = cv2.imencode(".jpg", cv2.cvtColor(part, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
         return packed.tobytes()
-
-    def _levels(self, image: str) -> list[np.ndarray]:
-        if image not in self._images:
-            raise ImageError(f"there is no photograph {image}")
-        with self._lock:
-            decoding = self._decoding.setdefault(image, threading.Lock())
-        # One thread decodes a photograph while others go on with those that are there.
-        with decoding:
-            levels = self._kept.get(image)
-            if levels is None:
-                levels = pyramid(eight_bits(read_rgb(self._images[image])))
-            self._keep(image, levels)
-        return levels
-
-    def _keep(self, image: str, levels: list[np.ndarray]) -> None:
-        """Keep the levels of an image, as the most recently used."""
-        with self._lock:
-            self._kept[image] = levels
-            self._kept.move_to_end(image)
-            while len(self._kept) > 1 and self._bytes() > _KEPT_BYTES:
-                self._kept.popitem(last=False)
-
-    def _bytes(self) -> int:
-        return sum(level.nbytes for levels in self._kept.values() for level in levels)
 
 
 def pyramid(pixels: np.ndarray) -> list[np.ndarray]:

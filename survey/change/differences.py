@@ -37,6 +37,7 @@ from geo.projection import ground_units_m
 from geo.reproject import Reprojection
 from geo.shapes import ground_of, in_height_unit
 from survey.change.options import ChangeOptions
+from survey.compare.inputs import common_crs
 from survey.errors import SurveyError
 from survey.export.bed_cells import cells_over, round_side
 from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells
@@ -195,7 +196,12 @@ def differences_of(first: Path, second: Path, options: ChangeOptions) -> tuple[D
     clouds = [_cloud(path) for path in (first, second)]
     if np.array_equal(clouds[0].points, clouds[1].points):
         raise ChangeError(f"{first} and {second} hold the same points: give two surveys")
-    crs, notes = _common_crs(clouds, (first, second))
+    crs, notes = common_crs({path: cloud.crs for path, cloud in zip((first, second), clouds, strict=True)})
+    if crs is None:
+        raise ChangeError(
+            f"neither {first} nor {second} states its CRS, in which the differences are written; write it into the "
+            "files, e.g. by pdal translate --writers.las.a_srs=EPSG:25832+7837"
+        )
     notes += shared_photographs(first, second)
     surveys = []
     for cloud, path in zip(clouds, (first, second), strict=True):
@@ -245,24 +251,6 @@ def _cloud(path: Path) -> Cloud:
     cloud, notes = ground_of(shape, path)
     current().note(*notes)
     return cloud
-
-
-def _common_crs(clouds: list[Cloud], paths: tuple[Path, Path]) -> tuple[CRS, list[str]]:
-    """The CRS of the first cloud, else of the second, with heights."""
-    known = [cloud.crs for cloud in clouds if cloud.crs is not None]
-    if not known:
-        raise ChangeError(
-            f"neither {paths[0]} nor {paths[1]} states its CRS, in which the differences are written; write it into "
-            "the files, e.g. by pdal translate --writers.las.a_srs=EPSG:25832+7837"
-        )
-    notes = []
-    for cloud, path in zip(clouds, paths, strict=True):
-        if cloud.crs is None:
-            notes.append(f"{path} does not say its CRS: taken to be {known[0].name}")
-        elif not has_height(cloud.crs):
-            notes.append(f"the CRS of {path} does not say what heights count from: taken as those of the other survey")
-    crs = next((each for each in known if has_height(each)), known[0])
-    return crs if has_height(crs) else crs.to_3d(), notes
 
 
 def _survey_points(cloud: Cloud, path: Path, crs: CRS, options: ChangeOptions) -> tuple[SurveyPoints, list[str]]:

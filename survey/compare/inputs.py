@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -147,7 +147,7 @@ def load_inputs(paths: InputPaths, bounds: Bounds | None, water_level: float | N
     """
     compared, given = _read_shapes(paths, water_level)
     notes = [note for shape in (compared, *given.values()) for note in shape.notes]
-    crs, of_crs = _common_crs(compared, paths.cloud, given)
+    crs, of_crs = common_crs({path: shape.crs for path, shape in ({paths.cloud: compared} | given).items()})
     notes += of_crs
     for path, shape in ({paths.cloud: compared} | given).items():
         if shape.crs is None and crs is not None and is_geographic(crs):
@@ -260,9 +260,8 @@ def _surface(shape: Mesh | Cloud, path: Path) -> Mesh | Cloud:
     return replace(shape, vertices=vertices, faces=faces, rgb=None)
 
 
-def _common_crs(cloud: Mesh | Cloud, path: Path, others: dict[Path, Mesh | Cloud]) -> tuple[CRS | None, list[str]]:
-    """The CRS of all files, None if none has one: the first that has heights, else the first."""
-    known = {path: cloud.crs} | {other_path: other.crs for other_path, other in others.items()}
+def common_crs(known: Mapping[Path, CRS | None]) -> tuple[CRS | None, list[str]]:
+    """The CRS of all files, None if none has one: the first that has heights, else the first; notes on the others."""
     stated = {file: crs for file, crs in known.items() if crs is not None}
     if not stated:
         names = " nor ".join(dict.fromkeys(file.name for file in known))

@@ -32,6 +32,7 @@ from evaluation.robust import MAD_TO_STD
 from fields.solver.visibility import lookup
 from geo import read_reference
 from refract import PinholeCamera, crossing_point
+from survey.folder.local_frame import water_plane
 from survey.folder.survey import Survey, load_survey
 from survey.photos.images import ImageStore
 from survey.simulate.drawn import DrawnScene, stage_drawing
@@ -71,8 +72,8 @@ def _flooded(rise_m: float) -> Staging:
     """With more water, nearer to the cameras."""
 
     def flooded(scene: StagedScene) -> StagedScene:
-        level = replace(scene.level, level_m=scene.level.level_m + rise_m)
-        return replace(scene, level=level, renderer=replace(scene.renderer, water=level.plane(scene.frame)))
+        level = replace(scene.level, level_m=scene.level.known_level_m + rise_m)
+        return replace(scene, level=level, renderer=replace(scene.renderer, water=water_plane(scene.frame, level)))
 
     return flooded
 

@@ -21,12 +21,14 @@ from refract import FlatWater, PinholeCamera
 from refract.curved import WavyWater
 from refract.lens import Lens, normalised
 from refract.snell import fresnel_coefficients
+from survey.folder.local_frame import water_plane
+from survey.settings.config import WaterConfig
 from survey.simulate.ground.ground import BED, Ground, Material, seen_area, shade_of_map
 from survey.simulate.ground.shapes import BedGrid
 from survey.simulate.ground.textures import draped_texture, in_texels, light_of_bed, noise, sand
 from survey.simulate.light import Light
 from survey.simulate.render.direct import DirectRenderer, depth_below
-from survey.simulate.water import WaterLevel, WaterOptics
+from survey.simulate.water import WaterOptics
 
 # Between vertices of the bed [m].
 _CELL_M = 0.03
@@ -90,10 +92,14 @@ class FieldScene:
 def stage(settings: FieldSettings) -> FieldScene:
     """Build the scene of random settings."""
     frame = LocalFrame(parse_crs(settings.crs), (*settings.origin, settings.level_m))
-    level = WaterLevel(
-        settings.level_m, settings.origin, settings.slope_east, settings.slope_north, refractive_index=settings.index
+    level = WaterConfig(
+        level_m=settings.level_m,
+        level_at=settings.origin,
+        slope_east=settings.slope_east,
+        slope_north=settings.slope_north,
+        refractive_index=settings.index,
     )
-    plane, lens = level.plane(frame), settings.lens
+    plane, lens = water_plane(frame, level), settings.lens
     cameras = tuple(_fly(settings, lens))
     rng = np.random.default_rng([settings.seed, 22])
     usual = WaterOptics()

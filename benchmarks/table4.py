@@ -201,7 +201,7 @@ def _spread(mean: float, std: float) -> str:
 def drawn(folder: Path) -> tuple[Path, Path, Path]:
     """A small wet survey, the same one dry, and their reference."""
     wet, dry = folder / "wet", folder / "dry"
-    for place, options in ((wet, []), (dry, ["--dry"])):
+    for place, options in ((wet, []), (dry, ["water=false"])):
         subprocess.run([sys.executable, "-m", "survey.simulate.drawn", str(place), *options], check=True)
     return wet, dry, wet / "truth" / "reference.ply"
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -54,8 +55,8 @@ def write_ply(
     path: str | Path,
     points_crs: np.ndarray,
     *,
-    rgb: np.ndarray,
-    scalars: dict[str, np.ndarray],
+    rgb: np.ndarray | None = None,
+    scalars: dict[str, np.ndarray] | None = None,
     crs: CRS | None = None,
     faces: np.ndarray | None = None,
 ) -> None:
@@ -65,8 +66,8 @@ def write_ply(
     ----------
     points_crs : (N, 3) float64, in crs
         Stored as double x, y, z.
-    rgb : (N, 3) uint8
-    scalars : dict of (N,)
+    rgb : (N, 3) uint8, optional
+    scalars : dict of (N,), optional
         Further properties, stored as float with ``scalar_`` before their names; names without spaces, with their unit,
         e.g. ``"depth_m"``.
     crs : pyproj.CRS, optional
@@ -75,9 +76,14 @@ def write_ply(
         Triangles.
     """
     points = np.asarray(points_crs, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3 or np.shape(rgb) != points.shape:
-        raise ValueError(f"expected points and colours (N, 3), got {points.shape} and {np.shape(rgb)}")
-    fields = [(axis, "<f8") for axis in "xyz"] + [(colour, "u1") for colour in _COLOURS]
+    columns: dict[Sequence[str], np.ndarray] = {"xyz": points}
+    if rgb is not None:
+        columns[_COLOURS] = np.asarray(rgb, dtype=np.uint8)
+    for values in columns.values():
+        if values.shape != (len(points), 3):
+            raise ValueError(f"expected points and colours (N, 3), got {points.shape} and {values.shape}")
+    scalars = scalars or {}
+    fields = [(name, "<f8" if names == "xyz" else "u1") for names in columns for name in names]
     for name, values in scalars.items():
         if not name.isidentifier() or name in dict(fields):
             raise ValueError(f"{name!r} cannot name a property; expected one word that is not in use")
@@ -92,9 +98,9 @@ def write_ply(
         stream.write("\n".join([*lines, "end_header", ""]).encode())
         for rows in portions(len(points), _PORTION):
             table = np.empty(len(points[rows]), dtype=fields)
-            for values, names in ((points[rows].T, "xyz"), (np.asarray(rgb[rows], dtype=np.uint8).T, _COLOURS)):
-                for column, name in zip(values, names, strict=True):
-                    table[name] = column
+            for names, column in columns.items():
+                for name, values in zip(names, column[rows].T, strict=True):
+                    table[name] = values
             for name, values in scalars.items():
                 table[SCALAR + name] = values[rows]
             stream.write(table.view(np.uint8).data)

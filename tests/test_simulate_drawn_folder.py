@@ -8,6 +8,7 @@ import pytest
 from drawn_shore import SHORE
 
 from survey.errors import SurveyError
+from survey.files.json_values import read_json_object
 from survey.settings.config import read_config
 from survey.simulate.drawn import DrawnScene, draw_survey, stage_drawing
 from survey.simulate.drawn.__main__ import main
@@ -84,7 +85,7 @@ def test_a_change_of_any_file_of_the_simulator_draws_the_survey_anew(tmp_path, m
 
 
 def test_what_fails_leaves_no_survey_and_the_next_try_takes_no_photograph_twice(tmp_path, monkeypatch):
-    def disk_is_full(*_):
+    def disk_is_full(*_, **__):
         raise OSError("no space left on device")
 
     with monkeypatch.context() as patch:
@@ -111,6 +112,17 @@ def test_a_folder_with_other_things_in_it_is_refused(tmp_path, capsys):
     assert stop.value.code == 2
     assert "give another folder" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_settings_of_a_scene_are_named_on_the_command_line_as_in_toml(tmp_path, capsys):
+    main([str(tmp_path / "dry"), "--tiny", "water=false", "size_m=[1.3, 1.2]", "num_views=3", "cell_m=0.1"])
+    settings = read_json_object(tmp_path / "dry" / "simulated.json")["scene"]
+    assert (settings["water"], settings["size_m"], settings["image_px"]) == (False, [1.3, 1.2], [160, 120])
+    for argument, mend in (("glint=0.1", "unknown key glint"), ("shore=yes", "not valid TOML")):
+        with pytest.raises(SystemExit) as stop:
+            main([str(tmp_path / "other"), argument])
+        assert stop.value.code == 2
+        assert mend in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

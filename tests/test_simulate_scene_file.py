@@ -14,6 +14,7 @@ from geo.crs import parse_crs
 from geo.errors import GeoError
 from geo.ply import write_ply
 from survey.errors import SurveyError
+from survey.folder.local_frame import water_plane
 from survey.simulate.scene_file import read_scene
 from survey.simulate.staging.planning import plan_scene
 from survey.simulate.staging.simulate import light_of
@@ -72,7 +73,7 @@ def test_waves_run_where_the_scene_file_says_and_photographs_bend_with_them(tmp_
     crest = 0.02 * np.cos(2.0 * math.pi * x / 0.8)
     np.testing.assert_allclose(scene.water.height(x, 0.0 * x), crest, atol=1e-9)
     np.testing.assert_allclose(scene.water.height(x, 0.0 * x + 2.0), crest, atol=1e-9)
-    still = dataclasses.replace(scene.renderer, water=scene.level.plane(scene.frame))
+    still = dataclasses.replace(scene.renderer, water=water_plane(scene.frame, scene.level))
     camera = scene.cameras[0]
     pixels = camera.pixel_centres()[::6, ::6].reshape(-1, 2)
     bent, straight = scene.renderer.trace(camera, pixels), still.trace(camera, pixels)

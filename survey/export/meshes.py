@@ -24,7 +24,7 @@ def write_mesh(path: Path, run: LoadedRun, options: ExportOptions) -> None:
         raise RuntimeError("the surface of a run has a CRS and colours")
     match path.suffix.lower():
         case ".ply":
-            write_ply(path, mesh.vertices, rgb=mesh.rgb, scalars={}, crs=crs, faces=mesh.faces)
+            write_ply(path, mesh.vertices, rgb=mesh.rgb, crs=crs, faces=mesh.faces)
         case ".obj":
             write_obj(path, mesh, crs)
         case _:

@@ -1,4 +1,4 @@
-"""The water of a scene: its level, in crs, and its surface in the local frame, still, with waves or as measured.
+"""The water of a scene: its surface in the local frame, with waves or as measured.
 
 Its colour results from absorption, and from scattering into the path.
 """
@@ -20,26 +20,6 @@ from refract import FlatWater
 from refract.curved import BicubicWater, WavyWater
 from survey.errors import SurveyError
 from survey.simulate.scene_file import WaveSettings
-
-
-@dataclass(frozen=True)
-class WaterLevel:
-    """Still water, as in survey.toml."""
-
-    level_m: float  # [m]: height of the surface at `level_at`, in crs
-    level_at: tuple[float, float]  # (easting, northing), in crs
-    # slope_east, slope_north [-]: rise per metre along the grid axes
-    slope_east: float = 0.0
-    slope_north: float = 0.0
-    refractive_index: float = 1.333  # [-]: relative to air
-
-    def plane(self, frame: LocalFrame) -> FlatWater:
-        """The surface in local."""
-        at = np.array([*self.level_at, self.level_m])
-        normal = frame.local_from_grid(at) @ (-self.slope_east, -self.slope_north, 1.0)
-        x, y, z = frame.local_from_crs(at).tolist()
-        slopes = -normal[:2] / normal[2]
-        return FlatWater((x, y, z), n_water=self.refractive_index, slope_x=float(slopes[0]), slope_y=float(slopes[1]))
 
 
 def with_waves(plane: FlatWater, waves: Sequence[WaveSettings]) -> WavyWater:

@@ -1,7 +1,6 @@
 """A small survey with known truth, drawn without further input: for the demo and the tests.
 
-python -m survey.simulate.drawn FOLDER [--tiny] [--shore] [--dry] [--rolling] [--rise M]
-    [--glint SHARE] [--caustics CONTRAST] [--temperature DEG_C]
+python -m survey.simulate.drawn FOLDER [--tiny] [KEY=VALUE ...], with the keys of `DrawnScene`
 """
 
 from __future__ import annotations

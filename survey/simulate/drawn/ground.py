@@ -13,6 +13,8 @@ from geo.crs import parse_crs
 from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera, channel_indices, water_index
 from refract.lens import Lens
+from survey.folder.local_frame import water_plane
+from survey.settings.config import WaterConfig
 from survey.simulate.drawn.settings import DrawnScene
 from survey.simulate.ground.ground import Ground, Material, seen_area, shade_beside_bed, shade_of_map
 from survey.simulate.ground.shapes import BedGrid, Solid, rotation
@@ -31,7 +33,7 @@ from survey.simulate.output.sidecars import StagedScene
 from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.render.sun_on_waves import SunOnWaves, suns_of
 from survey.simulate.sensor import Sensor
-from survey.simulate.water import WaterLevel, WaterOptics
+from survey.simulate.water import WaterOptics
 
 # A body, its colour, and the direction of its grain.
 Body = tuple[Solid, tuple[float, float, float], np.ndarray | None]
@@ -174,8 +176,15 @@ def stage_drawing(scene: DrawnScene) -> StagedScene:
     level, water, indices = None, None, None
     if scene.water:
         stated, indices = _indices(scene)
-        level = WaterLevel(scene.level_m, scene.origin, scene.slope_east, scene.slope_north, stated)
-        water = level.plane(frame) if indices is None else replace(level.plane(frame), n_water=indices[1])
+        level = WaterConfig(
+            level_m=scene.level_m,
+            level_at=scene.origin,
+            slope_east=scene.slope_east,
+            slope_north=scene.slope_north,
+            refractive_index=stated,
+        )
+        water = water_plane(frame, level)
+        water = water if indices is None else replace(water, n_water=indices[1])
     cameras = tuple(scene.cameras())
     light = Light() if scene.glint_share == 0.0 else Light(to_sun=_HIGH_SUN)
     ground = build_ground(scene, cameras, light)

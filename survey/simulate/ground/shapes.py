@@ -6,7 +6,6 @@ to the last bit, and every intersection is the solution of a linear equation. Lo
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,6 +15,7 @@ import numpy as np
 from igl.embree import EmbreeIntersector
 from scipy.ndimage import maximum_filter
 from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 
 # Sizes of blocks of cells, which a ray skips while it stays above their highest vertex.
 _BLOCKS = (16, 4)
@@ -237,11 +237,7 @@ def near_solids(solids: Sequence, origin: np.ndarray, direction: np.ndarray, t_e
 
 def rotation(yaw: float, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
     """Rotation (3, 3) by roll about x, then pitch about y, then yaw about z [rad]."""
-    (cy, sy), (cp, sp), (cr, sr) = ((math.cos(a), math.sin(a)) for a in (yaw, pitch, roll))
-    about_z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
-    about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-    return about_z @ about_y @ about_x
+    return Rotation.from_euler("ZYX", (yaw, pitch, roll)).as_matrix()
 
 
 class TriangleMesh:

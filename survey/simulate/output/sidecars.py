@@ -21,10 +21,10 @@ from refract import FlatWater, PinholeCamera
 from refract.lens import Lens, coefficients_of
 from refract.surfaces import WaterSurface
 from survey.photos.rotations import CAM_FROM_OPK_CAM
+from survey.settings.config import WaterConfig
 from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.render.sun_on_waves import SunOnWaves
 from survey.simulate.sensor import RadianceFunction, Sensor
-from survey.simulate.water import WaterLevel
 
 _JPEG_QUALITY = 92
 # When the first photograph is taken, where that matters, and the readings of the water.
@@ -44,7 +44,7 @@ class StagedScene:
     # where they have tides, the water is a plane.
     cameras: tuple[PinholeCamera, ...]
     lens: Lens  # Of all photographs
-    level: WaterLevel | None  # Water settings for survey.toml
+    level: WaterConfig | None  # Still water, for survey.toml
     # Exact in geometry: it computes the ground truth, whichever renderer takes the photographs
     renderer: DirectRenderer
     sensor: Sensor
@@ -117,7 +117,7 @@ def survey_toml(scene: StagedScene) -> str:
             f"level_m = {level.level_m}    # height of the water surface, at the point below"
             if scene.duration_s == 0.0
             else f'gauge = "{GAUGE}"    # heights of the water surface, at the point below',
-            f"level_at = [{level.level_at[0]}, {level.level_at[1]}]    # easting, northing",
+            f"level_at = {list(level.known_level_at)}    # easting, northing",
             f"slope_east = {level.slope_east}",
             f"slope_north = {level.slope_north}",
             f"refractive_index = {level.refractive_index}",
@@ -170,8 +170,9 @@ def exif_of_views(scene: StagedScene) -> list[Image.Exif]:
 def gauge_csv(scene: StagedScene) -> str:
     """Eleven readings of a gauge from the first photograph to the last, between which the water rises evenly."""
     assert scene.level is not None
+    level_m = scene.level.known_level_m
     first, last = scene.cameras[0].tide, scene.cameras[-1].tide
-    at = [(0.1 * i * scene.duration_s, scene.level.level_m + first + 0.1 * i * (last - first)) for i in range(11)]
+    at = [(0.1 * i * scene.duration_s, level_m + first + 0.1 * i * (last - first)) for i in range(11)]
     rows = [f"{(_START + timedelta(seconds=s)).isoformat()},{level:.4f}" for s, level in at]
     return "\n".join(["time,level", *rows, ""])
 

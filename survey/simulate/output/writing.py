@@ -16,7 +16,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from geo import write_whole
+from evaluation import sample_mesh
+from evaluation.triangles import area_vectors
+from geo import write_ply, write_whole
 from refract import PinholeCamera
 from refract.lens import Lens, distorted, normalised
 from survey.errors import SurveyError
@@ -65,18 +67,6 @@ def ground_mesh(ground: Ground, inside: np.ndarray) -> tuple[np.ndarray, np.ndar
         all_faces.append(solid.faces + count)
         count += len(solid.vertices)
     return np.concatenate(vertices), np.concatenate(all_faces)
-
-
-def points_on(vertices: np.ndarray, faces: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Points (N, 3) [m] spread evenly over a mesh, `_POINTS_PER_M2` of its area."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    count = int(_POINTS_PER_M2 * area.sum())
-    at = rng.choice(len(faces), count, p=area / area.sum())
-    s, t = rng.random((2, count, 1))
-    # The square folds over its diagonal onto the triangle.
-    s, t = np.where(s + t > 1.0, 1.0 - s, s), np.where(s + t > 1.0, 1.0 - t, t)
-    return a[at] + s * (b - a)[at] + t * (c - a)[at]
 
 
 def seen_by(renderer: DirectRenderer, camera: PinholeCamera, lens: Lens, points: np.ndarray) -> np.ndarray:
@@ -129,21 +119,6 @@ def depth_map(renderer: DirectRenderer, camera: PinholeCamera, lens: Lens) -> tu
     shape = (lens.height, lens.width)
     wet = np.where(hits.in_water > 0.0, 255, 0).astype(np.uint8)
     return depth.astype(np.float32).reshape(shape), wet.reshape(shape)
-
-
-def write_ply(path: Path, points: np.ndarray, faces: np.ndarray | None = None) -> None:
-    """Points (N, 3) and, where given, triangles (F, 3) as binary PLY with coordinates in double precision."""
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
-    header += [f"property double {axis}" for axis in "xyz"]
-    if faces is not None:
-        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
-    with path.open("wb") as file:
-        file.write("\n".join([*header, "end_header", ""]).encode("ascii"))
-        file.write(np.ascontiguousarray(points, dtype="<f8").tobytes())
-        if faces is not None:
-            rows = np.empty(len(faces), dtype=[("count", "u1"), ("index", "<i4", 3)])
-            rows["count"], rows["index"] = 3, faces
-            file.write(rows.tobytes())
 
 
 def write_survey(
@@ -255,8 +230,9 @@ def _write_truth(folder: Path, scene: StagedScene, pool: ThreadPoolExecutor, ste
         return (e >= e0) & (e <= e1) & (n >= n0) & (n <= n1)
 
     vertices, faces = ground_mesh(ground, inside(frame.crs_from_local(ground.bed.mesh()[0])))
-    write_ply(folder / "reference.ply", frame.crs_from_local(vertices), faces)
-    points = points_on(vertices, faces, np.random.default_rng([scene.seed, 4]))
+    write_ply(folder / "reference.ply", frame.crs_from_local(vertices), faces=faces)
+    count = int(_POINTS_PER_M2 * np.linalg.norm(area_vectors(vertices, faces), axis=1).sum())
+    points = sample_mesh(vertices, faces, count, seed=scene.seed)
     points_crs = frame.crs_from_local(points)
     points, points_crs = points[inside(points_crs)], points_crs[inside(points_crs)]
 

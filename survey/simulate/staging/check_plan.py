@@ -28,7 +28,7 @@ from survey.plan.plan import make_plan
 from survey.plan.recipe import gsd_m
 from survey.plan.workload import room_warnings, workload_of
 from survey.progress import rough
-from survey.settings.config import AreaConfig, SurveyConfig, WaterConfig
+from survey.settings.config import AreaConfig, SurveyConfig
 from survey.simulate.flight.coverage import NADIR_DEG, coverage
 from survey.simulate.scene_file import read_scene
 from survey.simulate.staging.planning import ScenePlan, plan_scene, sun_of
@@ -72,16 +72,6 @@ def depth_of(plan: ScenePlan) -> float:
 def survey_of(plan: ScenePlan) -> Survey:
     """A planned flight as a survey without photographs: GPS, the lens of its data sheet, no tie points."""
     settings, frame = plan.settings, plan.frame
-    water = None
-    if plan.level is not None:
-        level = plan.level
-        water = WaterConfig(
-            level_m=level.level_m,
-            level_at=level.level_at,
-            slope_east=level.slope_east,
-            slope_north=level.slope_north,
-            refractive_index=level.refractive_index,
-        )
     half = 0.5 * np.array(settings.area.size_m)
     corners = frame.crs_from_local([[x, y, 0.0] for x in (-half[0], half[0]) for y in (-half[1], half[1])])
     (e0, n0), (e1, n1) = corners[:, :2].min(axis=0).tolist(), corners[:, :2].max(axis=0).tolist()
@@ -96,7 +86,7 @@ def survey_of(plan: ScenePlan) -> Survey:
             View(name, Path(name), camera, plan.lens) for name, camera in zip(names, plan.cameras, strict=True)
         ),
         water=plan.site.water,
-        config=SurveyConfig(name=settings.name, crs=settings.crs, water=water, area=AreaConfig(bounds=bounds)),
+        config=SurveyConfig(name=settings.name, crs=settings.crs, water=plan.level, area=AreaConfig(bounds=bounds)),
         observations=Observations(
             ties=TiePoints(np.empty((0, 3)), none, none, np.empty((0, 2))),
             priors={

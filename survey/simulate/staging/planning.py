@@ -9,20 +9,21 @@ from pathlib import Path
 
 import numpy as np
 
-from geo.crs import parse_crs
+from geo.crs import height_unit_m, parse_crs
 from geo.frames import LocalFrame
 from geo.sun import Sun, sun_at
 from refract import PinholeCamera
 from refract.lens import MODELS, Lens, LensError, coefficients_of
 from survey.errors import ConfigError, SurveyError
 from survey.folder.faults import place_of
+from survey.folder.local_frame import water_plane
 from survey.folder.pose_frames import poses_in_local
 from survey.pose_files import read_poses
+from survey.settings.config import WaterConfig
 from survey.simulate.flight.patterns import Site, plan_flight
 from survey.simulate.ground.ground import bed_from_file
 from survey.simulate.ground.shapes import TriangleMesh
 from survey.simulate.scene_file import CameraSettings, LightSettings, SceneSettings
-from survey.simulate.water import WaterLevel
 
 # A mesh, and colours (V, 3) uint8 of its vertices if it has any.
 Bed = tuple[TriangleMesh, np.ndarray | None]
@@ -39,7 +40,7 @@ class ScenePlan:
     settings: SceneSettings
     folder: Path  # To which names of files are relative
     frame: LocalFrame
-    level: WaterLevel | None
+    level: WaterConfig | None
     lens: Lens
     site: Site
     bed: Bed | None  # Where it comes from a file
@@ -53,12 +54,15 @@ def plan_scene(settings: SceneSettings, folder: Path) -> ScenePlan:
     water = settings.water
     level = None
     if water is not None:
-        height = settings.origin[2] if water.level_m is None else water.level_m
-        level = WaterLevel(
-            height, settings.origin[:2], water.slope_east, water.slope_north, refractive_index=water.refractive_index
+        level = WaterConfig(
+            level_m=settings.origin[2] * height_unit_m(crs) if water.level_m is None else water.level_m,
+            level_at=settings.origin[:2],
+            slope_east=water.slope_east,
+            slope_north=water.slope_north,
+            refractive_index=water.refractive_index,
         )
     lens = lens_of(settings.camera)
-    surface = level.plane(frame) if level else None
+    surface = None if level is None else water_plane(frame, level)
     bed = bed_from_file(folder / settings.bed.file, settings.bed, frame) if settings.bed.file else None
     height = _bed_height(settings, bed)
     level_at_origin = 0.0 if surface is None else float(surface.height(0.0, 0.0))

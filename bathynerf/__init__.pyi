@@ -12,6 +12,8 @@ from refract.paths import trace
 from refract.projection import project
 from refract.surfaces import FlatWater, WaterSurface
 from survey.adjust.waterline import estimate_water
+from survey.change.change import change_between as change
+from survey.change.options import ChangeOptions
 from survey.compare.comparison import compare_files as compare
 from survey.compare.options import CompareOptions
 from survey.errors import SurveyError
@@ -24,6 +26,8 @@ from survey.folder.survey import load_survey
 from survey.handles.field import Field, train_field
 from survey.handles.run import Dem, Run
 from survey.handles.survey import Survey
+from survey.init.draft import write_settings as init
+from survey.init.options import InitOptions
 from survey.photos.cameras import View
 from survey.plan.choices import Choices
 from survey.plan.plan import Plan, make_plan
@@ -37,6 +41,7 @@ __version__: str
 
 __all__ = [
     "BicubicWater",
+    "ChangeOptions",
     "Choices",
     "Cloud",
     "CompareOptions",
@@ -47,6 +52,7 @@ __all__ = [
     "Field",
     "FlatWater",
     "GeoError",
+    "InitOptions",
     "LoadedSurvey",
     "LocalFrame",
     "Mesh",
@@ -61,10 +67,12 @@ __all__ = [
     "WaterSurface",
     "WavyWater",
     "__version__",
+    "change",
     "compare",
     "draw_survey",
     "estimate_water",
     "export",
+    "init",
     "load_survey",
     "make_plan",
     "process",

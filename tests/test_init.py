@@ -221,6 +221,13 @@ def test_process_writes_the_settings_of_bare_photographs_and_goes_on(tmp_path, p
     assert processed == [folder] * 2
 
 
+def test_a_level_that_no_camera_fits_is_refused_and_not_written(tmp_path, processed):
+    folder = bare_card(tmp_path / "s")
+    refused = bathynerf("process", folder, "--level", LEVEL + 500.0)
+    assert (refused.exit_code, processed, (folder / "survey.toml").exists()) == (2, [], False)
+    assert "all of them under the water" in refused.output
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [

@@ -96,8 +96,9 @@ class Change:
     notes: tuple[str, ...]  # sentences
 
 
-def change_between(first: Path, second: Path, options: ChangeOptions) -> Change:
-    """Compare two surveys and write what is asked for."""
+def change_between(first: str | Path, second: str | Path, options: ChangeOptions = ChangeOptions()) -> Change:
+    """Compare two surveys, runs or clouds, and write what is asked for."""
+    first, second = Path(first), Path(second)
     _require_options(first, second, options)
     with current().stage("Reading"):
         differences, cells, notes = differences_of(first, second, options)

@@ -17,7 +17,8 @@ from survey.files.entries import require_plain_entries
 from survey.files.json_values import write_json
 from survey.files.toml_schema import schema_of
 from survey.folder import infer
-from survey.folder.found import Found, read_headers
+from survey.folder.found import Found, find_survey, read_headers
+from survey.folder.sfm_views import require_solvable
 from survey.init.crs import FolderPhotographs, SettingsTable, write_crs, write_origin
 from survey.init.options import InitOptions
 from survey.photos.images import list_images
@@ -80,18 +81,28 @@ def write_settings(
     path = folder / FILE_NAME
     if path.exists() and not force:
         raise OutputError(f"{path} exists; --force replaces it")
-    text = (SCHEMA_LINE if names_schema else "") + draft(folder, options)
+    return _write(path, (SCHEMA_LINE if names_schema else "") + draft(folder, options))
+
+
+def _write(path: Path, text: str) -> Path:
     with write_whole(path) as stream:
         stream.write(text.encode())
     return path
 
 
 def require_settings(folder: Path, options: InitOptions) -> Path | None:
-    """Write survey.toml where there is none, and return its path; raise ConfigError where one says other than told."""
+    """Write survey.toml where there is none, and return its path; raise ConfigError where one says other than told.
+
+    Nothing is written of a survey that `process` would refuse for it, as with a level that no camera fits.
+    """
     _require_folder(folder)
     config = settings_of(folder)
     if config is None:
-        return write_settings(folder, options)
+        text = draft(folder, options)
+        found = find_survey(folder, config=parse_config(text))
+        if found.poses_path is None:
+            require_solvable(found)
+        return _write(folder / FILE_NAME, text)
     given = (None if config.water is None else config.water.level_m, config.dry, config.crs, config.local.origin)
     for name, value in zip(("level_m", "dry", "crs", "origin"), given, strict=True):
         told = getattr(options, name)

@@ -158,13 +158,6 @@ def test_a_draft_is_for_a_first_look_and_says_what_makes_a_cloud_for_use():
     assert "o not use" not in found.sentence
 
 
-def test_the_tile_and_the_gate_show_one_median(shallow_survey):
-    gate = replace(MISSED, name="median standard deviation", value=12.3, limit=10.0, unit="mm")
-    facts = facts_of(shallow_survey, plane_bed(shallow_survey, num=20), verdict=RunVerdict((gate,)))
-    shown = [(card.value, card.detail) for card in cards(figures_of(facts)) if "standard deviation" in card.label]
-    assert shown == [("12.3\N{NO-BREAK SPACE}mm", "required: 10.0\N{NO-BREAK SPACE}mm")]
-
-
 def test_straight_rays_and_their_corrections_stand_beside_what_was_measured(plane_report):
     """The bed is a plane of 0.05 to 0.65 m depth; every view sees it through index 1.333."""
     by_name = {row.name: row for row in plane_report.figures.baselines.rows}

@@ -34,7 +34,6 @@ from survey.report.adjustment_tables import parameter_table
 from survey.report.checkpoints import CheckpointAccuracy, CheckpointRow
 from survey.report.collect import figures_of
 from survey.report.figures import json_of
-from survey.report.headline import cards
 from survey.report.page import render_page
 from tests.adjusted_block import drawn_adjustment
 from tests.changed_survey import changed
@@ -128,12 +127,6 @@ def test_the_page_has_verdicts_control_and_the_uncertainty_of_all_heights(facts)
         assert typeset(f"{row.name} {row.verdict}") in page
     assert "gcp2" in page
     assert figures.adjustment.note[1:] in page
-
-
-def test_a_card_has_the_common_standard_deviation(facts):
-    figures = figures_of(facts)
-    (card,) = [card for card in cards(figures) if card.label == "Common std of all heights"]
-    assert card.value == length(figures.adjustment.common.mean)
 
 
 def test_what_was_given_exactly_has_no_digits_of_its_error(facts):

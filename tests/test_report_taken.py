@@ -8,9 +8,8 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from small_survey import write_image
 
-from survey.display.blocks import Rows
 from survey.photos.exif import Exif, read_exif
-from survey.report.photographs import CameraFigures, flight_time, head_lines, taken_of, taken_table
+from survey.report.photographs import CameraFigures, flight_time, taken_of, taken_rows
 from survey.settings.config import ReportConfig, parse_config
 
 START = datetime(2026, 6, 1, 10, 12, 40, tzinfo=UTC)
@@ -27,13 +26,13 @@ def test_the_head_says_who_when_and_with_what():
     found = taken_of(SAID, headers(a=replace(HEAD, taken=START + timedelta(minutes=19))), NOW)
     assert found.cameras == (CameraFigures("DJI FC6310", ("0A1B",), 2),)
     assert (found.first, found.last, found.clock) == ("2026-06-01T10:12:40", "2026-06-01T10:31:40", "UTC")
-    assert head_lines(found) == [
-        "Harbour & basin · A. Surveyor",
-        "flown 2026-06-01 10:12 to 10:31 UTC · processed 2026-06-03",
+    assert taken_rows(found) == [
+        ("project", "Harbour & basin"),
+        ("operator", "A. Surveyor"),
+        ("flown", "2026-06-01 10:12 to 10:31 UTC"),
+        ("processed", NOW.isoformat(timespec="minutes").replace("T", " ")),
+        ("camera", "DJI FC6310, serial number 0A1B: 2 photographs"),
     ]
-    (rows,) = taken_table(found)
-    assert isinstance(rows, Rows)
-    assert rows.rows[-1] == ("camera", "DJI FC6310, serial number 0A1B: 2 photographs")
 
 
 @pytest.mark.parametrize(
@@ -51,14 +50,13 @@ def test_without_gps_time_the_clock_of_the_camera_counts_and_without_any_nothing
     own = replace(HEAD, taken=None, clock=START.replace(tzinfo=None))
     assert flight_time(taken_of(SAID, {"a.jpg": own}, NOW)) == "2026-06-01 10:12 by the clock of the camera"
     bare = taken_of(ReportConfig(), {"a.jpg": replace(HEAD, taken=None, camera="", serial="")}, NOW)
-    assert head_lines(bare) == ["processed 2026-06-03"]
-    assert [label for label, _ in taken_table(bare)[0].rows] == ["processed", "camera"]
-    assert (head_lines(None), taken_table(None)) == ([], [])
+    assert [label for label, _ in taken_rows(bare)] == ["processed", "camera"]
+    assert taken_rows(None) == []
 
 
 def test_many_serial_numbers_are_counted():
     many = {f"{i}.jpg": replace(HEAD, serial=str(i)) for i in range(6)}
-    assert "6 of them: 6 photographs" in taken_table(taken_of(SAID, many, NOW))[0].rows[-1][1]
+    assert "6 of them: 6 photographs" in taken_rows(taken_of(SAID, many, NOW))[-1][1]
 
 
 def test_the_serial_number_is_that_of_exif_or_xmp(tmp_path):

@@ -69,7 +69,7 @@ def test_a_page_in_feet_has_the_figures_of_that_in_metres(plane_report):
     with lengths_in_feet(FOOT):
         page = render_page(figures, [])
     assert f"{figures.cloud.depth_m.median / FOOT:.2f}\u00a0ft" in page
-    assert "Lengths are in feet of 0.3048 m; tolerances, bands of depth and limits of S-44 are in metres" in page
+    assert "in feet of 0.3048 m; tolerances, bands of depth and limits of S-44 are in metres" in page
     assert "true depth [ft]" in page
     assert "\u00a0mm" not in page.partition("Comparison with the reference")[0]
 

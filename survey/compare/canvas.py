@@ -178,11 +178,7 @@ def _scale_bar(axes: Axes, metres_per_unit: float) -> None:
 
 
 def write_labels(axes: Axes, places: np.ndarray, texts: Sequence[str]) -> None:
-    """Texts beside places (N, 2) of axes, each in the first of four corners where it covers no place and no other.
-
-    One that would cover something in all four is left out.
-    """
-    renderer = figure_of(axes).canvas.get_renderer()  # type: ignore[attr-defined]
+    """Texts beside places (N, 2), each in the first corner where it covers no place and no other; none where all do."""
     lay_out(figure_of(axes))
     size = _POINT_PT * figure_of(axes).dpi / 72.0
     taken = [Bbox.from_bounds(x - size / 2, y - size / 2, size, size) for x, y in axes.transData.transform(places)]
@@ -192,7 +188,7 @@ def write_labels(axes: Axes, places: np.ndarray, texts: Sequence[str]) -> None:
                 figure_text(text), place, (5 * across, 5 * up), textcoords="offset points", fontsize=7.5, color=INK,
                 ha="left" if across > 0 else "right", va="bottom" if up > 0 else "top", zorder=6,
             )  # fmt: skip
-            box = label.get_window_extent(renderer)
+            box = label.get_window_extent()
             if not any(box.overlaps(other) for other in taken):
                 taken.append(box)
                 break

@@ -132,13 +132,6 @@ def height(value_m: float) -> str:
     return LengthUnit.of_heights().text(value_m)
 
 
-def cell_size(value_m: float) -> str:
-    """The side of a cell, in centimetres or feet."""
-    unit = LengthUnit.of_heights()
-    value, name = (100.0 * value_m, "cm") if unit.name == "m" else (value_m * unit.per_metre, unit.name)
-    return f"{number(value, 1 if name == 'cm' else 3)}{NO_BREAK}{name}"
-
-
 def distance(value_m: float) -> str:
     """A distance over ground or through the air, to the decimetre or the tenth of a foot."""
     unit = LengthUnit.of_heights()

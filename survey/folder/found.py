@@ -12,10 +12,11 @@ from pathlib import Path
 from pyproj import CRS
 
 from geo.area_of_use import require_at
-from geo.crs import height_unit_m, parse_crs
+from geo.crs import EGM96_HEIGHT, height_unit_m, parse_crs
 from geo.operations import use_grids
 from survey.display.quantities import named
 from survey.errors import FILE_NAME, ConfigError, Findings, PosesError, SurveyError
+from survey.files.entries import require_plain_entries
 from survey.files.outputs import ReadFiles
 from survey.files.remote import is_url
 from survey.folder import infer
@@ -24,7 +25,7 @@ from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.folder.positions import position_warnings
 from survey.folder.shots import shot_warnings
 from survey.folder.unused_keys import Circumstances, unused_keys
-from survey.photos.exif import SUFFIXES, Exif, exif_places, position_sources, read_exif, without_void_fixes
+from survey.photos.exif import SUFFIXES, Exif, exif_places, position_sources, read_exif, utm_code_of, without_void_fixes
 from survey.photos.images import fetch_images, list_images, same_files
 from survey.photos.names import ImageNames
 from survey.pose_files import find_poses, find_unread, pose_files, read_poses
@@ -69,16 +70,22 @@ class Found:
 
 def process_config(folder: Path) -> ProcessConfig:
     """[process] of the survey.toml in a folder, empty where there is none."""
-    settings = settings_of(folder) if folder.is_dir() else None
-    return ProcessConfig() if settings is None else settings.process
+    return (settings_of(folder) or SurveyConfig()).process
+
+
+def require_survey_folder(folder: str | Path) -> Path:
+    """The path of a folder; raises SurveyError where it is none, or has links and devices among its files."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        what = "is a file" if folder.exists() else "does not exist"
+        raise SurveyError(f"the survey folder {folder} {what}; expected a folder with photographs")
+    require_plain_entries(folder)
+    return folder
 
 
 def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     """Read the settings, or take those of `config`, and image headers of a survey folder; no pixel is decoded."""
-    folder = Path(folder)
-    if not folder.is_dir():
-        what = "is a file" if folder.exists() else "does not exist"
-        raise SurveyError(f"the survey folder {folder} {what}; expected a folder with images and {FILE_NAME}")
+    folder = require_survey_folder(folder)
     toml = folder / FILE_NAME
     if config is None and (config := settings_of(folder)) is None:
         raise ConfigError(f"{folder} has no {FILE_NAME}; bathynerf init writes it, and process does, from photographs")
@@ -90,7 +97,10 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     headers, added = read_headers(folder, place, images)
     findings += added
     if config.crs is None:
-        raise ConfigError(f"{toml}: crs is missing; {infer.crs_advice(headers)}")
+        raise ConfigError(
+            f"{toml}: crs is missing; give that of all positions and heights there, with a vertical part, e.g. "
+            f'crs = "EPSG:{utm_code_of(headers) or 25832}+{EGM96_HEIGHT}" above mean sea level (EGM96), as GPS has it'
+        )
     use_grids(folder / GRIDS_FOLDER)
     crs = parse_crs(config.crs, where=f"crs in {toml}")
     config, levels, tide, added = with_level(folder, config, headers, crs)

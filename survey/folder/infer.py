@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import EGM96_HEIGHT, crs_code
+from geo.crs import crs_code
 from survey.errors import FILE_NAME, ConfigError
 from survey.folder.plausible import SAME_PLACE_M, distances_to_exif
 from survey.folder.pose_frames import points_in_crs
-from survey.photos.exif import SUFFIXES, Exif, utm_code_of
+from survey.photos.exif import SUFFIXES, Exif
 from survey.photos.images import photographs_below
 from survey.photos.names import ImageNames
 from survey.photos.poses import PoseFile
@@ -35,15 +35,6 @@ def table_crs(headers: Mapping[str, Exif]) -> str | None:
     """Code of the CRS of the table that gives positions of photographs; None without a table, or of degrees."""
     table = next((header.table_place.crs for header in headers.values() if header.table_place is not None), None)
     return None if table is None or not table.is_projected else crs_code(table)
-
-
-def crs_advice(headers: dict[str, Exif]) -> str:
-    """Advice on crs, with the UTM zone of the images if they have positions."""
-    code = utm_code_of(headers) or 25832
-    return (
-        "give the one that positions and heights in survey.toml and its files count in, with a vertical part: "
-        f'crs = "EPSG:{code}+{EGM96_HEIGHT}" where heights are above mean sea level (EGM96), as those of GPS are'
-    )
 
 
 NO_WATER = (

@@ -12,12 +12,11 @@ from geo.crs import vertical_crs
 from geo.files import write_whole
 from survey.control.points import GivenPoint
 from survey.control.reading import read_control
-from survey.errors import FILE_NAME, ConfigError, ControlError, OutputError, SurveyError
-from survey.files.entries import require_plain_entries
+from survey.errors import FILE_NAME, ConfigError, ControlError, OutputError
 from survey.files.json_values import write_json
 from survey.files.toml_schema import schema_of
 from survey.folder import infer
-from survey.folder.found import Found, find_survey, read_headers
+from survey.folder.found import Found, find_survey, read_headers, require_survey_folder
 from survey.folder.sfm_views import require_solvable
 from survey.init.crs import FolderPhotographs, SettingsTable, write_crs, write_origin
 from survey.init.options import InitOptions
@@ -48,17 +47,9 @@ _CONTROL_FILES = {
 _SUFFIXES = (".csv", ".txt", ".geojson", ".json", ".gpx", ".kml")
 
 
-def _require_folder(folder: Path) -> None:
-    if not folder.is_dir():
-        what = "is a file" if folder.exists() else "does not exist"
-        raise SurveyError(f"the folder {folder} {what}; expected a folder with photographs")
-    require_plain_entries(folder)
-
-
 def write_schema(folder: Path) -> Path:
     """Write the JSON schema of survey.toml into a folder, for editors; returns its path."""
-    _require_folder(folder)
-    path = folder / SCHEMA_NAME
+    path = require_survey_folder(folder) / SCHEMA_NAME
     write_json(path, schema_of(SurveyConfig))
     return path
 
@@ -76,8 +67,7 @@ def write_settings(
 
     Returns its path. Raises SurveyError where something is missing that neither a file nor an option states.
     """
-    folder = Path(folder)
-    _require_folder(folder)
+    folder = require_survey_folder(folder)
     path = folder / FILE_NAME
     if path.exists() and not force:
         raise OutputError(f"{path} exists; --force replaces it")
@@ -95,9 +85,7 @@ def require_settings(folder: Path, options: InitOptions) -> Path | None:
 
     Nothing is written of a survey that `process` would refuse for it, as with a level that no camera fits.
     """
-    _require_folder(folder)
-    config = settings_of(folder)
-    if config is None:
+    if (config := settings_of(require_survey_folder(folder))) is None:
         text = draft(folder, options)
         found = find_survey(folder, config=parse_config(text))
         if found.poses_path is None:

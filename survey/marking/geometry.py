@@ -13,7 +13,7 @@ from geo.errors import GeoError
 from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.errors import SurveyError
-from survey.folder.found import Found, find_survey
+from survey.folder.found import Found, find_survey, require_survey_folder
 from survey.folder.local_frame import water_plane
 from survey.folder.motion import velocities_of, with_motion
 from survey.folder.pairing import read_file_poses
@@ -115,10 +115,7 @@ class PosedSurvey:
 
 def survey_to_mark(folder: Path) -> tuple[SurveyConfig, Found]:
     """The settings and contents of a survey folder, without control and clicks, which need not exist yet."""
-    if not folder.is_dir():
-        what = "is a file" if folder.exists() else "does not exist"
-        raise SurveyError(f"the survey folder {folder} {what}; expected a folder with photographs")
-    config = settings_or_draft(folder)
+    config = settings_or_draft(require_survey_folder(folder))
     bare = replace(config, control=ControlConfig())
     clicks = None if config.water is None else config.water.sources.clicks
     if clicks is not None and not (folder / clicks).is_file():

@@ -28,10 +28,6 @@ if TYPE_CHECKING:
     from survey.water.wave_surfaces import WaveSurfaces
 
 
-# Name of the gate on the standard deviation of a height with all that it shares.
-WHOLE_STD = "height, all included"
-
-
 @dataclass(frozen=True)
 class Gate:
     """Quality gate: a condition with its value and limit."""

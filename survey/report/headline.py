@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from evaluation import IhoS44
 from survey.compare.tables import limits_label
-from survey.display.blocks import Block, Rows, Sentences
+from survey.display.blocks import Block, Rows, Sentences, Text
 from survey.display.quantities import (
     NO_BREAK,
     LengthUnit,
@@ -16,18 +16,15 @@ from survey.display.quantities import (
     density,
     distance,
     height,
-    is_known,
     length,
     share,
     volume,
 )
 from survey.report.checkpoints import LE95
-from survey.report.facts import WHOLE_STD, Gate, RunVerdict
+from survey.report.facts import Gate, RunVerdict
 from survey.report.figures import ReportFigures
 from survey.report.photographs import left_out_shares
 
-# Values of gates in words, by their unit.
-_OF_UNIT: dict[str, tuple[Callable[[float], str], float]] = {"%": (share, 0.01), "mm": (length, 0.001)}
 # Smaller things than so many ground sampling distances are smoothed away by the windows that are matched.
 _SMALLEST_GSD = 5.0
 
@@ -99,20 +96,14 @@ def _of_cloud(figures: ReportFigures) -> Iterator[Card]:
     yield Card("Points of the bed", count(cloud.points), over)
     if (depth := cloud.depth_m) is not None:
         yield Card("Median depth", height(depth.median), f"{height(depth.min)} to {height(depth.max)}")
-    for gate in () if figures.verdict is None else figures.verdict.gates:
-        if is_known(gate.value) and gate.unit in _OF_UNIT and gate.name != WHOLE_STD:
-            said, scale = _OF_UNIT[gate.unit]
-            yield Card(gate.name.capitalize(), said(scale * gate.value), f"required: {said(scale * gate.limit)}")
 
 
 def _of_flight(figures: ReportFigures) -> Iterator[Card]:
-    """Photographs, adjustment, check points."""
-    survey, plan, adjustment, checkpoints = figures.survey, figures.plan, figures.adjustment, figures.checkpoints
+    """Photographs and check points."""
+    survey, plan, checkpoints = figures.survey, figures.plan, figures.checkpoints
     left_out = f"{survey.views_left_out} left out" if survey.views_left_out else "all used"
     yield Card("Photographs", count(survey.views_used), left_out)
     yield Card("Ground resolution", length(plan.gsd_m), f"from {distance(plan.height_m)} above")
-    if adjustment is not None and adjustment.common is not None:
-        yield Card("Common std of all heights", length(adjustment.common.mean), "by water, lens and poses")
     if checkpoints is not None and checkpoints.groups:
         found = checkpoints.groups[0]
         detail = f"RMS at {found.num} of {len(checkpoints.rows)}, mean {length(found.mean_m)}"
@@ -177,6 +168,23 @@ def coverage(figures: ReportFigures) -> list[Block]:
 
 def _part(value_m2: float, whole_m2: float) -> str:
     return f"{area(value_m2)}, {share(value_m2 / whole_m2 if whole_m2 else None)} of the water that was looked at"
+
+
+def method(figures: ReportFigures) -> list[Block]:
+    """How the cloud was made, for whoever did not make it."""
+    survey, water = figures.survey, figures.water
+    bent = "" if water is None else (
+        f" Every ray was bent by Snell's law where it meets the water (level {height(water.level_m)}, index "
+        f"{water.refractive_index:.4f}) before photographs were matched: no factor on depths, no shift, no fit to a "
+        "reference."
+    )  # fmt: skip
+    refined = " and refined by least squares over all of them" if figures.plan.field == "solver" else ""
+    return [
+        Text(
+            f"{count(survey.views_used)} photographs, their poses from {survey.poses}.{bent} Heights were searched by "
+            f"matching photographs{refined}; each point was found at the same height by two photographs or more."
+        )
+    ]
 
 
 def limitations(figures: ReportFigures) -> list[Block]:

@@ -18,7 +18,7 @@ from geo.crs import height_unit_m
 from survey.compare.canvas import colour_bar, map_canvas, nice_limit, plain_log_ticks, save, show
 from survey.display.palette import COUNTS, DIFFERENCES, EMPTY, INK, OBLIQUE, RED, SPREADS, WATER
 from survey.display.plan_grid import PlanGrid
-from survey.display.quantities import LengthUnit, cell_size, length, share
+from survey.display.quantities import LengthUnit, length, share
 from survey.escaping import figure_text
 from survey.photos.images import load_image
 from survey.report.facts import ReportFacts
@@ -59,7 +59,7 @@ def draw_orthophoto(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     image = np.zeros((*known.shape, 4), dtype=np.uint8)
     image[known, :3], image[known, 3] = colours[known], 255
     axes = _show(image, facts, grid)
-    subtitle = f"the cloud in its own colours, cells of {cell_size(grid.side_m)}"
+    subtitle = f"the cloud in its own colours, cells of {length(grid.side_m)}"
     words = "The cloud in its own colours; where points lie above each other, the highest."
     return finished(axes, path, "The bed from above", subtitle, words)
 
@@ -86,7 +86,7 @@ def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid, cut: Cut | None
         draw_line(axes, facts, cut)
     axes.set_facecolor("white")  # the grey of other maps' gaps is that of dry ground here
     _bar(axes, in_unit(scale), label, is_depth=depth is not None)
-    return finished(axes, path, title, f"cells of {cell_size(grid.side_m)}", words)
+    return finished(axes, path, title, f"cells of {length(grid.side_m)}", words)
 
 
 def draw_num_views(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
@@ -98,7 +98,7 @@ def draw_num_views(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     axes = _show(image_of(values, scale), facts, grid)
     colour_bar(axes, scale, "views", extend="max").minorticks_off()
     words = "Number of views that see a point at the same height; the more, the more reliable."
-    return finished(axes, path, "Views that agree", f"mean of each cell of {cell_size(grid.side_m)}", words)
+    return finished(axes, path, "Views that agree", f"mean of each cell of {length(grid.side_m)}", words)
 
 
 def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
@@ -114,7 +114,7 @@ def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     plain_log_ticks(bar.ax.yaxis)
     source = _OF_SOLVER if facts.plan.solves else _OF_SWEEP
     words = f"Random part for each point, {source}; without the part common to all heights by water, lens and poses."
-    subtitle = f"mean of each cell of {cell_size(grid.side_m)}"
+    subtitle = f"mean of each cell of {length(grid.side_m)}"
     return finished(axes, path, "Standard deviation of the height", subtitle, words)
 
 

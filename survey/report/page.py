@@ -25,8 +25,9 @@ from survey.display.blocks import Block, Rows, Section, Sentences
 from survey.display.quantities import LengthUnit, typeset
 from survey.report import adjustment_tables, checkpoints, photographs, tables, waves
 from survey.report.figures import ReportFigures
-from survey.report.headline import cards, coverage, headline, limitations
+from survey.report.headline import cards, coverage, headline, limitations, method
 from survey.report.raster import Picture
+from survey.settings.config import settings_text
 from survey.words import Quality
 
 # Headings of the pictures with the names of their files.
@@ -67,13 +68,13 @@ def render_page(figures: ReportFigures, pictures: list[Picture]) -> str:
     return _template().render(
         palette=palette,
         survey=figures.survey,
-        head_lines=[*photographs.head_lines(figures.taken), *_unit_line()],
+        head=Rows([*photographs.taken_rows(figures.taken), *_unit_row()]),
         verdict=headline(figures.verdict, figures.warnings, _draft_command(figures)),
         cards=cards(figures),
         num_warnings=len(figures.warnings),
         groups=_grouped(pictures),
         sections=[section for section in _sections(figures) if section.blocks],
-        settings=tables.settings(figures.settings),
+        settings=settings_text(figures.settings),
         version=figures.versions.get("bathynerf", ""),
     )
 
@@ -96,6 +97,7 @@ def _sections(figures: ReportFigures) -> list[Section]:
     comparison, survey = figures.comparison, figures.survey
     uncertainty = None if comparison is None else comparison.uncertainty
     return [
+        Section("Method", method(figures)),
         Section("Limitations", limitations(figures)),
         Section("Coverage of the water", coverage(figures)),
         Section("Comparison with the reference", comparison_blocks(comparison)),
@@ -106,7 +108,6 @@ def _sections(figures: ReportFigures) -> list[Section]:
         Section("Adjustment", adjustment_tables.adjustment(figures.adjustment)),
         Section("Baselines: refraction ignored or approximated", tables.baselines(figures.baselines)),
         Section("Point cloud", tables.cloud(figures.cloud, survey.crs)),
-        Section("Acquisition", photographs.taken_table(figures.taken)),
         Section("Survey and water", tables.survey(survey, figures.water, figures.plan)),
         Section("Photographs", photographs.table(figures.photographs, figures.left_out)),
         Section("Processing decisions", tables.decisions(figures.plan.decisions)),
@@ -122,14 +123,10 @@ def _draft_command(figures: ReportFigures) -> str | None:
     return figures.settings.get("command") if figures.plan.quality == Quality.draft else None
 
 
-def _unit_line() -> list[str]:
+def _unit_row() -> list[tuple[str, str]]:
     unit = LengthUnit.of_heights()
-    if unit.name == "m":
-        return []
-    return [
-        f"Lengths are in feet of {1.0 / unit.per_metre:.10g} m; tolerances, bands of depth and limits of S-44 are in "
-        "metres, as they say."
-    ]
+    kept = "tolerances, bands of depth and limits of S-44 are in metres, as they say"
+    return [] if unit.name == "m" else [("lengths", f"in feet of {1.0 / unit.per_metre:.10g} m; {kept}")]
 
 
 def _listed(sentences: tuple[str, ...]) -> list[Block]:

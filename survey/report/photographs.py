@@ -174,24 +174,14 @@ def flight_time(found: TakenFigures) -> str | None:
     return f"{day} {start} {whose}" if start == end else f"{day} {start} to {end} {whose}"
 
 
-def head_lines(found: TakenFigures | None) -> list[str]:
-    """Lines under the title of the page."""
-    if found is None:
-        return []
-    when = flight_time(found)
-    dates = [*([] if when is None else [f"flown {when}"]), f"processed {found.processed[:10]}"]
-    work = [text for text in (found.project, found.operator) if text]
-    return [*([" · ".join(work)] if work else []), " · ".join(dates)]
-
-
-def taken_table(found: TakenFigures | None) -> list[Block]:
-    """Table of authors, times and cameras."""
+def taken_rows(found: TakenFigures | None) -> list[tuple[str, str]]:
+    """Rows under the title of the page on authors, times and cameras."""
     if found is None:
         return []
     rows = [("project", found.project), ("operator", found.operator), ("flown", flight_time(found))]
     rows.append(("processed", found.processed.replace("T", " ")))
     rows += [("camera", _words(camera)) for camera in found.cameras]
-    return [Rows([(label, text) for label, text in rows if text])]
+    return [(label, text) for label, text in rows if text]
 
 
 def _words(camera: CameraFigures) -> str:

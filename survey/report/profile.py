@@ -15,7 +15,7 @@ from geo.crs import height_unit_m, is_geographic
 from survey.compare.canvas import canvas, figure_of, lay_out
 from survey.display.palette import BLUE, INK, LAND, RED, WATER, WATER_LINE
 from survey.display.plan_grid import PlanGrid
-from survey.display.quantities import NO_BREAK, LengthUnit, cell_size, number
+from survey.display.quantities import NO_BREAK, LengthUnit, length, number
 from survey.report.facts import ReportFacts
 from survey.report.raster import Picture, finished
 
@@ -104,7 +104,7 @@ def draw_profile(path: Path, facts: ReportFacts, cut: Cut) -> Picture:
     first, last = (", ".join(number(value, decimals) for value in end) for end in ends)
     what = "the ground" if level is None else "the bed under water"
     words = f"Where {what} changes most along a line: from A ({first}) to B ({last})."
-    return finished(axes, path, "Profile from A to B", f"a strip {cell_size(strip.width_m)} wide, {scale}", words)
+    return finished(axes, path, "Profile from A to B", f"a strip {length(strip.width_m)} wide, {scale}", words)
 
 
 def draw_line(axes: Axes, facts: ReportFacts, cut: Cut) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 from survey.display.blocks import Block, Rows, Table, Text
@@ -19,14 +18,13 @@ from survey.display.quantities import (
 )
 from survey.plan.decisions import Decision
 from survey.plan.plan import Plan
+from survey.progress import clock
 from survey.report.checkpoints import CheckpointAccuracy
 from survey.report.figures import Baselines, CloudFigures, CrsFigures, Extent, LightFigures, SurveyFigures, WaterFigures
 
 # Digits of coordinates by their unit: to the centimetre in metres, to about as much in degrees.
 _DECIMALS = {"m": 2, "°": 7}
 _AXES = ("easting", "northing", "height")
-# Longer runs are written in minutes [s].
-_LONG_S = 600.0
 
 
 def cloud(found: CloudFigures, crs: CrsFigures) -> list[Block]:
@@ -122,21 +120,9 @@ def decisions(taken: tuple[Decision, ...]) -> list[Block]:
 
 
 def timings(seconds: dict[str, float], total_s: float) -> list[Block]:
-    """Duration of each stage when it was computed, and all together, in one unit."""
-    unit, factor = ("min", 1.0 / 60.0) if total_s >= _LONG_S else ("s", 1.0)
-    rows = [(name.replace("_", " "), number(value * factor, 1)) for name, value in seconds.items()]
-    return [Table(("stage", f"time [{unit}]"), [*rows, ("total", number(total_s * factor, 1))])]
-
-
-def settings(values: dict, prefix: str = "") -> str:
-    """Settings as lines of ``section.key = value``, those without a value left out."""
-    lines = []
-    for name, value in values.items():
-        if isinstance(value, dict):
-            lines.append(settings(value, f"{prefix}{name}."))
-        elif value is not None:
-            lines.append(f"{prefix}{name} = {json.dumps(value, ensure_ascii=False)}")
-    return "\n".join(line for line in lines if line)
+    """Duration of each stage when it was computed, and all together."""
+    rows = [(name.replace("_", " "), clock(value)) for name, value in (*seconds.items(), ("total", total_s))]
+    return [Table(("stage", "time"), rows)]
 
 
 def checkpoints(found: CheckpointAccuracy | None) -> list[Block]:

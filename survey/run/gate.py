@@ -22,7 +22,7 @@ from survey.display.quantities import NO_BREAK, length, share
 from survey.plan.choices import STD_QUANTILE, Choices
 from survey.plan.recipe import MAX_STD_GSD, max_height_std
 from survey.report.collect import height_std
-from survey.report.facts import WHOLE_STD, Gate, RunVerdict
+from survey.report.facts import Gate, RunVerdict
 from survey.report.seen_cells import SeenCells, cells_of
 
 if TYPE_CHECKING:
@@ -153,7 +153,7 @@ def _whole(survey: Survey, stored: StoredBed, gsd_m: float) -> Gate:
     sentence += f"required: at most {length(limit)}"
     if not passed and std.shared is not None and std.shared > std.random:
         sentence += f"; the shared part limits it: {_remedy(survey)}"
-    return Gate(WHOLE_STD, 1000.0 * std.whole, 1000.0 * limit, "mm", passed, sentence)
+    return Gate("height, all included", 1000.0 * std.whole, 1000.0 * limit, "mm", passed, sentence)
 
 
 def _remedy(survey: Survey) -> str:

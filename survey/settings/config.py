@@ -189,7 +189,9 @@ def read_config(path: Path) -> SurveyConfig:
 
 
 def settings_of(folder: Path) -> SurveyConfig | None:
-    """The settings in a folder; None where it has no survey.toml."""
+    """The settings in a folder; None where it has no survey.toml, or is none."""
+    if not folder.is_dir():
+        return None
     require_plain_entries(folder)
     toml = folder / FILE_NAME
     if toml.is_file():
@@ -217,7 +219,12 @@ def parse_config(text: str) -> SurveyConfig:
 
 def dump_config(config: SurveyConfig) -> str:
     """The settings as TOML that `parse_config` reads back to the same settings."""
-    return tomli_w.dumps(_without_none(table_of(config)))
+    return settings_text(table_of(config))
+
+
+def settings_text(table: dict) -> str:
+    """A table as TOML, without what is not set."""
+    return tomli_w.dumps(_without_none(table))
 
 
 def _without_none(table: dict) -> dict:

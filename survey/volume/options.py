@@ -14,7 +14,7 @@ from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun, survey_folder
 from survey.files.toml_table import require_valid
 from survey.run.stored_field import VolumeRecipe
-from survey.settings.config import settings_of
+from survey.settings.config import SurveyConfig, settings_of
 from survey.settings.tables import FieldConfig
 from survey.volume.monocular import priors_hash
 
@@ -94,8 +94,7 @@ def field_config(run: str | Path, survey: str | None) -> FieldConfig:
     """[field] in the current survey.toml of a run's survey (its folder, if it was moved), with absolute paths."""
     with LoadedRun(run) as loaded:
         folder = survey_folder(loaded, survey)
-    settings = settings_of(folder) if folder.is_dir() else None
-    config = FieldConfig() if settings is None else settings.field
+    config = (settings_of(folder) or SurveyConfig()).field
     if config.monocular is None:
         return config
     return replace(config, monocular=str((folder / config.monocular).absolute()))

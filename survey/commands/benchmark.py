@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from survey.commands.console import command
-from survey.commands.options import Quiet, Verbose, grouped, words_of
+from survey.commands.options import Quiet, Verbose, grouped
 from survey.words import Device, Quality
 
 EXAMPLES = """
@@ -37,11 +37,11 @@ class RunOptions:
     ] = None
     quality: Annotated[
         list[Quality] | None,
-        _measured(metavar=words_of(Quality), help="Repeatable; default: all."),
+        _measured(metavar="|".join(Quality), help="Repeatable; default: all."),
     ] = None
     poses: Annotated[list[str] | None, _measured(metavar="given|images", help="Repeatable; default: given.")] = None
     device: Annotated[
-        list[Device] | None, _measured(metavar=words_of(Device), help="Repeatable; default: all that are present.")
+        list[Device] | None, _measured(metavar="|".join(Device), help="Repeatable; default: all that are present.")
     ] = None
     repeats: Annotated[int, _measured(metavar="N", help="Rounds; times are medians.")] = 1
 

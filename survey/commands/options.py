@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import Field, asdict, fields, is_dataclass, replace
 from enum import Enum
 from functools import wraps
@@ -24,17 +24,12 @@ from survey.words import COMPARED, Device, wrap_for
 PREFIX = "BATHYNERF_PROCESS_"
 
 
-def words_of(kind: Iterable[str]) -> str:
-    """The words of an enumeration as a placeholder, e.g. auto|cpu|cuda."""
-    return "|".join(kind)
-
-
 # After Ctrl-C, for verbs that resume.
 KEPT = "finished work is kept, and the same command resumes from there"
 
 SurveyFolder = Annotated[Path, typer.Argument(metavar="SURVEY", help="Folder with images and survey.toml.")]
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder written by process.")]
-DeviceOption = Annotated[Device, typer.Option(metavar=words_of(Device), help="Where to compute.", rich_help_panel=HOW)]
+DeviceOption = Annotated[Device, typer.Option(metavar="|".join(Device), help="Where to compute.", rich_help_panel=HOW)]
 Visible = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Points of the reference that cameras see.", rich_help_panel=COMPARED),

@@ -10,7 +10,7 @@ import typer
 
 from survey.commands.console import command
 from survey.commands.faults import require_address_space
-from survey.commands.options import KEPT, Quiet, Verbose, words_of
+from survey.commands.options import KEPT, Quiet, Verbose
 
 EXAMPLES = """
     bathynerf simulate cove.toml -o cove --preview
@@ -29,7 +29,7 @@ def run(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file in TOML (docs/simulation.md).")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="SURVEY", help="Survey folder to write.")],
     mode: Annotated[
-        Mode | None, typer.Option(metavar=words_of(Mode), help="Overrides the mode of the scene file.")
+        Mode | None, typer.Option(metavar="|".join(Mode), help="Overrides the mode of the scene file.")
     ] = None,
     flight_only: Annotated[bool, typer.Option("--flight-only", help="Write cameras.csv and flight.png only.")] = False,
     preview: Annotated[bool, typer.Option("--preview", help="One ray per pixel.")] = False,

@@ -71,14 +71,11 @@ class Survey:
         from survey.run.process import process
 
         process(self.folder, run, **options)
-        return Run(self._run_folder(run))
+        return Run(local_run(self.folder, run))
 
     def run(self, run: str | Path | None = None) -> Run:
         """An existing run of the survey."""
-        return Run(self._run_folder(run))
-
-    def _run_folder(self, run: str | Path | None) -> Path:
-        return local_run(self.folder, run)
+        return Run(local_run(self.folder, run))
 
     def _repr_html_(self) -> str:
         """HTML for notebooks: contents of the folder."""

@@ -37,23 +37,19 @@ class InitOptions:
 
         Raises ConfigError where nobody answers, unless the level can be found from the photographs.
         """
-        if self.ask is None and can_do_without and not self.needs_level:
+        or_empty = "; empty: found from the photographs" if can_do_without else ""
+        question = f"Height of the water [m] {heights}: as 12.34, for the sea 12.34 sea, without water dry{or_empty}"
+        text = "" if self.ask is None else self.ask(question).strip()
+        level, _, kind = text.partition(" ")
+        if text == "dry":
+            return replace(self, dry=True)
+        if level and kind in ("", "sea"):
+            with suppress(ValueError):
+                return replace(self, level_m=float(level), sea=self.sea or bool(kind))
+        if text:
+            raise ConfigError(f'the answer is "{text}", expected a number such as 12.34, 12.34 sea, or dry')
+        if can_do_without and (self.ask is not None or not self.needs_level):
             return self
-        if self.ask is not None:
-            or_empty = "; empty: found from the photographs" if can_do_without else ""
-            text = self.ask(
-                f"Height of the water [m] {heights}: as 12.34, for the sea 12.34 sea, without water dry{or_empty}"
-            ).strip()
-            level, _, kind = text.partition(" ")
-            if text == "dry":
-                return replace(self, dry=True)
-            if kind in ("", "sea") and level:
-                with suppress(ValueError):
-                    return replace(self, level_m=float(level), sea=self.sea or bool(kind))
-            if text:
-                raise ConfigError(f'the answer is "{text}", expected a number such as 12.34, 12.34 sea, or dry')
-            if can_do_without:
-                return self
         raise ConfigError(
             f"the height of the water {heights} is not known; init and process take it as --level 12.34, or --dry "
             "where there is no water; or put gauge.csv, shoreline.csv or gnss_points.csv (docs/waterline.md) into the "

@@ -11,8 +11,6 @@ from survey.display.blocks import Block, Rows, Sentences, Table, Text
 from survey.display.quantities import NO_BREAK, LengthUnit, count, is_known, length, number
 from survey.report.adjustment_figures import HELD_STD, AdjustmentFigures, ControlGroup
 
-_NO_VALUE = "–"
-
 
 def adjustment(found: AdjustmentFigures | None) -> list[Block]:
     """Tables of the adjustment; nothing where there was none."""
@@ -33,12 +31,9 @@ def _parts(found: AdjustmentFigures) -> list[Block]:
     stds = [std for part in found.parts for std in (part.height_std_m, part.to_first_std_m) if std is not None]
     unit, far = LengthUnit.of(stds), LengthUnit.of_heights()
 
-    def std(value: float | None) -> str:
-        return _NO_VALUE if value is None else unit.number(value)
-
     rows = [
         (str(place), part.listed, count(len(part.names)), count(part.num_points),
-         number(part.apart_m * far.per_metre, 1), std(part.height_std_m), std(part.to_first_std_m))
+         number(part.apart_m * far.per_metre, 1), unit.number(part.height_std_m), unit.number(part.to_first_std_m))
         for place, part in enumerate(found.parts, start=1)
     ]  # fmt: skip
     titles = (
@@ -59,12 +54,12 @@ def _parameter(row: Parameter) -> tuple[str, ...]:
     if row.given_std is not None and row.given_std < HELD_STD:
         return (row.name, row.status, f"{row.value:.6g}", "exact", f"{row.given:.6g}", "exact")
     digits = _digits(row.std)
-    given_std = _NO_VALUE if row.given_std is None else number(row.given_std, _digits(row.given_std))
+    given_std = number(row.given_std, _digits(row.given_std))
     value, std, given = number(row.value, digits), number(row.std, digits), number(row.given, digits)
     return (row.name, row.status, value, std, given, given_std)
 
 
-def _digits(std: float) -> int:
+def _digits(std: float | None) -> int:
     """Decimals that show two digits of a standard deviation."""
     return min(max(1 - math.floor(math.log10(std)), 0), 9) if is_known(std) and std > 0.0 else 4
 
@@ -110,9 +105,8 @@ def _ground(found: AdjustmentFigures) -> list[Table]:
     rows = []
     for name, moved, std, before in zip(NAMES, fit.moved, fit.std, without, strict=True):
         part, unit = name.rsplit("_", 1)
-        digits = _digits(std)
-        known = _NO_VALUE if before is None else number(before, _digits(before))
-        rows.append((f"{part.replace('_', ' about ')} [{unit}]", number(moved, digits), number(std, digits), known))
+        values = (number(moved, _digits(std)), number(std, _digits(std)), number(before, _digits(before)))
+        rows.append((f"{part.replace('_', ' about ')} [{unit}]", *values))
     heading = (
         f"Placement on {fit.reference}: {count(fit.num_points)} points, {length(fit.rms_m)} rms from its ground "
         f"({count(fit.num_changed)} of {count(fit.num_over)} tie points over it left out)"

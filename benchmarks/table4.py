@@ -134,6 +134,7 @@ def measure(case: Case, truth: Survey, reference: Path, samples: int, times_seen
     if case.is_volume:
         report = json.loads((case.run / "report.json").read_text())
         record["held_out_db"] = float(np.mean(list(report["held_out_psnr_db"].values())))
+        record["held_out_ssim"] = float(np.mean(list(report["held_out_ssim"].values()) or [np.nan]))
         if not report["points"]:
             return record | dict.fromkeys(("ours", "study"))
     cloud = frame.local_from_crs(read_cloud(case.run / "cloud.las").points)
@@ -165,7 +166,7 @@ def table(records: list[dict]) -> str:
     """The records beside the study's figures."""
     rows = [
         "| survey | chain | study's own | its protocol, here | the same, 5 to 95 % | ours, nothing dropped "
-        "| PSNR, study | PSNR, here |",
+        "| PSNR, study | PSNR, SSIM, here |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for r in records:
@@ -175,7 +176,8 @@ def table(records: list[dict]) -> str:
         trimmed = None if r["study"] is None else _spread(r["study"]["trimmed_mean_m"], r["study"]["trimmed_std_m"])
         cells += [each or "no surface" for each in (theirs, trimmed, ours)]
         own_db = STUDY_DB.get(r["survey"]) if r["chain"] == "nerfacto" else None
-        cells += ["" if db is None else f"{db:.1f} dB" for db in (own_db, r.get("held_out_db"))]
+        here = f"{r['held_out_db']:.1f} dB, {r['held_out_ssim']:.2f}" if "held_out_db" in r else ""
+        cells += ["" if own_db is None else f"{own_db:.1f} dB", here]
         rows.append(f"| {r['survey']} | {r['chain']} | " + " | ".join(cells) + " |")
     return "\n".join(rows + [_predicted(r["chain"], r["bias"]) for r in records if "bias" in r]) + "\n"
 

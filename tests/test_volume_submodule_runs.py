@@ -16,6 +16,7 @@ from painted_survey import painted_survey, run_over
 from PIL import Image
 
 import survey.volume.submodules as submodules
+from bathynerf import Field
 from fields.volume.submodules import Grid, match_submodule
 from geo import read_cloud
 from survey.errors import SurveyError
@@ -50,6 +51,8 @@ def test_each_cell_has_a_field_of_its_own_and_the_points_on_its_ground(folder):
     report, ground = read_json_object(folder / "f" / "report.json"), ground_of(folder)
     assert set(report["submodules"]) == {"0_0", "1_0"}
     assert report["held_out_psnr_db"].keys() == {"0002.png"}
+    assert report["dropped"] == {"0002.png": {}}
+    assert "held out" in Field(folder / "f")._repr_html_()
     with LoadedRun(folder / "run") as run:
         points = run.flight.frame.local_from_crs(read_cloud(folder / "f" / "cloud.las").points)
     owner = Grid(ground.box, (2, 1)).owner(points)

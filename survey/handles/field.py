@@ -71,4 +71,6 @@ class Field:
 
     def _repr_html_(self) -> str:
         """HTML for notebooks: the figures, and the curve of the training."""
-        return table_html(rows_of(self.report, self.folder)) + picture_html(self.folder / CURVE)
+        curve = self.folder / CURVE
+        # Submodules have none: one is trained after the other.
+        return table_html(rows_of(self.report, self.folder)) + (picture_html(curve) if curve.is_file() else "")

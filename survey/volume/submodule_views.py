@@ -112,6 +112,11 @@ class SubmoduleViews:
             return np.array([network.of_view(camera, water, cells) for network, cells in each])
         return np.ones(len(self.folders))
 
+    def dropped(self, camera: PinholeCamera) -> dict[str, float]:
+        """Visibilities of the submodules that are left out of the view of a camera, by their names."""
+        visible, folders = self.visible(camera, self.ground.bent), list(self.folders.values())
+        return {folders[k].name: float(visible[k]) for k in np.setdiff1d(np.arange(len(visible)), kept(visible))}
+
     def view(self, camera: PinholeCamera, dry: bool = False) -> NovelView:
         """View of a camera, with the water or, ``dry``, without it."""
         water = None if dry else self.ground.bent

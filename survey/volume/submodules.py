@@ -81,6 +81,8 @@ def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, fol
             folder.path, options.recipe, ground, grid.counts, options.device, options.drop or Drop.geometry
         )
     report = _summary(reports, ground, held) | {"left_out": left_out, "submodules": reports}
+    named = zip(held.names, held.photographs.cameras, strict=True)
+    report["dropped"] = {name: views.dropped(camera) for name, camera in named}
     held_views = (views.view(camera) for camera in held.photographs.cameras)
     joined = Surface(*(np.concatenate([getattr(e, column.name) for e in surfaces]) for column in fields(Surface)))
     return FieldResult(joined, ground.scene(held, held).bed, held, views.view, held_views, report)

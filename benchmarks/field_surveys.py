@@ -22,11 +22,13 @@ from field_settings import FieldSettings, as_table, draw_settings
 from PIL import ExifTags, Image
 from pyproj import Transformer
 
+from evaluation import sample_mesh
+from geo import write_ply
 from geo.crs import horizontal_crs
 from refract import FlatWater
 from refract.lens import distorted
 from survey.simulate.output.sidecars import cameras_csv, gps_exif
-from survey.simulate.output.writing import ground_mesh, points_on, seen_by, write_ply
+from survey.simulate.output.writing import ground_mesh, seen_by
 
 MIN_VIEWS = 3
 MARK_STD_PX, MARK_STD_M, ROD_STD_M = 0.4, 0.01, 0.01
@@ -91,10 +93,8 @@ def _write_truth(folder: Path, scene: FieldScene) -> np.ndarray:
     inside = np.zeros(len(grid), dtype=bool)
     inside[near] = _within(scene.flown, frame.crs_from_local(grid[near]))
     vertices, faces = ground_mesh(ground, inside)
-    write_ply(folder / "reference.ply", frame.crs_from_local(vertices), faces)
-    rng = np.random.default_rng([scene.settings.seed, 4])
-    points = points_on(vertices, faces, rng)
-    points = points[rng.permutation(len(points))[:MOST_POINTS]]
+    write_ply(folder / "reference.ply", frame.crs_from_local(vertices), faces=faces)
+    points = sample_mesh(vertices, faces, MOST_POINTS, seed=scene.settings.seed)
     points = points[_within(scene.flown, frame.crs_from_local(points))]
     num_views = sum(seen_by(scene.still, camera, scene.lens, points).astype(int) for camera in scene.cameras)
     points = points[num_views >= MIN_VIEWS]

@@ -38,7 +38,7 @@ from evaluation.summary import (
     summarise,
 )
 from evaluation.triangles import weld
-from evaluation.vertical import Coverage, coverage_by_class, height_at, interval_score, slope_below, vertical_difference
+from evaluation.vertical import Coverage, coverage_by_class, height_at, slope_below, vertical_difference
 
 __all__ = [
     "AsprsAccuracy",
@@ -68,7 +68,6 @@ __all__ = [
     "height_at",
     "iho_s44",
     "image_quality",
-    "interval_score",
     "is_outlier",
     "is_reached",
     "local_surface",

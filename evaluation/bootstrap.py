@@ -106,7 +106,7 @@ def spatial_blocks(plan: np.ndarray, errors: np.ndarray) -> Blocks:
     return Blocks(number, size, correlation, widening, required_size > widest)
 
 
-def mean_interval(values: np.ndarray, blocks: Blocks, *, seed: int = SEED) -> tuple[float, float]:
+def mean_interval(values: np.ndarray, blocks: Blocks) -> tuple[float, float]:
     """Interval that holds the mean of values (N,) with 95 % confidence; NaN where fewer than ten blocks have any.
 
     Notes
@@ -125,7 +125,7 @@ def mean_interval(values: np.ndarray, blocks: Blocks, *, seed: int = SEED) -> tu
         return math.nan, math.nan
     sums = np.bincount(number, weights=values[known])[held]
     counts = counts[held].astype(np.float64)
-    drawn = np.random.default_rng(seed).integers(len(held), size=(NUM_DRAWS, len(held)))
+    drawn = np.random.default_rng(SEED).integers(len(held), size=(NUM_DRAWS, len(held)))
     means = sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1)
     ends = np.quantile(means, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
     student = special.stdtrit(len(held) - 1, 0.5 + 0.5 * LEVEL) / special.ndtri(0.5 + 0.5 * LEVEL)

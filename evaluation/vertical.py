@@ -31,8 +31,6 @@ _FEWEST = 4
 _MOST_OFF = 0.5
 # 95 % of normally distributed errors lie within so many standard deviations.
 WITHIN = 1.96
-# Share of normally distributed errors outside.
-_MISSED = 0.05
 NUM_FIFTHS = 5
 # Classes by the number of photographs that agree, the last one open.
 VIEW_CLASSES = ((2, 2), (3, 4), (5, 7), (8, 65535))
@@ -227,20 +225,6 @@ class Coverage:
         """Coverage of the errors (N,) [m] in a ``mask`` (N,) bool."""
         covered = np.abs(error[mask]) < WITHIN * std[mask]
         return Coverage(float(covered.mean()) if len(covered) else float("nan"), len(covered))
-
-
-def interval_score(error: np.ndarray, std: np.ndarray) -> float:
-    """Mean interval score [m] of 95 % intervals: their width plus forty times the distance of errors beyond them.
-
-    Lower is better. It is least for intervals of the true standard deviations (Gneiting and Raftery 2007, equation 43).
-
-    Parameters
-    ----------
-    error, std : (N,) [m]
-        Finite.
-    """
-    half = WITHIN * std
-    return float(np.mean(2.0 * half + (2.0 / _MISSED) * np.maximum(np.abs(error) - half, 0.0)))
 
 
 def coverage_by_class(

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from drawn_runs import drawn
-from scipy.special import ndtr, ndtri
 from slow_cases import slow
 
-from evaluation import coverage_by_class, interval_score, slope_below, vertical_difference
+from evaluation import coverage_by_class, slope_below, vertical_difference
 from evaluation.vertical import WALL_DEG
 from geo import read_cloud
 from survey.progress import Progress
@@ -69,15 +68,3 @@ def test_the_slope_is_that_of_the_mesh_below():
     vertices = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 2.0], [0.0, 2.0, 0.0], [2.0, 2.0, 2.0]])
     faces = np.array([[0, 1, 2], [1, 3, 2]])
     np.testing.assert_allclose(slope_below(np.array([[0.5, 0.7, 3.0]]), vertices, faces), 45.0)
-
-
-def test_the_interval_score_is_least_for_the_true_standard_deviation():
-    # Errors of 2 mm std as the quantiles of their law, alike in number.
-    error = 0.002 * ndtri((np.arange(100_000) + 0.5) / 100_000)
-    found = {
-        factor: interval_score(error, np.full(len(error), factor * 0.002)) for factor in (0.8, 0.95, 1.0, 1.05, 1.3)
-    }
-    assert min(found, key=found.__getitem__) == 1.0
-    # Width, and the mean beyond it: 2 (density - 1.96 share) of the normal law beyond 1.96.
-    beyond = 2.0 * (np.exp(-0.5 * 1.96**2) / np.sqrt(2.0 * np.pi) - 1.96 * ndtr(-1.96))
-    assert found[1.0] == pytest.approx(0.002 * (2.0 * 1.96 + 40.0 * beyond), rel=1e-4)

@@ -6,7 +6,6 @@ import igl
 import numpy as np
 import pytest
 
-from evaluation import vertical as module
 from evaluation import vertical_difference
 
 # A quotient of cross products of coordinates up to 1e3 m.
@@ -66,18 +65,18 @@ def test_walls_and_empty_meshes_give_none():
     assert len(vertical_difference(np.empty((0, 3)), wall, np.array([[0, 1, 2]]))) == 0
 
 
-def test_one_large_triangle_among_many_small_ones_and_small_blocks_change_nothing(rng, monkeypatch):
+def test_large_triangles_among_many_small_ones_and_blocks_of_points_change_nothing(rng):
     vertices, faces = _relief(rng)
     far = np.array([[-500.0, -500, -30], [900, -500, -30], [0, 900, -30]])
-    both = np.concatenate([vertices, far]), np.concatenate([faces, len(vertices) + np.array([[0, 1, 2]])])
+    # So many that the cells get larger, and that the points are taken in two blocks.
+    both = np.concatenate([vertices, far]), np.concatenate([faces, np.tile(len(vertices) + np.arange(3), (180, 1))])
     points = np.column_stack([rng.uniform(0.0, 10.0, (3000, 2)), rng.uniform(-0.5, 0.5, 3000)])
     expected = vertical_difference(points, vertices, faces)
-    monkeypatch.setattr(module, "_PAIRS", 100)
-    monkeypatch.setattr(module, "_ENTRIES", 100)
     steps = []
     found = vertical_difference(points, *both, advance=steps.append)
     np.testing.assert_allclose(found, expected, atol=ROUNDING_M)
     assert sum(steps) == len(points)
+    assert np.count_nonzero(steps) > 1
 
 
 @pytest.mark.parametrize("shift", [0.0, 5e6])

@@ -25,16 +25,16 @@ POLYGONS = [[0, 1, 2], [0, 2, 4, 3], [0, 1, 2, 4, 3]]
 CUT = [[0, 1, 2], [0, 2, 4], [0, 4, 3], [0, 1, 2], [0, 2, 4], [0, 4, 3]]
 
 
-def ply_bytes(faces, *, form="binary_little_endian", coordinate="double", extra=False) -> bytes:
-    """A PLY file of CORNERS and faces; ``extra`` puts a further column and another element in the way."""
+def ply_bytes(faces, *, form="binary_little_endian", coordinate="double", extra=False, corners=CORNERS) -> bytes:
+    """A PLY file of corners and faces; ``extra`` puts a further column and another element in the way."""
     order = ">" if form.endswith("big_endian") else "<"
     kind = {"double": "d", "float": "f"}[coordinate]
-    lines = ["ply", f"format {form} 1.0", "comment made by hand", f"element vertex {len(CORNERS)}"]
+    lines = ["ply", f"format {form} 1.0", "comment made by hand", f"element vertex {len(corners)}"]
     lines += [f"property {coordinate} {axis}" for axis in "xyz"]
     lines += ["property uchar flag"] * extra + ["element camera 2", "property float f", "property short n"] * extra
     lines += [f"element face {len(faces)}"] + ["property int group"] * extra
     lines += ["property list uchar int vertex_indices"] + ["property list uchar float texcoord"] * extra
-    rows = [[(kind, v) for v in corner] + [("B", 7)] * extra for corner in CORNERS.tolist()]
+    rows = [[(kind, v) for v in corner] + [("B", 7)] * extra for corner in corners.tolist()]
     rows += [[("f", 2.5), ("h", -3)]] * (2 * extra)
     for face in faces:
         texture = [("B", 2), ("f", 0.5), ("f", 0.25)] * extra
@@ -170,13 +170,13 @@ def test_a_ply_cloud_that_cannot_be_written_says_so(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_single_precision_is_refused_only_where_its_steps_are_coarse(tmp_path, monkeypatch):
+def test_single_precision_is_refused_only_where_its_steps_are_coarse(tmp_path):
     (tmp_path / "m.ply").write_bytes(ply_bytes(TRIANGLES, coordinate="float"))
     with pytest.raises(UnreadableFile, match=r"m\.ply .*5194738 in single precision, with a resolution of 0\.5"):
         read_reference(tmp_path / "m.ply")
-    monkeypatch.setitem(globals(), "CORNERS", CORNERS - NORTHING)
-    (tmp_path / "local.ply").write_bytes(ply_bytes(TRIANGLES, coordinate="float"))
-    np.testing.assert_allclose(read_reference(tmp_path / "local.ply").vertices, CORNERS, rtol=1e-6, atol=1e-9)
+    near = CORNERS - NORTHING
+    (tmp_path / "local.ply").write_bytes(ply_bytes(TRIANGLES, coordinate="float", corners=near))
+    np.testing.assert_allclose(read_reference(tmp_path / "local.ply").vertices, near, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])

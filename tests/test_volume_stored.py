@@ -12,7 +12,6 @@ from command_line import bathynerf
 from painted_survey import painted_survey, run_over
 from PIL import Image
 
-import survey.viewer.shown
 import survey.volume.scene
 from bathynerf import Field, train_field
 from survey.commands.faults import BAD_INPUT
@@ -70,8 +69,7 @@ def test_a_field_whose_run_is_gone_says_how_it_is_told(folder, tmp_path):
     assert train_field(folder / "run", tmp_path / "f", **vars(OPTIONS)).run == folder / "run"
 
 
-def test_the_viewer_renders_it_from_a_browsers_place(folder, monkeypatch):
-    monkeypatch.setattr(survey.viewer.shown, "_ROWS", 40)
+def test_the_viewer_renders_it_from_a_browsers_place(folder):
     with LoadedRun(folder / "run") as run:
         shown = load_shown(run, None, volume=folder / "f")
     (field,) = shown.fields
@@ -79,9 +77,9 @@ def test_the_viewer_renders_it_from_a_browsers_place(folder, monkeypatch):
     above = shown.middle + np.array([0.0, 0.0, 8.0])
     down = camera_of_screen(above, np.diag([1.0, -1.0, -1.0]), math.radians(60.0), 1.5, 900.0)
     wet, dry = (field.picture(down, dry=dry) for dry in (False, True))
-    assert wet.shape == dry.shape == (40, 60, 3)
+    assert wet.shape == dry.shape == (200, 300, 3)
     assert (wet != dry).any()
-    assert (dry[20, 30] < 255).any()
+    assert (dry[100, 150] < 255).any()
 
 
 def test_one_of_another_result_is_refused(folder, tmp_path):

@@ -18,8 +18,10 @@ from torch import Tensor, nn
 
 from fields.volume.paths import Box, Paths
 
-# Octaves in which the coordinates enter the network.
-OCTAVES = 5
+# Octaves in which the coordinates enter the network, and its width.
+OCTAVES, HIDDEN = 5, 64
+# Samples of each path between the ellipsoid and infinity, even in u.
+LAYERS = 8
 
 
 class Shell(nn.Module):
@@ -33,31 +35,26 @@ class Shell(nn.Module):
     ----------
     box : Box
         Its corners lie on the ellipsoid.
-    layers : int
-        Samples of each path between the ellipsoid and infinity, even in u.
-    hidden : int
-        Width of the network.
     """
 
     centre: Tensor
     axes: Tensor
 
-    def __init__(self, box: Box, *, layers: int = 8, hidden: int = 64):
+    def __init__(self, box: Box):
         super().__init__()
-        self.layers = layers
         centre, axes = 0.5 * (box.low + box.high), 0.5 * np.sqrt(3.0) * box.size
         self.register_buffer("centre", torch.as_tensor(centre, dtype=torch.float32))
         self.register_buffer("axes", torch.as_tensor(axes, dtype=torch.float32))
         inputs = 4 * (1 + 2 * OCTAVES)
         self.network = nn.Sequential(
-            nn.Linear(inputs, hidden), nn.GELU(), nn.Linear(hidden, hidden), nn.GELU(), nn.Linear(hidden, 4)
+            nn.Linear(inputs, HIDDEN), nn.GELU(), nn.Linear(HIDDEN, HIDDEN), nn.GELU(), nn.Linear(HIDDEN, 4)
         )
 
     def forward(self, paths: Paths) -> Tensor:
         """Linear radiance (N, 3) that comes in from outside the box."""
         origin, direction = self.scaled(paths)
         nearest = self.first(origin, direction)
-        ends = nearest[:, None] * torch.linspace(1.0, 0.0, self.layers + 1, device=nearest.device)
+        ends = nearest[:, None] * torch.linspace(1.0, 0.0, LAYERS + 1, device=nearest.device)
         middle = torch.cat([0.5 * (ends[:, 1:] + ends[:, :-1]), nearest.new_zeros(len(paths), 1)], dim=1)
         raw = self.network(octaves(inverted(origin, direction, middle)))
         colour = nn.functional.softplus(raw[..., 1:], beta=4.0)

@@ -241,7 +241,6 @@ def matched_vector(
     *,
     steps: int = 100,
     rays: int = 512,
-    seed: int = 0,
 ) -> nn.Embedding:
     """The appearance vector with which a submodule matches another along rays to places that both show.
 
@@ -254,7 +253,7 @@ def matched_vector(
         One whose renderer has a single vector: the appearance to match.
     """
     own = vectors_of(target)
-    rng, place = np.random.default_rng(seed), target.renderer.model.place
+    rng, place = np.random.default_rng(0), target.renderer.model.place
     vector = appearance_vectors(1, own.shape[1]).to(place)
     vector.weight.data += own.mean(dim=0)
     source_cells = source.cells.to(place)
@@ -267,7 +266,7 @@ def matched_vector(
             paths.rgb = source.renderer.render(source_paths, samples).rgb.clamp(max=1.0)
         return paths
 
-    fit_vectors(target.renderer, vector, target.cells, draw, steps=steps, seed=seed)
+    fit_vectors(target.renderer, vector, target.cells, draw, steps=steps)
     return vector
 
 

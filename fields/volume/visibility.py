@@ -22,23 +22,25 @@ from fields.volume.paths import Box, Paths, paths_of
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import Rendered, VolumeRenderer
 from fields.volume.sampling import Cells
-from fields.volume.shell import OCTAVES, octaves
+from fields.volume.shell import HIDDEN, OCTAVES, octaves
 from refract import PinholeCamera, WaterSurface
 
 # Samples of a path of a view, and paths along the longer side of its picture.
 SAMPLES, ACROSS = 8, 32
+# Samples of a path in training.
+TRAINED_SAMPLES = 24
 RATE = 0.005
 
 
 class Visibility(nn.Module):
     """The transmittance (S,), 0 to 1, with which positions (S, 3) [m] in a box are seen along directions (S, 3)."""
 
-    def __init__(self, box: Box, *, hidden: int = 64):
+    def __init__(self, box: Box):
         super().__init__()
         self.box = box
         self.network = nn.Sequential(
-            nn.Linear(3 * (1 + 2 * OCTAVES) + 3, hidden), nn.GELU(), nn.Linear(hidden, hidden), nn.GELU(),
-            nn.Linear(hidden, 1),
+            nn.Linear(3 * (1 + 2 * OCTAVES) + 3, HIDDEN), nn.GELU(), nn.Linear(HIDDEN, HIDDEN), nn.GELU(),
+            nn.Linear(HIDDEN, 1),
         )  # fmt: skip
 
     def forward(self, x: Tensor, direction: Tensor) -> Tensor:
@@ -92,7 +94,6 @@ def train_visibility(
     *,
     steps: int = 200,
     rays: int = 1024,
-    samples: int = 24,
     seed: int = 0,
 ) -> Visibility:
     """The visibility of a trained volume, which stays as it is, from the paths of its photographs."""
@@ -104,7 +105,7 @@ def train_visibility(
     for _ in range(steps):
         paths = photographs.draw(rays, renderer.model.box, rng).to(place)
         with torch.no_grad():
-            rendered = renderer.render(paths, renderer.samples(paths, cells, samples, jitter=True))
+            rendered = renderer.render(paths, renderer.samples(paths, cells, TRAINED_SAMPLES, jitter=True))
         loss = found.loss(paths, rendered)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()

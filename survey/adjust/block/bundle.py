@@ -117,8 +117,14 @@ def _near_minimum(problem: Problem, start: State, variance_factor: np.ndarray) -
 
 
 def _taken(problem: Problem, system: System) -> float:
-    """How many coordinates the parameters take: each takes one, less the share that its prior determines."""
-    return float(np.sum(1.0 - system.normal.inverse_diagonal() / problem.priors.std**2))
+    """How many coordinates the parameters take: each takes one, less the share that its prior determines.
+
+    With the covariance C and the normal matrix W of the priors that is the trace of ``1 - C W``.
+    """
+    priors, taken = problem.priors, np.sum(1.0 - system.normal.inverse_diagonal() / problem.priors.std**2)
+    if priors.rows is not None and priors.signs is not None:
+        taken -= priors.signs @ np.sum(priors.rows * system.normal.factor().solve(priors.rows.T).T, axis=1)
+    return float(taken)
 
 
 def levenberg_marquardt(

@@ -26,7 +26,6 @@ from survey.errors import ConfigError, ImageError, PosesError, SurveyError
 from survey.photos.exif import Exif, read_exif
 from survey.photos.rotations import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.settings.config import CamerasConfig
-from survey.sfm import absolute_orientation
 from survey.sfm import block as sfm_block
 from survey.sfm import solve as sfm_solve
 from survey.sfm.gps import gps_positions
@@ -210,9 +209,14 @@ def test_poses_and_lenses_of_a_block_project_as_pycolmap_does():
 
 def test_a_focal_length_that_parallel_views_cannot_tell_is_put_back(rng):
     block, centres = synthetic_block(rng, focal=1130.0)
-    is_reset, notes = absolute_orientation.reset_focals(block, dict.fromkeys(centres, 889.0))
-    assert is_reset
+    notes = sfm_solve.reset_focals(block, dict.fromkeys(centres, 889.0))
     assert sfm_block.camera_of(block, "00.jpg").focal_length == 889.0
+    # Seen from as high as before, the ground is that much nearer.
+    depths = [
+        centre[2] - np.median(sfm_block.points_of(block)[:, 2]) for centre, _ in sfm_block.poses_of(block).values()
+    ]
+    assert np.median(depths) == pytest.approx(40.0 * 889.0 / 1130.0, rel=0.02)
+    assert block.compute_mean_reprojection_error() < 0.5
     assert "889 px, is kept instead of the solved 1130 px" in notes[0]
 
 
@@ -220,14 +224,13 @@ def test_a_focal_length_that_parallel_views_cannot_tell_is_put_back(rng):
     ("focal", "tilt_deg", "nominal", "said"),
     [
         (1130.0, 25.0, 889.0, 0),  # convergent views tell the focal length
-        (910.0, 0.0, 889.0, 0),  # EXIF is not better than that
+        (905.0, 0.0, 889.0, 0),  # EXIF is not better than that
         (1130.0, 0.0, None, 1),  # nothing to put back, but a warning
     ],
 )
 def test_other_focal_lengths_are_left_alone(rng, focal, tilt_deg, nominal, said):
     block, centres = synthetic_block(rng, focal=focal, tilt_deg=tilt_deg)
-    is_reset, notes = absolute_orientation.reset_focals(block, dict.fromkeys(centres, nominal))
-    assert not is_reset
+    notes = sfm_solve.reset_focals(block, dict.fromkeys(centres, nominal))
     assert sfm_block.camera_of(block, "00.jpg").focal_length == focal
     assert len(notes) == said
 

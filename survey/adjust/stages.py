@@ -12,7 +12,7 @@ from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.control_check import contradicted_points, contradiction_warning, has_unchecked_control
 from survey.adjust.block.observed import CELLS, PER_CELL, Observed, observed, sizes_of, thinned
 from survey.adjust.block.on_ground import moved_by, shift_onto
-from survey.adjust.block.priors import PriorKnowledge, prior_of
+from survey.adjust.block.priors import PriorKnowledge, SharedShift, prior_of
 from survey.adjust.block.state import NUM_POSE, NUM_WATER, WATER_PARAMETERS
 from survey.adjust.common_height import apply_level_datum, drop_common_height, water_start, with_common
 from survey.adjust.focal_lengths import FocalDrift, with_focal_std, with_focals
@@ -66,6 +66,8 @@ class StagedAdjustment:
             placed = self._onto_ground(ground, part)
             self.prior, start, part = placed.prior, placed.start, placed.part
             self._is_against_positions = placed.is_against_positions
+        elif start.shifts:
+            start, part = self._onto_stated_positions(part)
         self._parts = [part]
         if self._free_water:
             return self._adjust_free(start)
@@ -103,6 +105,15 @@ class StagedAdjustment:
         done, self._unobservable = adjust_free(self._survey, start, self._observed)
         return done
 
+    def _onto_stated_positions(self, part: tuple[int, TiePoints]) -> tuple[PriorKnowledge, tuple[int, TiePoints]]:
+        """Block and tie points as high as stated positions have them: others have moved structure from motion too."""
+        prior, (kind, ties) = self.prior, part
+        std = prior.std[prior.layout.first_pose :].reshape(-1, NUM_POSE)[:, :3]
+        stated = np.isfinite(std).all(axis=1) & ~prior.unknown_positions
+        shift = np.median((prior.mean.centres - prior.state.centres)[stated], axis=0)
+        state = replace(prior.state, centres=prior.state.centres + shift)
+        return replace(prior, state=state), (kind, replace(ties, start=ties.start + shift))
+
     def _onto_ground(self, ground: StableGround, part: tuple[int, TiePoints]) -> _OnGround:
         """Block and tie points shifted onto the ground, after an adjustment without it; positions too, where it shows.
 
@@ -114,7 +125,8 @@ class StagedAdjustment:
         stated = stated[np.isfinite(stated).all(axis=1)]
         are_stated = len(stated) > 0 and not self.prior.unknown_positions.any()
         shared = np.median(stated, axis=0) if are_stated else np.full(3, GPS_STD_M)
-        prior = replace(self.prior, shared_std=shared)
+        every = np.ones(len(self.prior.unknown_positions), dtype=bool)
+        prior = replace(self.prior, shifts=(SharedShift(every, shared),))
         alone = replace(self._seen([part], prior), ground=None)
         try:
             done = adjust(prior, alone)
@@ -128,8 +140,8 @@ class StagedAdjustment:
         of_both = np.sqrt(shared**2 + np.square([horizontal, horizontal, vertical]) + _START_STD_M**2)
         is_against_positions = are_stated and bool((np.abs(off) > MOST_SIGMAS * of_both).any())
         if not are_stated or is_against_positions:
-            shared = np.maximum(shared, GPS_STD_M)
-            prior = replace(prior, mean=replace(prior.mean, centres=prior.mean.centres + off), shared_std=shared)
+            shifts = (SharedShift(every, np.maximum(shared, GPS_STD_M)),)
+            prior = replace(prior, mean=replace(prior.mean, centres=prior.mean.centres + off), shifts=shifts)
         start = replace(prior, state=replace(state, centres=state.centres + shift))
         return _OnGround(prior, start, (kind, replace(ties, start=ties.start + shift)), is_against_positions)
 

@@ -33,6 +33,8 @@ class Observations:
     ties: TiePoints | None = field(default=None, compare=False, repr=False)
     # dict of name to PosePrior: prior of the pose of each view
     priors: Mapping[str, PosePrior] = field(default_factory=dict, compare=False, repr=False)
+    # dict of name to float [px]: by EXIF, of views that structure from motion placed; without doubtful ones
+    exif_focals: Mapping[str, float] = field(default_factory=dict, compare=False, repr=False)
     control: Control | None = field(default=None, compare=False, repr=False)  # Control points that the photographs show
     # Points that results are compared with; none where there is no file of them
     checkpoints: tuple[Checkpoint, ...] = field(default=(), compare=False, repr=False)

@@ -141,7 +141,9 @@ def views_of_photographs(
     solved, rejected, findings = solve_views(found, workspace, report)
     placed, added = _with_images(PlacedViews(found, solved.frame, list(solved.views)), None)
     priors = priors_of_gps(found, placed.frame, placed.views, rejected)
-    placed = replace(placed, observations=Observations(solved.ties.start, solved.ties, priors))
+    headers = {view.name: found.headers[view.name] for view in placed.views}
+    focals = {name: each.focal_px for name, each in headers.items() if each.focal_px and not each.focal_warning}
+    placed = replace(placed, observations=Observations(solved.ties.start, solved.ties, priors, focals))
     placed, of_control = _with_control(placed)
     placed, of_parts = checked_parts(placed)
     return placed, findings + added + of_control + of_parts

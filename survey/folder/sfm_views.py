@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,7 +35,6 @@ from survey.folder.plausible import (
     require_level_fits,
 )
 from survey.folder.pose_priors import GPS_STD_M, best_plan_std, common_up_std_of_exif
-from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.photos.images import require_all_complete
 from survey.photos.pixels import HEIC_SUFFIXES
@@ -44,7 +43,7 @@ from survey.settings.config import SurveyConfig
 from survey.sfm.control_fit import line_of_control
 from survey.sfm.datum import require_accurate
 from survey.sfm.gps import gps_positions, is_whole, positions_in_crs, transforms_into_crs
-from survey.sfm.gps_fit import MIN_STD_M, ROLL_REMEDY, is_contradicted, line_of
+from survey.sfm.gps_fit import FOCAL_SHARE, MIN_STD_M, ROLL_REMEDY, is_contradicted, line_of
 from survey.sfm.mark_rays import BlockControl
 from survey.sfm.settings import one_focal, require_size, require_solver
 from survey.words import RUN_FOLDER, SFM_FOLDER
@@ -195,7 +194,7 @@ def solve_views(
         )
     solved = {view.name for view in result.views}
     warnings += named([name for name in found.images if name not in solved], "image", "without a pose, left out")
-    rejected = _rejected_positions(result.views, result.gps_residual_m)
+    rejected = _rejected_positions(result)
     parts = [f"{name} (by {distance_text(metres)})" for name, metres in rejected.items()]
     warnings += named(
         parts, "GPS position", "that the block contradicts on straight rays, left out before the adjustment"
@@ -203,13 +202,30 @@ def solve_views(
     return result, set(rejected), Findings(tuple(result.notes), tuple(warnings))
 
 
-def _rejected_positions(views: Sequence[View], residuals: np.ndarray) -> dict[str, float]:
-    """Distance [m] of each GPS position that the block contradicts, by name; ``residuals`` (V, 3) [m]."""
+def _rejected_positions(result: SfmResult) -> dict[str, float]:
+    """Distance [m] of each GPS position that the block contradicts, by name."""
+    residuals = result.gps_residual_m - _heights_by_focals(result)
     return {
         view.name: float(np.linalg.norm(residual))
-        for view, residual, is_wrong in zip(views, residuals, is_contradicted(residuals), strict=True)
+        for view, residual, is_wrong in zip(result.views, residuals, is_contradicted(residuals), strict=True)
         if is_wrong
     }
+
+
+def _heights_by_focals(result: SfmResult) -> np.ndarray:
+    """Heights (V, 3) [m] by which all positions of a camera seem off together, up to what its focal length explains.
+
+    A focal length acts as a flying height does, and straight rays over water put it some per cent off.
+    """
+    residuals, ground = result.gps_residual_m, np.median(result.ties.start[:, 2])
+    known, off = np.isfinite(residuals).all(axis=1), np.zeros_like(residuals)
+    for lens in dict.fromkeys(view.lens for view in result.views):
+        own = np.array([view.lens == lens for view in result.views])
+        if (own & known).any():
+            up = np.median(residuals[own & known, 2]) - np.median(residuals[known, 2])
+            flown = np.median([view.camera.centre[2] for view in result.views if view.lens == lens]) - ground
+            off[own, 2] = up if abs(up) < FOCAL_SHARE * flown else 0.0
+    return off
 
 
 def require_focal(found: Found) -> None:

@@ -1,7 +1,6 @@
 """Absolute orientation of blocks of photographs, each by the GPS positions of its cameras or by control points.
 
-A similarity takes a block to local; focal lengths that it does not determine are reset to EXIF; the origin is lowered
-to the ground.
+A similarity takes a block to local; the origin is lowered to the ground.
 """
 
 from __future__ import annotations
@@ -38,11 +37,6 @@ from survey.sfm.solve import GIVE_POSES, FreeBlocks
 
 if TYPE_CHECKING:
     import pycolmap
-
-# With all axes within this angle of their mean, focal length and flying height are not determined separately.
-_PARALLEL_DEG = 12.0
-# Focal lengths in EXIF are within 5 % of calibrated ones, 35 mm equivalents of cropped images within 8 %.
-_FOCAL_SHARE = 0.08
 
 
 @dataclass(frozen=True)
@@ -162,7 +156,6 @@ def _place(
                 f"{error}; left out: {listed(lost)}"
             )
             continue
-        notes += _reset(block, sensors)
         placed.append(block)
         found.append(f"{_found(block, sum(len(sensor.names) for sensor in sensors))}; {by}")
     if not placed:
@@ -244,51 +237,6 @@ def _roll(
     angle = roll_by_ground(across, rotations, sfm_block.points_of(block))
     sfm_block.transform(block, across.rolled(angle))
     return "at the initial roll photographs look straight down across it"
-
-
-def _reset(block: pycolmap.Reconstruction, sensors: list[CameraBody]) -> list[str]:
-    return reset_focals(block, {name: sensor.focal_px for sensor in sensors for name in sensor.names})[1]
-
-
-def reset_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | None]) -> tuple[bool, list[str]]:
-    """Reset focal lengths that the block does not determine to those in EXIF; whether that was done, and notes.
-
-    Parameters
-    ----------
-    block : pycolmap.Reconstruction
-        Changed in place.
-    nominal : mapping of name to float or None
-        Focal lengths [px] in EXIF, by name in the block.
-
-    Notes
-    -----
-    Where all axes are parallel over flat ground, a longer focal length and a higher flight give the same images; small
-    errors of the lens model then determine the result, and heights and depths scale with it.
-    """
-    poses = sfm_block.poses_of(block)
-    axes = np.array([rotation[2] for _, rotation in poses.values()])
-    mean = axes.mean(axis=0) / np.linalg.norm(axes.mean(axis=0))
-    if np.degrees(np.arccos(np.clip(axes @ mean, -1.0, 1.0))).max() > _PARALLEL_DEG:
-        return False, []
-    found = {name: sfm_block.camera_of(block, name).focal_length for name in poses}
-    in_exif = {name: focal for name in found if (focal := nominal[name]) is not None}
-    wrong = [name for name, focal in in_exif.items() if abs(found[name] / focal - 1.0) > _FOCAL_SHARE]
-    scales, notes = "heights and depths scale with it", []
-    if not in_exif:
-        notes.append(
-            f"all images look the same way and EXIF has no focal length: the solved one may be wrong, and {scales}; "
-            "give [cameras] focal_px if it is known"
-        )
-    if not wrong:
-        return False, notes
-    notes.append(
-        "all images look the same way, which does not determine focal length and flying height separately; the "
-        f"focal length in EXIF, {in_exif[wrong[0]]:.0f} px, is kept instead of the solved {found[wrong[0]]:.0f} px; "
-        f"{scales}, so give [cameras] focal_px if it is known better"
-    )
-    for name in wrong:
-        sfm_block.camera_of(block, name).focal_length = in_exif[name]
-    return True, notes
 
 
 def _residuals(block: pycolmap.Reconstruction, positions: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -228,6 +228,14 @@ def transform(block: pycolmap.Reconstruction, similarity: Similarity) -> None:
     block.transform(colmap.Sim3d(similarity.scale, rotation, similarity.shift))
 
 
+def adjust_with_focals(block: pycolmap.Reconstruction) -> None:
+    """Adjust a block with its focal lengths as they are; in place."""
+    options = solver().BundleAdjustmentOptions()
+    options.refine_focal_length, options.print_summary = False, False
+    options.ceres.solver_options.num_threads = THREADS
+    solver().bundle_adjustment(block, options)
+
+
 def points_of(block: pycolmap.Reconstruction) -> np.ndarray:
     """Points (N, 3) in the frame of the block."""
     return np.array([block.points3D[number].xyz for number in sorted(block.points3D)]).reshape(-1, 3)

@@ -23,6 +23,8 @@ from survey.photos.rotations import enu_from_yaw_pitch_roll
 MIN_STD_M = 0.02
 # Cameras closer to one line than this many std, or share of its length, leave the roll of the block about it open.
 _LINE_STD, _LINE_SHARE = 3.0, 0.03
+# Focal lengths in EXIF are within 5 % of calibrated ones, 35 mm equivalents of cropped images within 8 %.
+FOCAL_SHARE = 0.08
 ROLL_REMEDY = "give control beside the line, or attitudes in XMP, or add images of a second strip"
 # When the shape of all positions is asked for, one of so many may be wrong: farther from their middle than the median
 # by this factor. Of a strip the ends are twice as far.

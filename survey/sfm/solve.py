@@ -25,6 +25,10 @@ from survey.sfm.pairs import LEAST_HEIGHT_M, Place
 if TYPE_CHECKING:
     import pycolmap
 
+# With all axes within this angle of their mean, focal length and flying height are not determined separately.
+_PARALLEL_DEG = 12.0
+# So near are most focal lengths in EXIF to calibrated ones.
+_FOCAL_SHARE = 0.02
 # The height of the cameras over a level is rounded up by steps of this factor.
 _STEP = 1.1
 GIVE_POSES = f"give poses made elsewhere in [cameras] poses in {FILE_NAME}"
@@ -104,7 +108,52 @@ def solve(photographs: Photographs, work: Path, report: Callable[[str], None]) -
         Called with a sentence on the progress.
     """
     separate = without_shared_images(_blocks(photographs, work, report))
-    return FreeBlocks(separate, tuple(left_out(separate, list(photographs.images))))
+    sensors = sensors_of(photographs.headers, photographs.focal_px)
+    nominal = {name: sensor.focal_px for sensor in sensors for name in sensor.names}
+    notes = [note for block in separate for note in reset_focals(block, nominal)]
+    return FreeBlocks(separate, (*left_out(separate, list(photographs.images)), *notes))
+
+
+def reset_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | None]) -> list[str]:
+    """Reset focal lengths that the block does not determine to those in EXIF, and adjust it with them; notes.
+
+    Parameters
+    ----------
+    block : pycolmap.Reconstruction
+        Changed in place.
+    nominal : mapping of name to float or None
+        Focal lengths [px] in EXIF, by name in the block.
+
+    Notes
+    -----
+    Where all axes are parallel over flat ground, a longer focal length and a higher flight give the same images; small
+    errors of the lens model, and the bend of rays at the water, then determine the result, and heights and depths scale
+    with it.
+    """
+    poses = sfm_block.poses_of(block)
+    axes = np.array([rotation[2] for _, rotation in poses.values()])
+    mean = axes.mean(axis=0) / np.linalg.norm(axes.mean(axis=0))
+    if np.degrees(np.arccos(np.clip(axes @ mean, -1.0, 1.0))).max() > _PARALLEL_DEG:
+        return []
+    found = {name: sfm_block.camera_of(block, name).focal_length for name in poses}
+    in_exif = {name: focal for name in found if (focal := nominal[name]) is not None}
+    scales = "heights and depths scale with it"
+    if not in_exif:
+        return [
+            f"all images look the same way and EXIF has no focal length: the solved one may be wrong, and {scales}; "
+            "give [cameras] focal_px if it is known"
+        ]
+    wrong = [name for name, focal in in_exif.items() if abs(found[name] / focal - 1.0) > _FOCAL_SHARE]
+    if not wrong:
+        return []
+    for name in wrong:
+        sfm_block.camera_of(block, name).focal_length = in_exif[name]
+    sfm_block.adjust_with_focals(block)
+    return [
+        "all images look the same way, which does not determine focal length and flying height separately; the "
+        f"focal length in EXIF, {in_exif[wrong[0]]:.0f} px, is kept instead of the solved {found[wrong[0]]:.0f} px; "
+        f"{scales}, so give [cameras] focal_px if it is known better"
+    ]
 
 
 def sensors_of(headers: Mapping[str, Exif], focal_px: float | None) -> list[CameraBody]:

@@ -19,7 +19,7 @@ import numpy as np
 from evaluation.robust import std_by_median
 from survey.adjust.block.bundle import Solution
 from survey.adjust.block.normal_matrix import NormalMatrix
-from survey.adjust.block.priors import ROTATION_STD, PriorKnowledge, without_shift
+from survey.adjust.block.priors import ROTATION_STD, PriorKnowledge, without_shifts
 from survey.adjust.block.problem import Priors
 from survey.adjust.block.state import NUM_POSE
 
@@ -110,22 +110,32 @@ def agreeing_positions(prior: PriorKnowledge, solution: Solution) -> np.ndarray:
         return np.zeros(len(used), dtype=bool)
     off = solution.state.centres - prior.mean.centres
     off -= np.median(off[used], axis=0)
-    own = np.where(prior.unknown_positions[:, None], np.median(std[used], axis=0), prior.given_std)
+    for shift in prior.shifts:
+        off[shift.views] -= np.median(off[shift.views], axis=0)
     variance = _of_poses(prior, np.diag(solution.covariance))[:, :3]
-    return left_out & (np.abs(off) < _AGREES * np.sqrt(own**2 + variance)).all(axis=1)
+    return left_out & (np.abs(off) < _AGREES * np.sqrt(_own_std(prior) ** 2 + variance)).all(axis=1)
 
 
 def with_positions(prior: PriorKnowledge, again: np.ndarray) -> PriorKnowledge:
-    """The prior in which positions (V,) bool count as they were given."""
+    """The prior in which positions (V,) bool count as the others do."""
     std = prior.std.copy()
     poses = std[prior.layout.first_pose :].reshape(-1, NUM_POSE)
-    poses[again, :3] = prior.given_std[again]
+    poses[again, :3] = _own_std(prior)[again]
     return replace(prior, std=std)
+
+
+def _own_std(prior: PriorKnowledge) -> np.ndarray:
+    """Standard deviations (V, 3) [m] of positions: as given, or, where it is not, as others proved to be."""
+    std = _of_poses(prior, prior.std)[:, :3]
+    alike = np.isfinite(std).all(axis=1) & prior.unknown_positions
+    found = np.median(std[alike], axis=0) if alike.any() else prior.given_std
+    return np.where(prior.unknown_positions[:, None], found, prior.given_std)
 
 
 def _estimated(prior: PriorKnowledge, used: np.ndarray, blunders: np.ndarray) -> np.ndarray:
     """Mask (V, 6) of the pose coordinates whose standard deviation is estimated."""
     positions = prior.unknown_positions & used
+    positions &= positions.sum() >= _FEWEST
     rotations = prior.unknown_rotations & ~blunders[:, 1]
     return np.column_stack([*[positions] * 3, *[rotations] * 3])
 
@@ -138,7 +148,7 @@ def _components(prior: PriorKnowledge, solution: Solution, estimated: np.ndarray
     kinds = [kind for kind in kinds if kind.any()]
     miss, normal = deviation, solution.system.normal
     for step in range(_MOST_STEPS + 1):
-        residual, variance = _without_common_shift(prior, std, _of_poses(prior, miss), normal)
+        residual, variance = _without_shifts(prior, std, _of_poses(prior, miss), normal)
         redundancy = np.clip(1.0 - variance / std**2, _LEAST_REDUNDANCY, 1.0)
         scaled = np.abs(residual) / (std * np.sqrt(redundancy))
         factors = [_scale_of(scaled[kind], redundancy[kind]) for kind in kinds]
@@ -149,9 +159,9 @@ def _components(prior: PriorKnowledge, solution: Solution, estimated: np.ndarray
         precision = first.copy()
         precision[prior.layout.first_pose :] = std.ravel() ** -2.0
         normal, change = solution.system.normal.with_precision(precision - first), (precision - first) * deviation
-        if prior.shared_std is not None:
-            before, after = (without_shift(prior, prior.shared_std, each) for each in (first, precision))
-            normal = normal.with_rows(np.vstack([before, after]), np.repeat([1.0, -1.0], 3))
+        if prior.shifts:
+            before, after = (without_shifts(prior, each) for each in (first, precision))
+            normal = normal.with_rows(np.vstack([before, after]), np.repeat([1.0, -1.0], len(before)))
             change += before.T @ (before @ deviation) - after.T @ (after @ deviation)
         miss = deviation - normal.factor().solve(change)
     for kind in kinds:
@@ -160,28 +170,29 @@ def _components(prior: PriorKnowledge, solution: Solution, estimated: np.ndarray
     return std, scaled
 
 
-def _without_common_shift(
+def _without_shifts(
     prior: PriorKnowledge, std: np.ndarray, residual: np.ndarray, normal: NormalMatrix
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (V, 6) of poses and their variances after the adjustment, without the shift that positions share.
+    """Residuals (V, 6) of poses and their variances after the adjustment, without the shifts that positions share.
 
-    That shift is the mean of the residuals d by weights w, ``v'd`` with ``v = w / (sum w + 1 / s^2)``; of ``d - v'd``
+    A shift is the mean of its residuals d by weights w, ``v'd`` with ``v = w / (sum w + 1 / s^2)``; of ``d - v'd``
     the variances are ``C_ii - 2 (C v)_i + v' C v``.
     """
-    variance = _of_poses(prior, normal.inverse_diagonal()).copy()
-    # Of unknown standard deviations the iteration ends near zero where the shift is all that positions are off by.
-    if prior.shared_std is None or prior.unknown_positions.any():
-        return residual, variance
-    residual = residual.copy()
-    for axis in range(3):
-        at = prior.layout.first_pose + axis + NUM_POSE * np.arange(len(std))
-        weight = std[:, axis] ** -2.0
-        weight = weight / (weight.sum() + prior.shared_std[axis] ** -2.0)
-        of_all = np.zeros(len(prior.std))
-        of_all[at] = weight
-        of_shift = normal.factor().solve(of_all)[at]
-        residual[:, axis] -= weight @ residual[:, axis]
-        variance[:, axis] += weight @ of_shift - 2.0 * of_shift
+    residual, variance = residual.copy(), _of_poses(prior, normal.inverse_diagonal()).copy()
+    for shift in prior.shifts:
+        # Without any that are stated the iteration ends near zero where the shift is all that positions are off by.
+        if shift.views.all() and prior.unknown_positions.any():
+            continue
+        own = np.flatnonzero(shift.views)
+        for axis in range(3):
+            at = prior.layout.first_pose + axis + NUM_POSE * own
+            weight = std[own, axis] ** -2.0
+            weight = weight / (weight.sum() + shift.std[axis] ** -2.0)
+            of_all = np.zeros(len(prior.std))
+            of_all[at] = weight
+            of_shift = normal.factor().solve(of_all)[at]
+            residual[own, axis] -= weight @ residual[own, axis]
+            variance[own, axis] += weight @ of_shift - 2.0 * of_shift
     return residual, variance
 
 

@@ -68,6 +68,14 @@ HELD_SHARE = 1e-9
 
 
 @dataclass(frozen=True)
+class SharedShift:
+    """A shift that positions have in common."""
+
+    views: np.ndarray  # (V,) bool: of the positions
+    std: np.ndarray  # (3,) [m], local
+
+
+@dataclass(frozen=True)
 class PriorKnowledge:
     """Start values, prior means and standard deviations of the parameters of an adjustment."""
 
@@ -86,8 +94,7 @@ class PriorKnowledge:
     # block is adjusted with that error: the level of its water counts as that much less certain.
     common_up_std: float = 0.0
     rolls: tuple[Roll, ...] = ()  # That positions on a line leave open
-    # (3,) [m], local, or None: of a shift that all positions have in common; None where they count as independent
-    shared_std: np.ndarray | None = None
+    shifts: tuple[SharedShift, ...] = ()  # Without one of theirs, positions count as independent
 
     @property
     def place_of_water(self) -> tuple[float, float]:
@@ -141,7 +148,10 @@ def prior_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKn
             np.concatenate([position_std, rotation_std], axis=1).ravel(),
         ]
     )
-    return PriorKnowledge(layout, lenses, state, mean, std, unknown, given_std, unknown_rotations, common_up, rolls)
+    shifts = _shifts(survey, lens_of, unknown) if np.isfinite(given_std[~unknown]).any() else ()
+    return PriorKnowledge(
+        layout, lenses, state, mean, std, unknown, given_std, unknown_rotations, common_up, rolls, shifts
+    )
 
 
 def _layout(survey: Survey, lenses: tuple[Lens, ...], lens_of: np.ndarray, *, finds_focals: bool) -> Layout:
@@ -181,27 +191,35 @@ def priors_for(prior: PriorKnowledge, ties: TiePoints, point_std: np.ndarray | N
     """The priors of an adjustment with these points, known to (M, 3) [m] where any are."""
     free = np.full((len(ties), 3), np.inf) if point_std is None else point_std
     rows, signs = roll_priors(prior.rolls, prior.layout, prior.std) if prior.rolls else (None, None)
-    if prior.shared_std is not None:
-        shared = without_shift(prior, prior.shared_std, prior.std**-2.0)
+    if prior.shifts:
+        shared = without_shifts(prior, prior.std**-2.0)
         rows = shared if rows is None else np.concatenate([rows, shared])
         signs = np.concatenate([np.zeros(0) if signs is None else signs, np.full(len(shared), -1.0)])
     return Priors(replace(prior.mean, points=ties.start), prior.std, free, rows, signs)
 
 
-def without_shift(prior: PriorKnowledge, shared_std: np.ndarray, precision: np.ndarray) -> np.ndarray:
-    """Rows (3, P) of `Priors` that take out what a shift of all positions in common explains of their deviations.
+def without_shifts(prior: PriorKnowledge, precision: np.ndarray) -> np.ndarray:
+    """Rows (3 S, P) of `Priors` that take out what S shifts explain of the deviations of their positions.
 
-    ``shared_std`` (3,) [m] is that of the shift, ``precision`` (P,) are the inverse variances of the parameters.
-
-    With deviations d and weights w, the least over shifts b of ``sum w (d - b)^2 + b^2 / s^2`` is
+    ``precision`` (P,) are the inverse variances of the parameters. With deviations d and weights w, the least over a
+    shift b of standard deviation s of ``sum w (d - b)^2 + b^2 / s^2`` is
     ``sum w d^2 - (sum w d)^2 / (sum w + 1 / s^2)``.
     """
-    rows = np.zeros((3, len(prior.layout)))
-    for axis in range(3):
-        at = prior.layout.first_pose + axis + NUM_POSE * np.arange(len(prior.unknown_positions))
-        weights = precision[at]
-        rows[axis, at] = weights / math.sqrt(weights.sum() + shared_std[axis] ** -2.0)
-    return rows
+    rows = np.zeros((len(prior.shifts), 3, len(prior.layout)))
+    for of_shift, shift in zip(rows, prior.shifts, strict=True):
+        for axis in range(3):
+            at = prior.layout.first_pose + axis + NUM_POSE * np.flatnonzero(shift.views)
+            weights = precision[at]
+            of_shift[axis, at] = weights / math.sqrt(weights.sum() + shift.std[axis] ** -2.0)
+    return rows.reshape(-1, len(prior.layout))
+
+
+def _shifts(survey: Survey, lens_of: np.ndarray, unknown: np.ndarray) -> tuple[SharedShift, ...]:
+    """Of positions of unknown accuracy beside stated ones: those of a flight, by its camera, are off together."""
+    priors = [survey.observations.priors.get(view.name) for view in survey.views]
+    up = np.array([0.0 if prior is None else (prior.rejected or prior).common_up_std for prior in priors])
+    groups = [unknown & (lens_of == number) for number in np.unique(lens_of[unknown])]
+    return tuple(SharedShift(own, np.maximum(GPS_STD_M, [0.0, 0.0, up[own].max()])) for own in groups)
 
 
 def _shift_std(survey: Survey) -> np.ndarray:
@@ -266,12 +284,19 @@ def parameters_of(lens: Lens) -> np.ndarray:
 
 
 def _data_sheet(survey: Survey, lens: Lens) -> np.ndarray:
-    """The lens before any photograph was taken with it."""
+    """The lens before any photograph was taken with it.
+
+    Straight rays take some of the bend at the water into the focal length: of photographs without poses that in EXIF
+    counts, not that of structure from motion.
+    """
     given = parameters_of(lens)
     cameras = survey.config.cameras
     if survey.observations.ties is None or is_held(lens) or cameras.poses is not None:
         return given
     focal = cameras.focal_px[0] if isinstance(cameras.focal_px, tuple) else cameras.focal_px
+    if focal is None:
+        in_exif = survey.observations.exif_focals
+        focal = next((in_exif[view.name] for view in survey.views if view.lens == lens and view.name in in_exif), None)
     middle = cameras.principal_point_px or (0.5 * lens.width, 0.5 * lens.height)
     names = MODELS[cameras.model][1] if cameras.model in BROWN else ()
     given_by_name = dict(zip([name for name in names if name[0] in "kp"], cameras.distortion or (), strict=False))

@@ -8,27 +8,27 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
+from pyproj import CRS
 
 from geo.las import WITHHELD_STD_M, is_withheld
+from geo.reproject import Reprojection
 from refract import PinholeCamera
+from survey.adjust.result.adjustment import read_adjustment
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object
 from survey.photos.cameras import View
 from survey.photos.images import load_image, load_mask
 from survey.progress import current
-from survey.run.flight import Flight
+from survey.run.flight import Flight, load_flight
 from survey.run.folder import RunDir
-
-if TYPE_CHECKING:
-    from pyproj import CRS
-
-    from geo.reproject import Reprojection
-    from survey.run.stored import BedHeader, StoredBed
-    from survey.settings.config import SurveyConfig
+from survey.run.stored import BedHeader, StoredBed, load_bed, load_bed_columns, load_bed_header
+from survey.settings.config import SurveyConfig, read_config
+from survey.settings.tables import per_axis
+from survey.stage_key import stage_key
 
 # The stage whose folder holds the cloud.
 BED_STAGE = "bed"
@@ -48,7 +48,6 @@ class LoadedRun:
         self._bed_folder = self.folder.load_stage(BED_STAGE)
         self.stages: dict[str, str] = self.folder.result()["stages"]
         self._made: dict[Hashable, Any] = {}
-        self._reprojections: dict[str, Reprojection] = {}
         self._held = ExitStack()
 
     def __enter__(self) -> LoadedRun:
@@ -61,15 +60,11 @@ class LoadedRun:
     @cached_property
     def bed(self) -> StoredBed:
         """The cloud, in the CRS of the survey."""
-        from survey.run.stored import load_bed
-
         return load_bed(self._bed_folder)
 
     @cached_property
     def bed_header(self) -> BedHeader:
         """CRS, name and ground sampling distance, without the points."""
-        from survey.run.stored import load_bed_header
-
         return load_bed_header(self._bed_folder)
 
     def require_points(self) -> None:
@@ -108,8 +103,6 @@ class LoadedRun:
     @cached_property
     def flight(self) -> Flight:
         """Cameras, water and local frame; see `survey.run.flight`."""
-        from survey.run.flight import load_flight
-
         return load_flight(self.folder.path)
 
     @cached_property
@@ -119,20 +112,14 @@ class LoadedRun:
 
     def columns(self, *names: str) -> dict[str, np.ndarray]:
         """Some columns of the points; see `survey.run.stored.load_bed_columns`."""
-        from survey.run.stored import load_bed_columns
-
         return load_bed_columns(self._bed_folder, *names)
 
     def transformation_to(self, crs: str) -> Reprojection:
         """Transformation from the CRS of the survey to another one; see `geo.reproject.Reprojection`."""
-        from geo.reproject import Reprojection
-
-        if crs not in self._reprojections:
-            # One place of the survey restricts the choice of the operation to those that hold there.
-            self._reprojections[crs] = Reprojection.between(
-                self.bed_header.crs, crs, where="--crs", places=self.some_place
-            )
-        return self._reprojections[crs]
+        # One place of the survey restricts the choice of the operation to those that hold there.
+        return self.once(
+            ("crs", crs), lambda: Reprojection.between(self.bed_header.crs, crs, where="--crs", places=self.some_place)
+        )
 
     def bed_in(self, crs: str | None, *, certain: bool = False) -> StoredBed:
         """The cloud, or `certain_bed`, with its coordinates in another CRS; None for that of the survey.
@@ -163,15 +150,11 @@ class LoadedRun:
     @cached_property
     def config(self) -> SurveyConfig:
         """The settings that took effect."""
-        from survey.settings.config import read_config
-
         return read_config(self.folder.settings_path)
 
     @cached_property
     def is_true_colour(self) -> bool:
         """Whether points have the colour of the bed without its water."""
-        from survey.stage_key import stage_key
-
         parts = read_json_object(self._bed_folder / "stage.json").get("parts") or {}
         return parts.get("true_colour", stage_key(None)) != stage_key(None)
 
@@ -182,14 +165,10 @@ class LoadedRun:
         That of an adjustment, else what survey.toml says of the positions, else 0: they were taken as exact.
         """
         if (self.folder.path / "adjustment.json").is_file():
-            from survey.adjust.result.adjustment import read_adjustment
-
             return float(read_adjustment(self.folder.path).poses.position_std[:, :2].max(axis=1).mean())
         given = self.config.cameras.position_std_m
         if given is None:
             return 0.0
-        from survey.settings.tables import per_axis
-
         return float(max(per_axis(given)[:2]))
 
     @cached_property

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from survey import machine
 from survey.adjust.applied import at_state
 from survey.adjust.block.observed import MATCH, WINDOW
 from survey.adjust.block.priors import PriorKnowledge, prior_of
@@ -38,12 +37,10 @@ from survey.errors import GivenValueTest, SurveyError
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
 from survey.plan.check_inputs import DOWN_DEG, GIVE_LEVEL, tilts_deg
-from survey.plan.choices import Choices
-from survey.plan.plan import make_plan
-from survey.plan.rates import adjustment_s
 from survey.plan.recipe import gsd_m
-from survey.plan.workload import amounts_of_run
 
+# Of the time of an adjustment, about: of matches, of windows, and of all.
+_SHARES = (0.3, 0.4, 0.3)
 # Windows are measured up to four times as well as matches, and are as many.
 _MOST_GAIN = 6.0
 
@@ -116,9 +113,9 @@ def _adjust_in_stages(survey: Survey, prior: PriorKnowledge, windows: TiePoints 
     device, advance, use_windows, free_water = asked.device, asked.advance, asked.use_windows, asked.free_water
     staged = StagedAdjustment(survey, prior, free_water)
     done: RobustSolution | None = None
-    shares = [0.0, 0.9, 0.1]
+    shares = (0.0, 0.9, 0.1)
     if survey.observations.ties is not None:
-        shares = _shares(survey, device) if use_windows else [1.0, 0.0, 0.0]
+        shares = _SHARES if use_windows else (1.0, 0.0, 0.0)
         ties = survey.observations.ties
         done = staged.first_ties(MATCH, dry_or_within_bounds(survey, ties) if free_water else ties)
         if use_windows and not survey.provenance.is_level_known and not free_water:
@@ -153,13 +150,6 @@ def _adjust_in_stages(survey: Survey, prior: PriorKnowledge, windows: TiePoints 
     if contradiction is not None and contradiction.is_of_lens:
         warnings.append(f"{contradiction}: the lens is estimated again under the given poses; correct it")
     return replace(found, notes=(*found.notes, *notes), warnings=(*found.warnings, *warnings))
-
-
-def _shares(survey: Survey, device: str) -> list[float]:
-    """Shares of the time of an adjustment: of matches, of windows, and of the adjustment of all."""
-    amounts = amounts_of_run(survey, make_plan(survey, Choices(device=device)))
-    seconds = adjustment_s(amounts, machine.num_cores())
-    return [each / sum(seconds) for each in seconds]
 
 
 def _require_level(survey: Survey, done: RobustSolution) -> None:

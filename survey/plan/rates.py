@@ -18,16 +18,13 @@ from fields.sweep.passes import PASSES, POINTS_SHARE, Pass, before_solver
 START_S = 2.5
 # Samples of the sweep (pixels x hypotheses x neighbours) per core and second, by Dr.Jit on LLVM, including the search
 # beside steps; usual number of hypotheses of its first pass.
-SAMPLES_PER_CORE_S, _FIRST_HYPOTHESES = 55e6, 25
+_SAMPLES_PER_CORE_S, _FIRST_HYPOTHESES = 55e6, 25
 # Compilation of kernels, on all cores; the range of heights.
 _KERNELS_S, _RANGE_S = 2.0, 2.0
 # Check of poses with this many photographs, and adjustment with all, at most at this size [Mpx]; times once, and per
 # megapixel.
 _CHECKED, _MOST_MPX = 10, 6.0
 _CHECK_S, _ADJUST_S = (2.5, 0.1), (2.0, 2.0)
-# Windows of an adjustment: decoding and height range, once; matching the windows of a photograph in the others, on all
-# cores. Solving, once and per photograph; there are two, with matches and with all observations.
-_WINDOWS_S, _SEARCH_S, _SOLVING_S = 2.5, 0.4, (1.0, 0.25)
 # Structure from motion: features per megapixel and matching per pair, on all cores; mapping per photograph, on one.
 _FEATURES_S, _PAIR_S, _PLACING_S = 0.6, 0.1, 0.1
 SFM_PARTS = ("Features", "Matches", "Structure from motion")
@@ -64,7 +61,7 @@ def parts_s(amounts: Amounts, num_cores: int) -> dict[str, float]:
     elif amounts.poses == "refine":
         parts = {"Adjustment": _ADJUST_S[0] + _ADJUST_S[1] * mpx} | parts
     samples = _samples(map_px, before_solver(PASSES) if solves else PASSES)
-    parts["Sweep"] = _RANGE_S + (_KERNELS_S + samples / SAMPLES_PER_CORE_S) / num_cores
+    parts["Sweep"] = _RANGE_S + (_KERNELS_S + samples / _SAMPLES_PER_CORE_S) / num_cores
     if solves:
         parts["Solver"] = (_SOLVER_S[0] + _SOLVER_S[1] * map_px) / num_cores
     if amounts.field in IN_LAYER:
@@ -74,19 +71,6 @@ def parts_s(amounts: Amounts, num_cores: int) -> dict[str, float]:
         sample = min(amounts.points / SIDE_GSD**2, _MOST_BOXES)
         parts["Boxes beside edges"] = _BOX_S * sample / min(num_cores, _BOX_CORES)
     return parts | {"Report": _REPORT_S + 0.5 * _POINT_S * amounts.points}
-
-
-def adjustment_s(amounts: Amounts, num_cores: int) -> tuple[float, float, float]:
-    """Times [s] of an adjustment of matches, of windows, and of an adjustment of all."""
-    num_views, decoding = len(amounts.view_px), _DECODING_S * amounts.photographs_px.sum() / 1e6
-    solving = _SOLVING_S[0] + _SOLVING_S[1] * num_views
-    shared = _samples(float(amounts.map_px.sum()), PASSES[:2]) / SAMPLES_PER_CORE_S + search_s(num_views)
-    return solving, _WINDOWS_S + decoding + shared / num_cores, solving
-
-
-def search_s(num_views: int) -> float:
-    """Time [s] of the search for windows in a number of photographs, on one core."""
-    return _SEARCH_S * num_views
 
 
 def sfm_s(features_mpx: float, num_views: int, num_pairs: int, num_cores: int) -> dict[str, float]:

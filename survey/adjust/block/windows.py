@@ -19,7 +19,7 @@ from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap, trusted
 from fields.sweep.passes import PASSES
 from fields.sweep.sweep import sweep
-from fields.sweep.view_pass import SweepSettings, view_passes
+from fields.sweep.view_pass import SweepSettings
 from fields.sweep.views import cells_of, overlaps
 from refract import FlatWater, PinholeCamera
 from survey.adjust.block.matching import RADIUS, match, prepare_image, window
@@ -29,11 +29,12 @@ from survey.photos.poses import TiePoints, least_track
 from survey.plan.area import limits, local_area, within
 from survey.plan.choices import Choices
 from survey.plan.plan import Plan, make_plan
-from survey.plan.rates import SAMPLES_PER_CORE_S, search_s
 from survey.plan.sweep_block import camera_of, load_block
 
 # The coarse sweep: approximate heights of the bed. Beside steps, where there are no windows, nothing more is searched.
 _SWEPT = (PASSES[0], replace(PASSES[1], fuse=True, discontinuities=None))
+# Of the time of a search for windows, about.
+_OF_SWEEP = 0.5
 # Least number of photographs with windows that see each place: steep ones, and oblique ones from each quarter.
 _TIMES_SEEN = (2, 1)
 # Most photographs in which a window is searched for, and the angles between directions of view: windows at wider angles
@@ -100,10 +101,9 @@ def measure_tie_points(
     """
     block.set_overlap_height(0.5 * (bound[0] + bound[1]))
     chosen, shares = block.cover(*_TIMES_SEEN, area), [0.0]
-    of_sweep = _share_of_sweep(block, chosen, bound)
 
     def swept(share: float) -> None:
-        advance(of_sweep * (share - shares[-1]))
+        advance(_OF_SWEEP * (share - shares[-1]))
         shares.append(share)
 
     maps = sweep(block, chosen, SweepSettings(bound, _SWEPT), swept)
@@ -117,15 +117,8 @@ def measure_tie_points(
         for other, found in enumerate(pool.map(partial(_found_in, block, windows), range(len(block.cameras)))):
             for i, index, pixels in found:
                 parts[i].append((index, other, pixels))
-            advance((1.0 - of_sweep) / len(block.cameras))
+            advance((1.0 - _OF_SWEEP) / len(block.cameras))
     return _concatenate(windows, parts, least_track(len(block.cameras)))
-
-
-def _share_of_sweep(block: Block, chosen: list[int], bound: tuple[float, float]) -> float:
-    """The share of the time that the sweep takes; the search for windows takes the rest."""
-    work = [each for n, p in enumerate(_SWEPT) for each in view_passes(block, chosen, p, None if n else bound)]
-    sweep_s = sum(each.samples for each in work) / SAMPLES_PER_CORE_S
-    return sweep_s / (sweep_s + search_s(len(block.cameras)))
 
 
 def _found_in(block: Block, windows: list[_Windows], other: int) -> list[tuple[int, np.ndarray, np.ndarray]]:

@@ -67,7 +67,7 @@ def test_noise_of_counting_grows_with_light_and_exposure_drifts_from_image_to_im
         image = counted.photograph(grey_eye(value), camera, lens, (1, 0)) / 255.0
         # Twice the counting error of a standard deviation over 20 736 values.
         assert (image**2.2).std() == pytest.approx(math.sqrt(value / 500.0), rel=0.03)
-    drifting = Sensor(drift=0.05)
+    drifting = Sensor(exposure_drift=0.05)
     means = [drifting.photograph(grey_eye(0.3), camera, lens, (1, k)).mean() for k in range(12)]
     steps = np.diff(2.2 * np.log(means))
     assert 0.02 < steps.std() < 0.1

@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
-from geo.crs import EARTH_RADIUS_M, height_unit_m, middle_lon_lat
+from geo.crs import EARTH_RADIUS_M, height_unit_m
 from geo.sun import Sun, sun_at
 from refract import PinholeCamera
 from survey.display.quantities import listed
@@ -16,7 +16,7 @@ from survey.folder.faults import above_start_of, place_of
 from survey.folder.found import Found
 from survey.folder.motion import velocities_of
 from survey.folder.survey import Survey
-from survey.photos.exif import Exif
+from survey.photos.exif import Exif, middle_of
 from survey.photos.rotations import enu_from_yaw_pitch_roll
 from survey.photos.texture import MOSTLY_WHITE, bytes_per_pixel, image_detail, relative_sharpness
 from survey.plan.area import in_the_middle
@@ -274,13 +274,9 @@ def times_of(headers: Mapping[str, Exif], longitude_deg: float) -> tuple[list[da
 
 def _place(found: Found, survey: Survey | None) -> tuple[float, float] | None:
     """Latitude and longitude [deg] of the survey."""
-    if survey is not None:
-        return place_of(survey.frame.crs, np.array(survey.frame.origin))
-    places = [header.lat_lon_height[1::-1] for header in found.headers.values() if header.lat_lon_height is not None]
-    if not places:
-        return None
-    lon, lat = middle_lon_lat(np.array(places)).tolist()
-    return lat, lon
+    if survey is None:
+        return middle_of(found.headers)
+    return place_of(survey.frame.crs, np.array(survey.frame.origin))
 
 
 def _flight(found: Found, survey: Survey | None) -> GlitterOfFlight | None:

@@ -166,9 +166,9 @@ class CameraSettings:
 class SensorSettings:
     """[sensor]: noise, exposure and motion blur."""
 
-    noise: float = key(1.0, least=0)  # [grey levels]
+    noise: float = key(1.0, least=0)  # [grey levels], independent of the signal
     photons_at_white: float = key(0.0, least=0)  # 0: no shot noise
-    exposure: float = key(1.0, above=0)
+    exposure: float = key(1.0, above=0)  # linear grey per radiance
     exposure_drift: float = key(0.0, least=0)  # step of the logarithm from image to image
     blur_m: float = key(0.0, least=0)  # flown while the shutter is open
     shutter_s: float | None = key(None, above=0)  # open for so long, at flight.speed_m_s: instead of blur_m

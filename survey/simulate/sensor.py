@@ -10,6 +10,7 @@ import numpy as np
 from fields.image_store import GAMMA
 from refract import PinholeCamera
 from refract.lens import Lens, normalised
+from survey.simulate.scene_file import SensorSettings
 
 # Linear radiance (N, 3) along rays from origins (N, 3) in directions (N, 3), with a seed for random sampling.
 RadianceFunction = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
@@ -21,16 +22,12 @@ _STEPS = 1.0 / 1.2207440846057596 ** np.arange(1, 4)
 
 
 @dataclass(frozen=True)
-class Sensor:
-    """Sensor of a camera: from radiance to grey levels."""
+class Sensor(SensorSettings):
+    """Sensor of a camera: from radiance to grey levels; its blur is toward the top of the image."""
 
+    noise: float = 0.0
     samples: int = 4  # Rays per pixel
     is_jittered: bool = False  # Whether rays are jittered in the pixel; else on a regular square grid
-    noise: float = 0.0  # [grey levels]: standard deviation of the signal-independent noise
-    photons_at_white: float = 0.0  # [-]: photons that a white pixel counts; 0 for no shot noise
-    exposure: float = 1.0  # [-]: linear grey per radiance
-    drift: float = 0.0  # [-]: step of the random walk that the logarithm of the exposure takes from image to image
-    blur_m: float = 0.0  # [m]: distance flown, toward the top of the image, while the shutter is open
 
     def photograph(
         self, radiance_of: RadianceFunction, camera: PinholeCamera, lens: Lens, seed: tuple[int, int]
@@ -97,10 +94,10 @@ class Sensor:
                     yield part, np.broadcast_to(rows, (part.stop - part.start, *rows.shape))
 
     def _walk(self, scene: int, index: int) -> float:
-        if self.drift == 0.0:
+        if self.exposure_drift == 0.0:
             return 1.0
         steps = np.random.default_rng([scene, 7]).standard_normal(index + 1)
-        return float(np.exp(self.drift * steps.sum()))
+        return float(np.exp(self.exposure_drift * steps.sum()))
 
 
 def _rays_of(lens: Lens, camera: PinholeCamera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -59,7 +59,9 @@ class TrainedField:
     @staticmethod
     def of_run(folder: Path, water: FlatWater | None) -> TrainedField:
         """The field that `process --field` left in the folder of its stage."""
-        return TrainedField("field", lambda _note: _of_run(folder, water))
+        from survey.run.stored_field import load_layer_field
+
+        return TrainedField("field", lambda _note: load_layer_field(folder, water, "auto").view)
 
     @staticmethod
     def volume(folder: Path, run: LoadedRun) -> TrainedField:
@@ -79,12 +81,6 @@ class TrainedField:
         with self._lock:
             seen = self._render(camera.scaled(_ROWS / camera.height), dry)
         return np.where(seen.coloured[..., None], seen.rgb, np.uint8(_PAPER))
-
-
-def _of_run(folder: Path, water: FlatWater | None) -> Render:
-    from survey.run.stored_field import load_layer_field
-
-    return load_layer_field(folder, water, "auto").view
 
 
 @dataclass(frozen=True)

@@ -145,7 +145,6 @@ def stage_scene(plan: ScenePlan) -> StagedScene:
     colour = WaterOptics()
     if settings.water is not None:
         colour = WaterOptics(settings.water.absorption, settings.water.scattering, settings.water.asymmetry)
-    sensor = settings.sensor
     e, n = settings.origin[:2]
     wide, deep = settings.area.size_m
     renderer = DirectRenderer(ground, _surface(plan), colour)
@@ -158,13 +157,9 @@ def stage_scene(plan: ScenePlan) -> StagedScene:
         level=plan.level,
         renderer=renderer,
         sensor=Sensor(
+            **vars(settings.sensor) | {"blur_m": settings.blur_m, "shutter_s": None},
             samples=_DIRECT_SAMPLES if direct else settings.render.samples,
             is_jittered=not direct,
-            noise=sensor.noise,
-            photons_at_white=sensor.photons_at_white,
-            exposure=sensor.exposure,
-            drift=sensor.exposure_drift,
-            blur_m=settings.blur_m,
         ),
         bounds=(e - 0.5 * wide, n - 0.5 * deep, e + 0.5 * wide, n + 0.5 * deep),
         seed=settings.seed,

@@ -200,8 +200,8 @@ def seen(folder) -> dict[str, tuple[float, float]]:
 
 def test_spots_of_the_waterline_tell_its_level(server, folder):
     survey = MarkingSession(folder)
-    views = survey._posed.views
-    spot = survey._posed.frame.local_from_crs(np.array([E0 + 3.0, N0 - 2.0, LEVEL]))
+    views = survey._views
+    spot = survey._frame.local_from_crs(np.array([E0 + 3.0, N0 - 2.0, LEVEL]))
     state(server, "/add", {"kind": "water", "name": "w1"})
     key = {"kind": "water", "name": "w1"}
     names = ["0000.jpg", "0001.jpg", "0002.jpg"]

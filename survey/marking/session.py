@@ -41,7 +41,11 @@ class MarkingSession:
         self.name = config.name or folder.resolve().name
         self.store = MarkStore(config, self._found, points)
         self.images = self._found.images
-        self._posed, note = poses_to_mark(self._found, run)
+        posed, note = poses_to_mark(self._found, run)
+        self._source = None if posed is None else posed.source
+        self._frame = None if posed is None else posed.frame
+        self._water = None if posed is None else posed.water
+        self._views: Mapping[str, View] = {} if posed is None else posed.views
         self.notes: list[str] = [] if note is None else [note]
         given = config.control.marks_std_px
         self._std_px = {GROUND: DEFAULT_MARKS_STD_PX if given is None else given, WATER: CLICK_STD_PX}
@@ -53,7 +57,7 @@ class MarkingSession:
         return {
             "name": self.name,
             "is_geographic": is_geographic(self._found.crs),
-            "poses": None if self._posed is None else self._posed.source,
+            "poses": self._source,
             "notes": [*self.notes, *self._moved_note(points, marks)],
             "settings": self.store.settings(),
             "can_undo": self.store.can_undo,
@@ -67,18 +71,16 @@ class MarkingSession:
         if key not in points or image not in self.images:
             raise SurveyError(f"there is no point {key.name}, or no photograph {image}; load the page again")
         point, own = points[key], marks.get(key, {})
-        if self._posed is None:
-            return {"predicted": None, "curves": [], "others": [], "next": self._without_poses(point, own, image)}
         common, _ = self._common(points, marks)
         water, place = self._water_of(key), self._place(key, point, own, common)
-        view = self._posed.views.get(image)
+        view = self._views.get(image)
         predicted = None if place is None or view is None else seen_at(view, place, water)
-        others = [(name, own[name]) for name in own if name in self._posed.views and name != image]
+        others = [(name, own[name]) for name in own if name in self._views and name != image]
         return {
             "predicted": predicted,
             "curves": [] if view is None else self._curves(others[:_MOST_CURVES], view, water),
             "others": [] if view is None else self._others(key, view, points, marks, common),
-            "next": self._next(place, water, own, image, self._std_px[key.kind]),
+            "next": [name for name in self._next(key, point, place, own, image) if name not in own][:_MOST_NEXT],
         }
 
     def _others(self, key: PointKey, view: View, points: _Points, marks: _Marks, common: np.ndarray) -> list[dict]:
@@ -100,30 +102,21 @@ class MarkingSession:
         return found
 
     def _next(
-        self, place: np.ndarray | None, water: FlatWater | None, own: Mapping[str, Pixel], image: str, std_px: float
+        self, key: PointKey, point: GivenPoint | None, place: np.ndarray | None, own: Mapping[str, Pixel], image: str
     ) -> list[str]:
-        """Photographs to mark next; ``std_px`` is that of the marks."""
-        if place is None:
-            return self._in_order(own, image)
-        marked = [self._views[name] for name in own if name in self._views]
-        return by_gain(self._views.values(), place, water, marked, std_px)[:_MOST_NEXT]
-
-    def _in_order(self, own: Mapping[str, Pixel], image: str) -> list[str]:
-        """Photographs after one, in their order, and then from the first."""
-        names = list(self.images)
-        at = names.index(image) + 1
-        return [name for name in (*names[at:], *names[: at - 1]) if name not in own][:_MOST_NEXT]
-
-    def _without_poses(self, point: GivenPoint | None, own: Mapping[str, Pixel], image: str) -> list[str]:
-        """Photographs by the distance of their GPS positions from a point, or in their order."""
+        """Photographs to mark next: by what their marks tell, by the distance of their GPS positions, or in order."""
+        if place is not None:
+            marked = [self._views[name] for name in own if name in self._views]
+            return by_gain(self._views.values(), place, self._water_of(key), marked, self._std_px[key.kind])
         known = {name: header.lat_lon_height for name, header in self._found.headers.items() if header.lat_lon_height}
         if point is None or not known:
-            return self._in_order(own, image)
+            names = list(self.images)
+            at = names.index(image) + 1
+            return [*names[at:], *names[: at - 1]]
         lon, lat = lon_lat(self._found.crs, np.array([point.place]))[0, :2]
         places = np.radians([(at[1] - lon, at[0] - lat) for at in known.values()])
         distance = EARTH_RADIUS_M * np.hypot(places[:, 0] * np.cos(np.radians(lat)), places[:, 1])
-        order = [name for _, name in sorted(zip(distance.tolist(), known, strict=True)) if name not in own]
-        return [name for name in order if name != image][:_MOST_NEXT]
+        return [name for _, name in sorted(zip(distance.tolist(), known, strict=True)) if name != image]
 
     def _point(self, key: PointKey, point: GivenPoint | None, own: Mapping[str, Pixel]) -> dict:
         """A point with its marks: residuals [px], standard deviation and error of their intersection [m]."""
@@ -140,13 +133,11 @@ class MarkingSession:
             "level": None,
             "depth_m": None,
         }
-        if self._posed is None:
-            return answer
         given = self._given(point)
         intersection = self._meet(key, own)
         if given is not None:
             answer["depth_m"] = self._depth(given)
-        if intersection is None:
+        if intersection is None or self._frame is None:
             return answer
         names = [name for name in own if name in self._views]
         answer["residuals"] = dict(zip(names, intersection.residuals.tolist(), strict=True))
@@ -154,32 +145,28 @@ class MarkingSession:
         if given is not None:
             answer["off_m"] = (intersection.place - given).tolist()
         if key.kind == WATER:
-            height = float(self._posed.frame.crs_from_local(intersection.place)[2])
+            height = float(self._frame.crs_from_local(intersection.place)[2])
             answer["level"] = height * height_unit_m(self._found.crs)
         elif given is None:
             answer["depth_m"] = self._depth(intersection.place)
         return answer
 
-    @property
-    def _views(self) -> Mapping[str, View]:
-        return {} if self._posed is None else self._posed.views
-
     def _water_of(self, key: PointKey) -> FlatWater | None:
         """The water that refracts the rays to a point; None for a point of the waterline."""
-        return None if self._posed is None or key.kind == WATER else self._posed.water
+        return None if key.kind == WATER else self._water
 
     def _depth(self, place: np.ndarray) -> float | None:
         """Depth of a place below the water [m]; None above it."""
-        if self._posed is None or self._posed.water is None:
+        if self._water is None:
             return None
-        depth = float(self._posed.water.depth(place))
+        depth = float(self._water.depth(place))
         return depth if depth > 0.0 else None
 
     def _given(self, point: GivenPoint | None) -> np.ndarray | None:
         """A point by its coordinates (3,), local."""
-        if point is None or self._posed is None:
+        if point is None or self._frame is None:
             return None
-        local = self._posed.frame.local_from_crs(np.array(point.place))
+        local = self._frame.local_from_crs(np.array(point.place))
         return local if np.isfinite(local).all() else None
 
     def _meet(self, key: PointKey, own: Mapping[str, Pixel]) -> Intersection | None:
@@ -208,8 +195,7 @@ class MarkingSession:
         given = self._given(point)
         if given is not None:
             return given + common
-        water = None if self._posed is None else self._posed.water
-        if key.kind == WATER and water is not None:
+        if key.kind == WATER and (water := self._water) is not None:
             return next((crossing(self._views[name], own[name], water) for name in own if name in self._views), None)
         return None
 

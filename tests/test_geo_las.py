@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import datetime
-import resource
-import signal
 import struct
-from contextlib import contextmanager
 
 import laspy
 import numpy as np
@@ -14,6 +11,7 @@ import pytest
 from compare_plane import write_las
 from laspy.vlrs.known import GeoKeyDirectoryVlr, GeoKeyEntryStruct, WktCoordinateSystemVlr
 from pyproj import CRS
+from small_disk import file_size_limit
 
 from geo.crs import parse_crs
 from geo.errors import EmptyCloud, GeoError, UnreadableFile, UnwritableFile
@@ -50,19 +48,6 @@ def written(request, tmp_path, rng, crs):
     path = tmp_path / request.param
     write_cloud(path, points, crs, **values)
     return path, points, values
-
-
-@contextmanager
-def file_size_limit(size: int):
-    """Let no file of this process grow beyond ``size`` bytes: the nearest thing to a full disk."""
-    old = resource.getrlimit(resource.RLIMIT_FSIZE)
-    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, old[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, old)
-        signal.signal(signal.SIGXFSZ, handler)
 
 
 def test_a_cloud_comes_back_with_all_its_values(written):

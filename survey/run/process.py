@@ -141,7 +141,8 @@ def _announce(survey: Survey, plan: Plan, workload: Workload, progress: Progress
     for text in survey.findings.warnings:
         progress.warn(text)
     progress.detail(*(f"plan: {decision.name}: {decision.choice} ({decision.reason})" for decision in plan.decisions))
-    progress.note(f"workload: {workload}")
+    # Without a file of poses it was said before structure from motion.
+    (progress.detail if survey.config.cameras.poses is None else progress.note)(f"workload: {workload}")
     progress.expect(workload.parts_s)
 
 

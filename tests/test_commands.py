@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from command_line import bathynerf, fake_module, raising, without_times
+from command_line import Terminal, bathynerf, fake_module, raising, without_times
 from small_survey import small_survey
 
 from survey import progress as progress_room
+from survey.commands.console import ConsoleResults
 from survey.compare.options import CompareOptions
 from survey.display.blocks import Rows, Section, Table
 from survey.errors import SurveyError
@@ -57,6 +59,18 @@ def test_one_q_leaves_out_the_progress_and_two_the_results_too(monkeypatch):
 def test_an_error_is_said_however_quiet_the_command_is(monkeypatch, quiet):
     fake_module(monkeypatch, "survey.run.process", process=raising(SurveyError("wrong")))
     assert bathynerf("process", "s", *quiet).stderr == "error: wrong\n"
+
+
+def test_results_on_a_terminal_are_wrapped_between_words_and_nothing_in_them_is_obeyed(monkeypatch):
+    stream = Terminal()
+    monkeypatch.setattr(sys, "stdout", stream)
+    monkeypatch.setenv("COLUMNS", "40")
+    words = [f"word{number}" for number in range(20)]
+    ConsoleResults(is_silent=False).columns(None, [("  water", " ".join([*words, "\x1b[2J"]))])
+    lines = re.sub(r"\x1b\[0?m|\x1b\[22m", "", stream.getvalue()).splitlines()
+    assert [word for line in lines for word in line.split()] == ["water", *words, "\\x1b[2J"]
+    assert len(lines) > 3
+    assert all(len(line) <= 40 for line in lines)
 
 
 def test_a_quiet_check_and_comparison_still_print_what_they_found(monkeypatch, tmp_path):

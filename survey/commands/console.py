@@ -32,12 +32,13 @@ class ConsoleResults:
     def __init__(self, *, is_silent: bool):
         self._is_silent = is_silent
 
-    def line(self, text: str | Path, *, bold: bool = False) -> None:
-        """Print a line."""
+    def line(self, text: str | Path, *, bold: bool = False, label: str | None = None, indent: str = "  ") -> None:
+        """Print a line; behind a label it is wrapped to the terminal, with an indent of the lines that follow."""
         if self._is_silent:
             return
+        shown = printable(str(text), most=None)
         try:
-            typer.secho(printable(str(text), most=None), bold=bold)
+            typer.secho(shown if label is None else wrap_for(shown, sys.stdout, label=label, indent=indent), bold=bold)
         except BrokenPipeError:
             raise
         except OSError as error:
@@ -51,13 +52,13 @@ class ConsoleResults:
         if title is not None:
             self.line(title, bold=True)
         for label, text in rows:
-            self.line(wrap_for(text, sys.stdout, label=label.ljust(left), indent=" " * left))
+            self.line(text, label=label.ljust(left), indent=" " * left)
 
     def file(self, path: Path) -> None:
         """Print the path of a text file and its lines that are not empty, wrapped to the terminal."""
         self.line(path)
         for line in filter(None, path.read_text(encoding="utf-8").splitlines()):
-            self.line(wrap_for(line, sys.stdout, label="  ", indent="      "))
+            self.line(line, label="  ", indent="      ")
 
     def section(self, section: Section) -> None:
         """Print the title, texts and tables of a section."""
@@ -71,7 +72,7 @@ class ConsoleResults:
                 case Sentences(sentences):
                     self.columns("", [("note", sentence) for sentence in sentences])
                 case Text(text):
-                    self.line(wrap_for(text, sys.stdout))
+                    self.line(text, label="")
                 case Table(titles, rows, num_texts, heading):
                     self.line("")
                     for number, line in enumerate([*[heading] * bool(heading), *aligned(titles, rows, num_texts)]):

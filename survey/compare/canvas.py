@@ -92,7 +92,7 @@ def canvas(width: float, height: float) -> tuple[Figure, Axes]:
     """A figure [inch] with one plot in the colours of the report."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
-    return figure, plain(figure.add_subplot())
+    return figure, _plain(figure.add_subplot())
 
 
 def extent_around(places: np.ndarray, crs: CRS, share: float) -> Extent:
@@ -143,10 +143,10 @@ def _placed(height_over_width: float, below_in: float) -> tuple[Figure, Axes]:
     figure = Figure(figsize=size)
     FigureCanvasAgg(figure)
     place = (left / size[0], (below + below_in) / size[1], width / size[0], height / size[1])
-    return figure, plain(figure.add_axes(place))
+    return figure, _plain(figure.add_axes(place))
 
 
-def plain(axes: Axes) -> Axes:
+def _plain(axes: Axes) -> Axes:
     """Axes in the colours of the report, with two of their four sides."""
     axes.tick_params(colors=SOFT, labelsize=_TICK_PT)
     axes.xaxis.label.set_color(INK)

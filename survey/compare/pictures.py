@@ -14,18 +14,7 @@ from matplotlib.figure import Figure
 from pyproj import CRS
 
 from evaluation import Band
-from survey.compare.canvas import (
-    Extent,
-    canvas,
-    colour_bar,
-    figure_of,
-    map_canvas,
-    nice_limit,
-    plain,
-    save,
-    show,
-    write_title,
-)
+from survey.compare.canvas import Extent, canvas, colour_bar, figure_of, map_canvas, nice_limit, save, show, write_title
 from survey.compare.figures import Parts
 from survey.compare.tables import limits_label
 from survey.display.palette import BLUE, DIFFERENCES, INK, NOT_REACHED, PALE, RED, SIZES, SOFT
@@ -192,10 +181,10 @@ def draw_bands(parts: Parts, path: Path) -> None:
     length_unit = LengthUnit.of([low, high])
     for axes, (bands, label, unit) in zip(row, panels, strict=True):
         _panel(axes, bands, unit, length_unit.per_metre)
-        axes.set_xlabel(label)
-    row[0].set_ylabel(f"distance to the reference [{length_unit.name}]")
-    figure.suptitle("Bias and spread in bands", x=0.01, ha="left", color=INK, fontsize=12, weight="bold")
+        axes.set_xlabel(label, color=INK)
+    row[0].set_ylabel(f"distance to the reference [{length_unit.name}]", color=INK)
     row[0].set_ylim(low * length_unit.per_metre, high * length_unit.per_metre)
+    figure.suptitle("Bias and spread in bands", x=0.01, ha="left", color=INK, fontsize=12, weight="bold")
     handles, labels = row[0].get_legend_handles_labels()
     figure.legend(handles, labels, frameon=False, fontsize=8.5, loc="outside lower center", ncols=3)
     save(figure, path)
@@ -227,10 +216,11 @@ def _panel(axes: Axes, bands: tuple[Band, ...], unit: str, per_metre: float) -> 
     axes.axhline(0.0, color=INK, lw=0.8)
     axes.set_xticks(range(len(bands)), [_tick(limits_label(band.low, band.high, unit)) for band in bands])
     axes.set_xlim(-0.7, len(bands) - 0.3)
-    plain(axes)
+    axes.tick_params(colors=SOFT, labelsize=8.5)
     for x, band in enumerate(bands):
         axes.text(x, 1.0, count(band.distances.n_points), transform=axes.get_xaxis_transform(),
                   ha="center", va="bottom", color=SOFT, fontsize=7, rotation=30 if len(bands) > 6 else 0)  # fmt: skip
+    axes.spines[["right", "top"]].set_visible(False)
 
 
 def _tick(label: str) -> str:

@@ -215,6 +215,7 @@ def test_process_writes_the_settings_of_bare_photographs_and_goes_on(tmp_path, p
     for _ in range(2):  # The same command resumes a run
         done = bathynerf("process", folder, "--level", LEVEL, "--sea")
         assert done.exit_code == 0, done.output
+        assert ("refractive_index = 1.34" in done.stdout, "# No poses" in done.stdout) == (not processed[1:], False)
     settings = tomllib.loads((folder / "survey.toml").read_text())
     assert settings["images"] == {"dir": "DCIM/100MEDIA"}
     assert settings["water"]["refractive_index"] == 1.34

@@ -11,7 +11,7 @@ import typer
 from survey.commands.console import ConsoleResults, command
 from survey.commands.faults import address_space_shortage, require_address_space
 from survey.commands.options import Quiet, Verbose, config_of, grouped
-from survey.errors import SurveyError
+from survey.errors import FILE_NAME, SurveyError
 from survey.settings.tables import PlanOptions, ProcessConfig
 
 if TYPE_CHECKING:
@@ -92,9 +92,8 @@ def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> It
     config = None
     if folder.is_dir() and settings_of(folder) is None:
         text = draft(folder, InitOptions())
-        yield CheckSection(
-            "No survey.toml; init and process write", tuple(("", line) for line in text.split("\n") if line)
-        )
+        lines = tuple(("", line) for line in text.split("\n") if line)
+        yield CheckSection(f"No {FILE_NAME}; init and process write", lines)
         config = parse_config(text)
     checked = require_processable(folder, chosen, config)
     aimed = AimedPlan(chosen)

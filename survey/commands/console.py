@@ -54,11 +54,12 @@ class ConsoleResults:
         for label, text in rows:
             self.line(text, label=label.ljust(left), indent=" " * left)
 
-    def file(self, path: Path) -> None:
-        """Print the path of a text file and its lines that are not empty, wrapped to the terminal."""
+    def settings(self, path: Path, *, hides: tuple[str, ...] = ()) -> None:
+        """Print the path of survey.toml and its lines, without empty ones and those that begin with what it hides."""
         self.line(path)
-        for line in filter(None, path.read_text(encoding="utf-8").splitlines()):
-            self.line(line, label="  ", indent="      ")
+        for line in path.read_text(encoding="utf-8").splitlines():
+            if line and not line.startswith(hides):
+                self.line(line, label="  ", indent="      ")
 
     def section(self, section: Section) -> None:
         """Print the title, texts and tables of a section."""

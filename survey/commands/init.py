@@ -47,4 +47,4 @@ def run(
             if toml.exists() and not force:
                 current().note(f"{toml} is kept; editors find the schema by {SCHEMA_LINE.strip()} in its first line")
                 return
-        results.file(write_settings(folder, options, force=force, names_schema=schema))
+        results.settings(write_settings(folder, options, force=force, names_schema=schema))

@@ -61,7 +61,7 @@ def run(
 
         written = require_settings(survey, asking(told, needs_level=True))
         if written is not None:
-            results.file(written)
+            results.settings(written, hides=("#", "["))
         from survey.run.process import process
 
         code = process(

@@ -19,8 +19,9 @@ def adjustment(found: AdjustmentFigures | None) -> list[Block]:
     blocks: list[Block] = []
     if found.note is not None:
         blocks.append(Text(found.note[0].upper() + found.note[1:] + "."))
-    blocks += [parameter_table(found.parameters)] if found.parameters else []
-    blocks += [Sentences([f"{row.name} {row.verdict}" for row in found.parameters])] if found.parameters else []
+    if found.parameters:
+        verdicts = Sentences([f"{row.name} {row.verdict}" for row in found.parameters])
+        blocks += [parameter_table(found.parameters), verdicts]
     return [*blocks, *_parts(found), _observations(found), Rows(_poses(found)), *_ground(found), *_control(found)]
 
 

@@ -172,19 +172,16 @@ def _part(value_m2: float, whole_m2: float) -> str:
 
 def method(figures: ReportFigures) -> list[Block]:
     """How the cloud was made, for whoever did not make it."""
-    survey, water = figures.survey, figures.water
-    bent = "" if water is None else (
-        f" Every ray was bent by Snell's law where it meets the water (level {height(water.level_m)}, index "
-        f"{water.refractive_index:.4f}) before photographs were matched: no factor on depths, no shift, no fit to a "
-        "reference."
-    )  # fmt: skip
-    refined = " and refined by least squares over all of them" if figures.plan.field == "solver" else ""
-    return [
-        Text(
-            f"{count(survey.views_used)} photographs, their poses from {survey.poses}.{bent} Heights were searched by "
-            f"matching photographs{refined}; each point was found at the same height by two photographs or more."
+    made = f"{count(figures.survey.views_used)} photographs, their poses from {figures.survey.poses}."
+    if (water := figures.water) is not None:
+        made += (
+            f" Every ray was bent by Snell's law where it meets the water (level {height(water.level_m)}, index "
+            f"{water.refractive_index:.4f}) before photographs were matched: no factor on depths, no shift, no fit to "
+            "a reference."
         )
-    ]
+    refined = " and refined by least squares over all of them" if figures.plan.field == "solver" else ""
+    made += f" Heights were searched by matching them{refined}; each point was found at one height by two or more."
+    return [Text(made)]
 
 
 def limitations(figures: ReportFigures) -> list[Block]:

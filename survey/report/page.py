@@ -65,11 +65,12 @@ _MOST_S = 300.0
 
 def render_page(figures: ReportFigures, pictures: list[Picture]) -> str:
     """The page, with the files of the pictures in it: HTML without scripts and without anything to load."""
+    draft_command = figures.settings.get("command") if figures.plan.quality == Quality.draft else None
     return _template().render(
         palette=palette,
         survey=figures.survey,
         head=Rows([*photographs.taken_rows(figures.taken), *_unit_row()]),
-        verdict=headline(figures.verdict, figures.warnings, _draft_command(figures)),
+        verdict=headline(figures.verdict, figures.warnings, draft_command),
         cards=cards(figures),
         num_warnings=len(figures.warnings),
         groups=_grouped(pictures),
@@ -116,11 +117,6 @@ def _sections(figures: ReportFigures) -> list[Section]:
         Section("Run time", tables.timings(figures.timings_s, figures.total_s)),
         Section("Software versions", [Rows(list(figures.versions.items()))] if figures.versions else []),
     ]
-
-
-def _draft_command(figures: ReportFigures) -> str | None:
-    """The command of a draft; None of another quality."""
-    return figures.settings.get("command") if figures.plan.quality == Quality.draft else None
 
 
 def _unit_row() -> list[tuple[str, str]]:

@@ -296,8 +296,12 @@ class TriangleMesh:
 
     def height(self, x, y) -> np.ndarray:
         """Height (...) [m] of the topmost triangle at x, y (...) [m]; NaN beside the mesh."""
-        x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
-        above = self.top + 1.0
-        origin = np.stack([x.ravel(), y.ravel(), np.full(x.size, above)], axis=-1)
-        t, _ = self.hit(origin, np.tile([0.0, 0.0, -1.0], (x.size, 1)), np.full(x.size, np.inf))
-        return np.where(np.isfinite(t), above - t, np.nan).reshape(x.shape)
+        return height_of(self, x, y, self.top + 1.0)
+
+
+def height_of(shape: Solid | TriangleMesh, x, y, above: float) -> np.ndarray:
+    """Height (...) [m] of the top of a body at x, y (...) [m], by rays down from a height above it; NaN beside it."""
+    x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
+    origin = np.stack([x.ravel(), y.ravel(), np.full(x.size, above)], axis=-1)
+    t, _ = shape.hit(origin, np.tile([0.0, 0.0, -1.0], (x.size, 1)), np.full(x.size, np.inf))
+    return np.where(np.isfinite(t), above - t, np.nan).reshape(x.shape)

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from survey.simulate.ground.shapes import BedGrid, Solid
+from survey.simulate.ground.shapes import BedGrid, Solid, height_of
 from survey.simulate.light import Light
 
 # Texels along a side of the periodic tile.
@@ -89,11 +89,8 @@ def _cover(covered: np.ndarray, bed: BedGrid, solid: Solid) -> None:
     high = np.ceil((solid.centre[:2] + solid.radius - (bed.west, bed.south)) / bed.cell).astype(int) + 1
     (i0, j0), (i1, j1) = np.maximum(low, 0), np.minimum(high, (nx, ny))
     x, y = np.meshgrid(bed.west + bed.cell * np.arange(i0, i1), bed.south + bed.cell * np.arange(j0, j1))
-    above = solid.centre[2] + 2.0 * solid.radius
-    origin = np.stack([x.ravel(), y.ravel(), np.full(x.size, above)], axis=-1)
-    t, _ = solid.hit(origin, np.tile([0.0, 0.0, -1.0], (x.size, 1)), np.full(x.size, np.inf))
-    top = np.where(np.isfinite(t), above - t, -np.inf).reshape(x.shape)
-    covered[j0:j1, i0:i1] = np.maximum(covered[j0:j1, i0:i1], top)
+    top = height_of(solid, x, y, solid.centre[2] + 2.0 * solid.radius)
+    covered[j0:j1, i0:i1] = np.fmax(covered[j0:j1, i0:i1], top)
 
 
 def _soft_step(value: np.ndarray, at: float) -> np.ndarray:

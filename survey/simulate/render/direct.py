@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from refract import FlatWater, PinholeCamera, trace
+from refract.snell import fresnel_coefficients
 from refract.surfaces import WaterSurface
 from survey.simulate.ground.ground import Ground
 from survey.simulate.render.sun_on_waves import SunOnWaves
@@ -92,7 +93,8 @@ class DirectRenderer:
         if self.sun is not None:
             lit = dry * np.where(wet, self.sun.on_bed(np.nan_to_num(hits.points), depth), 1.0)[:, None]
         seen = self.colour.seen_through(lit, depth, hits.in_water)
-        mirrored = _fresnel(hits.incidence, self.water.n_water)[:, None]
+        crossed = fresnel_coefficients(hits.incidence, n_from=1.0, n_to=self.water.n_water)
+        mirrored = crossed.reflectance[:, None]
         surface = mirrored * self.colour.sky
         if self.sun is not None:
             surface = surface + self.sun.reflected(origin, direction)[:, None]
@@ -136,11 +138,3 @@ def _incidence(cosine_of_bend: np.ndarray, n: float) -> np.ndarray:
     cosine = np.clip(cosine_of_bend, -1.0, 1.0)
     tangent = n * np.sqrt(1.0 - cosine**2) / np.maximum(n * cosine - 1.0, 1e-12)
     return 1.0 / np.hypot(1.0, tangent)
-
-
-def _fresnel(cosine: np.ndarray, n: float) -> np.ndarray:
-    """Reflectance (N,) of the surface for unpolarised light."""
-    inside = np.sqrt(1.0 - (1.0 - cosine**2) / n**2)
-    across = ((cosine - n * inside) / (cosine + n * inside)) ** 2
-    along = ((n * cosine - inside) / (n * cosine + inside)) ** 2
-    return 0.5 * (across + along)

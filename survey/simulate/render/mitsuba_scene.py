@@ -11,6 +11,7 @@ from refract.curved import BicubicWater, CurvedWater, WavyWater
 from refract.surfaces import WaterSurface
 from survey.errors import SurveyError
 from survey.simulate.ground.ground import Ground, Shape
+from survey.simulate.ground.shapes import BedGrid
 from survey.simulate.ground.textures import ImageTexture, VertexTexture
 
 # The plane of the water reaches this far beyond the solids, as a share of their extent: light comes from there.
@@ -62,7 +63,17 @@ def water_scene(mi: ModuleType, water: WaterSurface, ground: Ground):
     elif isinstance(water, BicubicWater):
         area = water.area
         spacing = max(water.spacing / _PARTS_OF_PIECE, float(np.sqrt(np.prod(area[1] - area[0]) / _MOST_POINTS)))
-    x, y, faces = _grid(area, spacing)
+    (west, south), (wide, deep) = area[0], area[1] - area[0]
+    cell = min(spacing, max(wide, deep))
+    rows, columns = (int(np.ceil(size / cell)) + 1 for size in (deep, wide))
+    if rows * columns > _MOST_POINTS:
+        raise SurveyError(
+            f"the waves need a point every {100.0 * cell:.1f} cm over {wide:.0f} x {deep:.0f} m, more than "
+            f"{_MOST_POINTS}; leave out the shortest, or make the area smaller"
+        )
+    points, faces, _ = BedGrid(np.zeros((rows, columns)), west, south, cell).mesh()
+    # Measured surfaces end at the area.
+    x, y = np.minimum(points[:, :2], area[1]).T
     points = np.stack([x, y, water.height(x, y)], axis=-1)
     normals = np.stack(water.normal(x, y), axis=-1) if isinstance(water, CurvedWater) else None
     return mi.load_dict({"type": "scene", "water": _mesh(mi, "water", points, faces, bsdf, normals=normals)})
@@ -74,21 +85,6 @@ def _around(ground: Ground) -> tuple[np.ndarray, np.ndarray]:
     low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
     margin = _BEYOND * (high - low)
     return low - margin, high + margin
-
-
-def _grid(area: tuple[np.ndarray, np.ndarray], spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """x, y (V,) [m] of a grid over an area, at most `spacing` apart, and its triangles (F, 3), facing up."""
-    counts = [max(int(np.ceil(size / spacing)), 1) + 1 for size in area[1] - area[0]]
-    if counts[0] * counts[1] > _MOST_POINTS:
-        raise SurveyError(
-            f"the waves need a point every {100.0 * spacing:.1f} cm over {counts[0] * spacing:.0f} x "
-            f"{counts[1] * spacing:.0f} m, more than {_MOST_POINTS}; leave out the shortest, or make the area smaller"
-        )
-    x, y = np.meshgrid(*(np.linspace(low, high, n) for low, high, n in zip(*area, counts, strict=True)))
-    sw = (np.arange(counts[1] - 1)[:, None] * counts[0] + np.arange(counts[0] - 1)).ravel()
-    se, nw = sw + 1, sw + counts[0]
-    faces = np.concatenate([np.stack([sw, se, nw], axis=-1), np.stack([nw + 1, nw, se], axis=-1)])
-    return x.ravel(), y.ravel(), faces
 
 
 def _matt(mi: ModuleType, name: str, shape: Shape, texture: ImageTexture | VertexTexture):

@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import igl
 import numpy as np
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from geo.files import library_for
@@ -132,45 +132,15 @@ def solid_of(vertices: np.ndarray, faces: np.ndarray, thickness_m: float) -> tup
     the surface first, doubled where two parts of it met in one vertex only; faces (F', 3), two at each edge, with
     opposite directions; and the number (2 V',) of the vertex of the surface that each stands for. Holes become shafts.
     """
-    faces, kept = _split_vertices(faces)
+    # Parts that met in one vertex only have one each from here on.
+    faces, kept = igl.split_nonmanifold(faces.astype(np.int64))
     top = vertices[kept]
     bottom = top.copy()
     bottom[:, 2] = vertices[:, 2].min() - thickness_m
     number = len(top)
-    rim = _boundary_edges(faces)
-    a, b = rim.T
+    a, b = igl.boundary_facets(faces)[0].T
     walls = np.concatenate([np.stack([b, a, a + number], 1), np.stack([b, a + number, b + number], 1)])
     return np.concatenate([top, bottom]), np.concatenate([faces, faces[:, ::-1] + number, walls]), np.tile(kept, 2)
-
-
-def _boundary_edges(faces: np.ndarray) -> np.ndarray:
-    """Edges (E, 2), in the direction of their face, that one face alone has."""
-    edges = _edges(faces)
-    _, place, count = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
-    return edges[place[count == 1]]
-
-
-def _edges(faces: np.ndarray) -> np.ndarray:
-    return np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
-
-
-def _split_vertices(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Faces whose vertices have one fan of faces each; the old number of each new vertex.
-
-    Corners of faces are one vertex where a chain of faces with common edges joins them.
-    """
-    edges, corner = _edges(faces), np.arange(faces.size)
-    following = corner // 3 * 3 + (corner + 1) % 3
-    order = np.lexsort((edges.max(axis=1), edges.min(axis=1)))
-    sorted_edges = np.sort(edges, axis=1)[order]
-    pair = np.flatnonzero((sorted_edges[1:] == sorted_edges[:-1]).all(axis=1))
-    one, other = order[pair], order[pair + 1]
-    # The two faces run along their common edge in opposite directions: one's first corner is the other's second.
-    rows, columns = np.concatenate([one, following[one]]), np.concatenate([following[other], other])
-    links = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(faces.size, faces.size))
-    _, fan = connected_components(links, directed=False)
-    _, first, numbers = np.unique(fan, return_index=True, return_inverse=True)
-    return numbers.reshape(-1, 3), faces.ravel()[first]
 
 
 def delaunay_surface(points: np.ndarray, std: np.ndarray, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:

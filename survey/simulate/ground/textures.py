@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
+import igl
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
@@ -157,11 +158,7 @@ class VertexTexture:
     def albedo(self, points: np.ndarray, face: np.ndarray) -> np.ndarray:
         """Linear albedo (N, 3) at points (N, 3) [m] on faces (N,)."""
         a, b, c = (self.vertices[self.faces[face, k]] for k in range(3))
-        normal = np.cross(b - a, c - a)
-        area = np.einsum("ij,ij->i", normal, normal)
-        at_b = np.einsum("ij,ij->i", np.cross(points - a, c - a), normal) / area
-        at_c = np.einsum("ij,ij->i", np.cross(b - a, points - a), normal) / area
-        weights = np.stack([1.0 - at_b - at_c, at_b, at_c], axis=-1)
+        weights = igl.barycentric_coordinates(np.ascontiguousarray(points), a, b, c)
         return np.einsum("nk,nkc->nc", np.clip(weights, 0.0, 1.0), self.colours[self.faces[face]])
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -13,6 +12,7 @@ import numpy as np
 from PIL import ExifTags, Image
 from PIL.PngImagePlugin import PngInfo
 from PIL.TiffImagePlugin import IFDRational
+from scipy.spatial.transform import Rotation
 
 from geo import write_whole
 from geo.frames import LocalFrame
@@ -140,9 +140,8 @@ def cameras_csv(names: Sequence[str], cameras: Sequence[PinholeCamera], frame: L
     local_from_grid = frame.local_from_grid(centres)
     lines = ["image,easting,northing,height,omega,phi,kappa"]
     for name, camera, centre, axes in zip(names, cameras, centres, local_from_grid, strict=True):
-        r = axes.T @ camera.cam_from_local.T @ CAM_FROM_OPK_CAM
-        angles = (math.atan2(-r[1, 2], r[2, 2]), math.asin(r[0, 2]), math.atan2(-r[0, 1], r[0, 0]))
-        numbers = [f"{v:.6f}" for v in centre] + [f"{math.degrees(v):.9f}" for v in angles]
+        turn = Rotation.from_matrix(axes.T @ camera.cam_from_local.T @ CAM_FROM_OPK_CAM)
+        numbers = [f"{v:.6f}" for v in centre] + [f"{v:.9f}" for v in turn.as_euler("XYZ", degrees=True)]
         lines.append(",".join([name, *numbers]))
     return "\n".join([*lines, ""])
 

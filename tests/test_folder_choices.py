@@ -8,11 +8,11 @@ import pytest
 from small_survey import HEADER, TOML, camera_lines, small_survey, write_image, write_poses
 
 from survey.errors import ConfigError, ImageError
-from survey.folder.found import find_survey, process_config, survey_inputs
+from survey.folder.found import find_survey, survey_inputs
 from survey.folder.survey import load_survey
 from survey.marking.geometry import survey_to_mark
 
-READERS = (find_survey, process_config, survey_inputs, survey_to_mark)
+READERS = (find_survey, survey_inputs, survey_to_mark)
 
 
 def broken_link(folder):

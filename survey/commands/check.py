@@ -75,7 +75,6 @@ def is_plan(path: Path) -> bool:
 def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> Iterator[CheckSection]:
     """Sections on contents and gaps of a survey, its light, its expected accuracy, and what an aim takes."""
     from survey.adjust.result.foreseen import foreseen_section
-    from survey.folder.found import process_config
     from survey.init.draft import draft
     from survey.init.options import InitOptions
     from survey.plan.check import CheckSection, check_survey, require_processable
@@ -83,14 +82,14 @@ def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> It
     from survey.plan.choices import choices_of
     from survey.progress import current
     from survey.run.aim import AimedPlan, plan_for_aim
-    from survey.settings.config import parse_config, settings_of
+    from survey.settings.config import SurveyConfig, parse_config, settings_of
 
     shortage = address_space_shortage()
     if shortage is not None:
         current().warn(shortage)
-    chosen = choices_of(asked.over(process_config(folder)))
-    config = None
-    if folder.is_dir() and settings_of(folder) is None:
+    config = settings_of(folder)
+    chosen = choices_of(asked.over((config or SurveyConfig()).process))
+    if folder.is_dir() and config is None:
         text = draft(folder, InitOptions())
         lines = tuple(("", line) for line in text.split("\n") if line)
         yield CheckSection(f"No {FILE_NAME}; init and process write", lines)

@@ -30,7 +30,6 @@ from survey.photos.images import fetch_images, list_images, same_files
 from survey.photos.names import ImageNames
 from survey.pose_files import find_poses, find_unread, pose_files, read_poses
 from survey.settings.config import ImagesConfig, SurveyConfig, settings_of
-from survey.settings.tables import ProcessConfig
 from survey.sfm.datum import EXACT, DatumStd, plan_std, smallest
 from survey.sfm.gps import PositionTransform, datum_warnings, transforms_into_crs
 from survey.water.level import with_level
@@ -66,11 +65,6 @@ class Found:
     def name(self) -> str:
         """Name of the survey by survey.toml, else that of the folder."""
         return self.config.name or self.folder.resolve().name
-
-
-def process_config(folder: Path) -> ProcessConfig:
-    """[process] of the survey.toml in a folder, empty where there is none."""
-    return (settings_of(folder) or SurveyConfig()).process
 
 
 def require_survey_folder(folder: str | Path) -> Path:
@@ -230,11 +224,14 @@ def head_warnings(headers: Mapping[str, Exif]) -> list[str]:
     return warnings + position_warnings(headers)
 
 
-def survey_inputs(folder: Path) -> ReadFiles:
-    """Settings, poses, photographs, masks, control and measured water levels of a survey folder."""
+def survey_inputs(folder: Path, config: SurveyConfig | None = None) -> ReadFiles:
+    """Settings, poses, photographs, masks, control and measured water levels of a survey folder.
+
+    ``config`` are its settings, where they are read already.
+    """
     if not folder.is_dir():
         return ReadFiles()
-    config = settings_of(folder) or SurveyConfig(images=ImagesConfig(dir=infer.image_folder_of(folder)))
+    config = config or settings_of(folder) or SurveyConfig(images=ImagesConfig(dir=infer.image_folder_of(folder)))
     named = [folder / FILE_NAME]
     if config.water is not None:
         named += [folder / path for path in config.water.sources.named.values()]

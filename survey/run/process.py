@@ -18,7 +18,7 @@ from typing import Any
 from survey.display.quantities import length
 from survey.files.outputs import ReadFiles, require_folder
 from survey.files.remote import Remote, is_url, local_run
-from survey.folder.found import process_config, survey_inputs
+from survey.folder.found import survey_inputs
 from survey.folder.survey import Survey, load_survey
 from survey.plan.check import Checked, require_processable
 from survey.plan.choices import Choices, choices_of
@@ -35,6 +35,7 @@ from survey.run.remote_run import RemoteRun
 from survey.run.repeat import Truth
 from survey.run.result import Owner
 from survey.run.start_workers import WorkerNeeds, workers_for
+from survey.settings.config import SurveyConfig, settings_of
 from survey.settings.tables import ProcessConfig
 from survey.sfm.distributed import computing_on
 from survey.words import Quality
@@ -81,9 +82,11 @@ def process(
     survey_folder, folder = Path(survey_folder), local_run(Path(survey_folder), run_folder)
     truth = Truth(*(None if path is None else Path(path) for path in (reference, visible)))
     truth.require_there()
-    require_folder("-o", folder, survey_inputs(survey_folder) + ReadFiles.of(truth.reference, truth.visible))
-    chosen = choices_of(ProcessConfig(**options).over(process_config(survey_folder)))
-    checked = require_processable(survey_folder, chosen)
+    settings = settings_of(survey_folder)
+    inputs = survey_inputs(survey_folder, settings) + ReadFiles.of(truth.reference, truth.visible)
+    require_folder("-o", folder, inputs)
+    chosen = choices_of(ProcessConfig(**options).over((settings or SurveyConfig()).process))
+    checked = require_processable(survey_folder, chosen, settings)
     run = RemoteRun(folder, Remote(str(run_folder))) if is_url(run_folder) else RunDir(folder)
     with opened() as progress, progress.run(), run:
         owner = Owner.of(checked.found.name, checked.found.images)

@@ -14,26 +14,13 @@ from refract.lens import Lens
 
 @dataclass(frozen=True)
 class View:
-    """Photograph with its camera.
+    """Photograph with its camera."""
 
-    Attributes
-    ----------
-    name : str
-        Path of the image below the image folder, with forward slashes.
-    path : Path
-    camera : PinholeCamera
-        Of the photograph as it was taken, lens distortion included; local frame, at full size.
-    lens : Lens
-        Interior orientation, as the poses file or survey.toml gives it.
-    mask_path : Path or None
-        Image of the stored size; black is left out.
-    """
-
-    name: str
+    name: str  # Path of the image below the image folder, with forward slashes
     path: Path
-    camera: PinholeCamera
-    lens: Lens
-    mask_path: Path | None = None
+    camera: PinholeCamera  # Of the photograph as it was taken, lens distortion included; local frame, at full size
+    lens: Lens  # Interior orientation, as the poses file or survey.toml gives it
+    mask_path: Path | None = None  # Image of the stored size; black is left out
 
 
 def metres_per_px(views: Sequence[View], water: FlatWater | None) -> float | None:

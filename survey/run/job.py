@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from threading import Event
@@ -13,13 +14,13 @@ from fields.sweep.kernels.arrays import release
 from fields.sweep.maps import Sources
 from survey.adjust.starts import PoseRecovery, recover_poses
 from survey.errors import SurveyError
-from survey.files.toml_table import table_of
 from survey.photos.images import ImageStore
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
 from survey.plan.run_plan import plan_run
 from survey.plan.sweep_block import camera_of, cameras_of_block, load_block
 from survey.run.stored import ArrayFiles
 from survey.run.windows import BedSearch, Outlines
+from survey.settings.water import WaterColour, WaterConfig
 from survey.stage_key import stage_key
 
 if TYPE_CHECKING:
@@ -183,11 +184,6 @@ class Job:
         """The same, without what a tile shares with others."""
         return self.ground
 
-    @property
-    def swept_ground(self) -> Area | None:
-        """The same, of the heights that the sweep finds."""
-        return self.ground
-
     def in_survey(self, xyz: np.ndarray) -> np.ndarray:
         """Points (N, 3) [m] in the local frame of the survey, from those in that of the job."""
         return xyz
@@ -248,7 +244,7 @@ class Job:
         parts = {
             "cameras": lambda: [(view.name, view.camera, view.lens) for view in survey.views],
             "water": lambda: survey.water if departure is None else (survey.water, departure.points, departure.stds),
-            "water_settings": lambda: (_settings_of(survey), survey.observations.tide),
+            "water_settings": lambda: (_without_colour(survey.config.water), survey.observations.tide),
             "heights": lambda: self.limits,
             "area": lambda: local_area(survey),
             "tiles": lambda: self.plan.tiling,
@@ -281,21 +277,5 @@ def colour_of(survey: Survey) -> tuple[tuple[float, ...] | None, tuple[float, ..
     return (None, None) if water is None else (water.colour.absorption_per_m, water.colour.veiling_light)
 
 
-def _settings_of(survey: Survey) -> dict | None:
-    """Settings of level, slopes and index of the water, without its colour."""
-    given = survey.config.water
-    names = (
-        "level_m",
-        "level_at",
-        "slope_east",
-        "slope_north",
-        "refractive_index",
-        "level_std_m",
-        "slope_std",
-        "index_std",
-        "level_rate_std_m_per_h",
-    )
-    if given is None:
-        return None
-    values = table_of(given)
-    return {name: values[name] for name in names}
+def _without_colour(water: WaterConfig | None) -> WaterConfig | None:
+    return None if water is None else replace(water, colour=WaterColour())

@@ -101,26 +101,6 @@ def commit_result(stage: Stage, name: str, key: Key, run: RunDir, temp: Path, se
     return run.finish_stage(name, key, temp, seconds)
 
 
-def _adjusts(job: Job) -> bool:
-    return job.plan.pose_choice == "refine"
-
-
-def _checks_poses(job: Job) -> bool:
-    return job.plan.pose_choice == "check"
-
-
-def _needs_colour(job: Job) -> bool:
-    return job.chosen.true_colour and colour_of(job.survey)[0] is None
-
-
-def _is_solved(job: Job) -> bool:
-    return job.plan.solves
-
-
-def _has_field(job: Job) -> bool:
-    return job.plan.field in IN_LAYER
-
-
 # What decides the rays of the photographs, and the size and the pixels that are worked on.
 _RAYS = ("photographs", "cameras", "water", "device")
 _VIEWS = (*_RAYS, "size")
@@ -133,7 +113,7 @@ STAGES = (
         depends_on=(*_VIEWS, "frame", "area", "heights"),
         files=(MISFIT,),
         compute=check_poses,
-        is_on=_checks_poses,
+        is_on=lambda job: job.plan.pose_choice == "check",
         apply=use_misfit,
     ),
     Stage(
@@ -142,7 +122,7 @@ STAGES = (
         depends_on=(*_VIEWS, "frame", "water_settings", "area", "heights", "ties", "priors", "control", "freed"),
         files=ADJUSTMENT_FILES,
         compute=adjust_block,
-        is_on=_adjusts,
+        is_on=lambda job: job.plan.pose_choice == "refine",
         apply=use_adjustment,
     ),
     Stage(
@@ -168,7 +148,7 @@ STAGES = (
         depends_on=(*_VIEWS, "gsd"),
         files=(FIGURES,),
         compute=learn_figures,
-        is_on=_is_solved,
+        is_on=lambda job: job.plan.solves,
     ),
     Stage(
         name="solver",
@@ -176,7 +156,7 @@ STAGES = (
         depends_on=(*_VIEWS, "gsd"),
         files=_SOLVED,
         compute=solve_heights,
-        is_on=_is_solved,
+        is_on=lambda job: job.plan.solves,
         is_of_tiles=True,
         joined=Stage("solver", ("sweep", "solver"), _VIEWS, _SOLVED, join_solved),
     ),
@@ -186,7 +166,7 @@ STAGES = (
         depends_on=_VIEWS,
         files=(COLOUR_FILE,),
         compute=estimate_colour,
-        is_on=_needs_colour,
+        is_on=lambda job: job.chosen.true_colour and colour_of(job.survey)[0] is None,
         apply=use_colour,
     ),
     Stage(
@@ -195,7 +175,7 @@ STAGES = (
         depends_on=(*_VIEWS, "area", "frame", "gsd", "rays", "water_colour"),
         files=FIELD_FILES,
         compute=train_field,
-        is_on=_has_field,
+        is_on=lambda job: job.plan.field in IN_LAYER,
     ),
     Stage(
         name="points",
@@ -216,6 +196,6 @@ STAGES = (
 
 # What the cloud would be of the sweep alone: a baseline for the report.
 OF_SWEEP_ALONE = (
-    replace(STAGES[-2], name="points_of_sweep", needs=("sweep",), is_on=_is_solved),
-    replace(STAGES[-1], name="bed_of_sweep", needs=("adjust", "points_of_sweep"), is_on=_is_solved),
+    replace(STAGES[-2], name="points_of_sweep", needs=("sweep",), is_on=lambda job: job.plan.solves),
+    replace(STAGES[-1], name="bed_of_sweep", needs=("adjust", "points_of_sweep"), is_on=lambda job: job.plan.solves),
 )

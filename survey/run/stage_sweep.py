@@ -97,12 +97,12 @@ def _sweep_block(job: Job, folder: Path, block: Block, title: str) -> list[list[
         passes = before_solver(PASSES) if job.plan.solves else PASSES
         passes = passes if job.cell is None else in_area(passes)
         with map_store(folder / SCRATCH, HeightMap, show=_live(job, folder)) as make_store:
-            settings = SweepSettings(bound, passes, job.swept_ground)
+            settings = SweepSettings(bound, passes, job.ground)
             swept = sweep(block, job.views_to_match, settings, shares(stage), make_store=make_store)
             if not swept and job.cell is None:
                 raise SurveyError("no two photographs overlap; check that the poses belong to the images")
             finished = _finished(block, swept, make_store)
-            finished = with_wide_windows(block, finished, bound, job.swept_ground, make_store)
+            finished = with_wide_windows(block, finished, bound, job.ground, make_store)
             save_maps(folder / MAPS, HeightMap, finished)
             consistency = photo_consistency(block, finished, job.whole_camera)
     names, squares = [view.name for view in job.survey.views], _choose_pixels(job, folder)

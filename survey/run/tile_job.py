@@ -140,11 +140,6 @@ class TileJob(Job):
         return self._in_frame(self.cell)
 
     @property
-    def swept_ground(self) -> Area:
-        """The same as `ground`."""
-        return self.ground
-
-    @property
     def has_frame(self) -> bool:
         """Whether the local frame is another than that of the survey."""
         return self._moved is not None

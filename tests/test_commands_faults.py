@@ -17,6 +17,12 @@ from survey import progress as progress_room
 from survey.errors import SurveyError
 
 
+@pytest.fixture(autouse=True)
+def has_settings(monkeypatch):
+    """The folder of process is not there, and no settings are written into it."""
+    fake_module(monkeypatch, "survey.init.draft", require_settings=lambda *_: None, draft=None)
+
+
 def caused_by(error: Exception, cause: BaseException) -> Exception:
     error.__cause__ = cause
     return error

@@ -211,7 +211,7 @@ def test_heights_of_aircraft_are_taken_where_the_overlap_of_photographs_allows_t
     [
         ([(CRS, "EPSG:25832")], MissingVerticalDatum, "has no vertical part; add a vertical CRS"),
         ([(CRS, "EPSG:9999999")], GeoError, "not a known coordinate reference system"),
-        ([(f'crs = "{CRS}"', "")], ConfigError, "survey.toml: crs is missing; give the one that positions and heights"),
+        ([(f'crs = "{CRS}"', "")], ConfigError, "survey.toml: crs is missing; give that of all positions and heights"),
         ([(f"{LEVEL}", "2605.0")], ConfigError, "the cameras are at 2125.0 to 2125.0 m, all of them under the water"),
         ([(f"{LEVEL}", "1605.0")], ConfigError, "all of them more than 300 m over the water; give level_m"),
         (
@@ -295,7 +295,7 @@ def test_a_damaged_image_and_missing_images_are_refused(tmp_path):
 
 
 def test_a_folder_that_does_not_exist_or_is_a_file_is_refused(tmp_path):
-    with pytest.raises(SurveyError, match="nowhere does not exist; expected a folder with images"):
+    with pytest.raises(SurveyError, match="nowhere does not exist; expected a folder with photographs"):
         load_survey(tmp_path / "nowhere")
     (tmp_path / "file").write_text("")
     with pytest.raises(SurveyError, match="file is a file"):

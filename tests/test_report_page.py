@@ -87,6 +87,13 @@ def test_report_html_shows_the_figures_of_report_json(plane_report):
         assert text in page, text
 
 
+def test_method_and_limitations_come_before_the_pictures(plane_report):
+    page = plane_report.run.report_html_path.read_text(encoding="utf-8")
+    heads = re.findall(r"<h2>(.*?)</h2>", page)
+    assert heads[:3] == ["Method", "Limitations", "Pictures"]
+    assert "bent by Snell&#39;s law" in page
+
+
 def test_no_picture_is_wider_than_the_page(plane_report):
     page = plane_report.run.report_html_path.read_text(encoding="utf-8")
     rules = re.findall(r"[^{}]*img\s*{([^}]*)}", page.partition("</style>")[0])

@@ -82,7 +82,8 @@ def _of_heights(figures: ReportFigures) -> Iterator[Card]:
     if (std := figures.height_std) is None:
         return
     shared = "" if std.shared is None else f"{length(std.shared)} shared by all, "
-    yield Card("Height, one sigma, all included", length(std.whole), f"{shared}{length(std.random)} random")
+    detail = f"{shared}{length(std.random)} random; {length(LE95 * std.whole)} at 95{NO_BREAK}%"
+    yield Card("Height, one sigma, all included", length(std.whole), detail)
     stated = figures.stated
     if figures.comparison is None and stated is not None and stated.orders:
         order = stated.strictest

@@ -73,6 +73,7 @@ def render_page(figures: ReportFigures, pictures: list[Picture]) -> str:
         verdict=headline(figures.verdict, figures.warnings, draft_command),
         cards=cards(figures),
         num_warnings=len(figures.warnings),
+        first_sections=[Section("Method", method(figures)), Section("Limitations", limitations(figures))],
         groups=_grouped(pictures),
         sections=[section for section in _sections(figures) if section.blocks],
         settings=settings_text(figures.settings),
@@ -98,8 +99,6 @@ def _sections(figures: ReportFigures) -> list[Section]:
     comparison, survey = figures.comparison, figures.survey
     uncertainty = None if comparison is None else comparison.uncertainty
     return [
-        Section("Method", method(figures)),
-        Section("Limitations", limitations(figures)),
         Section("Coverage of the water", coverage(figures)),
         Section("Comparison with the reference", comparison_blocks(comparison)),
         Section("Waves", waves.rows(figures.waves)),

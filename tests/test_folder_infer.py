@@ -67,7 +67,7 @@ def test_dry_ground_has_no_water(tmp_path):
 
 
 def test_without_survey_toml_it_says_what_writes_it(tmp_path):
-    with pytest.raises(ConfigError, match=r"has no survey\.toml; bathynerf init writes it"):
+    with pytest.raises(ConfigError, match=r"bathynerf init \(bathynerf\.init in Python\) writes it"):
         load_survey(small_survey(tmp_path / "a", gps=True, toml=None))
 
 

@@ -82,7 +82,7 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     folder = require_survey_folder(folder)
     toml = folder / FILE_NAME
     if config is None and (config := settings_of(folder)) is None:
-        raise ConfigError(f"{folder} has no {FILE_NAME}; bathynerf init writes it, and process does, from photographs")
+        raise ConfigError(f"{folder} has no {FILE_NAME}; bathynerf init (bathynerf.init in Python) writes it")
     place = folder / config.images.local_dir
     if is_url(config.images.dir):
         fetch_images(config.images.dir, place)

@@ -10,7 +10,7 @@ from fields.solver.appearance import brightness_of
 from fields.sweep.block import downsample, fill_small_holes
 from fields.sweep.photo_consistency import Consistency
 from survey.photos.texture import saturated_pixels
-from survey.report.photographs import photograph_warnings, photographs_of, summary, table
+from survey.report.photographs import left_out_shares, photograph_warnings, photographs_of, table
 
 
 def _image(rng) -> np.ndarray:
@@ -85,16 +85,17 @@ def test_each_photograph_has_its_shares_and_those_that_are_mostly_white_are_name
     (warning,) = photograph_warnings(found)
     assert warning.startswith("1 photograph more than half white by glint of the sun or exposure")
     assert warning.endswith("b.jpg")
-    white, unlike = summary(found)
-    assert "21.3" in white
-    # The weight of those is less, and they are in the cloud.
-    assert unlike.endswith("are downweighted")
-    _, notable, every = table(found)
-    assert [row[0] for row in notable.rows] == ["b.jpg", "c.jpg"]
+    (white, of_pixels), (unlike, _) = left_out_shares(found)
+    assert white.startswith("left out as white")
+    assert of_pixels.startswith("21.3")
+    assert unlike.startswith("differing from all others")
+    _, every = table(found)
     assert [row[0] for row in every.table.rows] == ["a.jpg", "b.jpg", "c.jpg"]
     # Nothing is said of nothing.
-    assert summary(photographs_of({"a.jpg": 0.0}, {"a.jpg": [200, 0]}, {})) == []
-    assert table(()) == summary(()) == photograph_warnings(()) == []
+    nothing = photographs_of({"a.jpg": 0.0}, {"a.jpg": [200, 0]}, {})
+    assert left_out_shares(nothing) == []
+    assert table(nothing)[-1].text == "All 1 photographs, 0 of them left out; each is used whole."
+    assert table(()) == left_out_shares(()) == photograph_warnings(()) == []
 
 
 def test_what_one_photograph_alone_shows_is_outlying(rng):

@@ -11,6 +11,7 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+from survey.run.earlier_level import search_under_earlier_level
 from survey.run.folder import RunDir
 from survey.run.job import Job
 from survey.run.keys import Key
@@ -154,6 +155,8 @@ def run_stages(
     for stage in [*STAGES, *OF_SWEEP_ALONE] if compares_sweep else STAGES:
         if not stage.is_on(job):
             continue
+        if stage.name == "range" and resume and not compares_sweep:
+            search_under_earlier_level(job, run, stage)
         if stage.is_of_tiles and workers is not None:
             done |= workers.run(stage, done, resume=resume)
         for part in job.parts if stage.is_of_tiles else [job]:

@@ -56,6 +56,8 @@ class Job:
         Heights and photographs of the search for the bed, once they are known.
     parts : sequence of Job
         The tiles, once `bed_search` is known; itself in one piece.
+    asked : Survey or None
+        The survey with the level that is asked for, while the bed is that of an earlier one.
     waits_for_kernels : Event
         Set when a wait for kernels begins that is long enough for another thread to hold the GIL.
     """
@@ -77,6 +79,7 @@ class Job:
         self.waits_for_kernels = Event()
         self.bed_search: BedSearch | None = None
         self.parts: Sequence[Job] = (self,)
+        self.asked: Survey | None = None
         self._hashed: dict[str, str] = {}
         # Of which survey and plan these are.
         self._hashed_of: tuple[object, object] = (None, None)

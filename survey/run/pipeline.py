@@ -21,7 +21,7 @@ from survey.run.keys import Key
 from survey.run.merged import join_solved, join_sweeps
 from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
 from survey.run.stage_adjust import MISFIT, adjust_block, check_poses, use_adjustment, use_misfit
-from survey.run.stage_bed import FILES, POINTS, find_points, make_bed
+from survey.run.stage_bed import FILES, POINTS, find_points, make_bed, use_bed
 from survey.run.stage_field import train_field
 from survey.run.stage_range import find_range, use_range
 from survey.run.stage_solver import FIGURES, SIGHTINGS, SOLVED, WAVES, learn_figures, solve_heights
@@ -191,6 +191,7 @@ STAGES = (
         depends_on=(*_VIEWS, "water_settings", "priors", "frame", "name", "gsd"),
         files=FILES,
         compute=make_bed,
+        apply=use_bed,
     ),
 )
 

@@ -10,7 +10,7 @@ and the point goes to where they come closest to each other. A surface that is h
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -62,6 +62,8 @@ _AT_ONCE = 100_000
 _LEAST_DETERMINANT = 1.5e-4
 # Least cosine of a ray in air to the vertical for which the effect on a height is computed.
 _LEAST_COSINE = 0.2
+# Std of the height of a raised plane that stands for what the search for the bed would do otherwise under it.
+_RAISED_SHARE = 0.07
 FILES = (BED_FILE, SURVEY_FILE)
 POINTS = "points.npz"
 # In the folder of the stage, while it lasts: the points of all tiles.
@@ -87,7 +89,23 @@ def through_surface(
     west, south = (bed.xyz[:, :2].min(axis=0) - reach).tolist()
     east, north = (bed.xyz[:, :2].max(axis=0) + reach).tolist()
     area = (west, south, east, north)
-    surface, of_surface = departure.surface(area, plane), departure.interpolated_std(area)
+    return _through(bed, cameras, plane, departure.surface(area, plane), departure.interpolated_std(area))
+
+
+def through_raised(bed: BedPoints, cameras: Sequence[PinholeCamera], plane: FlatWater, raised: FlatWater) -> BedPoints:
+    """Points under a plane that is raised a little, found under a plane, with the std that this adds."""
+    std = _RAISED_SHARE * abs(float(raised.point[2] - plane.height(*raised.point[:2])))
+    return _through(bed, cameras, plane, raised, lambda places: np.full(len(places), std)) if len(bed) else bed
+
+
+def _through(
+    bed: BedPoints,
+    cameras: Sequence[PinholeCamera],
+    plane: FlatWater,
+    surface: BicubicWater | FlatWater,
+    of_surface: Callable[[np.ndarray], np.ndarray],
+) -> BedPoints:
+    """Points under a surface, found under a plane; ``of_surface`` is the std [m] of its height at places (M, 2)."""
     heights = (bed.xyz - np.array(plane.point)) @ np.array(plane.up)
     grounds = [Footprint.of(camera, plane, (float(heights.min()), float(heights.max()))) for camera in cameras]
     parts = []
@@ -116,9 +134,12 @@ def bed_per_level(incidence: np.ndarray, n_water: float) -> np.ndarray:
 
 
 def _placed(
-    points: np.ndarray, cameras: Sequence[PinholeCamera], plane: FlatWater, surface: BicubicWater
+    points: np.ndarray, cameras: Sequence[PinholeCamera], plane: FlatWater, surface: BicubicWater | FlatWater
 ) -> np.ndarray:
-    """Points (N, 3) where their rays come closest through the surface; as they are where fewer than two are known."""
+    """Points (N, 3) where their rays come closest through the surface; as they are where fewer than two are known.
+
+    Rays count by how many pixels their photograph shows them apart: those of oblique views by fewer.
+    """
     count = np.zeros(len(points), dtype=int)
     wet_sums, dry_sums = ((np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))) for _ in range(2))
     for camera in cameras:
@@ -127,11 +148,15 @@ def _placed(
         number, path = np.flatnonzero(seen), camera.paths(pixels[seen], plane)
         crossing, bent = _entered(path.crossing, path.air_direction, surface, camera.tide)
         known = path.wet & np.isfinite(bent).all(axis=1)
-        _add(wet_sums, number[known], crossing[known], bent[known])
-        _add(dry_sums, number[known], path.origin[known], path.air_direction[known])
+        # Of distances in air, and of those in water beside them.
+        px_per_m = camera.fx / np.linalg.norm(points[seen] - camera.centre, axis=1)[known]
+        at_bed = px_per_m * path.air_direction[known, 2] / bent[known, 2]
+        _add(wet_sums, number[known], crossing[known], bent[known], at_bed**2)
+        _add(dry_sums, number[known], path.origin[known], path.air_direction[known], px_per_m**2)
         count[number[known]] += 1
-    # Of two nearly parallel rays the determinant is twice the square of their angle.
-    found = (count >= 2) & (np.linalg.det(wet_sums[0]) > _LEAST_DETERMINANT)
+    # Of two nearly parallel rays the determinant is twice the square of their angle, times the cube of their weight.
+    weight = np.trace(wet_sums[0], axis1=1, axis2=2) / (2.0 * np.maximum(count, 1))
+    found = (count >= 2) & (np.linalg.det(wet_sums[0]) > _LEAST_DETERMINANT * weight**3)
     placed = points.copy()
     under = np.linalg.solve(wet_sums[0][found], wet_sums[1][found][..., None])[..., 0]
     over = np.linalg.solve(dry_sums[0][found], dry_sums[1][found][..., None])[..., 0]
@@ -141,22 +166,30 @@ def _placed(
 
 
 def _entered(
-    crossing: np.ndarray, ray: np.ndarray, surface: BicubicWater, tide: float
+    crossing: np.ndarray, ray: np.ndarray, surface: BicubicWater | FlatWater, tide: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Crossings of rays in air with the surface, near those with a plane, and their directions in water (N, 3)."""
     for _ in range(_STEPS):
-        normal = np.column_stack(surface.normal(crossing[:, 0], crossing[:, 1]))
+        normal = np.column_stack(_normals(surface, crossing))
         over = surface.height(crossing[:, 0], crossing[:, 1]) + tide - crossing[:, 2]
         crossing = crossing + (over * normal[:, 2] / np.sum(ray * normal, axis=1))[:, None] * ray
-    normals = surface.normal(crossing[:, 0], crossing[:, 1])
-    bent = kernels.bend(tuple(ray.T), normals, 1.0, surface.n_water)
+    bent = kernels.bend(tuple(ray.T), _normals(surface, crossing), 1.0, surface.n_water)
     return crossing, np.column_stack(bent)
 
 
-def _add(sums: tuple[np.ndarray, np.ndarray], number: np.ndarray, through: np.ndarray, along: np.ndarray) -> None:
+def _normals(surface: BicubicWater | FlatWater, crossing: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Components (N,) of the normals at crossings (N, 3); those of a plane are numbers."""
+    x, y = crossing[:, :2].T
+    return tuple(np.broadcast_to(each, x.shape) for each in surface.normal(x, y))
+
+
+def _add(
+    sums: tuple[np.ndarray, np.ndarray], number: np.ndarray, through: np.ndarray, along: np.ndarray, weight: np.ndarray
+) -> None:
     """Add lines to the normal equations of the points nearest to them; a point has one line at most here."""
-    for total, each in zip(sums, equations_of_lines(through, along), strict=True):
-        total[number] += each
+    normals, rights = equations_of_lines(through, along)
+    sums[0][number] += weight[:, None, None] * normals
+    sums[1][number] += weight[:, None] * rights
 
 
 class SolvedHeights(Sequence[HeightMap]):
@@ -251,7 +284,7 @@ def in_crs(survey: Survey, xyz: np.ndarray) -> Column:
 
 def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Points of all tiles with the parts of their std that follow from the whole bed."""
-    survey, found = job.survey, adjustment_of(needs)
+    survey, found = job.asked or job.survey, adjustment_of(needs)
     with job.progress.stage("Bed"), columns_in(folder) as new_column:
         bed, xyz_in_crs = _gathered([needs[name] / POINTS for name in needs if name != "adjust"], folder / GATHERED)
         if len(bed) == 0:
@@ -259,6 +292,11 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
                 "no point of the bed was confirmed by two views; check that poses, water level and images belong "
                 "together (bathynerf check) and that the views overlap"
             )
+        if job.asked is not None:
+            bed = through_raised(
+                bed, [view.camera for view in survey.views], job.survey.require_water()[0], survey.require_water()[0]
+            )
+            xyz_in_crs = in_crs(survey, bed.xyz)
         common = std_common(bed.xyz, bed.wet, survey, found, job.plan.gsd_m, new_column(len(bed)))
         in_plan = std_common(bed.xyz, bed.wet, survey, found, job.plan.gsd_m, new_column(len(bed)), in_plan=True)
         bed, of_block = with_std_of_block(bed, survey, found, job.plan.gsd_m, new_column)
@@ -274,7 +312,14 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     (folder / GATHERED).unlink(missing_ok=True)
 
 
-def _gathered(of_parts: Sequence[Path], path: Path) -> tuple[BedPoints, np.ndarray]:
+def use_bed(job: Job, _folder: Path) -> None:
+    """Take the level that is asked for, under which the points lie now."""
+    if job.asked is not None:
+        asked, job.asked = job.asked, None
+        job.use_survey(asked)
+
+
+def _gathered(of_parts: Sequence[Path], path: Path) -> tuple[BedPoints, np.ndarray | Column]:
     """Points of `find_points`, local and (N, 3) in crs; those of several tiles are gathered in a file."""
     if len(of_parts) > 1:
         names = [*(each.name for each in fields(BedPoints)), "points_crs"]

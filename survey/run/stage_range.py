@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,17 +22,18 @@ if TYPE_CHECKING:
 def find_range(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
     """Find the bound by thumbnails, and the views that cover the bed; tile by tile where these have local frames."""
     tiles = 1 if job.plan.tiling is None else len(job.plan.tiling)
+    water = None if job.survey.water is None else asdict(job.survey.water)
     if job.plan.tiling is not None and has_frames(job.plan.tiling):
         with job.progress.stage("Range of heights", tiles) as stage:
             bounds, views = _of_tiles(job, stage.advance)
-        write_json(folder / SHARED, {"bounds": bounds, "views": views, "tiles": tiles})
+        write_json(folder / SHARED, {"bounds": bounds, "views": views, "tiles": tiles, "water": water})
         return
     with job.progress.stage("Range of heights"):
         low, high = job.bound
     job.block.set_overlap_height(0.5 * (low + high))
     times = required_views(job.block.saturated, job.plan.recipe.times_seen)
     views = job.block.cover(*times, local_area(job.survey))
-    write_json(folder / SHARED, {"low_m": low, "high_m": high, "views": views, "tiles": tiles})
+    write_json(folder / SHARED, {"low_m": low, "high_m": high, "views": views, "tiles": tiles, "water": water})
 
 
 def _of_tiles(job: Job, advance: Callable[[float], None]) -> tuple[list[tuple[float, float]], list[int]]:

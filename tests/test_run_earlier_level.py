@@ -1,0 +1,79 @@
+"""A level that changes after a run: by little, the points are moved, by more the bed is searched again."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from drawn_runs import drawn, process_quietly
+
+from survey.run.earlier_level import MOST_RAISED_M
+from survey.run.folder import RunDir
+from survey.run.stored import StoredBed, load_bed
+
+LEVEL = re.compile(r"level_m = ([\d.]+)")
+# Of what a search under the new level finds otherwise; measured 1 to 6 % of how far points move.
+SHARE = 0.09
+
+
+def with_level(folder: Path, raised_m: float) -> Path:
+    """The survey with another level."""
+    path = folder / "survey.toml"
+    text = path.read_text(encoding="utf-8")
+    path.write_text(LEVEL.sub(lambda found: f"level_m = {float(found[1]) + raised_m:.4f}", text, count=1), "utf-8")
+    return folder
+
+
+def bed_and_searches(folder: Path) -> tuple[StoredBed, dict[str, str]]:
+    """The bed of the latest run of a survey, and the folders of its stages by name."""
+    process_quietly(folder)
+    run = RunDir(folder / "bathynerf")
+    return load_bed(run.load_stage("bed")), run.result()["stages"]
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory) -> Path:
+    """A survey that has been processed."""
+    folder = tmp_path_factory.mktemp("level") / "survey"
+    drawn(folder)
+    process_quietly(folder)
+    return folder
+
+
+@pytest.mark.parametrize("raised", [0.03, -0.05])
+def test_a_level_that_changes_by_little_moves_the_points_and_searches_nothing(first, tmp_path, raised):
+    assert abs(raised) <= MOST_RAISED_M
+    before, stages = bed_and_searches(first)
+    folder = with_level(shutil.copytree(first, tmp_path / "survey"), raised)
+    moved, kept = bed_and_searches(folder)
+    assert {name for name in stages if stages[name] != kept[name]} == {"bed"}
+
+    shutil.rmtree(folder / "bathynerf")
+    searched, _ = bed_and_searches(folder)
+    middle = [float(np.median(found.points_crs[:, 2])) for found in (before, moved, searched)]
+    # Straight down the bed sinks by (n - 1) of what the water rises.
+    assert middle[2] - middle[0] == pytest.approx(-0.333 * raised, rel=0.5)
+    assert abs(middle[1] - middle[2]) < SHARE * abs(middle[2] - middle[0])
+    np.testing.assert_allclose(np.median(moved.bed.depth), np.median(searched.bed.depth), atol=2e-3)
+    assert (moved.bed.std >= before.bed.std).all()
+    assert np.median(moved.bed.std) > np.median(before.bed.std)
+
+
+def test_a_level_that_changes_by_more_is_searched_again(first, tmp_path):
+    _, stages = bed_and_searches(first)
+    folder = with_level(shutil.copytree(first, tmp_path / "survey"), 1.01 * MOST_RAISED_M)
+    _, other = bed_and_searches(folder)
+    assert not set(stages.values()) & set(other.values())
+
+
+def test_the_level_before_gives_the_cloud_before(first, tmp_path):
+    folder = shutil.copytree(first, tmp_path / "survey")
+    cloud = folder / "bathynerf" / "cloud.las"
+    before = cloud.read_bytes()
+    process_quietly(with_level(folder, 0.02))
+    assert cloud.read_bytes() != before
+    process_quietly(with_level(folder, -0.02))
+    assert cloud.read_bytes() == before

@@ -13,6 +13,7 @@ from fields.waves.surfaces import CellAdjustment, Displacements, Posterior, find
 from fields.waves.waves import Waves
 from refract import kernels
 from refract.curved import WavyWater
+from survey.run.stage_sweep import load_rough_water, save_rough_water
 
 INDEX, SPACING, NOISE_M = 1.34, 0.25, 0.004
 # Amplitude [m], wave vector [rad/m].
@@ -177,6 +178,19 @@ def test_surfaces_displace_as_rays_that_they_bend():
     shown_at[:2] += found
     missed = place_on_bed(centre, Crossings.of(centre, shown_at, INDEX).place, -shown_at[2], water) - points[:2]
     assert np.sqrt(np.mean(missed**2)) < 0.02 * np.sqrt(np.mean(found**2))
+
+
+def test_surfaces_are_read_as_they_were_written(drawn, tmp_path):
+    assert load_rough_water(tmp_path) == (None, 0.0)
+    num, random = drawn.found.grid.num_views, np.random.default_rng(3)
+    still = Waves.still(np.array([[*random.uniform(-4.0, 14.0, 2), 40.0] for _ in range(num)]), np.zeros(num), INDEX)
+    waves = still.with_surfaces(drawn.found, np.zeros((2, 2, 2), dtype=np.float32), np.zeros(2))
+    save_rough_water(tmp_path, waves, 0.7)
+    found, moved_px = load_rough_water(tmp_path)
+    assert moved_px == 0.7
+    points = np.array([[2.0, 5.0], [3.0, 4.0], [-3.0, -2.0]], dtype=np.float32)
+    assert np.array_equal(found.displacement(1, points), waves.displacement(1, points))
+    assert waves.displacement(1, points).any()
 
 
 def test_the_sea_is_described(drawn):

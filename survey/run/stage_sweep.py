@@ -76,8 +76,13 @@ def sweep_views(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
         still, waves, moved_px = found
         job.progress.note(f"waves: photographs shifted by {moved_px:.2f} px; swept again as over still water")
         _sweep_block(job, folder, still, "Sweep without waves")
-        arrays = {name: np.asarray(getattr(waves, name)) for name in _OF_WAVES}
-        save_arrays(folder / ROUGH_WATER, moved_px=np.array(moved_px), **arrays)
+        save_rough_water(folder, waves, moved_px)
+
+
+def save_rough_water(folder: Path, waves: Waves, moved_px: float) -> None:
+    """Write what `load_rough_water` reads."""
+    arrays = {name: np.asarray(getattr(waves, name)) for name in _OF_WAVES}
+    save_arrays(folder / ROUGH_WATER, moved_px=np.array(moved_px), **arrays)
 
 
 def load_rough_water(folder: Path) -> tuple[Waves | None, float]:

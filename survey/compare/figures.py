@@ -26,6 +26,17 @@ class Parts:
     views: tuple[Band, ...] = ()
     slope: tuple[Band, ...] = ()  # By the slope of the reference [deg]; empty where that is a cloud
 
+    @property
+    def banded(self) -> list[tuple[str, str, str, tuple[Band, ...]]]:
+        """Bands that are known: their key, what they are of, the unit of their limits."""
+        kinds = (
+            ("depth", "depth", "m", () if self.depth is None else self.depth.bands),
+            ("incidence", "incidence", "deg", self.incidence),
+            ("views", "views that agree", "views", self.views),
+            ("slope", "slope of the reference", "deg", self.slope),
+        )
+        return [kind for kind in kinds if kind[-1]]
+
 
 @dataclass(frozen=True)
 class Vertical:
@@ -188,14 +199,7 @@ def _known(record: DistanceStatistics | Scores) -> dict:
 
 def _parts(parts: Parts) -> dict:
     numbers = {} if parts.depth is None else _depth_parts(parts.depth)
-    kinds = (
-        ("incidence_bands", parts.incidence, "deg"),
-        ("views_bands", parts.views, "views"),
-        ("slope_bands", parts.slope, "deg"),
-    )
-    for key, bands, unit in kinds:
-        numbers |= {key: _bands(bands, unit)} if bands else {}
-    return numbers
+    return numbers | {f"{key}_bands": _bands(bands, unit) for key, _, unit, bands in parts.banded}
 
 
 def _reached(bands: tuple[ReachedBand, ...]) -> dict:

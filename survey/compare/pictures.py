@@ -164,10 +164,8 @@ def has_bands(parts: Parts) -> bool:
 
 def _panels(parts: Parts) -> list[tuple[tuple[Band, ...], str, str]]:
     """Bands, label of their axis and unit of their limits, from the attributes of the points."""
-    depth = () if parts.depth is None else parts.depth.bands
-    panels = [(depth, "depth below the water [m]", "m"), (parts.incidence, "incidence [°]", "deg"),
-              (parts.views, "views that agree", "views")]  # fmt: skip
-    return [panel for panel in panels if panel[0]]
+    labels = {"depth": "depth below the water [m]", "incidence": "incidence [°]", "views": "views that agree"}
+    return [(bands, labels[key], unit) for key, _, unit, bands in parts.banded if key in labels]
 
 
 def draw_bands(parts: Parts, path: Path) -> None:

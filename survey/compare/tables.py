@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from evaluation import Band, DistanceStatistics, Scores
+from evaluation import DistanceStatistics, Scores
 from evaluation.standards import TvuOrder
 from survey.compare.figures import CheckpointFigures, Circumstances, Figures, VerticalUncertainty
 from survey.display.blocks import Block, Rows, Section, Sentences, Table, Text
@@ -79,19 +79,11 @@ def _parts(found: Figures) -> list[tuple[str, DistanceStatistics]]:
 
 
 def _bands(found: Figures, unit: LengthUnit) -> list[Table]:
-    parts = found.parts
-    kinds: tuple[tuple[tuple[Band, ...], str, str], ...] = (
-        (() if parts.depth is None else parts.depth.bands, "depth", "m"),
-        (parts.incidence, "incidence", "deg"),
-        (parts.views, "views that agree", "views"),
-        (parts.slope, "slope of the reference", "deg"),
-    )
     return [
         _bias_and_spread(
             title, [(limits_label(band.low, band.high, of), band.distances) for band in bands], unit, f"By {title}"
         )
-        for bands, title, of in kinds
-        if bands
+        for _, title, of, bands in found.parts.banded
     ]
 
 

@@ -96,9 +96,7 @@ def pick(tree: CloudTree, origin: np.ndarray, direction: np.ndarray, *, angle: f
         if entry > first + _SAME_SURFACE * (least_m + angle * first):
             break
         rows = tree.rows(node)
-        offset = tree.points[rows] - origin
-        t = offset @ along
-        off = np.linalg.norm(offset - t[:, None] * along, axis=1)
+        t, off = _along_and_off(tree.points[rows], origin, along)
         hit = (t > 0.0) & (off <= least_m + angle * t)
         if hit.any():
             first = min(first, float(t[hit].min()))
@@ -126,9 +124,7 @@ def is_blocked(tree: CloudTree, start: np.ndarray, end: np.ndarray, *, width_m: 
     for node, entry in _nodes_on(tree, start, along, 0.0, width_m):
         if entry > length:
             break
-        offset = tree.points[tree.rows(node)] - start
-        t = offset @ along
-        off = np.linalg.norm(offset - t[:, None] * along, axis=1)
+        t, off = _along_and_off(tree.points[tree.rows(node)], start, along)
         num += int(((t > free_m) & (t < length) & (off <= width_m)).sum())
         if num >= _BLOCKING:
             return True
@@ -138,14 +134,19 @@ def is_blocked(tree: CloudTree, start: np.ndarray, end: np.ndarray, *, width_m: 
 def _nodes_on(tree: CloudTree, origin: np.ndarray, along: np.ndarray, angle: float, least_m: float):
     """Nodes whose bounding spheres a widening ray touches, with the distance [m] at which it enters them, in order."""
     radius = 0.5 * np.sqrt(3.0) * tree.side
-    offset = tree.low + 0.5 * tree.side[:, None] - origin
-    t = offset @ along
-    off = np.linalg.norm(offset - t[:, None] * along, axis=1)
+    t, off = _along_and_off(tree.low + 0.5 * tree.side[:, None], origin, along)
     end = np.maximum(t + radius, 0.0)
     touched = np.flatnonzero((t + radius > 0.0) & (off <= radius + least_m + angle * end))
     entry = np.maximum(t - radius, 0.0)[touched]
     order = np.argsort(entry, kind="stable")
     return zip(touched[order].tolist(), entry[order].tolist(), strict=True)
+
+
+def _along_and_off(points: np.ndarray, origin: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances (N,) [m] of points (N, 3) along a ray from an origin in a unit direction (3,), and from its axis."""
+    offset = points - origin
+    t = offset @ along
+    return t, np.linalg.norm(offset - t[:, None] * along, axis=1)
 
 
 def camera_of_screen(

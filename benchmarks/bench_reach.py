@@ -34,7 +34,7 @@ from refract import FlatWater
 from survey.benchmark.benchmark import machine, run_bathynerf
 from survey.folder.survey import Survey, load_survey
 from survey.plan.choices import Choices
-from survey.plan.run_plan import plan_run
+from survey.plan.tile_choice import plan_run
 from survey.plan.tiling import ground_of, ray_skew_px
 from survey.simulate.staging.simulate import simulate
 from survey.water.surface import Departure

@@ -24,8 +24,7 @@ from survey.plan.check_inputs import control_rows, level_warning, mark_rows, wat
 from survey.plan.choices import USUAL, Choices
 from survey.plan.decisions import Decision, require_placeable
 from survey.plan.plan import Plan, device_decision, make_plan
-from survey.plan.run_plan import plan_run
-from survey.plan.tile_choice import require_dask
+from survey.plan.tile_choice import plan_run, require_dask
 from survey.plan.workload import Workload, room_warnings, workload_of_images
 from survey.settings.config import SurveyConfig
 from survey.sfm.datum import WELL_KNOWN_M
@@ -86,7 +85,7 @@ def check_survey(
 ) -> list[CheckSection]:
     """Check a survey and describe what `process` would do; nothing is computed and nothing written.
 
-    ``checked`` is that of `require_processable`, if it was called already; others as `survey.plan.run_plan.plan_run`.
+    ``checked`` is that of `require_processable`, if it was called already; others as those of `plan_run`.
     """
     checked = require_processable(folder, chosen) if checked is None else checked
     if checked.survey is None:

@@ -1,4 +1,7 @@
-"""Number of tiles of a survey by the memory that is free, and of the processes that compute them."""
+"""The plan of a run with its tiles, as `check` prints it and `process` follows it.
+
+The number of tiles is chosen by the memory that is free, with that of the processes that compute them.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,6 @@ import math
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from itertools import chain
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,19 +17,16 @@ from fields.sweep.views import ground_points
 from survey import machine
 from survey.display.quantities import bytes_of, length, room, size
 from survey.errors import SurveyError
+from survey.folder.survey import Survey
 from survey.plan.area import Area, Tiling, flattened
+from survey.plan.choices import Choices
 from survey.plan.decisions import Decision
 from survey.plan.heights import dry_ground
+from survey.plan.plan import Plan, make_plan
+from survey.plan.rates import Amounts
 from survey.plan.sweep_block import camera_of
-from survey.plan.tiling import FRAME_M, MOST_SKEW_PX, RIM_GSD, ground_of, ray_skew_px
-from survey.plan.workload import POINT_BYTES, memory_of
-
-if TYPE_CHECKING:
-    from survey.folder.survey import Survey
-    from survey.plan.choices import Choices
-    from survey.plan.plan import Plan
-    from survey.plan.rates import Amounts
-    from survey.plan.workload import Workload
+from survey.plan.tiling import FRAME_M, MOST_SKEW_PX, RIM_GSD, ground_of, ray_skew_px, tile_warnings
+from survey.plan.workload import POINT_BYTES, Workload, amounts_of_run, memory_of, workload_of
 
 # What the tiles of a run share, in the folder of a stage.
 SHARED = "shared.json"
@@ -60,6 +59,30 @@ class TileChoice:
     decisions: tuple[Decision, ...]  # On tiles, and on workers where there are tiles and several were asked for
     memory_bytes: float  # At the peak of the run, of all its processes
     workers: int = 1  # 1 for the process of the run itself
+
+
+def plan_run(
+    survey: Survey,
+    chosen: Choices,
+    *,
+    aim: Decision | None = None,
+    chooses_workers: bool = False,
+    earlier_tiles: int | None = None,
+) -> tuple[Plan, Workload, tuple[str, ...]]:
+    """Plan and workload of a run on a survey whose poses are known, and warnings where tiles are not accurate enough.
+
+    ``aim`` is by which quality and image scale were chosen; ``chooses_workers`` whether a number of processes for tiles
+    is chosen where none is given; ``earlier_tiles`` that of an unfinished run that goes on.
+    """
+    plan = make_plan(survey, chosen)
+    amounts = amounts_of_run(survey, plan)
+    workload = workload_of(survey, plan, amounts)
+    tiles = choose_tiles(
+        survey, plan, chosen, workload, amounts, earlier=earlier_tiles, chooses_workers=chooses_workers
+    )
+    decisions = (*plan.decisions, *(() if aim is None else (aim,)), *tiles.decisions)
+    plan = replace(plan, decisions=decisions, tiling=tiles.tiling, workers=tiles.workers)
+    return plan, replace(workload, memory_bytes=int(tiles.memory_bytes)), tile_warnings(survey, plan)
 
 
 def choose_tiles(

@@ -16,8 +16,8 @@ from survey.adjust.starts import PoseRecovery, recover_poses
 from survey.errors import SurveyError
 from survey.photos.images import ImageStore
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
-from survey.plan.run_plan import plan_run
 from survey.plan.sweep_block import camera_of, cameras_of_block, load_block
+from survey.plan.tile_choice import plan_run
 from survey.run.stored import ArrayFiles
 from survey.run.windows import BedSearch, Outlines
 from survey.settings.water import WaterColour, WaterConfig

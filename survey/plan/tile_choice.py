@@ -131,10 +131,7 @@ def _as_needed(
     """As few tiles as memory, workers, water and local frames allow; one piece where it serves for all of them."""
     ground, one = ground_of(survey, plan), float(workload.memory_bytes)
     for_workers = max(1 if chosen.scheduler is None else 2, chosen.workers or 1)
-    for_geometry, why = _for_water(survey, plan)
-    for_frames = math.prod(math.ceil((ground[axis + 2] - ground[axis]) / FRAME_M) for axis in (0, 1))
-    if for_frames > for_geometry:
-        for_geometry, why = for_frames, "a local frame serves for a kilometre"
+    for_geometry, why = _for_geometry(survey, plan, ground)
     budget, source = _budget(chosen)
     in_one = f"in one piece the run takes about {size(one)} of memory"
     if one <= budget and max(for_workers, for_geometry) == 1:
@@ -147,7 +144,12 @@ def _as_needed(
     # Workers of a scheduler have memory of their own.
     budget /= 1 if chosen.scheduler is not None else chosen.workers or 1
     best = _one_piece(workload, f"{needed}; the ground is too small for tiles")
-    for count in _candidates(ground, plan, for_workers, for_geometry, earlier):
+    least = max(for_workers, for_geometry)
+    counts = _counts(ground, max(_most_tiles(ground, plan, _LEAST_FOR_MEMORY), least))
+    # That of an unfinished run and the least for the geometry come first.
+    tried = [*filter(None, [earlier]), *[for_geometry] * (for_geometry == least > 1), *counts]
+    # About square ones may all be fewer than there are workers.
+    for count in [count for count in tried if count >= max(least, 2)] or [least] * (least > 1):
         tiling = Tiling.of(ground, count, RIM_GSD * plan.gsd_m)
         memory = _memory(survey, plan, tiling, amounts)
         if best.tiling is None or memory < 0.98 * best.memory_bytes:
@@ -158,34 +160,24 @@ def _as_needed(
     return best
 
 
-def _candidates(ground: Area, plan: Plan, for_workers: int, for_geometry: int, earlier: int | None) -> list[int]:
-    """Numbers of tiles to try, in this order: that of an unfinished run, the least for the geometry, square ones."""
-    least = max(for_workers, for_geometry)
-    most = max(_most_tiles(ground, plan, _LEAST_FOR_MEMORY), least)
-    of_geometry = [for_geometry] if for_geometry == least > 1 else []
-    counts = [*([] if earlier is None else [earlier]), *of_geometry, *_counts(ground, most)]
-    # About square ones may all be fewer than there are workers.
-    return [count for count in counts if count >= max(least, 2)] or ([least] if least > 1 else [])
-
-
 def _most_tiles(ground: Area, plan: Plan, least_footprints: float = _LEAST_FOOTPRINTS) -> int:
     return int((ground[2] - ground[0]) * (ground[3] - ground[1]) / (least_footprints * np.prod(plan.footprint_m)))
 
 
-def _for_water(survey: Survey, plan: Plan) -> tuple[int, str]:
-    """Least number of tiles in each of which a plane serves for the water, or where it is off least, and why."""
-    if survey.water is None or survey.observations.departure is None:
-        return 1, ""
-    ground, rim = ground_of(survey, plan), RIM_GSD * plan.gsd_m
+def _for_geometry(survey: Survey, plan: Plan, ground: Area) -> tuple[int, str]:
+    """Least number of tiles in each of which a local frame serves, and a plane for the water or is off least; why."""
+    for_frames = math.prod(math.ceil((ground[axis + 2] - ground[axis]) / FRAME_M) for axis in (0, 1))
     most = _most_tiles(ground, plan)
     # A river is long: few tiles of it are not square.
     counts = sorted({*range(2, min(most, _FEW) + 1), *_counts(ground, most)})
-    tilings = (Tiling.of(ground, count, rim) for count in counts)
+    tilings = (Tiling.of(ground, count, RIM_GSD * plan.gsd_m) for count in counts)
     tried = []
     for tiling, px in ray_skew_px(survey, plan, ground, chain([None], tilings)):
         tried.append((px, 1 if tiling is None else len(tiling)))
         if px <= MOST_SKEW_PX:
             break
+    if not tried or for_frames > min(tried)[1]:
+        return for_frames, "a local frame serves for a kilometre"
     return min(tried)[1], f"rays of a point bent at one plane are skew by up to {tried[0][0]:.2g} px"
 
 

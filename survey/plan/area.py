@@ -226,15 +226,12 @@ def _footprint(view: View, survey: Survey) -> np.ndarray:
     """Sample places (N, 3) [m], local, of a footprint at the water, or at the rough height of dry ground."""
     camera, water = view.camera, survey.water
     x, y = np.meshgrid(np.linspace(0.0, camera.width, _PLACES), np.linspace(0.0, camera.height, _PLACES))
-    rays = camera.directions(np.column_stack([x.ravel(), y.ravel()]))
-    if water is None:
-        up = np.array([0.0, 0.0, 1.0])
-        above = float(camera.centre[2]) - dry_ground(survey).height
-    else:
-        up, above = np.array(water.up), -float(water.depth(camera.centre))
-    cos_nadir = -rays @ up
-    rays, cos_nadir = rays[cos_nadir > _LEAST_FALL], cos_nadir[cos_nadir > _LEAST_FALL]
-    return camera.centre + rays * (above / cos_nadir)[:, None]
+    path = camera.paths(np.column_stack([x.ravel(), y.ravel()]), water)
+    up = np.array((0.0, 0.0, 1.0) if water is None else water.up)
+    falls = path.air_direction @ up < -_LEAST_FALL
+    if water is not None:
+        return path.crossing[falls]
+    return path.at_height(dry_ground(survey).height, None)[falls]
 
 
 def _is_seen_twice(survey: Survey, places: np.ndarray) -> bool:

@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import igl
 import numpy as np
 from pyproj import CRS
-from scipy.sparse import coo_matrix
 from scipy.spatial import Delaunay, QhullError
 
 from fields.image_store import GAMMA
@@ -206,11 +206,9 @@ def _thinned(points: np.ndarray, rgb: np.ndarray | None, spacing: float) -> tupl
 
 
 def _mean_of_neighbours(faces: np.ndarray, values: np.ndarray) -> np.ndarray:
-    start, end = faces[:, [0, 1, 2, 1, 2, 0]].ravel(), faces[:, [1, 2, 0, 0, 1, 2]].ravel()
-    links = coo_matrix((np.ones(len(start)), (start, end)), shape=(len(values), len(values))).tocsr()
-    # An edge inside the mesh belongs to two triangles, and counts once all the same.
-    links.data[:] = 1.0
-    return links @ values / np.maximum(np.asarray(links.sum(axis=1)).ravel(), 1.0)
+    links = igl.adjacency_matrix(faces)
+    links.resize(len(values), len(values))
+    return links @ values / np.maximum(np.asarray(links.sum(axis=1)).ravel(), 1)
 
 
 # From a file in which y points up to one in which z does.

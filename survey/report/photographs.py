@@ -104,7 +104,7 @@ def table(photographs: tuple[PhotographFigures, ...], left_out: Sequence[str] = 
     ]
     rows += [(name, "left out: no pose", "", "") for name in left_out]
     titles = ("photograph", "used", "white, of its pixels", "differing from all others, of the points in it")
-    means: list[Block] = [Rows(left_out_shares(photographs))]
+    means: list[Block] = [Rows(shares)] if (shares := left_out_shares(photographs)) else []
     message = f"All {num} photographs, {len(left_out)} of them left out"
     if not rows:
         return [*means, Text(f"{message}; each is used whole.")]

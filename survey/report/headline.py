@@ -23,7 +23,6 @@ from survey.display.quantities import (
 from survey.report.checkpoints import LE95
 from survey.report.facts import Gate, RunVerdict
 from survey.report.figures import ReportFigures
-from survey.report.photographs import left_out_shares
 
 # Smaller things than so many ground sampling distances are smoothed away by the windows that are matched.
 _SMALLEST_GSD = 5.0
@@ -161,7 +160,6 @@ def coverage(figures: ReportFigures) -> list[Block]:
         ("water over it", f"{volume(found.water_m3)}{std}"),
         *((label, f"{_part(gap_m2, water_m2)}: {why}") for label, gap_m2, why in gaps if gap_m2),
     ]
-    rows += left_out_shares(figures.photographs)
     if figures.left_out:
         rows.append(("photographs without a pose", f"{len(figures.left_out)}: what they alone show is missing"))
     return [Rows(rows)]

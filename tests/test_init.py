@@ -234,6 +234,7 @@ def test_a_level_that_no_camera_fits_is_refused_and_not_written(tmp_path, proces
     [
         (("--level", 3.0), "level_m is told to be 3.0, but"),
         (("--dry",), "dry is told to be True, but"),
+        (("--sea",), "sea is told to be True, but"),
         (("--crs", "EPSG:25832+7837"), "has EPSG:32632+5773; change it there"),
     ],
 )

@@ -22,7 +22,7 @@ from survey.init.crs import FolderPhotographs, SettingsTable, write_crs, write_o
 from survey.init.options import InitOptions
 from survey.photos.images import list_images
 from survey.pose_files import find_poses, read_poses
-from survey.settings.config import SurveyConfig, parse_config, settings_of
+from survey.settings.config import SurveyConfig, WaterConfig, parse_config, settings_of
 from survey.sfm.gps import is_whole, positions_in_crs
 from survey.water.index import FRESH_WATER, SEA_WATER, SODIUM_NM
 
@@ -91,8 +91,9 @@ def require_settings(folder: Path, options: InitOptions) -> Path | None:
         if found.poses_path is None:
             require_solvable(found)
         return _write(folder / FILE_NAME, text)
-    given = (None if config.water is None else config.water.level_m, config.dry, config.crs, config.local.origin)
-    for name, value in zip(("level_m", "dry", "crs", "origin"), given, strict=True):
+    water = config.water or WaterConfig()
+    given = (water.level_m, water.refractive_index == SEA_WATER or None, config.dry, config.crs, config.local.origin)
+    for name, value in zip(("level_m", "sea", "dry", "crs", "origin"), given, strict=True):
         told = getattr(options, name)
         if told not in (None, False, value):
             says = "does not say so" if value is None else f"has {value}"

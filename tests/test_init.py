@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import tomllib
 from dataclasses import replace
 
@@ -307,3 +308,10 @@ def test_names_of_files_stay_in_their_comment(tmp_path):
     table.add_comments("Found: \x1b[2J.")
     assert tomllib.loads(table.text()) == {"cameras": {"poses": "a.csv"}}
     assert "\x1b" not in table.text()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such names")
+def test_a_folder_of_any_name_has_its_name_escaped(tmp_path):
+    folder = tmp_path / "a\n[water]\x1b[31m"
+    photographs_alone(folder)
+    assert tomllib.loads(draft(folder, InitOptions(level_m=LEVEL)))["name"] == "a\\n[water]\\x1b[31m"

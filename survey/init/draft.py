@@ -13,6 +13,7 @@ from geo.files import write_whole
 from survey.control.points import GivenPoint
 from survey.control.reading import read_control
 from survey.errors import FILE_NAME, ConfigError, ControlError, OutputError
+from survey.escaping import printable
 from survey.files.json_values import write_json
 from survey.files.toml_schema import schema_of
 from survey.folder import infer
@@ -106,7 +107,7 @@ def draft(folder: Path, options: InitOptions) -> str:
     top, images, cameras, water, control, area, local = (
         SettingsTable(name) for name in ("", "images", "cameras", "water", "control", "area", "local")
     )
-    top.set("name", folder.resolve().name)
+    top.set("name", printable(folder.resolve().name))
     place = infer.image_folder_of(folder)
     found = list_images(folder / place, deep=place != ".")
     if place != "images":

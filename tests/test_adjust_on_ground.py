@@ -100,8 +100,10 @@ def test_positions_of_two_centimetres_overrule_an_earlier_survey_of_ten():
 def test_an_earlier_survey_farther_off_than_it_says_is_warned_of():
     std = (0.02,) * 7
     fit = GroundFit(
-        "earlier.las", 90, 120, 3, 0.03, 1.0, (0.0,) * 7, std, std, False, (0.0, 0.01, 0.3), std[:3], (0.05,) * 3
-    )
+        reference="earlier.las", num_points=90, num_over=120, num_changed=3, rms_m=0.03, scatter=1.0, moved=(0.0,) * 7,
+        std=std, std_without=std, is_against_positions=False, off_m=(0.0, 0.01, 0.3), off_std_m=std[:3],
+        off_prior_m=(0.05,) * 3,
+    )  # fmt: skip
     (warning,) = fit.warnings
     assert "earlier.las lies 300" in warning
     assert "further up than control and positions place it" in warning

@@ -23,7 +23,7 @@ from survey.adjust.observability import (
 )
 from survey.adjust.parameter_tests import LEVEL, check_dry_block, dry_bed_error, release, worst_contradiction
 from survey.adjust.result.adjustment import MOST_SIGMAS, Adjustment
-from survey.adjust.result.ground_fit import ground_fit
+from survey.adjust.result.ground_fit import GroundFit
 from survey.adjust.rounds import RobustSolution, adjust
 from survey.control.points import StableGround
 from survey.errors import GivenValueTest
@@ -229,9 +229,14 @@ class StagedAdjustment:
         """The result with how the block lies on the ground of an earlier survey, where there is one."""
         if done.alignment is None:
             return found
-        moved = moved_by(self._survey.views, done.solution.state, done.alignment.middle)
-        reference = str(self._survey.config.control.reference)
-        fit = ground_fit(done.alignment, moved, reference, is_against_positions=self._is_against_positions)
+        planes = done.problem.priors.planes
+        assert planes is not None
+        fit = GroundFit(
+            **vars(done.alignment),
+            reference=str(self._survey.config.control.reference),
+            moved=moved_by(self._survey.views, done.solution, planes),
+            is_against_positions=self._is_against_positions,
+        )
         return replace(found, ground=fit, notes=(*found.notes, *fit.notes), warnings=(*found.warnings, *fit.warnings))
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from survey.adjust.block.on_ground import NAMES
 from survey.adjust.result.adjustment import Parameter
-from survey.adjust.result.ground_fit import NAMES
 from survey.display.blocks import Block, Rows, Sentences, Table, Text
 from survey.display.quantities import NO_BREAK, LengthUnit, count, is_known, length, number
 from survey.report.adjustment_figures import HELD_STD, AdjustmentFigures, ControlGroup

@@ -28,11 +28,12 @@ from survey.adjust.block.bundle import Solution
 from survey.adjust.block.normal_equations import System, system_with
 from survey.adjust.block.problem import Planes, Problem
 from survey.adjust.block.propagation import propagated_variance
-from survey.adjust.block.state import State
 from survey.control.points import StableGround
 from survey.errors import ControlError
 from survey.photos.cameras import View
 
+NAMES = ("east_m", "north_m", "up_m", "turn_east_deg", "turn_north_deg", "turn_up_deg", "scale_ppm")
+_UNITS = np.array([1.0, 1.0, 1.0, math.degrees(1.0), math.degrees(1.0), math.degrees(1.0), 1e6])
 # Sides of the squares, in spacings of the ground's points, and squares along the longer side at most.
 _SPACINGS, _MOST_SQUARES = 3.0, 30
 # Distances beyond so many robust standard deviations, and at least so many of their own, are of ground that changed.
@@ -219,25 +220,29 @@ def _descend(planes: _PlanesOnGrid, points: np.ndarray, start: np.ndarray) -> tu
     return best
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GroundAlignment:
     """Alignment of an adjusted block to the ground."""
 
-    # num_points, num_over, num_changed: Tie points that hold it, one of each square; all over the ground; those of them
-    # where it changed
+    # num_points, num_over, num_changed: Tie points that hold the block, one of each square of ground; all over the
+    # ground; those where it changed
     num_points: int
     num_over: int
     num_changed: int
-    rms_m: float  # [m]: of the vertical distances of the points that hold it
-    scatter: float  # See `GroundTies`
-    middle: np.ndarray  # (3,) [m]: of these points
-    std: np.ndarray  # (7,): of the block's shift at the middle [m], turn about east, north and up [rad], and scale
-    std_without: np.ndarray | None  # (7,) or None: the same without the ground; None where nothing else holds the block
-    # shift, shift_std, shift_prior (3,) [m], local: by how much the ground as it is given is to be moved, how well that
-    # is known, and how well it was before
-    shift: np.ndarray
-    shift_std: np.ndarray
-    shift_prior: np.ndarray
+    rms_m: float  # Of the vertical distances of the points that hold it
+    scatter: float  # By how much more than the ground's own points tie points scatter about it
+    std: tuple[float, ...]  # Of each of `NAMES`: how well the place of the block is known
+    std_without: tuple[float, ...] | None  # The same without the ground; None where nothing else holds the block
+    # off_m, off_std_m, off_prior_m (east, north, up) [m]: by how much all of the earlier survey is off, as control and
+    # positions tell: as it is given less as it was found; how well that is known, and how well it was before
+    off_m: tuple[float, ...]
+    off_std_m: tuple[float, ...]
+    off_prior_m: tuple[float, ...]
+
+
+def in_units(values: np.ndarray) -> tuple[float, ...]:
+    """Shift [m], turn [rad] and scale less one (7,) in the units of `NAMES`."""
+    return tuple((values * _UNITS).tolist())
 
 
 def ground_alignment(on_ground: GroundTies, problem: Problem, solution: Solution) -> GroundAlignment:
@@ -249,7 +254,7 @@ def ground_alignment(on_ground: GroundTies, problem: Problem, solution: Solution
     alone = replace(problem, priors=replace(problem.priors, planes=None))
     system = system_with(alone, solution.state, solution.weights)
     try:
-        without = _std_of_block(system, points, middle, system.normal.inverse)
+        without = in_units(_std_of_block(system, points, middle, system.normal.inverse))
     except np.linalg.LinAlgError:
         without = None
     return GroundAlignment(
@@ -258,12 +263,11 @@ def ground_alignment(on_ground: GroundTies, problem: Problem, solution: Solution
         num_changed=int(on_ground.changed.sum()),
         rms_m=float(np.sqrt(np.mean(planes.distances(points, solution.state.shift)[used] ** 2))),
         scatter=on_ground.scatter,
-        middle=middle,
-        std=_std_of_block(solution.system, points, middle, covariance),
+        std=in_units(_std_of_block(solution.system, points, middle, covariance)),
         std_without=without,
-        shift=solution.state.shift,
-        shift_std=np.sqrt(np.diag(covariance)[of_shift]),
-        shift_prior=problem.priors.std[of_shift],
+        off_m=tuple((-solution.state.shift).tolist()),
+        off_std_m=tuple(np.sqrt(np.diag(covariance)[of_shift]).tolist()),
+        off_prior_m=tuple(problem.priors.std[of_shift].tolist()),
     )
 
 
@@ -285,8 +289,9 @@ def _std_of_block(system: System, points: np.ndarray, middle: np.ndarray, covari
     return np.sqrt(propagated_variance(follow, covariance))
 
 
-def moved_by(before: Sequence[View], state: State, middle: np.ndarray) -> np.ndarray:
-    """Motion of a block (7,): shift at a middle (3,) of the moved block, turn, scale, as `GroundAlignment.std`."""
+def moved_by(before: Sequence[View], solution: Solution, planes: Planes) -> tuple[float, ...]:
+    """Motion of a block, as `NAMES`: its shift is that at the middle of the points that hold it."""
+    state, middle = solution.state, solution.state.points[planes.precision > 0.0].mean(axis=0)
     centres = np.array([view.camera.centre for view in before])
     rotations = np.array([view.camera.cam_from_local for view in before])
     turns = Rotation.from_matrix(state.rotations.transpose(0, 2, 1) @ rotations)
@@ -295,4 +300,4 @@ def moved_by(before: Sequence[View], state: State, middle: np.ndarray) -> np.nda
     turned = turn.apply(was)
     scale = float(np.sum(turned * now) / max(float(np.sum(turned * turned)), 1e-12))
     middle_before = centres.mean(axis=0) + turn.inv().apply(middle - state.centres.mean(axis=0)) / scale
-    return np.array([*(middle - middle_before), *turn.as_rotvec(), scale - 1.0])
+    return in_units(np.array([*(middle - middle_before), *turn.as_rotvec(), scale - 1.0]))

@@ -5,18 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-
+from survey.adjust.block.on_ground import NAMES, GroundAlignment
 from survey.display.quantities import length
 
-if TYPE_CHECKING:
-    from survey.adjust.block.on_ground import GroundAlignment
-
-NAMES = ("east_m", "north_m", "up_m", "turn_east_deg", "turn_north_deg", "turn_up_deg", "scale_ppm")
 _AXES = ("east", "north", "up")
-_UNITS = np.array([1.0, 1.0, 1.0, math.degrees(1.0), math.degrees(1.0), math.degrees(1.0), 1e6])
 # The ground determines a part of the transformation whose std it lowers to this share.
 _DETERMINED_SHARE = 0.7
 _MOST_CHANGED = 0.5
@@ -26,30 +20,13 @@ _MOST_SCATTER = 3.0
 _MOST_OFF = 3.0
 
 
-@dataclass(frozen=True)
-class GroundFit:
-    """Shift, turn and scale of a block against the ground of an earlier survey."""
+@dataclass(frozen=True, kw_only=True)
+class GroundFit(GroundAlignment):
+    """Alignment of a block to the ground of an earlier survey, beside what positions and file say."""
 
     reference: str  # File of the earlier survey
-    # num_points, num_over, num_changed: Tie points that hold the block, one of each square of ground; all over the
-    # ground; those where it changed
-    num_points: int
-    num_over: int
-    num_changed: int
-    rms_m: float  # Of their vertical distances from the ground
-    scatter: float  # By how much more than the ground's own points tie points scatter about it
-    # moved, std: Of each of `NAMES`: by how much the block was moved from where poses and positions had it, and how
-    # well its place is known
-    moved: tuple[float, ...]
-    std: tuple[float, ...]
-    # or None: the same without the earlier survey; None where nothing else holds the block
-    std_without: tuple[float, ...] | None
+    moved: tuple[float, ...]  # Of each of `NAMES`: by how much, from where poses and positions had it
     is_against_positions: bool  # Whether it contradicts positions of a stated accuracy
-    # off_m, off_std_m, off_prior_m (east, north, up) [m]: by how much all of the earlier survey is off, as control and
-    # positions tell: as it is given less as it was found; how well that is known, and how well it was before
-    off_m: tuple[float, ...] = (0.0,) * 3
-    off_std_m: tuple[float, ...] = (math.inf,) * 3
-    off_prior_m: tuple[float, ...] = (0.0,) * 3
 
     @classmethod
     def of_record(cls, record: Mapping[str, Any] | None) -> GroundFit | None:
@@ -122,24 +99,3 @@ class GroundFit:
                 "and crs"
             )
         return tuple(parts)
-
-
-def ground_fit(placed: GroundAlignment, moved: np.ndarray, reference: str, *, is_against_positions: bool) -> GroundFit:
-    """The fit in the units of a report; ``moved`` (7,) is that of `survey.adjust.block.on_ground.moved_by`."""
-
-    def in_units(values: np.ndarray) -> tuple[float, ...]:
-        return tuple((values * _UNITS).tolist())
-
-    return GroundFit(
-        reference,
-        placed.num_points,
-        placed.num_over,
-        placed.num_changed,
-        placed.rms_m,
-        placed.scatter,
-        in_units(moved),
-        in_units(placed.std),
-        None if placed.std_without is None else in_units(placed.std_without),
-        is_against_positions,
-        *(tuple(values.tolist()) for values in (-placed.shift, placed.shift_std, placed.shift_prior)),
-    )

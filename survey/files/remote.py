@@ -120,29 +120,22 @@ class Remote:
             self._make_folder(place)
             self._store.pipe_file(place, content)
 
-    def fetch(self, names: Mapping[str, Path]) -> None:
-        """Fetch files, each whole or not at all, to paths."""
-        self._at_once(self._fetch, names.items())
+    def fetch(self, names: Mapping[str, Path], *, last: str | None = None) -> None:
+        """Fetch files, each whole or not at all, to paths; the ``last`` after all others."""
+        self._at_once(self._fetch, names.items(), last)
 
-    def put(self, paths: Mapping[str, Path]) -> None:
-        """Put files at paths, by the names that they get."""
-        self._at_once(self._put, paths.items())
+    def put(self, paths: Mapping[str, Path], *, last: str | None = None) -> None:
+        """Put files at paths, by the names that they get; the ``last`` after all others."""
+        self._at_once(self._put, paths.items(), last)
 
     def fetch_folder(self, name: str, folder: Path, *, last: str | None = None) -> None:
         """Fetch all files below a name; ``last``, the mark that they are complete, after all others."""
-        files = {f"{name}/{each}": folder / each for each in self.files(name)}
-        end = files.pop(f"{name}/{last}", None)
-        self.fetch(files)
-        if end is not None:
-            self.fetch({f"{name}/{last}": end})
+        self.fetch({f"{name}/{each}": folder / each for each in self.files(name)}, last=f"{name}/{last}")
 
     def put_folder(self, folder: Path, name: str, *, last: str | None = None) -> None:
         """Put all files of a folder; ``last``, the mark that it is complete, after all others."""
         files = {f"{name}/{path.relative_to(folder).as_posix()}": path for path in files_below(folder)}
-        end = files.pop(f"{name}/{last}", None)
-        self.put(files)
-        if end is not None:
-            self.put({f"{name}/{last}": end})
+        self.put(files, last=f"{name}/{last}")
 
     def copy_folder(self, name: str, other: str) -> None:
         """Copy all files below a name to another one, at the URL itself."""
@@ -168,10 +161,12 @@ class Remote:
     def _place(self, name: str) -> str:
         return f"{self._root.rstrip('/')}/{name}" if name else self._root
 
-    def _at_once(self, move: Any, files: Iterable[tuple[str, Any]]) -> None:
+    def _at_once(self, move: Any, files: Iterable[tuple[str, Any]], last: str | None = None) -> None:
+        files = list(files)
         with ThreadPoolExecutor(self._threads) as pool:
-            for _ in pool.map(move, files):
-                pass
+            for is_last in (False, True):
+                for _ in pool.map(move, [file for file in files if (file[0] == last) is is_last]):
+                    pass
 
     def _fetch(self, file: tuple[str, Path]) -> None:
         name, path = file

@@ -21,7 +21,7 @@ from geo.stated import unit_named
 from survey.display.quantities import named
 from survey.errors import ConfigError, Findings
 from survey.files.csv_table import Row, Table, meaning, number_of, text_lines, words_of
-from survey.water.level_observation import MOST_STD_M, STD_M
+from survey.water.level_observation import std_of
 
 _WORDS = words_of({
     "time": ("date time", "date_time", "datetime", "timestamp", "date/time", "t", "zeit", "zeitpunkt", "uhrzeit"),
@@ -92,6 +92,7 @@ def read_series(path: Path, unit_m: float = 1.0, zero_m: float | None = None) ->
     names = [name for name in _LEVELS if any(name in row.cells for row in records.rows)]
     if not names:
         raise ConfigError(f"{path} has no readings, expected time,level, or a form of NOAA, PEGELONLINE or USGS")
+    std_units = {"std": records.units.get("std", 1.0)}
     names, readings, empty = names[:1] if names == ["predicted"] else [n for n in names if n != "predicted"], [], []
     for row in records.rows:
         where, cells = row.where, row.cells
@@ -107,7 +108,7 @@ def read_series(path: Path, unit_m: float = 1.0, zero_m: float | None = None) ->
         zone = zone_of(cells["zone"]) if cells.get("zone") else records.zone
         moment = utc_of(" ".join(cells[part] for part in ("date", "time") if cells.get(part)), where, zone)
         is_marker = is_no_data_number(number) or number == number_of(cells.get("no_data", ""))
-        level, std = number * unit + (zero_m or 0.0), _std_of(row, records.units.get("std", 1.0))
+        level, std = number * unit + (zero_m or 0.0), std_of(row.multiplied(std_units), "gauge")
         readings.append(Reading(where, moment, level, std, texts[name], is_marker))
     if len(readings) > 1 and all(later.time < earlier.time for earlier, later in pairwise(readings)):
         readings.reverse()
@@ -266,10 +267,3 @@ def _unit_of(records: _Records, cells: Mapping[str, str], name: str, unit_m: flo
         f'{path} states no unit for "{cell}"; give a CSV that has it in the first line, as {cell} (m), {cell} (cm) or '
         f"{cell} (ft)"
     )
-
-
-def _std_of(row: Row, unit_m: float) -> float:
-    std = row.number("std") * unit_m if row.cells.get("std") else STD_M["gauge"]
-    if not 0.0 < std <= MOST_STD_M:
-        raise ConfigError(f"{row.where}: std is {std:g}, expected metres above 0 and at most {MOST_STD_M:g}")
-    return std

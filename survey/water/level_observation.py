@@ -30,7 +30,7 @@ from survey.errors import ConfigError, Findings
 from survey.files.csv_table import Row
 from survey.files.point_table import Units, accuracy_warnings, height_std, read_points
 from survey.settings.config import WaterConfig
-from survey.water.surface_features import points_of_features, require_one_water
+from survey.water.surface_features import layers_named, points_of_features, require_one_water
 
 # Standard deviation of a measurement whose file gives none [m]: GNSS with corrections on the surface, and at the
 # waterline, which waves move; a reading.
@@ -99,10 +99,7 @@ def _of_layer(rows: list[Row], path: Path, layer: str | None, unit_m: float) -> 
         if 2 * len(heights) <= len(rows):
             require_one_water(path, heights, unit_m)
         return rows
-    wanted = [layer] if layer in heights else [part.strip() for part in layer.split(",")]
-    if missing := [name for name in wanted if name not in heights]:
-        listed = ", ".join(name or "none" for name in heights)
-        raise ConfigError(f'{path} has no layer or code "{missing[0]}", expected one of its own: {listed}')
+    wanted = layers_named(layer, heights, path)
     return [row for row in rows if row.cells.get("layer", "") in wanted]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -138,6 +138,15 @@ def require_one_water(path: Path, heights: Mapping[str, Sequence[float]], unit_m
     )
 
 
+def layers_named(layer: str, names: Collection[str], path: Path) -> list[str]:
+    """The layers, or codes of points, that [water] layer names: one of those of a file, or several with commas."""
+    wanted = [layer] if layer in names else [part.strip() for part in layer.split(",")]
+    if missing := [name for name in wanted if name not in names]:
+        listed = ", ".join(name or "one without a name" for name in names)
+        raise ConfigError(f'{path} has no layer or code "{missing[0]}", expected one of its own: {listed}')
+    return wanted
+
+
 def _content(path: Path, layer: str | None) -> _Content:
     if path.is_file() and path.stat().st_size > _LARGEST_BYTES:
         raise ConfigError(f"{path} has more than {_LARGEST_BYTES // 1_000_000} MB, expected a shoreline; thin it")
@@ -154,10 +163,7 @@ def _content(path: Path, layer: str | None) -> _Content:
     ]
     names = dict.fromkeys(name for _, name, _ in found)
     if layer is not None:
-        wanted = [layer] if layer in names else [part.strip() for part in layer.split(",")]
-        if missing := [name for name in wanted if name not in names]:
-            listed = ", ".join(name or "one without a name" for name in names)
-            raise ConfigError(f'{path} has no layer "{missing[0]}", expected one of its own: {listed}')
+        wanted = layers_named(layer, names, path)
         found = [each for each in found if each[1] in wanted]
     kinds = {part.crs.srs if part.crs is not None else "": part for _, _, part in found} or {
         "": next(iter(parts.values()))

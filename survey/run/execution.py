@@ -5,9 +5,9 @@ These compute what is missing, and it is moved into the run folder.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class TileWorkers:
-    """Workers of a run, for its tiles and its report. They end with the context.
+    """Workers of a run, for its tiles. They end with the context.
 
     Those of this machine start beside what comes before the tiles, which takes some seconds, where a run begins; those
     of a run that goes on, or of a scheduler, when there is something to compute.
@@ -134,34 +134,24 @@ class TileWorkers:
         return self._stack.enter_context(workers_for(number, chosen.scheduler, needs, self._messages_of_start.append))
 
 
-@contextmanager
-def workers_of(job: Job, run: RunDir) -> Iterator[TileWorkers | None]:
-    """Workers of a run; None where its own process computes all."""
-    if job.plan.tiling is None or (job.plan.workers < 2 and job.chosen.scheduler is None):
-        yield None
-        return
-    with TileWorkers(job, run) as workers:
-        yield workers
-
-
-def run_stages(
-    job: Job, run: RunDir, workers: TileWorkers | None = None, *, resume: bool, compares_sweep: bool
-) -> dict[str, Path]:
-    """Run the stages of the job, tiles on ``workers`` where there are any; returns their folders by name.
+def run_stages(job: Job, run: RunDir, *, resume: bool, compares_sweep: bool) -> dict[str, Path]:
+    """Run the stages of the job, tiles on workers where it has any; returns their folders by name.
 
     ``compares_sweep`` adds the cloud that the sweep alone would give.
     """
     done: dict[str, Path] = {}
-    for stage in [*STAGES, *OF_SWEEP_ALONE] if compares_sweep else STAGES:
-        if not stage.is_on(job):
-            continue
-        if stage.name == "range" and resume and not compares_sweep:
-            search_under_earlier_level(job, run, stage)
-        if stage.is_of_tiles and workers is not None:
-            done |= workers.run(stage, done, resume=resume)
-        for part in job.parts if stage.is_of_tiles else [job]:
-            if (name := part.stage_name(stage.name)) not in done:
-                done[name] = run_stage(stage, part, run, done, resume=resume)
-        if stage.joined is not None and stage.name not in done:
-            done[stage.name] = run_stage(stage.joined, job, run, done, resume=resume)
+    has_workers = job.plan.tiling is not None and (job.plan.workers > 1 or job.chosen.scheduler is not None)
+    with TileWorkers(job, run) if has_workers else nullcontext() as workers:
+        for stage in [*STAGES, *OF_SWEEP_ALONE] if compares_sweep else STAGES:
+            if not stage.is_on(job):
+                continue
+            if stage.name == "range" and resume and not compares_sweep:
+                search_under_earlier_level(job, run, stage)
+            if stage.is_of_tiles and workers is not None:
+                done |= workers.run(stage, done, resume=resume)
+            for part in job.parts if stage.is_of_tiles else [job]:
+                if (name := part.stage_name(stage.name)) not in done:
+                    done[name] = run_stage(stage, part, run, done, resume=resume)
+            if stage.joined is not None and stage.name not in done:
+                done[stage.name] = run_stage(stage.joined, job, run, done, resume=resume)
     return done

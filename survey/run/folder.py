@@ -154,7 +154,7 @@ class RunDir:
 
     def warn_if_unfinished(self) -> None:
         """Warn where a later `process` began here and did not finish, so that the result is that of the one before."""
-        if result.is_unfinished(self.path):
+        if result.unfinished(self.path):
             current().warn(
                 f"a `bathynerf process` in {self.path} with other settings has not finished; this is the result of "
                 f"{self.result().get('finished')}, with the settings in settings.toml beside it"

@@ -21,7 +21,6 @@ from survey.plan.area import within
 from survey.plan.sweep_block import camera_of
 
 if TYPE_CHECKING:
-    from fields.sweep.block import Block
     from survey.folder.survey import Survey
     from survey.run.job import Job
 
@@ -73,7 +72,8 @@ def bed_points(job: Job, found: RefinedMaps, advance: Callable[[float], None]) -
         view = survey.views[height_map.view]
         camera = camera_of(view, plan)
         rgb = job.photographs.load(view, scale=plan.image_scale)
-        parallax = _parallax(block, height_map)
+        # [px/m]: of the bed of the map in the views that confirm its heights
+        parallax = block.parallax(height_map.view, block.neighbours(height_map.view, PEERS), median(height_map.height))
         tolerance = AGREEMENT_PX / parallax
         if len(block.neighbours(height_map.view, PEERS)) == 1:
             keep = keep & is_supported(height_map.height, trusted(height_map), tolerance)
@@ -92,8 +92,3 @@ def bed_points(job: Job, found: RefinedMaps, advance: Callable[[float], None]) -
         advance(1.0)
     bed, is_kept = BedPoints.consume_where(parts, lambda xyz: has_neighbours(xyz, plan.gsd_m))
     return bed, np.array(tides)[np.concatenate(sources)[is_kept]]
-
-
-def _parallax(block: Block, height_map: HeightMap) -> float:
-    """Parallax [px/m] of the bed of a map in the views that confirm its heights."""
-    return block.parallax(height_map.view, block.neighbours(height_map.view, PEERS), median(height_map.height))

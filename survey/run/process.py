@@ -27,7 +27,7 @@ from survey.plan.tile_choice import SHARED, plan_run
 from survey.plan.workload import Workload, require_room, workload_of_images
 from survey.progress import Progress, opened
 from survey.run.aim import plan_for_aim
-from survey.run.execution import run_stages, workers_of
+from survey.run.execution import run_stages
 from survey.run.folder import RunDir
 from survey.run.job import Job
 from survey.run.remote_run import RemoteRun
@@ -109,8 +109,7 @@ def process(
         # The report takes half a second to import, beside the kernels of the sweep; if it fails, it does so below.
         Thread(target=_import_products, args=(job,), daemon=True).start()
         result = run.open_result(job.plan.quality)
-        with workers_of(job, run) as workers:
-            done = run_stages(job, run, workers, resume=resume, compares_sweep=truth.reference is not None)
+        done = run_stages(job, run, resume=resume, compares_sweep=truth.reference is not None)
         from survey.run.products import FinishedRun, write_products
 
         verdict = write_products(FinishedRun(run, job, done, truth, result, time.monotonic() - began))

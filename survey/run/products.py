@@ -128,7 +128,8 @@ def _write_report(finished: FinishedRun, stored: StoredBed) -> RunVerdict:
     save_flight(folder, job.survey)
     progress.note(f"{len(stored.bed):,} points of the bed")
     cells = cells_of(job.survey, stored.bed.xyz, job.plan.gsd_m)
-    verdict = _verdict(finished, stored, cells)
+    verdict = verdict_of(job.survey, stored, job.plan.gsd_m, cells)
+    verdict = RunVerdict((*verdict.gates, *gates_of_aim(job.chosen, stored, finished.seconds)))
     facts = _facts(finished, stored, options, cells, verdict)
     for text in (*dry_warnings(job.survey, stored.bed), *photograph_warnings(facts.photographs)):
         progress.warn(text)
@@ -141,13 +142,6 @@ def _write_report(finished: FinishedRun, stored: StoredBed) -> RunVerdict:
         shared = "" if std.shared is None else f", of which {length(std.shared)} are shared by large parts of the cloud"
         progress.note(f"height, one sigma, all included: {length(std.whole)} (median){shared}")
     return verdict
-
-
-def _verdict(finished: FinishedRun, stored: StoredBed, cells: SeenCells) -> RunVerdict:
-    """The quality gates, with those of what was asked for."""
-    job = finished.job
-    verdict = verdict_of(job.survey, stored, job.plan.gsd_m, cells)
-    return RunVerdict((*verdict.gates, *gates_of_aim(job.chosen, stored, finished.seconds)))
 
 
 def _facts(

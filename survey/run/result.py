@@ -38,21 +38,16 @@ def begin(run: Path, part: Path, quality: str) -> None:
     """Make an empty folder for a new result of a quality, and note that it is being worked on."""
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir()
-    write_json(run / _UNFINISHED, {quality: [], **_unfinished(run)})
+    write_json(run / _UNFINISHED, {quality: [], **unfinished(run)})
 
 
 def note_finished(run: Path, quality: str, stage: str) -> None:
     """Note a finished stage of an unfinished result, so that `prune` keeps its folder for when the work goes on."""
-    unfinished = _unfinished(run)
-    write_json(run / _UNFINISHED, unfinished | {quality: [*unfinished.get(quality, []), stage]})
+    others = unfinished(run)
+    write_json(run / _UNFINISHED, others | {quality: [*others.get(quality, []), stage]})
 
 
-def is_unfinished(run: Path) -> bool:
-    """Whether a `process` began and did not finish, so that the result is that of an earlier one."""
-    return bool(_unfinished(run))
-
-
-def _unfinished(run: Path) -> dict[str, list[str]]:
+def unfinished(run: Path) -> dict[str, list[str]]:
     """Finished stages of each result that is not finished, by its quality."""
     return read_json_object(run / _UNFINISHED)
 
@@ -108,7 +103,7 @@ def move_into_place(run: Path) -> None:
 
 def _forget_unfinished(run: Path, quality: str) -> None:
     """Remove the record of an unfinished result of a quality."""
-    others = {name: found for name, found in _unfinished(run).items() if name != quality}
+    others = {name: found for name, found in unfinished(run).items() if name != quality}
     if others:
         write_json(run / _UNFINISHED, others)
     else:
@@ -121,7 +116,7 @@ def prune(run: Path) -> None:
     kept = set(record.get("stages", {}).values())
     for stages in record.get("others", {}).values():
         kept |= set(stages.values())
-    for names in _unfinished(run).values():
+    for names in unfinished(run).values():
         kept |= set(names)
     for folder in (run / "stages").iterdir():
         if folder.is_dir() and folder.name[0] != "." and folder.name not in kept:

@@ -48,14 +48,8 @@ _NUMBER, _CONTROL = re.compile(r"[+-]?[\d.,' ]*\d[\d.,' ]*(\s*[A-Za-z%°]+)?"), 
 def key(default: Any, expected: str = "", *, one_of: Iterable[Any] = (), **limits: float) -> Any:
     """A field of a table with its own wording of what is expected, e.g. "[width, height] in pixels".
 
-    Parameters
-    ----------
-    expected : str
-        Follows "expected"; default: the words in `one_of`, or what the type says.
-    one_of : iterable
-        The values that are known, where they are few.
-    limits : above, least, below, most
-        Of a number, or of each in a list.
+    By default that are the values in ``one_of``, where few are known, or what the type says. ``limits`` of a number, or
+    of each in a list, are above, least, below and most.
     """
     return dataclasses.field(default=default, metadata=_metadata(expected, one_of, limits))
 

@@ -34,16 +34,8 @@ def write_model(folder: Path, views: Sequence[View], *, head: str, points: str, 
     """Write a model in the local frame into a folder that exists: text, and binary too where a name has a space.
 
     COLMAP prefers binary files to text, so that those of an earlier model are removed. BROWN_AFFINE, which is none of
-    its camera models, is written as text alone.
-
-    Parameters
-    ----------
-    head : str
-        Comment lines at the beginning of cameras.txt.
-    points : str
-        points3D.txt, or only its comment lines where there are ties.
-    ties : TiePoints, optional
-        Points for points3D.txt, in the places that straight rays give them, with their tracks.
+    its camera models, is written as text alone. ``head`` are the comment lines of cameras.txt, ``points`` is
+    points3D.txt, or its comment lines before ``ties``, which have the places that straight rays give them.
     """
     texts = _texts(views, head, points, ties)
     files = {name: text.encode() for name, text in texts.items()}

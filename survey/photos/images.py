@@ -129,17 +129,10 @@ def require_all_complete(paths: Iterable[Path]) -> None:
 
 
 def load_image(view: View, *, scale: float = 1.0) -> np.ndarray:
-    """The photograph as it was taken by `view.camera`, in the 8 bits that colours of points have.
+    """The photograph as `view.camera` took it, in the 8 bits that colours of points have: (height, width, 3), RGB.
 
-    Parameters
-    ----------
-    scale : [-]
-        Below 1, pixels are averaged over their area; the result fits ``view.camera.scaled(scale)``.
-
-    Returns
-    -------
-    (height, width, 3) uint8, RGB
-        EXIF orientation is not applied: poses and sizes are those of the stored pixels.
+    At a scale below 1 pixels are averaged over their area; the result fits ``view.camera.scaled(scale)``. EXIF
+    orientation is not applied: poses and sizes are those of the stored pixels.
     """
     return eight_bits(load_pixels(view, scale=scale))
 
@@ -203,12 +196,8 @@ class ImageStore:
     """`survey.photos.images.load_image` with a cache of bounded memory.
 
     Stages read the photographs in the same order, so that the first images that fit are kept: evicting the least
-    recently used one would evict each image just before it is used again.
-
-    Parameters
-    ----------
-    budget_bytes : int, optional
-        Memory for kept images; default a quarter of the free memory, at most 100 MB.
+    recently used one would evict each image just before it is used again. By default they take a quarter of the free
+    memory, at most 100 MB.
     """
 
     def __init__(self, budget_bytes: int | None = None):

@@ -29,16 +29,9 @@ class Intersection:
 def intersect(
     cameras: Sequence[PinholeCamera], pixels: np.ndarray, stds_px: np.ndarray, water: FlatWater | None
 ) -> Intersection | None:
-    """Intersection of the rays of marks; None where they do not meet, or are nearly parallel.
+    """Intersection of the rays of N marks; None where they do not meet, or are nearly parallel.
 
-    Parameters
-    ----------
-    cameras : N of PinholeCamera
-    pixels : (N, 2) [px]
-    stds_px : (N,) [px]
-        Of the marks.
-    water : FlatWater or None
-        None: all rays are straight.
+    Marks are pixels (N, 2) with their stds (N,) [px]; without water all rays are straight.
     """
     if len(cameras) < 2:
         return None
@@ -68,10 +61,7 @@ def intersect(
 def equations_of_lines(through: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Normal equations (N, 3, 3) and (N, 3) of places on lines; summed over lines, of the place nearest to all.
 
-    Parameters
-    ----------
-    through, along : (N, 3)
-        A place of each line, and its unit direction.
+    Lines go through places (N, 3) along unit directions (N, 3).
     """
     across = np.eye(3) - along[:, :, None] * along[:, None, :]
     return across, np.einsum("nij,nj->ni", across, through)

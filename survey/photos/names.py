@@ -30,15 +30,11 @@ class ImageNames:
         self._name_in_file: dict[str, str] = {}
 
     def find(self, name_in_file: str, where: str) -> str | None:
-        """The photograph that a file means; None where there is none.
+        """The photograph that a file means by a name; None where there is none.
 
-        Parameters
-        ----------
-        name_in_file : str
-            As the file has it. Case, slashes and the encoding of accents do not count; the suffix may be missing. One
-            of the two paths may begin further up than the other, but their folders must not contradict each other.
-        where : str
-            Of the name, for errors: the file, and the line if there are lines.
+        Case, slashes and the encoding of accents do not count; the suffix may be missing. One of the two paths may
+        begin further up than the other, but their folders must not contradict each other. ``where`` is the file, and
+        the line, for errors.
         """
         image = name_in_file if name_in_file in self._names else self._longest_tail(name_in_file, where)
         if image is None:

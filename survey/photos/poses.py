@@ -20,13 +20,7 @@ MIN_TRACK = 3
 
 
 class DuplicatePose(PosesError):
-    """A file has two poses under one name.
-
-    Attributes
-    ----------
-    name_in_file : str
-        The name, as the file has it.
-    """
+    """A file has two poses under one name, ``name_in_file``."""
 
     def __init__(self, name_in_file: str, where: str):
         super().__init__(

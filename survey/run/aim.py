@@ -79,18 +79,10 @@ class AimedPlan:
 def plan_for_aim(
     survey: Survey, chosen: Choices, *, gone_s: float = 0.0, refuses: bool = True, depth_m: float = ASSUMED_DEPTH_M
 ) -> AimedPlan:
-    """Choose quality and image scale for the aim of a run whose poses are known.
+    """Choose quality and image scale for the aim of a run whose poses are known and whose bed lies at a depth [m].
 
-    Parameters
-    ----------
-    survey : Survey
-    chosen : Choices
-    gone_s : [s]
-        Time of the budget that has passed.
-    refuses : bool
-        Whether a time that is too short is an error; otherwise the shortest run follows, with a warning.
-    depth_m : [m]
-        Of the bed under the water.
+    ``gone_s`` of the time budget have passed. Where it is too short, that is an error if the choice ``refuses``; else
+    the shortest run follows, with a warning.
     """
     if not chosen.has_aim:
         return AimedPlan(chosen)

@@ -28,15 +28,10 @@ if TYPE_CHECKING:
 
 
 class TileWorkers:
-    """Workers of a run, for its tiles. They end with the context.
+    """Workers of the run of a whole survey, for its tiles. They end with the context.
 
     Those of this machine start beside what comes before the tiles, which takes some seconds, where a run begins; those
     of a run that goes on, or of a scheduler, when there is something to compute.
-
-    Parameters
-    ----------
-    job : Job
-        Of the whole survey.
     """
 
     def __init__(self, job: Job, run: RunDir):

@@ -61,11 +61,6 @@ class RunDir:
     ...         save_arrays(temp / "heights.npz", heights=heights)
     ...         folder = run.finish_stage("sweep", key, temp)
     ...     heights = load_arrays(folder / "heights.npz")["heights"]
-
-    Attributes
-    ----------
-    path, cloud_path, report_json_path, report_html_path, settings_path, plan_path, log_path, pictures_path,
-    stages_path, sfm_path, scratch_path : Path
     """
 
     def __init__(self, path: str | Path):

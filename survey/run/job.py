@@ -39,27 +39,8 @@ if TYPE_CHECKING:
 class Job:
     """State of a survey between the stages: survey, plan, photographs and tiles.
 
-    Attributes
-    ----------
-    survey : Survey
-        With the water, and its colour, that earlier stages found.
-    chosen : Choices
-    plan : Plan
-    progress : Progress
-    workspace : Path or None
-        Where structure from motion keeps its files.
-    scratch : Path or None
-        Folder for photographs that do not stay in memory; needed for tiles.
-    survey_job : Job
-        Itself; of a tile the job of the whole survey.
-    bed_search : BedSearch or None
-        Heights and photographs of the search for the bed, once they are known.
-    parts : sequence of Job
-        The tiles, once `bed_search` is known; itself in one piece.
-    asked : Survey or None
-        The survey with the level that is asked for, while the bed is that of an earlier one.
-    waits_for_kernels : Event
-        Set when a wait for kernels begins that is long enough for another thread to hold the GIL.
+    Its survey has the water, and the colour of this, that earlier stages found. Structure from motion keeps its files
+    in ``workspace``; photographs that do not stay in memory lie in ``scratch``, which tiles need.
     """
 
     def __init__(
@@ -74,11 +55,13 @@ class Job:
     ):
         self.survey, self.chosen, self.progress = survey, chosen, progress
         self.workspace, self.scratch = workspace, scratch
-        self.survey_job: Job = self
+        self.survey_job: Job = self  # Of a tile the job of the whole survey
         self.plan = plan_run(survey, chosen)[0] if plan is None else plan
+        # Set when a wait for kernels begins that is long enough for another thread to hold the GIL.
         self.waits_for_kernels = Event()
-        self.bed_search: BedSearch | None = None
-        self.parts: Sequence[Job] = (self,)
+        self.bed_search: BedSearch | None = None  # Once heights and photographs of the search are known
+        self.parts: Sequence[Job] = (self,)  # The tiles, once the search is known
+        # The survey with the level that is asked for, while the bed is that of an earlier one.
         self.asked: Survey | None = None
         self._hashed: dict[str, str] = {}
         # Of which survey and plan these are.

@@ -36,13 +36,7 @@ _SOLVED = "solved.json"
 
 
 class RemoteRun(RunDir):
-    """A run folder whose results are put to a URL, too.
-
-    Parameters
-    ----------
-    path : Path
-        Where the run works on this machine.
-    """
+    """A run folder on this machine whose results are put to a URL, too."""
 
     def __init__(self, path: str | Path, remote: Remote):
         super().__init__(path)

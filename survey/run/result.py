@@ -58,16 +58,9 @@ def is_in_place(run: Path) -> bool:
 
 
 def publish(run: Path, part: Path, *, quality: str, finished: str, stages: dict[str, str]) -> None:
-    """Put a new result in the place of the one before.
+    """Put the new result in the folder ``part`` of a run in the place of the one before.
 
-    Parameters
-    ----------
-    run, part : Path
-        The run, and the folder in it that holds the new result.
-    quality, finished : str
-        What the result was made with, and when.
-    stages : dict
-        Folder below ``stages/`` of each stage that it was made from.
+    ``stages`` are the folders below ``stages/`` that it was made from, by name.
     """
     others = results_of_other_qualities(read_record(run), quality)
     files = [name for name in NAMES if (part / name).exists()] + [RECORD]

@@ -75,13 +75,7 @@ _PORTION = 200_000
 def through_surface(
     bed: BedPoints, cameras: Sequence[PinholeCamera], plane: FlatWater, departure: Departure
 ) -> BedPoints:
-    """Points under the measured surface, found under a plane, with the std that it adds.
-
-    Parameters
-    ----------
-    bed : BedPoints
-        Of the plane.
-    """
+    """Points under the measured surface, with the std that it adds, from those of a bed found under a plane."""
     if not len(bed):
         return bed
     # Rays enter the water beside their points.

@@ -32,15 +32,8 @@ Kind = TypeVar("Kind")
 class Scratch(MutableMapping[int, Kind]):
     """Maps of one kind by number: in memory while the budget lasts, the others each in a file of a folder of their own.
 
-    Those in files are read from there whenever they are asked for.
-
-    Parameters
-    ----------
-    folder : Path
-        Made here, and empty.
-    kind : type of the maps, HeightMap or SolvedMap
-    show : callable, optional
-        Called with each map that comes.
+    The folder is made here. Maps in files are read from there whenever they are asked for; ``show`` is called with each
+    map that comes.
     """
 
     def __init__(
@@ -131,21 +124,13 @@ def save_maps(path: str | Path, kind: type[Kind], maps: Iterable[Kind]) -> None:
 class Stored(Sequence[Kind]):
     """The maps of a file of `save_maps`, in their order; each is read when it is asked for.
 
-    Parameters
-    ----------
-    in_memory : int
-        Bytes of the maps that are kept after their first reading, read-only.
-
-    Attributes
-    ----------
-    views : list of int
-        Of height maps; of others their numbers.
+    So many bytes ``in_memory`` of them are kept after their first reading, read-only.
     """
 
     def __init__(self, path: str | Path, kind: type[Kind], in_memory: int = 0):
         self._arrays, self._kind = StoredArrays(path), kind
         self._budget, self._held = MemoryBudget(in_memory), dict[int, Kind]()
-        self.views = [int(view) for view in self._arrays["views"]]
+        self.views = [int(view) for view in self._arrays["views"]]  # Of height maps; of others their numbers
         for number in range(len(self.views)):
             for name in _names(kind):
                 if f"{name}_{number}" not in self._arrays:
@@ -216,16 +201,9 @@ _MOST_PIXELS, _LEAST_SCORE = 10_000, 0.7
 
 
 class LiveMaps:
-    """Points of height maps for the viewers of a run.
+    """Points of height maps of a stage, of the job of a survey or a tile, for the viewers of a run by its folder.
 
-    Parameters
-    ----------
-    run : Path
-        The folder of the run.
-    job : Job
-        Of the survey, or of a tile of it.
-    stage : str
-        Its name begins the names of the files: of a survey in tiles there is a sweep for each.
+    The name of the stage begins the names of the files: of a survey in tiles there is a sweep for each.
     """
 
     def __init__(self, run: Path, job: Job, stage: str):

@@ -84,18 +84,9 @@ def require_reachable(url: str) -> None:
 
 
 def compute_at_url(name: str, url: str, task: Task, code: str) -> tuple[str, float, list[tuple[str, str]]]:
-    """Compute a task on a worker: the folder of its result at the URL, its seconds, and what it had to say.
+    """As `survey.run.worker_task.compute_task`, of the job that `put_job` has given a name at the URL of a run.
 
-    Parameters
-    ----------
-    name : str
-        Of the job at the URL, by `put_job`.
-    url : str
-        Of the run.
-    task : Task
-        Of the folders that it needs only the names count.
-    code : str
-        As `survey.run.worker_task.compute_task`.
+    The folder of the result is there, too; of the folders that the task needs only the names count.
     """
     require_code(code)
     start, remote = time.monotonic(), Remote(url)

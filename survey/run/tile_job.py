@@ -44,14 +44,6 @@ class TileJob(Job):
     Its survey has the views that show the tile, cut to their windows at the size that is worked on, and where the water
     is no plane the one that fits it there; settings and what else belongs to the survey are those of the whole. A
     survey larger than a kilometre has a local frame for each tile: `survey.run.windows`.
-
-    Attributes
-    ----------
-    number : int
-        Of the tile.
-    windows : list of Window
-        One for each view.
-    survey_job : Job
     """
 
     bed_search: BedSearch
@@ -78,6 +70,7 @@ class TileJob(Job):
             is_alone = survey.water is None and len(survey.views) < 2
             self._limits = limits(flattened(survey_job.survey) if is_alone else survey)
             self._bound = self._limits if found.bounds is None else found.bounds[number]
+        # One for each view
         self.windows = self._find_windows(survey.water) if found.windows is None else found.windows[number]
         views = tuple(
             replace(

@@ -131,18 +131,10 @@ def windows_of(
     bound: tuple[float, float],
     footprints: Mapping[int, Footprint] | None = None,
 ) -> list[Window]:
-    """Windows of the views that show a tile.
+    """Windows of the views that show a tile (x0, y0, x1, y1) [m], ``own`` without and ``ground`` with its rim.
 
-    Parameters
-    ----------
-    cameras : mapping of number to PinholeCamera
-        Of one size.
-    own, ground : (x0, y0, x1, y1) [m]
-        The tile without and with its rim.
-    bound : (low, high) [m]
-        Heights over the water plane between which the bed lies.
-    footprints : mapping of number to Footprint, optional
-        Of the cameras between these heights, where they are known.
+    By cameras of one size; ``bound`` (low, high) [m] are the heights over the water plane between which the bed lies,
+    ``footprints`` those of the cameras between them, where they are known.
     """
     found = []
     tile = Footprint(np.array(own[:2]), np.array(own[2:]))
@@ -187,14 +179,9 @@ def _box(camera: PinholeCamera, seen: np.ndarray, margin: int) -> tuple[int, int
 
 
 class WindowStore:
-    """Photographs of an `ImageStore` of which only windows are seen.
+    """Photographs of an `ImageStore` of which only windows, cut at a scale, are seen.
 
-    Parameters
-    ----------
-    views : mapping of name to (View, Window)
-        The whole photograph, and its window.
-    scale : [-]
-        At which the windows were cut.
+    ``views`` has the whole photograph and its window, by name.
     """
 
     def __init__(self, store: ImageStore, views: Mapping[str, tuple[View, Window]], scale: float):

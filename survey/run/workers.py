@@ -65,19 +65,10 @@ def _attempted(compute: Callable[..., Computed], *given: Any) -> Computed | Fail
 
 
 class Workers:
-    """Workers of a Dask scheduler.
+    """Workers of the scheduler of a Dask client, for a run by the folder of its stages, or by its URL.
 
-    Parameters
-    ----------
-    client : distributed.Client
-    folder : Path
-        Of the stages of the run.
-    are_started : bool
-        Whether the run has started them, on this machine.
-    takes_gpu : bool
-        Whether only workers with the resource GPU compute.
-    url : str, optional
-        Of the run, where all goes by this.
+    ``are_started`` says whether the run has started them, on this machine, ``takes_gpu`` whether only those with the
+    resource GPU compute.
     """
 
     def __init__(

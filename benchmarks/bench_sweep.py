@@ -99,7 +99,7 @@ class Case:
         """Points of the pixels that are kept, (height, width) bool of each map; by default one for each place."""
         if kept is None:
             kept = unique_pixels(self.block, maps, self.job.plan.gsd_m)
-        return points.bed_points(self.job, points.RefinedMaps(maps, kept), lambda done: None)[0]
+        return points.bed_points(self.job, maps, kept, None, lambda done: None)[0]
 
     def figures(self, bed: BedPoints) -> dict:
         """Distances of the points from the truth, and their completeness."""

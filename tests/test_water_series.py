@@ -26,8 +26,8 @@ def levels(path, *, at_h=0.0, zero=None, unit_m=1.0):
     """The levels at 21 photographs over seven minutes about a time."""
     moments = NOON.timestamp() + 3600.0 * at_h + np.linspace(-200.0, 200.0, 21)
     series = read_series(path, unit_m, zero)
-    _, found = levels_at(series, moments)
-    return found.levels_m.mean(), found.std_m, series.findings.warnings + found.findings.warnings
+    levels_m, std_m, _, findings = levels_at(series, moments)
+    return levels_m.mean(), std_m, series.findings.warnings + findings.warnings
 
 
 def written(path, hours, values, form="{:.3f}"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,24 +51,21 @@ def with_std_of_block(
     return replace(bed, std=np.hypot(bed.std, of_block, out=new_column(len(bed)))), of_block
 
 
-@dataclass(frozen=True)
-class RefinedMaps:
-    """Height maps of the sweep, the pixels that become points, and what refined their heights."""
+def bed_points(
+    job: Job,
+    maps: Sequence[HeightMap],
+    kept: Sequence[np.ndarray],
+    solved: Sequence[SolvedMap] | None,
+    advance: Callable[[float], None],
+) -> tuple[BedPoints, np.ndarray]:
+    """Points of the bed of the kept pixels (height, width) of maps, without duplicates, with the heights of the solver.
 
-    maps: Sequence[HeightMap]
-    kept: Sequence[np.ndarray]  # (height, width) bool each, as `fields.sweep.bed.unique_pixels` finds them
-    solved: Sequence[SolvedMap] | None = None
-
-
-def bed_points(job: Job, found: RefinedMaps, advance: Callable[[float], None]) -> tuple[BedPoints, np.ndarray]:
-    """Points of the bed without duplicates, coloured from the photograph that shows each steepest.
-
-    Returns the points and the tides (N,) [m] of their photographs.
+    Coloured from the photograph that shows each steepest; returns the points and the tides (N,) [m] of these.
     """
     survey, plan, block = job.survey, job.plan, job.block
     parts, sources, tides, area = [], [], [], job.ground
-    comparable_of = num_comparable(block, found.maps)
-    for number, (height_map, keep, comparable) in enumerate(zip(found.maps, found.kept, comparable_of, strict=True)):
+    comparable_of = num_comparable(block, maps)
+    for number, (height_map, keep, comparable) in enumerate(zip(maps, kept, comparable_of, strict=True)):
         view = survey.views[height_map.view]
         camera = camera_of(view, plan)
         rgb = job.photographs.load(view, scale=plan.image_scale)
@@ -78,7 +75,7 @@ def bed_points(job: Job, found: RefinedMaps, advance: Callable[[float], None]) -
         if len(block.neighbours(height_map.view, PEERS)) == 1:
             keep = keep & is_supported(height_map.height, trusted(height_map), tolerance)
         keep = keep[: camera.height, : camera.width]
-        final, std = (height_map, None) if found.solved is None else found.solved[number].over(height_map)
+        final, std = (height_map, None) if solved is None else solved[number].over(height_map)
         std = std_of_kept(final, keep, tolerance, std, comparable)
         points = points_of(camera, survey.water, final, keep, rgb, std)
         points = with_slope_std(points, final.height, keep, plan.gsd_m, survey.water)

@@ -10,7 +10,7 @@ and the point goes to where they come closest to each other. A surface that is h
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -35,7 +35,7 @@ from survey.photos.intersection import equations_of_lines
 from survey.plan.area import inside
 from survey.progress import shares
 from survey.run.job import colour_of
-from survey.run.points import RefinedMaps, adjustment_of, bed_points, is_placed, with_std_of_block
+from survey.run.points import adjustment_of, bed_points, is_placed, with_std_of_block
 from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import KEPT, MAPS
 from survey.run.stored import (
@@ -199,9 +199,6 @@ class SolvedHeights(Sequence[HeightMap]):
         """The map at a place in the order."""
         return self._solved[number].over(self._maps[number])[0]
 
-    def __iter__(self) -> Iterator[HeightMap]:
-        return (self[number] for number in range(len(self)))
-
 
 def with_occluded(
     job: Job, maps: Sequence[HeightMap], solved: Sequence[SolvedMap], bed: BedPoints, tide: np.ndarray
@@ -253,7 +250,7 @@ def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
         kept = load_masks(needs["sweep"] / KEPT)
         if solved is not None:
             kept = without_ghosts(job.block, SolvedHeights(maps, solved), kept, job.plan.gsd_m)
-        bed, tide = bed_points(job, RefinedMaps(maps, kept, solved), stage.advance)
+        bed, tide = bed_points(job, maps, kept, solved, stage.advance)
     if solved is not None and job.plan.boxes and len(bed):
         bed, tide = with_occluded(job, maps, solved, bed, tide)
     if survey.water is not None and survey.observations.departure is not None:

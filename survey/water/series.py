@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
@@ -44,18 +43,11 @@ _COSINE = 0.05
 _LONG_H = 1.0
 
 
-@dataclass(frozen=True)
-class LevelAt:
-    """Levels at moments."""
+def levels_at(series: Series, moments: np.ndarray) -> tuple[np.ndarray, float, tuple[Reading, ...], Findings]:
+    """Levels (N,) [m] at moments (N,) [s since 1970] by a series, and its readings around them.
 
-    levels_m: np.ndarray  # (N,) [m]
-    # [m]: what interpolation adds to the standard deviation of their mean
-    std_m: float
-    findings: Findings
-
-
-def levels_at(series: Series, moments: np.ndarray) -> tuple[tuple[Reading, ...], LevelAt]:
-    """The readings of a series around moments (N,) [s since 1970], and the levels at these."""
+    With what interpolation adds to the standard deviation [m] of the mean level.
+    """
     near = _near(series.readings, float(moments.min()), float(moments.max()))
     readings, left_out = without_markers(near)
     times = np.array([each.time.timestamp() for each in readings]) / 3600.0
@@ -75,9 +67,9 @@ def levels_at(series: Series, moments: np.ndarray) -> tuple[tuple[Reading, ...],
     require_slow(readings)
     if is_of_extremes:
         at, std, notes = _cosines(series.path, times, levels, moments / 3600.0)
-        return readings, LevelAt(at, std, Findings(notes, tuple(warnings)))
+        return at, std, readings, Findings(notes, tuple(warnings))
     at, std, of_gap = _lines(series.path, readings, times, levels, stds, moments / 3600.0)
-    return readings, LevelAt(at, std, Findings(warnings=(*warnings, *of_gap)))
+    return at, std, readings, Findings(warnings=(*warnings, *of_gap))
 
 
 def _near(readings: tuple[Reading, ...], first: float, last: float) -> tuple[Reading, ...]:

@@ -79,12 +79,12 @@ def tide_of_gauge(path: Path, water: WaterConfig, headers: Mapping[str, Exif], u
     series = read_series(path, unit_m, water.gauge_zero_m)
     taken = _times(headers, f"no level can be interpolated from {path}; give level_m in {FILE_NAME}")
     moments = np.array(list(taken.values()))
-    readings, at = levels_at(series, moments)
-    mean = float(at.levels_m.mean())
-    over = dict(zip(taken, (at.levels_m - mean).tolist(), strict=True))
+    at, gap_std_m, readings, findings = levels_at(series, moments)
+    mean = float(at.mean())
+    over = dict(zip(taken, (at - mean).tolist(), strict=True))
     tide = Tide("gauge", _completed(over, headers), _hours(taken, float(moments.mean())))
     levels = tuple(LevelObservation(each.level_m, each.std_m, None, each.time, "gauge") for each in readings)
-    return MovingLevel(mean, at.std_m, tide, levels, len(taken), series.findings + at.findings)
+    return MovingLevel(mean, gap_std_m, tide, levels, len(taken), series.findings + findings)
 
 
 def tide_of_levels(path: Path, headers: Mapping[str, Exif], unit_m: float = 1.0) -> MovingLevel:

@@ -35,6 +35,7 @@ from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.folder.survey import load_survey
 from survey.plan.area import limits, local_area
 from survey.plan.choices import Choices
+from survey.plan.plan import make_plan
 from survey.plan.recipe import RECIPES
 from survey.progress import current
 from survey.run import points
@@ -78,7 +79,8 @@ class Case:
     def __init__(self, folder: Path, quality: str):
         truth = folder / "truth" if (folder / "truth").is_dir() else folder
         self.reference, self.visible = truth / "reference.ply", truth / "visible.ply"
-        self.job = Job(load_survey(folder), Choices(quality=quality), current())
+        survey, chosen = load_survey(folder), Choices(quality=quality)
+        self.job = Job(survey, chosen, make_plan(survey, chosen), current())
         self.survey, self.plan, self.block = self.job.survey, self.job.plan, self.job.block
         self.bound = find_range(self.block, limits(self.survey))
         self.block.set_overlap_height(0.5 * (self.bound[0] + self.bound[1]))

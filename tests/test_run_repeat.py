@@ -11,6 +11,7 @@ from small_survey import small_survey
 from survey.commands import process as command
 from survey.folder.survey import load_survey
 from survey.plan.choices import Choices
+from survey.plan.plan import make_plan
 from survey.progress import opened
 from survey.run.job import Job
 from survey.run.repeat import Truth, command_of, options_of, settings_text
@@ -24,7 +25,8 @@ def folder(tmp_path):
 
 def job_of(folder: Path, **chosen) -> Job:
     with opened() as progress:
-        return Job(load_survey(folder), Choices(**chosen), progress)
+        survey, choices = load_survey(folder), Choices(**chosen)
+        return Job(survey, choices, make_plan(survey, choices), progress)
 
 
 def test_a_run_without_options_is_repeated_with_its_quality(folder):

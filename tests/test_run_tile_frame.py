@@ -14,6 +14,7 @@ from survey.control.points import Control, ControlPoint
 from survey.plan.area import Tiling, flattened, inside, limits
 from survey.plan.choices import USUAL
 from survey.plan.heights import dry_ground
+from survey.plan.plan import make_plan
 from survey.plan.recipe import RECIPES, required_views
 from survey.progress import Progress
 from survey.run import stage_range
@@ -124,9 +125,8 @@ def dry_job(far, tmp_path):
     survey = replace(survey, water=None, views=views, observations=bare, config=replace(survey.config, area=area))
     x = aside.centre[0]
     with Progress(verbosity=-1) as progress:
-        job = Job(survey, USUAL, progress, scratch=tmp_path)
-        job.plan = replace(job.plan, tiling=Tiling((x - 20.0, x + 300.0, x + 800.0), (-100.0, 200.0), 0.2))
-        yield job
+        tiling = Tiling((x - 20.0, x + 300.0, x + 800.0), (-100.0, 200.0), 0.2)
+        yield Job(survey, USUAL, replace(make_plan(survey), tiling=tiling), progress, scratch=tmp_path)
 
 
 def test_a_tile_of_known_windows_has_the_same_cameras(dry_job, monkeypatch):

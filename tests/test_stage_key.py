@@ -15,7 +15,8 @@ from small_survey import small_survey
 
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
-from survey.plan.choices import Choices
+from survey.plan.choices import USUAL
+from survey.plan.plan import make_plan
 from survey.progress import opened
 from survey.run.job import Job
 from survey.stage_key import code_hash, stage_key
@@ -128,6 +129,7 @@ def test_the_settings_of_the_water_count_for_the_adjustment_and_its_colour_does_
         if toml is not None:
             (folder / "survey.toml").write_text(text.replace("[water]\n", f"[water]\n{toml}\n"))
         with opened() as progress:
-            return Job(load_survey(folder), Choices(), progress).hash_of_part("water_settings")
+            survey = load_survey(folder)
+            return Job(survey, USUAL, make_plan(survey), progress).hash_of_part("water_settings")
 
     assert (settings("plain", None) != settings("other", key)) == matters

@@ -17,7 +17,6 @@ from survey.errors import SurveyError
 from survey.photos.images import ImageStore
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
 from survey.plan.sweep_block import camera_of, cameras_of_block, load_block
-from survey.plan.tile_choice import plan_run
 from survey.run.stored import ArrayFiles
 from survey.run.windows import BedSearch, Outlines
 from survey.settings.water import WaterColour, WaterConfig
@@ -47,16 +46,15 @@ class Job:
         self,
         survey: Survey,
         chosen: Choices,
+        plan: Plan,
         progress: Progress,
         *,
-        plan: Plan | None = None,
         workspace: Path | None = None,
         scratch: Path | None = None,
     ):
-        self.survey, self.chosen, self.progress = survey, chosen, progress
+        self.survey, self.chosen, self.plan, self.progress = survey, chosen, plan, progress
         self.workspace, self.scratch = workspace, scratch
         self.survey_job: Job = self  # Of a tile the job of the whole survey
-        self.plan = plan_run(survey, chosen)[0] if plan is None else plan
         # Set when a wait for kernels begins that is long enough for another thread to hold the GIL.
         self.waits_for_kernels = Event()
         self.bed_search: BedSearch | None = None  # Once heights and photographs of the search are known

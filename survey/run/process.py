@@ -105,7 +105,7 @@ def process(
         _announce(survey, plan, workload, progress)
         for text in (*aimed.warnings, *warnings, *require_room(workload, run.path)):
             progress.warn(text)
-        job = Job(survey, chosen, progress, plan=plan, workspace=run.sfm_path, scratch=run.scratch_path)
+        job = Job(survey, chosen, plan, progress, workspace=run.sfm_path, scratch=run.scratch_path)
         # The report takes half a second to import, beside the kernels of the sweep; if it fails, it does so below.
         Thread(target=_import_products, args=(job,), daemon=True).start()
         result = run.open_result(job.plan.quality)

@@ -81,13 +81,14 @@ class WorkerJob:
         self, survey: Survey, chosen: Any, plan: Plan, search: BedSearch, images: Any, saturated: Sequence[float]
     ):
         from fields.sweep.block import Block
+        from survey.plan.plan import device_decision
         from survey.plan.sweep_block import backend, cameras_of_block
         from survey.run.job import Job
 
         # The device is that of the worker.
-        self.survey_job = Job(survey, chosen, _RecordedProgress(), plan=plan.again(survey, chosen))
-        self._search = search
-        cameras, plan = cameras_of_block(survey, self.survey_job.plan), self.survey_job.plan
+        plan = replace(plan, device=device_decision(chosen.device).choice)
+        self.survey_job, self._search = Job(survey, chosen, plan, _RecordedProgress()), search
+        cameras = cameras_of_block(survey, plan)
         self.survey_job.__dict__["block"] = Block(
             backend(plan), cameras, images, survey.water, 0.5 * sum(search.bound), saturated
         )

@@ -31,7 +31,7 @@ from survey.compare.frame import ShiftedFrame, within
 from survey.compare.options import Bounds, CompareError, as_text
 from survey.files.crs_lines import crs_of_comment
 from survey.files.csv_table import Row
-from survey.files.point_table import PLACE, Units, has_depths, read_points
+from survey.files.point_table import PLACE, Units, has_depths, point_table, read_points
 
 # How a user tells the level that depths count from.
 GIVE_LEVEL = "give --water-level"
@@ -61,19 +61,19 @@ def read_shape(path: Path, water_level: float | None, crs: CRS | None = None) ->
     if not is_table(path):
         return read_reference(path)
     own = crs_of_comment(existing_file(path), CompareError)
+    table = point_table(path, CompareError)
     rows = read_points(
-        path,
+        table,
         optional=("std", "classification", "depth"),
         by_place=True,
         level=water_level,
         give_level=GIVE_LEVEL,
         units=Units.of(own or crs, crs),
-        error=CompareError,
     )
     points = places_of(rows, path)
     classes, notes = _classes_of(rows, path)
     # Soundings have the depth below the water beside the height.
-    extra = {} if has_depths(path) else {"depth": np.array([row.number("depth", default=np.nan) for row in rows])}
+    extra = {} if has_depths(table) else {"depth": np.array([row.number("depth", default=np.nan) for row in rows])}
     extra = {name: values for name, values in extra.items() if np.isfinite(values).any()}
     notes = (*check_values(points, own, path), *notes)
     return Cloud(points=points, crs=own, classification=classes, extra=extra, notes=notes)

@@ -44,7 +44,7 @@ from survey.compare.inputs import DEPTH_NAMES, GIVE_LEVEL, Inputs
 from survey.compare.options import Bounds, CompareError
 from survey.display.quantities import named
 from survey.files.crs_lines import crs_of_comment
-from survey.files.point_table import PLACE, Units, read_points, require_exact, several_heights
+from survey.files.point_table import PLACE, Units, point_table, read_points, require_exact, several_heights
 from survey.progress import current
 
 # Extra bytes of a cloud: the depth below the water in metres, angle at the water in degrees, views that agree.
@@ -258,16 +258,9 @@ def read_checkpoints(
     """
     existing_file(path)
     require_same_crs(crs, crs_of_comment(path, CompareError), "the cloud", str(path))
-    rows = read_points(
-        path,
-        optional=("std",),
-        by_place=True,
-        level=water_level,
-        give_level=GIVE_LEVEL,
-        units=units,
-        error=CompareError,
-    )
-    require_exact(rows, path, CompareError)
+    head = point_table(path, CompareError)
+    rows = read_points(head, optional=("std",), by_place=True, level=water_level, give_level=GIVE_LEVEL, units=units)
+    require_exact(rows, head)
     table = np.array([[*(row.number(name) for name in PLACE), row.number("std", default=0.0)] for row in rows])
     if not rows:
         raise CompareError(f"{path} has no check points; expected lines of easting, northing, height, std")

@@ -19,6 +19,7 @@ from survey.files.point_table import (
     Units,
     accuracy_warnings,
     has_depths,
+    point_table,
     read_points,
     require_exact,
     stated_units,
@@ -37,13 +38,14 @@ _MARK_COLUMNS = ("image", "name", "x", "y")
 def read_coordinates(path: Path) -> Content:
     """The points of a table ``name,easting,northing,height``, with their accuracy and role if it has these."""
     columns, optional = ("name", *PLACE), ("std", "std_horizontal", *STDS, "role", "enable")
-    rows = read_points(path, optional=("name", *optional), error=ControlError)
-    require_exact(rows, path, ControlError)
-    if rows and "name" not in column_names(path, WORDS):
+    table = point_table(path, ControlError)
+    rows = read_points(table, optional=("name", *optional))
+    require_exact(rows, table)
+    if rows and "name" not in table.names:
         raise ControlError(f"{path}: the first line has no column name, expected {','.join(columns)}; add it")
-    crs, units = crs_of_comment(path, ControlError), stated_units(path, ControlError)
+    crs, units = crs_of_comment(path, ControlError), stated_units(table)
     points = tuple(replace(_point(row, crs), units=units) for row in rows)
-    return Content(points, warnings=accuracy_warnings(path, ControlError))
+    return Content(points, warnings=accuracy_warnings(table))
 
 
 def read_marks(path: Path) -> Content:
@@ -60,14 +62,14 @@ def read_checkpoints(path: Path, level: float | None = None, survey_crs: CRS | N
 
     Depths count from the ``level`` of the water in the crs of the survey, where it has one.
     """
-    crs, units = crs_of_comment(path, ControlError), None
-    if survey_crs is not None and has_depths(path):
+    table, crs, units = point_table(path, ControlError), crs_of_comment(path, ControlError), None
+    if survey_crs is not None and has_depths(table):
         # Depths become heights of the survey; heights have the unit that the file states.
         crs = None if crs is None else horizontal_crs(crs)
         units = Units(Units.of(crs or survey_crs).plan_m, Units.of(survey_crs).height_m)
-    rows = read_points(path, level=level, give_level="give [water] level_m", units=units, error=ControlError)
-    require_exact(rows, path, ControlError)
-    stated = stated_units(path, ControlError) if units is None else Units(height_m=units.height_m)
+    rows = read_points(table, level=level, give_level="give [water] level_m", units=units)
+    require_exact(rows, table)
+    stated = stated_units(table) if units is None else Units(height_m=units.height_m)
     if not rows:
         raise ControlError(f"{path} has no check points, expected lines name,easting,northing,height; add them")
     points: dict[str, GivenPoint] = {}

@@ -113,33 +113,43 @@ class Units:
         )
 
 
+def point_table(path: Path, error: type[SurveyError]) -> Table:
+    """The head of a table of points; of one with grid coordinates and degrees, the grid counts."""
+    table = Table.read(path, WORDS, error)
+    degrees = {c for c in table.columns if c.cell.startswith(("lon", "lat")) and c.name in PLACE[:2]}
+    if set(PLACE[:2]) <= {c.name for c in table.columns if c not in degrees}:
+        # Their own names again, which no column is asked for by.
+        columns = (replace(c, name=c.cell, unit_m=None) if c in degrees else c for c in table.columns)
+        return replace(table, columns=tuple(columns))
+    return table
+
+
 def read_points(
-    path: Path,
+    table: Table,
     *,
     optional: Sequence[str] = ("name",),
     by_place: bool = False,
     level: float | None = None,
     give_level: str = "",
     units: Units | None = None,
-    error: type[SurveyError],
 ) -> list[Row]:
     """Rows of a table of points with the columns of `PLACE`, and the ``optional`` ones.
 
     Depths become heights where the level of the water is known, from a column of the table, with a level on each row,
     or else as given (`give_level` says how, for a message); standard deviations are in metres. Beside a height a level
     counts for nothing. ``by_place`` takes a file of numbers alone as easting, northing, height and std. Heights get the
-    ``units`` of the CRS; without it they stay as they are: `stated_units`. Raises ``error`` where columns are missing,
-    two have one meaning, eastings are in another unit, or a height stands for no data.
+    ``units`` of the CRS; without it they stay as they are: `stated_units`. Raises where columns are missing, two
+    have one meaning, eastings are in another unit, or a height stands for no data.
     """
-    table = _table(path, error)
+    path, error = table.path, table.error
     if by_place and not table.columns and table.first:
         return [_with_data(row, "height") for row in _by_place(table).rows(PLACE, ("std",))]
-    names, stated = table.names, _units(table)
+    names, stated = table.names, stated_units(table)
     _require_one_column(table)
     stated = stated if units is None else stated.meant(units)
     if units is not None and (fault := stated.plan_fault(units)) is not None:
         raise error(f"{path}: {fault}; convert them")
-    heights = ("depth", *(["level"] if "level" in names else [])) if _has_depths(table) else ("height",)
+    heights = ("depth", *(["level"] if "level" in names else [])) if has_depths(table) else ("height",)
     if heights == ("depth",) and level is None:
         remedy = f"{give_level}, or subtract" if give_level else "subtract"
         raise error(
@@ -158,31 +168,31 @@ def read_points(
     factors = dict.fromkeys(heights, 1.0 if units is None else stated.height_factor(units))
     factors |= {name: unit for name, unit in table.units.items() if name in _ALL_STDS}
     rows = [_of_metres(row.multiplied(factors)) for row in rows]
-    return rows if heights == ("height",) else _above(rows, level, path, error)
+    return rows if heights == ("height",) else _above(rows, level, table)
 
 
-def stated_units(path: Path, error: type[SurveyError]) -> Units:
+def stated_units(table: Table) -> Units:
     """Units that the names of the columns of a table give its coordinates, depths among them."""
-    return _units(_table(path, error))
+    if has_depths(table) and "level" in table.units:
+        table.common_unit_m("depth", "level")
+    height = "height" if "height" in table.names else "depth"
+    return Units(table.common_unit_m(*PLACE[:2]), table.units.get(height))
 
 
-def has_depths(path: Path) -> bool:
+def has_depths(table: Table) -> bool:
     """Whether a table has depths and no heights."""
-    try:
-        return _has_depths(_table(path, SurveyError))
-    except SurveyError:
-        return False
+    return "depth" in table.names and "height" not in table.names
 
 
-def accuracy_warnings(path: Path, error: type[SurveyError]) -> tuple[str, ...]:
+def accuracy_warnings(table: Table) -> tuple[str, ...]:
     """Warnings where a table of points states an accuracy in columns that are not read, or no fixed solution."""
-    table = _table(path, error)
     unread = [c.cell for c in table.columns if c.name == c.cell not in WORDS and _ACCURACY.search(c.cell)]
     warnings = []
     if unread and not set(_ALL_STDS) & set(table.names):
         warnings.append(
-            f"{path.name} has the column{'s' if len(unread) > 1 else ''} {', '.join(unread[:6])}, which may state an "
-            "accuracy and is not read; call standard deviations std_east, std_north and std_height, or std for all"
+            f"{table.path.name} has the column{'s' if len(unread) > 1 else ''} {', '.join(unread[:6])}, which may "
+            "state an accuracy and is not read; call standard deviations std_east, std_north and std_height, or std "
+            "for all"
         )
     if "solution" in table.names:
         words = Counter(row.cells["solution"] for row in table.rows(("solution",)))
@@ -190,8 +200,8 @@ def accuracy_warnings(path: Path, error: type[SurveyError]) -> tuple[str, ...]:
         if others:
             listed = ", ".join(f"{num} of {sum(words.values())} points are {word}" for word, num in others.items())
             warnings.append(
-                f"{path.name}: {listed} by their solution, not fixed and so known to decimetres or worse; measure "
-                "them again, or leave them out where the block does not need them"
+                f"{table.path.name}: {listed} by their solution, not fixed and so known to decimetres or worse; "
+                "measure them again, or leave them out where the block does not need them"
             )
     return tuple(warnings)
 
@@ -201,13 +211,13 @@ def height_std(row: Row, default: float) -> float:
     return row.number("std_height", default=row.number("std", default=default))
 
 
-def require_exact(rows: Sequence[Row], path: Path, error: type[SurveyError]) -> None:
+def require_exact(rows: Sequence[Row], table: Table) -> None:
     """Raise where places went through single precision or too few digits, which leaves steps of metres."""
     places = np.array([[row.number(name) for name in PLACE] for row in rows]).reshape(-1, 3)
     try:
-        rounded_coordinates(places, None, path)
+        rounded_coordinates(places, None, table.path)
     except GeoError as found:
-        raise error(str(found)) from found
+        raise table.error(str(found)) from found
 
 
 def several_heights(names: Sequence[str], places: np.ndarray, height_unit_m: float = 1.0) -> list[str]:
@@ -221,17 +231,6 @@ def several_heights(names: Sequence[str], places: np.ndarray, height_unit_m: flo
     return several
 
 
-def _table(path: Path, error: type[SurveyError]) -> Table:
-    """The head of a table of points; of one with grid coordinates and degrees, the grid counts."""
-    table = Table.read(path, WORDS, error)
-    degrees = {c for c in table.columns if c.cell.startswith(("lon", "lat")) and c.name in PLACE[:2]}
-    if set(PLACE[:2]) <= {c.name for c in table.columns if c not in degrees}:
-        # Their own names again, which no column is asked for by.
-        columns = (replace(c, name=c.cell, unit_m=None) if c in degrees else c for c in table.columns)
-        return replace(table, columns=tuple(columns))
-    return table
-
-
 def _by_place(table: Table) -> Table:
     """A table of numbers alone, its columns taken by their place; raises where it has others than of points."""
     numbers = [number_of(cell, ",") for cell in table.first]
@@ -242,17 +241,6 @@ def _by_place(table: Table) -> Table:
             "easting, northing, height and perhaps a standard deviation in metres; name the columns in a first line"
         )
     return table.named((*PLACE, "std")[: len(numbers)])
-
-
-def _has_depths(table: Table) -> bool:
-    return "depth" in table.names and "height" not in table.names
-
-
-def _units(table: Table) -> Units:
-    if _has_depths(table) and "level" in table.units:
-        table.common_unit_m("depth", "level")
-    height = "height" if "height" in table.names else "depth"
-    return Units(table.common_unit_m(*PLACE[:2]), table.units.get(height))
 
 
 def _with_data(row: Row, name: str) -> Row:
@@ -274,8 +262,9 @@ def _of_metres(row: Row) -> Row:
     return row
 
 
-def _above(rows: Sequence[Row], level: float | None, path: Path, error: type[SurveyError]) -> list[Row]:
+def _above(rows: Sequence[Row], level: float | None, table: Table) -> list[Row]:
     """Rows with heights in place of depths below their own levels, or else below one for all."""
+    path, error = table.path, table.error
     if not rows:
         return []
     depths = [row.number("depth") for row in rows]
@@ -300,7 +289,7 @@ def _above(rows: Sequence[Row], level: float | None, path: Path, error: type[Sur
 
 def _require_one_column(table: Table) -> None:
     """Raise where two columns have one meaning: of heights also where one is a height and another a depth."""
-    for name in (*PLACE[:2], "depth", *(("level",) if _has_depths(table) else ())):
+    for name in (*PLACE[:2], "depth", *(("level",) if has_depths(table) else ())):
         twice = [column.cell for column in table.columns if column.name == name]
         if len(twice) > 1:
             raise table.error(f"{table.path}: {' and '.join(twice)} may be the {name}; call the one in crs {name}")

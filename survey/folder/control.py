@@ -35,7 +35,7 @@ from survey.control.reading import MergedControl, in_crs, merge_control, read_co
 from survey.control.tables import read_checkpoints
 from survey.display.quantities import length, named
 from survey.errors import ControlError, Findings
-from survey.files.point_table import accuracy_warnings, several_heights
+from survey.files.point_table import accuracy_warnings, point_table, several_heights
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.progress import current
@@ -93,7 +93,7 @@ def find_control(
     if config.checkpoints is not None:
         given = read_checkpoints(folder / config.checkpoints, level, crs)
         checkpoints, findings = in_crs(given, crs)
-        findings += Findings(warnings=accuracy_warnings(folder / config.checkpoints, ControlError))
+        findings += Findings(warnings=accuracy_warnings(point_table(folder / config.checkpoints, ControlError)))
     if not config.gcp_files:
         found = FoundControl(config, checkpoints=tuple(checkpoints))
         return found, findings + Findings(warnings=_doubts(found, crs, level))

@@ -28,7 +28,7 @@ from geo.transformation import height_scale, lon_lat, transformed
 from survey.display.quantities import distance_text
 from survey.errors import ConfigError, Findings
 from survey.files.csv_table import Row
-from survey.files.point_table import Units, accuracy_warnings, height_std, read_points
+from survey.files.point_table import Units, accuracy_warnings, height_std, point_table, read_points
 from survey.settings.config import WaterConfig
 from survey.water.surface_features import layers_named, points_of_features, require_one_water
 
@@ -79,14 +79,15 @@ def points_of_surface(
         if layer is not None:
             raise ConfigError(f"[water] layer is given, and {path} is a raster, which has none; remove it")
         return _points_of_raster(path, source, crs)
-    rows = read_points(path, optional=("std", "std_height", "layer"), units=Units.of(crs), error=ConfigError)
+    table = point_table(path, ConfigError)
+    rows = read_points(table, optional=("std", "std_height", "layer"), units=Units.of(crs))
     rows = _of_layer(rows, path, layer, unit)
     places = [(row.number("easting"), row.number("northing")) for row in rows]
     measured = [
         LevelObservation(row.number("height") * unit, std_of(row, source), place, None, source)
         for row, place in zip(rows, places, strict=True)
     ]
-    return tuple(measured), Findings(warnings=accuracy_warnings(path, ConfigError))
+    return tuple(measured), Findings(warnings=accuracy_warnings(table))
 
 
 def _of_layer(rows: list[Row], path: Path, layer: str | None, unit_m: float) -> list[Row]:

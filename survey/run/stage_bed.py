@@ -10,12 +10,13 @@ and the point goes to where they come closest to each other. A surface that is h
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from fields.occluded.holes import KnownBed
 from fields.occluded.occluded import find_occluded
@@ -64,6 +65,8 @@ _LEAST_DETERMINANT = 1.5e-4
 _LEAST_COSINE = 0.2
 # Std of the height of a raised plane that stands for what the search for the bed would do otherwise under it.
 _RAISED_SHARE = 0.07
+# Points whose rays are bent anew at it.
+_RAISED_SAMPLE = 20_000
 FILES = (BED_FILE, SURVEY_FILE)
 POINTS = "points.npz"
 # In the folder of the stage, while it lasts: the points of all tiles.
@@ -83,35 +86,48 @@ def through_surface(
     west, south = (bed.xyz[:, :2].min(axis=0) - reach).tolist()
     east, north = (bed.xyz[:, :2].max(axis=0) + reach).tolist()
     area = (west, south, east, north)
-    return _through(bed, cameras, plane, departure.surface(area, plane), departure.interpolated_std(area))
+    surface, of_surface = departure.surface(area, plane), departure.interpolated_std(area)
+    return _at(bed, _intersected(bed.xyz, cameras, plane, surface), surface, of_surface(bed.xyz[:, :2]))
 
 
 def through_raised(bed: BedPoints, cameras: Sequence[PinholeCamera], plane: FlatWater, raised: FlatWater) -> BedPoints:
-    """Points under a plane that is raised a little, found under a plane, with the std that this adds."""
+    """Points under a plane that is raised a little, found under a plane, with the std that this adds.
+
+    How far they go depends on the photographs around them, hardly on their depth: each goes as far as the nearest of
+    those whose rays are bent anew.
+    """
+    wet = np.flatnonzero(bed.wet)
+    if not len(wet):
+        return _at(bed, bed.xyz, raised, np.zeros(len(bed)))
+    sample = wet[:: max(len(wet) // _RAISED_SAMPLE, 1)]
+    moves = _intersected(bed.xyz[sample], cameras, plane, raised) - bed.xyz[sample]
+    xyz, tree = bed.xyz.copy(), cKDTree(bed.xyz[sample])
+    for rows in portions(len(wet), _PORTION):
+        xyz[wet[rows]] += moves[tree.query(bed.xyz[wet[rows]])[1]]
     std = _RAISED_SHARE * abs(float(raised.point[2] - plane.height(*raised.point[:2])))
-    return _through(bed, cameras, plane, raised, lambda places: np.full(len(places), std)) if len(bed) else bed
+    return _at(bed, xyz, raised, np.full(len(bed), std))
 
 
-def _through(
-    bed: BedPoints,
-    cameras: Sequence[PinholeCamera],
-    plane: FlatWater,
-    surface: BicubicWater | FlatWater,
-    of_surface: Callable[[np.ndarray], np.ndarray],
-) -> BedPoints:
-    """Points under a surface, found under a plane; ``of_surface`` is the std [m] of its height at places (M, 2)."""
-    heights = (bed.xyz - np.array(plane.point)) @ np.array(plane.up)
+def _intersected(
+    xyz: np.ndarray, cameras: Sequence[PinholeCamera], plane: FlatWater, surface: BicubicWater | FlatWater
+) -> np.ndarray:
+    """Places (N, 3) under a surface of points (N, 3) found under a plane."""
+    heights = (xyz - np.array(plane.point)) @ np.array(plane.up)
     grounds = [Footprint.of(camera, plane, (float(heights.min()), float(heights.max()))) for camera in cameras]
     parts = []
-    for first in range(0, len(bed), _AT_ONCE):
-        points = bed.xyz[first : first + _AT_ONCE]
+    for first in range(0, len(xyz), _AT_ONCE):
+        points = xyz[first : first + _AT_ONCE]
         footprint = Footprint(points[:, :2].min(axis=0), points[:, :2].max(axis=0))
         near = [camera for camera, ground in zip(cameras, grounds, strict=True) if ground.meets(footprint)]
         parts.append(_placed(points, near, plane, surface))
-    xyz = np.concatenate(parts)
+    return np.concatenate(parts)
+
+
+def _at(bed: BedPoints, xyz: np.ndarray, surface: BicubicWater | FlatWater, of_surface: np.ndarray) -> BedPoints:
+    """Points at other places under a surface whose height has a std (N,) [m] over them."""
     depth = surface.height(xyz[:, 0], xyz[:, 1]) - xyz[:, 2]
     wet = depth > 0.0
-    added = np.where(wet, bed_per_level(bed.incidence, float(plane.n_water)) * of_surface(bed.xyz[:, :2]), 0.0)
+    added = np.where(wet, bed_per_level(bed.incidence, float(surface.n_water)) * of_surface, 0.0)
     return replace(
         bed, xyz=xyz, depth=depth.astype(np.float32), wet=wet, std=np.hypot(bed.std, added).astype(np.float32)
     )

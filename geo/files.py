@@ -131,6 +131,12 @@ def write_whole(path: str | Path) -> Iterator[BinaryIO]:
         raise _unwritable(error, path) from error
 
 
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text file in UTF-8, whole or not at all."""
+    with write_whole(path) as stream:
+        stream.write(text.encode())
+
+
 @contextmanager
 def write_whole_at(path: str | Path) -> Iterator[Path]:
     """Path of a temporary file for libraries that write by path; otherwise as `write_whole`.

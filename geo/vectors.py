@@ -25,7 +25,7 @@ from geo.compatibility import crs_difference
 from geo.crs import crs_code, crs_name, height_unit_m, horizontal_crs, horizontal_unit, is_geographic
 from geo.errors import UnwritableFile
 from geo.features import UNITS_OF_DRAWINGS
-from geo.files import library_for, write_whole
+from geo.files import library_for, write_text, write_whole
 from geo.reproject import cut_line, cut_polygon
 from geo.transformation import WGS84, Transformation
 
@@ -87,8 +87,7 @@ def write_geojson(path: str | Path, layer: Layer) -> str | None:
         "about": layer.notes,
     }
     collection = {"type": "FeatureCollection", "name": layer.name, "bathynerf": about, "features": features}
-    with write_whole(path) as stream:
-        stream.write(json.dumps(collection, ensure_ascii=False, allow_nan=False).encode())
+    write_text(path, json.dumps(collection, ensure_ascii=False, allow_nan=False))
     return operation.warning(f"places in {path}") if layer.shapes else None
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from geo.crs import is_geographic
-from geo.files import write_whole
+from geo.files import write_text
 from refract.lens import Lens
 from survey.adjust.assembling import lens_with
 from survey.adjust.block.observed import original_pixels
@@ -138,8 +138,7 @@ def write_cameras(folder: Path, survey: Survey, found: Adjustment | None = None)
     (folder / MODEL_FOLDER).mkdir(exist_ok=True)
     ties = None if found is None else _straight_ties(survey, found)
     write_model(folder / MODEL_FOLDER, survey.views, head=_settings_of_model(survey), points=_HEAD, ties=ties)
-    with write_whole(folder / CAMERAS) as stream:
-        stream.write(_opk(survey).encode())
+    write_text(folder / CAMERAS, _opk(survey))
 
 
 def _straight_ties(survey: Survey, found: Adjustment) -> TiePoints:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geo.files import write_whole
+from geo.files import write_text
 from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.propagation import propagated
 from survey.adjust.block.state import NUM_WATER, WATER_PARAMETERS, settings_by_local, settings_of
@@ -121,8 +121,7 @@ def estimate_water(
     for text in found.warnings:
         progress.warn(text)
     if json_path is not None:
-        with write_whole(json_path) as stream:
-            stream.write(found.to_json().encode())
+        write_text(json_path, found.to_json())
     return found
 
 

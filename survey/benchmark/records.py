@@ -15,7 +15,8 @@ import numpy as np
 
 from evaluation import Coverage, slope_below, vertical_difference
 from evaluation.vertical import WALL_DEG
-from geo import Mesh, write_whole
+from geo import Mesh
+from geo.files import write_text
 from survey.benchmark.cases import Case
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.compare.figures import Comparison
@@ -100,8 +101,7 @@ def write_results(path: Path, results: Results) -> None:
     table = {"version": VERSION} | plain(replace(results, records=()))
     head = json.dumps(table, ensure_ascii=False).removesuffix("[]}")
     lines = ",\n".join(json.dumps(plain(record), ensure_ascii=False) for record in results.records)
-    with write_whole(path) as stream:
-        stream.write(f"{head}[\n{lines}\n]}}\n".encode())
+    write_text(path, f"{head}[\n{lines}\n]}}\n")
 
 
 def read_results(path: Path) -> Results:

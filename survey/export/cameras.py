@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from geo.crs import crs_code
-from geo.files import reporting_disk_errors, write_whole
+from geo.files import reporting_disk_errors, write_text
 from refract.lens import Lens
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
@@ -97,8 +97,7 @@ def write_nerfstudio(path: Path, run: LoadedRun, _options: ExportOptions) -> Non
         frame = {"file_path": str(view.path), **_nerfstudio_lens(view.lens), "transform_matrix": matrix.tolist()}
         frames.append(frame if view.mask_path is None else frame | {"mask_path": str(view.mask_path)})
     content = {"bathynerf": _metadata(flight), "frames": frames}
-    with write_whole(path) as stream:
-        stream.write(json.dumps(content, indent=1, ensure_ascii=False).encode())
+    write_text(path, json.dumps(content, indent=1, ensure_ascii=False))
 
 
 def _nerfstudio_lens(lens: Lens) -> dict:

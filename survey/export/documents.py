@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from geo.crs import crs_code, horizontal_crs
 from geo.drivers import open_raster
-from geo.files import write_whole
+from geo.files import write_text
 from survey.display.palette import DEPTHS, SPREADS
 from survey.errors import SurveyError
 from survey.export.clouds import write_copc
@@ -68,8 +68,7 @@ def write_qgis(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     except SurveyError as error:
         (path / _PHOTO).unlink(missing_ok=True)
         current().warn(f"{path / _PROJECT} has no orthophoto: {error}")
-    with write_whole(path / _PROJECT) as stream:
-        stream.write(project(path, run.bed_header.name).encode())
+    write_text(path / _PROJECT, project(path, run.bed_header.name))
 
 
 def project(folder: Path, title: str) -> str:

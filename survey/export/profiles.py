@@ -22,7 +22,7 @@ from evaluation import vertical_difference
 from geo import Cloud, Mesh, read_cloud
 from geo.crs import crs_code, has_height, height_unit_m, is_geographic
 from geo.features import layer_of
-from geo.files import write_whole
+from geo.files import write_text
 from geo.grid import plan_box
 from geo.lines import Line, assumed_crs, read_lines
 from geo.projection import ground_units_m
@@ -296,8 +296,7 @@ def write_csv(path: Path, profiles: Sequence[Profile]) -> None:
         )  # fmt: skip
         columns = [[f"{value:.{digits}f}" if np.isfinite(value) else "" for value in v] for v, digits in numbers]
         writer.writerows([profile.name, *row, next(stated)] for row in zip(*columns, strict=True))
-    with write_whole(path) as stream:
-        stream.write(text.getvalue().encode())
+    write_text(path, text.getvalue())
 
 
 def draw(profile: Profile, axes: Axes) -> None:

@@ -13,7 +13,7 @@ from matplotlib.colors import Colormap, to_hex
 
 from evaluation.standards import TVU
 from geo.drivers import open_raster
-from geo.files import write_whole
+from geo.files import write_text
 from survey.display.palette import DEPTHS, RED, SPREADS
 from survey.progress import current
 
@@ -35,8 +35,7 @@ def write_style(path: Path, style: Style) -> None:
     if style_path.exists() and _MARK not in style_path.read_text(encoding="utf-8", errors="replace"):
         current().detail(f"{style_path} was not written by bathynerf, and stays")
         return
-    with write_whole(style_path) as stream:
-        stream.write(style(path).encode())
+    write_text(style_path, style(path))
 
 
 def of_heights(path: Path) -> str:

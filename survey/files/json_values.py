@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geo.files import write_whole
+from geo.files import write_text
 from survey.errors import SurveyError
 from survey.files.limits import LARGEST
 
@@ -50,8 +50,7 @@ def read_json_object(path: str | Path) -> dict:
 
 def write_json(path: str | Path, value) -> None:
     """Write a value as an indented JSON file in UTF-8, whole or not at all; see `plain`."""
-    with write_whole(path) as stream:
-        stream.write(json_text(value).encode())
+    write_text(path, json_text(value))
 
 
 def read_foreign_json(path: Path, error: type[SurveyError]):

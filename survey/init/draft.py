@@ -9,7 +9,7 @@ import numpy as np
 from pyproj import CRS
 
 from geo.crs import vertical_crs
-from geo.files import write_whole
+from geo.files import write_text
 from survey.control.points import GivenPoint
 from survey.control.reading import read_control
 from survey.errors import FILE_NAME, ConfigError, ControlError, OutputError
@@ -76,8 +76,7 @@ def write_settings(
 
 
 def _write(path: Path, text: str) -> Path:
-    with write_whole(path) as stream:
-        stream.write(text.encode())
+    write_text(path, text)
     return path
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from geo.files import write_whole
+from geo.files import write_text
 from survey.control import gcp_list
 from survey.control.points import Content, GivenMark, GivenPoint
 from survey.control.reading import in_crs, read_control
@@ -178,8 +178,7 @@ class MarkStore:
                 if (point := points[PointKey(GROUND, name)]) is not None
             ]
             text = with_marks(path, marks, self._found.crs, self._sizes)
-        with write_whole(path) as stream:
-            stream.write(text.encode())
+        write_text(path, text)
 
     def _control(self) -> tuple[Mapping[tuple[str, str], Pixel], Mapping[str, GivenPoint]]:
         """Marks by name and photograph, and points, of gcp_list.txt; of other files before there is one."""

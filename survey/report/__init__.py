@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from geo.files import write_whole
+from geo.files import write_text
 from survey.files.json_values import write_json
 from survey.report.collect import figures_of
 from survey.report.facts import ReportFacts
@@ -32,6 +32,5 @@ def write_report(folder: Path, facts: ReportFacts, advance: Callable[[], None] =
         advance()
     page = render_page(figures, pictures)
     write_json(folder / "report.json", json_of(figures))
-    with write_whole(folder / "report.html") as stream:
-        stream.write(page.encode())
+    write_text(folder / "report.html", page)
     return figures

@@ -12,7 +12,6 @@ may still write to hidden folders after a run that ended early; the next run rem
 from __future__ import annotations
 
 import importlib.metadata
-import json
 import re
 import shutil
 import sys
@@ -21,10 +20,10 @@ from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
 
-from geo.files import reporting_disk_errors, write_whole
+from geo.files import reporting_disk_errors
 from survey.errors import SurveyError
 from survey.files.entries import require_plain_entries
-from survey.files.json_values import read_json_object
+from survey.files.json_values import read_json_object, write_json
 from survey.files.outputs import ReadFiles, locked
 from survey.progress import current
 from survey.run import result
@@ -119,7 +118,7 @@ class RunDir:
 
     def _mark(self, owner: dict) -> None:
         made_by = {"made_by": f"bathynerf {importlib.metadata.version('bathynerf')}"}
-        self.write_text(self.path / MARKER, json.dumps(made_by | owner))
+        write_json(self.path / MARKER, made_by | owner)
 
     def require_run(self) -> None:
         """Raise SurveyError where the folder is not one that `bathynerf process` made."""
@@ -213,7 +212,7 @@ class RunDir:
         """
         seconds = time.monotonic() - self._started.pop(temp) if seconds is None else seconds
         record = {"key": key.digest, "parts": key.parts, "seconds": round(seconds, 3), "versions": versions()}
-        self.write_text(temp / STAGE_RECORD, json.dumps(record, indent=2))
+        write_json(temp / STAGE_RECORD, record)
         place = self.place(name, key)
         with reporting_disk_errors(place):
             # Computed again on demand, or with a record that cannot be read.
@@ -236,11 +235,6 @@ class RunDir:
     def place(self, name: str, key: Key) -> Path:
         """Folder of a stage with a key, whether it is there or not."""
         return self.stages_path / f"{name}-{key.digest[:12]}"
-
-    def write_text(self, path: Path, text: str) -> None:
-        """Write a text file as UTF-8, whole or not at all."""
-        with write_whole(path) as stream:
-            stream.write(text.encode())
 
     def _require_ours_or_empty(self) -> None:
         if self.path.exists() and not self.path.is_dir():

@@ -17,9 +17,9 @@ from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
 from geo.errors import GeoError
-from geo.files import reporting_disk_errors
+from geo.files import reporting_disk_errors, write_text
 from survey.errors import SurveyError
-from survey.files.json_values import json_text, read_json_object
+from survey.files.json_values import read_json_object, write_json
 from survey.files.remote import Remote, files_below
 from survey.run import result
 from survey.run.folder import MARKER, STAGE_RECORD, RunDir
@@ -86,7 +86,7 @@ class RemoteRun(RunDir):
                     "with -o"
                 )
             return
-        self.write_text(self.path / MARKER, marker.decode())
+        write_text(self.path / MARKER, marker.decode())
         solved, solved_path = self.remote.read(f"{SFM_FOLDER}/{_SOLVED}"), self.sfm_path / _SOLVED
         if solved is not None and not (solved_path.is_file() and solved_path.read_bytes() == solved):
             # Stages at the URL are of the poses there.
@@ -179,7 +179,7 @@ class RemoteRun(RunDir):
         # Results of other qualities may be from another machine, and later than those here.
         record["others"] |= result.results_of_other_qualities(before, quality)
         self._put_missing_stages(record)
-        self.write_text(self.path / result.RECORD, json_text(record))
+        write_json(self.path / result.RECORD, record)
         self.remote.remove([result.RECORD])
         names = [name for name in record["files"] if name != result.RECORD]
         for name in names:

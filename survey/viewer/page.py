@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geo.files import write_whole
+from geo.files import write_text
 from survey.errors import OutputError, SurveyError
 from survey.escaping import printable
 from survey.files.outputs import ReadFiles, require_file
@@ -140,8 +140,7 @@ def write_page(path: Path, shown: Shown) -> None:
         page = server.scene.as_html().replace(_TITLE, f"<title>{html.escape(printable(shown.name))}</title>", 1)
     finally:
         close_server(server)
-    with write_whole(path) as stream:
-        stream.write(page.encode())
+    write_text(path, page)
 
 
 def thinned(tree: CloudTree, most: int) -> np.ndarray:

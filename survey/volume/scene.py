@@ -23,7 +23,7 @@ from geo.files import reporting_disk_errors, write_whole
 from refract import FlatWater, PinholeCamera
 from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun, Photograph, at_scale
-from survey.files.json_values import read_json_object
+from survey.files.json_values import read_json_object, write_json
 from survey.files.outputs import ReadFiles, require_folder
 from survey.run.flight import Flight
 from survey.run.stored import FIELD_SETTINGS, FIELD_STATE
@@ -256,8 +256,7 @@ class VolumeFolder:
             raise OutputError(f"-o names {path}, which is not empty and holds no volume; name another folder")
         with reporting_disk_errors(path):
             path.mkdir(parents=True, exist_ok=True)
-        with write_whole(path / FIELD_SETTINGS) as stream:
-            stream.write(json.dumps(settings, indent=2).encode())
+        write_json(path / FIELD_SETTINGS, settings)
         self._settings = settings
 
     def part(self, name: str) -> VolumeFolder:

@@ -16,7 +16,7 @@ from refract.lens import Lens
 from survey.adjust.block.state import LENS_NAMES, READOUT_NAME, WATER_PARAMETERS, Layout, State
 from survey.adjust.result.ground_fit import GroundFit
 from survey.errors import SurveyError
-from survey.files.json_values import json_text, read_json_object
+from survey.files.json_values import read_json_object, write_json
 from survey.files.toml_table import parse_values, table_of
 from survey.folder.motion import rows_between
 from survey.settings.config import WaterConfig
@@ -219,8 +219,7 @@ def write_adjustment(folder: Path, found: Adjustment) -> None:
     with write_whole(folder / ARRAYS) as stream:
         arrays = {name: values[name] for name in values if name in _ARRAYS and values[name] is not None}
         np.savez_compressed(stream, names=np.array(found.covariance.names), **arrays)
-    with write_whole(folder / JSON) as stream:
-        stream.write(json_text({name: value for name, value in values.items() if name not in _ARRAYS}).encode())
+    write_json(folder / JSON, {name: value for name, value in values.items() if name not in _ARRAYS})
 
 
 def read_adjustment(folder: Path) -> Adjustment:

@@ -300,7 +300,8 @@ class _Reader:
         what = f"table [{dotted}]" if is_table else f"key {name}" + (f" in [{where}]" if where else "")
         # A table is compared with tables and a key with keys.
         everywhere = list(_all_keys(self.root))
-        same_kind = [other for other in known if (_join(where, other) in _tables(everywhere)) == is_table]
+        tables = {path for path, has_keys in everywhere if has_keys}
+        same_kind = [other for other in known if (_join(where, other) in tables) == is_table]
         near = difflib.get_close_matches(name, same_kind, 1, _NEAR)
         elsewhere = [path for path, _ in everywhere if path.split(".")[-1] == name]
         synonym = self.synonyms.get(name.casefold())
@@ -333,10 +334,6 @@ def _parts(kind: Any) -> Iterator[Any]:
     yield kind
     for part in typing.get_args(kind):
         yield from _parts(part)
-
-
-def _tables(keys: list[tuple[str, bool]]) -> set[str]:
-    return {dotted for dotted, is_table in keys if is_table}
 
 
 def _join(where: str, name: str) -> str:

@@ -6,7 +6,7 @@ import os
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from hashlib import blake2b, file_digest
+from hashlib import blake2b
 from pathlib import Path
 from threading import Lock
 
@@ -24,6 +24,7 @@ from survey.photos.exif import SUFFIXES
 from survey.photos.names import MASK_ENDING
 from survey.photos.pixels import read_grey, read_opaque, read_rgb, require_pixels
 from survey.progress import current
+from survey.stage_key import content_hash
 from survey.words import RUN_FOLDER
 
 # White of 16 bits in white of 8 bits.
@@ -114,10 +115,9 @@ def same_files(images: Mapping[str, Path]) -> list[tuple[str, ...]]:
             first = file.read(_COMPARED_BYTES)
             file.seek(-min(_COMPARED_BYTES, images[name].stat().st_size), os.SEEK_END)
             alike[blake2b(first + file.read()).digest()].append(name)
-    found: dict[bytes, list[str]] = defaultdict(list)
+    found: dict[str, list[str]] = defaultdict(list)
     for name in (name for names in alike.values() if len(names) > 1 for name in names):
-        with images[name].open("rb") as file:
-            found[file_digest(file, "blake2b").digest()].append(name)
+        found[content_hash(images[name])].append(name)
     return [tuple(names) for names in found.values() if len(names) > 1]
 
 

@@ -108,10 +108,10 @@ def load_flight(run: Path) -> Flight:
 
 def _view(record: dict) -> View:
     lens = Lens(record["model"], tuple(record["params"]), *record["size_px"])
-    camera = lens.camera(np.array(record["centre"]), np.array(record["cam_from_local"]))
-    camera = replace(camera, tide=record.get("tide_m", 0.0))
-    motion = record["motion_m_per_row"]
-    if motion is not None:
-        camera = replace(camera, motion=np.array(motion))
-    mask = record["mask"]
+    motion, mask = record["motion_m_per_row"], record["mask"]
+    camera = replace(
+        lens.camera(np.array(record["centre"]), np.array(record["cam_from_local"])),
+        tide=record.get("tide_m", 0.0),
+        motion=None if motion is None else np.array(motion),
+    )
     return View(record["name"], Path(record["image"]), camera, lens, None if mask is None else Path(mask))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, replace
@@ -14,7 +13,7 @@ from survey.adjust.applied import CAMERAS, MODEL, apply_adjustment, write_camera
 from survey.adjust.pose_check import PoseCheck
 from survey.adjust.result.adjustment import ARRAYS, JSON, read_adjustment, write_adjustment
 from survey.errors import Findings, GivenValueTest, SurveyError
-from survey.files.json_values import write_json
+from survey.files.json_values import read_json_object, write_json
 
 if TYPE_CHECKING:
     from survey.run.job import Job
@@ -41,7 +40,7 @@ def check_poses(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
 
 def use_misfit(job: Job, folder: Path) -> None:
     """Update the plan by the result; raise where the level leaves dry what photographs show under water."""
-    values = json.loads((folder / MISFIT).read_text(encoding="utf-8"))
+    values = read_json_object(folder / MISFIT)
     misfit, flooded = values["misfit_px"], values["flooded"]
     tests = tuple(GivenValueTest(**each) for each in values["contradictions"])
     found = PoseCheck(misfit, tests, None if flooded is None else GivenValueTest(**flooded))

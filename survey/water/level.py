@@ -73,7 +73,6 @@ class SurfaceFit:
     slope_east: float
     slope_north: float
     covariance: np.ndarray  # (3, 3): of level, slope_east and slope_north; zero rows for slopes that were not fitted
-    num_points: int
 
 
 def with_level(
@@ -190,7 +189,7 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS)
     std = math.hypot(math.sqrt(np.array([1.0, *offset_m]) @ fit.covariance @ np.array([1.0, *offset_m])), common)
     shared = f", of which {common:g} m that all of them share" if common else ""
     message = (
-        f"level_m = {level:.3f} +- {std:.3f} from {fit.num_points} points in [water] {source}, slope "
+        f"level_m = {level:.3f} +- {std:.3f} from {len(coordinates)} points in [water] {source}, slope "
         f"{fit.slope_east:.5f} east and {fit.slope_north:.5f} north{shared}"
     )
     level_std_m = water.level_std_m or min(std, MOST_LEVEL_STD_M)
@@ -260,11 +259,11 @@ def fit_surface(
         slopes, rough = values[1:], covariance[1:, 1:]
         if slopes @ np.linalg.solve(rough, slopes) > _SIGNIFICANT**2:
             level, east, north = values.tolist()
-            return SurfaceFit(level, level_at, east, north, covariance, len(points))
+            return SurfaceFit(level, level_at, east, north, covariance)
     values, covariance = _robust(design[:, :1], points[:, 2], stds)
     padded = np.zeros((3, 3))
     padded[0, 0] = covariance[0, 0]
-    return SurfaceFit(float(values[0]), level_at, 0.0, 0.0, padded, len(points))
+    return SurfaceFit(float(values[0]), level_at, 0.0, 0.0, padded)
 
 
 def _robust(

@@ -54,8 +54,8 @@ RECORDS = '{"version": 2, "machine": {}, "versions": {}, "commit": "", "records"
 @pytest.mark.parametrize(
     ("text", "found"),
     [
-        ("", "not a valid JSON"),
-        (RECORDS[:40], "not a valid JSON"),
+        ("", "not valid JSON"),
+        (RECORDS[:40], "not valid JSON"),
         ("[]", "no 'version', expected version"),
         ('{"version": 2, "records": [{}]}', "no 'machine'"),
         (RECORDS, "record 1 of"),

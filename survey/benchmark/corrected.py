@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from evaluation import per_camera, times_index
-from geo import LocalFrame, read_cloud, write_cloud
+from geo import read_cloud, write_cloud
 from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
-from survey.folder import local_frame
 from survey.folder.found import find_survey
+from survey.folder.local_frame import water_in_local
 from survey.run.flight import load_flight
 
 # Points at a time: each has an angle for every camera.
 _BATCH = 100_000
-
-
-@dataclass(frozen=True)
-class _Scene:
-    frame: LocalFrame
-    cameras: tuple[PinholeCamera, ...]
-    water: FlatWater
 
 
 def write_corrected(path: Path, run: Path, survey: Path, correction: str) -> None:
@@ -32,23 +24,30 @@ def write_corrected(path: Path, run: Path, survey: Path, correction: str) -> Non
     `survey` is the folder with water, whose level and index are taken. The correction is "times_index" or "per_camera".
     """
     cloud = read_cloud(run / "cloud.las")
-    scene = _scene(run, survey)
-    points = scene.frame.local_from_crs(cloud.points)
-    depth = np.asarray(scene.water.depth(points))
+    flight = load_flight(run)
+    water = water_in_local(find_survey(survey).config, flight.frame, list(flight.views))[1]
+    if water is None:
+        raise SurveyError(f"{survey} has no water whose refraction could be corrected")
+    cameras = [view.camera for view in flight.views]
+    points = flight.frame.local_from_crs(cloud.points)
+    depth = np.asarray(water.depth(points))
     wet = np.flatnonzero(depth > 0.0)
     true = np.concatenate(
-        [_depths(points[rows], depth[rows], scene, correction) for rows in np.array_split(wet, len(wet) // _BATCH + 1)]
+        [
+            _depths(points[rows], depth[rows], cameras, water, correction)
+            for rows in np.array_split(wet, len(wet) // _BATCH + 1)
+        ]
     )
     moved, new_depth = points.copy(), depth.copy()
-    moved[wet] -= (true - depth[wet])[:, None] * np.asarray(scene.water.up)
+    moved[wet] -= (true - depth[wet])[:, None] * np.asarray(water.up)
     new_depth[wet] = true
     # Where no camera sees a point there is no factor, and no corrected point.
     known = np.isfinite(moved).all(axis=1)
     colours = np.zeros((len(points), 3), dtype=np.uint8) if cloud.rgb is None else cloud.rgb
     write_cloud(
         path,
-        scene.frame.crs_from_local(moved[known]),
-        scene.frame.crs,
+        flight.frame.crs_from_local(moved[known]),
+        flight.frame.crs,
         rgb=colours[known],
         depth_m=new_depth[known],
         std_m=cloud.extra["std"][known],
@@ -58,23 +57,16 @@ def write_corrected(path: Path, run: Path, survey: Path, correction: str) -> Non
     )
 
 
-def _depths(points: np.ndarray, apparent: np.ndarray, scene: _Scene, correction: str) -> np.ndarray:
-    n = float(scene.water.n_water)
+def _depths(
+    points: np.ndarray, apparent: np.ndarray, cameras: list[PinholeCamera], water: FlatWater, correction: str
+) -> np.ndarray:
+    n = float(water.n_water)
     if correction == "times_index":
         return times_index(apparent, n)
-    up, incidence, is_seen = np.asarray(scene.water.up), [], []
-    for camera in scene.cameras:
+    up, incidence, is_seen = np.asarray(water.up), [], []
+    for camera in cameras:
         towards = camera.centre - points
         cos = (towards @ up) / np.linalg.norm(towards, axis=1)
         is_seen.append(camera.sees(camera.project(points, None)))
         incidence.append(np.arccos(np.clip(cos, -1.0, 1.0)))
     return per_camera(apparent, np.stack(incidence, axis=1), np.stack(is_seen, axis=1), n)
-
-
-def _scene(run: Path, survey: Path) -> _Scene:
-    """The cameras of the run, with the water of the survey."""
-    flight = load_flight(run)
-    plane = local_frame.water_in_local(find_survey(survey).config, flight.frame, list(flight.views))[1]
-    if plane is None:
-        raise SurveyError(f"{survey} has no water whose refraction could be corrected")
-    return _Scene(flight.frame, tuple(view.camera for view in flight.views), plane)

@@ -22,7 +22,7 @@ from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.compare.figures import Comparison
 from survey.compare.frame import to_local
 from survey.errors import SurveyError
-from survey.files.json_values import plain
+from survey.files.json_values import plain, read_foreign_json
 
 # Version of the layout of the file; another one is not read.
 VERSION = 2
@@ -106,14 +106,7 @@ def write_results(path: Path, results: Results) -> None:
 
 def read_results(path: Path) -> Results:
     """The results in a file of `write_results`."""
-    try:
-        table = json.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise SurveyError(f"{path} does not exist; name a file that `bathynerf benchmark` wrote") from error
-    except OSError as error:
-        raise SurveyError(f"cannot read {path}: {error.strerror}") from error
-    except ValueError as error:
-        raise SurveyError(f"{path} is not a valid JSON file; name one that `bathynerf benchmark` wrote") from error
+    table = read_foreign_json(Path(path), SurveyError)
     if isinstance(table, dict) and table.get("version", VERSION) != VERSION:
         raise SurveyError(f"{path} has the layout {table['version']!r}, expected {VERSION}; measure it again")
     missing = [name for name in _TABLE if not isinstance(table, dict) or name not in table]

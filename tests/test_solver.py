@@ -180,8 +180,12 @@ def test_still_water_is_solved_as_if_there_were_no_waves(monkeypatch):
 
 def over_still_water(amplitude: float) -> Block | None:
     """Photographs through waves as they would be over still water."""
-    block, maps, _ = survey(1.0, 0.1, 0.6, amplitude)
-    kept = [middle(6) if m.view == 0 else np.zeros((SIZE, SIZE), dtype=bool) for m in maps]
+    return still_block(*survey(1.0, 0.1, 0.6, amplitude)[:2])
+
+
+def still_block(block: Block, maps: list[HeightMap]) -> Block | None:
+    """A block as it would be over still water."""
+    kept = [middle(6) if m.view == 0 else np.zeros(m.height.shape, dtype=bool) for m in maps]
     views = Views.of(block, maps)
     sample = sampled(views, kept, spread(count_in_squares(block, maps, kept)))
     found = without_waves(block, views, kept, sample, GSD)
@@ -196,6 +200,19 @@ def test_rough_water_is_taken_out_of_photographs(monkeypatch):
         before, after = (np.std((each.images[view] - still.images[view])[20:-20, 20:-20]) for each in (rough, found))
         # What waves of nine photographs have in common stays, a third of them, and what pixels do not resolve.
         assert after < 0.8 * before
+
+
+def test_rough_water_is_taken_out_of_windows_of_photographs(monkeypatch):
+    monkeypatch.setattr("fields.solver.moving_water.ROUGH_PX", 0.2)
+    whole, maps, _ = survey(1.0, 0.1, 0.6, 0.05)
+    rows = SIZE - 20
+    cameras = [*whole.cameras[:-1], whole.cameras[-1].cropped(0, 0, rows, SIZE)]
+    *others, last = whole.images
+    images = GreyImages([*others, last[:rows]], of_one_size=False)
+    cut = {name: getattr(maps[-1], name)[:rows] for name in ("height", "score", "agreeing", "spread")}
+    found = still_block(Block(whole.device, cameras, images, WATER, -DEPTH), [*maps[:-1], replace(maps[-1], **cut)])
+    assert found is not None
+    assert [image.shape for image in found.images] == [image.shape for image in images]
 
 
 def test_a_photograph_through_a_known_surface_is_as_over_still_water():

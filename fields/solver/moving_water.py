@@ -71,7 +71,8 @@ def without_waves(
     if views.waves is None:
         return None
     bed = bed_of(views, kept)
-    images = GreyImages(still_photograph(views, views.waves, view, bed) for view in range(len(block.cameras)))
+    still = (still_photograph(views, views.waves, view, bed) for view in range(len(block.cameras)))
+    images = GreyImages(still, of_one_size=False)
     return block.with_images(images), views.waves, moved_px
 
 

@@ -203,13 +203,8 @@ class Job:
         if self._hashed_of[0] is not self.survey or self._hashed_of[1] is not self.plan:
             self._hashed, self._hashed_of = {}, (self.survey, self.plan)
         if name not in self._hashed:
-            self._hashed[name] = self._photographs if name == "photographs" else stage_key(self._part(name))
+            self._hashed[name] = stage_key(self._part(name))
         return self._hashed[name]
-
-    @property
-    def _photographs(self) -> str:
-        """Hash of all photographs and masks."""
-        return stage_key([self.hashes[view.name] for view in self.survey.views])
 
     @cached_property
     def hashes(self) -> dict[str, tuple[str, str, str | None]]:
@@ -226,6 +221,7 @@ class Job:
     def _part(self, name: str):
         survey, plan, departure = self.survey, self.plan, self.survey.observations.departure
         parts = {
+            "photographs": lambda: [self.hashes[view.name] for view in survey.views],
             "cameras": lambda: [(view.name, view.camera, view.lens) for view in survey.views],
             "water": lambda: survey.water if departure is None else (survey.water, departure.points, departure.stds),
             "water_settings": lambda: (_without_colour(survey.config.water), survey.observations.tide),

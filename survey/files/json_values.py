@@ -59,7 +59,8 @@ def read_foreign_json(path: Path, error: type[SurveyError]):
     Numbers of more digits than any has become what float makes of them, infinity included.
     """
     try:
-        return json.loads(path.read_bytes().decode("utf-8-sig"), parse_int=_short_int)
+        text = path.read_bytes().decode("utf-8-sig")
+        return json.loads(text, parse_int=lambda digits: int(digits) if len(digits) < 20 else float(digits))
     except OSError as problem:
         raise error(f"{path} cannot be read ({problem.strerror}); correct its name or its permissions") from problem
     except RecursionError as problem:
@@ -81,7 +82,3 @@ def finite_number(value) -> float | None:
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
         return None
     return float(value)
-
-
-def _short_int(text: str) -> int | float:
-    return int(text) if len(text) < 20 else float(text)

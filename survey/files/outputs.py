@@ -46,16 +46,13 @@ class ReadFiles:
 
     def same_as(self, path: Path) -> Path | None:
         """The input that is the same file as an existing one: by name, symbolic link or hard link."""
-        status = path.stat()
-        for file in self._all_files() if status.st_nlink > 1 else self.files:
+        status, files = path.stat(), [*self.files]
+        if status.st_nlink > 1:
+            files += [file for folder in self.folders for file in folder.rglob("*") if file.is_file()]
+        for file in files:
             if os.path.samestat(file.stat(), status):
                 return file
         return next((folder for folder in self.folders if _is_within(path, folder)), None)
-
-    def _all_files(self) -> Iterator[Path]:
-        yield from self.files
-        for folder in self.folders:
-            yield from (path for path in folder.rglob("*") if path.is_file())
 
 
 def require_file(

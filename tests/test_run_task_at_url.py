@@ -48,8 +48,8 @@ def test_a_task_fetches_what_it_needs_and_leaves_its_result_at_the_url(tmp_path,
         whole = SimpleNamespace(survey=survey, plan=plan, cameras=[camera], progress=progress, release=lambda: None)
         windows = ([SimpleNamespace(view=1)], [SimpleNamespace(view=1), SimpleNamespace(view=2)])
         idle = {"release": lambda: None, "survey_job": whole, "images": images}
-        tiles = [SimpleNamespace(windows=each, **idle) for each in windows]
-        return SimpleNamespace(survey_job=whole, tile=lambda number: tiles[number])
+        whole.tiles = [SimpleNamespace(windows=each, **idle) for each in windows]
+        return whole
 
     def compute(tile, folder, needs):
         (folder / "b.txt").write_text((needs["adjust"] / "a.txt").read_text())
@@ -57,7 +57,8 @@ def test_a_task_fetches_what_it_needs_and_leaves_its_result_at_the_url(tmp_path,
         seen["here"] = [view.name for view in views if view.path.is_file()]
         seen["window"] = tile.images.window(1, slice(3, 9), slice(0, 64))
 
-    monkeypatch.setattr(task_at_url, "WorkerJob", job_of)
+    monkeypatch.setattr(task_at_url, "job_of_parts", job_of)
+    monkeypatch.setattr(task_at_url, "tile_of", lambda job, number: job.tiles[number])
     for tile in (1, 0):
         task = Task(f"sweep_tile{tile}", tile, compute, {"adjust": Path("/not/here/adjust-1a")})
         place, _, _ = compute_at_url(name, remote.url, task, code_hash())

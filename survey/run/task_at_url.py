@@ -26,7 +26,7 @@ from survey.photos.images import ImageStore, fetched_tags
 from survey.plan.sweep_block import grey_image
 from survey.run.remote_run import JOBS, PARTS, PHOTOGRAPHS
 from survey.run.stored import ArrayFiles
-from survey.run.worker_task import Task, WorkerJob, compute_into, require_code, with_paths
+from survey.run.worker_task import Task, compute_into, job_of_parts, require_code, tile_of, with_paths
 from survey.stage_key import content_hash
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def compute_at_url(name: str, url: str, task: Task, code: str) -> tuple[str, flo
     require_code(code)
     start, remote = time.monotonic(), Remote(url)
     job = _job_of(url, name)
-    tile = job.tile(task.tile)
+    tile = tile_of(job.job, task.tile)
     place = f"{PARTS}/{task.name}-{uuid.uuid4().hex}"
     with TemporaryDirectory(prefix="bathynerf-") as scratch:
         folder, needs = Path(scratch) / "result", {}
@@ -106,15 +106,15 @@ def compute_at_url(name: str, url: str, task: Task, code: str) -> tuple[str, flo
 
 
 @lru_cache(maxsize=1)
-def _job_of(url: str, name: str) -> _WorkerJob:
+def _job_of(url: str, name: str) -> _JobAtUrl:
     """The job that a worker saw last."""
     found = Remote(url).read(name)
     if found is None:
         raise SurveyError(f"{url}/{name} is not there any more; run the same `bathynerf process` again")
-    return _WorkerJob(*pickle.loads(found))
+    return _JobAtUrl(*pickle.loads(found))
 
 
-class _WorkerJob:
+class _JobAtUrl:
     """A job on a worker, with photographs of one tile."""
 
     def __init__(self, parts: tuple, sources: Mapping[str, Source]):
@@ -123,14 +123,9 @@ class _WorkerJob:
         survey, chosen, plan, search, saturated = parts
         survey = with_paths(survey, lambda path: self._folder / path)
         self._images = _Decoded(survey.views, self._folder / "grey")
-        self._job = WorkerJob(survey, chosen, plan, search, self._images, saturated)
-        survey_job = self._job.survey_job
-        self._images.scale, camera = survey_job.plan.image_scale, survey_job.cameras[0]
+        self.job = job_of_parts(survey, chosen, plan, search, self._images, saturated)
+        self._images.scale, camera = self.job.plan.image_scale, self.job.cameras[0]
         self._images.size = camera.width, camera.height
-
-    def tile(self, number: int) -> TileJob:
-        """A tile of the job."""
-        return self._job.tile(number)
 
     def fetch_photographs(self, tile: TileJob) -> None:
         """Fetch those that show a tile, and their masks; remove those of others."""

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from geo.files import reporting_disk_errors, write_whole
 from survey.errors import SurveyError
@@ -23,7 +23,9 @@ from survey.progress import Progress
 from survey.stage_key import code_hash
 
 if TYPE_CHECKING:
+    from fields.image_store import GreyImages
     from survey.folder.survey import Survey
+    from survey.plan.choices import Choices
     from survey.plan.plan import Plan
     from survey.run.job import Job
     from survey.run.tile_job import TileJob
@@ -69,42 +71,41 @@ def with_paths(survey: Survey, place: Callable[[Path], Path]) -> Survey:
 
 
 @lru_cache(maxsize=1)
-def _job_of(path: Path) -> WorkerJob:
+def _job_of(path: Path) -> Job:
     """The job that `save_job` wrote."""
-    return WorkerJob(*pickle.loads(path.read_bytes()))
+    return job_of_parts(*pickle.loads(path.read_bytes()))
 
 
-class WorkerJob:
-    """Job of a survey on a worker, made of its parts; ``images`` are `GreyImages` of the whole photographs."""
+def job_of_parts(
+    survey: Survey, chosen: Choices, plan: Plan, search: BedSearch, images: GreyImages, saturated: Sequence[float]
+) -> Job:
+    """Job of a survey on a worker, with grey images of the whole photographs."""
+    from fields.sweep.block import Block
+    from survey.plan.plan import device_decision
+    from survey.plan.sweep_block import backend
+    from survey.run.job import Job
 
-    def __init__(
-        self, survey: Survey, chosen: Any, plan: Plan, search: BedSearch, images: Any, saturated: Sequence[float]
-    ):
-        from fields.sweep.block import Block
-        from survey.plan.plan import device_decision
-        from survey.plan.sweep_block import backend, cameras_of_block
-        from survey.run.job import Job
+    # The device is that of the worker.
+    plan = replace(plan, device=device_decision(chosen.device).choice)
+    job = Job(survey, chosen, plan, _RecordedProgress())
+    middle = 0.5 * sum(search.bound)
+    job.bed_search = search
+    job.__dict__["block"] = Block(backend(plan), job.cameras, images, survey.water, middle, saturated)
+    return job
 
-        # The device is that of the worker.
-        plan = replace(plan, device=device_decision(chosen.device).choice)
-        self.survey_job, self._search = Job(survey, chosen, plan, _RecordedProgress()), search
-        cameras = cameras_of_block(survey, plan)
-        self.survey_job.__dict__["block"] = Block(
-            backend(plan), cameras, images, survey.water, 0.5 * sum(search.bound), saturated
-        )
 
-    def tile(self, number: int) -> TileJob:
-        """A tile of the job; of all tiles their windows alone would take seconds."""
-        from survey.run.tile_job import TileJob
+def tile_of(job: Job, number: int) -> TileJob:
+    """A tile of a job on a worker; of all tiles their windows alone would take seconds."""
+    from survey.run.tile_job import TileJob
 
-        return TileJob(self.survey_job, number, self._search)
+    return TileJob(job, number, cast("BedSearch", job.bed_search))
 
 
 def compute_task(job: Path, stages: Path, task: Task, code: str) -> tuple[Path, float, list[tuple[str, str]]]:
     """Compute a task on a worker: the folder of its result, its seconds, and what it had to say."""
     require_code(code)
     start = time.monotonic()
-    tile = _job_of(job).tile(task.tile)
+    tile = tile_of(_job_of(job), task.tile)
     folder = stages / f".{task.name}-{uuid.uuid4().hex[:8]}.part"
     with reporting_disk_errors(folder):
         folder.mkdir()

@@ -24,9 +24,8 @@ from scipy import fft, ndimage, sparse
 ROUNDS, HASTE = 6, 1.5
 # Draws whose errors are kept, of the last steps.
 DRAWS = 3
-# Conjugate gradients: most steps, and the residual relative to the first at which they end, in the first and in the
-# last step of expectation maximisation. Waves that look like heights of the bed converge last.
-CG_STEPS, CG_RESIDUALS = 300, (2e-2, 2e-3)
+# Conjugate gradients: most steps, and the residual relative to the first at which they end.
+CG_STEPS, CG_RESIDUAL = 60, 2e-2
 # Power spectra are smoothed by a Gauss filter of this standard deviation, in steps of the Fourier transform.
 SPECTRUM_STD = 0.8
 # Power of the first spectrum falls with this power of the wave number, from waves of this many spacings on.
@@ -201,10 +200,10 @@ def find_surfaces(d: Displacements, num_views: int, spacing: float) -> Posterior
     spectrum, noise = _start(d, grid, cells), 1.0
     waves = np.zeros((num_views, *spectrum.shape), dtype=np.complex64)
     drawn = []
-    for residual in np.geomspace(*CG_RESIDUALS, ROUNDS):
+    for _ in range(ROUNDS):
         root = np.sqrt(spectrum).astype(np.float32)
         waves = np.divide(waves, root, out=np.zeros_like(waves), where=root > 0.0)
-        system = replace(system, root=root, noise=noise, residual=residual)
+        system = replace(system, root=root, noise=noise)
         waves = system.solve(cells.weighted(measured), waves)
         error = system.drawn_error(random)
         found, wrong = (system.displacement(each) for each in (waves, error))
@@ -238,7 +237,6 @@ class System:
     known: float  # Mean information of the gradient at a node
     root: np.ndarray | float = 0.0  # Of the spectrum
     noise: float = 1.0
-    residual: float = CG_RESIDUALS[0]  # Of conjugate gradients
 
     @staticmethod
     def of(d: Displacements, grid: SurfaceGrid, cells: CellAdjustment) -> System:
@@ -271,7 +269,7 @@ class System:
         residual = right - self._normal(waves)
         preconditioned = residual / diagonal
         direction, square = preconditioned, product(residual, preconditioned)
-        enough = self.residual**2 * product(right, right / diagonal)
+        enough = CG_RESIDUAL**2 * product(right, right / diagonal)
         for _ in range(CG_STEPS):
             if square <= enough:
                 break

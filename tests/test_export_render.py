@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 import rasterio
@@ -14,13 +15,15 @@ from PIL import Image
 from plane_field import field_over, level_layer
 from plane_survey import PlaneBed
 from pyproj import CRS
+from scipy.spatial.transform import Rotation
 
 from fields.sweep.maps import HeightMap
 from geo.frames import LocalFrame
-from refract import FlatWater
+from refract import FlatWater, PinholeCamera
 from refract.lens import Lens
 from survey.errors import OutputError, SurveyError
 from survey.export.render import render
+from survey.export.video import flown
 from survey.photos.cameras import View
 from survey.progress import Progress
 from survey.run.flight import save_flight
@@ -147,6 +150,40 @@ def test_a_camera_with_the_path_of_a_photograph_does_not_leave_the_folder(run, t
                 run, poses(tmp_path, ABOVE.replace("nadir.jpg", name)), tmp_path / "views", device="cpu", trained=True
             )
     assert not (tmp_path / "nadir.png").exists()
+
+
+def test_a_flight_along_cameras_is_a_video(run, tmp_path):
+    keys = ABOVE + "later.jpg,691001,5334000,510,0,0,0\nlast.jpg,691001,5334001,509,0,0,20\n"
+    (path,) = render(run, poses(tmp_path, keys), tmp_path / "v", device="cpu", trained=True, video_s=0.4)
+    assert path == tmp_path / "v" / "flight.mp4"
+    assert [each.name for each in path.parent.iterdir()] == ["flight.mp4"]
+    video = cv2.VideoCapture(str(path))
+    frames = []
+    while (read := video.read())[0]:
+        frames.append(read[1])
+    assert np.array(frames).shape == (10, 30, 40, 3)
+    # Compressed, but the same bed: what a key shows alone.
+    render(run, poses(tmp_path, keys), tmp_path / "p", device="cpu", trained=True)
+    with Image.open(tmp_path / "p" / "nadir.png") as picture:
+        alone = np.asarray(picture).astype(int)
+    assert np.abs(frames[0][..., ::-1].astype(int) - alone[..., :3] * (alone[..., 3:] > 0)).mean() < 8.0
+    with pytest.raises(SurveyError, match="a video needs cameras at two places at least"):
+        render(run, poses(tmp_path, ABOVE), tmp_path / "v", device="cpu", trained=True, video_s=1.0)
+
+
+def test_a_flight_passes_its_keys_and_does_not_overshoot():
+    place = np.array([[0.0, 0.0, 9.0], [4.0, 0.0, 9.0], [4.0, 3.0, 12.0]])
+    turns = Rotation.from_euler("zx", [[0, 180], [30, 170], [90, 160]], degrees=True).as_matrix()
+    keys = [PinholeCamera(at, turn, 50.0, 50.0, 20.0, 15.0, 41, 30) for at, turn in zip(place, turns, strict=True)]
+    cameras = flown([keys[0], keys[0], *keys[1:]], 2.04)
+    assert len(cameras) == 51
+    for at, key in ((0, 0), (25, 1), (50, 2)):
+        np.testing.assert_allclose(cameras[at].centre, place[key], atol=1e-9)
+        np.testing.assert_allclose(cameras[at].cam_from_local, turns[key], atol=1e-9)
+    centres = np.array([camera.centre for camera in cameras])
+    assert (centres >= place.min(axis=0) - 1e-9).all()
+    assert (centres <= place.max(axis=0) + 1e-9).all()
+    assert {(camera.width, camera.height) for camera in cameras} == {(40, 30)}
 
 
 def test_poses_off_the_map_are_refused(run, tmp_path):

@@ -26,6 +26,10 @@ def run(
     field: Annotated[
         bool, typer.Option("--field", help="Render the field of `process --field mdw` instead of the photographs.")
     ] = False,
+    video: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="A video of a flight along the cameras in S seconds, flight.mp4.", min=0.1),
+    ] = None,
     survey: Annotated[
         str | None, typer.Option(metavar="DIR", help="Survey folder, if it was moved since the run.")
     ] = None,
@@ -44,8 +48,10 @@ def run(
         if is_field(run):
             from survey.volume.stored import render_field
 
-            pictures = render_field(run, cameras, output, dry=dry, device=device.value)
+            pictures = render_field(run, cameras, output, dry=dry, device=device.value, video_s=video)
         else:
-            pictures = render(run, cameras, output, dry=dry, trained=field, survey=survey, device=device.value)
+            pictures = render(
+                run, cameras, output, dry=dry, trained=field, survey=survey, device=device.value, video_s=video
+            )
         for path in pictures:
             results.line(path)

@@ -20,6 +20,7 @@ from refract.lens import Lens
 from survey.errors import FILE_NAME, ConfigError, OutputError, SurveyError
 from survey.export.loaded import LoadedRun, colours_without_water
 from survey.export.novel_views import image_based_field
+from survey.export.video import flown, write_video
 from survey.files.outputs import ReadFiles, require_file, require_folder
 from survey.folder.found import poses_inputs, survey_inputs
 from survey.folder.pairing import lens_from_config
@@ -33,6 +34,7 @@ from survey.run.stored_field import load_layer_field
 from survey.settings.config import CamerasConfig, SurveyConfig, read_config
 
 FIELD_STAGE = "field"
+VIDEO = "flight.mp4"
 # In the order of the layers that `write_view` makes.
 _ENDINGS = (".png", "_normal.png", "_height.tif", "_distance.tif")
 _BANDS = {"_height.tif": "height of the bed over the plane of the water", "_distance.tif": "distance along the ray"}
@@ -50,6 +52,7 @@ def render(
     trained: bool = False,
     survey: str | None = None,
     device: str = "auto",
+    video_s: float | None = None,
 ) -> list[Path]:
     """Render views of the bed of a run for other cameras.
 
@@ -79,11 +82,13 @@ def render(
         Folder of the survey, if it was moved since the run.
     device : "auto", "cpu", "cuda" or "torch"
         For a trained field.
+    video_s : [s], optional
+        Write one video of a flight along the cameras, flight.mp4, in place of pictures.
 
     Returns
     -------
     list of Path
-        The pictures.
+        The pictures, or the video.
     """
     folder, output = RunDir(run), Path(output)
     folder.require_run()
@@ -92,9 +97,9 @@ def render(
     targets = targets_of(folder, flight.frame, Path(cameras), output)
     if field_folder is not None:
         field = load_layer_field(field_folder, flight.water, device)
-        return write_views(targets, lambda camera: field.view(camera, dry))
+        return write_seen(targets, output, video_s, lambda _cameras: lambda camera: field.view(camera, dry))
     with LoadedRun(run) as loaded:
-        return write_views(targets, _of_photographs(loaded, survey, [t.camera for t in targets], dry=dry))
+        return write_seen(targets, output, video_s, lambda cameras: _of_photographs(loaded, survey, cameras, dry=dry))
 
 
 @dataclass(frozen=True)
@@ -125,6 +130,20 @@ def targets_of(run: RunDir, frame: LocalFrame, cameras: Path, output: Path) -> l
             is_of_kind=lambda head: _SOFTWARE.encode() in head,
         )
     return targets
+
+
+def write_seen(
+    targets: list[Target],
+    output: Path,
+    video_s: float | None,
+    view_of: Callable[[list[PinholeCamera]], Callable[[PinholeCamera], NovelView]],
+) -> list[Path]:
+    """Pictures of cameras, or a video along them; ``view_of`` gets all cameras, and gives what renders one."""
+    cameras = [target.camera for target in targets]
+    if video_s is None:
+        return write_views(targets, view_of(cameras))
+    cameras = flown(cameras, video_s)
+    return [write_video(output / VIDEO, cameras, view_of(cameras))]
 
 
 def write_views(targets: list[Target], view_of: Callable[[PinholeCamera], NovelView]) -> list[Path]:

@@ -65,9 +65,9 @@ class Field:
         """All figures, as report.json has them; ``report["training"]["history"]`` is the curve of the training."""
         return read_json_object(self.folder / REPORT)
 
-    def render(self, cameras: str | Path, output: str | Path, *, dry: bool = False, device: str = "auto") -> list[Path]:
-        """Render views for other cameras; see `survey.volume.stored.render_field`."""
-        return render_field(self.folder, cameras, output, dry=dry, device=device)
+    def render(self, cameras: str | Path, output: str | Path, **options: Any) -> list[Path]:
+        """Render views for other cameras, or a video along them; see `survey.volume.stored.render_field`."""
+        return render_field(self.folder, cameras, output, **options)
 
     def _repr_html_(self) -> str:
         """HTML for notebooks: the figures, and the curve of the training."""

@@ -11,7 +11,7 @@ from fields.volume.submodules import counts_of
 from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
-from survey.export.render import targets_of, write_views
+from survey.export.render import targets_of, write_seen
 from survey.files.json_values import read_json_object
 from survey.progress import current
 from survey.run.stored import FIELD_SETTINGS, FIELD_STATE
@@ -24,14 +24,20 @@ from survey.words import Drop
 
 
 def render_field(
-    folder: str | Path, cameras: str | Path, output: str | Path, *, dry: bool = False, device: str = "auto"
+    folder: str | Path,
+    cameras: str | Path,
+    output: str | Path,
+    *,
+    dry: bool = False,
+    device: str = "auto",
+    video_s: float | None = None,
 ) -> list[Path]:
     """Render the field in a folder for the cameras of a file; pictures and errors as `survey.export.render.render`."""
     folder = Path(folder)
     with LoadedRun(run_of(folder)) as run:
         view = StoredVolume.of_run(folder, run).load(device)
         targets = targets_of(run.folder, run.flight.frame, Path(cameras), Path(output))
-        return write_views(targets, lambda camera: view(camera, dry))
+        return write_seen(targets, Path(output), video_s, lambda _cameras: lambda camera: view(camera, dry))
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """One reef at six tides: its low tide, dry, is the truth for what each treatment of refraction makes of the others.
 
-    python benchmarks/bench_tides.py -o FOLDER [--publish]
+    python benchmarks/bench_tides.py -o FOLDER [--levels M ...] [--publish]
 
 The same reef, flown over by the same cameras, is simulated dry and under five levels of the water. Treatments: straight
 rays; their depths times the index; their depths corrected per camera (Dietrich 2017); straight rays with positions as
@@ -188,17 +188,19 @@ def draw(path: Path, records: list[dict]) -> None:
         (line,) = axes.plot(depth, median, marker="o", markersize=3, label=words)
         axes.fill_between(depth, median - std, median + std, color=line.get_color(), alpha=0.2, linewidth=0)
     axes.set_yscale("symlog", linthresh=10.0)
+    axes.set_ylim(-3000.0, 2000.0)
     axes.axhline(0.0, color="black", linewidth=0.6)
     axes.set_xlabel("median depth of the wet reef [m]")
     axes.set_ylabel("height over the dry survey [mm]")
     write_title(axes, "One reef at five tides, against its low tide")
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=8, loc="lower left", ncol=2)
     save(figure, path)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--levels", type=float, nargs="+", default=LEVELS)
     parser.add_argument("--publish", action="store_true")
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
@@ -209,7 +211,7 @@ def main() -> None:
         dry_run = options.output / "runs" / "dry"
         process(drawn(options.output, None), dry_run, poses="fixed")
         dry = Run.open(dry_run).dem(CELL_M)
-        for level_m in LEVELS:
+        for level_m in options.levels:
             if not any(each["level_m"] == level_m for each in records):
                 records.append(measured(options.output, level_m, dry))
                 path.write_text(json.dumps(records, indent=1), encoding="utf-8")

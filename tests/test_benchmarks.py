@@ -32,6 +32,7 @@ SMALLEST = {
     "--visible {survey}/truth/visible.ply",
     "bench_sweep": "{survey} --quality draft --tables trust steps views once -o {work}",
     "bench_switches": "-o {work} --only none --steps 2 --seeds 1",
+    "bench_tides": "-o {work} --levels -2.4",
     "bench_tiles": "{survey} --tiles 2 -o {work}/tiles.json",
     "bench_true_colour": "{work} --seeds 1",
     "draw_gallery": "dispersion -o {work}",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import re
 import shutil
 import tomllib
 from pathlib import Path
@@ -150,10 +151,9 @@ def test_control_of_another_place_than_gps_is_refused(drawn, tmp_path, edit, wor
 
 def test_control_decides_where_stated_positions_have_another_datum(drawn, tmp_path):
     survey = loaded(drawn, tmp_path, shifted(None, 1.5, -1.0, 2.5))
-    assert any(
-        "put control points -1.5" in warning and "fitted to the control" in warning
-        for warning in survey.findings.warnings
-    )
+    (warning,) = [text for text in survey.findings.warnings if "fitted to the control" in text]
+    east, north, up = (float(number) for number in re.findall(r"(-?\d+\.\d+) m (?:east|north|up)", warning)[:3])
+    assert (east, north, up) == pytest.approx((-1.5, 1.0, -2.5), abs=0.1)
     errors = errors_of(survey, drawn, np.array([view.camera.centre for view in survey.views]))
     np.testing.assert_allclose(np.median(errors, axis=0), [1.5, -1.0, 2.5], atol=0.2)
     assert all(prior.position_std is None for prior in survey.observations.priors.values())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +12,7 @@ from survey.commands.console import command
 from survey.commands.options import DeviceOption, Quiet, RunFolder, Verbose
 from survey.words import Device
 
+_shown = partial(typer.Option, rich_help_panel="What is shown")
 EXAMPLES = """
     bathynerf render my_survey/bathynerf -o pictures --dry \\
         --cameras my_survey/cameras.csv
@@ -22,13 +24,15 @@ def run(
     run: RunFolder,
     cameras: Annotated[Path, typer.Option(metavar="FILE", help="Poses: a table like cameras.csv, or a COLMAP model.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the pictures.")],
-    dry: Annotated[bool, typer.Option("--dry", help="Remove the effect of the water.")] = False,
+    dry: Annotated[bool, _shown("--dry", help="Remove the effect of the water.")] = False,
     field: Annotated[
-        bool, typer.Option("--field", help="Render the field of `process --field mdw` instead of the photographs.")
+        bool, _shown("--field", help="Render the field of `process --field mdw` instead of the photographs.")
     ] = False,
     video: Annotated[
         float | None,
-        typer.Option(metavar="S", help="A video of a flight along the cameras in S seconds, flight.mp4.", min=0.1),
+        typer.Option(
+            metavar="S", help="A video of a flight along the cameras in S seconds, flight.mp4.", min=0.1, max=3600
+        ),
     ] = None,
     survey: Annotated[
         str | None, typer.Option(metavar="DIR", help="Survey folder, if it was moved since the run.")

@@ -10,15 +10,15 @@ from __future__ import annotations
 
 from functools import cache
 from importlib.resources import files
+from typing import Any, cast
 
 import numpy as np
 from pyproj import CRS, Geod
-from pyproj.aoi import AreaOfInterest
 from pyproj.crs import CompoundCRS
 from pyproj.database import query_crs_info
 from pyproj.enums import PJType
 from pyproj.exceptions import ProjError
-from pyproj.transformer import AreaOfInterest as OperationArea
+from scipy.ndimage import map_coordinates
 
 from geo.crs import (
     AREA_MARGIN_DEG,
@@ -29,12 +29,11 @@ from geo.crs import (
     prime_meridian_rad,
 )
 from geo.errors import GeoError, PlaceMismatch
-from geo.operations import operations
+from geo.operations import area_about, operations
 from geo.transformation import lon_lat, middle_of
 
 # Areas wider than this are worldwide: mean sea level and its models, tides.
 _WORLDWIDE_DEG = 350.0
-_MARGIN_DEG = 0.01
 
 
 def require_in_area(crs: CRS, points: np.ndarray, subject: str, where: str = "crs") -> None:
@@ -74,13 +73,12 @@ def height_systems_at(lat_deg: float, lon_deg: float) -> tuple[CRS, ...]:
     code): systems that were replaced keep their areas. PROJ has areas as rectangles, so near a border those of the
     neighbours are among them, and only a single one is certain.
     """
-    margin = _MARGIN_DEG
-    box = lon_deg - margin, lat_deg - margin, lon_deg + margin, lat_deg + margin
+    area: Any = area_about(lon_deg, lat_deg)  # The stubs of pyproj have two types for one class
     newest: dict[tuple[float, ...], tuple[float, int]] = {}
-    for info in query_crs_info("EPSG", PJType.VERTICAL_CRS, AreaOfInterest(*box), contains=True):
+    for info in query_crs_info("EPSG", PJType.VERTICAL_CRS, area, contains=True):
         use, code = info.area_of_use, int(info.code)
         width = _WORLDWIDE_DEG if use is None else (use.east - use.west) % 360.0 or 360.0
-        if use is None or width >= _WORLDWIDE_DEG or not _is_national(code, OperationArea(*box)):
+        if use is None or width >= _WORLDWIDE_DEG or not _is_national(code, area):
             continue
         newest[use.bounds] = max(newest.get(use.bounds, (0.0, 0)), (width * (use.north - use.south), code))
     # The code decides between areas of equal size.
@@ -93,9 +91,8 @@ def likely_crs(points: np.ndarray, lon_lat_deg: tuple[float, float], within_m: f
     Codes that EPSG withdrew are left out; the median of the distances to the place is at most ``within_m``.
     """
     lon, lat = lon_lat_deg
-    box = lon - _MARGIN_DEG, lat - _MARGIN_DEG, lon + _MARGIN_DEG, lat + _MARGIN_DEG
-    found = []
-    for info in query_crs_info("EPSG", PJType.PROJECTED_CRS, AreaOfInterest(*box), contains=True):
+    found, area = [], cast("Any", area_about(lon, lat))
+    for info in query_crs_info("EPSG", PJType.PROJECTED_CRS, area, contains=True):
         crs = CRS.from_epsg(int(info.code))
         try:
             east, north = lon_lat(crs, points[:, :2]).T
@@ -104,10 +101,8 @@ def likely_crs(points: np.ndarray, lon_lat_deg: tuple[float, float], within_m: f
         finite = np.isfinite(east) & np.isfinite(north) & (np.abs(north) <= 90.0)
         if not finite.any():
             continue
-        away = Geod(ellps="WGS84").inv(
-            east[finite], north[finite], *np.broadcast_to([[lon], [lat]], (2, finite.sum()))
-        )[2]
-        away_m = float(np.median(away))
+        places = np.broadcast_to([[lon], [lat]], (2, finite.sum()))
+        away_m = float(np.median(Geod(ellps="WGS84").inv(east[finite], north[finite], *places)[2]))
         if away_m <= within_m:
             # Of a grid with its axes swapped, only the name differs here.
             is_other = geodetic_crs(crs) != geodetic_crs(like) or "(N-E)" in crs.name
@@ -115,7 +110,7 @@ def likely_crs(points: np.ndarray, lon_lat_deg: tuple[float, float], within_m: f
     return [crs for *_, crs in sorted(found, key=lambda item: item[:3])]
 
 
-def _is_national(code: int, area: OperationArea) -> bool:
+def _is_national(code: int, area: Any) -> bool:
     """Whether a vertical CRS counts metres upwards from a geoid that PROJ knows at the place."""
     vertical = CRS.from_epsg(code)
     axis = vertical.axis_info[0]
@@ -147,10 +142,6 @@ def approximate_undulation_m(lat_deg: float, lon_deg: float) -> float:
     """
     with files("geo").joinpath(_GEOID).open("rb") as stream:
         grid = np.load(stream).astype(np.float64)
-    rows, columns = grid.shape
-    row = min(max((lat_deg + 90.0) / _STEP_DEG, 0.0), rows - 1.0)
-    column = (lon_deg + 180.0) % 360.0 / _STEP_DEG
-    south, west = min(int(row), rows - 2), int(column) % columns
-    up, right = row - south, column - int(column)
-    corners = grid[south : south + 2, [west, (west + 1) % columns]]
-    return float(np.array([1.0 - up, up]) @ corners @ np.array([1.0 - right, right]))
+    at = [[(lat_deg + 90.0) / _STEP_DEG], [(lon_deg + 180.0) % 360.0 / _STEP_DEG]]
+    # After the last meridian comes the first.
+    return float(map_coordinates(np.column_stack([grid, grid[:, 0]]), at, order=1, mode="nearest")[0])

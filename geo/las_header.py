@@ -40,7 +40,6 @@ EXTRA_BYTES = (
     ("std_common", np.dtype(np.float32), "part that all heights share, m"),
     ("num_views", np.dtype(np.uint16), "photographs that agree"),
     ("incidence", np.dtype(np.float32), "angle at the water in air, deg"),
-    # Names and level of confidence of NOAA's cBLUE; only where they are asked for.
     ("total_tvu", np.dtype(np.float32), "vertical uncertainty, 95 %, m"),
     ("total_thu", np.dtype(np.float32), "horizontal uncertainty, 95 %, m"),
 )

@@ -83,10 +83,6 @@ def write_obj(path: str | Path, mesh: Mesh, crs: CRS) -> None:
         stream.write(MARK + CRS_COMMENT + f"{crs_code(crs) or crs.to_wkt()}\n".encode())
         for rows in portions(len(mesh.vertices), _PORTION):
             colour = () if mesh.rgb is None else (mesh.rgb[rows] / 255.0,)
-            stream.write(_lines(vertex, np.column_stack([mesh.vertices[rows], *colour])))
+            np.savetxt(stream, np.column_stack([mesh.vertices[rows], *colour]), fmt=vertex)
         for rows in portions(len(mesh.faces), _PORTION):
-            stream.write(_lines("f %d %d %d", mesh.faces[rows] + 1))
-
-
-def _lines(form: str, rows: np.ndarray) -> bytes:
-    return ("\n".join([form] * len(rows)) % tuple(rows.ravel().tolist()) + "\n").encode()
+            np.savetxt(stream, mesh.faces[rows] + 1, fmt="f %d %d %d")

@@ -1,9 +1,4 @@
-"""Similarity transforms: b = s R a + t, fitted to points by least squares, also where up to half of them are wrong.
-
-| symbol | code | meaning |
-|---|---|---|
-| s, R, t | `scale`, `rotation`, `shift` | b = s R a + t |
-"""
+"""Similarity transforms: b = s R a + t, fitted to points by least squares, also where up to half of them are wrong."""
 
 from __future__ import annotations
 

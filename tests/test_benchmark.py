@@ -244,7 +244,7 @@ def test_corrected_depths_are_better_than_straight_rays_and_cost_no_second_run(s
     assert error["straight"] > 0.15
     assert max(error["times_index"], error["per_camera"]) < 0.25 * error["straight"]
     assert len({record.costs for record in found.records}) == 1
-    assert json.loads((tmp_path / "results.json").read_text())["version"] == 1
+    assert json.loads((tmp_path / "results.json").read_text())["version"] == 2
     again = benchmark([survey], tmp_path, settings=settings, known=found.records)
     assert again.records == found.records
     corrected = read_cloud(tmp_path / "runs" / "small_straight_draft_given_cpu" / "times_index.las")

@@ -40,7 +40,7 @@ COMPLETENESS, TOLERANCES_M = 0.99, (0.2, 2.0 * GSD)
 # Of vertical errors within 1.96 std, of which 95 % are asked: in all, and in classes of so many points. Measured 0.967,
 # and 0.944 to 0.983; neighbouring errors are alike, so that 11,700 are worth some hundreds, and 0.95 of these is known
 # to 0.01. One class in five is worth a fifth of them.
-COVERAGE, COVERAGE_OF_A_CLASS, LEAST = (0.93, 0.985), (0.88, 0.995), 1000
+COVERAGE, COVERAGE_OF_A_CLASS, LEAST = (0.93, 0.985), (0.88, 0.995), 900
 # A bank that rises out of water whose surface slopes.
 SHORE = {"shore": True, "slope_east": -0.002, "slope_north": 0.004}
 # LAS stores millimetres.

@@ -167,7 +167,11 @@ def test_a_flight_along_cameras_is_a_video(run, tmp_path):
     with Image.open(tmp_path / "p" / "nadir.png") as picture:
         alone = np.asarray(picture).astype(int)
     assert np.abs(frames[0][..., ::-1].astype(int) - alone[..., :3] * (alone[..., 3:] > 0)).mean() < 8.0
-    with pytest.raises(SurveyError, match="a video needs cameras at two places at least"):
+    path.write_bytes(b"notes of somebody")
+    with pytest.raises(OutputError, match="exists and is not an MP4"):
+        render(run, poses(tmp_path, keys), tmp_path / "v", device="cpu", trained=True, video_s=0.4)
+    assert path.read_bytes() == b"notes of somebody"
+    with pytest.raises(SurveyError, match="a video needs two cameras at least"):
         render(run, poses(tmp_path, ABOVE), tmp_path / "v", device="cpu", trained=True, video_s=1.0)
 
 
@@ -175,7 +179,7 @@ def test_a_flight_passes_its_keys_and_does_not_overshoot():
     place = np.array([[0.0, 0.0, 9.0], [4.0, 0.0, 9.0], [4.0, 3.0, 12.0]])
     turns = Rotation.from_euler("zx", [[0, 180], [30, 170], [90, 160]], degrees=True).as_matrix()
     keys = [PinholeCamera(at, turn, 50.0, 50.0, 20.0, 15.0, 41, 30) for at, turn in zip(place, turns, strict=True)]
-    cameras = flown([keys[0], keys[0], *keys[1:]], 2.04)
+    cameras = flown(keys, 2.04)
     assert len(cameras) == 51
     for at, key in ((0, 0), (25, 1), (50, 2)):
         np.testing.assert_allclose(cameras[at].centre, place[key], atol=1e-9)

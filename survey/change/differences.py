@@ -229,10 +229,9 @@ def differences_of(first: Path, second: Path, options: ChangeOptions) -> tuple[D
 
 def shared_photographs(first: Path, second: Path) -> list[str]:
     """A note where two runs are of the same flight: they share its photographs by name, and its first moment."""
-    reports = [RunDir(path).report_json_path for path in (first, second) if path.is_dir()]
-    if len(reports) < 2 or not all(path.is_file() for path in reports):
+    if not (first.is_dir() and second.is_dir()):
         return []
-    flights = [read_json_object(path) for path in reports]
+    flights = [read_json_object(RunDir(path).report_json_path) for path in (first, second)]
     began = [(flight.get("taken") or {}).get("first") for flight in flights]
     names = [{each["name"] for each in flight.get("photographs", ())} for flight in flights]
     shared = names[0] & names[1]

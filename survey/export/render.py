@@ -142,8 +142,10 @@ def write_seen(
     cameras = [target.camera for target in targets]
     if video_s is None:
         return write_views(targets, view_of(cameras))
-    cameras = flown(cameras, video_s)
-    return [write_video(output / VIDEO, cameras, view_of(cameras))]
+    cameras, path = flown(cameras, video_s), output / VIDEO
+    if path.exists():
+        require_file("-o", path, ReadFiles.of(), kind="an MP4", is_of_kind=lambda head: head[4:8] == b"ftyp")
+    return [write_video(path, cameras, view_of(cameras))]
 
 
 def write_views(targets: list[Target], view_of: Callable[[PinholeCamera], NovelView]) -> list[Path]:

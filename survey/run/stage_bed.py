@@ -304,8 +304,8 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
                 bed, [view.camera for view in survey.views], job.survey.require_water()[0], survey.require_water()[0]
             )
             xyz_in_crs = in_crs(survey, bed.xyz)
-        common = std_common(bed.xyz, bed.wet, survey, found, job.plan.gsd_m, new_column(len(bed)))
-        in_plan = std_common(bed.xyz, bed.wet, survey, found, job.plan.gsd_m, new_column(len(bed)), in_plan=True)
+        common, in_plan = new_column(len(bed)), new_column(len(bed))
+        std_common(bed.xyz, bed.wet, survey, found, job.plan.gsd_m, common, in_plan)
         bed, of_block = with_std_of_block(bed, survey, found, job.plan.gsd_m, new_column)
         std_placed = None
         if of_block is not None:

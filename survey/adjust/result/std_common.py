@@ -163,8 +163,7 @@ def std_common(
     found: Adjustment | None,
     gsd: float,
     out: np.ndarray | None = None,
-    *,
-    in_plan: bool = False,
+    in_plan: np.ndarray | None = None,
 ) -> np.ndarray:
     """Standard deviation (N,) float32 [m] of heights by water, lens and poses.
 
@@ -180,8 +179,8 @@ def std_common(
         Ground sampling distance.
     out : (N,) float32, optional
         Where the result goes, which may lie in a file.
-    in_plan : bool
-        Of places in plan instead, along one axis: the root mean square of east and north.
+    in_plan : (N,) float32, optional
+        Gets that of places in plan, along one axis [m]: the root mean square of east and north.
 
     Returns
     -------
@@ -189,18 +188,24 @@ def std_common(
         NaN where no place of the same kind, wet or dry, is seen by two views.
     """
     std = np.empty(len(xyz), dtype=np.float32) if out is None else out
-    std[:] = np.nan
+    stds = [std] if in_plan is None else [std, in_plan]
+    for each in stds:
+        each[:] = np.nan
     for is_wet in (True, False):
         ties = seen_places(places_of(xyz, wet == is_wet), survey)
         if not len(ties):
             continue
         x, y, z = _variances(survey, found, ties, gsd)
-        variance = 0.5 * (x + y) if in_plan else z
+        variance = np.column_stack([z, 0.5 * (x + y)])[:, : len(stds)]
         for part in portions(len(xyz), PORTION):
             kind = wet[part] == is_wet
-            std[part][kind] = np.sqrt(interpolated(ties.start[:, :2], variance, xyz[part][kind, :2]))
+            of_points = np.sqrt(interpolated(ties.start[:, :2], variance, xyz[part][kind, :2]))
+            for each, values in zip(stds, of_points.T, strict=True):
+                each[part][kind] = values
     if survey.plan_std_m > 0.0:
-        std[:] = np.hypot(std, survey.plan_std_m if in_plan else shift_std(xyz, survey.plan_std_m))
+        std[:] = np.hypot(std, shift_std(xyz, survey.plan_std_m))
+        if in_plan is not None:
+            in_plan[:] = np.hypot(in_plan, survey.plan_std_m)
     return np.maximum(std, np.float32(_LEAST_M), out=std)
 
 

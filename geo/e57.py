@@ -17,11 +17,6 @@ from geo.files import existing_file, library_for, write_whole_at
 from geo.shapes import Cloud
 from geo.stated import crs_named
 
-_BEGINNING = b"ASTM-E57"
-_NAME = "bathynerf"
-# The names of scans stand at the end of a file.
-_PAGE = 1024
-_LAST_BYTES = 64 * _PAGE
 # GPS time began on 6 January 1980, and has been 18 s ahead of UTC since 2017.
 _GPS_EPOCH_S, _LEAP_S = 315_964_800.0, 18.0
 
@@ -81,7 +76,7 @@ def write_e57(path: str | Path, points_crs: np.ndarray, crs: CRS, *, rgb: np.nda
     with write_whole_at(path) as part:
         try:
             file = _with_crs(pye57, wkt1(crs))(str(part), mode="w")
-            file.write_scan_raw(data, name=_NAME, translation=origin, scan_header=_header(columns, origin))
+            file.write_scan_raw(data, name="bathynerf", translation=origin, scan_header=_header(columns, origin))
             file.close()
             with pye57.E57(str(part)) as written:
                 written.get_header(0)
@@ -128,14 +123,3 @@ def _with_crs(pye57: Any, wkt: str) -> type:
                 self.root.set(name, node)
 
     return WithCrs
-
-
-def is_our_e57(path: Path) -> bool:
-    """Whether a file is E57 whose scan `write_e57` named."""
-    with path.open("rb") as stream:
-        if stream.read(len(_BEGINNING)) != _BEGINNING:
-            return False
-        stream.seek(max(0, path.stat().st_size - _LAST_BYTES))
-        end = stream.read()
-    # Each page of 1024 bytes ends in its check sum.
-    return _NAME.encode() in b"".join(end[at : at + _PAGE - 4] for at in range(0, len(end), _PAGE))

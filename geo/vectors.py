@@ -31,8 +31,6 @@ from geo.transformation import WGS84, Transformation
 
 # Of a degree: a tenth of a millimetre.
 _DECIMALS = 9
-# In the comment of a shapefile, and among the variables of a drawing.
-_MARK = b"bathynerf"
 # $INSUNITS of a unit that has no number.
 _NO_UNIT = 0
 _VERSION = "R2010"
@@ -165,19 +163,9 @@ def write_shapefile(path: str | Path, layer: Layer) -> None:
         _write_by_gdal(Path(work) / f"{layer.name}.shp", Path(path), layer, "ESRI Shapefile")
         content = BytesIO()
         with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
-            archive.comment = _MARK
             for part in sorted(Path(work).iterdir()):
                 archive.writestr(zipfile.ZipInfo(part.name), part.read_bytes(), zipfile.ZIP_DEFLATED)
         stream.write(content.getvalue())
-
-
-def is_our_shapefile(path: Path) -> bool:
-    """Whether a file is a ZIP that `write_shapefile` wrote."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return archive.comment == _MARK
-    except zipfile.BadZipFile:
-        return False
 
 
 class DxfLine(NamedTuple):
@@ -216,7 +204,7 @@ def write_dxf(path: str | Path, lines: Sequence[DxfLine], crs: CRS) -> None:
     drawing = ezdxf.new(_VERSION)
     codes = (code for code, length in UNITS_OF_DRAWINGS.items() if abs(length / unit - 1.0) < 1e-9)
     drawing.header["$INSUNITS"] = next(codes, _NO_UNIT)
-    drawing.header.custom_vars.append("made_by", _MARK.decode())
+    drawing.header.custom_vars.append("made_by", "bathynerf")
     drawing.header.custom_vars.append("crs", crs_code(crs) or crs_name(crs))
     space = drawing.modelspace()
     if lines:
@@ -233,10 +221,3 @@ def write_dxf(path: str | Path, lines: Sequence[DxfLine], crs: CRS) -> None:
     drawing.write(text)
     with write_whole(path) as stream:
         stream.write(text.getvalue().encode(drawing.output_encoding, errors="dxfreplace"))
-
-
-def is_our_dxf(path: Path) -> bool:
-    """Whether a file is a DXF that `write_dxf` wrote."""
-    with path.open("rb") as stream:
-        head = stream.read(1 << 16)
-    return b"SECTION" in head[:64] and _MARK in head

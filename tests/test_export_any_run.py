@@ -18,7 +18,6 @@ from geo.errors import GeoError
 from geo.reading import read_reference
 from survey.errors import SurveyError
 from survey.export.export import export
-from survey.export.own_files import kind_of
 from survey.export.product import ExportOptions
 from survey.export.registry import PRODUCTS
 from survey.folder.survey import load_survey
@@ -168,8 +167,6 @@ def test_all_is_checked_before_anything_is_computed(drawn, tmp_path, monkeypatch
     assert f"written before it ended: {tmp_path / 'a.las'}; not written: {tmp_path / 'dem.tif'}" in said
 
 
-def test_every_product_has_a_row_in_the_pages_and_every_suffix_a_mark():
+def test_every_product_has_a_row_in_the_pages():
     pages = "".join(path.read_text(encoding="utf-8") for path in (Path(__file__).parents[1] / "docs").glob("*.md"))
     assert [product.option for product in PRODUCTS if f"--{product.option} " not in pages] == []
-    marked = {Path(f"a{suffix}").suffix for _, suffix in FILES} - {""}
-    assert all(kind_of(Path(f"a{suffix}")).endswith("that bathynerf wrote") for suffix in marked)

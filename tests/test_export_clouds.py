@@ -120,18 +120,17 @@ def test_a_target_folder_that_does_not_exist_is_named(run_folder, tmp_path):
 def test_an_earlier_export_is_replaced_and_nothing_else(run_folder, tmp_path, suffix):
     path = tmp_path / f"out.{suffix}"
     export(run_folder, **{suffix: path})
-    first = path.read_bytes()
-    path.write_bytes(first[:2000])
-    export(run_folder, **{suffix: path})
-    assert len(path.read_bytes()) == len(first)
-    # A reference of the same format, and a file that only has the name.
-    foreign = {"ply": b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n"}
-    for content in (foreign.get(suffix, b"LASF" + bytes(300)), b"bathynerf"):
-        path.write_bytes(content)
-        with pytest.raises(OutputError, match=rf"--{suffix} names .*out.*, which exists and is not a cloud"):
-            export(run_folder, **{suffix: path})
-        assert path.read_bytes() == content
-        assert list(tmp_path.iterdir()) == [path]
+    export(run_folder, **{suffix: path}, options=ExportOptions(crs="EPSG:25833+5778"))
+    changed = path.read_bytes()[:-1]
+    path.write_bytes(changed)
+    with pytest.raises(OutputError, match=rf"--{suffix} names .*out.*, which somebody has changed since"):
+        export(run_folder, **{suffix: path})
+    assert path.read_bytes() == changed
+    other = tmp_path / f"other.{suffix}"
+    path.rename(other)
+    with pytest.raises(OutputError, match=rf"--{suffix} names .*other.*, which exists and is not an export of this"):
+        export(run_folder, **{suffix: other})
+    assert list(tmp_path.iterdir()) == [other]
 
 
 def test_what_the_run_itself_needs_is_not_overwritten(stored, tmp_path):

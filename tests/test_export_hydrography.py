@@ -14,7 +14,7 @@ from pyproj import CRS
 from stored_run import run_of, stored_points
 
 from evaluation.standards import THU, TVU, order_by_thu, order_by_tvu
-from survey.errors import OutputError, SurveyError
+from survey.errors import SurveyError
 from survey.export.export import export
 from survey.export.product import ExportOptions
 from survey.run.folder import RunDir
@@ -72,16 +72,6 @@ def test_gdal_opens_a_bag_at_its_place(both, stored):
     assert [band["description"] for band in found["bands"]] == ["elevation", "uncertainty"]
     for part in stored.crs.sub_crs_list:
         assert f'ID["EPSG",{part.to_epsg()}]' in found["coordinateSystem"]["wkt"]
-
-
-def test_an_earlier_bag_is_replaced_and_other_hdf5_is_not(run_folder, both, tmp_path):
-    path = tmp_path / "bed.bag"
-    path.write_bytes(both[0].read_bytes())
-    export(run_folder, options=ExportOptions(resolution_m=1.0), bag=path)
-    with h5py.File(path, "w") as file:
-        file["x"] = np.arange(3)
-    with pytest.raises(OutputError, match=r"--bag names .*bed\.bag, which exists and is not a BAG that bathynerf"):
-        export(run_folder, bag=path)
 
 
 def test_a_bag_in_degrees_is_refused(run_folder, tmp_path):

@@ -189,7 +189,7 @@ def test_a_table_of_somebody_else_stays(tmp_path):
     _, run = run_with(tmp_path)
     path = tmp_path / "a.xyz"
     path.write_text("1 2 3\n")
-    with pytest.raises(SurveyError, match="is not soundings that bathynerf wrote"):
+    with pytest.raises(SurveyError, match="is not an export of this run"):
         export(run, soundings=path)
     path.unlink()
     export(run, soundings=path)

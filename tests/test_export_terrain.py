@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import zlib
 from pathlib import Path
@@ -20,7 +19,7 @@ from stored_run import run_of, stored_points
 
 from geo.errors import UnwritableFile
 from geo.raster import RasterBand, RasterForm, write_cog
-from survey.errors import OutputError, SurveyError
+from survey.errors import SurveyError
 from survey.export.export import export
 from survey.export.product import ExportOptions
 from survey.export.relief import hillshade, slope_deg
@@ -185,15 +184,6 @@ def test_a_dem_in_another_crs_lies_at_the_same_place(run_folder, stored, tmp_pat
                 area *= 111_300.0**2 * np.cos(middle)
             # 14 m squared, and what the cells at its edge have more.
             assert 0.98 * 14.0**2 < area < 1.12 * 14.0**2
-
-
-def test_an_earlier_raster_is_replaced_and_a_foreign_one_is_not(run_folder, dem, tmp_path):
-    path = tmp_path / "dem.tif"
-    shutil.copy(dem, path)
-    export(run_folder, options=AT_SIDE, slope=path)
-    tifffile.imwrite(path, np.zeros((8, 8), dtype=np.float32), software="another program")
-    with pytest.raises(OutputError, match=r"--dem names .*dem\.tif, which exists and is not a raster that bathynerf"):
-        export(run_folder, options=AT_SIDE, dem=path)
 
 
 def test_a_raster_that_fails_leaves_nothing_behind(tmp_path):

@@ -15,7 +15,6 @@ from pathlib import Path
 from geo.errors import UnwritableFile
 from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun
-from survey.export.own_files import is_own, kind_of
 from survey.export.product import ExportOptions, Product, require_makeable
 from survey.export.registry import PRODUCTS
 from survey.export.styles import write_style
@@ -36,8 +35,9 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
     Raises SurveyError if a length is unusable, nothing is asked for, a name does not end as its product does, an option
     has no effect on any of them, the folder is not a run, or the run has not come as far as the cloud; or if a product
     cannot be made of the run with these options: all are checked before the first is computed; OutputError if a file
-    must not be written, see `survey.files.outputs`: a file that is there is replaced only where bathynerf wrote it, and
-    one that people edit only as it was written; GeoError if a file cannot be written, or the CRS is unusable.
+    must not be written, see `survey.files.outputs`: a file that is there is replaced only where an export of this run
+    wrote it, and one that people edit only as it was written; GeoError if a file cannot be written, or the CRS is
+    unusable.
 
     Parameters
     ----------
@@ -88,9 +88,7 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
 def _write(product: Product, path: Path, loaded: LoadedRun, options: ExportOptions, key: str) -> None:
     """Write one product, with its style."""
     product.function("write")(path, loaded, options)
-    if product.is_folder:
-        return
-    if (style := product.function("style")) is not None:
+    if not product.is_folder and (style := product.function("style")) is not None:
         write_style(path, style)
     note_written(loaded, path, key)
 
@@ -117,16 +115,17 @@ def _wanted(files: dict[str, str | Path | None]) -> list[tuple[Product, Path]]:
 
 
 def _require_writable(product: Product, path: Path, run: LoadedRun, inputs: ReadFiles) -> None:
+    entry = _entry(run, path)
     if product.is_folder:
         require_folder(_name(product), path, inputs)
-        if path.is_dir() and any(path.iterdir()) and not is_own(path):
+        if path.is_dir() and any(path.iterdir()) and not entry:
             raise OutputError(f"{_name(product)} names {path}, which holds other files; name a new or empty folder")
         return
-    noted = _entry(run, path).get("sha256")
-    require_file(
-        _name(product), path, inputs, kind=kind_of(path), is_of_kind=lambda _head: noted is not None or is_own(path)
-    )
-    if noted is not None and path.is_file() and noted != _content_hash(path):
+    require_file(_name(product), path, inputs, kind="an export of this run", is_of_kind=lambda _head: bool(entry))
+    if not path.is_file():
+        return
+    as_it_is = {"sha256": _content_hash(path)} if "sha256" in entry else _stamp(path)
+    if not as_it_is.items() <= entry.items():
         raise OutputError(
             f"{_name(product)} names {path}, which somebody has changed since bathynerf wrote it; remove it or choose "
             "another name"
@@ -162,7 +161,7 @@ def is_current(run: LoadedRun, path: Path, key: str) -> bool:
 def note_written(run: LoadedRun, path: Path, key: str) -> None:
     """Note that a file was written with this key; a run that cannot be written to stays as it is."""
     record = run.folder.path / _RECORD
-    known = {name: entry for name, entry in read_json_object(record).items() if Path(name).is_file()}
+    known = {name: entry for name, entry in read_json_object(record).items() if Path(name).exists()}
     edited = {"sha256": _content_hash(path)} if path.suffix.lower() in _EDITED else {}
     entry = {"key": key, **_stamp(path), **edited}
     try:

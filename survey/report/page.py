@@ -41,8 +41,6 @@ _GROUPS = (
 )
 # These show several things side by side and take the whole width.
 _WIDE = ("view", "profile", "error_bands")
-# After the end of the document, where readers look no further.
-MARK = b"% bathynerf\n"
 BROWSERS = (
     *(
         "chromium-headless-shell",
@@ -177,7 +175,7 @@ def write_pdf(html: Path, path: Path, *, browsers: Sequence[str] = BROWSERS) -> 
             )
         content = printed.read_bytes()
     with write_whole(path) as stream:
-        stream.write(content.rstrip(b"\n") + b"\n" + MARK)
+        stream.write(content)
 
 
 def browser_for(path: Path, browsers: Sequence[str] = BROWSERS) -> str:
@@ -189,9 +187,3 @@ def browser_for(path: Path, browsers: Sequence[str] = BROWSERS) -> str:
             "install chromium), or print report.html from another browser."
         )
     return found
-
-
-def is_our_pdf(path: Path) -> bool:
-    """Whether a file is a PDF that `write_pdf` wrote."""
-    content = path.read_bytes()
-    return content.startswith(b"%PDF") and content.endswith(MARK)

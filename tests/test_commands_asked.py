@@ -1,4 +1,4 @@
-"""What is asked of a run: by options, by the environment, by [process] of survey.toml, in this order."""
+"""What is asked of a run: by options, by [process] of survey.toml, in this order."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from dataclasses import asdict, fields
 from types import SimpleNamespace
 
 import pytest
-from command_line import bathynerf, fake_module
+from command_line import bathynerf
 from small_survey import small_survey
 
-from survey.commands.options import PREFIX, asked_of_environment
 from survey.errors import ConfigError, SurveyError
 from survey.plan.choices import USUAL, Choices, choices_of
 from survey.run.repeat import Truth, command_of
@@ -91,34 +90,10 @@ def test_an_aim_that_cannot_be_is_refused(options, words):
 
 
 @pytest.mark.parametrize("name", VALUES)
-def test_the_environment_and_the_file_read_each_key_in_the_same_way(name):
+def test_the_file_keeps_each_key(name):
     for value in VALUES[name]:
-        text = str(value).lower() if isinstance(value, bool) else str(value)
-        asked = asked_of_environment({PREFIX + name.upper(): text, "BATHYNERF_DATA": "elsewhere"})
-        assert asked == ProcessConfig(**{name: value})
         written = dump_config(parse_config(f"[process]\n{name} = {json.dumps(value)}"))
-        assert parse_config(written).process == asked
-
-
-@pytest.mark.parametrize(
-    ("variable", "text", "words"),
-    [
-        ("QUALTY", "fine", "unknown variable BATHYNERF_PROCESS_QUALTY"),
-        ("QUALITY", "best", 'BATHYNERF_PROCESS_QUALITY is "best", expected one of draft, standard, fine'),
-        ("TARGET_STD_M", "small", "BATHYNERF_PROCESS_TARGET_STD_M is 'small', expected a standard deviation"),
-        ("TARGET_STD_M", "nan", "BATHYNERF_PROCESS_TARGET_STD_M is nan, expected"),
-        (
-            "TIME_BUDGET_S",
-            "0",
-            "BATHYNERF_PROCESS_TIME_BUDGET_S is 0, expected the seconds that a run may take",
-        ),
-        ("IMAGE_SCALE", "0.3", "expected one of 1, 0.5, 0.25"),
-        ("TRUE_COLOUR", "yes", "expected true or false"),
-    ],
-)
-def test_a_wrong_variable_is_named(variable, text, words):
-    with pytest.raises(ConfigError, match=re.escape(words)):
-        asked_of_environment({PREFIX + variable: text})
+        assert parse_config(written).process == ProcessConfig(**{name: value})
 
 
 @pytest.mark.parametrize(
@@ -138,24 +113,8 @@ def test_a_wrong_key_of_the_file_is_named(text, words):
         parse_config(f"[process]\n{text}")
 
 
-def test_options_stand_over_the_environment_and_this_over_survey_toml(monkeypatch, tmp_path):
-    calls = []
-    fake_module(monkeypatch, "survey.run.process", process=lambda *_, **options: calls.append(options) or 0)
-    fake_module(monkeypatch, "survey.init.draft", require_settings=lambda *_: None)
-    monkeypatch.setenv("BATHYNERF_PROCESS_QUALITY", "fine")
-    monkeypatch.setenv("BATHYNERF_PROCESS_DEVICE", "cpu")
-    bathynerf("process", "s")
-    bathynerf("process", "s", "--quality", "draft", "--no-true-colour")
-    bathynerf("process", "s", "--target-std", "0.02")
-    assert [(call["quality"], call["device"], call["true_colour"]) for call in calls] == [
-        ("fine", "cpu", None),
-        ("draft", "cpu", False),
-        (None, "cpu", None),
-    ]
-
-
 @pytest.mark.slow
-def test_check_plans_what_process_would_do(monkeypatch, tmp_path):
+def test_check_plans_what_process_would_do(tmp_path):
     folder = small_survey(tmp_path / "s")
     with (folder / "survey.toml").open("a") as stream:
         stream.write('\n[process]\nquality = "draft"\nfield = "off"\n')
@@ -172,8 +131,6 @@ def test_check_plans_what_process_would_do(monkeypatch, tmp_path):
         "fine",
         plan("--field", "auto", "--quality", "draft")["field"],
     )
-    monkeypatch.setenv("BATHYNERF_PROCESS_QUALITY", "standard")
-    assert plan()["quality"] == "standard"
 
 
 def test_the_report_of_check_in_json_has_what_is_printed(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +11,7 @@ import typer
 
 from survey.commands.console import ConsoleResults, command
 from survey.commands.faults import address_space_shortage, require_address_space
-from survey.commands.options import Quiet, Verbose, config_of, grouped
+from survey.commands.options import Quiet, Verbose, grouped
 from survey.errors import FILE_NAME, SurveyError
 from survey.settings.tables import PlanOptions, ProcessConfig
 
@@ -49,7 +50,7 @@ def run(
 
     Also predicts the accuracy of a bed under still, clear water, and the effect of light and motion. Nothing is
     written. With --deep, poses, lens and water are adjusted to the photographs, and contradictions with survey.toml are
-    reported. Options that are not given come from the environment, then [process] in survey.toml, as for process.
+    reported. Options that are not given come from [process] in survey.toml, as for process.
 
     Before the flight: a plan has place, camera, height, overlaps and oblique views, or a file of poses, and the time
     (docs/check.md, examples/flight.toml).
@@ -60,7 +61,7 @@ def run(
         require_json("--json", json, survey)
         sections_of = _sections_of_plan if is_plan(survey) else _sections
         shown = []
-        for section in sections_of(survey, config_of(asked), wind, deep):
+        for section in sections_of(survey, ProcessConfig(**asdict(asked)), wind, deep):
             show(results, section)
             shown.append(section)
         if json is not None:

@@ -1,12 +1,11 @@
-"""Arguments and options that several verbs share, also as records, and options from variables of the environment."""
+"""Arguments and options that several verbs share, also as records."""
 
 from __future__ import annotations
 
 import inspect
-import os
 import sys
-from collections.abc import Callable, Mapping
-from dataclasses import Field, asdict, fields, is_dataclass, replace
+from collections.abc import Callable
+from dataclasses import Field, fields, is_dataclass, replace
 from enum import Enum
 from functools import wraps
 from pathlib import Path
@@ -14,15 +13,11 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
-from survey.errors import ConfigError
 from survey.escaping import printable
-from survey.files.toml_table import ONE_OF, OPTION, Option, parse_values
+from survey.files.toml_table import ONE_OF, OPTION, Option
 from survey.init.options import InitOptions
-from survey.settings.tables import HOW, PlanOptions, ProcessConfig
+from survey.settings.tables import HOW
 from survey.words import COMPARED, Device, wrap_for
-
-PREFIX = "BATHYNERF_PROCESS_"
-
 
 # After Ctrl-C, for verbs that resume.
 KEPT = "finished work is kept, and the same command resumes from there"
@@ -111,36 +106,3 @@ def _annotated(field: Field, hint: Any) -> Any:
         hint,
         typer.Option(*names, metavar=made.metavar, help=made.help, rich_help_panel=made.panel, show_default=shown),
     ]
-
-
-def config_of(asked: PlanOptions) -> ProcessConfig:
-    """The options of a command line as settings; those that are not given come from the environment."""
-    return ProcessConfig(**asdict(asked)).over(asked_of_environment())
-
-
-def asked_of_environment(environ: Mapping[str, str] = os.environ) -> ProcessConfig:
-    """Settings by variables like BATHYNERF_PROCESS_QUALITY, each named like its key in [process] of survey.toml."""
-    names = {f"{PREFIX}{field.name.upper()}": field.name for field in fields(ProcessConfig)}
-    given = {variable: text for variable, text in environ.items() if variable.startswith(PREFIX)}
-    for variable in given.keys() - names.keys():
-        raise ConfigError(f"unknown variable {variable} in the environment; known are {', '.join(names)}")
-    asked = ProcessConfig()
-    for variable, text in given.items():
-        name = names[variable]
-        try:
-            asked = replace(asked, **{name: getattr(parse_values({name: _value(text)}, ProcessConfig), name)})
-            asked.require_one_kind()
-        except ConfigError as error:
-            reason = str(error).replace("[process] has", "it has").replace("[process] ", "").replace(name, variable, 1)
-            raise ConfigError(f"in the environment: {reason}") from error
-    return asked
-
-
-def _value(text: str) -> str | float | int | bool:
-    """A text parsed as a TOML value; words need no quotes."""
-    if text.lower() in ("true", "false"):
-        return text.lower() == "true"
-    try:
-        return int(text) if text.isdecimal() else float(text)
-    except ValueError:
-        return text

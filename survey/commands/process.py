@@ -10,7 +10,7 @@ import typer
 
 from survey.commands.console import command
 from survey.commands.faults import require_address_space
-from survey.commands.options import KEPT, Quiet, Verbose, Visible, asking, config_of, grouped
+from survey.commands.options import KEPT, Quiet, Verbose, Visible, asking, grouped
 from survey.init.options import InitOptions
 from survey.settings.tables import ProcessConfig
 from survey.words import COMPARED, RUN_FOLDER
@@ -49,8 +49,7 @@ def run(
     Where there is no survey.toml, it is written first, as by init: with what no file states from options, or asked for
     on a terminal, and a comment at each value that is assumed.
 
-    Options that are not given come from environment variables, e.g. BATHYNERF_PROCESS_QUALITY=fine, then [process] in
-    survey.toml, then the defaults.
+    Options that are not given come from [process] in survey.toml, then the defaults.
     """
     from survey.files.remote import is_url, local_run
 
@@ -67,7 +66,7 @@ def run(
         code = process(
             survey,
             output if output is None or is_url(output) else Path(output),
-            **asdict(config_of(asked)),
+            **asdict(asked),
             chooses_workers=True,
             resume=resume,
             reference=reference,

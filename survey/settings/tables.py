@@ -1,7 +1,7 @@
 """[process], [control] and [field] of survey.toml.
 
 [process] has the options of a run, [field] those of `bathynerf field`, which trains a radiance field on a run; options
-of the command line take precedence over the environment, and both over these tables. [control] names files of control
+of the command line take precedence over these tables. [control] names files of control
 points, their marks, check points, and an earlier survey.
 """
 

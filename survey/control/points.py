@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -90,15 +90,6 @@ class GivenMark:
     image: str
     where: str  # File and line, for messages
     pixel: tuple[float, float]  # (x, y): the centre of the first pixel is 0.5, 0.5
-    # Whether `pixel` counts from the middle of the photograph in units of its longer side instead
-    is_normalised: bool = False
-
-    def in_pixels(self, size: tuple[int, int]) -> GivenMark:
-        """The mark in pixels of a photograph of (width, height) [px]."""
-        if not self.is_normalised:
-            return self
-        x, y = (value * max(size) + 0.5 * side for value, side in zip(self.pixel, size, strict=True))
-        return replace(self, pixel=(x, y), is_normalised=False)
 
 
 @dataclass(frozen=True)

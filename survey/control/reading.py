@@ -13,7 +13,7 @@ from geo.crs import crs_name, horizontal_crs, is_geographic
 from geo.errors import GeoError
 from geo.stated import checked_height_unit
 from geo.transformation import Transformation, height_scale
-from survey.control import gcp_list, metashape_xml, opensfm_json, tables, waypoints
+from survey.control import gcp_list, metashape_xml, tables, waypoints
 from survey.control.points import Content, GivenMark, GivenPoint, Mark
 from survey.display.quantities import named
 from survey.errors import ControlError, Findings
@@ -26,7 +26,6 @@ from survey.photos.names import ImageNames
 FORMATS = (
     waypoints.FORMAT,
     metashape_xml.FORMAT,
-    opensfm_json.FORMAT,
     gcp_list.FORMAT,
     tables.MARKS,
     tables.COORDINATES,
@@ -35,6 +34,7 @@ FORMATS = (
 _NOT_READ = {
     "*.kmz": "unzip it, and give the .kml in it",
     **dict.fromkeys(("*.opf", "*.p4d"), "export the control points of the project as a table"),
+    "ground_control_points.json": "give OpenDroneMap's gcp_list.txt of the same points",
     "*.psx": "export the markers from Metashape (File > Export > Export Markers, .xml)",
     "*.rcproj": "export the control points from RealityScan as a table, with their measurements",
     **dict.fromkeys(
@@ -201,14 +201,13 @@ def _marks(
     unknown_images: dict[str, GivenMark] = {}
     unknown_points: dict[str, GivenMark] = {}
     given_marks = [(mark, names) for given in of_files for names in [ImageNames(sizes)] for mark in given]
-    for written, names in given_marks:
-        mark, image = written, names.find(written.image, written.where)
+    for mark, names in given_marks:
+        image = names.find(mark.image, mark.where)
         if image is None:
             unknown_images.setdefault(mark.image, mark)
         elif mark.point not in points:
             unknown_points.setdefault(mark.point, mark)
         else:
-            mark = mark.in_pixels(sizes[image])
             _require_inside(mark, image, sizes[image])
             first = marks.setdefault((mark.point, image), mark)
             if first.pixel != mark.pixel:

@@ -224,7 +224,7 @@ class MarkStore:
         for mark in marks:
             image = names.find(mark.image, mark.where)
             if image is not None:
-                found[mark.point, image] = mark.in_pixels(self._sizes[image]).pixel
+                found[mark.point, image] = mark.pixel
         return found
 
 

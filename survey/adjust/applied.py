@@ -21,7 +21,7 @@ from survey.folder.local_frame import water_plane
 from survey.folder.motion import rows_between
 from survey.folder.survey import Survey
 from survey.photos.cameras import View
-from survey.photos.colmap_model import FILES, has_spaces, write_model
+from survey.photos.colmap_model import FILES, write_model
 from survey.photos.intersection import equations_of_lines
 from survey.photos.poses import TiePoints, least_track
 from survey.photos.rotations import CAM_FROM_OPK_CAM
@@ -169,9 +169,8 @@ def _settings_of_model(survey: Survey) -> str:
     shutter = ""
     if any(view.camera.motion is not None for view in survey.views):
         shutter = f", rolling_shutter_s = {survey.config.cameras.rolling_shutter_s!r}"
-    cut = (
-        "# Some names have spaces, at which other programs cut them in images.txt\n" if has_spaces(survey.views) else ""
-    )
+    is_cut = any(len(view.name.split()) != 1 for view in survey.views)
+    cut = "# Some names have spaces, at which other programs cut them in images.txt\n" if is_cut else ""
     return f'# In survey.toml: [cameras] poses = "sparse"{shutter} and [local] origin = [{origin}]\n{cut}'
 
 

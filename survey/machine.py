@@ -3,29 +3,26 @@
 The memory that may be used is also limited by the Linux control groups that hold this process, as Slurm, systemd and
 containers set them. Groups are nested, and each limits all below it: the smallest limit on the way from the own group
 up to the mount counts. A process is in one group of version 2 (cgroups(7)), and in one of the hierarchy "memory" of
-version 1 where that is mounted.
+version 1 where that is mounted; both hierarchies stand where systemd and containers mount them.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import psutil
 
 # Address space that libraries and kernels map and do not fill, on one core.
 _MAPPED_BYTES = 2.4e9
-PROCESS = Path("/proc/self")
-# By the type of the mount: files with limits, the file with what is used, and the word for cached files in memory.stat
-# that the system drops before it refuses memory.
-_FILES = {
-    "cgroup2": (("memory.max", "memory.high"), "memory.current", "inactive_file"),
-    "cgroup": (("memory.limit_in_bytes",), "memory.usage_in_bytes", "total_inactive_file"),
-}
-_ESCAPED = {"\\040": " ", "\\011": "\t", "\\012": "\n", "\\134": "\\"}
+# File that names the groups of this process, and the folder of all of them.
+PROCESS, GROUPS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
+# Files with limits, the file with what is used, and the word for cached files in memory.stat that the system drops
+# before it refuses memory: of version 2 and 1.
+_FILES_OF_2 = (("memory.max", "memory.high"), "memory.current", "inactive_file")
+_FILES_OF_1 = (("memory.limit_in_bytes",), "memory.usage_in_bytes", "total_inactive_file")
 
 
 def memory_bytes() -> int:
@@ -83,59 +80,24 @@ class GroupMemory:
         return max(self.limit - self.used, 0)
 
 
-def group_memories(process: Path = PROCESS) -> list[GroupMemory]:
-    """Control groups with a memory limit around a process, the innermost first; none where there are no groups.
-
-    ``process`` is its folder below /proc.
-    """
+def group_memories(process: Path = PROCESS, groups: Path = GROUPS) -> list[GroupMemory]:
+    """Control groups with a memory limit around a process, the innermost first; none where there are no groups."""
     found = []
-    for kind, folder in _folders(process):
-        limits, usage, cached = _FILES[kind]
-        known = [limit for name in limits if (limit := _number(folder / name)) is not None]
-        if known:
-            used = (_number(folder / usage) or 0) - _cached(folder / "memory.stat", cached)
-            found.append(GroupMemory(min(known), max(used, 0)))
-    return found
-
-
-def _folders(process: Path) -> Iterator[tuple[str, Path]]:
-    """Type of the mount and folder of each group, from the innermost up to the mount."""
-    paths = dict(_paths(process / "cgroup"))
-    for kind, root, mount in _mounts(process / "mountinfo"):
-        if kind not in paths:
-            continue
-        path = PurePosixPath(paths[kind])
-        # A mount may begin at a group within the hierarchy, of which alone it shows what is below. Of a group beyond it
-        # (a container that shares the names of its host) only the mount itself is to be seen.
-        inside = path.relative_to(root) if path.is_relative_to(root) and ".." not in path.parts else PurePosixPath(".")
-        for part in (inside, *inside.parents):
-            yield kind, mount / part
-
-
-def _paths(table: Path) -> Iterator[tuple[str, str]]:
-    """Type of the mount, and path in its hierarchy, of the groups of a process that may limit memory."""
-    for line in _lines(table):
+    for line in _lines(process):
         _, controllers, path = line.split(":", 2)
-        if not controllers:
-            yield "cgroup2", path
-        elif "memory" in controllers.split(","):
-            yield "cgroup", path
-
-
-def _mounts(table: Path) -> Iterator[tuple[str, str, Path]]:
-    """Type, root in the hierarchy and folder of each mount that may limit memory; proc_pid_mountinfo(5)."""
-    for line in _lines(table):
-        mount, _, filesystem = line.partition(" - ")
-        kind, options = filesystem.split()[0], filesystem.split()[-1].split(",")
-        if kind == "cgroup2" or (kind == "cgroup" and "memory" in options):
-            root, folder = (_unescaped(word) for word in mount.split()[3:5])
-            yield kind, root, Path(folder)
-
-
-def _unescaped(word: str) -> str:
-    for code, letter in _ESCAPED.items():
-        word = word.replace(code, letter)
-    return word
+        if controllers and "memory" not in controllers.split(","):
+            continue
+        # Beside version 1, version 2 limits no memory, or lies in a folder of its own.
+        mounts = [groups / "memory"] if controllers else [groups, groups / "unified"]
+        limits, usage, cached = _FILES_OF_1 if controllers else _FILES_OF_2
+        # Of a group beyond its mount (a container that shares the names of its host) only the mount is to be seen.
+        inside = Path(path.lstrip("/")) if ".." not in path else Path()
+        for folder in (mount / part for mount in mounts for part in (inside, *inside.parents)):
+            known = [limit for name in limits if (limit := _number(folder / name)) is not None]
+            if known:
+                used = (_number(folder / usage) or 0) - _cached(folder / "memory.stat", cached)
+                found.append(GroupMemory(min(known), max(used, 0)))
+    return found
 
 
 def _lines(path: Path) -> list[str]:

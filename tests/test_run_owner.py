@@ -15,8 +15,8 @@ from geo.errors import UnwritableFile
 from survey.errors import SurveyError
 from survey.folder.found import find_survey
 from survey.run.folder import RunDir
+from survey.run.owner import Owner
 from survey.run.process import process
-from survey.run.result import Owner
 
 
 def _other_process(run: Path) -> subprocess.Popen:

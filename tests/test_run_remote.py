@@ -15,9 +15,9 @@ from survey.files.json_values import write_json
 from survey.files.remote import Remote, local_run
 from survey.progress import Progress
 from survey.run.folder import RunDir
+from survey.run.owner import Owner
 from survey.run.process import process
 from survey.run.remote_run import RemoteRun
-from survey.run.result import Owner
 
 pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
 

@@ -39,7 +39,7 @@ def far(shallow_survey):
 
 
 def test_tiles_answer_what_stages_ask_of_a_job_for_themselves():
-    asked = "stage_name views_to_match cell ground own_ground limits bound hashes photographs block in_survey"
+    asked = "stage_name views_to_match ground own_ground limits bound hashes photographs block in_survey"
     for name in asked.split():
         assert getattr(TileJob, name) is not getattr(Job, name)
     # What is defined is asked for: a name of the base class, or of the tile alone.

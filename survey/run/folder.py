@@ -7,17 +7,22 @@ A stage works in a fresh hidden folder that is renamed when the stage is finishe
 ``stages`` is complete; its name ends in a hash of all that the stage depends on, so that results of other settings are
 kept side by side. One process at a time gives stages their place in a run; a lock ensures this. Workers of a cluster
 may still write to hidden folders after a run that ended early; the next run removes them.
+
+A result, cloud, report, settings and plan, is written into a hidden folder. Renaming the complete folder commits it,
+and its files are then moved to their places; a process that is killed in between leaves the rest of the moving to the
+next one. So settings, cloud and report in a run always belong together.
 """
 
 from __future__ import annotations
 
 import importlib.metadata
+import json
 import re
 import shutil
 import sys
 import time
-from collections.abc import Iterable
-from contextlib import ExitStack
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 from geo.files import reporting_disk_errors
@@ -26,13 +31,20 @@ from survey.files.entries import require_plain_entries
 from survey.files.json_values import read_json_object, write_json
 from survey.files.outputs import ReadFiles, locked
 from survey.progress import current
-from survey.run import result
 from survey.run.keys import Key
-from survey.run.result import Owner
+from survey.run.owner import Owner
 from survey.stage_key import code_hash
 from survey.words import RUN_FOLDER, SFM_FOLDER
 
 MARKER, STAGE_RECORD, _PART = ".bathynerf-run.json", "stage.json", ".part"
+# Files and folders of a result; its record is moved last.
+NAMES = (
+    "settings.toml", "plan.json", "cloud.las", "flight.json", "adjustment.json", "adjustment.npz", "cameras.csv",
+    "sparse", "report.json", "report.html", "pictures", "result.json",
+)  # fmt: skip
+RECORD = "result.json"
+# A complete result on its way to its place, and the finished stages of results that are not finished, by quality.
+_COMPLETE, _UNFINISHED = ".result.whole", ".unfinished.json"
 # As a path has it, with one slash.
 _URL = re.compile(r"[a-z][a-z0-9+.-]+:/")
 _NAMED_VERSIONS = (
@@ -91,7 +103,7 @@ class RunDir:
             )
             stack.enter_context(locked(self.path, busy=busy))
             stack.callback(self._remove_parts)
-            result.move_into_place(self.path)
+            self._move_into_place()
             self._remove_parts()
             self._held = stack.pop_all()
         return self
@@ -132,33 +144,42 @@ class RunDir:
             default = self.path / RUN_FOLDER
             remedy = f"name {default}" if (default / MARKER).is_file() else "name the folder that process wrote"
             raise SurveyError(f"{self.path} is no run folder; {remedy}")
-        if not result.is_in_place(self.path):
+        if (self.path / _COMPLETE).exists():
             raise SurveyError(
                 f"`bathynerf process` was stopped while it put its result into {self.path}; run the same command again"
             )
 
     def result(self) -> dict:
-        """The contents of result.json; see `survey.run.result.read_record`."""
-        return result.read_record(self.path)
+        """The contents of result.json: ``quality``, ``finished``, ``stages`` (name to folder), and ``others``.
+
+        ``others`` has the stages of the latest result of each other quality, by quality. Empty without a result.
+        """
+        return read_json_object(self.path / RECORD)
+
+    def _unfinished(self) -> dict[str, list[str]]:
+        """Finished stages of each result that is not finished, by its quality."""
+        return read_json_object(self.path / _UNFINISHED)
 
     def inputs(self) -> ReadFiles:
         """Files of the run that other commands read or must not overwrite."""
-        files = (self.path / name for name in result.NAMES)
+        files = (self.path / name for name in NAMES)
         return ReadFiles.of(*files) + ReadFiles((), (self.stages_path, self.pictures_path, self.sfm_path))
 
     def warn_if_unfinished(self) -> None:
         """Warn where a later `process` began here and did not finish, so that the result is that of the one before."""
-        if result.unfinished(self.path):
+        if self._unfinished():
             current().warn(
                 f"a `bathynerf process` in {self.path} with other settings has not finished; this is the result of "
                 f"{self.result().get('finished')}, with the settings in settings.toml beside it"
             )
 
     def open_result(self, quality: str) -> Path:
-        """An empty folder for a new result of a quality; `publish` puts it in its place."""
+        """An empty folder for a new result of a quality, noted as being worked on; `publish` puts it in its place."""
         folder = self.path / f".result{_PART}"
         with reporting_disk_errors(folder):
-            result.begin(self.path, folder, quality)
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            write_json(self.path / _UNFINISHED, {quality: [], **self._unfinished()})
         self._quality = quality
         return folder
 
@@ -167,11 +188,45 @@ class RunDir:
 
         ``stages`` are the folders of the stages that it was made from, by name.
         """
-        finished = time.strftime("%Y-%m-%d %H:%M:%S")
-        names = {name: place.name for name, place in stages.items()}
         with reporting_disk_errors(self.path):
-            result.publish(self.path, folder, quality=quality, finished=finished, stages=names)
-            result.prune(self.path)
+            record = {
+                "quality": quality,
+                "finished": time.strftime("%Y-%m-%d %H:%M:%S"),
+                "stages": {name: place.name for name, place in stages.items()},
+                "others": results_of_other_qualities(self.result(), quality),
+                "files": [name for name in NAMES if (folder / name).exists()] + [RECORD],
+            }
+            write_json(folder / RECORD, record)
+            folder.rename(self.path / _COMPLETE)
+            self._move_into_place()
+            self._prune()
+
+    def _move_into_place(self) -> None:
+        """Move a complete result to its place, replacing the old one; does nothing without one."""
+        complete = self.path / _COMPLETE
+        # Where the record is gone, everything else has been moved.
+        if (complete / RECORD).exists():
+            new = json.loads((complete / RECORD).read_text(encoding="utf-8"))
+            others = {name: stages for name, stages in self._unfinished().items() if name != new["quality"]}
+            if others:
+                write_json(self.path / _UNFINISHED, others)
+            else:
+                (self.path / _UNFINISHED).unlink(missing_ok=True)
+            for name in NAMES:
+                if (complete / name).exists() or name not in new["files"]:
+                    _remove(self.path / name)
+                if (complete / name).exists():
+                    (complete / name).rename(self.path / name)
+        shutil.rmtree(complete, ignore_errors=True)
+
+    def _prune(self) -> None:
+        """Remove stages that belong neither to the latest result of a quality nor to one that is unfinished."""
+        record = self.result()
+        kept = {name for of in (record["stages"], *record["others"].values()) for name in of.values()}
+        kept |= {name for names in self._unfinished().values() for name in names}
+        for folder in self.stages_path.iterdir():
+            if folder.is_dir() and folder.name[0] != "." and folder.name not in kept:
+                shutil.rmtree(folder, ignore_errors=True)
 
     def finished_stage(self, name: str, key: Key, leaves: Iterable[str] = ()) -> Path | None:
         """The folder of a stage that was finished with this key and has these files; None if there is none."""
@@ -185,13 +240,9 @@ class RunDir:
         return read_json_object(max(found, key=lambda path: path.stat().st_mtime)) if found else {}
 
     def recompute_reason(self, name: str, key: Key) -> str | None:
-        """Reason why a stage is computed again, in words; None if it never was.
-
-        The finished result of this stage that has most in common with the key shows what changed.
-        """
+        """Reason why a stage is computed again, in words; None if it never was."""
         records = [_record(folder) for folder in self.stages_path.glob(f"{name}-*")]
-        found = [key.changes_from(record["parts"]) for record in records if isinstance(record.get("parts"), dict)]
-        return key.sentence_of(min(found, key=len)) if found else None
+        return key.reason(record["parts"] for record in records if isinstance(record.get("parts"), dict))
 
     def open_stage(self, name: str) -> Path:
         """A fresh folder for a stage to work in; `finish_stage` gives it its place."""
@@ -219,7 +270,10 @@ class RunDir:
             shutil.rmtree(place, ignore_errors=True)
             temp.rename(place)
         if self._quality is not None:
-            result.note_finished(self.path, self._quality, place.name)
+            # Kept for when the work goes on.
+            others = self._unfinished()
+            finished = [*others.get(self._quality, []), place.name]
+            write_json(self.path / _UNFINISHED, others | {self._quality: finished})
         return place
 
     def load_stage(self, name: str) -> Path:
@@ -251,13 +305,22 @@ class RunDir:
 
     def _remove_parts(self) -> None:
         """Remove what a run that was killed, or failed, left unfinished: folders of stages and half-written files."""
-        for folder in self.stages_path.glob(f".*{_PART}"):
-            shutil.rmtree(folder, ignore_errors=True)
-        for part in self.path.glob(f".*{_PART}"):
-            if part.is_dir():
-                shutil.rmtree(part, ignore_errors=True)
-            else:
-                part.unlink(missing_ok=True)
+        for part in (*self.stages_path.glob(f".*{_PART}"), *self.path.glob(f".*{_PART}")):
+            with suppress(OSError):
+                _remove(part)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def results_of_other_qualities(record: Mapping, quality: str) -> dict[str, dict[str, str]]:
+    """Stages of the latest result of each quality but one, by quality, by the record of the result before."""
+    before = {record["quality"]: record["stages"]} if record else {}
+    return {of: stages for of, stages in ({**record.get("others", {})} | before).items() if of != quality}
 
 
 def _record(folder: Path) -> dict:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fields.sweep.kernels.arrays import release
 from fields.sweep.maps import Sources
@@ -17,9 +16,9 @@ from survey.errors import SurveyError
 from survey.photos.images import ImageStore
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
 from survey.plan.sweep_block import camera_of, cameras_of_block, load_block
+from survey.run.keys import PARTS, colour_of
 from survey.run.stored import ArrayFiles
 from survey.run.windows import BedSearch, Outlines
-from survey.settings.water import WaterColour, WaterConfig
 from survey.stage_key import stage_key
 
 if TYPE_CHECKING:
@@ -42,6 +41,10 @@ class Job:
     in ``workspace``; photographs that do not stay in memory lie in ``scratch``, which tiles need.
     """
 
+    survey: Survey
+    chosen: Choices
+    plan: Plan
+
     def __init__(
         self,
         survey: Survey,
@@ -54,7 +57,12 @@ class Job:
     ):
         self.survey, self.chosen, self.plan, self.progress = survey, chosen, plan, progress
         self.workspace, self.scratch = workspace, scratch
-        self.survey_job: Job = self  # Of a tile the job of the whole survey
+        # Of a tile the job of the whole survey, the camera of a whole photograph, the rectangle of its points in the
+        # frame of the survey, and whether it has a local frame of its own.
+        self.survey_job: Job = self
+        self.whole_camera: PinholeCamera | None = None
+        self.cell: Area | None = None
+        self.has_frame = False
         # Set when a wait for kernels begins that is long enough for another thread to hold the GIL.
         self.waits_for_kernels = Event()
         self.bed_search: BedSearch | None = None  # Once heights and photographs of the search are known
@@ -67,10 +75,12 @@ class Job:
 
     def use_survey(self, survey: Survey) -> None:
         """Replace the survey by one of the same photographs, e.g. with adjusted water."""
-        before = self._hashes_of_rays()
+        # What determines the rays of the photographs and the search volume.
+        names = ("cameras", "water", "size", "device", "heights")
+        before = [self.hash_of_part(name) for name in names]
         self.survey = survey
         self.plan = self.plan.again(survey, self.chosen)
-        if self._hashes_of_rays() != before:
+        if [self.hash_of_part(name) for name in names] != before:
             for name in ("block", "bound", "cameras", "outlines"):
                 self.__dict__.pop(name, None)
 
@@ -83,10 +93,6 @@ class Job:
     def stage_name(self, name: str) -> str:
         """The name of a stage of the job."""
         return name
-
-    def _hashes_of_rays(self) -> list[str]:
-        """Inputs that determine the rays of the photographs and the search volume."""
-        return [self.hash_of_part(name) for name in ("cameras", "water", "size", "device", "heights")]
 
     @cached_property
     def photographs(self) -> ImageStore:
@@ -107,11 +113,6 @@ class Job:
     def cameras(self) -> list[PinholeCamera]:
         """Cameras of the block, at the scale of the plan."""
         return cameras_of_block(self.survey, self.plan)
-
-    @property
-    def whole_camera(self) -> PinholeCamera | None:
-        """Camera of a whole photograph, where those of the block are windows."""
-        return None
 
     @cached_property
     def outlines(self) -> Outlines:
@@ -148,19 +149,14 @@ class Job:
         return False
 
     @property
-    def cell(self) -> Area | None:
-        """Rectangle of the points of a tile in the frame of the survey; None in one piece."""
-        return None
-
-    @property
-    def has_frame(self) -> bool:
-        """Whether the local frame is another than that of the survey."""
-        return False
+    def area(self) -> Area | None:
+        """Rectangle (x0, y0, x1, y1) [m], local, that is wanted; None for all."""
+        return local_area(self.survey)
 
     @property
     def ground(self) -> Area | None:
-        """Rectangle (x0, y0, x1, y1) [m], local, of the points that are wanted; None for all."""
-        area = local_area(self.survey)
+        """The same with a margin, for the points."""
+        area = self.area
         return None if area is None else grown(area, AREA_MARGIN_M)
 
     @property
@@ -196,7 +192,7 @@ class Job:
         )
 
     def hash_of_part(self, name: str) -> str:
-        """The hash of a part of the job that stages depend on; the names are those in `survey.run.keys`.
+        """The hash of a part of the job that stages depend on, by its name in `survey.run.keys.PARTS`.
 
         Each part is hashed once for a survey and a plan: thousands of cameras take a tenth of a second.
         """
@@ -218,44 +214,5 @@ class Job:
             for view in views
         }
 
-    def _part(self, name: str):
-        survey, plan, departure = self.survey, self.plan, self.survey.observations.departure
-        parts = {
-            "photographs": lambda: [self.hashes[view.name] for view in survey.views],
-            "cameras": lambda: [(view.name, view.camera, view.lens) for view in survey.views],
-            "water": lambda: survey.water if departure is None else (survey.water, departure.points, departure.stds),
-            "water_settings": lambda: (_without_colour(survey.config.water), survey.observations.tide),
-            "heights": lambda: self.limits,
-            "area": lambda: local_area(survey),
-            "tiles": lambda: self.plan.tiling,
-            "frame": lambda: survey.frame,
-            "name": lambda: survey.name,
-            "size": lambda: plan.image_scale,
-            "gsd": lambda: plan.gsd_m,
-            "refined": lambda: plan.solves,
-            "coverage": lambda: plan.recipe.times_seen,
-            "boxes": lambda: plan.boxes,
-            "rays": lambda: (plan.field, plan.recipe.rays_per_cell),
-            "device": lambda: plan.device,
-            "ties": lambda: survey.observations.ties,
-            "priors": lambda: (
-                dict(survey.observations.priors),
-                survey.config.cameras,
-                survey.provenance.contradiction,
-            ),
-            "control": lambda: (survey.observations.control, survey.observations.ground),
-            "freed": lambda: self.chosen.calibrate_water,
-            "water_colour": lambda: colour_of(survey),
-            "true_colour": lambda: colour_of(survey) if self.chosen.true_colour else None,
-        }
-        return parts[name]()
-
-
-def colour_of(survey: Survey) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
-    """Absorption [1/m] and veiling light (linear, 1 for white) of red, green and blue; None where not known."""
-    water = survey.config.water
-    return (None, None) if water is None else (water.colour.absorption_per_m, water.colour.veiling_light)
-
-
-def _without_colour(water: WaterConfig | None) -> WaterConfig | None:
-    return None if water is None else replace(water, colour=WaterColour())
+    def _part(self, name: str) -> Any:
+        return PARTS[name][1](self)

@@ -16,8 +16,8 @@ from pathlib import Path
 from fields.models import IN_LAYER
 from survey.plan.tile_choice import SHARED
 from survey.run.folder import RunDir
-from survey.run.job import Job, colour_of
-from survey.run.keys import Key
+from survey.run.job import Job
+from survey.run.keys import Key, colour_of
 from survey.run.merged import join_solved, join_sweeps
 from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
 from survey.run.stage_adjust import MISFIT, adjust_block, check_poses, use_adjustment, use_misfit
@@ -29,7 +29,6 @@ from survey.run.stage_sweep import CONSISTENCY, MAPS, SATURATED, sweep_views
 from survey.run.stage_sweep import FILES as SWEEP_FILES
 from survey.run.stage_water_colour import COLOUR_FILE, estimate_colour, use_colour
 from survey.run.stored import FIELD_FILES
-from survey.stage_key import code_hash
 
 Compute = Callable[["Job", Path, Mapping[str, Path]], None]
 
@@ -40,7 +39,7 @@ class Stage:
 
     name: str
     needs: tuple[str, ...]  # Stages whose results it reads; those that a run leaves out are left out here too
-    depends_on: tuple[str, ...]  # Parts of the job that decide its result; see `Job.hash_of_part`
+    depends_on: tuple[str, ...]  # Parts of the job that decide its result: `survey.run.keys.PARTS`
     files: tuple[str, ...]  # Files in its folder
     # callable: gets the job, the folder to write to, and the folders of the stages that it needs, by name
     compute: Compute
@@ -60,9 +59,9 @@ class Stage:
 
     def key(self, job: Job, folders: Mapping[str, Path]) -> Key:
         """Dependencies of the result, given the folders of the stages that it reads."""
-        parts = {name: job.hash_of_part(name) for name in self.depends_on}
+        parts = {name: job.hash_of_part(name) for name in (*self.depends_on, "code")}
         # The name of a stage's folder ends in the hash of all that it depends on.
-        return Key(parts | {name: place.name for name, place in folders.items()} | {"code": code_hash()})
+        return Key(parts | {name: place.name for name, place in folders.items()})
 
 
 def run_stage(stage: Stage, job: Job, run: RunDir, done: Mapping[str, Path], *, resume: bool) -> Path:

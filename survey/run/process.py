@@ -30,9 +30,9 @@ from survey.run.aim import plan_for_aim
 from survey.run.execution import run_stages
 from survey.run.folder import RunDir
 from survey.run.job import Job
+from survey.run.owner import Owner
 from survey.run.remote_run import RemoteRun
 from survey.run.repeat import Truth
-from survey.run.result import Owner
 from survey.run.start_workers import WorkerNeeds, workers_for
 from survey.settings.config import SurveyConfig, settings_of
 from survey.settings.tables import ProcessConfig

@@ -21,10 +21,9 @@ from geo.files import reporting_disk_errors, write_text
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object, write_json
 from survey.files.remote import Remote, files_below
-from survey.run import result
-from survey.run.folder import MARKER, STAGE_RECORD, RunDir
+from survey.run.folder import MARKER, NAMES, RECORD, STAGE_RECORD, RunDir, results_of_other_qualities
 from survey.run.keys import Key
-from survey.run.result import Owner
+from survey.run.owner import Owner
 from survey.words import SFM_FOLDER
 
 _STAGES, _LOG = "stages", "log.txt"
@@ -173,22 +172,22 @@ class RemoteRun(RunDir):
 
     def publish(self, folder: Path, *, quality: str, stages: dict[str, Path]) -> None:
         """As `RunDir.publish`, at the URL too."""
-        before = self._read_json(result.RECORD)
+        before = self._read_json(RECORD)
         super().publish(folder, quality=quality, stages=stages)
-        record = read_json_object(self.path / result.RECORD)
+        record = read_json_object(self.path / RECORD)
         # Results of other qualities may be from another machine, and later than those here.
-        record["others"] |= result.results_of_other_qualities(before, quality)
+        record["others"] |= results_of_other_qualities(before, quality)
         self._put_missing_stages(record)
-        write_json(self.path / result.RECORD, record)
-        self.remote.remove([result.RECORD])
-        names = [name for name in record["files"] if name != result.RECORD]
+        write_json(self.path / RECORD, record)
+        self.remote.remove([RECORD])
+        names = [name for name in record["files"] if name != RECORD]
         for name in names:
             place = self.path / name
             if place.is_dir():
                 self.remote.put_folder(place, name)
         self.remote.put({name: self.path / name for name in names if (self.path / name).is_file()})
         self._remove_from_url(record)
-        self.remote.put({result.RECORD: self.path / result.RECORD})
+        self.remote.put({RECORD: self.path / RECORD})
 
     def _read_json(self, name: str) -> dict:
         """An object at the URL; empty where it is not there or not whole."""
@@ -223,6 +222,6 @@ class RemoteRun(RunDir):
             if first == _STAGES and parts[0] not in kept:
                 # The record first, as where a stage is put again.
                 gone |= dict.fromkeys((f"{_STAGES}/{parts[0]}/{STAGE_RECORD}", f"{_STAGES}/{parts[0]}"))
-            elif first in result.NAMES and name not in own_names:
+            elif first in NAMES and name not in own_names:
                 gone[name] = None
         self.remote.remove(gone)

@@ -35,7 +35,7 @@ from survey.errors import SurveyError
 from survey.photos.intersection import equations_of_lines
 from survey.plan.area import inside
 from survey.progress import shares
-from survey.run.job import colour_of
+from survey.run.keys import colour_of
 from survey.run.points import adjustment_of, bed_points, is_placed, with_std_of_block
 from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import KEPT, MAPS

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from survey.progress import Progress, Step
 
 # Parts of a job that a tile takes from the survey as they are.
-_OF_SURVEY = ("name", "water_settings", "ties", "priors", "control", "freed", "water_colour", "true_colour")
+_OF_SURVEY = ("name", "water_settings", "ties", "priors", "control", "freed", "water_colour", "true_colour", "code")
 
 
 class TileJob(Job):
@@ -53,11 +53,9 @@ class TileJob(Job):
             raise ValueError("expected a job with tiles")
         self.survey_job, self.number, self.bed_search, self._tiling = survey_job, number, found, tiling
         survey, self._moved = survey_job.survey, None
-        if has_frames(tiling):
-            frame, ground = (
-                frame_of_tile(survey.frame, tiling, number),
-                tiling.ground(number, 0.0),
-            )
+        self.whole_camera, self.cell, self.has_frame = survey_job.cameras[0], tiling.cell(number), has_frames(tiling)
+        if self.has_frame:
+            frame, ground = frame_of_tile(survey.frame, tiling, number), tiling.ground(number, 0.0)
             self._moved = frame.from_frame(survey.frame)
             survey = survey_in_frame(survey, frame, grown(ground, max(survey_job.plan.footprint_m)))
         survey, (lowest, highest) = over_own_plane(survey, self.ground)
@@ -107,20 +105,10 @@ class TileJob(Job):
         return f"{name}_tile{self.number + 1}"
 
     @property
-    def whole_camera(self) -> PinholeCamera:
-        """Camera of a whole photograph, at the size that is worked on."""
-        return self.survey_job.cameras[0]
-
-    @property
     def views_to_match(self) -> list[int]:
         """Views of the whole survey that show the tile, by their numbers here."""
         number_of = {window.view: number for number, window in enumerate(self.windows)}
         return [number_of[view] for view in self.bed_search.views if view in number_of]
-
-    @property
-    def cell(self) -> Area:
-        """Rectangle of the points of the tile in the frame of the survey; `Tiling.cell`."""
-        return self._tiling.cell(self.number)
 
     @property
     def ground(self) -> Area:
@@ -130,12 +118,7 @@ class TileJob(Job):
     @property
     def own_ground(self) -> Area:
         """Rectangle that holds the points of the tile, in its frame."""
-        return self._in_frame(self.cell)
-
-    @property
-    def has_frame(self) -> bool:
-        """Whether the local frame is another than that of the survey."""
-        return self._moved is not None
+        return self._in_frame(self._tiling.cell(self.number))
 
     def _in_frame(self, area: Area) -> Area:
         return area if self._moved is None else area_in_frame(area, self._moved)

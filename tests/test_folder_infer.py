@@ -12,7 +12,7 @@ from small_survey import LEVEL, camera_lines, replaced, small_survey, write_imag
 
 from refract.lens import Lens
 from survey.errors import ConfigError, PosesError
-from survey.folder.infer import NO_WATER, image_folder_of
+from survey.folder.found import NO_WATER, image_folder_of
 from survey.folder.survey import load_survey
 from survey.photos.exif import Exif
 from survey.sfm.gps import gps_positions

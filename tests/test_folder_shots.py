@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 import pytest
 from small_survey import write_image
 
-from survey.folder.shots import shot_warnings
+from survey.folder.headers import header_warnings
 from survey.photos.exif import read_exif
 from survey.settings.config import SurveyConfig, parse_config
 
@@ -42,7 +42,7 @@ def shots(header, endings, *, num=6, clocks=True, lag_s=0.2):
     ],
 )
 def test_shots_of_several_cameras_are_named_with_their_endings(header, endings, words, clocks):
-    (said,) = shot_warnings(SurveyConfig(), shots(header, endings, clocks=clocks, lag_s=0.0))
+    (said,) = header_warnings(SurveyConfig(), shots(header, endings, clocks=clocks, lag_s=0.0))
     assert said.startswith("each shot has photographs of several cameras: ")
     for part in words:
         assert part in said
@@ -52,13 +52,13 @@ def test_shots_of_several_cameras_are_named_with_their_endings(header, endings, 
     "endings", [{"": (4000, 3000)}, {"_left": (4000, 3000), "_right": (4000, 3000)}]
 )  # fmt: skip
 def test_one_camera_and_rigs_of_equal_ones_are_not(header, endings):
-    assert shot_warnings(SurveyConfig(), shots(header, endings)) == []
+    assert header_warnings(SurveyConfig(), shots(header, endings)) == []
 
 
 def test_two_cameras_of_two_flights_are_not(header):
     first, second = shots(header, {"_A": (4000, 3000)}), shots(header, {"_B": (5000, 4000)})
     later = {name: replace(one, clock=one.clock + timedelta(hours=1)) for name, one in second.items()}
-    assert shot_warnings(SurveyConfig(), first | later) == []
+    assert header_warnings(SurveyConfig(), first | later) == []
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,7 @@ def test_days_under_one_level_are_said(header, hours, toml, num_days):
     second = {
         f"b/{name}": replace(one, clock=one.clock + timedelta(hours=hours)) for name, one in list(first.items())[:4]
     }
-    said = shot_warnings(parse_config(toml), first | second)
+    said = header_warnings(parse_config(toml), first | second)
     assert len(said) == (num_days > 0)
     if said:
         day = (START + timedelta(hours=hours)).strftime("%Y-%m-%d")

@@ -11,7 +11,7 @@ from small_survey import CRS, E0, LEVEL, N0, TOML, camera_lines, replaced, small
 from geo.errors import GeoError, MissingVerticalDatum
 from refract.media import converted_index
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
-from survey.folder.infer import NO_WATER
+from survey.folder.found import NO_WATER
 from survey.folder.survey import load_survey
 from survey.photos.images import LUMA, load_image
 from survey.settings.config import dump_config, parse_config

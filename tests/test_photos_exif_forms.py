@@ -11,12 +11,13 @@ import pytest
 from PIL import ExifTags, Image
 from PIL.TiffImagePlugin import IFDRational
 
-from survey.folder.found import head_warnings
+from survey.folder.headers import header_warnings
 from survey.photos.exif import read_exif, without_void_fixes
 from survey.photos.exif_position import altitude_reference, focal_px, focal_warning, position_of_gps
 from survey.photos.xmp import height_datum, rtk_of, xmp_place
+from survey.settings.config import SurveyConfig
 
-GPS = ExifTags.GPS
+GPS, NOTHING = ExifTags.GPS, SurveyConfig()
 LAT, LON = -33.8567844, -151.2152967
 XMP = (
     "<x:xmpmeta xmlns:x={q}adobe:ns:meta/{q}><rdf:RDF><rdf:Description drone-dji:GpsLatitude={q}-33.85678441{q} "
@@ -83,7 +84,7 @@ def test_a_position_without_its_hemisphere_is_none_and_that_is_said(head, missin
     gps = {tag: each for tag, each in gps_of().items() if tag != missing} | ({} if value is None else {missing: value})
     found = head(gps)
     assert found.lat_lon_height is None
-    (warning,) = head_warnings({"a.jpg": found})
+    (warning,) = header_warnings(NOTHING, {"a.jpg": found})
     assert "'s reference (" in warning
     assert head(gps, xmp=XMP.format(q='"')).lat_lon_height == (-33.85678441, -151.21529672, 12.5)
 
@@ -289,7 +290,8 @@ def test_a_position_on_another_datum_is_named(head, datum):
     found = head(gps_of() | {GPS.GPSMapDatum: datum})
     assert found.gps_datum == datum
     assert any(
-        f"on {datum} by EXIF or XMP, which is taken as WGS 84" in said for said in head_warnings({"a.jpg": found})
+        f"on {datum} by EXIF or XMP, which is taken as WGS 84" in said
+        for said in header_warnings(NOTHING, {"a.jpg": found})
     )
     assert head(gps_of(), xmp='<x Camera:HorizCS="EPSG:2056"/>').gps_datum == "EPSG:2056"
 
@@ -327,12 +329,12 @@ def test_positions_that_a_receiver_calls_void_count_only_where_there_are_no_othe
     among = without_void_fixes({"a": void, "b": valid})
     assert among["a"].lat_lon_height is None
     assert among["b"] == valid
-    assert any("GPSStatus is V" in line and "not used" in line for line in head_warnings(among))
+    assert any("GPSStatus is V" in line and "not used" in line for line in header_warnings(NOTHING, among))
     others = without_void_fixes({"a": void, "b": void, "c": valid, "d": replace(void, serial="2"), "e": void})
     assert all(each.lat_lon_height is not None for each in others.values())
     alone = without_void_fixes({"a": void})
     assert alone["a"].lat_lon_height is not None
-    assert any("GPSStatus is V" in line and "is used" in line for line in head_warnings(alone))
+    assert any("GPSStatus is V" in line and "is used" in line for line in header_warnings(NOTHING, alone))
 
 
 @pytest.mark.parametrize(

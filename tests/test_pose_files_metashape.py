@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from geo.errors import CRSMismatch
 from survey.errors import PosesError
-from survey.folder.infer import NO_WATER
+from survey.folder.found import NO_WATER
 from survey.folder.pose_priors import BY_FILE
 from survey.plan.check import check_survey
 from survey.plan.decisions import pose_choice

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from drawn_runs import drawn, process_quietly
 
-from survey.run.earlier_level import MOST_RAISED_M
+from survey.run.execution import MOST_RAISED_M
 from survey.run.folder import RunDir
 from survey.run.stored import StoredBed, load_bed
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geo.similarity import robust_similarity
-from survey.folder.positions import position_warnings
+from survey.folder.headers import position_warnings
 from survey.photos.exif import Exif
 from survey.sfm.gps_fit import is_contradicted, line_of
 
@@ -143,66 +143,11 @@ def test_two_flying_heights_are_no_doubt(rng):
     assert position_warnings(headers(positions)) == []
 
 
-def flown(kind: str, seed: int) -> np.ndarray:
-    """Places (N, 3) [m] of flights as they are: with turns, standing still, or by hand."""
-    rng = np.random.default_rng(seed)
-    num, k = int(rng.integers(8, 60)), np.arange(60)
-    if kind == "strips":
-        per, across = rng.integers(4, 10), rng.uniform(5.0, 60.0)
-        along = np.where(k // per % 2, per - 1 - k % per, k % per) * rng.uniform(3.0, 15.0)
-        plan = np.stack([along, k // per * across], axis=1)
-    elif kind == "orbit":
-        plan = rng.uniform(10.0, 60.0) * np.stack([np.cos(0.3 * k), np.sin(0.3 * k)], axis=1)
-    elif kind == "hovering":
-        plan = np.repeat(rng.uniform(-80.0, 80.0, (12, 2)), 5, axis=0)
-    else:
-        heading, step = np.cumsum(rng.normal(0.0, 0.7, 60)), rng.lognormal(1.5, 0.8, 60)
-        plan = np.cumsum(step[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1), axis=0)
-    plan = plan[:num] + rng.normal(0.0, 0.5, (num, 2))
-    return np.column_stack([plan, 100.0 + rng.normal(0.0, 0.3, num)])
-
-
-@pytest.mark.parametrize("kind", ["strips", "orbit", "hovering", "by hand"])
-@pytest.mark.parametrize("seed", range(10))
-def test_turns_and_stops_are_no_doubt(kind, seed):
-    assert position_warnings(headers(flown(kind, seed))) == []
-
-
 def serpentine(rng) -> np.ndarray:
     """Places (20, 3) [m] of two strips that are flown one after the other."""
     k = np.arange(20)
     plan = np.stack([np.where(k < 10, k, 19 - k) * 6.0, k // 10 * 18.0], axis=1)
     return np.column_stack([plan, np.full(20, 30.0)]) + rng.normal(0.0, 0.1, (20, 3))
-
-
-# At the turn between the only two strips nothing says how far they are apart.
-@pytest.mark.parametrize("which", [*range(1, 9), *range(11, 19)])
-@pytest.mark.parametrize("off", [(30.0, 0.0), (0.0, 30.0), (-20.0, 20.0)])
-def test_a_place_off_the_line_of_flight_is_named_though_others_are_near(rng, which, off):
-    positions = serpentine(rng)
-    positions[which, :2] += off
-    (warning,) = position_warnings(headers(positions))
-    assert warning.startswith("1 image off the line of flight by its GPS position")
-    assert f"{which:04d}.jpg" in warning
-
-
-def test_a_flight_off_and_back_for_one_photograph_is_no_doubt_where_clocks_tell_it(rng):
-    positions = serpentine(rng)
-    positions[8, :2] += [0.0, 35.0]
-    given = headers(positions)
-    begin, seconds = datetime(2026, 5, 1, 10, 0), np.cumsum([2.0] * 8 + [20.0, 20.0] + [2.0] * 10)
-
-    def at(seconds):
-        return {
-            name: replace(head, clock=begin + timedelta(seconds=float(s)))
-            for (name, head), s in zip(given.items(), seconds, strict=True)
-        }
-
-    assert position_warnings(at(seconds)) == []
-    assert "0008.jpg" in position_warnings(at(2.0 * np.arange(20)))[0]
-    # Names that say nothing of the order.
-    shuffled = dict(rng.permutation(np.array(list(at(2.0 * np.arange(20)).items()), dtype=object)))
-    assert "0008.jpg" in position_warnings(shuffled)[0]
 
 
 @pytest.mark.parametrize("same", [[3, 9], [3, 4, 5], range(20)])
@@ -217,11 +162,11 @@ def test_photographs_with_one_position_are_named(rng, same):
         assert warning.endswith(": " + ", ".join(f"{i:04d}.jpg" for i in same[1:]))
 
 
-def taken(positions: np.ndarray, seconds: np.ndarray, **changes) -> dict[str, Exif]:
+def taken(positions: np.ndarray, seconds: np.ndarray) -> dict[str, Exif]:
     """Heads of photographs at some seconds."""
     begin = datetime(2026, 5, 1, 10, 0)
     return {
-        name: replace(head, clock=begin + timedelta(seconds=float(s)), **changes)
+        name: replace(head, clock=begin + timedelta(seconds=float(s)))
         for (name, head), s in zip(headers(positions).items(), seconds, strict=True)
     }
 
@@ -230,9 +175,3 @@ def taken(positions: np.ndarray, seconds: np.ndarray, **changes) -> dict[str, Ex
 def test_photographs_of_a_rig_or_of_bands_are_taken_at_one_position_and_no_doubt(rng, of_each):
     positions = np.repeat(serpentine(rng), of_each, axis=0)
     assert position_warnings(taken(positions, np.repeat(2.0 * np.arange(20), of_each))) == []
-
-
-def test_two_aircraft_in_the_air_at_once_are_no_doubt(rng):
-    one = taken(serpentine(rng), 2.0 * np.arange(20), serial="a")
-    far = taken(np.add(serpentine(rng), [0.0, 300.0, 0.0]), 2.0 * np.arange(20) + 1.0, serial="b")
-    assert position_warnings(one | {f"b/{name}": head for name, head in far.items()}) == []

@@ -1,11 +1,8 @@
-"""Contents of a survey folder: settings, image headers, poses file, and the files that no result may overwrite.
-
-Image headers are checked here as well: rotation, several pages.
-"""
+"""Contents of a survey folder: settings, image headers, poses file, and the files that no result may overwrite."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -14,19 +11,16 @@ from pyproj import CRS
 from geo.area_of_use import require_at
 from geo.crs import EGM96_HEIGHT, height_unit_m, parse_crs
 from geo.operations import use_grids
-from survey.display.quantities import named
 from survey.errors import FILE_NAME, ConfigError, Findings, PosesError, SurveyError
 from survey.files.entries import require_plain_entries
 from survey.files.outputs import ReadFiles
 from survey.files.remote import is_url
-from survey.folder import infer
 from survey.folder.control import FoundControl, find_control
-from survey.folder.geo_txt import find_geo_txt, with_positions
-from survey.folder.positions import position_warnings
-from survey.folder.shots import shot_warnings
+from survey.folder.geo_txt import find_geo_txt
+from survey.folder.headers import header_warnings, read_headers
 from survey.folder.unused_keys import Circumstances, unused_keys
-from survey.photos.exif import SUFFIXES, Exif, exif_places, position_sources, read_exif, utm_code_of, without_void_fixes
-from survey.photos.images import fetch_images, list_images, same_files
+from survey.photos.exif import SUFFIXES, Exif, exif_places, position_sources, utm_code_of
+from survey.photos.images import fetch_images, list_images, photographs_below, same_files
 from survey.photos.names import ImageNames
 from survey.pose_files import find_poses, find_unread, pose_files, read_poses
 from survey.settings.config import ImagesConfig, SurveyConfig, settings_of
@@ -40,6 +34,10 @@ from survey.words import GCP_LIST
 MIN_VIEWS = 2
 # Folder of a survey for geoid grids.
 GRIDS_FOLDER = "geoid"
+NO_WATER = (
+    "no water was given, rays were not bent; ground under water lies about a quarter of its depth too high; write "
+    f"[water] level_m in {FILE_NAME}, or dry = true, above its first table, where no ground is under water"
+)
 
 
 @dataclass(frozen=True)
@@ -75,6 +73,19 @@ def require_survey_folder(folder: str | Path) -> Path:
         raise SurveyError(f"the survey folder {folder} {what}; expected a folder with photographs")
     require_plain_entries(folder)
     return folder
+
+
+def image_folder_of(folder: Path) -> str:
+    """Where photographs lie in a folder: in images/, in it itself, or in the one folder below it that has some."""
+    if (folder / "images").is_dir():
+        return "images"
+    if any(path.suffix.lower() in SUFFIXES for path in folder.iterdir()):
+        return "."
+    places = photographs_below(folder)
+    if len(places) == 1:
+        return next(iter(places))
+    found = f"photographs in {', '.join(places)}" if places else "no photographs"
+    raise ConfigError(f"{folder} has {found} and no {FILE_NAME}; put those of the survey into {folder / 'images'}")
 
 
 def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
@@ -116,26 +127,17 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     return replace(found, findings=findings)
 
 
-def read_headers(folder: Path, place: Path, images: Mapping[str, Path]) -> tuple[dict[str, Exif], Findings]:
-    """EXIF of the photographs in a place of a survey folder, with the positions of a table where there is one."""
-    headers, findings = {name: read_exif(path) for name, path in images.items()}, Findings()
-    if (table := find_geo_txt(folder, place)) is not None:
-        headers, findings = with_positions(table, headers)
-    return without_void_fixes(headers), findings
-
-
 def _warnings_of(found: Found, transforms: Sequence[PositionTransform]) -> Iterator[str]:
     """Warnings about photographs, positions and unused settings, before control is read."""
     config, headers = found.config, found.headers
-    yield from head_warnings(headers)
+    yield from header_warnings(config, headers)
     for names in same_files(found.images):
         copies = " and ".join(names[:4])
         yield f"{copies} are copies of one photograph, which agree wherever they are compared: keep one"
-    yield from shot_warnings(config, headers)
     if found.poses_path is None:
         yield from water_place_warnings(found.crs, exif_places(headers), config.water, found.levels)
     if config.water is None and not config.dry:
-        yield infer.NO_WATER
+        yield NO_WATER
     if found.poses_path is None:
         yield from datum_warnings(transforms)
         yield from find_unread(found.folder)
@@ -200,30 +202,6 @@ def below(folder: Path, path: Path | None) -> str:
     return "" if path is None else path.relative_to(folder).as_posix() if path.is_relative_to(folder) else str(path)
 
 
-def head_warnings(headers: Mapping[str, Exif]) -> list[str]:
-    """Warnings about EXIF of the photographs: faulty positions, other datums, rotation, several pages."""
-    num = len(headers)
-    rotated = sum(header.orientation != 1 for header in headers.values())
-    paged = sum(header.has_pages for header in headers.values())
-    warnings = []
-    for fault in dict.fromkeys(header.gps_fault for header in headers.values() if header.gps_fault):
-        without = [name for name, header in headers.items() if header.gps_fault == fault]
-        warnings += named(without, "image", f"without {fault} in EXIF, whose GPS position is not used")
-    void = [name for name, header in headers.items() if header.is_void and header.lat_lon_height is not None]
-    warnings += named(void, "image", "whose receiver had no fix by EXIF (GPSStatus is V), and whose position is used")
-    for datum in dict.fromkeys(header.gps_datum for header in headers.values() if header.gps_datum):
-        such = [name for name, header in headers.items() if header.gps_datum == datum and header.table_place is None]
-        warnings += named(such, "image", f"with a GPS position on {datum} by EXIF or XMP, which is taken as WGS 84")
-    for warning in dict.fromkeys(header.focal_warning for header in headers.values() if header.focal_warning):
-        such = [name for name, header in headers.items() if header.focal_warning == warning]
-        warnings += named(such, "image", f"with {warning}; give [cameras] focal_px if it is known")
-    if rotated:
-        warnings.append(f"EXIF marks {rotated} of {num} images as rotated; pixels and poses are taken as stored")
-    if paged:
-        warnings.append(f"{paged} of {num} images have several pages, of which the first is used; split files of bands")
-    return warnings + position_warnings(headers)
-
-
 def survey_inputs(folder: Path, config: SurveyConfig | None = None) -> ReadFiles:
     """Settings, poses, photographs, masks, control and measured water levels of a survey folder.
 
@@ -231,7 +209,7 @@ def survey_inputs(folder: Path, config: SurveyConfig | None = None) -> ReadFiles
     """
     if not folder.is_dir():
         return ReadFiles()
-    config = config or settings_of(folder) or SurveyConfig(images=ImagesConfig(dir=infer.image_folder_of(folder)))
+    config = config or settings_of(folder) or SurveyConfig(images=ImagesConfig(dir=image_folder_of(folder)))
     named = [folder / FILE_NAME]
     if config.water is not None:
         named += [folder / path for path in config.water.sources.named.values()]

@@ -25,12 +25,12 @@ from survey.folder.faults import (
     start_height_warnings,
 )
 from survey.folder.found import Found, find_survey
+from survey.folder.headers import far_from_others
 from survey.folder.motion import shutter_warnings, velocities_of, with_motion
 from survey.folder.observations import Observations, PlacedViews, Provenance
 from survey.folder.placed_views import shifted_above_water, views_of_file, views_of_photographs
 from survey.folder.plausible import place_warnings, require_plausible
 from survey.folder.pose_priors import common_plan_std
-from survey.folder.positions import far_from_others
 from survey.photos.cameras import View, metres_per_px
 from survey.settings.config import SurveyConfig, WaterConfig
 from survey.water.level import with_level_of_clicks, with_plane_of_surface

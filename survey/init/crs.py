@@ -29,13 +29,14 @@ from geo.transformation import lon_lat
 from survey.control.points import GivenPoint
 from survey.errors import ConfigError, PosesError
 from survey.escaping import printable
-from survey.folder import infer
 from survey.folder.found import Found
 from survey.folder.gps_placement import place_poses
 from survey.folder.pairing import pair
+from survey.folder.plausible import SAME_PLACE_M, distances_to_exif
 from survey.folder.pose_frames import middle_of_geocentric, points_in_crs
 from survey.init.options import InitOptions
 from survey.photos.exif import Exif, middle_of, position_sources, utm_code_of
+from survey.photos.names import ImageNames
 from survey.photos.poses import PoseFile, PoseFrame
 from survey.photos.xmp import ELLIPSOIDAL
 from survey.sfm.datum import area_at, height_transformer
@@ -138,7 +139,7 @@ def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
         code = crs_code(file.crs)
         if code is not None and file.crs.is_projected:
             return code, f"that of the poses, {file.crs.name}"
-    table = infer.table_crs(photographs.headers)
+    table = _table_crs(photographs.headers)
     if table is not None and file is None:
         return table, f"that of {GEO_TXT}"
     if file is None and (by_control := _of_control(photographs)) is not None:
@@ -159,7 +160,7 @@ def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
         return None, "neither the photographs nor their poses tell the coordinate reference system (crs)"
     if file is not None and file.crs is None and file.frame in (PoseFrame.GRID, PoseFrame.ENU):
         crs = CRS(f"EPSG:{zone}+{EGM96_HEIGHT}")
-        if not infer.fits_positions(crs, file, photographs.poses_path, photographs.headers):
+        if not _fits_positions(crs, file, photographs.poses_path, photographs.headers):
             return None, f"{photographs.poses_path} is not in {horizontal_crs(crs).name}, nor says its crs"
     return f"EPSG:{zone}", by
 
@@ -277,3 +278,19 @@ def write_origin(photographs: FolderPhotographs, options: InitOptions, found: Fo
         "zero point of the poses in crs",
         ("Not certain: by GPS positions in EXIF, a few metres. Better the numbers given to model_aligner.",),
     )
+
+
+def _table_crs(headers: Mapping[str, Exif]) -> str | None:
+    """Code of the CRS of the table that gives positions of photographs; None without a table, or of degrees."""
+    table = next((header.table_place.crs for header in headers.values() if header.table_place is not None), None)
+    return None if table is None or not table.is_projected else crs_code(table)
+
+
+def _fits_positions(crs: CRS, file: PoseFile, poses_path: Path | None, headers: Mapping[str, Exif]) -> bool:
+    """Whether poses as coordinates in crs lie at the GPS positions of their photographs."""
+    centres = points_in_crs(file, np.array([pose.centre for pose in file.poses]), crs, "crs")
+    names = ImageNames(headers)
+    image_names = [names.find(pose.name, str(poses_path)) for pose in file.poses]
+    known = {name: centre for name, centre in zip(image_names, centres, strict=True) if name is not None}
+    distances = distances_to_exif(crs, known, headers)
+    return bool(distances.size) and bool(np.median(distances) <= SAME_PLACE_M)

@@ -16,8 +16,8 @@ from survey.errors import FILE_NAME, ConfigError, ControlError, OutputError
 from survey.escaping import printable
 from survey.files.json_values import write_json
 from survey.files.toml_schema import schema_of
-from survey.folder import infer
-from survey.folder.found import Found, find_survey, read_headers, require_survey_folder
+from survey.folder.found import Found, find_survey, image_folder_of, require_survey_folder
+from survey.folder.headers import read_headers
 from survey.folder.sfm_views import require_solvable
 from survey.init.crs import FolderPhotographs, SettingsTable, write_crs, write_origin
 from survey.init.options import InitOptions
@@ -107,7 +107,7 @@ def draft(folder: Path, options: InitOptions) -> str:
         SettingsTable(name) for name in ("", "images", "cameras", "water", "control", "area", "local")
     )
     top.set("name", printable(folder.resolve().name))
-    place = infer.image_folder_of(folder)
+    place = image_folder_of(folder)
     found = list_images(folder / place, deep=place != ".")
     if place != "images":
         images.set("dir", place, f"{len(found)} photographs")

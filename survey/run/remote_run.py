@@ -42,7 +42,7 @@ class RemoteRun(RunDir):
         self.remote = remote
         self._is_claimed, self._has_put_poses = False, False
         # Folders at the URL where workers have left stages, by the names of these with their keys.
-        self.results_of_workers: dict[str, str] = {}
+        self._results_of_workers: dict[str, str] = {}
         # Marks at the URL that the result of this run removes.
         self._marks: set[str] = set()
 
@@ -137,6 +137,13 @@ class RemoteRun(RunDir):
             self.remote.remove([name, SFM_FOLDER])
             self.remote.put_folder(self.sfm_path, SFM_FOLDER, last=_SOLVED)
 
+    def fetched_stage(self, name: str, key: Key, place: str) -> Path:
+        """The folder of `open_stage` with a stage that a worker has left at a place at the URL."""
+        folder = self.open_stage(name)
+        self.remote.fetch_folder(place, folder)
+        self._results_of_workers[self.place(name, key).name] = place
+        return folder
+
     def finish_stage(self, name: str, key: Key, temp: Path, seconds: float | None = None) -> Path:
         """As `RunDir.finish_stage`, at the URL too."""
         folder = super().finish_stage(name, key, temp, seconds)
@@ -160,7 +167,7 @@ class RemoteRun(RunDir):
     def _put_stage(self, folder: Path) -> None:
         self._mark_at_url(folder.name)
         place = f"{_STAGES}/{folder.name}"
-        left = self.results_of_workers.pop(folder.name, None)
+        left = self._results_of_workers.pop(folder.name, None)
         # Where it is put again, or what an interrupted put has left; the record first: half a stage is none.
         self.remote.remove([f"{place}/{STAGE_RECORD}", place])
         if left is None:

@@ -12,8 +12,7 @@ from small_survey import TOML, small_survey
 
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.folder.survey import Survey, load_survey
-from survey.plan.decisions import Decision
-from survey.plan.plan import Plan
+from survey.plan.plan import Decision, Plan
 from survey.report import ReportFacts, write_report
 from survey.report.facts import Gate, RunVerdict
 from survey.run.folder import RunDir

@@ -18,8 +18,7 @@ from survey.adjust.result.adjustment import MOST_SIGMAS_OF_FOUR
 from survey.errors import GivenValueTest, SurveyError
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
-from survey.plan.decisions import pose_choice
-from survey.plan.plan import make_plan
+from survey.plan.plan import make_plan, pose_choice
 from tests.block_survey import ORIGIN, survey_of, with_water
 from tests.changed_survey import changed
 from tests.drawn_block import DrawnBlock, draw_block

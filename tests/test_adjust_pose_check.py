@@ -15,7 +15,7 @@ from survey.adjust.parameter_tests import misfit
 from survey.adjust.pose_check import SAMPLE, _of_middle
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
-from survey.plan.decisions import MOST_MISFIT_PX, pose_choice
+from survey.plan.plan import MOST_MISFIT_PX, pose_choice
 from survey.run.stage_adjust import MISFIT, use_misfit
 from tests.changed_survey import changed
 

@@ -31,7 +31,7 @@ from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import load_survey
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
-from survey.plan.decisions import pose_choice
+from survey.plan.plan import pose_choice
 from survey.settings.water import LevelRate
 from survey.water.tides import Tide
 from tests.block_state import state_of

@@ -33,9 +33,8 @@ from survey.photos.poses import PoseFrame
 from survey.photos.rotations import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.plan.check import check_survey, require_processable
 from survey.plan.choices import Choices
-from survey.plan.decisions import pose_choice, require_placeable
 from survey.plan.heights import dry_ground
-from survey.plan.plan import make_plan
+from survey.plan.plan import make_plan, pose_choice, require_placeable
 from survey.plan.recipe import RECIPES
 from survey.pose_files import read_poses
 from survey.words import Quality

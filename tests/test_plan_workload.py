@@ -19,9 +19,17 @@ from survey.plan.area import local_area
 from survey.plan.check import check_survey
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
-from survey.plan.rates import SFM_PARTS, Amounts, parts_s, sfm_s
 from survey.plan.sweep_block import camera_of
-from survey.plan.workload import Workload, require_room, workload_of, workload_of_images
+from survey.plan.workload import (
+    SFM_PARTS,
+    Amounts,
+    Workload,
+    parts_s,
+    room_warnings,
+    sfm_s,
+    workload_of,
+    workload_of_images,
+)
 
 GIGA = 1e9
 
@@ -147,21 +155,21 @@ def test_what_an_earlier_run_left_counts_as_room(tmp_path, monkeypatch):
     workload = Workload(3, 3, None, 2, 0, 2000)
     monkeypatch.setattr(machine, "free_disk_bytes", lambda _folder: 1500)
     with pytest.raises(SurveyError, match="are free there"):
-        require_room(workload, tmp_path)
+        room_warnings(workload, tmp_path, refuses=True)
     (tmp_path / "stages" / "sweep").mkdir(parents=True)
     (tmp_path / "stages" / "sweep" / "maps.npz").write_bytes(bytes(600))
-    assert require_room(workload, tmp_path) == []
+    assert room_warnings(workload, tmp_path, refuses=True) == []
 
 
 def test_a_limit_of_the_process_below_what_the_run_needs_is_refused_before_kernels_crash(tmp_path, monkeypatch):
     workload = Workload(3, 3, None, 2, 600_000_000, 0)
     monkeypatch.setattr(machine, "allowed_memory_bytes", lambda: 5e8)
     with pytest.raises(SurveyError, match=r"needs about 600 MB of memory, and limits of this process leave 500 MB"):
-        require_room(workload, tmp_path)
+        room_warnings(workload, tmp_path, refuses=True)
     # A bound may be far too high: only said.
-    assert "limits of this process" in require_room(replace(workload, is_bound=True), tmp_path)[0]
+    assert "limits of this process" in room_warnings(replace(workload, is_bound=True), tmp_path, refuses=True)[0]
     monkeypatch.setattr(machine, "allowed_memory_bytes", lambda: float("inf"))
-    assert require_room(workload, tmp_path) == []
+    assert room_warnings(workload, tmp_path, refuses=True) == []
 
 
 def test_more_views_than_can_be_chosen_from_make_it_a_bound(tmp_path, monkeypatch):

@@ -27,7 +27,7 @@ from survey.errors import PosesError
 from survey.folder.found import NO_WATER
 from survey.folder.pose_priors import BY_FILE
 from survey.plan.check import check_survey
-from survey.plan.decisions import pose_choice
+from survey.plan.plan import pose_choice
 from survey.pose_files import find_poses, read_poses
 
 WKT = CRS("EPSG:25832").to_wkt("WKT1_GDAL")

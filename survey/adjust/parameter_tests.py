@@ -40,7 +40,7 @@ from survey.errors import GivenValueTest, SurveyError
 from survey.folder.local_frame import over_points
 from survey.folder.pose_priors import BAROMETER_STD_M
 from survey.folder.survey import Survey
-from survey.plan.decisions import MOST_MISFIT_PX
+from survey.plan.plan import MOST_MISFIT_PX
 
 # Tested parameters: of the water, and of each lens.
 LEVEL, _INDEX = 0, NUM_WATER - 1

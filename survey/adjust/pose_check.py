@@ -34,8 +34,7 @@ from survey.folder.survey import Survey, load_survey
 from survey.photos.poses import TiePoints
 from survey.plan.check import CheckSection
 from survey.plan.choices import Choices
-from survey.plan.decisions import MOST_MISFIT_PX
-from survey.plan.plan import Plan, make_plan
+from survey.plan.plan import MOST_MISFIT_PX, Plan, make_plan
 from survey.progress import current
 
 if TYPE_CHECKING:

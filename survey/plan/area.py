@@ -106,29 +106,12 @@ class Georeferenced(Protocol):
 
 def local_area(survey: Georeferenced) -> Area | None:
     """The bounds of the survey as (x0, y0, x1, y1) [m], local, that hold them; None where it has none."""
-    ring = _ring(survey)
-    return None if ring is None else (*ring.min(axis=0), *ring.max(axis=0))
-
-
-def _ring(survey: Georeferenced) -> np.ndarray | None:
-    """Corners (4, 2) [m], local, of the bounds, counter-clockwise; None where there are none."""
     if survey.bounds is None:
         return None
     e0, n0, e1, n1 = survey.bounds
     level = survey.frame.origin[2]
-    return survey.frame.local_from_crs([[e0, n0, level], [e1, n0, level], [e1, n1, level], [e0, n1, level]])[:, :2]
-
-
-def beyond_bounds(survey: Georeferenced) -> float:
-    """Reach of the cloud beyond the bounds [m]: the margin, and the rotation of the map against local."""
-    ring, area = _ring(survey), local_area(survey)
-    if ring is None or area is None:
-        return 0.0
-    along = np.roll(ring, -1, axis=0) - ring
-    outwards = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
-    x0, y0, x1, y1 = grown(area, AREA_MARGIN_M)
-    corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
-    return float(((corners[:, None] - ring) * outwards).sum(axis=2).max())
+    corners = survey.frame.local_from_crs([[e0, n0, level], [e1, n0, level], [e1, n1, level], [e0, n1, level]])[:, :2]
+    return (*corners.min(axis=0), *corners.max(axis=0))
 
 
 def grown(area: Area, margin: float) -> Area:

@@ -22,8 +22,7 @@ from survey.photos.exif import position_sources
 from survey.plan.area import require_seen
 from survey.plan.check_inputs import control_rows, level_warning, mark_rows, water_stds
 from survey.plan.choices import USUAL, Choices
-from survey.plan.decisions import Decision, require_placeable
-from survey.plan.plan import Plan, device_decision, make_plan
+from survey.plan.plan import Decision, Plan, device_decision, make_plan, require_placeable
 from survey.plan.tile_choice import plan_run, require_dask
 from survey.plan.workload import Workload, room_warnings, workload_of_images
 from survey.settings.config import SurveyConfig

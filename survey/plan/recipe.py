@@ -15,7 +15,6 @@ from refract import PinholeCamera
 from survey.folder.survey import Survey
 from survey.plan.area import flattened
 from survey.plan.choices import USUAL, Choices
-from survey.plan.decisions import Decision
 from survey.plan.heights import dry_ground
 from survey.words import Quality
 
@@ -53,18 +52,6 @@ def required_views(white_shares: Sequence[float], times_seen: tuple[int, int]) -
     clear = max(1.0 - sum(white_shares) / max(len(white_shares), 1), _LEAST_CLEAR_SHARE)
     steep, oblique = (round(times / clear) for times in times_seen)
     return steep, oblique
-
-
-def image_decision(camera: PinholeCamera, scale: float, chosen: Choices) -> Decision:
-    """Line of the plan on the working size."""
-    size = f"images of {camera.width} x {camera.height} px"
-    if chosen.image_scale is not None:
-        by = "chosen for the aim" if chosen.has_aim else "set by --image-scale"
-        return Decision("image scale", f"{scale:g}", f"{by}, for {size}")
-    if scale == 1.0:
-        return Decision("image scale", "1", f"{size} are worked on whole")
-    limit = f"at most {RECIPES[chosen.quality].megapixels:g} Mpx for {chosen.quality} quality"
-    return Decision("image scale", f"{scale:g}", f"{size} are halved until they have {limit}")
 
 
 def image_scale(width: int, height: int, megapixels: float) -> float:

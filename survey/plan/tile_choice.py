@@ -20,13 +20,11 @@ from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.plan.area import Area, Tiling, flattened
 from survey.plan.choices import Choices
-from survey.plan.decisions import Decision
 from survey.plan.heights import dry_ground
-from survey.plan.plan import Plan, make_plan
-from survey.plan.rates import Amounts
+from survey.plan.plan import Decision, Plan, make_plan
 from survey.plan.sweep_block import camera_of
 from survey.plan.tiling import FRAME_M, MOST_SKEW_PX, RIM_GSD, ground_of, ray_skew_px, tile_warnings
-from survey.plan.workload import POINT_BYTES, Workload, amounts_of_run, memory_of, workload_of
+from survey.plan.workload import POINT_BYTES, Amounts, Workload, amounts_of_run, memory_of, workload_of
 
 # What the tiles of a run share, in the folder of a stage.
 SHARED = "shared.json"

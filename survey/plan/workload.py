@@ -1,7 +1,9 @@
 """Time, memory and disk space of a run, estimated before anything is computed.
 
-Time is that of `survey.plan.rates`, memory that of the arrays which docs/performance.md names: 0.5 GB (quick) to
-3.4 GB (20 megapixels) measured.
+Times are by rates on one core with AVX-512 and the speed-up on several, from runs of data/quick, river and wreck_water
+in draft and standard quality and of a drawn survey of 8 small photographs: 5.7 to 107 s on two idle cores, which the
+sum meets within a tenth. Memory is that of the arrays which docs/performance.md names: 0.5 GB (quick) to 3.4 GB (20
+megapixels) measured.
 """
 
 from __future__ import annotations
@@ -13,8 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from fields.models import IN_LAYER
+from fields.occluded.holes import SIDE_GSD
 from fields.sweep.block import Overlap
 from fields.sweep.kernels.stack import FEWEST_KEPT, KEPT_BYTES
+from fields.sweep.passes import PASSES, POINTS_SHARE, before_solver
 from survey import machine
 from survey.display.quantities import room, size
 from survey.errors import SurveyError
@@ -23,12 +27,31 @@ from survey.plan.area import AREA_MARGIN_M, flattened, grown, local_area
 from survey.plan.choices import Choices
 from survey.plan.heights import dry_ground
 from survey.plan.plan import Plan
-from survey.plan.rates import SFM_PARTS, START_S, Amounts, parts_s, sfm_s
 from survey.plan.recipe import RECIPES, image_scale
 from survey.plan.sweep_block import camera_of
 from survey.progress import rough
 from survey.sfm.settings import FEATURES_PX, pairs_about
 
+# Imports and hashes of any run.
+_START_S = 2.5
+# Samples of the sweep (pixels x hypotheses x neighbours) per core and second, by Dr.Jit on LLVM, including the search
+# beside steps; usual number of hypotheses of its first pass.
+_SAMPLES_PER_CORE_S, _FIRST_HYPOTHESES = 55e6, 25
+# Compilation of kernels, on all cores; the range of heights.
+_KERNELS_S, _RANGE_S = 2.0, 2.0
+# Check of poses with this many photographs, and adjustment with all, at most at this size [Mpx]; times once, and per
+# megapixel.
+_CHECKED, _MOST_MPX = 10, 6.0
+_CHECK_S, _ADJUST_S = (2.5, 0.1), (2.0, 2.0)
+# Structure from motion: features per megapixel and matching per pair, on all cores; mapping per photograph, on one.
+_FEATURES_S, _PAIR_S, _PLACING_S = 0.6, 0.1, 0.1
+SFM_PARTS = ("Features", "Matches", "Structure from motion")
+# Decoding a megapixel; the report, once; bed and report, per point.
+_DECODING_S, _REPORT_S, _POINT_S = 0.02, 2.0, 3e-6
+# Of the solver: once, and per pixel of a height map. Of a trained field, per cell of one ground sampling distance.
+_SOLVER_S, _FIELD_S_PER_CELL = (1.4, 1.2e-6), 2.3e-4
+# Of boxes beside edges: one of a sample of so many, by two cores. Whether the others are searched shows there.
+_BOX_S, _MOST_BOXES, _BOX_CORES = 0.4, 32, 2
 # Libraries and kernels, with the samples of height hypotheses, whose number at a time is fixed.
 _BASE_BYTES = 480e6
 # Per pixel of every view, its grey image; of its colours, and these at most; whole photographs while they are decoded.
@@ -55,6 +78,56 @@ _MOST_VIEWS = 2000
 _HARD_MATCHING_TIME = "three to five times as long"
 # Without poses: cells of the bed per pixel, since with the usual overlap a place is seen ten times or more.
 _OWN_GROUND = 0.1
+
+
+@dataclass(frozen=True)
+class Amounts:
+    """Amounts of work of a run on V photographs, of which M get a height map."""
+
+    photographs_px: np.ndarray  # (V,): pixels of each, as it is
+    view_px: np.ndarray  # (V,): at the scale of the run
+    map_px: np.ndarray  # (M,)
+    points: float  # Of the bed, one for each ground sampling distance squared, at most
+    poses: str  # "check", "refine" or "fixed": what is done with them first
+    field: str  # "solver", "off" or a model of `fields.models.IN_LAYER`
+    has_boxes: bool = False
+    # Whether these are upper bounds: poses are not known yet, or there are too many views to choose from
+    is_bound: bool = False
+
+
+def parts_s(amounts: Amounts, num_cores: int) -> dict[str, float]:
+    """Times [s] of the parts of a run on idle cores, by the names of their stages, in order."""
+    num_views, whole_mpx, map_px = len(amounts.view_px), amounts.photographs_px.sum() / 1e6, float(amounts.map_px.sum())
+    parts = {"Images": _DECODING_S * whole_mpx}
+    solves, mpx = amounts.field != "off", min(whole_mpx, num_views * _MOST_MPX)
+    if amounts.poses == "check":
+        parts["Poses"] = _CHECK_S[0] + _CHECK_S[1] * mpx * min(_CHECKED / num_views, 1.0)
+    elif amounts.poses == "refine":
+        parts = {"Adjustment": _ADJUST_S[0] + _ADJUST_S[1] * mpx} | parts
+    passes = before_solver(PASSES) if solves else PASSES
+    samples = map_px * sum(
+        p.scale**2 * (p.hypotheses or _FIRST_HYPOTHESES) * p.neighbours * (POINTS_SHARE if p.points_only else 1.0)
+        for p in passes
+    )
+    parts["Sweep"] = _RANGE_S + (_KERNELS_S + samples / _SAMPLES_PER_CORE_S) / num_cores
+    if solves:
+        parts["Solver"] = (_SOLVER_S[0] + _SOLVER_S[1] * map_px) / num_cores
+    if amounts.field in IN_LAYER:
+        parts["Field"] = _FIELD_S_PER_CELL * amounts.points / num_cores
+    parts["Points"] = 0.5 * _POINT_S * amounts.points
+    if amounts.has_boxes:
+        sample = min(amounts.points / SIDE_GSD**2, _MOST_BOXES)
+        parts["Boxes beside edges"] = _BOX_S * sample / min(num_cores, _BOX_CORES)
+    return parts | {"Report": _REPORT_S + 0.5 * _POINT_S * amounts.points}
+
+
+def sfm_s(features_mpx: float, num_views: int, num_pairs: int, num_cores: int) -> dict[str, float]:
+    """Times [s] of the parts of structure from motion, by the names of their stages, in order.
+
+    ``features_mpx`` [Mpx] are those of the photographs at the size at which features are looked for.
+    """
+    seconds = _FEATURES_S * features_mpx / num_cores, _PAIR_S * num_pairs / num_cores, _PLACING_S * num_views
+    return dict(zip(SFM_PARTS, seconds, strict=True))
 
 
 @dataclass(frozen=True)
@@ -118,7 +191,7 @@ def _workload(amounts: Amounts, parts: Mapping[str, float]) -> Workload:
     return Workload(
         num_views=len(amounts.view_px),
         num_maps=len(amounts.map_px),
-        seconds=START_S + sum(parts.values()) if parts else None,
+        seconds=_START_S + sum(parts.values()) if parts else None,
         num_cores=machine.num_cores(),
         memory_bytes=int(memory_of(amounts)),
         disk_bytes=int(_DISK_AT_LEAST + _DISK_OF_MAP * amounts.map_px.sum() + _DISK_OF_CELL * amounts.points),
@@ -154,49 +227,34 @@ def amounts_of_run(survey: Survey, plan: Plan) -> Amounts:
     )
 
 
-def require_room(workload: Workload, run_folder: Path) -> list[str]:
-    """Warnings where the free memory will not suffice, or the disk may not."""
-    words = _disk_warning(workload, run_folder) or _limit_warning(workload)
-    if words is not None and not workload.is_bound:
-        raise SurveyError(words)
-    return room_warnings(workload, run_folder)
+def room_warnings(workload: Workload, run_folder: Path, *, refuses: bool = False) -> list[str]:
+    """Warnings where the disk of the run folder or the memory will not suffice.
 
-
-def room_warnings(workload: Workload, run_folder: Path) -> list[str]:
-    """Warnings where the disk of the run folder or the free memory will not suffice."""
-    disk = _disk_warning(workload, run_folder)
-    warnings = [text for text in (disk, _limit_warning(workload)) if text is not None]
+    Raises SurveyError where the run ``refuses`` what is sure: too small a disk, or limits of this process.
+    """
+    warnings, memory = list[str](), f"the run needs {workload.bound_words}{size(workload.memory_bytes)} of memory, and "
+    stored = run_folder.glob("stages/**/*") if run_folder.is_dir() else ()
+    room_bytes = machine.free_disk_bytes(run_folder) + sum(path.stat().st_size for path in stored if path.is_file())
+    if workload.disk_bytes > room_bytes:
+        warnings.append(
+            f"the run needs {workload.bound_words}{size(workload.disk_bytes)} in {run_folder}, and {room(room_bytes)} "
+            "are free there; free some, name a run folder elsewhere with -o, or use a lower --quality"
+        )
+    allowed = machine.allowed_memory_bytes()
+    if workload.memory_bytes > allowed:
+        warnings.append(
+            f"{memory}limits of this process leave {room(max(allowed, 0.0))} (ulimit -d, ulimit -v); raise them, use a "
+            "lower --quality, or give [area] bounds"
+        )
+    if refuses and warnings and not workload.is_bound:
+        raise SurveyError(warnings[0])
     free = machine.free_memory_bytes()
     if workload.memory_bytes > free:
         warnings.append(
-            f"the run needs {workload.bound_words}{size(workload.memory_bytes)} of memory, and {room(free)} are free: "
-            "the system may stop it; close other programs, use a lower --quality, or give [area] bounds"
+            f"{memory}{room(free)} are free: the system may stop it; close other programs, use a lower --quality, or "
+            "give [area] bounds"
         )
     return warnings
-
-
-def _disk_warning(workload: Workload, run_folder: Path) -> str | None:
-    stored_bytes = (
-        sum(p.stat().st_size for p in run_folder.glob("stages/**/*") if p.is_file()) if run_folder.is_dir() else 0
-    )
-    free = machine.free_disk_bytes(run_folder) + stored_bytes
-    if workload.disk_bytes <= free:
-        return None
-    return (
-        f"the run needs {workload.bound_words}{size(workload.disk_bytes)} in {run_folder}, and {room(free)} are free "
-        "there; free some, name a run folder elsewhere with -o, or use a lower --quality"
-    )
-
-
-def _limit_warning(workload: Workload) -> str | None:
-    allowed = machine.allowed_memory_bytes()
-    if workload.memory_bytes <= allowed:
-        return None
-    return (
-        f"the run needs {workload.bound_words}{size(workload.memory_bytes)} of memory, and limits of this process "
-        f"leave {room(max(allowed, 0.0))} (ulimit -d, ulimit -v); raise them, use a lower --quality, or give [area] "
-        "bounds"
-    )
 
 
 def memory_of(amounts: Amounts) -> float:

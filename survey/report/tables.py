@@ -16,8 +16,7 @@ from survey.display.quantities import (
     number,
     share,
 )
-from survey.plan.decisions import Decision
-from survey.plan.plan import Plan
+from survey.plan.plan import Decision, Plan
 from survey.progress import clock
 from survey.report.checkpoints import CheckpointAccuracy
 from survey.report.figures import Baselines, CloudFigures, CrsFigures, Extent, LightFigures, SurveyFigures, WaterFigures

@@ -17,8 +17,7 @@ from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.plan.area import ASSUMED_DEPTH_M
 from survey.plan.choices import STD_QUANTILE, Choices
-from survey.plan.decisions import Decision
-from survey.plan.plan import make_plan
+from survey.plan.plan import Decision, make_plan
 from survey.plan.recipe import gsd_m, image_scale_of
 from survey.plan.workload import workload_of
 from survey.progress import rough

@@ -24,7 +24,7 @@ from survey.plan.check import Checked, require_processable
 from survey.plan.choices import Choices, choices_of
 from survey.plan.plan import Plan
 from survey.plan.tile_choice import SHARED, plan_run
-from survey.plan.workload import Workload, require_room, workload_of_images
+from survey.plan.workload import Workload, room_warnings, workload_of_images
 from survey.progress import Progress, opened
 from survey.run.aim import plan_for_aim
 from survey.run.execution import run_stages
@@ -103,7 +103,7 @@ def process(
         if chosen.has_aim:
             progress.note(f"asked: {chosen.aim}")
         _announce(survey, plan, workload, progress)
-        for text in (*aimed.warnings, *warnings, *require_room(workload, run.path)):
+        for text in (*aimed.warnings, *warnings, *room_warnings(workload, run.path, refuses=True)):
             progress.warn(text)
         job = Job(survey, chosen, plan, progress, workspace=run.sfm_path, scratch=run.scratch_path)
         # The report takes half a second to import, beside the kernels of the sweep; if it fails, it does so below.

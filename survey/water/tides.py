@@ -31,7 +31,7 @@ from survey.water.series import levels_at, require_levels
 # A photograph without a time gets the mean level of the others, if these differ by no more than this [m], which moves
 # the bed by less than 2 mm.
 _MOST_UNKNOWN_M = 0.005
-# Levels that move images by less than this are treated as one level: like pose errors (`survey.plan.decisions`), they
+# Levels that move images by less than this are treated as one level: like pose errors (`survey.plan.plan`), they
 # are negligible against the noise of matching.
 MOST_SHIFT_PX = 0.1
 _NO_TIME = datetime(1970, 1, 1, tzinfo=UTC)

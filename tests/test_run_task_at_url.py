@@ -20,11 +20,10 @@ from survey.folder.survey import load_survey
 from survey.photos.images import ImageStore
 from survey.plan.sweep_block import grey_image
 from survey.progress import Progress
-from survey.run import task_at_url
+from survey.run import worker_task
 from survey.run.process import process
 from survey.run.remote_run import JOBS, PARTS, PHOTOGRAPHS
-from survey.run.task_at_url import compute_at_url, put_job
-from survey.run.worker_task import Task
+from survey.run.worker_task import Task, compute_at_url, put_job
 from survey.stage_key import code_hash
 
 pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
@@ -57,8 +56,8 @@ def test_a_task_fetches_what_it_needs_and_leaves_its_result_at_the_url(tmp_path,
         seen["here"] = [view.name for view in views if view.path.is_file()]
         seen["window"] = tile.images.window(1, slice(3, 9), slice(0, 64))
 
-    monkeypatch.setattr(task_at_url, "job_of_parts", job_of)
-    monkeypatch.setattr(task_at_url, "tile_of", lambda job, number: job.tiles[number])
+    monkeypatch.setattr(worker_task, "_job_of_parts", job_of)
+    monkeypatch.setattr(worker_task, "_tile", lambda job, task: job.tiles[task.tile])
     for tile in (1, 0):
         task = Task(f"sweep_tile{tile}", tile, compute, {"adjust": Path("/not/here/adjust-1a")})
         place, _, _ = compute_at_url(name, remote.url, task, code_hash())
@@ -83,7 +82,7 @@ def test_photographs_at_a_url_are_fetched_from_there(tmp_path):
     place = survey.folder / config.images.local_dir
     shutil.copytree(survey.folder / "images", place)
     views = tuple(replace(view, path=place / view.name) for view in survey.views)
-    found = task_at_url._sources(replace(survey, config=config, views=views), remote)
+    found = worker_task._sources(replace(survey, config=config, views=views), remote)
     assert found == {view.path: ("s3://bucket/flight", view.name, "") for view in views}
     assert remote.files() == {}
 
@@ -93,19 +92,19 @@ def test_a_photograph_that_has_changed_at_the_url_during_a_run_is_refused(tmp_pa
     path.write_bytes(b"before")
     remote.put({"a.jpg": path})
     source = remote.url, "a.jpg", remote.files()["a.jpg"]
-    task_at_url._require_same(remote, source, path)
+    worker_task._require_same(remote, source, path)
     remote.write("a.jpg", b"after it")
     with pytest.raises(SurveyError, match=r"flight/a\.jpg has changed since the run began .*run the same `bathynerf"):
-        task_at_url._require_same(remote, source, path)
+        worker_task._require_same(remote, source, path)
     assert not path.exists()
 
 
 def test_a_photograph_that_was_put_in_part_is_put_again(tmp_path):
     survey, remote = load_survey(small_survey(tmp_path / "survey")), Remote(f"memory://{tmp_path.name}/run")
-    of_path = task_at_url._sources(survey, remote)
+    of_path = worker_task._sources(survey, remote)
     path, (_, name, _) = next(iter(of_path.items()))
     remote.write(name, path.read_bytes()[:100])
-    task_at_url._sources(survey, remote)
+    worker_task._sources(survey, remote)
     assert remote.read(name) == path.read_bytes()
 
 

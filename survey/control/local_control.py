@@ -139,8 +139,13 @@ def control_in_local(
     posed = set(views)
     marks = tuple(mark for mark in merged.marks if mark.view in posed)
     seen = {mark.point for mark in marks}
-    points = tuple(_control_point(point, frame, std_m) for point in merged.points if point.name in seen)
-    return Control(points, marks, marks_std_px) if points else None
+    points = []
+    for point in merged.points:
+        if point.name in seen:
+            std = np.hypot(point.std_m or std_m, [point.datum_std_m, point.datum_std_m, 0.0])
+            place = point.name, point.place, _local(point, frame)
+            points.append(ControlPoint(*place, std, point.is_check, point.datum_std_m))
+    return Control(tuple(points), marks, marks_std_px) if points else None
 
 
 def without_pose(marks: Sequence[Mark], views: Sequence[str]) -> list[str]:
@@ -151,11 +156,6 @@ def without_pose(marks: Sequence[Mark], views: Sequence[str]) -> list[str]:
 def checkpoints_in_local(points: Sequence[GivenPoint], frame: LocalFrame) -> tuple[Checkpoint, ...]:
     """Check points in local."""
     return tuple(Checkpoint(point.name, point.place, _local(point, frame)) for point in points)
-
-
-def _control_point(point: GivenPoint, frame: LocalFrame, std_m: tuple[float, float, float]) -> ControlPoint:
-    std = np.hypot(point.std_m or std_m, [point.datum_std_m, point.datum_std_m, 0.0])
-    return ControlPoint(point.name, point.place, _local(point, frame), std, point.is_check, point.datum_std_m)
 
 
 def _local(point: GivenPoint, frame: LocalFrame) -> np.ndarray:

@@ -82,8 +82,8 @@ def _number(element: Element, key: str, where: str) -> float:
     return value
 
 
-def _is_xml(path: Path) -> bool:
-    return path.suffix.casefold() == ".xml" or begins_with(path, b"<")
-
-
-FORMAT = ControlFormat(name="markers of Metashape (.xml)", recognises=_is_xml, read=read_metashape_xml)
+FORMAT = ControlFormat(
+    name="markers of Metashape (.xml)",
+    recognises=lambda path: path.suffix.casefold() == ".xml" or begins_with(path, b"<"),
+    read=read_metashape_xml,
+)

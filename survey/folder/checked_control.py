@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from survey.folder.found import Found
 from survey.folder.observations import PlacedViews
 from survey.folder.pose_priors import GPS_STD_M, PosePrior
 from survey.photos.cameras import View
-from survey.photos.poses import TiePoints, connected_parts, least_track
+from survey.photos.poses import connected_parts, least_track
 from survey.pose_files import find_unread
 from survey.settings.tables import per_direction
 from survey.sfm.control_fit import (
@@ -119,15 +119,6 @@ def control_for_block(control: Control, frame: LocalFrame, found: Found) -> Bloc
     return BlockControl(frame, points, control.marks, slack)
 
 
-@dataclass(frozen=True)
-class CheckedControl:
-    """Control and priors of a block of structure from motion, without contradicted ones."""
-
-    control: Control | None
-    priors: Mapping[str, PosePrior]  # by name of view
-    move: Similarity | None  # Transforms the block to its control, where its positions contradict the control
-
-
 def checked_parts(block: PlacedViews) -> tuple[PlacedViews, Findings]:
     """The block with its control tested against each of its parts by itself, and moved to it where it has to be.
 
@@ -145,22 +136,29 @@ def checked_parts(block: PlacedViews) -> tuple[PlacedViews, Findings]:
     for number in range(int(part.max()) + 1):
         members = np.flatnonzero(part == number)
         names = {views[k].name for k in members}
-        own = _of_views(control, names)
-        if not own.marks:
+        own_marks = tuple(mark for mark in control.marks if mark.view in names)
+        if not own_marks:
             continue
+        shown = {mark.point for mark in own_marks}
+        own_points = tuple(point for point in control.points if point.name in shown)
+        own = replace(control, points=own_points, marks=own_marks)
         own_priors = {name: prior for name, prior in priors.items() if name in names}
         try:
-            checked, of_part = checked_control(block.found, block.frame, [views[k] for k in members], own, own_priors)
+            own_views = [views[k] for k in members]
+            own_left, tested, move, of_part = checked_control(block.found, block.frame, own_views, own, own_priors)
         except ControlError as error:
             refusals.append(error)
             continue
         findings += of_part
-        priors |= checked.priors
-        marks += [] if checked.control is None else list(checked.control.marks)
-        if checked.move is not None:
-            ties = _moved_ties(ties, checked.move, part == number)
+        priors |= tested
+        marks += [] if own_left is None else list(own_left.marks)
+        if move is not None:
+            is_moved = np.zeros(len(ties), dtype=bool)
+            is_moved[ties.point] = part[ties.view] == number
+            ties = replace(ties, start=np.where(is_moved[:, None], move(ties.start), ties.start))
             for k in members:
-                moved_views[k] = _moved(views[k], checked.move)
+                pose = move(views[k].camera.centre), views[k].camera.cam_from_local @ move.rotation.T
+                moved_views[k] = replace(views[k], camera=views[k].lens.camera(*pose))
     if refusals and not marks:
         raise refusals[0]
     what = "control of a part of the photographs that shares no points with the others"
@@ -174,26 +172,26 @@ def checked_parts(block: PlacedViews) -> tuple[PlacedViews, Findings]:
     return replace(block, views=moved_views, observations=seen), findings
 
 
-def _of_views(control: Control, names: set[str]) -> Control:
-    """Control that the given views show."""
-    marks = tuple(mark for mark in control.marks if mark.view in names)
-    shown = {mark.point for mark in marks}
-    return replace(control, points=tuple(point for point in control.points if point.name in shown), marks=marks)
-
-
 def checked_control(
     found: Found,
     frame: LocalFrame,
     views: Sequence[View],
     control: Control,
     priors: Mapping[str, PosePrior],
-) -> tuple[CheckedControl, Findings]:
-    """Test control against the block; warnings name what is left out."""
+) -> tuple[Control | None, Mapping[str, PosePrior], Similarity | None, Findings]:
+    """Control and priors of a block without contradicted ones, which warnings name.
+
+    Also what transforms the block to its control, where its positions contradict that.
+    """
     block = control_for_block(control, frame, found)
     posed = {view.name: view.camera for view in views}
     intersections = intersect_marks(block, posed)
     require_consistent_marks(block, posed, intersections)
-    fit = fit_majority(intersections, posed) if _can_be_compared(intersections) else None
+    fit = None
+    if len(intersections.points) >= MIN_POINTS:
+        # On one line points determine no similarity by themselves.
+        _, across, least = spread_of(*coordinates(intersections))
+        fit = fit_majority(intersections, posed) if across >= least else None
     wrong = {} if fit is None else fit.wrong
     warnings = _left_out(intersections, wrong)
     lost = {*intersections.inconsistent, *wrong}
@@ -220,16 +218,8 @@ def checked_control(
         elif sum(prior.position is not None for prior in priors.values()) < _FEWEST_TO_TEST:
             priors, far = _without_far(views, std, reach, priors)
             warnings += far
-    checked = CheckedControl(replace(control, points=points, marks=marks) if points else None, priors, move)
-    return checked, Findings(warnings=tuple(warnings))
-
-
-def _can_be_compared(intersections: Intersections) -> bool:
-    """Whether control points determine a similarity by themselves; on one line they need positions."""
-    if len(intersections.points) < MIN_POINTS:
-        return False
-    _, across, least = spread_of(*coordinates(intersections))
-    return across >= least
+    left = replace(control, points=points, marks=marks) if points else None
+    return left, priors, move, Findings(warnings=tuple(warnings))
 
 
 def _left_out(intersections: Intersections, wrong: Mapping[str, float]) -> list[str]:
@@ -294,16 +284,3 @@ def _without_far(
     return kept, named(
         far, "GPS position", "that the block contradicts on straight rays, left out before the adjustment"
     )
-
-
-def _moved(view: View, move: Similarity) -> View:
-    """View at another position."""
-    camera = view.lens.camera(move(view.camera.centre), view.camera.cam_from_local @ move.rotation.T)
-    return replace(view, camera=camera)
-
-
-def _moved_ties(ties: TiePoints, move: Similarity, is_moved: np.ndarray) -> TiePoints:
-    """Tie points, those of views (V,) bool taken elsewhere."""
-    is_moved_point = np.zeros(len(ties), dtype=bool)
-    is_moved_point[ties.point] = is_moved[ties.view]
-    return replace(ties, start=np.where(is_moved_point[:, None], move(ties.start), ties.start))

@@ -121,7 +121,11 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     found = Found(folder, config, crs, images, headers, poses_path, levels=levels, tide=tide, datum=datum)
     findings += Findings(warnings=tuple(_warnings_of(found, transforms)))
     if config.control.files:
-        control, added = find_control(folder, config.control, crs, headers, _one_level(config, crs))
+        # The height of the water in crs, where it is given and the same everywhere.
+        water, level = config.water, None
+        if water is not None and water.level_m is not None and not (water.slope_east or water.slope_north):
+            level = water.level_m / height_unit_m(crs)
+        control, added = find_control(folder, config.control, crs, headers, level)
         findings += added
         found = replace(found, control=control, config=replace(config, control=control.config))
     return replace(found, findings=findings)
@@ -144,14 +148,6 @@ def _warnings_of(found: Found, transforms: Sequence[PositionTransform]) -> Itera
         yield from unused_keys(Circumstances(config, headers))
     if not config.control.gcp_files and (found.folder / GCP_LIST).is_file():
         yield f'{GCP_LIST} is not used; for its control points write gcps = "{GCP_LIST}" in [control]'
-
-
-def _one_level(config: SurveyConfig, crs: CRS) -> float | None:
-    """Height of the water in crs, where it is given and the same everywhere."""
-    water = config.water
-    if water is None or water.level_m is None or water.slope_east or water.slope_north:
-        return None
-    return water.level_m / height_unit_m(crs)
 
 
 def _poses_path(folder: Path, config: SurveyConfig, images: Collection[str]) -> tuple[Path | None, Findings]:

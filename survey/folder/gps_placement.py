@@ -7,7 +7,7 @@ the GPS positions where these determine all three; where settings or format stat
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -99,11 +99,6 @@ class GpsFit:
         )
 
     @property
-    def is_shift(self) -> bool:
-        """Whether most of the differences is a shift."""
-        return self.unshifted_m**2 <= _UNEXPLAINED * self.extent_m**2
-
-    @property
     def fault(self) -> str | None:
         """Why the positions do not place the block, as a clause; None where they do."""
         if self.num_agreeing < _FEWEST:
@@ -149,8 +144,11 @@ class PlacedPoses:
 
 def place_poses(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[PlacedPoses, Findings]:
     """Poses of photographs with their place: by file or [local], recognised in their coordinates, or by GPS."""
-    gps = _gps_of(found, [pose.name for pose in poses])
-    findings = Findings()
+    gps, findings = None, Findings()
+    # Where there are too few positions, or they do not lie on the map of crs, there are none.
+    with suppress(SurveyError, GeoError):
+        headers = {pose.name: found.headers[pose.name] for pose in poses}
+        gps = gps_positions(headers, found.crs, found.config.cameras.gps_height)
     if file.frame is PoseFrame.LOCAL:
         file, findings = _recognised(found, file, poses, gps)
     known = [] if gps is None else [number for number, pose in enumerate(poses) if pose.name in gps.local]
@@ -190,15 +188,6 @@ def place_poses(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Placed
             f"{remedy if file.frame is PoseFrame.LOCAL else 'correct them or crs, or ' + _ELSEWHERE}"
         )
     return PlacedPoses(file, poses), findings
-
-
-def _gps_of(found: Found, names: Sequence[str]) -> GpsPositions | None:
-    """GPS positions of some photographs; None where there are too few, or they do not lie on the map of crs."""
-    headers = {name: found.headers[name] for name in names}
-    try:
-        return gps_positions(headers, found.crs, found.config.cameras.gps_height)
-    except (SurveyError, GeoError):
-        return None
 
 
 def _is_near_zero(centres: np.ndarray) -> bool:
@@ -262,7 +251,7 @@ def _placed(
 ) -> tuple[PlacedPoses, Findings]:
     """Poses in a frame of their own placed by GPS: by a shift where axes and scale fit, else by the similarity."""
     name = below(found.folder, found.poses_path)
-    if fit.is_free or not fit.is_shift:
+    if fit.is_free or fit.unshifted_m**2 > _UNEXPLAINED * fit.extent_m**2:
         if fit.fault is not None:
             raise PosesError(
                 f"the poses in {found.poses_path} have axes and a scale of their own ({fit.describe()} to the GPS "

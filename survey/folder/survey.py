@@ -115,6 +115,10 @@ def load_survey(
         found.folder, water.config, placed.frame, _seen(placed), water.above, is_level_known=water.is_level_known
     )
     findings += added + Findings(warnings=tuple(_warnings(placed, water)))
+    config = water.config
+    if found.poses_path is not None and found.poses_path.is_relative_to(found.folder):
+        poses_name = found.poses_path.relative_to(found.folder).as_posix()
+        config = replace(config, cameras=replace(config.cameras, poses=poses_name))
     is_index_known = found.config.water is None or found.config.water.states_index
     return Survey(
         name=found.name,
@@ -122,7 +126,7 @@ def load_survey(
         frame=placed.frame,
         views=tuple(placed.views),
         water=water.plane,
-        config=_with_poses_name(water.config, found),
+        config=config,
         observations=replace(
             placed.observations,
             levels=water.levels,
@@ -173,14 +177,6 @@ def _local_water(placed: PlacedViews) -> tuple[_LocalWater, Findings]:
     if departure is None and plane is not None:
         departure = still_water(frame, plane, _seen(placed))
     return _LocalWater(config, plane, departure, levels, is_level_known), findings + of_surface + of_plane
-
-
-def _with_poses_name(config: SurveyConfig, found: Found) -> SurveyConfig:
-    """The settings with the name of the poses file, where it lies in the folder."""
-    if found.poses_path is None or not found.poses_path.is_relative_to(found.folder):
-        return config
-    poses_name = found.poses_path.relative_to(found.folder).as_posix()
-    return replace(config, cameras=replace(config.cameras, poses=poses_name))
 
 
 def _centres(views: list[View]) -> np.ndarray:

@@ -97,15 +97,13 @@ class GlitterOfFlight:
 
     def highest_sun(self, wind_m_s: float) -> float:
         """Largest elevation [rad] of the sun that keeps steep views free of glitter; negative where there is none."""
-        widest = max(float(np.arccos(np.clip(-(rays @ self._up), -1.0, 1.0)).max()) for rays in self._steep())
+        # Of the steepest half of the views.
+        down = np.array([float(camera.cam_from_local[2] @ self._up) for camera in self._cameras])
+        steep = np.argsort(down, kind="stable")[: max(len(down) // 2, 1)]
+        cosines = [self._frames[number] @ -self._up for number in steep]
+        widest = max(float(np.arccos(np.clip(each, -1.0, 1.0)).max()) for each in cosines)
         # A reflected ray turns by twice the slope of the facet.
         return 0.5 * math.pi - widest - 2.0 * largest_facet_slope(wind_m_s)
-
-    def _steep(self) -> list[np.ndarray]:
-        """Frames of the steepest half of the views."""
-        down = np.array([float(camera.cam_from_local[2] @ self._up) for camera in self._cameras])
-        order = np.argsort(down, kind="stable")[: max(len(down) // 2, 1)]
-        return [self._frames[number] for number in order]
 
 
 def _pixels(camera: PinholeCamera) -> np.ndarray:

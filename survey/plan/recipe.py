@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from evaluation.standards import TO_95, TVU
-from refract import PinholeCamera
 from survey.folder.survey import Survey
 from survey.plan.area import flattened
 from survey.plan.choices import USUAL, Choices
@@ -77,8 +76,12 @@ def gsd_m(survey: Survey, chosen: Choices = USUAL) -> float:
     """Ground sampling distance [m] at that scale, median over the views: at the water, or dry ground."""
     survey = flattened(survey)
     height = camera_height_m(survey)
-    distances = [_distance_along_axis(view.camera, survey, height) / view.camera.fx for view in survey.views]
-    return float(np.median(distances)) / image_scale_of(survey, chosen)
+    sizes = []
+    for camera in (view.camera for view in survey.views):
+        own = height if survey.water is None else -float(survey.water.depth(camera.centre))
+        # Along its axis, at most three heights.
+        sizes.append(own / max(-camera.cam_from_local[2, 2], 1.0 / 3.0) / camera.fx)
+    return float(np.median(sizes)) / image_scale_of(survey, chosen)
 
 
 def camera_height_m(survey: Survey) -> float:
@@ -87,10 +90,3 @@ def camera_height_m(survey: Survey) -> float:
     if survey.water is not None:
         return float(np.median(-survey.water.depth(centres)))
     return float(np.median(centres[:, 2])) - dry_ground(survey).height
-
-
-def _distance_along_axis(camera: PinholeCamera, survey: Survey, height: float) -> float:
-    """Distance [m] from the camera to water or ground along its axis, at most three heights."""
-    own = height if survey.water is None else -float(survey.water.depth(camera.centre))
-    falling = -camera.cam_from_local[2, 2]
-    return own / max(falling, 1.0 / 3.0)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 from survey.adjust.result.foreseen import foresee
 from survey.display.quantities import length
@@ -87,18 +88,19 @@ def plan_for_aim(
         return AimedPlan(chosen)
     target_m, budget_s = chosen.target_std_m, chosen.time_budget_s
     foreseen = foresee(survey, depth_m=depth_m, chosen=chosen)
-    scales = _scales(survey)
+    # Those that can be matched; 1 is one of them however small the photographs are.
+    side = min(max(view.lens.width, view.lens.height) for view in survey.views)
+    scales = sorted(scale for scale in SCALES if scale == 1.0 or scale * side >= _LEAST_SIDE_PX)
     _require_plausible_std(target_m, gsd_m(survey, replace(chosen, image_scale=1.0)), scales)
     # Matches are as good in pixels at any scale.
     full_m = math.nan
     if foreseen is not None:
         full_m = REACHED_PER_FORESEEN * foreseen.heights.of_point_m * image_scale_of(survey, chosen)
-    candidates = tuple(
-        _candidate(survey, chosen, quality, scale, full_m / scale)
-        for scale in scales
-        for quality in (Quality.draft.value, Quality.standard.value)
-    )
-    warnings = []
+    candidates, warnings = [], list[str]()
+    for scale, quality in product(scales, (Quality.draft.value, Quality.standard.value)):
+        plan = make_plan(survey, replace(chosen, quality=quality, image_scale=scale))
+        std_m = full_m / scale if plan.solves else math.nan
+        candidates.append(Candidate(quality, scale, std_m, workload_of(survey, plan).seconds))
     if target_m is not None:
         common = math.nan if foreseen is None else foreseen.heights.of_all_m
         warnings += _std_warnings(target_m, candidates[-1].std_m, common)
@@ -111,19 +113,8 @@ def plan_for_aim(
         replace(chosen, quality=best.quality, image_scale=best.image_scale),
         Decision("aim", str(best), reason),
         tuple(warnings),
-        candidates,
+        tuple(candidates),
     )
-
-
-def _scales(survey: Survey) -> list[float]:
-    """Image scales that can be matched, ascending; 1 is one of them however small the photographs are."""
-    side = min(max(view.lens.width, view.lens.height) for view in survey.views)
-    return sorted(scale for scale in SCALES if scale == 1.0 or scale * side >= _LEAST_SIDE_PX)
-
-
-def _candidate(survey: Survey, chosen: Choices, quality: str, scale: float, std_m: float) -> Candidate:
-    plan = make_plan(survey, replace(chosen, quality=quality, image_scale=scale))
-    return Candidate(quality, scale, std_m if plan.solves else math.nan, workload_of(survey, plan).seconds)
 
 
 def _on_ground(std_m: float) -> str:

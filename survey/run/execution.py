@@ -28,8 +28,7 @@ from survey.run.keys import Key
 from survey.run.pipeline import OF_SWEEP_ALONE, STAGES, Stage, commit_result, reusable_result, run_stage
 from survey.run.remote_run import RemoteRun
 from survey.run.start_workers import WorkerNeeds, workers_for
-from survey.run.task_at_url import put_job
-from survey.run.worker_task import Task, save_job
+from survey.run.worker_task import Task, put_job, save_job
 from survey.run.workers import Workers
 
 if TYPE_CHECKING:

@@ -152,13 +152,11 @@ def _whole(survey: Survey, stored: StoredBed, gsd_m: float) -> Gate:
     sentence = f"a height is known to {length(std.whole)}, one sigma, all included ({parts}); "
     sentence += f"required: at most {length(limit)}"
     if not passed and std.shared is not None and std.shared > std.random:
-        sentence += f"; the shared part limits it: {_remedy(survey)}"
+        water = survey.config.water
+        remedy = "give control points, or positions or a level of the water that are better known"
+        if water is not None and water.level_std_m is None:
+            remedy = (
+                "give [water] level_std_m, and control points or [cameras] position_std_m where they are better known"
+            )
+        sentence += f"; the shared part limits it: {remedy}"
     return Gate("height, all included", 1000.0 * std.whole, 1000.0 * limit, "mm", passed, sentence)
-
-
-def _remedy(survey: Survey) -> str:
-    """Remedy for a large common standard deviation."""
-    water = survey.config.water
-    if water is not None and water.level_std_m is None:
-        return "give [water] level_std_m, and control points or [cameras] position_std_m where they are better known"
-    return "give control points, or positions or a level of the water that are better known"

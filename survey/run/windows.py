@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from geo.similarity import Similarity
     from survey.folder.survey import Survey
     from survey.plan.area import Tiling
-    from survey.water.surface import Departure
 
 # Windows begin at whole pixels of images at a quarter of the size. Their rows there are whole vectors of 16 pixels:
 # other widths would need other kernels.
@@ -222,26 +221,17 @@ def survey_in_frame(survey: Survey, frame: LocalFrame, ground: Area) -> Survey:
         points = observations.points[within(observations.points, ground)]
         observations = replace(observations, points=moved(points))
     if water is not None:
-        plane = plane_in_frame(water, moved)
+        up = moved.rotation @ np.array(water.up)
+        point = tuple(moved(np.array(water.point)).tolist())
+        plane = replace(water, point=point, slope_x=float(-up[0] / up[2]), slope_y=float(-up[1] / up[2]))
         departure = observations.departure
         if departure is not None:
-            departure = _departure_in_frame(departure, water, plane, moved)
+            x, y, over = departure.points.T
+            points = moved(np.column_stack([x, y, water.height(x, y) + over]))
+            points[:, 2] -= plane.height(points[:, 0], points[:, 1])
+            departure = type(departure)(points, departure.stds)
         observations, water = replace(observations, departure=departure), plane
     return replace(survey, frame=frame, views=views, water=water, observations=observations)
-
-
-def plane_in_frame(water: FlatWater, moved: Similarity) -> FlatWater:
-    """The same plane in another frame."""
-    x, y, z = moved(np.array(water.point)).tolist()
-    up = moved.rotation @ np.array(water.up)
-    return replace(water, point=(x, y, z), slope_x=float(-up[0] / up[2]), slope_y=float(-up[1] / up[2]))
-
-
-def _departure_in_frame(departure: Departure, water: FlatWater, plane: FlatWater, moved: Similarity) -> Departure:
-    x, y, over = departure.points.T
-    points = moved(np.column_stack([x, y, water.height(x, y) + over]))
-    points[:, 2] -= plane.height(points[:, 0], points[:, 1])
-    return type(departure)(points, departure.stds)
 
 
 def area_in_frame(area: Area, moved: Similarity) -> Area:

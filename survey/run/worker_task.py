@@ -2,6 +2,10 @@
 
 A worker keeps the job that it saw last. What it leaves is whole, in a folder of its own; so a task may be
 computed twice, and a worker may end at any time.
+
+What a worker that shares no disk with the run needs comes from the URL of the run, and goes there. Photographs come
+from where the survey has them, if that is a URL, else from the URL of the run, where the run has put them. Such a
+worker keeps those of one tile, and decodes them itself.
 """
 
 from __future__ import annotations
@@ -15,23 +19,38 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, cast
 
+import numpy as np
+
+from fields.image_store import GreyImages
+from fields.sweep.block import Block
 from geo.files import reporting_disk_errors, write_whole
 from survey.errors import SurveyError
+from survey.files.remote import Remote, is_url
+from survey.photos.images import ImageStore, fetched_tags
+from survey.plan.plan import device_decision
+from survey.plan.sweep_block import backend, grey_image
 from survey.progress import Progress
-from survey.stage_key import code_hash
+from survey.run.job import Job
+from survey.run.remote_run import JOBS, PARTS, PHOTOGRAPHS
+from survey.run.stored import ArrayFiles
+from survey.run.tile_job import TileJob
+from survey.stage_key import code_hash, content_hash
 
 if TYPE_CHECKING:
-    from fields.image_store import GreyImages
     from survey.folder.survey import Survey
+    from survey.photos.cameras import View
     from survey.plan.choices import Choices
     from survey.plan.plan import Plan
-    from survey.run.job import Job
-    from survey.run.tile_job import TileJob
     from survey.run.windows import BedSearch
 
 ANOTHER_VERSION = "another version of bathynerf than the run; install the same on all, and start the workers again"
+# URL and name of a file, and its tag where it may change there; else an empty one.
+Source = tuple[str, str, str]
+# Kinds and texts of what a task has to say.
+Messages = list[tuple[str, str]]
 
 
 @dataclass(frozen=True)
@@ -54,14 +73,14 @@ def save_job(job: Job, folder: Path, stage: str) -> Path:
     block = job.block
     path = folder / f"{stage}-{uuid.uuid4().hex}.pickle"
     # The working directory of workers may be another.
-    survey = replace(with_paths(job.survey, Path.absolute), folder=job.survey.folder.absolute())
+    survey = replace(_with_paths(job.survey, Path.absolute), folder=job.survey.folder.absolute())
     parts = survey, job.chosen, job.plan, job.bed_search, block.images, block.saturated
     with write_whole(path) as stream:
         stream.write(pickle.dumps(parts))
     return path.absolute()
 
 
-def with_paths(survey: Survey, place: Callable[[Path], Path]) -> Survey:
+def _with_paths(survey: Survey, place: Callable[[Path], Path]) -> Survey:
     """The survey with its photographs and masks elsewhere."""
     views = [
         replace(view, path=place(view.path), mask_path=None if view.mask_path is None else place(view.mask_path))
@@ -70,60 +89,90 @@ def with_paths(survey: Survey, place: Callable[[Path], Path]) -> Survey:
     return replace(survey, views=tuple(views))
 
 
-@lru_cache(maxsize=1)
-def _job_of(path: Path) -> Job:
-    """The job that `save_job` wrote."""
-    return job_of_parts(*pickle.loads(path.read_bytes()))
+def put_job(job: Job, remote: Remote, scratch: Path, stage: str) -> str:
+    """Put what workers have to know of a job for a stage, and photographs that lie at no URL; its name there."""
+    sources = _sources(job.survey, remote)
+    survey = _with_paths(job.survey, lambda path: Path(_worker_name(sources[path])))
+    parts = survey, job.chosen, job.plan, job.bed_search, job.block.saturated
+    of_names = {_worker_name(source): source for source in sources.values()}
+    path = scratch / f"{stage}-{uuid.uuid4().hex}.pickle"
+    name = f"{JOBS}/{path.name}"
+    with reporting_disk_errors(path):
+        path.write_bytes(pickle.dumps((parts, of_names)))
+    remote.put({name: path})
+    path.unlink()
+    return name
 
 
-def job_of_parts(
+def _worker_name(source: Source) -> str:
+    """Name of a file on a worker; its suffix tells the format."""
+    return f"{uuid.uuid5(uuid.NAMESPACE_URL, '/'.join(source)).hex}{Path(source[1]).suffix}"
+
+
+def _sources(survey: Survey, remote: Remote) -> dict[Path, Source]:
+    """Places of photographs and masks for workers; those on this machine alone are put to the URL of the run."""
+    images, root = survey.config.images, (survey.folder / survey.config.images.local_dir).absolute()
+    paths = {path for view in survey.views for path in (view.path, view.mask_path) if path is not None}
+    found, to_put, tags = {}, {}, fetched_tags(root)
+    for path in sorted(paths):
+        if is_url(images.dir) and path.absolute().is_relative_to(root):
+            name = path.absolute().relative_to(root).as_posix()
+            found[path] = images.dir, name, tags.get(name, "")
+        else:
+            name = f"{PHOTOGRAPHS}/{content_hash(path)[:32]}{path.suffix}"
+            found[path], to_put[name] = (remote.url, name, ""), path
+    # A put that was interrupted leaves half a file, where a store has folders.
+    sizes_at_url = remote.sizes(PHOTOGRAPHS) if to_put else {}
+    sizes = {name: sizes_at_url.get(name.removeprefix(f"{PHOTOGRAPHS}/")) for name in to_put}
+    remote.put({name: path for name, path in to_put.items() if sizes[name] != path.stat().st_size})
+    return found
+
+
+def _job_of_parts(
     survey: Survey, chosen: Choices, plan: Plan, search: BedSearch, images: GreyImages, saturated: Sequence[float]
 ) -> Job:
     """Job of a survey on a worker, with grey images of the whole photographs."""
-    from fields.sweep.block import Block
-    from survey.plan.plan import device_decision
-    from survey.plan.sweep_block import backend
-    from survey.run.job import Job
-
     # The device is that of the worker.
     plan = replace(plan, device=device_decision(chosen.device).choice)
     job = Job(survey, chosen, plan, _RecordedProgress())
-    middle = 0.5 * sum(search.bound)
-    job.bed_search = search
+    job.bed_search, middle = search, 0.5 * sum(search.bound)
     job.__dict__["block"] = Block(backend(plan), job.cameras, images, survey.water, middle, saturated)
     return job
 
 
-def tile_of(job: Job, number: int) -> TileJob:
-    """A tile of a job on a worker; of all tiles their windows alone would take seconds."""
-    from survey.run.tile_job import TileJob
+@lru_cache(maxsize=1)
+def _job_of(path: Path) -> Job:
+    """The job that `save_job` wrote."""
+    return _job_of_parts(*pickle.loads(path.read_bytes()))
 
-    return TileJob(job, number, cast("BedSearch", job.bed_search))
 
-
-def compute_task(job: Path, stages: Path, task: Task, code: str) -> tuple[Path, float, list[tuple[str, str]]]:
+def compute_task(job: Path, stages: Path, task: Task, code: str) -> tuple[Path, float, Messages]:
     """Compute a task on a worker: the folder of its result, its seconds, and what it had to say."""
-    require_code(code)
-    start = time.monotonic()
-    tile = tile_of(_job_of(job), task.tile)
+    _require_code(code)
+    start, job_here = time.monotonic(), _job_of(job)
     folder = stages / f".{task.name}-{uuid.uuid4().hex[:8]}.part"
     with reporting_disk_errors(folder):
         folder.mkdir()
     try:
-        lines = compute_into(tile, task, folder, task.needs)
+        messages = _compute_into(_tile(job_here, task), task, folder, task.needs)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    return folder, time.monotonic() - start, lines
+    return folder, time.monotonic() - start, messages
 
 
-def require_code(code: str) -> None:
+def _tile(job: Job, task: Task) -> TileJob:
+    # Of all tiles their windows alone would take seconds.
+    return TileJob(job, task.tile, cast("BedSearch", job.bed_search))
+
+
+def _require_code(code: str) -> None:
     """Raise where the code of this process is another than that of the run, by its hash."""
     if code_hash() != code:
         raise SurveyError(f"a worker on {platform.node()} has {ANOTHER_VERSION}")
 
 
-def compute_into(tile: TileJob, task: Task, folder: Path, needs: Mapping[str, Path]) -> list[tuple[str, str]]:
+def _compute_into(tile: TileJob, task: Task, folder: Path, needs: Mapping[str, Path]) -> Messages:
     """Compute a task into a folder, from folders of stages; what it had to say."""
     recorded = cast(_RecordedProgress, tile.survey_job.progress)
     recorded.lines.clear()
@@ -132,6 +181,109 @@ def compute_into(tile: TileJob, task: Task, folder: Path, needs: Mapping[str, Pa
     finally:
         tile.release()
     return list(recorded.lines)
+
+
+def require_reachable(url: str) -> None:
+    """Raise SurveyError where this process cannot reach a URL."""
+    Remote(url).files(JOBS)
+
+
+def compute_at_url(name: str, url: str, task: Task, code: str) -> tuple[str, float, Messages]:
+    """As `compute_task`, of the job that `put_job` has given a name at the URL of a run.
+
+    The folder of the result is there, too; of the folders that the task needs only the names count.
+    """
+    _require_code(code)
+    start, remote = time.monotonic(), Remote(url)
+    job = _job_at_url(url, name)
+    tile = _tile(job.job, task)
+    place = f"{PARTS}/{task.name}-{uuid.uuid4().hex}"
+    with TemporaryDirectory(prefix="bathynerf-") as scratch:
+        folder, needs = Path(scratch) / "result", {}
+        folder.mkdir()
+        for stage, path in task.needs.items():
+            needs[stage] = Path(scratch) / path.name
+            remote.fetch_folder(f"stages/{path.name}", needs[stage])
+        job.fetch_photographs(tile)
+        lines = _compute_into(tile, task, folder, needs)
+        remote.put_folder(folder, place)
+    return place, time.monotonic() - start, lines
+
+
+@lru_cache(maxsize=1)
+def _job_at_url(url: str, name: str) -> _JobAtUrl:
+    """The job that a worker saw last."""
+    found = Remote(url).read(name)
+    if found is None:
+        raise SurveyError(f"{url}/{name} is not there any more; run the same `bathynerf process` again")
+    return _JobAtUrl(*pickle.loads(found))
+
+
+class _JobAtUrl:
+    """A job on a worker, with photographs of one tile."""
+
+    def __init__(self, parts: tuple, sources: Mapping[str, Source]):
+        self._sources, self._scratch = sources, TemporaryDirectory(prefix="bathynerf-")
+        self._folder = Path(self._scratch.name)
+        survey, chosen, plan, search, saturated = parts
+        survey = _with_paths(survey, lambda path: self._folder / path)
+        self._images = _Decoded(survey.views, self._folder / "grey")
+        self.job = _job_of_parts(survey, chosen, plan, search, self._images, saturated)
+        self._images.scale, camera = self.job.plan.image_scale, self.job.cameras[0]
+        self._images.size = camera.width, camera.height
+
+    def fetch_photographs(self, tile: TileJob) -> None:
+        """Fetch those that show a tile, and their masks; remove those of others."""
+        views = [tile.survey_job.survey.views[window.view] for window in tile.windows]
+        paths = {path.name: path for view in views for path in (view.path, view.mask_path) if path is not None}
+        for path in self._folder.iterdir():
+            if path.is_file() and path.name not in paths:
+                path.unlink()
+        self._images.keep([window.view for window in tile.windows])
+        missing = [name for name, path in paths.items() if not path.is_file()]
+        for url in {self._sources[name][0] for name in missing}:
+            names = [name for name in missing if self._sources[name][0] == url]
+            remote = Remote(url)
+            remote.fetch({self._sources[name][1]: paths[name] for name in names})
+            for name in names:
+                _require_same(remote, self._sources[name], paths[name])
+
+
+def _require_same(remote: Remote, source: Source, path: Path) -> None:
+    """Raise where a photograph that was fetched is another than the run saw."""
+    _, name, tag = source
+    if tag and (found := remote.tag(name)) != tag:
+        path.unlink()
+        raise SurveyError(
+            f"{remote.url}/{name} has changed since the run began (size and tag {found}, expected {tag}); leave "
+            "photographs as they are while a run is at work, and run the same `bathynerf process` again"
+        )
+
+
+class _Decoded(GreyImages):
+    """Grey images of photographs, decoded when a window of them is asked for, and kept in files; windows alone."""
+
+    def __init__(self, views: Sequence[View], folder: Path):
+        self._views, self._folder = views, folder
+        self.scale, self.size = 1.0, (0, 0)
+        self._decoded: dict[int, GreyImages] = {}
+
+    def __len__(self) -> int:
+        return len(self._views)
+
+    def window(self, view: int, rows: slice, columns: slice) -> np.ndarray:
+        """`GreyImages.window`."""
+        if view not in self._decoded:
+            grey, _ = grey_image(self._views[view], self.scale, self.size, ImageStore(0))
+            self._folder.mkdir(exist_ok=True)
+            self._decoded[view] = GreyImages([grey], ArrayFiles(self._folder / str(view)))
+        return self._decoded[view].window(0, rows, columns)
+
+    def keep(self, views: Sequence[int]) -> None:
+        """Remove the images of all other views."""
+        for view in set(self._decoded) - set(views):
+            del self._decoded[view]
+            shutil.rmtree(self._folder / str(view), ignore_errors=True)
 
 
 class _RecordedProgress(Progress):

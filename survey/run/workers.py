@@ -23,8 +23,7 @@ from typing import Any, TypeVar
 from geo.errors import GeoError
 from survey.errors import SurveyError
 from survey.progress import current
-from survey.run.task_at_url import compute_at_url
-from survey.run.worker_task import Task, compute_task
+from survey.run.worker_task import Task, compute_at_url, compute_task
 from survey.stage_key import code_hash
 
 # Folder of the result of a task (or its name at the URL), seconds, and kinds and texts of its messages.

@@ -95,7 +95,9 @@ def group_memories(process: Path = PROCESS, groups: Path = GROUPS) -> list[Group
         for folder in (mount / part for mount in mounts for part in (inside, *inside.parents)):
             known = [limit for name in limits if (limit := _number(folder / name)) is not None]
             if known:
-                used = (_number(folder / usage) or 0) - _cached(folder / "memory.stat", cached)
+                rows = (row.split() for row in _lines(folder / "memory.stat"))
+                unused = next((int(row[1]) for row in rows if len(row) == 2 and row[0] == cached), 0)
+                used = (_number(folder / usage) or 0) - unused
                 found.append(GroupMemory(min(known), max(used, 0)))
     return found
 
@@ -113,9 +115,3 @@ def _number(path: Path) -> int | None:
         return int(path.read_text(encoding="ascii"))
     except (OSError, ValueError):
         return None
-
-
-def _cached(table: Path, word: str) -> int:
-    """Bytes of cached files that are not in use, by memory.stat."""
-    rows = (line.split() for line in _lines(table))
-    return next((int(row[1]) for row in rows if len(row) == 2 and row[0] == word), 0)

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from pyproj import CRS
+from scipy.spatial.transform import Rotation
 
 from geo.area_of_use import approximate_undulation_m
 from geo.crs import height_unit_m, middle_lon_lat, vertical_crs
@@ -105,7 +106,12 @@ def _overlap_warnings(views: list[View], over_water: np.ndarray) -> list[str]:
         along = height / falling
         places.append((camera.centre + along * camera.cam_from_local[2])[:2])
         radii.append(0.5 * along * math.hypot(camera.width / camera.fx, camera.height / camera.fy) / falling)
-    gaps = _gaps(np.array(places), np.array(radii))
+    # Distance from each circle to the nearest other; below zero where they overlap.
+    gaps, middles, reach = np.empty(len(places)), np.array(places), np.array(radii)
+    for i, (place, radius) in enumerate(zip(middles, radii, strict=True)):
+        others = np.hypot(*(middles - place).T) - reach - radius
+        others[i] = np.inf
+        gaps[i] = others.min()
     alone = gaps > 0.0
     if alone.mean() > 0.5:
         gap = np.median(gaps[alone])
@@ -118,16 +124,6 @@ def _overlap_warnings(views: list[View], over_water: np.ndarray) -> list[str]:
     return named(names, "view", "without overlap with another one at the water")
 
 
-def _gaps(places: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """Distance (N,) [m] from each circle (N, 2), (N,) to the nearest other; below zero where they overlap."""
-    gaps = np.empty(len(places))
-    for i, (place, radius) in enumerate(zip(places, radii, strict=True)):
-        others = np.hypot(*(places - place).T) - radii - radius
-        others[i] = np.inf
-        gaps[i] = others.min()
-    return gaps
-
-
 def angle_warnings(poses: list[Pose], frame: PoseFrame) -> list[str]:
     """Warning where omega, phi and kappa look like radians.
 
@@ -137,7 +133,9 @@ def angle_warnings(poses: list[Pose], frame: PoseFrame) -> list[str]:
     """
     if frame is not PoseFrame.GRID:
         return []
-    angles = np.array([_opk_deg(pose.cam_from_world) for pose in poses])
+    # Of intrinsic turns about x, y and z, the inverse of `survey.photos.rotations.grid_from_opk`.
+    grid_from_opk_cam = np.array([pose.cam_from_world.T for pose in poses]) @ CAM_FROM_OPK_CAM
+    angles = Rotation.from_matrix(grid_from_opk_cam).as_euler("XYZ", degrees=True)
     tilts = float(np.median(np.abs(angles[:, 1])))
     if np.abs(angles).max() > _FULL_TURN or (np.ptp(angles[:, 2]) < 1.0 and not _EXACT < tilts < _LEVEL_ROWS):
         return []
@@ -148,14 +146,6 @@ def angle_warnings(poses: list[Pose], frame: PoseFrame) -> list[str]:
         return []
     most = np.abs(angles).max()
     return [f"omega, phi, kappa are at most {most:.2f} and look like radians, expected degrees: multiply by 57.29578"]
-
-
-def _opk_deg(cam_from_grid: np.ndarray) -> tuple[float, float, float]:
-    """Omega, phi, kappa [degrees] of a rotation, the inverse of `survey.photos.rotations.grid_from_opk`."""
-    r = cam_from_grid.T @ CAM_FROM_OPK_CAM
-    omega, kappa = math.atan2(-r[1, 2], r[2, 2]), math.atan2(-r[0, 1], r[0, 0])
-    phi = math.asin(max(-1.0, min(r[0, 2], 1.0)))
-    return math.degrees(omega), math.degrees(phi), math.degrees(kappa)
 
 
 # A barometer drifts by some metres during a flight, and a drone may start from a boat.
@@ -204,18 +194,15 @@ def explanation(
         candidates.append((cameras_m - level_m * unit, "a level in the unit of crs instead of metres"))
     else:
         candidates.append((cameras_m * _FOOT_M - level_m, "heights of the cameras in feet"))
+    lowest, highest = _LOWEST_FLIGHT_M, _HIGHEST_FLIGHT_M
+    if above_start_m is not None:
+        lowest, highest = above_start_m - UNDER_WATER_M - _ROUGH_M, above_start_m + ABOVE_WATER_M + _ROUGH_M
     found = [
         f"{words} would explain it: the cameras would be {over:.0f} m over the water"
         for over, words in candidates
-        if _is_plausible(over, above_start_m) and abs(over - over_m) > _LOWEST_FLIGHT_M
+        if lowest <= over <= highest and abs(over - over_m) > _LOWEST_FLIGHT_M
     ]
     return f"; {'; or '.join(found)}" if found else ""
-
-
-def _is_plausible(over_m: float, above_start_m: float | None) -> bool:
-    if above_start_m is None:
-        return _LOWEST_FLIGHT_M <= over_m <= _HIGHEST_FLIGHT_M
-    return -UNDER_WATER_M - _ROUGH_M <= over_m - above_start_m <= ABOVE_WATER_M + _ROUGH_M
 
 
 def low_flight_warnings(over_m: np.ndarray, level_m: float, place: tuple[float, float], crs: CRS) -> list[str]:

@@ -152,7 +152,7 @@ def _rows_of_survey(found: Found, survey: Survey, plan: Plan) -> list[tuple[str,
 
 def _water(survey: Survey) -> str:
     if survey.water is None:
-        return _no_water(survey.config)
+        return "none: a dry survey" if survey.config.dry else "none was given"
     plane, water = survey.require_water()
     east, north = water.known_level_at
     centres = np.array([view.camera.centre for view in survey.views])
@@ -166,8 +166,13 @@ def _water(survey: Survey) -> str:
 
 def _without_poses(checked: Checked, chosen: Choices) -> list[CheckSection]:
     """The sections of a survey that needs structure from motion first."""
-    found = checked.found
-    sfm = Decision("structure from motion", "on", f"there is no poses file; georeferenced by {_placed_by(found)}")
+    found, by_control = checked.found, placing_control(checked.found)
+    if by_control is not None:
+        by = f"the marks of {len(by_control.points)} control points, as too few images have a GPS position"
+    else:
+        like = "heights in crs" if found.config.cameras.gps_height == "crs" else "ellipsoidal heights"
+        by = f"GPS positions, heights taken as {like}"
+    sfm = Decision("structure from motion", "on", f"there is no poses file; georeferenced by {by}")
     mapper = Decision("mapper", *mapper_of(len(found.headers), found.config.cameras.mapper))
     later = Decision("refraction and the rest", "later", "decided once the poses are known")
     decisions = (sfm, mapper, device_decision(chosen.device), later)
@@ -175,15 +180,6 @@ def _without_poses(checked: Checked, chosen: Choices) -> list[CheckSection]:
     workload = workload_of_images(sizes, chosen)
     warnings = (*checked.ordered_warnings, *room_warnings(workload, found.folder / RUN_FOLDER))
     return _sections(_rows_without_poses(found), decisions, workload, found.findings.assumptions, warnings)
-
-
-def _placed_by(found: Found) -> str:
-    """Source of the georeference of structure from motion."""
-    by_control = placing_control(found)
-    if by_control is not None:
-        return f"the marks of {len(by_control.points)} control points, as too few images have a GPS position"
-    like = "heights in crs" if found.config.cameras.gps_height == "crs" else "ellipsoidal heights"
-    return f"GPS positions, heights taken as {like}"
 
 
 def _rows_without_poses(found: Found) -> list[tuple[str, str]]:
@@ -222,15 +218,11 @@ def _shared_error(found: Found) -> list[tuple[str, str]]:
     return [("heights", f"may be {std:g} m off, the same for all: the level of the water places the block{unless}")]
 
 
-def _no_water(config: SurveyConfig) -> str:
-    return "none: a dry survey" if config.dry else "none was given"
-
-
 def _water_below(found: Found, heights: np.ndarray) -> str:
     """Row on the water under cameras at heights (K,), in crs, of GPS positions."""
     water = found.config.water
     if water is None:
-        return _no_water(found.config)
+        return "none: a dry survey" if found.config.dry else "none was given"
     if water.level_m is None and water.sources.clicks is not None:
         return f"its level by the clicks in {water.sources.clicks}, once the poses are known"
     if water.level_m is None:

@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from survey.folder.survey import Survey
 from survey.settings.water import WaterColour
 from survey.stage_key import code_hash, stage_key
-
-if TYPE_CHECKING:
-    from survey.folder.survey import Survey
-    from survey.run.job import Job
 
 
 def colour_of(survey: Survey) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
@@ -21,18 +18,18 @@ def colour_of(survey: Survey) -> tuple[tuple[float, ...] | None, tuple[float, ..
     return (None, None) if water is None else (water.colour.absorption_per_m, water.colour.veiling_light)
 
 
-def _water(job: Job) -> Any:
+def _water(job: Any) -> Any:
     departure = job.survey.observations.departure
     return job.survey.water if departure is None else (job.survey.water, departure.points, departure.stds)
 
 
-def _water_settings(job: Job) -> Any:
+def _water_settings(job: Any) -> Any:
     water = job.survey.config.water
     return None if water is None else replace(water, colour=WaterColour()), job.survey.observations.tide
 
 
-# Parts of a job that stages depend on: in words, and what is hashed.
-PARTS: dict[str, tuple[str, Callable[[Job], Any]]] = {
+# Parts of a `survey.run.job.Job` that stages depend on: in words, and what is hashed.
+PARTS: dict[str, tuple[str, Callable[[Any], Any]]] = {
     "photographs": (
         "the photographs or masks",
         lambda job: [job.hashes[view.name] for view in job.survey.views],

@@ -88,7 +88,9 @@ class VolumeRecipe:
         state = read_state(path)
         try:
             parameters = state["renderer"]
-            box = box or _layer_of(state["layer"])
+            if box is None:
+                parts: dict[str, Any] = {k: v.numpy() if torch.is_tensor(v) else v for k, v in state["layer"].items()}
+                box = Layer(**parts)
             photographs = len(parameters["appearance.weight"]) if self.appearance else 0
             renderer = self.renderer(box, water, photographs, device)
             renderer.load_state_dict(parameters)
@@ -155,11 +157,6 @@ def load_layer_field(folder: Path, water: FlatWater | None, device: str) -> Rest
             f"{path} cannot be read ({error}); delete {folder}, and run `bathynerf process` again"
         ) from error
     return recipe.restored(folder / FIELD_STATE, None, water, device)
-
-
-def _layer_of(stored: dict[str, Any]) -> Layer:
-    parts: dict[str, Any] = {k: v.numpy() if torch.is_tensor(v) else v for k, v in stored.items()}
-    return Layer(**parts)
 
 
 def read_state(path: Path) -> dict[str, Any]:

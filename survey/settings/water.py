@@ -126,9 +126,23 @@ class WaterConfig:
     slope_std: float | None = std_key(0.2, "metres per metre", "a river slopes by 0.001 to 0.01")
 
     def __post_init__(self):
-        self._require_one_level()
-        self._require_one_tide()
-        self._require_one_index()
+        levels = [*([] if self.level_m is None else ["level_m"]), *self.sources.named]
+        if self.sources.surface is not None and (self.level_at is not None or self.slope_east or self.slope_north):
+            raise ConfigError("[water] surface gives the level everywhere; remove level_at, slope_east and slope_north")
+        if self.gauge_zero_m is not None and self.sources.gauge is None:
+            raise ConfigError("[water] has gauge_zero_m without gauge, from whose zero readings count; give both")
+        files = ("shoreline", "gnss_points", "surface")
+        if self.layer is not None and not any(name in self.sources.named for name in files):
+            raise ConfigError(f"[water] has layer without {', '.join(files)}, one of whose files has it; give both")
+        if len(levels) > 1:
+            raise ConfigError(f"[water] has {' and '.join(levels)}, each of which gives the level; keep one")
+        moving = [name for name in ("gauge", "image_levels") if name in self.sources.named]
+        if self.rate.level_rate_m_per_h is not None and moving:
+            raise ConfigError(f"[water] has level_rate_m_per_h and {moving[0]}, both of a moving level; keep one")
+        if self.refractive_index is not None and self.medium.named:
+            raise ConfigError(f"[water] has both refractive_index and {' and '.join(self.medium.named)}; keep one")
+        if self.medium.index_wavelength_nm is not None and self.refractive_index is None:
+            raise ConfigError("[water] index_wavelength_nm is without refractive_index; give both, or temperature_c")
 
     @property
     def known_level_m(self) -> float:
@@ -166,29 +180,6 @@ class WaterConfig:
                 "or clicks. For a dry survey write dry = true above the first table, in place of [water]. Only a "
                 "survey without poses, with GPS positions in its photographs, can leave the level to the adjustment"
             )
-
-    def _require_one_level(self) -> None:
-        levels = [*([] if self.level_m is None else ["level_m"]), *self.sources.named]
-        if self.sources.surface is not None and (self.level_at is not None or self.slope_east or self.slope_north):
-            raise ConfigError("[water] surface gives the level everywhere; remove level_at, slope_east and slope_north")
-        if self.gauge_zero_m is not None and self.sources.gauge is None:
-            raise ConfigError("[water] has gauge_zero_m without gauge, from whose zero readings count; give both")
-        files = ("shoreline", "gnss_points", "surface")
-        if self.layer is not None and not any(name in self.sources.named for name in files):
-            raise ConfigError(f"[water] has layer without {', '.join(files)}, one of whose files has it; give both")
-        if len(levels) > 1:
-            raise ConfigError(f"[water] has {' and '.join(levels)}, each of which gives the level; keep one")
-
-    def _require_one_tide(self) -> None:
-        moving = [name for name in ("gauge", "image_levels") if name in self.sources.named]
-        if self.rate.level_rate_m_per_h is not None and moving:
-            raise ConfigError(f"[water] has level_rate_m_per_h and {moving[0]}, both of a moving level; keep one")
-
-    def _require_one_index(self) -> None:
-        if self.refractive_index is not None and self.medium.named:
-            raise ConfigError(f"[water] has both refractive_index and {' and '.join(self.medium.named)}; keep one")
-        if self.medium.index_wavelength_nm is not None and self.refractive_index is None:
-            raise ConfigError("[water] index_wavelength_nm is without refractive_index; give both, or temperature_c")
 
 
 def require_slope(slope: tuple[float, float], source: str, remedy: str) -> None:

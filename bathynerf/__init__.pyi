@@ -14,6 +14,7 @@ from refract.surfaces import FlatWater, WaterSurface
 from survey.adjust.waterline import estimate_water
 from survey.change.change import change_between as change
 from survey.change.options import ChangeOptions
+from survey.change.series import change_series
 from survey.compare.comparison import compare_files as compare
 from survey.compare.options import CompareOptions
 from survey.errors import SurveyError
@@ -32,6 +33,7 @@ from survey.photos.cameras import View
 from survey.plan.choices import Choices
 from survey.plan.plan import Plan, make_plan
 from survey.progress import Progress
+from survey.run.edits import Edits as edit
 from survey.run.process import process
 from survey.simulate.drawn import draw_survey
 from survey.simulate.drawn.settings import DrawnScene
@@ -68,8 +70,10 @@ __all__ = [
     "WavyWater",
     "__version__",
     "change",
+    "change_series",
     "compare",
     "draw_survey",
+    "edit",
     "estimate_water",
     "export",
     "init",

@@ -26,8 +26,7 @@ from geo.las_header import add_extra_bytes, crs_of_header, extra_of, length_faul
 from geo.shapes import Cloud
 
 POINT_FORMAT = 7
-CLASS_GROUND = 2
-CLASS_BATHYMETRIC = 40
+CLASS_GROUND, CLASS_NOISE, CLASS_BATHYMETRIC, CLASS_WATER_SURFACE, CLASS_NO_BOTTOM = 2, 7, 40, 41, 45
 # Points with a larger std are kept, but flagged as withheld so that other programs leave them out.
 WITHHELD_STD_M = 1.0
 SCALE_LENGTH = 0.001

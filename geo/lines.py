@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import rasterio
@@ -20,6 +21,7 @@ from geo.features import GEOJSON, in_horizontal_crs, layer_of, read_features
 from geo.grid import Grid
 from geo.transformation import WGS84
 
+_Shape = TypeVar("_Shape")
 # Attributes that name a line, in any case; a DXF has layers.
 _NAMES = ("name", "id", "line", "profile", "layer")
 _WGS84_OF_GEOJSON = "GeoJSON without a crs, is taken as longitude and latitude of WGS 84"
@@ -55,15 +57,7 @@ def read_lines(path: str | Path, crs: CRS, around: np.ndarray) -> list[Line]:
     ]
     if not found:
         raise UnreadableFile(f"{path} has no line of two corners or more; draw the profile as a line.")
-    names = [name or str(number) for number, (name, _) in enumerate(found, 1)]
-    # Parts of one feature, and features of one layer, have its name: they are numbered.
-    several = {name for name, times in Counter(names).items() if times > 1}
-    numbers: Counter[str] = Counter()
-    lines = []
-    for name, (_, corners) in zip(names, found, strict=True):
-        numbers[name] += 1
-        lines.append(Line(f"{name} {numbers[name]}" if name in several else name, corners))
-    return lines
+    return [Line(name, corners) for name, corners in _numbered(found)]
 
 
 def assumed_crs(path: str | Path) -> list[str]:
@@ -72,30 +66,29 @@ def assumed_crs(path: str | Path) -> list[str]:
     return [f"{Path(path).name} names no CRS: taken as longitude and latitude of WGS 84 (RFC 7946)"] * is_assumed
 
 
-def read_polygons(path: str | Path, crs: CRS, around: np.ndarray) -> list[Polygon]:
-    """All polygons of a file, in the horizontal part of crs, easting or longitude first; otherwise as `read_lines`.
+def read_polygons(path: str | Path, crs: CRS, around: np.ndarray) -> dict[str, Polygon]:
+    """All polygons of a file by name, in the horizontal part of crs, easting or longitude first; else as `read_lines`.
 
     Closed lines are polygons: a drawing has no others.
     """
-    parts = [part for part, _ in _in_crs(path, "polygons", (Polygon, LineString), crs, around)]
     found = [
-        part if isinstance(part, Polygon) else Polygon(part)
-        for part in parts
+        (_named(properties), part if isinstance(part, Polygon) else Polygon(part))
+        for part, properties in _in_crs(path, "polygons", (Polygon, LineString), crs, around)
         if isinstance(part, Polygon) or (part.is_closed and len(part.coords) > _FEWEST_OF_RING)
     ]
     if not found:
         raise UnreadableFile(
             f"{path} has no polygon and no closed line, expected one at least; draw the area as a polygon."
         )
-    return found
+    return dict(_numbered(found))
 
 
-def cells_inside(polygons: list[Polygon], grid: Grid) -> np.ndarray:
+def cells_inside(polygons: Iterable[Polygon], grid: Grid) -> np.ndarray:
     """Whether the middle of each cell (rows, columns) lies in a polygon."""
-    return geometry_mask(polygons, grid.shape, rasterio.Affine(*grid.transform), invert=True)
+    return geometry_mask(list(polygons), grid.shape, rasterio.Affine(*grid.transform), invert=True)
 
 
-def points_inside(polygons: list[Polygon], points: np.ndarray) -> np.ndarray:
+def points_inside(polygons: Iterable[Polygon], points: np.ndarray) -> np.ndarray:
     """Whether each point (N, 2) lies in a polygon."""
     # Rings that cross themselves become those that the even-odd rule has.
     area = shapely.union_all([shapely.make_valid(polygon) for polygon in polygons])
@@ -124,6 +117,18 @@ def _in_crs(
     scaled = [(shapely.transform(part, lambda plan: plan * factor), properties) for part, properties in found]
     meets, meets_scaled = (any(box.intersects(part) for part, _ in parts) for parts in (found, scaled))
     return scaled if meets_scaled and not meets else found
+
+
+def _numbered(found: list[tuple[str, _Shape]]) -> list[tuple[str, _Shape]]:
+    """Shapes with a name each: a number where they have none, and where parts of one feature or layer have the same."""
+    names = [name or str(number) for number, (name, _) in enumerate(found, 1)]
+    several = {name for name, times in Counter(names).items() if times > 1}
+    numbers: Counter[str] = Counter()
+    named = []
+    for name, (_, shape) in zip(names, found, strict=True):
+        numbers[name] += 1
+        named.append((f"{name} {numbers[name]}" if name in several else name, shape))
+    return named
 
 
 def _named(attributes: dict[str, Any]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 
 import laspy
@@ -16,8 +17,18 @@ from geo.las import read_cloud, write_cloud
 from geo.reproject import Reprojection
 from geo.vectors import Layer, write_geojson, write_geopackage
 from survey.change.change import align, change_between
-from survey.change.differences import Correlation, Differences, measured_correlation, shared_photographs, volume_of
+from survey.change.differences import (
+    ChangeError,
+    Correlation,
+    Differences,
+    measured_correlation,
+    shared_photographs,
+    volume_of,
+)
 from survey.change.options import ChangeOptions
+from survey.change.series import change_series
+from survey.files.json_values import write_json
+from survey.run.folder import RunDir
 
 SHAPE, SIDE, LENGTH = (48, 60), 0.5, 1.5
 
@@ -261,3 +272,84 @@ def test_two_surveys_are_aligned_on_polygons(tmp_path):
     refused = bathynerf("change", before, after, *options)
     assert refused.exit_code == 2
     assert "0 cells of both surveys lie in it" in refused.output
+
+
+def polygon_file(path, *corners):
+    """Polygons by name, each a box (west, south, east, north) [m] from the corner of the clouds of `write`."""
+    boxes = [np.array([[w, s], [e, s], [e, n], [w, n], [w, s]]) + np.array([E0, N0]) for w, s, e, n in corners]
+    names = [f"{number}. area, $\\frac" for number in range(1, len(boxes) + 1)]
+    write_geojson(path, Layer("areas", "Polygon", [[box] for box in boxes], CRS(CRS_OF_CLOUDS), {"name": names}))
+    return names
+
+
+@pytest.fixture(scope="module")
+def epochs(tmp_path_factory):
+    """Three runs: the bed, a pit of 0.2 m, and one of 0.4 m, half a year apart."""
+    folder, paths = tmp_path_factory.mktemp("series"), []
+    for number, (taken, pit_m) in enumerate((("2025-03-15", 0.0), ("2025-09-15", 0.2), ("2026-03-15", 0.4))):
+        with RunDir(folder / taken) as run:
+            write(run.cloud_path, number + 1, pit_m=pit_m)
+            write_json(run.report_json_path, {"taken": {"first": f"{taken}T10:00:00"}})
+        paths.append(folder / taken)
+    return paths
+
+
+def test_a_series_has_the_volume_of_each_survey_over_the_first_in_each_polygon(epochs, tmp_path):
+    names = polygon_file(tmp_path / "areas.geojson", (2.0, 2.0, 8.0, 7.0), (8.5, 1.0, 11.5, 8.0))
+    out, areas = tmp_path / "out", tmp_path / "areas.geojson"
+    said = bathynerf("change", *epochs, "--area", areas, "--resolution", 0.5, "-o", out)
+    assert said.exit_code == 0, said.output
+    with (out / "series.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["area"] for row in rows] == ["all", "all", *(name for name in names for _ in range(2))]
+    assert [row["taken"] for row in rows] == ["2025-09-15T10:00:00", "2026-03-15T10:00:00"] * 3
+    for row, pit_m3 in zip(rows, [0.5 * PIT_M3, PIT_M3] * 2 + [0.0, 0.0], strict=True):
+        volume, std, area = (float(row[name]) for name in ("net_m3", "net_std_m3", "area_m2"))
+        assert abs(volume + pit_m3) < 3.0 * std
+        # What all cells of a survey share does not average out, however many they are.
+        assert float(row["mean_std_m"]) == pytest.approx(std / area, rel=1e-3)
+        assert np.hypot(0.005, 0.005) < std / area < 1.3 * np.hypot(0.005, 0.005)
+        assert float(row["mean_m"]) == pytest.approx(volume / area, abs=1e-5)
+    assert (out / "series.png").read_bytes().startswith(b"\x89PNG")
+    assert "2026-03-15" in said.output
+    again = bathynerf("change", *epochs, "--area", areas, "--resolution", 0.5, "-o", out)
+    assert again.exit_code == 0, again.output
+
+
+def test_a_series_of_two_is_what_change_says_of_them(epochs):
+    options = ChangeOptions(resolution_m=0.5, correlation_length_m=0.1)
+    (epoch,) = change_series(epochs[::2], options=options)
+    assert epoch.net == change_between(epochs[0], epochs[2], options).net
+
+
+def test_surveys_of_a_series_count_in_the_cells_that_all_cover(epochs, tmp_path):
+    las = laspy.read(epochs[2] / "cloud.las")
+    las.points = las.points[las.x < E0 + 9.0]
+    las.write(tmp_path / "half.las")
+    options = ChangeOptions(resolution_m=0.5, correlation_length_m=0.1)
+    found = change_series([*epochs[:2], tmp_path / "half.las"], tmp_path / "out", options)
+    assert {epoch.net.area_m2 for epoch in found} == {81.0}
+    assert found[1].taken is None
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--tif", "d.tif"), "--tif shows two surveys, and 3 are given"),
+        (("-o", "taken"), "exists and is not a series"),
+        (("--area", "far.geojson"), "no cell that both surveys cover"),
+    ],
+)
+def test_a_series_that_cannot_be_is_refused(epochs, tmp_path, monkeypatch, options, words):
+    monkeypatch.chdir(tmp_path)
+    polygon_file(tmp_path / "far.geojson", (900.0, 900.0, 950.0, 950.0))
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "series.csv").write_text("mine")
+    said = bathynerf("change", *epochs, *options)
+    assert said.exit_code == 2, said.output
+    assert words in " ".join(said.output.split())
+
+
+def test_a_survey_named_twice_in_a_series_is_refused(epochs):
+    with pytest.raises(ChangeError, match="hold the same points"):
+        change_series([*epochs, epochs[1]])

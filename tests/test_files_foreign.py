@@ -65,7 +65,9 @@ def test_polygons_of_kml_are_areas(tmp_path, hole):
 
     rings = boundary("outer", ring) + (boundary("inner", inner) if hole else "")
     (tmp_path / "area.kml").write_text(kml(f"<Placemark><Polygon>{rings}</Polygon></Placemark>"))
-    (polygon,) = read_polygons(tmp_path / "area.kml", UTM, np.array([588900.0, 5194600.0, 589200.0, 5194900.0]))
+    (polygon,) = read_polygons(
+        tmp_path / "area.kml", UTM, np.array([588900.0, 5194600.0, 589200.0, 5194900.0])
+    ).values()
     # Degrees are written to their last digit; a side of 100 m curves by some micrometres.
     assert polygon.area == pytest.approx(1e4 - (400.0 if hole else 0.0), abs=0.05)
 

@@ -41,7 +41,7 @@ def layers_in(path, **layers):
 @pytest.mark.parametrize("form", ["{}:dredged", "{}|layername=dredged"])
 def test_the_layer_that_is_named_is_read(tmp_path, form):
     path = layers_in(tmp_path / "plan.gpkg", outline=BOX.buffer(9.0), dredged=BOX)
-    (polygon,) = read_polygons(form.format(path), UTM, AROUND)
+    (polygon,) = read_polygons(form.format(path), UTM, AROUND).values()
     assert polygon.area == pytest.approx(6.0)
 
 
@@ -112,7 +112,7 @@ def test_a_closed_line_is_an_area(tmp_path, suffix):
     else:
         named = {"type": "name", "properties": {"name": "EPSG:25832"}}
         path.write_text(json.dumps({**json.loads(shapely.to_geojson(ring)), "crs": named}))
-    (polygon,) = read_polygons(path, UTM, AROUND)
+    (polygon,) = read_polygons(path, UTM, AROUND).values()
     assert polygon.area == pytest.approx(6.0)
     with pytest.raises(UnreadableFile, match="no polygon and no closed line"):
         read_polygons(drawing(tmp_path / "open.dxf", LINE.coords, 6), UTM, AROUND)
@@ -126,7 +126,7 @@ def test_rings_are_written_closed_and_a_drawing_has_its_extent(tmp_path):
     assert [(len(each.vertices), each.is_closed) for each in made.modelspace()] == [(4, True), (2, False)]
     np.testing.assert_allclose(made.header["$EXTMIN"], [*CORNER, 580.0])
     np.testing.assert_allclose(made.header["$EXTMAX"], [*OPPOSITE, 582.0])
-    (polygon,) = read_polygons(tmp_path / "a.dxf", UTM, AROUND)
+    (polygon,) = read_polygons(tmp_path / "a.dxf", UTM, AROUND).values()
     assert polygon.area == pytest.approx(6.0)
 
 

@@ -7,10 +7,12 @@ remains: its variance less the smallest one of the survey, once at the cell and 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from shapely import Polygon
 
 from evaluation.robust import MAD_TO_STD
 from geo.features import layer_of
@@ -24,13 +26,13 @@ from survey.change.differences import (
     Correlation,
     Differences,
     Volume,
-    cloud_path,
     differences_of,
     measured_correlation,
     volume_of,
 )
 from survey.change.options import ChangeOptions
 from survey.display.quantities import MINUS, length, share
+from survey.export.export import cloud_of
 from survey.files.json_values import write_json
 from survey.files.outputs import ReadFiles, is_json, is_png, require_file
 from survey.files.toml_table import require_options
@@ -99,32 +101,40 @@ class Change:
 def change_between(first: str | Path, second: str | Path, options: ChangeOptions = ChangeOptions()) -> Change:
     """Compare two surveys, runs or clouds, and write what is asked for."""
     first, second = Path(first), Path(second)
-    _require_options(first, second, options)
+    surveys = require_surveys((first, second), options)
     with current().stage("Reading"):
-        differences, cells, notes = differences_of(first, second, options)
+        (differences,), cells, notes = differences_of(surveys, options)
         inside = differences.is_known
         if options.area is not None:
-            inside &= _cells_in(options.area, cells)
-    if not inside.any():
-        raise ChangeError(f"no cell that both surveys cover lies in {options.area}; correct the polygon or its CRS")
-    correlation, of_scatter = _correlation(differences, inside, options)
+            inside &= cells_inside(polygons_for(options.area, cells).values(), cells)
+    require_cells(inside, options)
+    (change,) = changes_in([inside], differences, cells, options)
+    change = replace(change, notes=(*notes, *change.notes))
+    _write(change, first, second, options)
+    return change
+
+
+def changes_in(
+    areas: Sequence[np.ndarray], differences: Differences, cells: Grid, options: ChangeOptions
+) -> list[Change]:
+    """Changes in areas (rows, columns) bool of known cells; the correlation of errors is measured in the first."""
+    correlation, notes = _correlation(differences, areas[0], options)
     alignment = None
     if options.stable is not None:
         differences, alignment = _aligned(differences, cells, correlation, options.stable)
-    is_beyond = differences.is_significant & inside
-    change = Change(
-        differences,
-        cells,
-        inside,
-        volume_of(differences, inside, correlation),
-        volume_of(differences, is_beyond & (differences.height < 0.0), correlation),
-        volume_of(differences, is_beyond & (differences.height > 0.0), correlation),
-        correlation,
-        alignment,
-        (*notes, *of_scatter),
-    )
-    _write(change, first, second, options)
-    return change
+    found = []
+    for inside in areas:
+        is_beyond = differences.is_significant & inside
+        parts = (inside, is_beyond & (differences.height < 0.0), is_beyond & (differences.height > 0.0))
+        net, cut, fill = (volume_of(differences, part, correlation) for part in parts)
+        found.append(Change(differences, cells, inside, net, cut, fill, correlation, alignment, tuple(notes)))
+    return found
+
+
+def require_cells(inside: np.ndarray, options: ChangeOptions) -> None:
+    """Raise ChangeError where no cell that all surveys cover lies in the polygons."""
+    if not inside.any():
+        raise ChangeError(f"no cell that both surveys cover lies in {options.area}; correct the polygon or its CRS")
 
 
 def rows_of(change: Change) -> list[tuple[str, str]]:
@@ -143,9 +153,9 @@ def rows_of(change: Change) -> list[tuple[str, str]]:
             "detection",
             f"{length(float(np.median(detection)))} (median) at 95 %; {share(beyond)} of the cells are beyond",
         ),
-        ("fill", f"{_volume(change.fill)}, of cells beyond detection"),
-        ("cut", f"{_volume(change.cut)}, of cells beyond detection"),
-        ("net", f"{_volume(change.net)}, of all cells"),
+        ("fill", f"{volume_text(change.fill)}, of cells beyond detection"),
+        ("cut", f"{volume_text(change.cut)}, of cells beyond detection"),
+        ("net", f"{volume_text(change.net)}, of all cells"),
         (
             "errors",
             f"of cells correlated over {length(change.correlation.length_m)} (at short lags "
@@ -193,7 +203,8 @@ def numbers_of(change: Change, first: Path, second: Path) -> dict:
     }
 
 
-def _volume(volume: Volume) -> str:
+def volume_text(volume: Volume) -> str:
+    """A volume with its interval of 95 % and its area."""
     half = 0.5 * (volume.interval95_m3[1] - volume.interval95_m3[0])
     text = f"{volume.volume_m3:+.4g}".replace("-", MINUS)
     return f"{text} m³ ± {half:.2g} m³ (95 %) over {volume.area_m2:.4g} m²"
@@ -220,25 +231,25 @@ def _correlation(differences: Differences, inside: np.ndarray, options: ChangeOp
 def _aligned(
     differences: Differences, cells: Grid, correlation: Correlation, path: Path
 ) -> tuple[Differences, Alignment]:
-    stable = _cells_in(path, cells)
+    stable = cells_inside(polygons_for(path, cells).values(), cells)
     try:
         return align(differences, stable, correlation)
     except ValueError as error:
         raise ChangeError(f"--stable {path}: {error}; draw larger polygons, or correct their CRS") from error
 
 
-def _cells_in(path: Path, cells: Grid) -> np.ndarray:
-    """Whether the middle of each cell (rows, columns) lies in a polygon of a file."""
-    polygons = read_polygons(path, cells.crs, cells.box)
+def polygons_for(path: Path, cells: Grid) -> dict[str, Polygon]:
+    """The polygons of a file by their names, in the CRS of the cells."""
     current().note(*assumed_crs(path))
-    return cells_inside(polygons, cells)
+    return read_polygons(path, cells.crs, cells.box)
 
 
-def _require_options(first: Path, second: Path, options: ChangeOptions) -> None:
+def require_surveys(paths: Sequence[Path], options: ChangeOptions) -> dict[Path, Path]:
+    """The files of the clouds of surveys; raises where an option is unusable, or a file must not be written."""
     require_options(options)
-    paths = [existing_file(cloud_path(path)) for path in (first, second)]
+    surveys = {path: existing_file(cloud_of(path)) for path in paths}
     polygons = [path for path in (options.area, options.stable) if path is not None]
-    read = ReadFiles.of(*paths, *(existing_file(layer_of(path)[0]) for path in polygons))
+    read = ReadFiles.of(*surveys.values(), *(existing_file(layer_of(path)[0]) for path in polygons))
     require_file("--json", options.json_path, read, kind="a JSON file", is_of_kind=is_json)
     require_file("--picture", options.picture_path, read, kind="a PNG", is_of_kind=is_png)
     tif = options.tif_path
@@ -248,6 +259,10 @@ def _require_options(first: Path, second: Path, options: ChangeOptions) -> None:
     require_file(
         "--tif", tif, read, kind=kind, is_of_kind=lambda head: not head or (tif is not None and is_our_tiff(tif))
     )
+    if len(surveys) < len(paths):
+        twice = next(path for path in paths if list(paths).count(path) > 1)
+        raise ChangeError(f"{twice} and {twice} hold the same points: give two surveys")
+    return surveys
 
 
 def _write(change: Change, first: Path, second: Path, options: ChangeOptions) -> None:
@@ -296,7 +311,7 @@ def _draw(change: Change, path: Path) -> None:
     drawn = show(axes, np.where(differences.is_significant, d, np.nan) * unit.per_metre, extent, **style)
     colour_bar(axes, drawn, f"second minus first [{unit.name}], pale where not significant")
     subtitle = (
-        f"fill {change.fill.volume_m3:.4g} m³  ·  cut {change.cut.volume_m3:.4g} m³  ·  net {_volume(change.net)}"
+        f"fill {change.fill.volume_m3:.4g} m³  ·  cut {change.cut.volume_m3:.4g} m³  ·  net {volume_text(change.net)}"
     )
     write_title(axes, "Change of the bed", subtitle.partition(" over")[0])
     save(figure, path)

@@ -19,6 +19,7 @@ Source of the level of detection: J. Wheaton et al., Accounting for uncertainty 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -182,49 +183,47 @@ class SurveyPoints:
     common: np.ndarray
 
 
-def cloud_path(path: Path) -> Path:
-    """The cloud of a run folder; a file itself."""
-    if not path.is_dir():
-        return path
-    run = RunDir(path)
-    run.require_run()
-    return run.cloud_path
+def differences_of(
+    surveys: Mapping[Path, Path], options: ChangeOptions
+) -> tuple[list[Differences], Grid, tuple[str, ...]]:
+    """Each later survey minus the first, in the same cells; these, and notes on the surveys.
 
-
-def differences_of(first: Path, second: Path, options: ChangeOptions) -> tuple[Differences, Grid, list[str]]:
-    """The second survey minus the first, the cells, and notes on the surveys."""
-    clouds = [_cloud(path) for path in (first, second)]
-    if np.array_equal(clouds[0].points, clouds[1].points):
-        raise ChangeError(f"{first} and {second} hold the same points: give two surveys")
-    crs, notes = common_crs({path: cloud.crs for path, cloud in zip((first, second), clouds, strict=True)})
+    ``surveys`` has the file of the cloud of each, in the order of time.
+    """
+    first, *others = surveys
+    clouds = {path: _cloud(path, file) for path, file in surveys.items()}
+    for path in others:
+        if np.array_equal(clouds[first].points, clouds[path].points):
+            raise ChangeError(f"{first} and {path} hold the same points: give two surveys")
+    crs, notes = common_crs({path: cloud.crs for path, cloud in clouds.items()})
     if crs is None:
         raise ChangeError(
-            f"neither {first} nor {second} states its CRS, in which the differences are written; write it into the "
+            f"neither {first} nor {others[0]} states its CRS, in which the differences are written; write it into the "
             "files, e.g. by pdal translate --writers.las.a_srs=EPSG:25832+7837"
         )
-    notes += shared_photographs(first, second)
-    surveys = []
-    for cloud, path in zip(clouds, (first, second), strict=True):
-        each, of_survey = _survey_points(cloud, path, crs, options)
-        surveys.append(each)
+    found = []
+    for path in surveys:
+        notes += shared_photographs(first, path) if path != first else []
+        each, of_survey = _survey_points(clouds.pop(path), path, crs, options)
+        found.append(each)
         notes += of_survey
-    require_same_place(surveys[0].points, surveys[1].points, str(first), str(second))
-    low = np.max([each.points[:, :2].min(axis=0) for each in surveys], axis=0)
-    high = np.min([each.points[:, :2].max(axis=0) for each in surveys], axis=0)
+        require_same_place(found[0].points, each.points, str(first), str(path))
+    low = np.max([each.points[:, :2].min(axis=0) for each in found], axis=0)
+    high = np.min([each.points[:, :2].max(axis=0) for each in found], axis=0)
     metres = ground_units_m(crs, 0.5 * (low + high))
-    spacing = max(_spacing_m(each.points, metres) for each in surveys)
+    spacing = max(_spacing_m(each.points, metres) for each in found)
     side = options.resolution_m or round_side(_SPACINGS_PER_CELL * spacing)
     cells = cells_over(np.array([low, high]), crs, side)
-    layers = [_raster_of(each, cells, crs, spacing) for each in surveys]
-    (height_a, std_a, common_a), (height_b, std_b, common_b) = layers
-    common = np.stack([common_a, common_b])
-    differences = Differences(height_b - height_a, np.hypot(std_a, std_b), common, options.shared, side)
-    if not differences.is_known.any():
+    (height, std, common), *later = [_raster_of(each, cells, crs, spacing) for each in found]
+    differences = [
+        Differences(h - height, np.hypot(std, s), np.stack([common, c]), options.shared, side) for h, s, c in later
+    ]
+    if not np.logical_and.reduce([each.is_known for each in differences]).any():
         raise ChangeError(
-            f"{first} and {second} have no cell of {side:g} m in common that points of both cover; give a larger "
-            "--resolution, or surveys that overlap"
+            f"{', '.join(map(str, others))} and {first} have no cell of {side:g} m in common that points of all cover; "
+            "give a larger --resolution, or surveys that overlap"
         )
-    return differences, cells, notes
+    return differences, cells, tuple(notes)
 
 
 def shared_photographs(first: Path, second: Path) -> list[str]:
@@ -243,8 +242,8 @@ def shared_photographs(first: Path, second: Path) -> list[str]:
     ]
 
 
-def _cloud(path: Path) -> Cloud:
-    shape = read_reference(cloud_path(path))
+def _cloud(path: Path, file: Path) -> Cloud:
+    shape = read_reference(file)
     if not isinstance(shape, Cloud):
         raise ChangeError(f"{path} is a mesh, expected a run folder or a cloud as LAS, LAZ or COPC")
     cloud, notes = ground_of(shape, path)

@@ -21,7 +21,7 @@ EXAMPLES = """
 
 @grouped
 def run(
-    cloud: Annotated[Path, typer.Argument(metavar="CLOUD", help="LAS, LAZ, COPC, PLY or E57.")],
+    cloud: Annotated[Path, typer.Argument(metavar="CLOUD", help="Run folder, LAS, LAZ, COPC, PLY or E57.")],
     reference: Annotated[
         Path,
         typer.Argument(metavar="REFERENCE", help="PLY, OBJ, GLB, GeoTIFF, or points like CLOUD, also CSV and XYZ."),
@@ -37,6 +37,7 @@ def run(
     with command(verbose, quiet, asked.report_dir or asked.json_path or cloud, reads=cloud) as results:
         from survey.compare.comparison import compare_files
         from survey.compare.tables import sections_of
+        from survey.export.export import cloud_of
 
-        for section in sections_of(compare_files(cloud, reference, options=asked)):
+        for section in sections_of(compare_files(cloud_of(cloud), reference, options=asked)):
             results.section(section)

@@ -19,12 +19,12 @@ from survey.run.stored import StoredBed
 
 def write_las(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     """LAS, or LAZ or COPC by the suffix."""
-    stored, classes = run.bed_in(options.crs), None
+    stored, classes = run.classified_in(options.crs)
     if options.no_bed:
         # It takes the libraries of rasters and shapes.
         from survey.export.unseen import with_unseen
 
-        stored, classes = with_unseen(run, stored, options.crs)
+        stored, classes = with_unseen(run, stored, classes, options.crs)
     write_bed_las(path, stored, classes, total_uncertainty(run, stored) if options.tpu else None)
 
 

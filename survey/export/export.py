@@ -22,6 +22,8 @@ from survey.files.json_values import read_json_object, write_json
 from survey.files.outputs import ReadFiles, require_file, require_folder
 from survey.files.toml_table import option_name, require_options
 from survey.progress import current
+from survey.run.edits import FOLDER, edits_of
+from survey.run.folder import RunDir
 from survey.stage_key import code_hash, stage_key
 
 _RECORD = "exports.json"
@@ -57,7 +59,9 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
     require_options(options)
     wanted = _wanted(files)
     _require_effect([product for product, _ in wanted], options)
-    with LoadedRun(run) as loaded:
+    with LoadedRun(run, as_computed=options.as_computed) as loaded:
+        if loaded.edits is not None:
+            current().note(f"with edits: {loaded.edits}; without them: --as-computed")
         inputs = loaded.folder.inputs()
         if options.crs is not None and (warning := loaded.transformation_to(options.crs).warning) is not None:
             current().warn(warning)
@@ -83,6 +87,20 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
                     left = ", ".join(str(path) for _, path in wanted[len(written) :])
                     current().warn(f"written before it ended: {', '.join(map(str, written))}; not written: {left}")
     return [path for _, path in wanted]
+
+
+def cloud_of(run: str | Path) -> Path:
+    """The file of the cloud of a run folder: cloud.las or, where it was edited, that without what was deleted.
+
+    A file is taken for a cloud itself.
+    """
+    folder = RunDir(run)
+    if not folder.path.is_dir():
+        return folder.path
+    folder.require_run()
+    if edits_of(folder) is None:
+        return folder.cloud_path
+    return export(run, las=folder.path / FOLDER / folder.cloud_path.name)[0]
 
 
 def _write(product: Product, path: Path, loaded: LoadedRun, options: ExportOptions, key: str) -> None:
@@ -148,9 +166,10 @@ def _name(product: Product) -> str:
 
 
 def key_of(product: Product, run: LoadedRun, options: ExportOptions) -> str:
-    """A hash of all that a product depends on: the run's result, the options that it follows, and its code."""
+    """A hash of all that a product depends on: result and edits of the run, the options that it follows, its code."""
     asked = {name: getattr(options, name) for name in product.takes}
-    return stage_key(product.option, run.stages, asked, code_hash())
+    edits = None if run.edits is None or not product.is_of_points else run.edits.path
+    return stage_key(product.option, run.stages, asked, code_hash(), edits)
 
 
 def is_current(run: LoadedRun, path: Path, key: str) -> bool:

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from pyproj import CRS
 
-from geo.las import WITHHELD_STD_M, is_withheld
+from geo.las import WITHHELD_STD_M, classes_of, is_withheld
 from geo.reproject import Reprojection
 from refract import PinholeCamera
 from survey.adjust.result.adjustment import read_adjustment
@@ -23,6 +23,7 @@ from survey.files.json_values import read_json_object
 from survey.photos.cameras import View
 from survey.photos.images import load_image, load_mask
 from survey.progress import current
+from survey.run.edits import DELETED, edits_of
 from survey.run.flight import Flight, load_flight
 from survey.run.folder import RunDir
 from survey.run.stored import BedHeader, StoredBed, load_bed, load_bed_columns, load_bed_header
@@ -39,14 +40,16 @@ _Made = TypeVar("_Made")
 class LoadedRun:
     """The result in a run folder, for use in a ``with`` block, which removes temporary files at its end.
 
-    `stages` are the names of the stages and their folders, which end in a hash of all that the stage depends on.
+    `stages` are the names of the stages and their folders, which end in a hash of all that the stage depends on. The
+    points are those of the bed that edits (`survey.run.edits`) have left; all of them where it is to be as computed.
     """
 
-    def __init__(self, path: str | Path):
+    def __init__(self, path: str | Path, *, as_computed: bool = False):
         self.folder = RunDir(path)
         self.folder.require_run()
         self._bed_folder = self.folder.load_stage(BED_STAGE)
         self.stages: dict[str, str] = self.folder.result()["stages"]
+        self.edits = None if as_computed else edits_of(self.folder)
         self._made: dict[Hashable, Any] = {}
         self._held = ExitStack()
 
@@ -58,9 +61,20 @@ class LoadedRun:
         self._held.close()
 
     @cached_property
-    def bed(self) -> StoredBed:
-        """The cloud, in the CRS of the survey."""
+    def _whole(self) -> StoredBed:
         return load_bed(self._bed_folder)
+
+    @cached_property
+    def bed(self) -> StoredBed:
+        """The points of the bed, in the CRS of the survey."""
+        return self._whole if self.edits is None else self._whole[self.edits.is_bed]
+
+    def classified_in(self, crs: str | None) -> tuple[StoredBed, np.ndarray]:
+        """All points that are not deleted, in a CRS as of `bed_in`, with their classes (N,) uint8 of LAS."""
+        if self.edits is None:
+            return self.bed_in(crs), classes_of(self.bed.bed.wet)
+        kept = self.edits.classes != DELETED
+        return self._in(crs, self._whole[kept]), self.edits.classes[kept]
 
     @cached_property
     def bed_header(self) -> BedHeader:
@@ -91,14 +105,7 @@ class LoadedRun:
             f"{int(withheld.sum())} of {len(withheld)} points are left out of products that have no place for a flag: "
             f"their standard deviation is over {WITHHELD_STD_M:g} m, and LAS has them as withheld"
         )
-        return replace(
-            bed,
-            bed=bed.bed[~withheld],
-            points_crs=bed.points_crs[~withheld],
-            std_common=None if bed.std_common is None else bed.std_common[~withheld],
-            std_placed=None if bed.std_placed is None else bed.std_placed[~withheld],
-            std_plan=None if bed.std_plan is None else bed.std_plan[~withheld],
-        )
+        return bed[~withheld]
 
     @cached_property
     def flight(self) -> Flight:
@@ -112,7 +119,8 @@ class LoadedRun:
 
     def columns(self, *names: str) -> dict[str, np.ndarray]:
         """Some columns of the points; see `survey.run.stored.load_bed_columns`."""
-        return load_bed_columns(self._bed_folder, *names)
+        found = load_bed_columns(self._bed_folder, *names)
+        return found if self.edits is None else {name: values[self.edits.is_bed] for name, values in found.items()}
 
     def transformation_to(self, crs: str) -> Reprojection:
         """Transformation from the CRS of the survey to another one; see `geo.reproject.Reprojection`."""
@@ -126,7 +134,9 @@ class LoadedRun:
 
         Errors as `transformation_to`.
         """
-        bed = self.certain_bed if certain else self.bed
+        return self._in(crs, self.certain_bed if certain else self.bed)
+
+    def _in(self, crs: str | None, bed: StoredBed) -> StoredBed:
         if crs is None:
             return bed
         reprojection = self.transformation_to(crs)

@@ -72,6 +72,7 @@ class ExportOptions:
     thin: str = _made(
         None, "Thinning of soundings to one per cell; none: keep all.", default="none", one_of=("none", "shoal", "mean")
     )
+    as_computed: bool = _made(None, "Ignore edits made in view.", name="--as-computed", default=False)
     survey: str | None = _made("DIR", "Survey folder, if it was moved since the run.")
 
 

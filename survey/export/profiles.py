@@ -34,6 +34,7 @@ from survey.display.palette import BLUE, INK, LAND, RED, WATER, WATER_LINE
 from survey.display.quantities import length, named, share
 from survey.errors import SurveyError
 from survey.export.bed_cells import LevelFit, round_side
+from survey.export.export import cloud_of
 from survey.files.outputs import ReadFiles, is_png, require_file
 from survey.progress import current
 from survey.run.folder import RunDir
@@ -85,10 +86,7 @@ class Bed:
     """
 
     def __init__(self, path: Path, reference: Path | None = None):
-        run = RunDir(path)
-        if path.is_dir():
-            run.require_run()
-        file = run.cloud_path if path.is_dir() else path
+        file = cloud_of(path)
         self._reference: Mesh | Cloud | None = None
         if reference is None:
             self._cloud, notes = ground_of(read_cloud(file), file)

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 from survey.export.product import Product
 
-_CELLS = ("crs", "resolution_m", "fill_m")
+_EDITED = "as_computed"
+_CELLS = ("crs", "resolution_m", "fill_m", _EDITED)
 _TIFF, _VECTOR = (".tif", ".tiff"), (".geojson", ".gpkg")
 _LINES = (*_VECTOR, ".dxf", ".zip")
 _BY_GDAL = "GeoJSON, DXF (extra dxf), GPKG, zipped shapefile (extra vector)."
 FAMILIES: dict[str, tuple[Product, ...]] = {
     "Points": (
-        Product("las", (".las",), "clouds", ("crs", "no_bed", "tpu"),
+        Product("las", (".las",), "clouds", ("crs", "no_bed", "tpu", _EDITED),
                 "Points as LAS 1.4.", "bed.las"),
-        Product("laz", (".laz",), "clouds", ("crs", "no_bed", "tpu"),
+        Product("laz", (".laz",), "clouds", ("crs", "no_bed", "tpu", _EDITED),
                 "Points as LAZ, LAS compressed.", "bed.laz --crs EPSG:4326"),
-        Product("copc", (".copc.laz",), "clouds", ("crs", "no_bed", "tpu"),
+        Product("copc", (".copc.laz",), "clouds", ("crs", "no_bed", "tpu", _EDITED),
                 "Points as cloud-optimised LAZ, from which readers fetch parts.", "bed.copc.laz"),
-        Product("ply", (".ply",), "clouds", ("crs",),
+        Product("ply", (".ply",), "clouds", ("crs", _EDITED),
                 "Points as binary PLY in double precision.", "bed.ply"),
-        Product("e57", (".e57",), "clouds", ("crs",),
+        Product("e57", (".e57",), "clouds", ("crs", _EDITED),
                 "Places and colours of the points as E57 (needs the extra e57).", "bed.e57"),
-        Product("soundings", (".xyz", ".csv"), "soundings", ("crs", "resolution_m", "thin"),
+        Product("soundings", (".xyz", ".csv"), "soundings", ("crs", "resolution_m", "thin", _EDITED),
                 "Points as XYZ or, with depth and standard deviations, CSV.", "bed.xyz --thin shoal"),
     ),
     "Rasters": (
@@ -36,15 +37,16 @@ FAMILIES: dict[str, tuple[Product, ...]] = {
                 "Order of IHO S-44 by uncertainty, as GeoTIFF.", "orders.tif --resolution 1"),
         Product("orthophoto", _TIFF, "orthophoto", (*_CELLS, "survey"),
                 "The bed from above, from the photographs, as GeoTIFF.", "bed.tif --fill 0.5"),
-        Product("waves", ("",), "waves", (),
+        Product("waves", ("",), "waves", (_EDITED,),
                 "Folder: height of the water in each photograph, as GeoTIFF.", "waves", is_folder=True),
     ),
     "Meshes": (
-        Product("mesh", (".ply", ".obj", ".glb"), "meshes", ("crs", "resolution_m", "mesh_method", "watertight"),
+        Product("mesh", (".ply", ".obj", ".glb"), "meshes",
+                ("crs", "resolution_m", "mesh_method", "watertight", _EDITED),
                 "The bed in coloured triangles: PLY, OBJ or GLB.", "bed.obj --watertight"),
     ),
     "Lines and areas": (
-        Product("footprints", _VECTOR, "vectors", ("crs",),
+        Product("footprints", _VECTOR, "vectors", ("crs", _EDITED),
                 "What each photograph shows of the bed: GeoJSON, GeoPackage (extra vector).", "images.geojson"),
         Product("shoreline", _LINES, "vectors", _CELLS,
                 f"Where the bed meets the water: {_BY_GDAL}", "shore.gpkg --fill 0.5"),
@@ -55,7 +57,7 @@ FAMILIES: dict[str, tuple[Product, ...]] = {
                 "unseen.geojson"),
     ),
     "Cameras": (
-        Product("colmap", ("",), "cameras", (),
+        Product("colmap", ("",), "cameras", (_EDITED,),
                 "Folder: cameras as a COLMAP model (text); rays bend at the water.", "sparse", is_folder=True),
         Product("nerfstudio", (".json",), "cameras", (),
                 "Cameras as nerfstudio's transforms.json.", "cameras.json", is_of_points=False),

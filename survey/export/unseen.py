@@ -13,7 +13,7 @@ from shapely import Polygon
 from fields.sweep.bed import BedPoints
 from geo.frames import LocalFrame
 from geo.grid import Window
-from geo.las import classes_of
+from geo.las import CLASS_NO_BOTTOM, CLASS_WATER_SURFACE
 from geo.raster import RasterBand
 from geo.transformation import Transformation
 from geo.vectors import Layer
@@ -32,7 +32,6 @@ REASONS = {
     TWO_VIEWS: "two or more views, no bed found: turbid, too deep, glint, or without texture",
     ONE_VIEW: "one view only",
 }
-CLASS_WATER_SURFACE, CLASS_NO_BOTTOM = 41, 45
 _RASTERS = (".tif", ".tiff")
 
 
@@ -78,7 +77,9 @@ def _unseen(run: LoadedRun) -> Unseen:
     return Unseen(cells, np.where(is_water & ~cells.has_point, codes, 0).astype(np.uint8), level, flight.frame)
 
 
-def with_unseen(run: LoadedRun, stored: StoredBed, crs: str | None) -> tuple[StoredBed, np.ndarray]:
+def with_unseen(
+    run: LoadedRun, stored: StoredBed, classes: np.ndarray, crs: str | None
+) -> tuple[StoredBed, np.ndarray]:
     """The cloud, in a CRS or that of the survey, with two points for each cell without a bed; the classes (N,) of all.
 
     Both stand on the water over the middle of the cell, black, without depth and standard deviation: `CLASS_NO_BOTTOM`,
@@ -98,7 +99,7 @@ def with_unseen(run: LoadedRun, stored: StoredBed, crs: str | None) -> tuple[Sto
     points = unseen.frame.crs_from_local(xyz)
     if crs is not None:
         points = run.transformation_to(crs)(points)
-    classes = [classes_of(bed.wet), np.full(number, CLASS_NO_BOTTOM), np.full(number, CLASS_WATER_SURFACE)]
+    added_classes = np.repeat(np.array([CLASS_NO_BOTTOM, CLASS_WATER_SURFACE], dtype=np.uint8), number)
     common = stored.std_common
     with_all = replace(
         stored,
@@ -108,7 +109,7 @@ def with_unseen(run: LoadedRun, stored: StoredBed, crs: str | None) -> tuple[Sto
         std_placed=None,
         std_plan=None if stored.std_plan is None else np.concatenate([stored.std_plan, unknown, unknown]),
     )
-    return with_all, np.concatenate(classes).astype(np.uint8)
+    return with_all, np.concatenate([classes, added_classes])
 
 
 def write_unseen(path: Path, run: LoadedRun, options: ExportOptions) -> None:

@@ -268,7 +268,7 @@ def read_ground(
     cloud, way_std, of_file = _in_crs(path, frame.crs)
     num_all = len(cloud.points)
     if given.stable is not None:
-        polygons = read_polygons(folder / given.stable, frame.crs, plan_box(cloud.points))
+        polygons = read_polygons(folder / given.stable, frame.crs, plan_box(cloud.points)).values()
         current().note(*assumed_crs(folder / given.stable))
         inside = points_inside(polygons, cloud.points[:, :2])
         if not inside.any():

@@ -20,6 +20,7 @@ from geo.raster import read_raster
 from geo.shapes import Cloud, Mesh
 from survey.display.embedded import picture_html, table_html
 from survey.errors import SurveyError
+from survey.export.export import cloud_of, export
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
 from survey.export.profiles import Bed, Profile
@@ -146,8 +147,8 @@ class Run:
 
     @cached_property
     def cloud(self) -> Cloud:
-        """The points of the bed, in the CRS of the survey: ``cloud.points`` is an array (N, 3)."""
-        return read_cloud(self._run.cloud_path)
+        """The points, in the CRS of the survey, with edits: ``cloud.points`` is an array (N, 3)."""
+        return read_cloud(cloud_of(self.folder))
 
     @cached_property
     def report(self) -> dict[str, Any]:
@@ -180,8 +181,6 @@ class Run:
 
     def export(self, *, options: ExportOptions | None = None, **files: str | Path | None) -> list[Path]:
         """Write products, e.g. ``run.export(laz="bed.laz")``; see `survey.export.export.export`."""
-        from survey.export.export import export
-
         return export(self.folder, options=options or ExportOptions(), **files)
 
     def compare(self, reference: str | Path, options: CompareOptions | None = None) -> Figures:
@@ -189,7 +188,7 @@ class Run:
         from survey.compare.comparison import compare_files
         from survey.compare.options import CompareOptions
 
-        return compare_files(self._run.cloud_path, Path(reference), options=options or CompareOptions())
+        return compare_files(cloud_of(self.folder), Path(reference), options=options or CompareOptions())
 
     def profile(
         self, line: Places, *, step_m: float | None = None, reference: str | Path | None = None, name: str = "profile"

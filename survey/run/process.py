@@ -27,6 +27,7 @@ from survey.plan.tile_choice import SHARED, plan_run
 from survey.plan.workload import Workload, room_warnings, workload_of_images
 from survey.progress import Progress, opened
 from survey.run.aim import plan_for_aim
+from survey.run.edits import edits_of_others
 from survey.run.execution import run_stages
 from survey.run.folder import RunDir
 from survey.run.job import Job
@@ -115,6 +116,8 @@ def process(
         verdict = write_products(FinishedRun(run, job, done, truth, result, time.monotonic() - began))
         run.publish(result, quality=job.plan.quality, stages=done)
         progress.detail(f"report: {run.report_html_path}")
+        if (of_others := edits_of_others(run)) is not None:
+            progress.warn(of_others)
         for gate in verdict.gates:
             if not gate.passed:
                 of = "a draft, for a first look" if job.plan.quality == Quality.draft else "quality gate"

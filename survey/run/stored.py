@@ -79,6 +79,11 @@ class StoredBed:
     # (N,) float32 [m] or None: standard deviation of the places in plan along one axis, by water, lens and poses
     std_plan: np.ndarray | None = None
 
+    def __getitem__(self, keep: np.ndarray) -> StoredBed:
+        """Some points, by a mask (N,) or their rows."""
+        of_places = {name: std[keep] for name in OF_PLACES if (std := getattr(self, name)) is not None}
+        return dataclasses.replace(self, bed=self.bed[keep], points_crs=self.points_crs[keep], **of_places)
+
     def std_of_photographs(self) -> np.ndarray | ComputedColumn:
         """Standard deviations (N,) [m] of the heights without `std_placed`: as good as the photographs are."""
         if self.std_placed is None:
@@ -153,6 +158,10 @@ class StoredArrays(Mapping[str, np.ndarray]):
                 raise EOFError("the file ends within an array")
             self._require_whole(name, zlib.crc32(content.data))
             return _array_in(content)
+
+    def checksum(self, name: str) -> int:
+        """CRC-32 of the array of a name, as the file states it."""
+        return self._members[name].CRC
 
     def mapped(self, name: str) -> np.ndarray:
         """The array of a name, which stays in the file."""

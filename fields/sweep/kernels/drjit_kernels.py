@@ -69,12 +69,10 @@ class _RayPoints:
         """P."""
         return dr.width(self.begin)
 
-    def points(self, number, pixel) -> tuple:
-        """Points at hypotheses (float) of rays, each by its number."""
-        z = dr.gather(self.stack.device.module.Float, self.begin, pixel) + number * constant(
-            self.stack.device, self.step
-        )
-        points = point_at([dr.gather(type(row), row, pixel) for row in self.rays], z)
+    def points(self, number, pixel=None) -> tuple:
+        """Points at hypotheses (float) of all rays, or of some by number."""
+        begin, *rays = (each if pixel is None else dr.gather(type(each), each, pixel) for each in (self.begin, *self.rays))
+        points = point_at(rays, begin + number * constant(self.stack.device, self.step))
         dr.eval(points)
         return points
 
@@ -116,22 +114,19 @@ def _warp_along_curves(ray_points: _RayPoints, part: range, neighbours: list[int
 
 def _curve_supports(ray_points: _RayPoints, part: range, neighbours: list[int]) -> list:
     """Pixel positions (u, v) of the first, middle and last hypothesis in each neighbour."""
-    stack, size = ray_points.stack, ray_points.size
-    UInt, Float = stack.device.module.UInt, stack.device.module.Float
-    third, pixel = hypothesis_and_pixel(stack.device, 3 * size, size)
-    first, half = (constant(stack.device, each) for each in (part.start, 0.5 * (len(part) - 1)))
-    points = ray_points.points(first + Float(third) * half, pixel)
-    found = []
-    for group in groups(neighbours):
-        places = [
-            in_front_of_camera(project_with_depth(stack.camera_rows[view], points, stack.kernel_water, stack.terms))
-            for view in group
-        ]
-        dr.eval(places)
-        found += places
-    # Not as views of their memory: its address is known only after the kernels.
-    runs = [dr.arange(UInt, size) + dr.opaque(UInt, k * size) for k in range(3)]
-    return [[[dr.gather(Float, each, run) for each in place] for run in runs] for place in found]
+    stack = ray_points.stack
+    found: list[list] = [[] for _ in neighbours]
+    for number in np.linspace(part.start, part.stop - 1, 3):
+        points = ray_points.points(constant(stack.device, number))
+        for group, of_group in zip(groups(neighbours), groups(found), strict=True):
+            places = [
+                in_front_of_camera(project_with_depth(stack.camera_rows[view], points, stack.kernel_water, stack.terms))
+                for view in group
+            ]
+            dr.eval(places)
+            for of_view, place in zip(of_group, places, strict=True):
+                of_view.append(place)
+    return found
 
 
 def _warp_point_by_point(

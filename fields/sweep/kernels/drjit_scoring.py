@@ -28,6 +28,8 @@ from fields.sweep.kernels.stack import NOISE_VARIANCE
 HYPOTHESES_PER_KERNEL = 8
 # Windows of a larger radius [px] are added up by rows: smaller ones are read faster than their sums are written.
 _WIDEST_AT_ONCE = 2
+# Rows of a window of 5 px whose pixels, and those of the reference, AVX2 keeps in its 16 registers.
+_ROWS_IN_REGISTERS = 2
 # Of windows of which a part is known: see `_known_row`.
 _KNOWN_SUMS = 6
 
@@ -200,9 +202,22 @@ def _moments(window: list, others: list, scale: float) -> tuple[Any, Any, Any]:
     side = math.isqrt(len(window))
     sums: list[Any] = [0.0, 0.0, 0.0]
     for first in range(0, len(window), side):  # rows, then their sums: less rounding than in one long chain
-        row = _row(list(zip(window[first : first + side], others[first : first + side], strict=True)))
-        sums = [total + part for total, part in zip(sums, row, strict=True)]
+        pixels = list(zip(window[first : first + side], others[first : first + side], strict=True))
+        if first and first % (_ROWS_IN_REGISTERS * side) == 0:
+            pixels[0] = _after(pixels[0][0], sums), pixels[0][1]
+        sums = [total + part for total, part in zip(sums, _row(pixels), strict=True)]
     return _central(sums, scale)
+
+
+def _after(value, sums: list):
+    """The value, which a kernel computes after three sums.
+
+    A kernel computes the operands of a result one after the other: of three sums over a window each in turn, with all
+    pixels of the window in more registers than there are.
+    """
+    always = dr.opaque(dr.mask_t(value), True)
+    first, second, third = sums
+    return dr.select(always, value, dr.select(always, first, dr.select(always, second, third)))
 
 
 def best_half(device: Device, scores: list):

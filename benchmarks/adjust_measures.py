@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from adjust_rows import Row, Truth
+from bench_methods import run_bathynerf
 from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize
 
@@ -18,7 +19,6 @@ from evaluation import height_at, vertical_difference
 from evaluation.robust import MAD_TO_STD
 from geo import LocalFrame, parse_crs, read_cloud, read_reference
 from refract.lens import Lens, undistorted
-from survey.benchmark.benchmark import run_bathynerf
 from survey.compare.measure import read_checkpoints
 from survey.photos.rotations import CAM_FROM_OPK_CAM
 

@@ -22,8 +22,7 @@ from pathlib import Path
 from adjust_coverage import covered, table
 from adjust_measures import brighton_errors, copr_errors, errors_of
 from adjust_rows import DATA, ROWS, SHUTTER_ROWS, Row, prepare
-
-from survey.benchmark.benchmark import run_bathynerf
+from bench_methods import run_bathynerf
 
 MEASURES = {"drawn": errors_of, "brighton": brighton_errors, "copr": copr_errors}
 # Titles of the table, and the figures in millimetres.

@@ -18,13 +18,13 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
+from bench_methods import run_bathynerf
 from condition_scenes import CONDITIONS
+from method_cases import Case, case_of, variant
 from tables import publish
 
 from evaluation import slope_below, vertical_difference
 from evaluation.vertical import WALL_DEG
-from survey.benchmark.benchmark import run_bathynerf
-from survey.benchmark.cases import Case, case_of, variant
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.compare.frame import to_local
 from survey.errors import FILE_NAME

@@ -19,12 +19,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from bench_methods import RESULTS, Settings, benchmark, commit, machine
 from matplotlib.ticker import LogLocator, NullFormatter
+from method_cases import IMAGES
+from method_records import METHODS, Record, Results, read_results, write_results
+from method_text import comparison, pareto_front
 
-from survey.benchmark.benchmark import RESULTS, Settings, benchmark, commit, machine
-from survey.benchmark.cases import IMAGES
-from survey.benchmark.records import METHODS, Record, Results, read_results, write_results
-from survey.benchmark.text import comparison, pareto_front
 from survey.compare.canvas import canvas, save
 from survey.display.palette import INK, RED, SERIES, SOFT
 

@@ -20,15 +20,15 @@ from pathlib import Path
 
 import laspy
 import numpy as np
+from bench_methods import run_bathynerf
+from method_cases import case_of
+from method_records import Errors, errors_of
 from stress_factors import blur, compressed, contrast, exposure, images, noise, with_waves
 
 from evaluation import coverage_by_class, slope_below, vertical_difference
 from evaluation.vertical import WALL_DEG
 from geo import read_reference
 from geo.las_header import extra_of
-from survey.benchmark.benchmark import run_bathynerf
-from survey.benchmark.cases import case_of
-from survey.benchmark.records import Errors, errors_of
 from survey.simulate.drawn import DrawnScene, stage_drawing
 from survey.simulate.ground.ground import Ground, Material, shade_of_map
 from survey.simulate.ground.shapes import BedGrid

@@ -25,13 +25,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from bench_methods import machine, run_bathynerf
 from pyproj import CRS
 
 from evaluation import distance_to_mesh
 from geo import read_cloud, read_reference
 from geo.raster import RasterBand, RasterForm, write_cog
 from refract import FlatWater
-from survey.benchmark.benchmark import machine, run_bathynerf
 from survey.folder.survey import Survey, load_survey
 from survey.plan.choices import Choices
 from survey.plan.tile_choice import plan_run

@@ -28,6 +28,7 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
+from bench_methods import run_bathynerf
 from bench_real_points import corrected, palau, read_stream
 from pyproj import Transformer
 from tables import TABLES, publish
@@ -38,7 +39,6 @@ from survey.adjust.applied import apply_adjustment
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Adjustment, ControlResidual
 from survey.adjust.result.std_common import place_jacobian
-from survey.benchmark.benchmark import run_bathynerf
 from survey.folder.survey import Survey, load_survey
 from survey.photos.poses import TiePoints
 

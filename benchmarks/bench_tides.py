@@ -21,14 +21,14 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
+from method_cases import case_of, variant
+from method_records import write_corrected
 from scipy.interpolate import RegularGridInterpolator
 from tables import publish
 
 from bathynerf import Dem, Progress, Run, load_survey, process, read_cloud, read_reference, simulate
 from evaluation import distance_statistics
 from geo import write_ply
-from survey.benchmark.cases import case_of, variant
-from survey.benchmark.corrected import write_corrected
 from survey.compare.canvas import canvas, save, write_title
 from survey.errors import FILE_NAME
 from survey.simulate.staging.simulate import simulate_flight

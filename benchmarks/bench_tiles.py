@@ -19,10 +19,10 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from bench_methods import machine, run_bathynerf
 
 from evaluation import distance_to_mesh, is_reached
 from geo import read_cloud, read_reference
-from survey.benchmark.benchmark import machine, run_bathynerf
 from survey.folder.survey import load_survey
 from survey.plan.area import Tiling
 from survey.plan.choices import Choices

@@ -22,16 +22,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from bench_methods import run_bathynerf
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from method_cases import case_of
+from method_records import Cost, Errors, errors_of
 from stress_factors import FACTORS, prepared
 from stress_faults import resumed
 
-from survey.benchmark.benchmark import run_bathynerf
-from survey.benchmark.cases import case_of
-from survey.benchmark.records import Cost, Errors, errors_of
 from survey.compare.canvas import save
 from survey.display.palette import BLUE, DOUBTFUL, INK, RED, SOFT
 

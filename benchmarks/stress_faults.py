@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from survey.benchmark.benchmark import run_bathynerf
-from survey.benchmark.records import Cost
+from bench_methods import run_bathynerf
+from method_records import Cost
 
 # What a resumed run must have again, byte by byte.
 PRODUCTS = ("cloud.las", "plan.json", "settings.toml")

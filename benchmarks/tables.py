@@ -13,8 +13,7 @@ from pathlib import Path
 from textwrap import fill
 
 import numpy as np
-
-from survey.benchmark.records import METHODS, Record, read_results
+from method_records import METHODS, Record, read_results
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS, DOCS = ROOT / "benchmarks" / "results", ROOT / "docs"

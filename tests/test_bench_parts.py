@@ -14,10 +14,10 @@ import condition_scenes
 import numpy as np
 import pytest
 import tables
+from method_cases import drawn_names
+from method_records import METHODS, Cost, Errors, Record, read_results
 from PIL import Image
 
-from survey.benchmark.cases import drawn_names
-from survey.benchmark.records import METHODS, Cost, Errors, Record, read_results
 from survey.simulate.drawn import DrawnScene, stage_drawing
 
 

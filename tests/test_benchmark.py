@@ -9,12 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from geo import read_cloud
-from survey.benchmark.benchmark import Settings, benchmark
-from survey.benchmark.cases import case_of, drawn_names, variant
-from survey.benchmark.records import Cost, Errors, Record, Results, read_results, write_results
-from survey.benchmark.text import (
+from bench_methods import Settings, benchmark
+from method_cases import case_of, drawn_names, variant
+from method_records import Cost, Errors, Record, Results, read_results, write_results
+from method_text import (
     changes,
     comparison,
     draw_pareto_front,
@@ -23,6 +21,8 @@ from survey.benchmark.text import (
     pareto_front,
     table,
 )
+
+from geo import read_cloud
 from survey.errors import SurveyError
 from survey.simulate.drawn import DrawnScene, draw_survey
 

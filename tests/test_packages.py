@@ -45,7 +45,6 @@ LAYERS = (
     {"survey/export", "survey/simulate/drawn"},
     {
         "survey/simulate/staging",
-        "survey/benchmark",
         "survey/change",
         "survey/marking",
         "survey/volume",
@@ -86,7 +85,7 @@ DISK = (
 DISK_FOLDERS = (
     {"geo", "survey"}
     | {f"survey/{name}" for name in ("commands", "control", "files", "folder", "init", "marking", "photos")}
-    | {f"survey/{name}" for name in ("benchmark", "export", "handles", "pose_files", "run", "sfm", "water")}
+    | {f"survey/{name}" for name in ("export", "handles", "pose_files", "run", "sfm", "water")}
     | {"survey/simulate/output", "survey/simulate/staging", "survey/volume"}
 )
 GIVEN_PATHS = {"Path", "RunDir"}

@@ -13,8 +13,8 @@ import pytest
 import stress as campaign
 import stress_factors
 import stress_faults
+from method_records import Cost, Errors
 
-from survey.benchmark.records import Cost, Errors
 from survey.simulate.drawn import DrawnScene, stage_drawing
 
 TINY = DrawnScene.tiny(image_px=(60, 45), focal_px=105.0, objects=False)

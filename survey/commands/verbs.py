@@ -16,7 +16,6 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from survey.commands import (
-    benchmark,
     change,
     check,
     compare,
@@ -40,7 +39,7 @@ _ALL, _REST = "Options", "Other options"
 _ARGUMENTS = "Arguments"
 # In the order of `bathynerf --help`.
 VERBS = (
-    init, check, mark, process, waterline, view, export, render, field, compare, change, profile, simulate, benchmark
+    init, check, mark, process, waterline, view, export, render, field, compare, change, profile, simulate
 )  # fmt: skip
 
 _EPILOG = """\b

@@ -1,7 +1,16 @@
-"""The benchmark itself: every method on every survey, each in a process of its own, round after round."""
+"""Run time against error of the whole chain, of its parts, and of straight rays with their depths corrected.
+
+    python benchmarks/bench_methods.py SURVEY ... -o FOLDER [--drawn DEPTH,PATTERN,IMAGES] [--repeats N]
+        [--against before/results.json]
+
+Every method runs on every survey in a process of its own, round after round. FOLDER takes drawn surveys and runs,
+results.json and front.png, the picture of time over error; prints a table, and what has changed against earlier
+results.
+"""
 
 from __future__ import annotations
 
+import argparse
 import os
 import platform
 import shutil
@@ -16,22 +25,31 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import psutil
+from method_cases import GIVEN, POSES, Case, case_of, drawn_case, drawn_names, variant
+from method_records import (
+    METHODS,
+    Cost,
+    Method,
+    Record,
+    Results,
+    errors_of,
+    read_results,
+    write_corrected,
+    write_results,
+)
+from method_text import comparison, draw_pareto_front, table
 
-import survey
+from fields.device import choose_device
 from geo.errors import GeoError
-from survey.benchmark.cases import GIVEN, POSES, Case, case_of, drawn_case, drawn_names, variant
-from survey.benchmark.corrected import write_corrected
-from survey.benchmark.records import METHODS, Cost, Method, Record, Results, errors_of, write_results
-from survey.benchmark.text import draw_pareto_front
 from survey.errors import SurveyError
 from survey.machine import memory_bytes, num_cores
 from survey.progress import current
 from survey.run.folder import versions
 from survey.stage_key import code_hash
-from survey.words import instead_of_word
+from survey.words import Quality, instead_of_word
 
 _BATHYNERF = (sys.executable, "-c", "from survey.commands.app import main; main()")
-_ROOT = Path(survey.__file__).resolve().parent.parent
+_ROOT = Path(__file__).resolve().parent.parent
 # Between two looks at the memory [s].
 _LOOK_S = 0.05
 RESULTS, FRONT = "results.json", "front.png"
@@ -199,7 +217,7 @@ def benchmark(
 ) -> Results:
     """Measure run time against error on survey folders with a known truth, which are not written to, and drawn surveys.
 
-    The folder takes drawn surveys (`drawn`: names as of `survey.benchmark.cases.drawn_names`), run folders,
+    The folder takes drawn surveys (`drawn`: names as of `method_cases.drawn_names`), run folders,
     results.json and front.png, which are written anew after every process. `known` are records of an earlier call with
     this code: they are kept, and their processes do not run again.
     """
@@ -230,13 +248,6 @@ def benchmark(
                 draw_pareto_front(folder / FRONT, results.records)
                 stage.advance()
     return results
-
-
-def present_devices() -> tuple[str, ...]:
-    """The processor, and CUDA where there is some."""
-    from fields.device import choose_device
-
-    return ("cpu",) if choose_device("auto").name != "cuda" else ("cpu", "cuda")
 
 
 def _jobs(case: Case, settings: Settings) -> list[_Job]:
@@ -292,3 +303,38 @@ def _with_errors(record: Record, job: _Job, method: Method, run: Path, folder: P
         return replace(record, errors=errors_of(cloud, job.case), words="")
     except (GeoError, SurveyError) as error:
         return replace(record, words=str(error))
+
+
+def main() -> None:
+    """Measure what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("surveys", nargs="*", type=Path, metavar="SURVEY", help="survey folders with reference.ply")
+    parser.add_argument("-o", "--output", type=Path, required=True, help="folder for all results")
+    parser.add_argument("--drawn", action="append", default=[], metavar="D,P,N",
+                        help="simulate a survey: depth [m], nadir or oblique, images; or all; repeatable")  # fmt: skip
+    parser.add_argument("--methods", nargs="+", default=METHODS, metavar="NAME", help=f"default: {' '.join(METHODS)}")
+    parser.add_argument("--qualities", nargs="+", default=[*Quality], choices=[*Quality], help="default: all")
+    parser.add_argument("--poses", nargs="+", default=[GIVEN], metavar="given|images", help="default: given")
+    parser.add_argument("--devices", nargs="+", metavar="cpu|cuda", help="default: all that are present")
+    parser.add_argument("--repeats", type=int, default=1, help="rounds; times are medians")
+    parser.add_argument("--against", type=Path, metavar="FILE", help="an earlier results.json: list what has changed")
+    asked = parser.parse_args()
+    present = ("cpu", "cuda") if choose_device("auto").name == "cuda" else ("cpu",)
+    try:
+        # Read before hours are spent.
+        earlier = None if asked.against is None else read_results(asked.against)
+        settings = Settings(
+            tuple(asked.methods),
+            tuple(asked.qualities),
+            tuple(asked.poses),
+            tuple(asked.devices or present),
+            asked.repeats,
+        )
+        found = benchmark(asked.surveys, asked.output, drawn=asked.drawn, settings=settings)
+    except (GeoError, SurveyError) as error:
+        parser.error(str(error))
+    print("\n".join(table(found) + ([] if earlier is None else ["", *comparison(found, earlier)])))  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()

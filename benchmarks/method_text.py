@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from method_records import METHODS, Cost, Record, Results
 from scipy.stats import t as student
 
-from survey.benchmark.records import METHODS, Cost, Record, Results
 from survey.compare.canvas import canvas, plain_log_ticks, save
 from survey.display.blocks import aligned
 from survey.display.palette import INK, RED, SERIES, SOFT

@@ -37,7 +37,7 @@ def run(tmp_path_factory):
 
 
 def test_rasters_of_numbers_have_a_style():
-    assert {"dem", "slope", "s44", "bag"} == STYLED.keys()
+    assert {"dem", "s44", "bag"} == STYLED.keys()
 
 
 @pytest.mark.parametrize(("is_dry", "attribute", "ends"), [(False, "depth", (0.8, 2)), (True, "Z", (100, 101.2))])

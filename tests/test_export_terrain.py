@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import zlib
 from pathlib import Path
 
@@ -22,7 +21,6 @@ from geo.raster import RasterBand, RasterForm, write_cog
 from survey.errors import SurveyError
 from survey.export.export import export
 from survey.export.product import ExportOptions
-from survey.export.relief import hillshade, slope_deg
 from survey.progress import Progress
 
 SIDE = 0.5
@@ -124,41 +122,6 @@ def test_gdal_finds_the_crs_and_the_place(dem, stored):
     assert found["metadata"]["IMAGE_STRUCTURE"]["LAYOUT"] == "COG"
 
 
-@needs_gdal
-@pytest.mark.parametrize("what", ["slope", "hillshade"])
-def test_slope_and_light_are_those_of_gdal(tmp_path, what):
-    rng = np.random.default_rng(1)
-    x, y = np.meshgrid(np.arange(60) * SIDE, np.arange(50) * SIDE)
-    height = np.sin(0.4 * x) * np.cos(0.3 * y) + 0.05 * rng.standard_normal(x.shape)
-    height[20:24, 30:33] = np.nan
-    form = RasterForm(
-        CRS("EPSG:25832"), (SIDE, 0, 0, 0, -SIDE, 0), x.shape, (RasterBand("height"),), "float64", nodata=-9999
-    )
-    write_cog(tmp_path / "in.tif", form, [(0, 0, np.nan_to_num(height, nan=-9999)[None])])
-    command = ["gdaldem", what, tmp_path / "in.tif", tmp_path / "out.tif", "-alg", "ZevenbergenThorne", "-q"]
-    subprocess.run(command, check=True)
-    with rasterio.open(tmp_path / "out.tif") as raster:
-        theirs = raster.read(1, masked=True).astype(np.float64).filled(np.nan)
-    ours = (slope_deg if what == "slope" else hillshade)(height, SIDE).astype(np.float64)
-    both = np.isfinite(theirs)
-    assert both.sum() > 2500
-    # GDAL rounds light to whole numbers, and so do we.
-    np.testing.assert_allclose(ours[both], theirs[both], atol=1e-3 if what == "slope" else 1.0)
-
-
-def test_slope_and_light_of_a_plane(run_folder, tmp_path):
-    export(run_folder, options=AT_SIDE, slope=tmp_path / "s.tif", hillshade=tmp_path / "h.tif")
-    with rasterio.open(tmp_path / "s.tif") as raster:
-        slope = raster.read(1, masked=True).compressed()
-    np.testing.assert_allclose(np.median(slope), np.degrees(np.arctan(0.047)), atol=0.01)
-    with rasterio.open(tmp_path / "h.tif") as raster:
-        light = raster.read(1)
-        assert raster.nodata == 0
-    # It rises to the east, towards the dark side of light from the north-west: normal (-0.047, 0, 1).
-    expected = 1 + 254 * (np.sqrt(0.5) + 0.5 * 0.047) / np.hypot(1.0, 0.047)
-    assert abs(np.median(light[light > 0]) - expected) <= 1.0
-
-
 def test_depths_of_a_dry_survey_are_no_data(tmp_path):
     points = np.array([691000.0, 5334000.0, 500.0]) + np.random.default_rng(2).uniform(0.0, 2.0, (400, 3)) * [1, 1, 0]
     run = run_of(stored_points(points, CRS("EPSG:25832+5783")), tmp_path / "run")
@@ -203,7 +166,7 @@ def test_a_raster_that_fails_leaves_nothing_behind(tmp_path):
 @pytest.mark.parametrize(
     "side", [1e-300, 1e-4, 3e-4, 0.05, slow(0.3), slow(2.0), 5.0, slow(30.0), 1e4, 1e9, float("inf")]
 )
-@pytest.mark.parametrize("product", ["dem", "slope", "hillshade", "bag", "contours"])
+@pytest.mark.parametrize("product", ["dem", "bag", "contours"])
 def test_at_no_resolution_a_product_is_empty_without_a_word(run_folder, tmp_path, capsys, product, side):
     """Far too fine or too coarse: it is refused with the lengths, or has values, or is said to have none."""
     suffix = {"bag": "bag", "contours": "geojson"}.get(product, "tif")

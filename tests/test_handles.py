@@ -115,22 +115,13 @@ def test_other_libraries_get_the_same_numbers(run, monkeypatch):
     assert made.coords["x"][1] is dem.east
     assert (made.coords["x"][2]["standard_name"], made.coords["y"][2]["units"]) == ("projection_x_coordinate", "metre")
     assert "CRS" in made.coords["spatial_ref"][2]["crs_wkt"]
-    fake_module(
-        monkeypatch, "open3d", geometry=SimpleNamespace(PointCloud=SimpleNamespace),
-        utility=SimpleNamespace(Vector3dVector=np.asarray),
-    )  # fmt: skip
-    cloud = run.to_open3d()
-    assert cloud.points.shape == run.cloud.points.shape
-    assert (cloud.points.min(axis=0) >= 0.0).all()
-    assert cloud.points.max() < 100.0
 
 
-@pytest.mark.parametrize(("name", "extra"), [("xarray", "xarray"), ("open3d", "mesh")])
-def test_a_library_that_is_missing_is_named_with_its_extra(run, monkeypatch, name, extra):
+def test_a_library_that_is_missing_is_named_with_its_extra(run, monkeypatch):
     # As the import of a module that is not there.
-    monkeypatch.setitem(__import__("sys").modules, name, None)
-    with pytest.raises(SurveyError, match=rf"pip install 'bathynerf\[{extra}\]'"):
-        run.dem(0.1).to_xarray() if name == "xarray" else run.to_open3d()
+    monkeypatch.setitem(__import__("sys").modules, "xarray", None)
+    with pytest.raises(SurveyError, match=r"pip install 'bathynerf\[xarray\]'"):
+        run.dem(0.1).to_xarray()
 
 
 def test_the_names_that_stay_are_listed():

@@ -27,10 +27,6 @@ FAMILIES: dict[str, tuple[Product, ...]] = {
     "Rasters": (
         Product("dem", _TIFF, "terrain", _CELLS,
                 "Heights as GeoTIFF: height, uncertainty, points, depth, origin.", "bed.tif --resolution 0.1"),
-        Product("slope", _TIFF, "terrain", _CELLS,
-                "Slope of the bed as GeoTIFF [deg].", "slope.tif --resolution 0.5"),
-        Product("hillshade", _TIFF, "terrain", _CELLS,
-                "Light on the relief as GeoTIFF.", "relief.tif --fill 0.5"),
         Product("bag", (".bag",), "hydrography", _CELLS,
                 "Heights and uncertainty as BAG (HDF5).", "bed.bag --resolution 0.5"),
         Product("s44", _TIFF, "hydrography", _CELLS,

@@ -8,13 +8,12 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from laspy.copc import CopcReader
-from matplotlib import colormaps
 from matplotlib.colors import Colormap, to_hex
 
 from evaluation.standards import TVU
 from geo.drivers import open_raster
 from geo.files import write_text
-from survey.display.palette import DEPTHS, RED, SPREADS
+from survey.display.palette import DEPTHS, RED
 from survey.progress import current
 
 # QGIS drops comments when it saves a style, so a style with this mark is unchanged and may be replaced.
@@ -40,12 +39,7 @@ def write_style(path: Path, style: Style) -> None:
 
 def of_heights(path: Path) -> str:
     """Heights or elevations in the first band: dark blue where low."""
-    return _ramp(path, DEPTHS.reversed())
-
-
-def of_slopes(path: Path) -> str:
-    """Slopes in the first band: dark where steep."""
-    return _ramp(path, colormaps[SPREADS])
+    return _document(pipe(ramp(path, DEPTHS.reversed())))
 
 
 def of_orders(_path: Path) -> str:
@@ -54,10 +48,6 @@ def of_orders(_path: Path) -> str:
     shades = [to_hex(DEPTHS(0.85 - 0.7 * number / len(TVU))) for number in range(len(TVU))]
     codes = {number: (shade, name) for number, (shade, name) in enumerate(zip(shades, names, strict=True), 1)}
     return _codes({**codes, len(TVU) + 1: (RED, "no order")})
-
-
-def _ramp(path: Path, colours: Colormap) -> str:
-    return _document(pipe(ramp(path, colours)))
 
 
 def ramp(path: Path, colours: Colormap, band: int = 1) -> str:

@@ -1,4 +1,4 @@
-"""The bed as rasters: heights with their uncertainty (DEM), slope, and hillshade."""
+"""The bed as a raster of heights with their uncertainty (DEM), and how rasters of the bed are written."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from survey.export.bed_cells import BedRaster
 from survey.export.bed_raster import bed_raster
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
-from survey.export.relief import hillshade, slope_deg
-from survey.export.styles import of_heights, of_slopes
+from survey.export.styles import of_heights
 from survey.progress import current
 
 NODATA = -9999.0
@@ -92,27 +91,4 @@ def write_dem(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     write_raster(path, grid, values, *bands, tags=tags, resampling="NEAREST")
 
 
-def write_slope(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    """The steepest slope of each cell [deg]."""
-    grid, tags = bed_raster(run, options), {"SLOPE": "of central differences between neighbouring cells"}
-    write_raster(path, grid, _of_neighbours(grid, slope_deg), RasterBand("slope", "degree"), tags=tags)
-
-
-def write_hillshade(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    """Light on the relief."""
-    grid, band = bed_raster(run, options), RasterBand("hillshade", "1 to 255")
-    tags = {"HILLSHADE": "light from the north-west at 45 degrees, heights not exaggerated; 1 to 255"}
-    write_raster(path, grid, _of_neighbours(grid, hillshade), band, tags=tags, dtype="uint8", nodata=0)
-
-
-def _of_neighbours(grid: BedRaster, of: Callable[[np.ndarray, float], np.ndarray]) -> Callable[[Window], np.ndarray]:
-    """The values of a function of the heights around each cell and the side of cells."""
-
-    def values(window: Window) -> np.ndarray:
-        around = window.grown(1, grid.cells.shape)
-        return of(grid.heights(around), grid.cells.side_m)[window.within(around)][None]
-
-    return values
-
-
-style_dem, style_slope = of_heights, of_slopes
+style_dem = of_heights

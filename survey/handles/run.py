@@ -234,23 +234,6 @@ class Run:
         draw(profile, axes)
         return cast("Figure", axes.get_figure(root=True))
 
-    def to_open3d(self) -> Any:
-        """The cloud as ``open3d.geometry.PointCloud``, shifted because Open3D draws in float32.
-
-        Coordinates in crs are those of Open3D plus ``numpy.floor(run.cloud.points.min(axis=0))``. Raises SurveyError if
-        Open3D is not installed.
-        """
-        try:
-            import open3d
-        except ModuleNotFoundError as error:
-            raise SurveyError("Open3D is not installed: pip install 'bathynerf[mesh]'") from error
-        points = self.cloud.points
-        shown = open3d.geometry.PointCloud()
-        shown.points = open3d.utility.Vector3dVector(points - np.floor(points.min(axis=0)))
-        if self.cloud.rgb is not None:
-            shown.colors = open3d.utility.Vector3dVector(self.cloud.rgb / 255.0)
-        return shown
-
     def _bed(self, reference: Path | None) -> Bed:
         """The bed beside a reference, read once."""
         if reference not in self._beds:

@@ -12,7 +12,6 @@ from stored_run import run_of, stored_points
 
 from evaluation.standards import TVU
 from geo import write_cloud
-from survey.errors import SurveyError
 from survey.export.export import export
 from survey.export.product import ExportOptions
 from survey.export.registry import PRODUCTS
@@ -91,21 +90,3 @@ def test_a_style_that_somebody_changed_stays(run, tmp_path):
     style.write_text(first.replace("<!-- made by bathynerf -->", ""))
     export(run, dem=path, options=ExportOptions(resolution_m=0.5))
     assert "made by bathynerf" not in style.read_text()
-
-
-def test_a_project_opens_what_lies_beside_it(run, tmp_path, caplog):
-    export(run, options=ExportOptions(resolution_m=0.5), qgis=tmp_path / "q")
-    # This run has no photographs.
-    assert "has no orthophoto" in caplog.text
-    root = ElementTree.fromstring((tmp_path / "q" / "bed.qgs").read_bytes())
-    layers = {layer.findtext("layername"): layer for layer in root.iter("maplayer")}
-    assert list(layers) == ["cloud", "height", "standard deviation"]
-    for layer in layers.values():
-        assert (tmp_path / "q" / layer.findtext("datasource")).is_file()
-        assert layer.findtext("srs/spatialrefsys/authid") == "EPSG:25832"
-    assert [entry.get("id") for entry in root.iter("layer-tree-layer")] == [m.findtext("id") for m in layers.values()]
-    assert layers["standard deviation"].find("pipe/rasterrenderer").get("band") == "2"
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "bed.qgs").write_text("<qgis/>")
-    with pytest.raises(SurveyError, match="other files"):
-        export(run, qgis=tmp_path / "mine")

@@ -22,8 +22,9 @@ from survey.display.quantities import (
     volume,
 )
 from survey.errors import ConfigError
+from survey.export.pdf import print_page
 from survey.report.collect import figures_of
-from survey.report.page import render_page, write_pdf
+from survey.report.page import render_page
 from survey.report.seen_cells import coverage_of
 from survey.settings.config import parse_config
 
@@ -100,18 +101,18 @@ def test_limits_are_those_of_the_run(plane_report):
 def test_the_report_as_pdf_is_whole(plane_report, tmp_path):
     html, path = tmp_path / "report.html", tmp_path / "report.pdf"
     html.write_text(render_page(plane_report.figures, []), encoding="utf-8")
-    write_pdf(html, path)
+    print_page(html, path)
     assert path.stat().st_size > 10_000
 
 
 def test_without_a_browser_the_page_says_what_to_do(tmp_path):
     with pytest.raises(UnwritableFile, match="Chromium, Chrome or Edge"):
-        write_pdf(tmp_path / "report.html", tmp_path / "report.pdf", browsers=(str(tmp_path / "none"),))
+        print_page(tmp_path / "report.html", tmp_path / "report.pdf", browsers=(str(tmp_path / "none"),))
     broken = tmp_path / "chromium"
     broken.write_text("#!/bin/sh\necho no display >&2\nexit 1\n")
     broken.chmod(0o755)
     with pytest.raises(UnwritableFile, match="no display"):
-        write_pdf(tmp_path / "report.html", tmp_path / "report.pdf", browsers=(str(broken),))
+        print_page(tmp_path / "report.html", tmp_path / "report.pdf", browsers=(str(broken),))
 
 
 @pytest.mark.parametrize(

@@ -58,11 +58,9 @@ FAMILIES: dict[str, tuple[Product, ...]] = {
         Product("nerfstudio", (".json",), "cameras", (),
                 "Cameras as nerfstudio's transforms.json.", "cameras.json", is_of_points=False),
     ),
-    "Documents and projects": (
-        Product("pdf", (".pdf",), "documents", (),
+    "Documents": (
+        Product("pdf", (".pdf",), "pdf", (),
                 "report.html as PDF, A4 (by Chromium, Chrome or Edge).", "report.pdf", is_of_points=False),
-        Product("qgis", ("",), "documents", (*_CELLS, "survey"),
-                "Folder with a QGIS project: cloud, heights, std, orthophoto.", "for_qgis", is_folder=True),
     ),
 }  # fmt: skip
 PRODUCTS: tuple[Product, ...] = tuple(product for members in FAMILIES.values() for product in members)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -39,28 +39,29 @@ def write_style(path: Path, style: Style) -> None:
 
 def of_heights(path: Path) -> str:
     """Heights or elevations in the first band: dark blue where low."""
-    return _document(pipe(ramp(path, DEPTHS.reversed())))
+    with open_raster(path) as raster:
+        scale = max(max(raster.shape) / _MOST_SIDE, 1.0)
+        shape = tuple(max(int(side / scale), 1) for side in raster.shape)
+        values = raster.read(1, out_shape=shape, masked=True).compressed()
+    low, high = _ends(values)
+    return _of_raster(
+        '<rasterrenderer type="singlebandpseudocolor" band="1" opacity="1" alphaBand="-1" nodataColor="" '
+        f'classificationMin="{low:.9g}" classificationMax="{high:.9g}"><rasterTransparency/><rastershader>'
+        f"{_shader(low, high, DEPTHS.reversed())}</rastershader></rasterrenderer>"
+    )
 
 
 def of_orders(_path: Path) -> str:
     """Orders of IHO S-44 in the first band, by their names."""
     names = [f"S-44 {name}" if name[0].isupper() else f"S-44 order {name}" for name, _, _ in TVU]
     shades = [to_hex(DEPTHS(0.85 - 0.7 * number / len(TVU))) for number in range(len(TVU))]
-    codes = {number: (shade, name) for number, (shade, name) in enumerate(zip(shades, names, strict=True), 1)}
-    return _codes({**codes, len(TVU) + 1: (RED, "no order")})
-
-
-def ramp(path: Path, colours: Colormap, band: int = 1) -> str:
-    """The renderer of a raster: colours between the ends of the values of a band."""
-    with open_raster(path) as raster:
-        scale = max(max(raster.shape) / _MOST_SIDE, 1.0)
-        shape = tuple(max(int(side / scale), 1) for side in raster.shape)
-        values = raster.read(band, out_shape=shape, masked=True).compressed()
-    low, high = _ends(values)
-    return (
-        f'<rasterrenderer type="singlebandpseudocolor" band="{band}" opacity="1" alphaBand="-1" nodataColor="" '
-        f'classificationMin="{low:.9g}" classificationMax="{high:.9g}"><rasterTransparency/><rastershader>'
-        f"{_shader(low, high, colours)}</rastershader></rasterrenderer>"
+    entries = "".join(
+        f'<paletteEntry value="{code}" color="{colour}" alpha="255" label={quoteattr(name)}/>'
+        for code, (colour, name) in enumerate(zip([*shades, RED], [*names, "no order"], strict=True), 1)
+    )
+    return _of_raster(
+        '<rasterrenderer type="paletted" band="1" opacity="1" alphaBand="-1" nodataColor=""><rasterTransparency/>'
+        f"<colorPalette>{entries}</colorPalette></rasterrenderer>"
     )
 
 
@@ -99,23 +100,8 @@ def _shader(low: float, high: float, colours: Colormap) -> str:
     )
 
 
-def _codes(codes: Mapping[int, tuple[str, str]]) -> str:
-    """A colour and a name for each code of the first band."""
-    entries = "".join(
-        f'<paletteEntry value="{code}" color="{colour}" alpha="255" label={quoteattr(name)}/>'
-        for code, (colour, name) in codes.items()
-    )
-    return _document(
-        pipe(
-            '<rasterrenderer type="paletted" band="1" opacity="1" alphaBand="-1" nodataColor=""><rasterTransparency/>'
-            f"<colorPalette>{entries}</colorPalette></rasterrenderer>"
-        )
-    )
-
-
-def pipe(renderer: str) -> str:
-    """A renderer of a raster as QGIS nests it."""
-    return f"<pipe>{renderer}</pipe>"
+def _of_raster(renderer: str) -> str:
+    return _document(f"<pipe>{renderer}</pipe>")
 
 
 def _document(content: str) -> str:

@@ -1,23 +1,12 @@
-"""report.html: the figures of a report as one page without further files, for screen and paper.
-
-As PDF it is printed by the Chromium, Chrome or Edge of the machine.
-"""
+"""report.html: the figures of a report as one page without further files, for screen and paper."""
 
 from __future__ import annotations
 
 import base64
-import os
-import shutil
-import subprocess
-import tempfile
-from collections.abc import Sequence
 from functools import cache
-from pathlib import Path
 
 import jinja2
 
-from geo.errors import UnwritableFile
-from geo.files import write_whole
 from survey.compare.tables import comparison as comparison_blocks
 from survey.compare.tables import iho_s44
 from survey.display import palette
@@ -41,24 +30,6 @@ _GROUPS = (
 )
 # These show several things side by side and take the whole width.
 _WIDE = ("view", "profile", "error_bands")
-BROWSERS = (
-    *(
-        "chromium-headless-shell",
-        "chromium",
-        "chromium-browser",
-        "google-chrome",
-        "google-chrome-stable",
-        "chrome",
-        "microsoft-edge",
-        "msedge",
-    ),
-    # Where it is no program of the path.
-    "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
-    "/Applications/Microsoft Edge.app/Contents/MacOS/Microsoft Edge",
-    "C:/Program Files/Google/Chrome/Application/chrome.exe",
-    "C:/Program Files (x86)/Microsoft/Edge/Application/msedge.exe",
-)
-_MOST_S = 300.0
 
 
 def render_page(figures: ReportFigures, pictures: list[Picture]) -> str:
@@ -138,7 +109,7 @@ def _grouped(pictures: list[Picture]) -> list[tuple[str, list[dict]]]:
             {
                 "title": by_name[name].title,
                 "caption": by_name[name].caption,
-                "data": _base64(by_name[name].path),
+                "data": base64.b64encode(by_name[name].path.read_bytes()).decode(),
                 "is_wide": name in _WIDE,
             }
             for name in names
@@ -147,43 +118,3 @@ def _grouped(pictures: list[Picture]) -> list[tuple[str, list[dict]]]:
         if shown:
             groups.append((heading, shown))
     return groups
-
-
-def _base64(file: Path) -> str:
-    return base64.b64encode(file.read_bytes()).decode()
-
-
-def write_pdf(html: Path, path: Path, *, browsers: Sequence[str] = BROWSERS) -> None:
-    """Write a page as PDF, A4, whole or not at all, by the first of the browsers that is there: a name or a path."""
-    browser = browser_for(path, browsers)
-    with tempfile.TemporaryDirectory(prefix="bathynerf-pdf-") as work:
-        printed = Path(work, "report.pdf")
-        options = ["--headless", "--disable-gpu", "--no-first-run", "--no-pdf-header-footer", f"--user-data-dir={work}"]
-        if getattr(os, "geteuid", lambda: 1)() == 0:
-            # Chromium refuses its sandbox to root; the page is bathynerf's own and has no scripts.
-            options.append("--no-sandbox")
-        command = [browser, *options, f"--print-to-pdf={printed}", html.resolve().as_uri()]
-        try:
-            done = subprocess.run(command, capture_output=True, timeout=_MOST_S, check=False)
-            reason = done.stderr.decode("utf-8", "replace").strip().splitlines()[-1:]
-        except (OSError, subprocess.TimeoutExpired) as error:
-            reason = [str(error)]
-        if not printed.is_file():
-            raise UnwritableFile(
-                f"{path}: {browser} did not print {html} ({' '.join(reason)[:200]}); open it in a browser and print it "
-                "there."
-            )
-        content = printed.read_bytes()
-    with write_whole(path) as stream:
-        stream.write(content)
-
-
-def browser_for(path: Path, browsers: Sequence[str] = BROWSERS) -> str:
-    """The path of the first browser that is there; raises UnwritableFile, which names a file, where none is."""
-    found = next((place for name in browsers if (place := shutil.which(name)) is not None), None)
-    if found is None:
-        raise UnwritableFile(
-            f"{path} is printed by Chromium, Chrome or Edge, and none was found; install one (Debian, Ubuntu: apt-get "
-            "install chromium), or print report.html from another browser."
-        )
-    return found

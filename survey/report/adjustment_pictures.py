@@ -66,7 +66,9 @@ def draw_image_residuals(path: Path, found: Adjustment) -> Picture:
         lenses, np.ravel(figure.subplots(1, num)), fields, strict=True
     ):
         lens = found.lenses[number_of_lens]
-        _arrows(axes, places, vectors, side / longest)
+        (x, y), (dx, dy) = places.T, vectors.T
+        axes.quiver(x, y, dx, dy, angles="xy", scale_units="xy", scale=longest / side, width=0.0035, color=BLUE)
+        axes.plot(x, y, ".", ms=2.0, color=SOFT)
         axes.set(xlim=(0, lens.width), ylim=(lens.height, 0), xticks=[], yticks=[], aspect="equal")
         which = f" of lens {number_of_lens}" if len(found.lenses) > 1 else ""
         subtitle = f"magnified: an arrow as long as a cell is wide means {longest:.2g} px"
@@ -76,13 +78,6 @@ def draw_image_residuals(path: Path, found: Adjustment) -> Picture:
     if num < len(found.lenses):
         words += f" Of {len(found.lenses)} lenses the {num} with the most residuals."
     return Picture(path, "Residuals over the photographs", words)
-
-
-def _arrows(axes: Axes, places: np.ndarray, vectors: np.ndarray, times: float) -> None:
-    """Arrows in pixels, so many times as long."""
-    (x, y), (dx, dy) = places.T, vectors.T
-    axes.quiver(x, y, dx, dy, angles="xy", scale_units="xy", scale=1.0 / times, width=0.0035, color=BLUE)
-    axes.plot(*places.T, ".", ms=2.0, color=SOFT)
 
 
 def mean_residuals(found: Adjustment, lens: int) -> tuple[np.ndarray, np.ndarray, float]:
@@ -147,11 +142,6 @@ def _draw_control(axes: Axes, survey: Survey, found: Adjustment) -> None:
         rows = [places[row.name] for row in found.control if row.is_check == is_check]
         if rows:
             axes.plot(*np.array(rows).T, mark, ms=6.5, mfc=colour, mec="white", mew=0.8, label=label, zorder=6)
-
-
-def has_correlation(found: Adjustment) -> bool:
-    """Whether at least two parameters of water and lenses were estimated."""
-    return len(correlations(found)[0]) > 1
 
 
 def draw_correlation(path: Path, found: Adjustment) -> Picture:

@@ -220,13 +220,10 @@ def _groups(rows: Sequence[CheckpointRow]) -> list[CheckpointGroup]:
     wet = [row for row in rows if row.depth_m is not None and row.depth_m > 0.0]
     dry = [row for row in rows if row.depth_m is not None and row.depth_m <= 0.0]
     parts = [("all", rows), *([("under water", wet), ("above water", dry)] if wet and dry else [])]
-    return [group for name, part in parts if (group := _group(name, part)) is not None]
-
-
-def _group(name: str, rows: Sequence[CheckpointRow]) -> CheckpointGroup | None:
-    known = np.array([row.difference_m for row in rows if row.difference_m is not None])
-    if not known.size:
-        return None
-    largest = known[int(np.argmax(np.abs(known)))]
-    rms = float(np.sqrt(np.mean(known**2)))
-    return CheckpointGroup(name, len(known), float(known.mean()), rms, float(largest), LE95 * rms)
+    groups = []
+    for name, part in parts:
+        known = np.array([row.difference_m for row in part if row.difference_m is not None])
+        if known.size:
+            largest, rms = known[int(np.argmax(np.abs(known)))], float(np.sqrt(np.mean(known**2)))
+            groups.append(CheckpointGroup(name, len(known), float(known.mean()), rms, float(largest), LE95 * rms))
+    return groups

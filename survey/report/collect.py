@@ -7,7 +7,6 @@ from datetime import datetime
 from typing import TYPE_CHECKING
 
 import numpy as np
-from pyproj import CRS
 
 from evaluation import DistanceStatistics, apparent_points, distance_statistics, per_camera, times_index
 from geo.columns import ComputedColumn
@@ -133,7 +132,9 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
     survey = facts.survey
     adjustment = adjustment_of(survey, facts.adjustment)
     failed = [gate.sentence for gate in facts.verdict.gates if not gate.passed] if facts.verdict else []
-    left_out, checkpoints = _left_out(survey), facts.checkpoints
+    config, used, checkpoints = survey.config, {view.name for view in survey.views}, facts.checkpoints
+    images = list_images(survey.folder / config.images.local_dir, deep=config.images.dir != ".")
+    left_out = tuple(name for name in images if name not in used)
     return ReportFigures(
         verdict=facts.verdict,
         survey=_survey(survey, len(left_out)),
@@ -159,16 +160,14 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
         height_std=height_std(facts.bed.std, facts.std_common) if len(facts.bed) else None,
         adjustment=adjustment,
         photographs=facts.photographs,
-        stated=stated_of(facts.stated, ComputedColumn(_depth_under_water, facts.bed.depth, facts.bed.wet)),
+        stated=stated_of(
+            facts.stated,
+            ComputedColumn(lambda depth, wet: np.where(wet, depth, np.nan), facts.bed.depth, facts.bed.wet),
+        ),
         coverage=facts.coverage,
         waves=facts.waves,
-        taken=taken_of(survey.config.report, facts.headers, datetime.now().astimezone()) if facts.headers else None,
+        taken=taken_of(config.report, facts.headers, datetime.now().astimezone()) if facts.headers else None,
     )
-
-
-def _depth_under_water(depth: np.ndarray, wet: np.ndarray) -> np.ndarray:
-    """Depths [m] of the points under water, NaN for all others."""
-    return np.where(wet, depth, np.nan)
 
 
 def height_std(std: np.ndarray, std_common: np.ndarray | None) -> HeightStd:
@@ -177,19 +176,12 @@ def height_std(std: np.ndarray, std_common: np.ndarray | None) -> HeightStd:
     return HeightStd(median(stated_std(std, std_common)), None if math.isnan(shared) else shared, median(std))
 
 
-def _left_out(survey: Survey) -> tuple[str, ...]:
-    """Names of the photographs in the folder that are no views."""
-    config, used = survey.config, {view.name for view in survey.views}
-    images = list_images(survey.folder / config.images.local_dir, deep=config.images.dir != ".")
-    return tuple(name for name in images if name not in used)
-
-
 def _survey(survey: Survey, num_left_out: int) -> SurveyFigures:
-    config = survey.config
-    camera = survey.views[0].camera
+    config, crs = survey.config, survey.frame.crs
+    camera, units = survey.views[0].camera, [_UNITS.get(axis.unit_name, axis.unit_name) for axis in crs.axis_info]
     return SurveyFigures(
         name=survey.name,
-        crs=_crs(survey.frame.crs),
+        crs=CrsFigures(crs.name, crs_code(crs), units[0], units[-1]),
         bounds=survey.bounds,
         views_used=len(survey.views),
         views_left_out=num_left_out,
@@ -200,11 +192,6 @@ def _survey(survey: Survey, num_left_out: int) -> SurveyFigures:
         shutter=shutter_text(config.cameras, survey.observations.velocities, survey.views, survey.water),
         local_frame_origin=survey.frame.origin,
     )
-
-
-def _crs(crs: CRS) -> CrsFigures:
-    units = [_UNITS.get(axis.unit_name, axis.unit_name) for axis in crs.axis_info]
-    return CrsFigures(crs.name, crs_code(crs), units[0], units[-1])
 
 
 def _water(facts: ReportFacts) -> WaterFigures | None:
@@ -244,11 +231,15 @@ def _light(light: MatchedLight, n_water: float, bed: BedPoints) -> LightFigures:
 
 def _cloud(facts: ReportFacts) -> CloudFigures:
     bed = facts.bed
-    area = PlanGrid.of_cells(bed.xyz, _COVERED_CELL_GSD * facts.plan.gsd_m).covered_m2 if len(bed) else 0.0
+    area, extent = 0.0, None
+    if len(bed):
+        area = PlanGrid.of_cells(bed.xyz, _COVERED_CELL_GSD * facts.plan.gsd_m).covered_m2
+        low, high = facts.points_crs.min(axis=0).tolist(), facts.points_crs.max(axis=0).tolist()
+        extent = Extent((low[0], low[1], low[2]), (high[0], high[1], high[2]))
     return CloudFigures(
         points=len(bed),
         points_wet=int(bed.wet.sum()),
-        extent=_extent(facts.points_crs) if len(bed) else None,
+        extent=extent,
         covered_area_m2=area,
         depth_m=_spread(finite(bed.depth, bed.wet)),
         std_m=_spread(finite(bed.std)),
@@ -257,11 +248,6 @@ def _cloud(facts: ReportFacts) -> CloudFigures:
         incidence_deg=_spread(finite(bed.incidence), math.degrees(1.0)),
         plan_std_common_m=facts.survey.plan_std_m,
     )
-
-
-def _extent(points: np.ndarray) -> Extent:
-    low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    return Extent((low[0], low[1], low[2]), (high[0], high[1], high[2]))
 
 
 def _spread(values: np.ndarray, scale: float = 1.0) -> Spread | None:

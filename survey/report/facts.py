@@ -19,7 +19,6 @@ from survey.plan.plan import Plan
 from survey.report.checkpoints import CheckpointAccuracy, checkpoints_of
 from survey.report.photographs import PhotographFigures
 from survey.report.seen_cells import CoverageFigures, SeenCells
-from survey.report.waves import WaveFigures
 
 if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints
@@ -51,6 +50,15 @@ class RunVerdict:
     def passed(self) -> bool:
         """Whether every gate is met."""
         return all(gate.passed for gate in self.gates)
+
+
+@dataclass(frozen=True)
+class WaveFigures:
+    """What moved the photographs against each other, and the waves that were found and taken away."""
+
+    moved_px: float  # Standard deviation of the shifts of photographs by waves
+    # By the surfaces of all photographs, the fields of `fields.waves.surfaces.Sea`; None where water was taken as still
+    sea: dict[str, float] | None
 
 
 def dry_warnings(survey: Survey, bed: BedPoints) -> list[str]:
@@ -112,13 +120,3 @@ def stated_std(std: np.ndarray, std_common: np.ndarray | None) -> ComputedColumn
     if std_common is None:
         return ComputedColumn(np.abs, std)
     return ComputedColumn(lambda own, shared: np.hypot(own, np.nan_to_num(shared)), std, std_common)
-
-
-def distances_of(facts: ReportFacts) -> np.ndarray | None:
-    """Distances (N,) [m] of the points to the reference, NaN for those not compared; None without one."""
-    if facts.comparison is None:
-        return None
-    inside = facts.comparison.inputs.inside
-    if len(inside) != len(facts.bed):
-        raise ValueError(f"the comparison is of {len(inside)} points, expected the {len(facts.bed)} of the bed")
-    return facts.comparison.distances_of_cloud

@@ -9,10 +9,9 @@ from survey.files.json_values import plain
 from survey.plan.plan import Plan
 from survey.report.adjustment_figures import AdjustmentFigures
 from survey.report.checkpoints import CheckpointAccuracy, StatedFigures
-from survey.report.facts import RunVerdict
+from survey.report.facts import RunVerdict, WaveFigures
 from survey.report.photographs import PhotographFigures, TakenFigures
 from survey.report.seen_cells import CoverageFigures
-from survey.report.waves import WaveFigures
 
 # Fields that report.json has of the plan and of the cloud, in its order.
 _OF_PLAN = ("quality", "device", "image_scale", "gsd_m", "height_m", "footprint_m", "decisions")

@@ -37,7 +37,10 @@ def draw_plan(path: Path, facts: ReportFacts) -> Picture:
     survey = facts.survey
     cameras = [view.camera for view in survey.views]
     centres = survey.frame.crs_from_local(np.array([c.centre for c in cameras]))[:, :2]
-    ground = _ground_height(facts)
+    if len(facts.bed):
+        ground = median(facts.bed.xyz[:, 2])
+    else:
+        ground = float(np.median([camera.centre[2] for camera in cameras])) - facts.plan.height_m
     footprints = [survey.frame.crs_from_local(_footprint(camera, survey, ground))[:, :2] for camera in cameras]
     bounds = np.reshape(() if survey.bounds is None else survey.bounds, (-1, 2))
     extent = extent_around(np.concatenate([*footprints, centres, bounds]), survey.frame.crs, 0.025)
@@ -105,13 +108,6 @@ def _draw_cameras(axes: Axes, survey: Survey, centres: np.ndarray, length: np.nd
     for part, colour, label in ((~is_oblique, INK, "camera"), (is_oblique, OBLIQUE, "camera, oblique")):
         if part.any():
             axes.plot(*centres[part].T, "o", ms=4.5, mfc=colour, mec="white", mew=0.6, label=label, zorder=6)
-
-
-def _ground_height(facts: ReportFacts) -> float:
-    """Height [m], local, on which the footprints of a dry survey lie."""
-    if len(facts.bed):
-        return median(facts.bed.xyz[:, 2])
-    return float(np.median([view.camera.centre[2] for view in facts.survey.views])) - facts.plan.height_m
 
 
 def _footprint(camera: PinholeCamera, survey: Survey, ground: float) -> np.ndarray:

@@ -72,35 +72,22 @@ def headline(verdict: RunVerdict | None, warnings: tuple[str, ...], draft_comman
     return Headline("passed", "Passed", f"{all_met}, and there are no warnings.", gates)
 
 
-def cards(figures: ReportFigures) -> list[Card]:
-    """The few numbers that matter most."""
-    return [*_of_heights(figures), *_of_cloud(figures), *_of_flight(figures), *_of_comparison(figures)]
-
-
-def _of_heights(figures: ReportFigures) -> Iterator[Card]:
-    if (std := figures.height_std) is None:
-        return
-    shared = "" if std.shared is None else f"{length(std.shared)} shared by all, "
-    detail = f"{shared}{length(std.random)} random; {length(LE95 * std.whole)} at 95{NO_BREAK}%"
-    yield Card("Height, one sigma, all included", length(std.whole), detail)
-    stated = figures.stated
-    if figures.comparison is None and stated is not None and stated.orders:
-        order = stated.strictest
-        detail = "strictest order for 95 % of the points, by what the cloud states"
-        yield Card("IHO S-44, vertical, stated", "none" if order is None else order.name, detail)
-
-
-def _of_cloud(figures: ReportFigures) -> Iterator[Card]:
-    cloud = figures.cloud
+def cards(figures: ReportFigures) -> Iterator[Card]:
+    """The few numbers that matter most: heights, cloud, flight, check points, distance to a reference."""
+    survey, plan, cloud, checkpoints = figures.survey, figures.plan, figures.cloud, figures.checkpoints
+    if (std := figures.height_std) is not None:
+        shared = "" if std.shared is None else f"{length(std.shared)} shared by all, "
+        detail = f"{shared}{length(std.random)} random; {length(LE95 * std.whole)} at 95{NO_BREAK}%"
+        yield Card("Height, one sigma, all included", length(std.whole), detail)
+        stated = figures.stated
+        if figures.comparison is None and stated is not None and stated.orders:
+            order = stated.strictest
+            detail = "strictest order for 95 % of the points, by what the cloud states"
+            yield Card("IHO S-44, vertical, stated", "none" if order is None else order.name, detail)
     over = f"{density(cloud.density_per_m2)} over {area(cloud.covered_area_m2)}" if cloud.density_per_m2 else ""
     yield Card("Points of the bed", count(cloud.points), over)
     if (depth := cloud.depth_m) is not None:
         yield Card("Median depth", height(depth.median), f"{height(depth.min)} to {height(depth.max)}")
-
-
-def _of_flight(figures: ReportFigures) -> Iterator[Card]:
-    """Photographs and check points."""
-    survey, plan, checkpoints = figures.survey, figures.plan, figures.checkpoints
     left_out = f"{survey.views_left_out} left out" if survey.views_left_out else "all used"
     yield Card("Photographs", count(survey.views_used), left_out)
     yield Card("Ground resolution", length(plan.gsd_m), f"from {distance(plan.height_m)} above")
@@ -108,6 +95,7 @@ def _of_flight(figures: ReportFigures) -> Iterator[Card]:
         found = checkpoints.groups[0]
         detail = f"RMS at {found.num} of {len(checkpoints.rows)}, mean {length(found.mean_m)}"
         yield Card("Check points", length(found.rms_m), detail)
+    yield from _of_comparison(figures)
 
 
 def _of_comparison(figures: ReportFigures) -> Iterator[Card]:

@@ -85,7 +85,7 @@ def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid, cut: Cut | None
     if cut is not None:
         draw_line(axes, facts, cut)
     axes.set_facecolor("white")  # the grey of other maps' gaps is that of dry ground here
-    _bar(axes, in_unit(scale), label, is_depth=depth is not None)
+    _bar(axes, scale, label, is_depth=depth is not None)
     return finished(axes, path, title, f"cells of {length(grid.side_m)}", words)
 
 
@@ -146,7 +146,7 @@ def draw_view(path: Path, facts: ReportFacts, height_maps: Sequence[HeightMap]) 
     right.set_title(f"Its depth map: {name}", loc="left", color=INK, fontsize=12, weight="bold")
     over_origin = f"height over the local origin [{LengthUnit.of_heights().name}]"
     label = over_origin if depth is None else _depth_label()
-    _bar(right, in_unit(scale), label, is_depth=depth is not None)
+    _bar(right, scale, label, is_depth=depth is not None)
     save(figure, path)
     words = f"Another view confirms {share_confirmed:.0%} of the pixels; the others are left grey."
     return Picture(path, "A photograph and its depth map", words)
@@ -171,8 +171,11 @@ def draw_waves(path: Path, facts: ReportFacts, surfaces: WaveSurfaces) -> Pictur
 
 
 def _bar(axes: Axes, scale: ScalarMappable, label: str, *, is_depth: bool) -> None:
-    """A bar of the colours of a bed; depths grow downwards."""
-    bar = colour_bar(axes, scale, label)
+    """A bar of the colours of lengths [m] in the unit of heights; depths grow downwards."""
+    per_metre = LengthUnit.of_heights().per_metre
+    low, high = scale.get_clim()
+    shown = ScalarMappable(Normalize(low * per_metre, high * per_metre), scale.get_cmap())
+    bar = colour_bar(axes, shown, label)
     if is_depth:
         bar.ax.invert_yaxis()
 
@@ -186,13 +189,6 @@ def _show(image: np.ndarray, facts: ReportFacts, grid: PlanGrid) -> Axes:
 
 def _depth_label() -> str:
     return f"true depth below the water [{LengthUnit.of_heights().name}]"
-
-
-def in_unit(scale: ScalarMappable) -> ScalarMappable:
-    """The colours of lengths [m] as those of lengths in the unit of heights, for a colour bar."""
-    per_metre = LengthUnit.of_heights().per_metre
-    low, high = scale.get_clim()
-    return ScalarMappable(Normalize(low * per_metre, high * per_metre), scale.get_cmap())
 
 
 def draw_unseen(path: Path, facts: ReportFacts) -> Picture:

@@ -12,7 +12,7 @@ from survey.compare.tables import iho_s44
 from survey.display import palette
 from survey.display.blocks import Block, Rows, Section, Sentences
 from survey.display.quantities import LengthUnit, typeset
-from survey.report import adjustment_tables, checkpoints, photographs, tables, waves
+from survey.report import adjustment_tables, checkpoints, photographs, tables
 from survey.report.figures import ReportFigures
 from survey.report.headline import cards, coverage, headline, limitations, method
 from survey.report.raster import Picture
@@ -34,13 +34,16 @@ _WIDE = ("view", "profile", "error_bands")
 
 def render_page(figures: ReportFigures, pictures: list[Picture]) -> str:
     """The page, with the files of the pictures in it: HTML without scripts and without anything to load."""
+    unit = LengthUnit.of_heights()
+    kept = "tolerances, bands of depth and limits of S-44 are in metres, as they say"
+    units = [] if unit.name == "m" else [("lengths", f"in feet of {1.0 / unit.per_metre:.10g} m; {kept}")]
     draft_command = figures.settings.get("command") if figures.plan.quality == Quality.draft else None
     return _template().render(
         palette=palette,
         survey=figures.survey,
-        head=Rows([*photographs.taken_rows(figures.taken), *_unit_row()]),
+        head=Rows([*photographs.taken_rows(figures.taken), *units]),
         verdict=headline(figures.verdict, figures.warnings, draft_command),
-        cards=cards(figures),
+        cards=list(cards(figures)),
         num_warnings=len(figures.warnings),
         first_sections=[Section("Method", method(figures)), Section("Limitations", limitations(figures))],
         groups=_grouped(pictures),
@@ -70,7 +73,7 @@ def _sections(figures: ReportFigures) -> list[Section]:
     return [
         Section("Coverage of the water", coverage(figures)),
         Section("Comparison with the reference", comparison_blocks(comparison)),
-        Section("Waves", waves.rows(figures.waves)),
+        Section("Waves", tables.waves(figures.waves)),
         Section("Check points", tables.checkpoints(figures.checkpoints)),
         Section("Vertical uncertainty (IHO S-44)", iho_s44(uncertainty)),
         Section("Stated uncertainty of the cloud", checkpoints.table(figures.stated)),
@@ -85,12 +88,6 @@ def _sections(figures: ReportFigures) -> list[Section]:
         Section("Run time", tables.timings(figures.timings_s, figures.total_s)),
         Section("Software versions", [Rows(list(figures.versions.items()))] if figures.versions else []),
     ]
-
-
-def _unit_row() -> list[tuple[str, str]]:
-    unit = LengthUnit.of_heights()
-    kept = "tolerances, bands of depth and limits of S-44 are in metres, as they say"
-    return [] if unit.name == "m" else [("lengths", f"in feet of {1.0 / unit.per_metre:.10g} m; {kept}")]
 
 
 def _listed(sentences: tuple[str, ...]) -> list[Block]:

@@ -180,12 +180,9 @@ def taken_rows(found: TakenFigures | None) -> list[tuple[str, str]]:
         return []
     rows = [("project", found.project), ("operator", found.operator), ("flown", flight_time(found))]
     rows.append(("processed", found.processed.replace("T", " ")))
-    rows += [("camera", _words(camera)) for camera in found.cameras]
+    for camera in found.cameras:
+        serials = ", ".join(camera.serials) if len(camera.serials) <= _FEW_SERIALS else f"{len(camera.serials)} of them"
+        serial = f", serial number {serials}" if serials else ""
+        number = f"{camera.num} photograph{'' if camera.num == 1 else 's'}"
+        rows.append(("camera", f"{camera.name or 'without a name in EXIF'}{serial}: {number}"))
     return [(label, text) for label, text in rows if text]
-
-
-def _words(camera: CameraFigures) -> str:
-    name = camera.name or "without a name in EXIF"
-    serials = ", ".join(camera.serials) if len(camera.serials) <= _FEW_SERIALS else f"{len(camera.serials)} of them"
-    number = f", serial number {serials}" if serials else ""
-    return f"{name}{number}: {camera.num} photograph{'' if camera.num == 1 else 's'}"

@@ -23,9 +23,8 @@ from survey.display.palette import BLUE, INK, RED, SERIES, SOFT
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, number, with_unit
 from survey.report import adjustment_pictures, flight, maps, profile
-from survey.report.facts import ReportFacts, distances_of
-from survey.report.maps import draw_unseen
-from survey.report.profile import choose_cut
+from survey.report.adjustment_figures import correlations
+from survey.report.facts import ReportFacts
 from survey.report.raster import Picture, finished
 
 if TYPE_CHECKING:
@@ -53,7 +52,7 @@ def drawings_of(facts: ReportFacts) -> dict[str, Callable[[Path], Picture]]:
     if len(facts.bed):
         cell_m = _CELL_GSD * facts.plan.gsd_m
         grid = PlanGrid.over(facts.points_crs, facts.survey.frame.crs, cell_m=cell_m, max_cells=_MAP_CELLS)
-        line = choose_cut(facts)
+        line = profile.choose_cut(facts)
         cut = line if profile.has_profile(facts, line) else None
         drawings["depth"] = partial(maps.draw_surface, facts=facts, grid=grid, cut=cut)
         drawings["orthophoto"] = partial(maps.draw_orthophoto, facts=facts, grid=grid)
@@ -64,7 +63,7 @@ def drawings_of(facts: ReportFacts) -> dict[str, Callable[[Path], Picture]]:
     if facts.height_maps:
         drawings["view"] = partial(maps.draw_view, facts=facts, height_maps=facts.height_maps)
     if len(facts.bed):
-        drawings["unseen"] = partial(draw_unseen, facts=facts)
+        drawings["unseen"] = partial(maps.draw_unseen, facts=facts)
         drawings["views"] = partial(maps.draw_num_views, facts=facts, grid=grid)
         drawings["std"] = partial(maps.draw_std, facts=facts, grid=grid)
         drawings["histograms"] = partial(draw_histograms, facts=facts)
@@ -87,7 +86,8 @@ def _of_adjustment(facts: ReportFacts, found: Adjustment) -> dict[str, Callable[
         "residuals_ground": partial(adjustment_pictures.draw_ground_residuals, survey=facts.survey, found=found),
         "residuals_image": partial(adjustment_pictures.draw_image_residuals, found=found),
     }
-    if adjustment_pictures.has_correlation(found):
+    # Two parameters of water and lenses at least were estimated.
+    if len(correlations(found)[0]) > 1:
         drawings["correlation"] = partial(adjustment_pictures.draw_correlation, found=found)
     return drawings
 
@@ -120,8 +120,8 @@ def _of_comparison(facts: ReportFacts, comparison: Comparison) -> dict[str, Call
         "error_histogram": histogram,
         "completeness": completeness,
     }
-    distances = distances_of(facts)
-    if distances is not None and np.isfinite(distances).any():
+    distances = comparison.distances_of_cloud
+    if np.isfinite(distances).any():
         drawings["error_depth"] = partial(draw_error_over_depth, facts=facts, distances=distances)
     if compare_report.has_bands(comparison.figures.parts):
         drawings["error_bands"] = bands

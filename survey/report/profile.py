@@ -98,7 +98,10 @@ def draw_profile(path: Path, facts: ReportFacts, cut: Cut) -> Picture:
                 labelcolor=INK)  # fmt: skip
     for x_end, name, side in ((0.0, "A", "left"), (1.0, "B", "right")):
         axes.text(x_end, 0.97, f" {name} ", transform=axes.transAxes, ha=side, va="top", color=INK, weight="bold")
-    scale = f"heights drawn {two_digits(_stretch(axes))} times as large as lengths"
+    lay_out(figure_of(axes))
+    box, (x0, x1), (y0, y1) = axes.get_window_extent(), axes.get_xlim(), axes.get_ylim()
+    stretch = (box.height / (y1 - y0)) / (box.width / (x1 - x0))
+    scale = f"heights drawn {two_digits(stretch)} times as large as lengths"
     ends = facts.survey.frame.crs_from_local(np.column_stack([cut.ends, np.zeros(2)]))[:, :2]
     decimals = 7 if is_geographic(facts.survey.frame.crs) else 2
     first, last = (", ".join(number(value, decimals) for value in end) for end in ends)
@@ -152,14 +155,6 @@ def two_digits(value: float) -> str:
     """A positive factor in two digits, and never with an exponent: 1.8, 18, 180."""
     rounded = float(f"{value:.2g}")
     return f"{rounded:.0f}" if rounded >= 10.0 else f"{rounded:.12g}"
-
-
-def _stretch(axes: Axes) -> float:
-    """Exaggeration of heights against lengths along the line."""
-    lay_out(figure_of(axes))
-    box = axes.get_window_extent()
-    (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
-    return (box.height / (y1 - y0)) / (box.width / (x1 - x0))
 
 
 def _reference_heights(comparison: Comparison, rows: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ from survey.display.quantities import (
 from survey.plan.plan import Decision, Plan
 from survey.progress import clock
 from survey.report.checkpoints import CheckpointAccuracy
+from survey.report.facts import WaveFigures
 from survey.report.figures import Baselines, CloudFigures, CrsFigures, Extent, LightFigures, SurveyFigures, WaterFigures
 
 # Digits of coordinates by their unit: to the centimetre in metres, to about as much in degrees.
@@ -139,20 +140,15 @@ def checkpoints(found: CheckpointAccuracy | None) -> list[Block]:
         method += f" {num_without} of {len(found.rows)} have no value: the cloud does not surround them."
     if num_outside:
         method += f" {num_outside} of {len(found.rows)} lie outside [area] bounds."
-    return [Text(method), *_checkpoint_statistics(found, unit), _each_checkpoint(found, unit)]
-
-
-def _checkpoint_statistics(found: CheckpointAccuracy, unit: LengthUnit) -> list[Table]:
-    rows = [
-        (group.name, count(group.num),
-         *(unit.number(value) for value in (group.mean_m, group.rms_m, group.largest_m, group.le95_m)))
-        for group in found.groups
-    ]  # fmt: skip
-    names = ("mean", "RMS", "largest", "95 %")
-    return [Table(("check points", "compared", *(f"{name} [{unit.name}]" for name in names)), rows)] if rows else []
-
-
-def _each_checkpoint(found: CheckpointAccuracy, unit: LengthUnit) -> Table:
+    blocks: list[Block] = [Text(method)]
+    if found.groups:
+        groups = [
+            (group.name, count(group.num),
+             *(unit.number(value) for value in (group.mean_m, group.rms_m, group.largest_m, group.le95_m)))
+            for group in found.groups
+        ]  # fmt: skip
+        names = (f"{name} [{unit.name}]" for name in ("mean", "RMS", "largest", "95 %"))
+        blocks.append(Table(("check points", "compared", *names), groups))
     deep = replace(LengthUnit.of_heights(), decimals=3)
     rows = [
         (row.name, number(row.height, 3), deep.number(row.depth_m), unit.number(row.difference_m),
@@ -163,7 +159,7 @@ def _each_checkpoint(found: CheckpointAccuracy, unit: LengthUnit) -> Table:
         "check point", "height in crs", f"depth [{deep.name}]", f"difference [{unit.name}]",
         f"std stated [{unit.name}]", "note",
     )  # fmt: skip
-    return Table(titles, rows, heading="Each check point")
+    return [*blocks, Table(titles, rows, heading="Each check point")]
 
 
 def baselines(found: Baselines | None) -> list[Block]:
@@ -179,3 +175,18 @@ def baselines(found: Baselines | None) -> list[Block]:
     ]
     titles = ("method", "kind", *(f"{name} [{unit.name}]" for name in ("median", "spread (NMAD)", "mean")))
     return [Table(titles, rows, num_texts=2), Text(found.note, is_soft=True)]
+
+
+def waves(found: WaveFigures | None) -> list[Block]:
+    """The waves in words; nothing where the water was still."""
+    if found is None or found.sea is None:
+        return []
+    axis_deg = found.sea["axis_deg"]
+    rows = [
+        ("photographs shifted by", f"{found.moved_px:.2f} px (one sigma), before a surface was found for each"),
+        ("significant wave height", length(found.sea["significant_height_m"])),
+        ("slope, root mean square", f"{found.sea['slope_rms']:.3f}"),
+        ("wavelength at the peak", length(found.sea["peak_length_m"])),
+        ("along", f"{axis_deg:.0f}° and {axis_deg + 180.0:.0f}° from north, clockwise"),
+    ]
+    return [Rows(rows)]

@@ -31,10 +31,9 @@ from survey.photos.texture import matched_light
 from survey.plan.tiling import tile_warnings
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.checkpoints import checkpoint_warnings
-from survey.report.facts import RunVerdict, dry_warnings
+from survey.report.facts import RunVerdict, WaveFigures, dry_warnings
 from survey.report.photographs import PhotographFigures, left_out_shares, photograph_warnings, photographs_of
 from survey.report.seen_cells import CoverageFigures, SeenCells, cells_of, coverage_of
-from survey.report.waves import WaveFigures
 from survey.run.flight import save_flight
 from survey.run.folder import RunDir, seconds_of, versions, versions_of
 from survey.run.gate import gates_of_aim, verdict_of
@@ -172,7 +171,7 @@ def _facts(
         photographs=_photographs(done),
         light=None if survey.water is None else matched_light(survey.views),
         coverage=_coverage(survey, stored, cells),
-        waves=WaveFigures.of(read_json_object(done["solver"] / WAVES)) if "solver" in done else None,
+        waves=WaveFigures(**read_json_object(done["solver"] / WAVES)) if "solver" in done else None,
         surfaces=load_surfaces(done["solver"], survey) if "solver" in done else None,
         cells=cells,
         headers={view.name: read_exif(view.path) for view in survey.views},

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
+from geo.grid import plan_box
 from survey.display import plan_grid
 from survey.display.plan_grid import PlanGrid
 from survey.report.raster import hillshade, without_pinholes
@@ -61,7 +62,7 @@ def test_rasters_do_not_depend_on_how_many_points_are_looked_at_at_a_time(block,
 
 
 def test_the_covered_area_is_that_of_cells_with_points(block):
-    grid = PlanGrid.of_cells(block, 0.7)
+    grid = PlanGrid.within(block, *plan_box(block), 0.7)
     column, row = np.floor((block[:, 0] - grid.origin[0]) / 0.7), np.floor((grid.origin[1] - block[:, 1]) / 0.7)
     assert grid.covered_m2 == pytest.approx(0.49 * len(set(zip(column, row, strict=True))))
 

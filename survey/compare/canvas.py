@@ -115,7 +115,15 @@ def map_canvas(extent: Extent, crs: CRS | None, *, below_in: float = 0.0) -> tup
     width, height = extent[1] - extent[0], extent[3] - extent[2]
     width = max(width, height * aspect / _TALLEST)
     height = max(height, width / aspect * _FLATTEST)
-    figure, axes = _placed(height * aspect / width, below_in)
+    # As large as a map may be.
+    map_in = min(_MAP_IN[0], _MAP_IN[1] * width / (height * aspect))
+    map_size = map_in, map_in * height * aspect / width
+    left, right, below, above = _MARGINS_IN
+    size = map_size[0] + left + right, map_size[1] + below + above + below_in
+    figure = Figure(figsize=size)
+    FigureCanvasAgg(figure)
+    place = (left / size[0], (below + below_in) / size[1], map_size[0] / size[0], map_size[1] / size[1])
+    axes = _plain(figure.add_axes(place))
     axes.set_facecolor(EMPTY)
     axes.set_aspect(aspect, adjustable="box")
     axes.set_xlim(centre[0] - 0.5 * width, centre[0] + 0.5 * width)
@@ -132,18 +140,6 @@ def map_canvas(extent: Extent, crs: CRS | None, *, below_in: float = 0.0) -> tup
     unit_m = crs.axis_info[0].unit_conversion_factor if crs is not None else 1.0
     _scale_bar(axes, unit_m * EARTH_RADIUS_M / aspect if angular else unit_m)
     return figure, axes
-
-
-def _placed(height_over_width: float, below_in: float) -> tuple[Figure, Axes]:
-    """A figure around a map of this shape, as large as a map may be."""
-    width = min(_MAP_IN[0], _MAP_IN[1] / height_over_width)
-    height = width * height_over_width
-    left, right, below, above = _MARGINS_IN
-    size = width + left + right, height + below + above + below_in
-    figure = Figure(figsize=size)
-    FigureCanvasAgg(figure)
-    place = (left / size[0], (below + below_in) / size[1], width / size[0], height / size[1])
-    return figure, _plain(figure.add_axes(place))
 
 
 def _plain(axes: Axes) -> Axes:

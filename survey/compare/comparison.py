@@ -62,7 +62,10 @@ def compare_files(cloud: str | Path, reference: str | Path, *, options: CompareO
     options = options or CompareOptions()
     cloud, reference = Path(cloud), Path(reference)
     check_options(options)
-    _check_outputs(options, cloud, reference)
+    read = [Path(path) for path in (cloud, reference, options.visible, options.checkpoints) if path is not None]
+    json_path, report_dir = (path and Path(path) for path in (options.json_path, options.report_dir))
+    require_file("--json", json_path, ReadFiles.of(*read), kind="a JSON file", is_of_kind=is_json)
+    require_folder("--report", report_dir, ReadFiles.of(*read), may_hold_inputs=True)
     comparison = compare_surfaces(cloud, reference, options)
     if options.report_dir is not None:
         with current().stage("Pictures"):
@@ -84,7 +87,11 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     distances, surface, of_distances = measure.distances_of(scene, cast("Sign", options.sign))
     blocks = spatial_blocks(scene.points[:, :2], distances.signed)
     depth = measure.bed_depth(scene, distances.nearest, options.water_level)
-    reaches = _reaches(scene, options.tolerances_m)
+    reaches = []
+    with current().stage("Completeness", len(options.tolerances_m)) as stage:
+        for tolerance_m in options.tolerances_m:
+            reaches.append(measure.reached_at(scene, tolerance_m))
+            stage.advance()
     first = reaches[0]
     vertical, errors = measure.vertical(scene, depth, blocks)
     notes = [
@@ -123,15 +130,6 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     return Comparison(figures, points, distances.signed, distances.nearest, depth, targets, first.targets, inputs)
 
 
-def _check_outputs(options: CompareOptions, cloud: Path, reference: Path) -> None:
-    """Raise OutputError where numbers or pictures must not, or cannot, be written; see `survey.files.outputs`."""
-    given = (cloud, reference, options.visible, options.checkpoints)
-    inputs = ReadFiles.of(*(Path(path) for path in given if path is not None))
-    json_path, report_dir = (path and Path(path) for path in (options.json_path, options.report_dir))
-    require_file("--json", json_path, inputs, kind="a JSON file", is_of_kind=is_json)
-    require_folder("--report", report_dir, inputs, may_hold_inputs=True)
-
-
 def _read(cloud: Path, reference: Path, options: CompareOptions) -> tuple[Inputs, tuple[np.ndarray, Path] | None]:
     """Cloud and reference, and check points (K, 4) with their file, where there are any."""
     paths = InputPaths(Path(cloud), Path(reference), None if options.visible is None else Path(options.visible))
@@ -152,16 +150,6 @@ def _read(cloud: Path, reference: Path, options: CompareOptions) -> tuple[Inputs
         return inputs, None
     level = level_of_cloud(inputs.cloud) if options.water_level is None else options.water_level
     return inputs, (read_checkpoints(places, level, inputs.crs, Units.of(inputs.crs)), places)
-
-
-def _reaches(scene: ComparedScene, tolerances_m: Sequence[float]) -> list[measure.Reach]:
-    """Completeness of the reference at each tolerance."""
-    reaches = []
-    with current().stage("Completeness", len(tolerances_m)) as stage:
-        for tolerance_m in tolerances_m:
-            reaches.append(measure.reached_at(scene, tolerance_m))
-            stage.advance()
-    return reaches
 
 
 def _circumstances(

@@ -174,11 +174,26 @@ def numbers_of(figures: Figures) -> dict:
     statistics = _known(summary.distances)
     numbers = {"n_points": statistics.pop("n_points"), "n_cropped": summary.n_cropped} | statistics
     numbers |= _known(summary.scores) | {"tolerances": [_known(s) for s in figures.tolerances]}
-    numbers |= _parts(figures.parts) | _reached(figures.reached)
-    if figures.vertical is not None:
-        numbers["vertical"] = _vertical(figures.vertical)
+    if figures.parts.depth is not None:
+        numbers |= _depth_parts(figures.parts.depth)
+    numbers |= {f"{key}_bands": _bands(bands, unit) for key, _, unit, bands in figures.parts.banded}
+    if figures.reached:
+        numbers["completeness_by_slope"] = [
+            _limits(band.low, band.high, "deg") | {"n_samples": band.n_samples, "completeness": list(band.completeness)}
+            for band in figures.reached
+        ]
+    if (vertical := figures.vertical) is not None:
+        own = _known(vertical.distances) | {"n_holes": vertical.distances.n_nan}
+        numbers["vertical"] = own if vertical.depth is None else own | _depth_parts(vertical.depth)
     if figures.uncertainty is not None:
-        numbers["iho_s44"] = _iho_s44(figures.uncertainty)
+        iho, error = figures.uncertainty.iho, figures.uncertainty.error
+        numbers["iho_s44"] = {
+            "points": iho.n_points,
+            "error_95_m": iho.error_95_m,
+            "orders": [_order(order) for order in iho.orders],
+            "note": iho.note,
+            "error": error,
+        }
     if figures.reference_surface is not None:
         numbers["reference_surface"] = asdict(figures.reference_surface)
     if figures.checkpoints is not None:
@@ -197,19 +212,6 @@ def _known(record: DistanceStatistics | Scores) -> dict:
     return {name: value for name, value in asdict(record).items() if value is not None}
 
 
-def _parts(parts: Parts) -> dict:
-    numbers = {} if parts.depth is None else _depth_parts(parts.depth)
-    return numbers | {f"{key}_bands": _bands(bands, unit) for key, _, unit, bands in parts.banded}
-
-
-def _reached(bands: tuple[ReachedBand, ...]) -> dict:
-    rows = [
-        _limits(band.low, band.high, "deg") | {"n_samples": band.n_samples, "completeness": list(band.completeness)}
-        for band in bands
-    ]
-    return {"completeness_by_slope": rows} if rows else {}
-
-
 def _depth_parts(parts: DepthParts) -> dict:
     split = {"wet": parts.wet, "dry": parts.dry}
     numbers = {name: _known(part) for name, part in split.items() if part is not None}
@@ -222,22 +224,6 @@ def _bands(bands: tuple[Band, ...], unit: str) -> list[dict]:
 
 def _limits(low: float, high: float, unit: str) -> dict:
     return {f"from_{unit}": low, f"to_{unit}": None if math.isinf(high) else high}
-
-
-def _vertical(vertical: Vertical) -> dict:
-    numbers = _known(vertical.distances) | {"n_holes": vertical.distances.n_nan}
-    return numbers if vertical.depth is None else numbers | _depth_parts(vertical.depth)
-
-
-def _iho_s44(uncertainty: VerticalUncertainty) -> dict:
-    iho = uncertainty.iho
-    return {
-        "points": iho.n_points,
-        "error_95_m": iho.error_95_m,
-        "orders": [_order(order) for order in iho.orders],
-        "note": iho.note,
-        "error": uncertainty.error,
-    }
 
 
 def _order(order: TvuOrder) -> dict:

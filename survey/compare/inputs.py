@@ -154,14 +154,22 @@ def load_inputs(paths: InputPaths, bounds: Bounds | None, water_level: float | N
             # Check the rounding again as degrees, in which a tenth of a metre is six decimals.
             notes += rounded_coordinates(vertices_of(shape), crs, path)
     compared, of_unit = _in_common_unit(compared, paths.cloud, crs)
-    cloud, of_mesh = _as_cloud(compared, paths.cloud)
-    notes += of_unit + of_mesh
-    others = {}
+    notes += of_unit
+    if isinstance(compared, Cloud):
+        cloud = compared
+    else:
+        cloud = Cloud(points=compared.vertices, crs=compared.crs)
+        notes.append(f"{paths.cloud.name} is a mesh: its vertices are compared")
+    others: dict[Path, Mesh | Cloud] = {}
     for path, shape in given.items():
         shape, of_unit = _in_common_unit(shape, path, crs)
-        shape, of_ground = _of_the_ground(shape, path)
-        others[path] = _surface(shape, path)
-        notes += of_unit + of_ground
+        notes += of_unit
+        if isinstance(shape, Cloud):
+            ground, of_ground = _is_ground(shape, path)
+            others[path] = masked_cloud(shape, ground)
+            notes += of_ground
+        else:
+            others[path] = _welded(shape, path)
     reference, visible = others[paths.reference], None if paths.visible is None else others[paths.visible]
     for path, other in others.items():
         require_same_place(cloud.points, vertices_of(other), str(paths.cloud), str(path))
@@ -181,7 +189,12 @@ def load_inputs(paths: InputPaths, bounds: Bounds | None, water_level: float | N
 
 def _read_shapes(paths: InputPaths, water_level: float | None) -> tuple[Mesh | Cloud, dict[Path, Mesh | Cloud]]:
     """What is compared as its file has it, and reference and visible points by their paths, in the same CRS."""
-    compared = read_shape(paths.cloud, water_level, _crs_of(paths.reference) if is_table(paths.cloud) else None)
+    crs = None
+    if is_table(paths.cloud):
+        # That of the reference, whose points may not be read yet, as their depths count from the water of the cloud.
+        of_table = is_table(paths.reference)
+        crs = crs_of_comment(paths.reference, CompareError) if of_table else read_reference(paths.reference).crs
+    compared = read_shape(paths.cloud, water_level, crs)
     level = level_of_cloud(compared) if water_level is None else water_level
     given = {
         path: read_shape(path, level, compared.crs) for path in (paths.reference, paths.visible) if path is not None
@@ -208,11 +221,6 @@ def _cropped(cloud: Cloud, bounds: Bounds | None, path: Path) -> np.ndarray:
     return cropped
 
 
-def _crs_of(path: Path) -> CRS | None:
-    """CRS that a file names; its points may not be read yet, as their depths count from the water of the cloud."""
-    return crs_of_comment(path, CompareError) if is_table(path) else read_reference(path).crs
-
-
 def _in_common_unit(shape: Mesh | Cloud, path: Path, crs: CRS | None) -> tuple[Mesh | Cloud, list[str]]:
     """A shape with heights in the unit of the common CRS, where its file gives a unit beside its own CRS."""
     unit_m, notes = 1.0 if crs is None else height_unit_m(crs), []
@@ -235,23 +243,8 @@ def _is_ground(cloud: Cloud, path: Path) -> tuple[np.ndarray, list[str]]:
     return ~out, [*(notes if kinds else []), *([doubt] if doubtful else [])]
 
 
-def _of_the_ground(shape: Mesh | Cloud, path: Path) -> tuple[Mesh | Cloud, list[str]]:
-    if isinstance(shape, Mesh):
-        return shape, []
-    ground, notes = _is_ground(shape, path)
-    return masked_cloud(shape, ground), notes
-
-
-def _as_cloud(shape: Mesh | Cloud, path: Path) -> tuple[Cloud, list[str]]:
-    if isinstance(shape, Cloud):
-        return shape, []
-    return Cloud(points=shape.vertices, crs=shape.crs), [f"{path.name} is a mesh: its vertices are compared"]
-
-
-def _surface(shape: Mesh | Cloud, path: Path) -> Mesh | Cloud:
-    """A mesh with equal vertices merged, so that triangles share edges; a cloud unchanged."""
-    if isinstance(shape, Cloud):
-        return shape
+def _welded(shape: Mesh, path: Path) -> Mesh:
+    """A mesh with equal vertices merged, so that triangles share edges."""
     vertices, faces = weld(shape.vertices, shape.faces)
     if not has_area(vertices, faces).any():
         raise CompareError(

@@ -22,7 +22,7 @@ from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, count, length, share
 
 if TYPE_CHECKING:
-    from survey.compare.figures import Comparison, Figures
+    from survey.compare.figures import Comparison
 
 # Points that a cell should have on average: few where a hole is a hole, more where points lie at random.
 _POINTS_PER_CELL, _SAMPLES_PER_CELL = 3.0, 6.0
@@ -41,16 +41,22 @@ def write_report(comparison: Comparison, folder: Path) -> list[Path]:
     Returns their paths.
     """
     figures, crs = comparison.figures, comparison.inputs.crs
-    tolerance_m, reached, is_visible = _reached(figures)
+    scores, distances = figures.summary.scores, figures.summary.distances
+    tolerance_m, is_visible = scores.tolerance_m, scores.completeness_visible is not None
+    reached = share(scores.completeness_visible if is_visible else scores.completeness)
+    in_short = (
+        f"inner 90 %: mean {length(distances.mean_inner90_m)}, std {length(distances.std_inner90_m)}  ·  "
+        f"{reached} complete at {tolerance_m:g} m{' (visible)' if is_visible else ''}"
+    )
     paths = [folder / name for name in ("histogram.png", "map.png", "completeness.png")]
     histogram(comparison.distances, paths[0], tolerance_m=tolerance_m)
-    error_map(comparison.points, comparison.distances, paths[1], crs=crs, subtitle=_in_short(figures))
+    error_map(comparison.points, comparison.distances, paths[1], crs=crs, subtitle=in_short)
     completeness_map(
         comparison.targets,
         comparison.is_reached,
         paths[2],
         crs=crs,
-        subtitle=f"{share(reached)} of {'the visible points' if is_visible else 'the reference'} "
+        subtitle=f"{reached} of {'the visible points' if is_visible else 'the reference'} "
         f"closer than {tolerance_m:g} m",
     )
     if has_bands(figures.parts):
@@ -81,7 +87,13 @@ def histogram(distances: np.ndarray, path: Path, *, tolerance_m: float | None = 
     axes.set_xlabel(f"distance to the reference{', above it positive' if is_signed else ''} [{unit.name}]")
     axes.set_ylabel("share of the points [%]")
     axes.legend(loc="upper left" if is_signed else "center right", frameon=False, fontsize=9)
-    write_title(axes, "Distance of the cloud to the reference", _spread_in_words(d, limit, tolerance_m))
+    parts = ["no points"]
+    if len(d):
+        parts = [f"{count(len(d))} points", f"std {length(d.std())}"]
+        parts.append(f"{share(np.mean(np.abs(d) > limit))} beyond the axis")
+    if len(d) and tolerance_m is not None:
+        parts.append(f"{share(np.mean(np.abs(d) < tolerance_m))} closer than {tolerance_m:g} m")
+    write_title(axes, "Distance of the cloud to the reference", "  ·  ".join(parts))
     save(figure, path)
 
 
@@ -128,33 +140,6 @@ def _map_of_means(
         grid = PlanGrid.over(points, crs, max_cells=_CELLS, per_cell=per_cell)
         image, extent = grid.mean(values), grid.extent
     return map_canvas(extent, crs)[1], image, extent
-
-
-def _reached(figures: Figures) -> tuple[float, float, bool]:
-    """Tolerance [m], the share that is reached, and whether that is one of the visible points."""
-    scores = figures.summary.scores
-    if scores.completeness_visible is None:
-        return scores.tolerance_m, scores.completeness, False
-    return scores.tolerance_m, scores.completeness_visible, True
-
-
-def _in_short(figures: Figures) -> str:
-    tolerance_m, reached, is_visible = _reached(figures)
-    distances = figures.summary.distances
-    return (
-        f"inner 90 %: mean {length(distances.mean_inner90_m)}, std {length(distances.std_inner90_m)}  ·  "
-        f"{share(reached)} complete at {tolerance_m:g} m{' (visible)' if is_visible else ''}"
-    )
-
-
-def _spread_in_words(d: np.ndarray, limit: float, tolerance_m: float | None) -> str:
-    if not len(d):
-        return "no points"
-    parts = [f"{count(len(d))} points", f"std {length(d.std())}"]
-    parts.append(f"{share(np.mean(np.abs(d) > limit))} beyond the axis")
-    if tolerance_m is not None:
-        parts.append(f"{share(np.mean(np.abs(d) < tolerance_m))} closer than {tolerance_m:g} m")
-    return "  ·  ".join(parts)
 
 
 def has_bands(parts: Parts) -> bool:

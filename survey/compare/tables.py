@@ -91,18 +91,14 @@ def _bias_and_spread(title: str, parts: list[tuple[str, DistanceStatistics]], un
     inner = f"inner{NO_BREAK}90{NO_BREAK}%"
     names = ("mean", f"mean, 95{NO_BREAK}% confidence", "std", f"mean, {inner}", f"std, {inner}")
     titles = (title, "points", *(f"{name} [{unit.name}]" for name in names))
+    intervals = [p.mean_ci95_m or (math.nan, math.nan) for _, p in parts]
+    known = ["unknown" if not all(map(is_known, ends)) else " to ".join(map(unit.number, ends)) for ends in intervals]
     rows = [
-        (name, count(p.n_points), unit.number(p.mean_m), _interval(p.mean_ci95_m, unit),
+        (name, count(p.n_points), unit.number(p.mean_m), interval,
          unit.number(p.std_m), unit.number(p.mean_inner90_m), unit.number(p.std_inner90_m))
-        for name, p in parts
+        for (name, p), interval in zip(parts, known, strict=True)
     ]  # fmt: skip
     return Table(titles, rows, heading=heading)
-
-
-def _interval(interval: tuple[float, float] | None, unit: LengthUnit) -> str:
-    if interval is None or not all(is_known(end) for end in interval):
-        return "unknown"
-    return f"{unit.number(interval[0])} to {unit.number(interval[1])}"
 
 
 def _completeness(tolerances: tuple[Scores, ...]) -> Table:

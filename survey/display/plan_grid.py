@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from evaluation.bootstrap import cell_numbers
 from geo.columns import ComputedColumn, portions
-from geo.grid import Grid, plan_box
+from geo.grid import Grid
 from geo.projection import ground_units_m
 
 # Strays: points beyond this share of the outermost ones on each side, by more than this share of the extent. They must
@@ -59,25 +59,14 @@ class PlanGrid(Grid):
         side_m = (high - low) * unit
         sparse_m = math.sqrt(per_cell * float(side_m.prod()) / len(plan))
         cell_m = max(cell_m, _EDGE_FACTOR * float(side_m.max()) / max_cells, sparse_m, _SMALLEST_CELL_M)
-        return PlanGrid._between(plan, low, high, cell_m, crs)
+        return PlanGrid.within(plan, low, high, cell_m, crs)
 
     @staticmethod
-    def of_cells(points_m: np.ndarray, cell_m: float) -> PlanGrid:
-        """The grid over all points (N, 2 or more) [m], strays too, with cells of exactly this size."""
-        plan = points_m[:, :2]
-        low, high = plan_box(plan)
-        return PlanGrid._between(plan, low, high, cell_m)
-
-    @staticmethod
-    def within(points_m: np.ndarray, low: np.ndarray, high: np.ndarray, cell_m: float) -> PlanGrid:
-        """The grid between two corners (2,) [m], whatever the points (N, 2 or more) [m]; those beyond it are strays."""
-        return PlanGrid._between(points_m[:, :2], low, high, cell_m)
-
-    @staticmethod
-    def _between(
-        plan: np.ndarray, low: np.ndarray, high: np.ndarray, cell_m: float, crs: CRS | None = None
+    def within(
+        points: np.ndarray, low: np.ndarray, high: np.ndarray, cell_m: float, crs: CRS | None = None
     ) -> PlanGrid:
-        return PlanGrid(**vars(Grid.southward_from(low, high, cell_m, crs)), plan=plan)
+        """The grid between two corners (2,), whatever the points (N, 2 or more) in crs; those beyond it are strays."""
+        return PlanGrid(**vars(Grid.southward_from(low, high, cell_m, crs)), plan=points[:, :2])
 
     def _portions(self) -> Iterator[tuple[slice, np.ndarray]]:
         """Parts of the points, and the cell (M,) int64 of each point, row by row; -1 for strays beyond the grid."""

@@ -11,6 +11,7 @@ import numpy as np
 from evaluation import DistanceStatistics, apparent_points, distance_statistics, per_camera, times_index
 from geo.columns import ComputedColumn
 from geo.crs import crs_code
+from geo.grid import plan_box
 from refract import FlatWater, crossing_point, water_index
 from refract.media import USUAL_SALINITY_PSU, USUAL_TEMPERATURE_C
 from survey.adjust.result.adjustment import Status
@@ -233,7 +234,8 @@ def _cloud(facts: ReportFacts) -> CloudFigures:
     bed = facts.bed
     area, extent = 0.0, None
     if len(bed):
-        area = PlanGrid.of_cells(bed.xyz, _COVERED_CELL_GSD * facts.plan.gsd_m).covered_m2
+        west_south, east_north = plan_box(bed.xyz)
+        area = PlanGrid.within(bed.xyz, west_south, east_north, _COVERED_CELL_GSD * facts.plan.gsd_m).covered_m2
         low, high = facts.points_crs.min(axis=0).tolist(), facts.points_crs.max(axis=0).tolist()
         extent = Extent((low[0], low[1], low[2]), (high[0], high[1], high[2]))
     return CloudFigures(

@@ -34,7 +34,9 @@ class Sensor(SensorSettings):
     ) -> np.ndarray:
         """The image (height, width, 3) uint8 of a camera; `seed` is that of the scene and the number of the image."""
         scene, index = seed
-        linear = self.exposure * self._walk(scene, index) * self.light(radiance_of, camera, lens, seed)
+        walk = np.random.default_rng([scene, 7]).standard_normal(index + 1).sum()
+        exposure = self.exposure * float(np.exp(self.exposure_drift * walk))
+        linear = exposure * self.light(radiance_of, camera, lens, seed)
         if self.photons_at_white > 0.0:
             rng = np.random.default_rng([scene, 8, index])
             linear = rng.poisson(linear * self.photons_at_white) / self.photons_at_white
@@ -92,12 +94,6 @@ class Sensor(SensorSettings):
                     yield part, np.where(sums >= 1.0, sums - 1.5, sums - 0.5)
                 else:
                     yield part, np.broadcast_to(rows, (part.stop - part.start, *rows.shape))
-
-    def _walk(self, scene: int, index: int) -> float:
-        if self.exposure_drift == 0.0:
-            return 1.0
-        steps = np.random.default_rng([scene, 7]).standard_normal(index + 1)
-        return float(np.exp(self.exposure_drift * steps.sum()))
 
 
 def _rays_of(lens: Lens, camera: PinholeCamera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from geo.crs import parse_crs
 from geo.frames import LocalFrame
-from refract import FlatWater, PinholeCamera, channel_indices, water_index
+from refract import PinholeCamera, channel_indices, water_index
 from refract.lens import Lens
 from survey.folder.local_frame import water_plane
 from survey.settings.config import WaterConfig
@@ -175,7 +175,10 @@ def stage_drawing(scene: DrawnScene) -> StagedScene:
     frame = LocalFrame(parse_crs(scene.crs), (*scene.origin, scene.level_m))
     level, water, indices = None, None, None
     if scene.water:
-        stated, indices = _indices(scene)
+        stated = scene.n_water
+        if scene.temperature_c is not None:
+            red, green, blue = (float(n) for n in channel_indices(scene.temperature_c, 0.0))
+            indices, stated = (red, green, blue), round(float(water_index(_STATED_NM, scene.temperature_c, 0.0)), 6)
         level = WaterConfig(
             level_m=scene.level_m,
             level_at=scene.origin,
@@ -188,6 +191,11 @@ def stage_drawing(scene: DrawnScene) -> StagedScene:
     cameras = tuple(scene.cameras())
     light = Light() if scene.glint_share == 0.0 else Light(to_sun=_HIGH_SUN)
     ground = build_ground(scene, cameras, light)
+    suns: tuple[SunOnWaves, ...] = ()
+    if water is not None and (scene.glint_share, scene.caustic_contrast) != (0.0, 0.0):
+        share, contrast = scene.glint_share, scene.caustic_contrast
+        depth_m, seed = scene.depth_m, scene.seed
+        suns = suns_of(cameras, water, light, seed=seed, depth_m=depth_m, glint_share=share, contrast=contrast)
     width, height = scene.image_px
     (e, n), (wide, deep) = scene.origin, scene.size_m
     return StagedScene(
@@ -203,31 +211,7 @@ def stage_drawing(scene: DrawnScene) -> StagedScene:
         seed=scene.seed,
         velocities=scene.velocities() if scene.speed_m_s > 0.0 else None,
         readout_s=scene.readout_s,
-        suns=_suns(scene, cameras, water, light),
+        suns=suns,
         index_wavelength_nm=None if indices is None else _STATED_NM,
         duration_s=FLIGHT_S if scene.rise_m != 0.0 and scene.water else 0.0,
-    )
-
-
-def _indices(scene: DrawnScene) -> tuple[float, tuple[float, float, float] | None]:
-    """Refractive index for survey.toml, and those of red, green and blue; None where all have the stated one."""
-    if scene.temperature_c is None:
-        return scene.n_water, None
-    red, green, blue = (float(n) for n in channel_indices(scene.temperature_c, 0.0))
-    return round(float(water_index(_STATED_NM, scene.temperature_c, 0.0)), 6), (red, green, blue)
-
-
-def _suns(
-    scene: DrawnScene, cameras: tuple[PinholeCamera, ...], water: FlatWater | None, light: Light
-) -> tuple[SunOnWaves, ...]:
-    if water is None or scene.glint_share == scene.caustic_contrast == 0.0:
-        return ()
-    return suns_of(
-        cameras,
-        water,
-        light,
-        seed=scene.seed,
-        depth_m=scene.depth_m,
-        glint_share=scene.glint_share,
-        contrast=scene.caustic_contrast,
     )

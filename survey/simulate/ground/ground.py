@@ -13,7 +13,6 @@ from pathlib import Path
 
 import igl
 import numpy as np
-from pyproj import CRS
 from scipy.spatial import Delaunay, QhullError
 
 from fields.image_store import GAMMA
@@ -146,7 +145,12 @@ def bed_from_file(path: Path, settings: BedSettings, frame: LocalFrame) -> tuple
     if settings.kind == "mesh" and faces is None:
         raise SurveyError(f'{path} has no faces; give kind = "cloud" in [bed], or a mesh')
     if in_crs:
-        points = _in_local(points, shape.crs, path, frame)
+        require_same_crs(frame.crs, shape.crs, "the scene", str(path))
+        points = frame.local_from_crs(points)
+        if not np.isfinite(points).all():
+            raise SurveyError(
+                f"{path} has coordinates that are not on the map of {frame.crs.name}; correct crs or bed.frame"
+            )
     if settings.kind == "mesh" and faces is not None:
         return TriangleMesh(points, faces), shape.rgb
     rgb = shape.rgb
@@ -160,16 +164,6 @@ def bed_from_file(path: Path, settings: BedSettings, frame: LocalFrame) -> tuple
         ) from error
 
 
-def _in_local(points: np.ndarray, crs: CRS | None, path: Path, frame: LocalFrame) -> np.ndarray:
-    require_same_crs(frame.crs, crs, "the scene", str(path))
-    points = frame.local_from_crs(points)
-    if not np.isfinite(points).all():
-        raise SurveyError(
-            f"{path} has coordinates that are not on the map of {frame.crs.name}; correct crs or bed.frame"
-        )
-    return points
-
-
 def mesh_of_points(points: np.ndarray, smoothing: int) -> TriangleMesh:
     """Triangles between points (N, 3) [m], local: 2.5D Delaunay in plan view, smoothed along the plumb line.
 
@@ -181,8 +175,10 @@ def mesh_of_points(points: np.ndarray, smoothing: int) -> TriangleMesh:
     clockwise = (b - a)[:, 0] * (c - a)[:, 1] < (b - a)[:, 1] * (c - a)[:, 0]
     faces[clockwise] = faces[clockwise][:, ::-1]
     heights = points[:, 2].copy()
+    links = igl.adjacency_matrix(faces)
+    links.resize(len(heights), len(heights))
     for _ in range(smoothing):
-        heights = _mean_of_neighbours(faces, heights)
+        heights = links @ heights / np.maximum(np.asarray(links.sum(axis=1)).ravel(), 1)
     return TriangleMesh(np.concatenate([points[:, :2], heights[:, None]], axis=-1), faces)
 
 
@@ -203,12 +199,6 @@ def _thinned(points: np.ndarray, rgb: np.ndarray | None, spacing: float) -> tupl
 
     low = points.min(axis=0)
     return low + mean(points - low), None if rgb is None else np.round(mean(rgb.astype(float))).astype(np.uint8)
-
-
-def _mean_of_neighbours(faces: np.ndarray, values: np.ndarray) -> np.ndarray:
-    links = igl.adjacency_matrix(faces)
-    links.resize(len(values), len(values))
-    return links @ values / np.maximum(np.asarray(links.sum(axis=1)).ravel(), 1)
 
 
 # From a file in which y points up to one in which z does.
@@ -241,18 +231,16 @@ def place_object(settings: ObjectSettings, folder: Path, bed, light: Light) -> t
     if not np.isfinite(z):
         raise SurveyError(f"{path} is placed at {x:g}, {y:g} m, outside the bed; correct at, in metres from the origin")
     shape = TriangleMesh(points - [*(0.5 * (low + high)[:2]), low[2]] + (x, y, z), mesh.faces)
-    texture = _speckled(shape, settings) if mesh.rgb is None else vertex_texture(shape, mesh.rgb)
-    return shape, Material(texture, shade_beside_bed(shape, bed, light))
-
-
-def _speckled(shape: TriangleMesh, settings: ObjectSettings) -> ImageTexture:
-    """A periodic speckle of one colour by triplanar mapping: along the local axes nearest to the plane of each face."""
+    if mesh.rgb is not None:
+        return shape, Material(vertex_texture(shape, mesh.rgb), shade_beside_bed(shape, bed, light))
+    # A periodic speckle of one colour by triplanar mapping: along the local axes nearest to the plane of each face.
     rng = np.random.default_rng([len(shape.faces), 10])
     tile = np.exp(sum(0.15 * periodic(rng, size) for size in (2, 4, 8, 32)))
     image = (tile[..., None] * np.array(settings.colour)).astype(np.float32)
     axes = np.eye(3)[[[1, 2], [2, 0], [0, 1]]] / settings.texel_m
     texel_from_point = np.concatenate([axes, np.zeros((3, 2, 1))], axis=-1)
-    return ImageTexture(image, texel_from_point, np.abs(shape.normals).argmax(axis=1), repeats=True)
+    texture = ImageTexture(image, texel_from_point, np.abs(shape.normals).argmax(axis=1), repeats=True)
+    return shape, Material(texture, shade_beside_bed(shape, bed, light))
 
 
 def texture_of_bed(
@@ -267,7 +255,14 @@ def texture_of_bed(
         return _image(folder / settings.file, settings.texel_m)
     if settings.kind == "checker":
         require_texels("texture.square_m", settings.square_m, area, "squares")
-        return _checker(settings.square_m, area)
+        # One corner lies on the origin. A texel is a square.
+        square = settings.square_m
+        west, south, east, north = (math.floor(area[0] / square), math.floor(area[1] / square), *area[2:])
+        columns, rows = math.ceil(east / square) - west, math.ceil(north / square) - south
+        bright = (np.arange(rows)[:, None] + south + np.arange(columns) + west) % 2 == 0
+        image = np.where(bright, _BRIGHT, _DARK)[..., None] * np.ones(3, dtype=np.float32)
+        middle = (west + 0.5) * square, (south + 0.5) * square
+        return draped_texture(image.astype(np.float32), *middle, square, sharp=True)
     texel = settings.texel_m
     west, south, east, north = area
     require_texels("texture.texel_m", texel, area)
@@ -299,13 +294,3 @@ def _image(path: Path, texel_m: float) -> ImageTexture:
     rows, columns = image.shape[:2]
     west, south = -0.5 * (columns - 1) * texel_m, -0.5 * (rows - 1) * texel_m
     return draped_texture(image, west, south, texel_m)
-
-
-def _checker(square: float, area: Area) -> ImageTexture:
-    """Squares with sharp borders; one corner lies on the origin. A texel is a square."""
-    west, south, east, north = (math.floor(area[0] / square), math.floor(area[1] / square), *area[2:])
-    columns, rows = math.ceil(east / square) - west, math.ceil(north / square) - south
-    bright = (np.arange(rows)[:, None] + south + np.arange(columns) + west) % 2 == 0
-    image = np.where(bright, _BRIGHT, _DARK)[..., None] * np.ones(3, dtype=np.float32)
-    middle = (west + 0.5) * square, (south + 0.5) * square
-    return draped_texture(image.astype(np.float32), *middle, square, sharp=True)

@@ -161,7 +161,12 @@ def exif_of_views(scene: StagedScene) -> list[Image.Exif]:
         exif[ExifTags.Base.Make], exif[ExifTags.Base.Model] = "Simulated", f"{film_mm:.1f} mm"
         exif[ExifTags.IFD.Exif] = {ExifTags.Base.FocalLengthIn35mmFilm: round(film_mm)}
         lines = gps_exif(*(float(v) for v in values))
-        exif[ExifTags.IFD.GPSInfo] = lines | (_moment(after) if scene.duration_s > 0.0 else {})
+        if scene.duration_s > 0.0:
+            time = _START + timedelta(seconds=after)
+            second = IFDRational(1_000_000 * time.second + time.microsecond, 1_000_000)
+            clock = (IFDRational(time.hour, 1), IFDRational(time.minute, 1), second)
+            lines |= {ExifTags.GPS.GPSDateStamp: time.strftime("%Y:%m:%d"), ExifTags.GPS.GPSTimeStamp: clock}
+        exif[ExifTags.IFD.GPSInfo] = lines
         exifs.append(exif)
     return exifs
 
@@ -207,17 +212,6 @@ def gps_exif(lon: float, lat: float, height: float) -> dict:
         tag.GPSAltitudeRef: b"\x00" if height >= 0.0 else b"\x01",
         tag.GPSAltitude: IFDRational(round(abs(height) * 1000.0), 1000),
     }
-
-
-def _moment(after_s: float) -> dict:
-    """The time of the GPS part of EXIF, so many seconds after the first photograph."""
-    time = _START + timedelta(seconds=after_s)
-    clock = (
-        IFDRational(time.hour, 1),
-        IFDRational(time.minute, 1),
-        IFDRational(1_000_000 * time.second + time.microsecond, 1_000_000),
-    )
-    return {ExifTags.GPS.GPSDateStamp: time.strftime("%Y:%m:%d"), ExifTags.GPS.GPSTimeStamp: clock}
 
 
 def write_image(path: Path, image: np.ndarray, exif: Image.Exif, xmp: str = "") -> None:

@@ -55,7 +55,10 @@ def water_scene(mi: ModuleType, water: WaterSurface, ground: Ground):
     Waves and measured surfaces become triangles, with their true normals at the corners.
     """
     bsdf = {"type": "dielectric", "int_ior": float(water.n_water), "ext_ior": 1.0}
-    area, spacing = _around(ground), np.inf
+    vertices, _, _ = ground.bed.mesh()
+    low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
+    margin = _BEYOND * (high - low)
+    area, spacing = (low - margin, high + margin), np.inf
     if isinstance(water, WavyWater):
         # Of a wave of slope a k, linear interpolation over s takes off (k s)**2 / 8.
         steep = sum(abs(a) * np.hypot(*k) ** 3 for a, k in zip(water.amplitudes, water.wave_vectors, strict=True))
@@ -77,14 +80,6 @@ def water_scene(mi: ModuleType, water: WaterSurface, ground: Ground):
     points = np.stack([x, y, water.height(x, y)], axis=-1)
     normals = np.stack(water.normal(x, y), axis=-1) if isinstance(water, CurvedWater) else None
     return mi.load_dict({"type": "scene", "water": _mesh(mi, "water", points, faces, bsdf, normals=normals)})
-
-
-def _around(ground: Ground) -> tuple[np.ndarray, np.ndarray]:
-    """East and north of two corners [m] of an area that holds the bed and more."""
-    vertices, _, _ = ground.bed.mesh()
-    low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
-    margin = _BEYOND * (high - low)
-    return low - margin, high + margin
 
 
 def _matt(mi: ModuleType, name: str, shape: Shape, texture: ImageTexture | VertexTexture):

@@ -113,7 +113,13 @@ def suns_of(
         found.append(SunOnWaves(plane, light, slopes, _RIPPLES * slope_std, caustics, 2.0 * depth_m, 0.0))
     if glint_share <= 0.0:
         return tuple(found)
-    seen = np.concatenate([_probed(sun, camera) for sun, camera in zip(found, cameras, strict=True)])
+    across, down = _PROBES
+    probed = []
+    for sun, camera in zip(found, cameras, strict=True):
+        u, v = np.linspace(0.5, camera.width - 0.5, across), np.linspace(0.5, camera.height - 0.5, down)
+        pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+        probed.append(sun._mirrored(camera.centres(pixels) + np.zeros((len(pixels), 3)), camera.directions(pixels)))
+    seen = np.concatenate(probed)
     bright = float(np.quantile(seen, 1.0 - glint_share))
     if bright * _BRIGHTEST < 1.0:
         raise SurveyError(
@@ -121,13 +127,6 @@ def suns_of(
             "give a smaller share, or more tilted views"
         )
     return tuple(replace(sun, glint=1.0 / bright) for sun in found)
-
-
-def _probed(sun: SunOnWaves, camera: PinholeCamera) -> np.ndarray:
-    across, down = _PROBES
-    u, v = np.linspace(0.5, camera.width - 0.5, across), np.linspace(0.5, camera.height - 0.5, down)
-    pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    return sun._mirrored(camera.centres(pixels) + np.zeros((len(pixels), 3)), camera.directions(pixels))
 
 
 def _tile(rng: np.random.Generator) -> np.ndarray:

@@ -70,8 +70,17 @@ def plan_scene(settings: SceneSettings, folder: Path) -> ScenePlan:
     if settings.flight.poses is None:
         cameras = plan_flight(settings.flight, lens, site, settings.seed)
     else:
-        cameras = _cameras_of(folder / settings.flight.poses, lens, frame)
-    _require_above(cameras, height)
+        path = folder / settings.flight.poses
+        if not path.is_file():
+            raise ConfigError(f"flight.poses names {path}, which does not exist; correct the path")
+        poses = zip(*poses_in_local(read_poses(path), path, frame, "crs"), strict=True)
+        cameras = [lens.pinhole(centre, rotation) for centre, rotation in poses]
+    lowest = min(float(camera.centre[2]) for camera in cameras)
+    if lowest <= height:
+        raise ConfigError(
+            f"a camera is {height - lowest:.2f} m under the bed; correct water.level_m or the heights of origin, "
+            "bed and flight: they have one vertical datum"
+        )
     return ScenePlan(settings, folder, frame, level, lens, site, bed, cameras)
 
 
@@ -107,14 +116,6 @@ def sun_of(light: LightSettings, frame: LocalFrame) -> Sun:
     return Sun(math.radians(azimuth), math.radians(elevation))
 
 
-def _cameras_of(path: Path, lens: Lens, frame: LocalFrame) -> list[PinholeCamera]:
-    """Cameras at the poses of a file, in its order."""
-    if not path.is_file():
-        raise ConfigError(f"flight.poses names {path}, which does not exist; correct the path")
-    centres, rotations = poses_in_local(read_poses(path), path, frame, "crs")
-    return [lens.pinhole(centre, rotation) for centre, rotation in zip(centres, rotations, strict=True)]
-
-
 def lens_of(camera: CameraSettings) -> Lens:
     """The lens of [camera]."""
     width, height = camera.size_px
@@ -137,26 +138,15 @@ def lens_of(camera: CameraSettings) -> Lens:
         raise ConfigError(f"[camera]: {error}") from error
 
 
-def _require_above(cameras: list[PinholeCamera], bed_height: float) -> None:
-    """Raise ConfigError where a camera is under the mean height of the bed."""
-    lowest = min(float(camera.centre[2]) for camera in cameras)
-    if lowest <= bed_height:
-        raise ConfigError(
-            f"a camera is {bed_height - lowest:.2f} m under the bed; correct water.level_m or the heights of origin, "
-            "bed and flight: they have one vertical datum"
-        )
-
-
 def _bed_height(settings: SceneSettings, bed: Bed | None) -> float:
     """Mean height [m], local, of the bed in the area."""
-    z = -settings.bed.depth_m
-    if bed is not None:
-        x, y = np.meshgrid(*(np.linspace(-0.5 * s, 0.5 * s, _PROBES) for s in settings.area.size_m))
-        heights = bed[0].height(x, y)
-        if not np.isfinite(heights).any():
-            raise SurveyError(
-                f"{settings.bed.file} has nothing in the area of {settings.area.size_m[0]:g} x "
-                f"{settings.area.size_m[1]:g} m about the origin; correct origin, or bed.frame"
-            )
-        z = float(np.nanmean(heights))
-    return z
+    if bed is None:
+        return -settings.bed.depth_m
+    x, y = np.meshgrid(*(np.linspace(-0.5 * s, 0.5 * s, _PROBES) for s in settings.area.size_m))
+    heights = bed[0].height(x, y)
+    if not np.isfinite(heights).any():
+        raise SurveyError(
+            f"{settings.bed.file} has nothing in the area of {settings.area.size_m[0]:g} x "
+            f"{settings.area.size_m[1]:g} m about the origin; correct origin, or bed.frame"
+        )
+    return float(np.nanmean(heights))

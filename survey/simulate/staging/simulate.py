@@ -70,7 +70,10 @@ def simulate(
         Start again even if the same survey, or a part of it, is there.
     """
     path, output = Path(path), Path(output)
-    settings = _changed(read_scene(path), mode, preview)
+    settings = read_scene(path)
+    samples = 1 if preview else settings.render.samples
+    render = dataclasses.replace(settings.render, mode=mode or settings.render.mode, samples=samples)
+    settings = dataclasses.replace(settings, render=render)
     _require_output(output, path, settings)
     plan = plan_scene(settings, path.parent)
     _say_of(plan, coverage(plan.cameras, plan.site))
@@ -83,7 +86,13 @@ def simulate_flight(path: str | Path, output: str | Path) -> None:
     path, output = Path(path), Path(output)
     settings = read_scene(path)
     _require_output(output, path, settings)
-    _require_flight_or_empty(output)
+    # A folder may have an earlier flight, and e.g. not the cameras.csv of a survey.
+    there = {entry.name for entry in output.iterdir() if entry.name[0] != "."} if output.is_dir() else set()
+    if there and there != set(_FLIGHT):
+        other = min(there - set(_FLIGHT), default=min(there))
+        raise OutputError(
+            f"-o names {output}, which has {other} and is not a flight of --flight-only; name a new or empty folder"
+        )
     plan = plan_scene(settings, path.parent)
     cover = coverage(plan.cameras, plan.site)
     _say_of(plan, cover)
@@ -98,25 +107,6 @@ def simulate_flight(path: str | Path, output: str | Path) -> None:
 def _require_output(output: Path, path: Path, settings: SceneSettings) -> None:
     named = (path.parent / name for name in files_of(settings))
     require_folder("-o", output, ReadFiles.of(path, *named))
-
-
-def _require_flight_or_empty(output: Path) -> None:
-    """Raise OutputError where a folder has other things than an earlier flight, e.g. the cameras.csv of a survey."""
-    found = {entry.name for entry in output.iterdir() if entry.name[0] != "."} if output.is_dir() else set()
-    if found and found != set(_FLIGHT):
-        other = min(found - set(_FLIGHT), default=min(found))
-        raise OutputError(
-            f"-o names {output}, which has {other} and is not a flight of --flight-only; name a new or empty folder"
-        )
-
-
-def _changed(settings: SceneSettings, mode: str | None, preview: bool) -> SceneSettings:
-    render = settings.render
-    if mode is not None:
-        render = dataclasses.replace(render, mode=mode)
-    if preview:
-        render = dataclasses.replace(render, samples=1)
-    return dataclasses.replace(settings, render=render)
 
 
 def _say_of(plan: ScenePlan, cover: BedCoverage) -> None:

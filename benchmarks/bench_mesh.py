@@ -20,7 +20,7 @@ import numpy as np
 from evaluation.c2m import distance_to_mesh
 from evaluation.completeness import is_reached, sample_mesh
 from geo.reading import read_reference
-from survey.export.bed_surface import bed_surface
+from survey.export.meshes import bed_surface
 from survey.plan.area import within
 from survey.run.flight import load_flight
 from survey.run.folder import RunDir

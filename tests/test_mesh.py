@@ -12,8 +12,8 @@ from stored_run import plane_stored, run_of
 from evaluation.c2m import distance_to_mesh
 from geo.reading import read_reference
 from survey.errors import SurveyError
-from survey.export.bed_surface import bed_surface, oriented_normals
 from survey.export.export import export
+from survey.export.meshes import bed_surface, oriented_normals
 from survey.export.product import ExportOptions
 from survey.folder.survey import load_survey
 from survey.run.flight import save_flight
@@ -83,7 +83,7 @@ def test_a_watertight_mesh_is_a_body_of_the_right_volume(rng, hole_m):
 
 def test_parts_that_meet_in_one_vertex_are_closed_each_for_itself():
     trimesh = pytest.importorskip("trimesh")
-    from survey.export.bed_surface import solid_of
+    from survey.export.meshes import solid_of
 
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
     vertices, faces, above = solid_of(corners, np.array([[0, 1, 2], [0, 3, 4]]), 0.5)

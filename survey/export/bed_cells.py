@@ -166,16 +166,14 @@ def _interpolated(grid: BedRaster, known: np.ndarray, around: Window, gaps: np.n
     weight = 1.0 / distance**2
     weight /= weight.sum(axis=1, keepdims=True)
     of = tuple(places[near].transpose(2, 0, 1))
-    step = distance[:, 0] * grid.cells.side_m * _slope(np.where(known, height, np.nan), grid.cells.side_m)
+    # By the root mean square slope between neighbouring known cells.
+    shown = np.where(known, height, np.nan)
+    steps = np.concatenate([np.diff(shown, axis=axis).ravel() for axis in (0, 1)]) / grid.cells.side_m
+    steps = steps[np.isfinite(steps)]
+    slope = float(np.sqrt(2.0 * np.square(steps).mean())) if len(steps) else _ANY_SLOPE
+    step = distance[:, 0] * grid.cells.side_m * slope
 
     def mean(values: np.ndarray) -> np.ndarray:
         return (weight * values[of]).sum(axis=1)
 
     return np.stack([mean(height), np.sqrt(mean(std**2) + step**2), np.sqrt(mean(common**2)), mean(incidence)])
-
-
-def _slope(height: np.ndarray, side: float) -> float:
-    """Root mean square slope between neighbouring known cells [-]."""
-    steps = np.concatenate([np.diff(height, axis=0).ravel(), np.diff(height, axis=1).ravel()]) / side
-    steps = steps[np.isfinite(steps)]
-    return float(np.sqrt(2.0 * np.square(steps).mean())) if len(steps) else _ANY_SLOPE

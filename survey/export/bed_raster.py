@@ -21,7 +21,6 @@ from scipy import ndimage
 
 from geo.crs import height_unit_m
 from geo.files import scratch_array
-from geo.grid import Grid
 from geo.projection import ground_units_m
 from survey.display.quantities import length
 from survey.errors import SurveyError
@@ -90,7 +89,11 @@ def _bed_raster(run: LoadedRun, options: ExportOptions) -> BedRaster:
         points, crs = reprojection(points), reprojection.crs
     cells = cells_over(points, crs, options.resolution_m or round_side(_DEFAULT_PX * pixel))
     points[:, 2] *= height_unit_m(crs)
-    grid = _empty(run, cells, LevelFit.of(points, columns["depth"]), pixel)
+    kinds = {"height": "f4", "std": "f4", "common": "f4", "count": "u4", "origin": "u1", "incidence": "f4"}
+    place = run.scratch / f"cells-{len(list(run.scratch.iterdir()))}"
+    place.mkdir()
+    arrays = {name: scratch_array(place / name, kind, cells.shape) for name, kind in kinds.items()}
+    grid = BedRaster(cells=cells, level=LevelFit.of(points, columns["depth"]), pixel_m=pixel, **arrays)
     common = columns.get("std_common", np.full(len(points), np.nan, dtype=np.float32))
     common = np.where(np.isfinite(common), common, np.float32(run.common_std_m))
     placed = columns.get("std_placed", np.zeros(len(points), dtype=np.float32))
@@ -128,20 +131,13 @@ def too_coarse(side_m: float, points_crs: np.ndarray, crs: CRS, pixel_m: float) 
     )
 
 
-def _empty(run: LoadedRun, cells: Grid, level: LevelFit | None, pixel_m: float) -> BedRaster:
-    """A raster without a height, in new files."""
-    kinds = {"height": "f4", "std": "f4", "common": "f4", "count": "u4", "origin": "u1", "incidence": "f4"}
-    place = run.scratch / f"cells-{len(list(run.scratch.iterdir()))}"
-    place.mkdir()
-    arrays = {name: scratch_array(place / name, kind, cells.shape) for name, kind in kinds.items()}
-    return BedRaster(cells=cells, level=level, pixel_m=pixel_m, **arrays)
-
-
 def _fill_in(grid: BedRaster, points: _Points) -> None:
     """Fit the cells, tile by tile."""
     cells, at = grid.cells, points.at
     margin = MARGIN_SQUARES * _SQUARE_PX * grid.pixel_m / cells.side_m
-    side = _tile_side(len(points), cells, margin)
+    # Of about `_POINTS_PER_TILE` points, and at least the cells of the margin.
+    per_cell = len(points) / (cells.shape[0] * cells.shape[1])
+    side = max(min(int(math.sqrt(_POINTS_PER_TILE / per_cell)), _LARGEST_TILE), math.ceil(margin))
     tiles = np.floor(at / side).astype(np.int32)
     across = -(-cells.shape[1] // side)
     number = tiles[:, 1] * across + tiles[:, 0]
@@ -185,12 +181,6 @@ def _fit_tile(grid: BedRaster, low: np.ndarray, side: int, correlated: float, po
     grid.height[place], grid.std[place], grid.count[place] = fits.height, np.sqrt(variance), fits.count
     grid.common[place] = np.sqrt(mean(np.square(points.common.astype(np.float64))))
     grid.incidence[place], grid.origin[place] = mean(points.incidence), POINTS
-
-
-def _tile_side(num_points: int, cells: Grid, margin: float) -> int:
-    """Cells along a tile of about `_POINTS_PER_TILE` points, and at least those of the margin."""
-    per_cell = num_points / (cells.shape[0] * cells.shape[1])
-    return max(min(int(math.sqrt(_POINTS_PER_TILE / per_cell)), _LARGEST_TILE), math.ceil(margin))
 
 
 def seen_from_above(

@@ -68,21 +68,16 @@ def write_colmap(path: Path, run: LoadedRun, _options: ExportOptions) -> None:
     flight = run.flight
     views = [replace(view, lens=_in_colmap(view.lens)) for view in flight.views]
     comments = [f"# {name}: {json.dumps(value, ensure_ascii=False)}\n" for name, value in _metadata(flight).items()]
-    with reporting_disk_errors(path):
-        path.mkdir(parents=True, exist_ok=True)
-        write_model(path, views, head=_MARK + "".join(comments), points=_points(run))
-
-
-def _points(run: LoadedRun) -> str:
-    """points3D.txt: true (not apparent) positions of points of the bed, without tracks."""
+    # True, not apparent, positions of points of the bed.
     bed = run.bed.bed
     every = -(-len(bed) // _MOST_POINTS)
-    head = "# points of the bed, true places; no tracks\n"
-    rows = zip(bed.xyz[::every], bed.rgb[::every], strict=True)
-    return head + "".join(
+    points = "# points of the bed, true places; no tracks\n" + "".join(
         f"{number} {x:.4f} {y:.4f} {z:.4f} {r} {g} {b} 0\n"
-        for number, ((x, y, z), (r, g, b)) in enumerate(rows, start=1)
+        for number, ((x, y, z), (r, g, b)) in enumerate(zip(bed.xyz[::every], bed.rgb[::every], strict=True), start=1)
     )
+    with reporting_disk_errors(path):
+        path.mkdir(parents=True, exist_ok=True)
+        write_model(path, views, head=_MARK + "".join(comments), points=points)
 
 
 def write_nerfstudio(path: Path, run: LoadedRun, _options: ExportOptions) -> None:

@@ -77,7 +77,9 @@ def fit_cells(points: CellPoints, *, side: float, pixel: float, correlated: floa
     row = np.repeat(np.arange(len(numbers)), count)
     base = _medians(height, row, start, count)
     height = height - base[row]
-    share = _independent(count, side, pixel, correlated)[row] / count[row]
+    # Independent points in a cell: by the area that they cover, at most that of the cell.
+    area_px2 = np.minimum((side / pixel) ** 2, count.astype(np.float64))
+    share = np.minimum(1.0 + area_px2 / correlated, count)[row] / count[row]
     unsampled = 1.0 - np.minimum(count * (pixel / side) ** 2, 1.0)
     relief, huber = np.zeros(len(numbers)), np.ones(len(height))
     for _ in range(_STEPS):
@@ -104,12 +106,6 @@ def _covered(cell: np.ndarray, offset: np.ndarray) -> np.ndarray:
     taken = np.unique(row * _MOST_SQUARES**2 + place[:, 1] * _MOST_SQUARES + place[:, 0])
     held = np.bincount(taken // _MOST_SQUARES**2, minlength=len(numbers))
     return (held / squares**2)[row]
-
-
-def _independent(count: np.ndarray, side: float, pixel: float, correlated: float) -> np.ndarray:
-    """Number of independent points in a cell: by the area that they cover, at most that of the cell."""
-    covered = np.minimum((side / pixel) ** 2, count.astype(np.float64))
-    return np.minimum(1.0 + covered / correlated, count)
 
 
 def _medians(values: np.ndarray, row: np.ndarray, start: np.ndarray, count: np.ndarray) -> np.ndarray:
@@ -148,7 +144,9 @@ def correlated_px2(plan: np.ndarray, height: np.ndarray, std: np.ndarray, pixel:
         if len(near) > _MOST_POINTS:
             near = rng.choice(near, _MOST_POINTS, replace=False)
         x, y = ((plan[near] - middle) / pixel).T
-        residual = _quadratic_residuals(x, y, height[near].astype(np.float64))
+        # Less a quadratic surface, which takes out the relief.
+        design, heights = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y]), height[near].astype(np.float64)
+        residual = heights - design @ np.linalg.lstsq(design, heights, rcond=None)[0]
         i, j = np.triu_indices(len(near), 1)
         distance = np.hypot(x[i] - x[j], y[i] - y[j])
         close = distance < _REACH_PX
@@ -160,9 +158,3 @@ def correlated_px2(plan: np.ndarray, height: np.ndarray, std: np.ndarray, pixel:
     alike = np.maximum(1.0 - squared / np.maximum(count, 1.0), 0.0) * (count > 0)
     rings = np.pi * np.diff(np.arange(_REACH_PX + 1) ** 2)
     return max(float(alike @ rings), LEAST_PX2)
-
-
-def _quadratic_residuals(x: np.ndarray, y: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Residuals (N,) [m] of heights to a fitted quadratic surface, which takes out the relief."""
-    design = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
-    return height - design @ np.linalg.lstsq(design, height, rcond=None)[0]

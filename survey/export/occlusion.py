@@ -113,7 +113,10 @@ class _Knots:
         levels = np.array([middle - half, middle, middle + half]) / height_unit_m(cells.crs)
         points = np.stack(np.meshgrid(levels, north, east, indexing="ij")[::-1], axis=-1)
         across, along = _between(rows, window.shape[0]), _between(columns, window.shape[1])
-        return _Knots(window, middle, half, across, along, _local(flight, cells, points))
+        if not cells.crs.equals(flight.frame.crs):
+            back = Reprojection.between(cells.crs, flight.frame.crs)
+            points = back(points.reshape(-1, 3)).reshape(points.shape)
+        return _Knots(window, middle, half, across, along, flight.frame.local_from_crs(points))
 
     def seen_by(self, camera: PinholeCamera, water: FlatWater | None) -> np.ndarray | None:
         """Values of `CellProjection` (4, 3, knots, knots) at the knots; None where certainly no cell is seen."""
@@ -140,14 +143,6 @@ class _Knots:
     def _parabola(self, values: np.ndarray, t: np.ndarray) -> np.ndarray:
         below, middle, above = (self.rows @ level @ self.columns.T for level in values)
         return middle + 0.5 * (above - below) * t + (0.5 * (above + below) - middle) * t**2
-
-
-def _local(flight: Flight, cells: Grid, points: np.ndarray) -> np.ndarray:
-    """Points (..., 3) in the crs of cells as local ones."""
-    frame = flight.frame
-    if not cells.crs.equals(frame.crs):
-        points = Reprojection.between(cells.crs, frame.crs)(points.reshape(-1, 3)).reshape(points.shape)
-    return frame.local_from_crs(points)
 
 
 def _between(knots: np.ndarray, count: int) -> np.ndarray:

@@ -27,7 +27,6 @@ from survey.export.occlusion import (
 from survey.export.product import ExportOptions, require_not_too_fine
 from survey.export.terrain import noted_if_empty
 from survey.progress import current
-from survey.run.flight import Flight
 
 ColourOf = Callable[[np.ndarray, Window, np.ndarray, CellProjection], np.ndarray]
 
@@ -65,7 +64,13 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
         grid = bed_raster(run, options)
     flight = flight_of(run, options.survey)
     scale = min(1.0, grid.pixel_m / side_m)
-    _require_pixels(flight, scale, side_m, run.bed_header.gsd_m)
+    shortest = scale * min(min(view.camera.width, view.camera.height) for view in flight.views)
+    if shortest < _FEWEST_PX:
+        raise SurveyError(
+            f"--resolution {side_m:g} (metres) is too coarse: at that size a photograph has {shortest:.1f} pixels "
+            f"along its shorter side, expected at least {_FEWEST_PX}; give e.g. --resolution "
+            f"{round_side(run.bed_header.gsd_m):g}"
+        )
     photographs = at_scale(flight, scale)
     cells = cells_over(grid.cells.box, grid.cells.crs, side_m)
     mosaic, colour_of = Mosaic.empty(cells, run.scratch), _colour_of(run, grid, cells)
@@ -84,17 +89,6 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
                 mosaic.add(window, weight, colour_of(colour, window, height, seen))
             stage.advance()
     return mosaic
-
-
-def _require_pixels(flight: Flight, scale: float, side_m: float, gsd_m: float) -> None:
-    """Raise SurveyError where photographs at a scale have too few pixels."""
-    shortest = min(min(view.camera.width, view.camera.height) for view in flight.views)
-    if scale * shortest < _FEWEST_PX:
-        raise SurveyError(
-            f"--resolution {side_m:g} (metres) is too coarse: at that size a photograph has {scale * shortest:.1f} "
-            f"pixels along its shorter side, expected at least {_FEWEST_PX}; give e.g. --resolution "
-            f"{round_side(gsd_m):g}"
-        )
 
 
 def _heights(grid: BedRaster, cells: Grid, window: Window) -> np.ndarray:

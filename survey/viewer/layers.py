@@ -154,7 +154,7 @@ def terrain(shown: Shown) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def mesh(shown: Shown) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The triangulated bed, as `terrain`, in the colours of the photographs."""
-    from survey.export.bed_surface import bed_surface
+    from survey.export.meshes import bed_surface
 
     std = shown.columns["std"]
     surface = bed_surface(

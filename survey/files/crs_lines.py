@@ -38,8 +38,11 @@ def crs_of_comment(path: Path, error: type[SurveyError]) -> CRS | None:
     """
     lines = (line.strip() for _, line in text_lines(path, error))
     found = next((named for line in lines if (named := _crs_named(line)) is not None), None)
+    if found is None:
+        head, *rows = csv.reader(line for _, line in itertools.islice(text_lines(path, error), 2))
+        found = dict(zip(head, rows[0], strict=False)).get("crs") if rows else None
     remedy = "correct the comment, or remove it where coordinates are in the crs of survey.toml"
-    crs = crs_of_text(found or _crs_of_column(path, error), str(path), remedy, error)
+    crs = crs_of_text(found, str(path), remedy, error)
     # A comment on what heights count from does not tell where places are.
     return None if crs is None or (crs.is_vertical and not crs.is_compound) else crs
 
@@ -53,13 +56,6 @@ def crs_of_text(text: str | None, where: str, remedy: str, error: type[SurveyErr
         return crs_of(text)
     except CRSError as wrong:
         raise error(f'{where}: "{text}" is not a known CRS; {remedy}') from wrong
-
-
-def _crs_of_column(path: Path, error: type[SurveyError]) -> str | None:
-    """The cell of a column crs in the first row of a table with commas."""
-    first_lines = [line for _, line in itertools.islice(text_lines(path, error), 2)]
-    head, *rows = csv.reader(first_lines)
-    return dict(zip(head, rows[0], strict=False)).get("crs") if rows else None
 
 
 def _crs_named(line: str) -> str | None:

@@ -144,7 +144,11 @@ def locked(folder: Path, *, busy: str) -> Iterator[None]:
     try:
         lock.acquire()
     except Timeout as error:
-        raise SurveyError(busy.format(pid=_number_in(owner))) from error
+        try:
+            pid = owner.read_text(encoding="ascii").strip()
+        except (OSError, ValueError):
+            pid = ""
+        raise SurveyError(busy.format(pid=pid or "unknown")) from error
     try:
         owner.write_text(str(os.getpid()), encoding="ascii")
         yield
@@ -154,10 +158,3 @@ def locked(folder: Path, *, busy: str) -> Iterator[None]:
         with suppress(PermissionError):
             path.unlink(missing_ok=True)
         lock.release()
-
-
-def _number_in(owner: Path) -> str:
-    try:
-        return owner.read_text(encoding="ascii").strip() or "unknown"
-    except (OSError, ValueError):
-        return "unknown"

@@ -38,6 +38,7 @@ EXPECTED, ONE_OF, LIMITS, OPTION, OPTION_ALONE = "expected", "one_of", "limits",
 _HOLDS: dict[str, Callable[[float, float], bool]] = {
     "exclusiveMinimum": operator.gt, "minimum": operator.ge, "exclusiveMaximum": operator.lt, "maximum": operator.le,
 }  # fmt: skip
+_LIMIT_IN_WORDS = dict(zip(_HOLDS, ("above", "of at least", "below", "at most"), strict=True))
 _WORD_OF_LIMIT = dict(zip(("above", "least", "below", "most"), _HOLDS, strict=True))
 # Metadata of a field whose record has keys of the table that it stands in, those that belong together.
 INLINE = {"inline": True}
@@ -208,7 +209,8 @@ def _require_valid(field: dataclasses.Field, name: str, value: Any) -> None:
         raise ConfigError(f"{name} is {_shown(value)}, expected {field.metadata[EXPECTED]}{instead_of_word(value)}")
     numbers = value if isinstance(value, tuple) else (value,)
     if not all(_HOLDS[word](number, limit) for word, limit in limits.items() for number in numbers):
-        expected = field.metadata[EXPECTED] or _words_of_limits(limits)
+        expected = " and ".join(f"{_LIMIT_IN_WORDS[word]} {limit:g}" for word, limit in limits.items())
+        expected = field.metadata[EXPECTED] or f"a number {expected}"
         raise ConfigError(f"{name} is {_shown(value)}, expected {expected}")
 
 
@@ -216,12 +218,6 @@ def _shown(value: float | str | tuple) -> str:
     if isinstance(value, tuple):
         return str(list(value))
     return f'"{value}"' if isinstance(value, str) else f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _words_of_limits(limits: Mapping[str, float]) -> str:
-    """Limits in words, e.g. "a number above 0 and at most 1"."""
-    said = {"exclusiveMinimum": "above", "minimum": "of at least", "exclusiveMaximum": "below", "maximum": "at most"}
-    return "a number " + " and ".join(f"{said[word]} {limit:g}" for word, limit in limits.items())
 
 
 @dataclasses.dataclass(frozen=True)

@@ -53,7 +53,12 @@ class MarkStore:
     def __init__(self, config: SurveyConfig, found: Found, points: Path | None = None):
         self._config, self._found, self._points_path = config, found, points
         self._sizes = {name: header.size_px for name, header in found.headers.items()}
-        self.control_path = found.folder / _control_name(found.folder, config)
+        # The gcp_list.txt that [control] names, whether or not it exists; else the usual name.
+        self.control_path = found.folder / GCP_LIST
+        for path in (found.folder / name for name in config.control.gcp_files):
+            if gcp_list.FORMAT.recognises(path) if path.is_file() else path.suffix.lower() == ".txt":
+                self.control_path = path
+                break
         water = config.water
         named = None if water is None else water.sources.clicks
         self.clicks_path = found.folder / (CLICKS if named is None else named)
@@ -226,12 +231,3 @@ class MarkStore:
             if image is not None:
                 found[mark.point, image] = mark.pixel
         return found
-
-
-def _control_name(folder: Path, config: SurveyConfig) -> str:
-    """The gcp_list.txt that [control] names, whether or not it exists; else the usual name."""
-    for name in config.control.gcp_files:
-        path = folder / name
-        if gcp_list.FORMAT.recognises(path) if path.is_file() else path.suffix.lower() == ".txt":
-            return name
-    return GCP_LIST

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -76,9 +76,14 @@ class MarkingSession:
         view = self._views.get(image)
         predicted = None if place is None or view is None else seen_at(view, place, water)
         others = [(name, own[name]) for name in own if name in self._views and name != image]
+        curves = []
+        if view is not None:
+            for name, pixel in others[:_MOST_CURVES]:
+                curve = epipolar_curve(self._views[name], pixel, view, water)
+                curves.append({"image": name, "dry": curve.dry.tolist(), "wet": curve.wet.tolist()})
         return {
             "predicted": predicted,
-            "curves": [] if view is None else self._curves(others[:_MOST_CURVES], view, water),
+            "curves": curves,
             "others": [] if view is None else self._others(key, view, points, marks, common),
             "next": [name for name in self._next(key, point, place, own, image) if name not in own][:_MOST_NEXT],
         }
@@ -92,13 +97,6 @@ class MarkingSession:
             seen = None if place is None else seen_at(view, place, self._water_of(other))
             if seen is not None:
                 found.append({"kind": other.kind, "name": other.name, "pixel": seen})
-        return found
-
-    def _curves(self, marks: Sequence[tuple[str, Pixel]], view: View, water: FlatWater | None) -> list[dict]:
-        found = []
-        for name, pixel in marks:
-            curve = epipolar_curve(self._views[name], pixel, view, water)
-            found.append({"image": name, "dry": curve.dry.tolist(), "wet": curve.wet.tolist()})
         return found
 
     def _next(

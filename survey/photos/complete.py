@@ -7,7 +7,6 @@ of an uncompressed TIFF where its strips end; other files are decoded.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from pathlib import Path
 
 import simplejpeg
@@ -38,8 +37,15 @@ def require_complete(path: Path) -> None:
         with damage_named(f"{path} is damaged or cut off"), path.open("rb") as file, open_stream(file, "PNG") as image:
             image.verify()
     elif format_name == "TIFF" and tags.get(_TIFF_COMPRESSION, _UNCOMPRESSED) == _UNCOMPRESSED:
-        if not _strips_end_within(tags, path.stat().st_size):
-            raise ImageError(_message(path, "its tags do not name a place within the file for all of its pixels"))
+        size = path.stat().st_size
+        for where, length in _TIFF_PIXELS:
+            starts, counts = tags.get(where, ()), tags.get(length, ())
+            if isinstance(starts, tuple) and isinstance(counts, tuple) and 0 < len(starts) == len(counts):
+                places = zip(starts, counts, strict=True)
+                if all(isinstance(start, int) and 0 < start <= start + count <= size for start, count in places):
+                    return
+                break
+        raise ImageError(_message(path, "its tags do not name a place within the file for all of its pixels"))
     else:
         read_rgb(path)
 
@@ -60,13 +66,3 @@ def _require_complete_jpeg(path: Path, data: bytes) -> None:
             raise ImageError(_message(path, warning)) from error
         # Of a kind that libjpeg-turbo's interface does not know, or of another structure.
         read_rgb(path)
-
-
-def _strips_end_within(tags: Mapping, size: int) -> bool:
-    """Whether all strips, or tiles, of the first page of a TIFF end within the bytes of the file."""
-    for where, length in _TIFF_PIXELS:
-        starts, counts = tags.get(where, ()), tags.get(length, ())
-        if isinstance(starts, tuple) and isinstance(counts, tuple) and 0 < len(starts) == len(counts):
-            places = zip(starts, counts, strict=True)
-            return all(isinstance(start, int) and 0 < start <= start + count <= size for start, count in places)
-    return False

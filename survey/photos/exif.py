@@ -123,7 +123,9 @@ def _read_exif(path: Path, _changed: int, _size: int) -> Exif:
         has_pages = image.format == "TIFF" and getattr(image, "is_animated", False)
         gps, details = exif.get_ifd(ExifTags.IFD.GPSInfo), exif.get_ifd(ExifTags.IFD.Exif)
         changed = exif.get(ExifTags.Base.DateTime)
-    xmp = _text_of_xmp(xmp)
+    xmp = xmp[:_LONGEST_XMP].decode("utf-8", errors="replace") if isinstance(xmp, bytes) else xmp
+    xmp = with_known_prefixes(xmp[:_LONGEST_XMP]) if isinstance(xmp, str) else ""
+    seconds = number(details.get(ExifTags.Base.ExposureTime))
     camera = " ".join(words(exif.get(tag, "")) for tag in (ExifTags.Base.Make, ExifTags.Base.Model))
     orientation = exif.get(ExifTags.Base.Orientation, 1)
     position, fault = position_of(gps, xmp)
@@ -142,7 +144,7 @@ def _read_exif(path: Path, _changed: int, _size: int) -> Exif:
         bits=bits,
         has_pages=has_pages,
         clock=_clock(details),
-        exposure_s=_exposure(details),
+        exposure_s=seconds if 0.0 < seconds < _LONGEST_EXPOSURE_S else None,
         gps_fault=fault,
         gps_datum=other_datum(gps, xmp) if position is not None else "",
         is_void=position is not None and plain(gps.get(ExifTags.GPS.GPSStatus))[:1].upper() == "V",
@@ -164,12 +166,6 @@ def without_void_fixes(headers: Mapping[str, Exif]) -> dict[str, Exif]:
         else header
         for name, header in headers.items()
     }
-
-
-def _text_of_xmp(value: Any) -> str:
-    if isinstance(value, bytes):
-        value = value[:_LONGEST_XMP].decode("utf-8", errors="replace")
-    return with_known_prefixes(value[:_LONGEST_XMP]) if isinstance(value, str) else ""
 
 
 def _taken(gps: dict, details: dict, changed: Any) -> datetime | None:
@@ -218,11 +214,6 @@ def _clock(details: dict) -> datetime | None:
         return datetime.strptime(text, "%Y:%m:%d %H:%M:%S") + timedelta(seconds=fraction)
     except ValueError:
         return None
-
-
-def _exposure(details: dict) -> float | None:
-    seconds = number(details.get(ExifTags.Base.ExposureTime))
-    return seconds if 0.0 < seconds < _LONGEST_EXPOSURE_S else None
 
 
 def position_sources(headers: Mapping[str, Exif]) -> str:

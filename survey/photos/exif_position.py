@@ -159,7 +159,11 @@ def focal_px(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> flo
     calibrated = xmp_number(xmp, "CalibratedFocalLength")
     film = number(details.get(ExifTags.Base.FocalLengthIn35mmFilm))
     by_film = film / _FILM_WIDTH_MM * max(size) if film > 0.0 else None
-    is_of_size = details.get(ExifTags.Base.ExifImageWidth, size[0]) == size[0] and _is_centred(size, xmp)
+    # Whether the calibrated optical centre, where there is one, lies about the middle of the image.
+    centre = [xmp_number(xmp, f"CalibratedOpticalCenter{axis}") for axis in "XY"]
+    known = [(at, side) for at, side in zip(centre, size, strict=True) if at is not None and at > 0.0]
+    is_centred = all(abs(at / side - 0.5) < _OFF_CENTRE for at, side in known)
+    is_of_size = details.get(ExifTags.Base.ExifImageWidth, size[0]) == size[0] and is_centred
     if calibrated and is_of_size and (by_film is None or abs(math.log(calibrated / by_film)) < _SAME_SIZE):
         return calibrated
     return by_film
@@ -184,10 +188,3 @@ def _resized_warning(size: tuple[int, int], details: Mapping[int, Any], xmp: str
         return "" if is_told else f"a calibrated focal length of {calibrated:.0f} px, of the size that the camera made"
     other = "nothing else tells" if used is None else f"the 35 mm equivalent gives {used:.0f} px, which is used"
     return f"a calibrated focal length of {calibrated:.0f} px in XMP that belongs to another size; {other}"
-
-
-def _is_centred(size: tuple[int, int], xmp: str) -> bool:
-    """Whether the calibrated optical centre lies about the middle of the image; true where there is none."""
-    centre = [xmp_number(xmp, f"CalibratedOpticalCenter{axis}") for axis in "XY"]
-    known = [(at, side) for at, side in zip(centre, size, strict=True) if at is not None and at > 0.0]
-    return all(abs(at / side - 0.5) < _OFF_CENTRE for at, side in known)

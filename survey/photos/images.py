@@ -61,7 +61,9 @@ def list_images(folder: Path, *, deep: bool = True) -> dict[str, Path]:
         p for p in below if p.suffix.lower() in SUFFIXES and not is_hidden(p.relative_to(folder)) and p.is_file()
     )
     names = {path.with_suffix("") for path in files} | set(files)
-    files = [path for path in files if not is_mask_of_another(path, names)]
+    named = (path for path in files if path.stem.lower().endswith(MASK_ENDING))
+    masks = {path for path in named if path.with_name(path.stem[: -len(MASK_ENDING)]) in names}
+    files = [path for path in files if path not in masks]
     if not files:
         raise ImageError(
             f"no images in {folder}{photographs_elsewhere(folder.parent, folder)}; expected files ending in "
@@ -96,12 +98,6 @@ def photographs_elsewhere(folder: Path, but: Path | None = None) -> str:
 def is_hidden(path: Path) -> bool:
     """Whether a path in a folder, relative to it, is hidden, or of a thumbnail."""
     return any(part[0] == "." or part.casefold() in _NOT_OF_CAMERAS for part in path.parts)
-
-
-def is_mask_of_another(path: Path, names: set[Path]) -> bool:
-    """Whether a file is the mask of another one, of whose paths with and without suffixes there is a set."""
-    stem = path.stem
-    return stem.lower().endswith(MASK_ENDING) and path.with_name(stem[: -len(MASK_ENDING)]) in names
 
 
 def same_files(images: Mapping[str, Path]) -> list[tuple[str, ...]]:

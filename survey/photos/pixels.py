@@ -191,20 +191,18 @@ def read_opaque(path: Path) -> np.ndarray | None:
     A band beyond the colours that is a picture, as near infrared is, is not transparency, whatever the file calls it.
     """
     with open_image(path) as image:
-        if not _has_alpha(image):
+        has_alpha = image.mode in _ALPHA_MODES
+        if image.format == "TIFF":
+            # A band more is transparency only where the file says so.
+            has_alpha &= getattr(image, "tag_v2", {}).get(_EXTRA_SAMPLES, ())[-1:] in _ALPHA
+        elif "transparency" in image.info:
+            has_alpha = True
+        if not has_alpha:
             return None
     alpha = _decoded(path, lambda image, _: _decode_8_bits(image.convert("RGBA").getchannel("A"), "L", image))
     # Some programs call every band beyond the colours transparency.
     is_between = (alpha > 0) & (alpha < alpha.max())
     return None if is_between.mean() > _MOST_BETWEEN else alpha > 0
-
-
-def _has_alpha(image: Image.Image) -> bool:
-    """Whether an image has transparency: a band more of a TIFF is that only where it says so."""
-    if image.format == "TIFF":
-        extra = getattr(image, "tag_v2", {}).get(_EXTRA_SAMPLES, ())
-        return extra[-1:] in _ALPHA and image.mode in _ALPHA_MODES
-    return image.mode in _ALPHA_MODES or "transparency" in image.info
 
 
 def _decoded(path: Path, decode: Callable[[Image.Image, int], np.ndarray]) -> np.ndarray:

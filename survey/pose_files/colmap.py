@@ -15,6 +15,7 @@ import numpy as np
 
 from refract.lens import MODELS, Lens, LensError
 from survey.errors import PosesError
+from survey.files.foreign import begins_with
 from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame
 from survey.photos.rotations import rotation_from_quaternion
 from survey.pose_files.format import Format
@@ -185,16 +186,10 @@ def read_model(folder: Path) -> PoseFile:
         cam_from_local = rotation_from_quaternion(*image.pose[:4])
         centre = -cam_from_local.T @ np.array(image.pose[4:])
         poses.append(Pose(image.name, centre, cam_from_local, lenses[image.camera], where=str(path)))
-    return PoseFile(tuple(poses), PoseFrame.LOCAL, tool=None if _is_own(folder) else "COLMAP")
-
-
-def _is_own(folder: Path) -> bool:
-    """Whether a model comes from an adjustment with bent rays; its text lies beside it where it is binary."""
-    path = folder / "cameras.txt"
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(len(_OWN_FIRST_WORDS)) == _OWN_FIRST_WORDS
+    # From an adjustment with bent rays; its text lies beside it where it is binary.
+    text = folder / "cameras.txt"
+    is_own = text.is_file() and begins_with(text, _OWN_FIRST_WORDS)
+    return PoseFile(tuple(poses), PoseFrame.LOCAL, tool=None if is_own else "COLMAP")
 
 
 def read_ties(folder: Path) -> FileTies | None:

@@ -116,25 +116,28 @@ def read_metashape(path: Path) -> PoseFile:
         poses.append(_pose(name, matrix, transforms[component], lenses[sensor], given, where))
         components.add(component)
     if not poses:
-        raise _without_poses(path, are_nameless=bool(nameless))
+        if nameless:
+            raise PosesError(f"{path}: no aligned camera has a label, expected the name of its image; {_EXPORT}")
+        raise PosesError(
+            f"{path} has no camera that is enabled, aligned and georeferenced; align the photos, set the reference of "
+            f"the chunk and update it, then {_EXPORT}"
+        )
     warnings = (
         *named(disabled, "camera", f"disabled in {path.name}, left out"),
         *named(unplaced, "camera", f"not aligned in {path.name}, left out"),
         *named(nameless, "camera", f"without a label in {path.name}, left out"),
         *_warnings(chunk, path, num_components=len(components)),
     )
-    is_earth = _is_on_earth(poses, crs, path)
+    # The world is geocentric, else local.
+    nearest_m = min(float(np.linalg.norm(pose.centre)) for pose in poses)
+    is_earth = nearest_m > _UNDERGROUND_M
+    if crs is not None and not is_earth:
+        raise PosesError(
+            f"{path}: its chunk has the reference {crs.name}, but a camera lies {distance_text(nearest_m)} from "
+            "the centre of the Earth; update the reference in Metashape, and export the cameras again"
+        )
     frame = PoseFrame.GEOCENTRIC if is_earth else PoseFrame.LOCAL
     return PoseFile(tuple(poses), frame, crs, "Metashape", warnings=warnings)
-
-
-def _without_poses(path: Path, *, are_nameless: bool) -> PosesError:
-    if are_nameless:
-        return PosesError(f"{path}: no aligned camera has a label, expected the name of its image; {_EXPORT}")
-    return PosesError(
-        f"{path} has no camera that is enabled, aligned and georeferenced; align the photos, set the reference of "
-        f"the chunk and update it, then {_EXPORT}"
-    )
 
 
 def _name(camera: Element) -> str:
@@ -241,18 +244,6 @@ def _given(camera: Element, sensor: Element, where: str, crs: CRS | None) -> Giv
     if min(values[3:]) <= 0.0:
         raise PosesError(f"{where}: the accuracy of its reference is {values[3:]} m, expected above 0; {_EXPORT}")
     return GivenPosition(np.array(values[:3]), np.array(values[3:]))
-
-
-def _is_on_earth(poses, crs: CRS | None, path: Path) -> bool:
-    """Whether the world is geocentric; else it is local."""
-    lengths = [float(np.linalg.norm(pose.centre)) for pose in poses]
-    is_earth = min(lengths) > _UNDERGROUND_M
-    if crs is not None and not is_earth:
-        raise PosesError(
-            f"{path}: its chunk has the reference {crs.name}, but a camera lies {distance_text(min(lengths))} from "
-            "the centre of the Earth; update the reference in Metashape, and export the cameras again"
-        )
-    return is_earth
 
 
 def _numbers(element: Element | None, count: int, where: str) -> np.ndarray:

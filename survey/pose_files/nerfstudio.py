@@ -46,7 +46,9 @@ def read_nerfstudio(path: Path) -> PoseFile:
             raise PosesError(f"{path}: a frame has no file_path, expected the name of its image; {_EXPORT}")
         where = f"{path}, frame {name}"
         try:
-            lens = _lens(_with_root(data, frame))
+            # Of the frame, else of the root; a focal length of the frame leaves no other one of the root.
+            own = {key for keys in _FOCALS for key in keys if any(key in frame for key in keys)}
+            lens = _lens({**{key: value for key, value in data.items() if key not in own}, **frame})
         except LensError as error:
             raise PosesError(f"{where}: {error}") from error
         poses.append(_pose(name, frame, lens, applied, scale, where))
@@ -88,12 +90,6 @@ def _matrix(value, num_rows: int) -> np.ndarray | None:
     if num_rows == 4 and len(rows) == 3:
         rows.append([0.0, 0.0, 0.0, 1.0])
     return None if len(rows) != num_rows or None in rows else np.array(rows, dtype=np.float64)
-
-
-def _with_root(data: dict, frame: dict) -> dict:
-    """Values of a frame, else of the root of the file; a focal length of the frame leaves no other one of the root."""
-    own = {key for keys in _FOCALS for key in keys if any(key in frame for key in keys)}
-    return {**{key: value for key, value in data.items() if key not in own}, **frame}
 
 
 def _lens(values: dict) -> Lens:

@@ -68,8 +68,12 @@ def read_opk_csv(path: Path) -> PoseFile:
     frame, notes = PoseFrame.GRID, tuple[str, ...]()
     if "omega" not in columns:
         is_of_gimbal = "gimbal_yaw" in columns
-        if not is_of_gimbal:
-            _require_photogrammetric(path, rows, names[5])
+        pitches = [row.number(names[5]) for row in rows]
+        if not is_of_gimbal and pitches and np.median(pitches) < 0.5 * _GIMBAL_DOWN_DEG:
+            raise PosesError(
+                f"{path}: the pitch is {np.median(pitches):.0f} degrees (median), expected 0 for straight down; if it "
+                "is that of a gimbal, call the columns gimbal_yaw, gimbal_pitch, gimbal_roll"
+            )
         # RealityCapture's table counts its heading from the north of the grid that it exports.
         head = next((line.casefold() for _, line in text_lines(path, PosesError) if line.strip()), "")
         is_of_grid = head.startswith("#name") and "heading" in head
@@ -123,16 +127,6 @@ def _given(row: Row, centre: np.ndarray, units: Mapping[str, float]) -> GivenPos
     if not (values > 0.0).all():
         raise PosesError(f"{row.where}: the accuracy is {values.tolist()}, expected above 0; correct it")
     return GivenPosition(centre, values)
-
-
-def _require_photogrammetric(path: Path, rows: list[Row], pitch: str) -> None:
-    """Raise where cameras look down by the pitch of a gimbal under the heading of photogrammetry's."""
-    pitches = [row.number(pitch) for row in rows]
-    if pitches and np.median(pitches) < 0.5 * _GIMBAL_DOWN_DEG:
-        raise PosesError(
-            f"{path}: the pitch is {np.median(pitches):.0f} degrees (median), expected 0 for straight down; if it is "
-            "that of a gimbal, call the columns gimbal_yaw, gimbal_pitch, gimbal_roll"
-        )
 
 
 FORMAT = Format(

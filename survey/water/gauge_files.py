@@ -88,7 +88,13 @@ class _Records:
 def read_series(path: Path, unit_m: float = 1.0, zero_m: float | None = None) -> Series:
     """The readings of a file, over the zero of a gauge at this height [m]; a level without a unit has that of crs."""
     records = _of_json(path) if path.suffix.lower() in (".json", ".geojson") else _of_table(path)
-    records = _of_one_parameter(records, path)
+    # Of several parameters the one that has a unit of length.
+    rows = [row for row in records.rows if not row.cells.get("unit") or unit_named(row.cells["unit"]) is not None]
+    parameters = {row.cells.get("parameter", "") for row in rows}
+    if len(parameters) > 1:
+        series = ", ".join(sorted(parameters)[:6])
+        raise ConfigError(f"{path} has several series, {series}; keep the one of the water level")
+    records = replace(records, rows=rows)
     names = [name for name in _LEVELS if any(name in row.cells for row in records.rows)]
     if not names:
         raise ConfigError(f"{path} has no readings, expected time,level, or a form of NOAA, PEGELONLINE or USGS")
@@ -170,8 +176,12 @@ def zone_of(text: str) -> tzinfo | None:
 def _of_table(path: Path) -> _Records:
     """Rows of a CSV, or of the RDB of USGS."""
     table, zone = Table.read(path, _WORDS, ConfigError), None
-    described = _descriptions(path) if any(_RDB_COLUMN.fullmatch(column.cell) for column in table.columns) else {}
-    columns = []
+    described, columns = dict[str, str](), []
+    if any(_RDB_COLUMN.fullmatch(column.cell) for column in table.columns):
+        # Codes of parameters with their texts in the comments of an RDB.
+        comments = [line for _, line in text_lines(path, ConfigError) if line.startswith("#")]
+        matches = [match for line in comments for match in re.finditer(r"\s(\d{5})\s+(?:\d{5}\s+)?(\D.+)", line)]
+        described = {match[1]: match[2].strip() for match in matches}
     for column in table.columns:
         behind = _ZONE_BEHIND.fullmatch(column.cell)
         if column.name == column.cell and behind is not None and _WORDS.get(behind[1]) == "time":
@@ -191,13 +201,6 @@ def _of_table(path: Path) -> _Records:
     others = ("std", "unit", "zone", "kind", "parameter", "no_data")
     rows = table.rows(when + levels[:1], (*levels[1:], *others))
     return _Records(rows, table.units, zone, {column.name: column.cell for column in reversed(table.columns)})
-
-
-def _descriptions(path: Path) -> dict[str, str]:
-    """Texts of the comments of an RDB by the codes of parameters in them."""
-    comments = [line for _, line in text_lines(path, ConfigError) if line.startswith("#")]
-    found = [match for line in comments for match in re.finditer(r"\s(\d{5})\s+(?:\d{5}\s+)?(\D.+)", line)]
-    return {match[1]: match[2].strip() for match in found}
 
 
 def _of_json(path: Path) -> _Records:
@@ -245,15 +248,6 @@ def _scalars(node: dict[str, Any], depth: int) -> Iterator[tuple[str, Any]]:
             yield from _scalars(value, depth + 1)
         elif isinstance(value, str | int | float) or value is None:
             yield str(key), "" if value is None else value
-
-
-def _of_one_parameter(records: _Records, path: Path) -> _Records:
-    """Records of the one parameter that has a unit of length, where a file has several."""
-    rows = [row for row in records.rows if not row.cells.get("unit") or unit_named(row.cells["unit"]) is not None]
-    kinds = {row.cells.get("parameter", "") for row in rows}
-    if len(kinds) > 1:
-        raise ConfigError(f"{path} has several series, {', '.join(sorted(kinds)[:6])}; keep the one of the water level")
-    return replace(records, rows=rows)
 
 
 def _unit_of(records: _Records, cells: Mapping[str, str], name: str, unit_m: float, path: Path) -> float:

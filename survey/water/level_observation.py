@@ -157,29 +157,26 @@ def water_place_warnings(
     warnings = []
     for source, found in places.items():
         distance = _distances_m(crs, cameras, np.array(found))
-        worst, num_far = int(np.argmax(distance)), int((distance > FARTHEST_M).sum())
-        message = f"[water] {source}: {int((distance > DOUBTFUL_M).sum())} of {len(distance)} places"
-        if num_far:
-            raise ConfigError(_too_far(crs, cameras, source, np.array(found), distance))
+        worst = int(np.argmax(distance))
+        if distance[worst] > FARTHEST_M:
+            e, n = found[worst]
+            message = f"[water] {source} has a place at {e:.10g}, {n:.10g}, which "
+            if np.isfinite(distance[worst]):
+                message += f"lies {distance_text(distance[worst])} from the nearest camera in {crs.name}"
+            else:
+                message += f"is not on the map of {crs.name}"
+            if (_distances_m(crs, cameras, np.array(found)[:, ::-1]) <= FARTHEST_M).all():
+                raise ConfigError(
+                    f"{message}, and near the cameras as {n:.10g}, {e:.10g}: give easting (or longitude) first"
+                )
+            raise ConfigError(f"{message}; give places on the water of this survey in crs")
         if distance[worst] > DOUBTFUL_M:
+            num_far, far = int((distance > DOUBTFUL_M).sum()), distance_text(DOUBTFUL_M)
             warnings.append(
-                f"{message} lie more than {distance_text(DOUBTFUL_M)} from all cameras, the "
+                f"[water] {source}: {num_far} of {len(distance)} places lie more than {far} from all cameras, the "
                 f"farthest {distance_text(distance[worst])}: check that they are on the water that the photographs show"
             )
     return warnings
-
-
-def _too_far(crs: CRS, cameras: np.ndarray, source: str, places: np.ndarray, distance: np.ndarray) -> str:
-    worst = int(np.argmax(distance))
-    e, n = places[worst]
-    message = f"[water] {source} has a place at {e:.10g}, {n:.10g}, which "
-    if np.isfinite(distance[worst]):
-        message += f"lies {distance_text(distance[worst])} from the nearest camera in {crs.name}"
-    else:
-        message += f"is not on the map of {crs.name}"
-    if (_distances_m(crs, cameras, places[:, ::-1]) <= FARTHEST_M).all():
-        return f"{message}, and near the cameras as {n:.10g}, {e:.10g}: give easting (or longitude) first"
-    return f"{message}; give places on the water of this survey in crs"
 
 
 def _distances_m(crs: CRS, cameras: np.ndarray, places: np.ndarray) -> np.ndarray:

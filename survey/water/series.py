@@ -63,7 +63,13 @@ def levels_at(series: Series, moments: np.ndarray) -> tuple[np.ndarray, float, t
     warnings = named(parts, "reading", f"of {series.path.name} that the others contradict, left out")
     if len(left_out) > _MOST_LEFT_OUT * len(near) and sum(not each.is_marker for each in left_out) > 1:
         raise ConfigError(f"{warnings[0]}; they are too many for a series of one water: correct {series.path}")
-    _require_cover(series.path, times, moments / 3600.0, "".join(f"; {text}" for text in warnings))
+    first, last = moments.min() / 3600.0, moments.max() / 3600.0
+    if len(times) < 2 or first < times[0] or last > times[-1]:
+        covered = f"runs from {_shown(times[0])} to {_shown(times[-1])}" if len(times) else "has no level"
+        raise ConfigError(
+            f"{series.path} {covered}, but images were taken from {_shown(first)} to {_shown(last)}; add the readings "
+            f"around the flight{''.join(f'; {text}' for text in warnings)}"
+        )
     require_slow(readings)
     if is_of_extremes:
         at, std, notes = _cosines(series.path, times, levels, moments / 3600.0)
@@ -187,15 +193,6 @@ def require_slow(readings: tuple[Reading, ...]) -> None:
                 f"({one.where.rpartition(', ')[2]}), faster than water rises ({MOST_RATE_M_PER_H:g} m/h); correct or "
                 "remove the line that is wrong"
             )
-
-
-def _require_cover(path: Path, times: np.ndarray, moments: np.ndarray, left_out: str) -> None:
-    if len(times) < 2 or moments.min() < times[0] or moments.max() > times[-1]:
-        covered = f"runs from {_shown(times[0])} to {_shown(times[-1])}" if len(times) else "has no level"
-        raise ConfigError(
-            f"{path} {covered}, but images were taken from {_shown(moments.min())} to {_shown(moments.max())}; add the "
-            f"readings around the flight{left_out}"
-        )
 
 
 def _cosines(

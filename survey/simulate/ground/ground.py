@@ -257,11 +257,11 @@ def texture_of_bed(
         require_texels("texture.square_m", settings.square_m, area, "squares")
         # One corner lies on the origin. A texel is a square.
         square = settings.square_m
-        west, south, east, north = (math.floor(area[0] / square), math.floor(area[1] / square), *area[2:])
-        columns, rows = math.ceil(east / square) - west, math.ceil(north / square) - south
-        bright = (np.arange(rows)[:, None] + south + np.arange(columns) + west) % 2 == 0
+        first_column, first_row = math.floor(area[0] / square), math.floor(area[1] / square)
+        columns, rows = math.ceil(area[2] / square) - first_column, math.ceil(area[3] / square) - first_row
+        bright = (np.arange(rows)[:, None] + first_row + np.arange(columns) + first_column) % 2 == 0
         image = np.where(bright, _BRIGHT, _DARK)[..., None] * np.ones(3, dtype=np.float32)
-        middle = (west + 0.5) * square, (south + 0.5) * square
+        middle = (first_column + 0.5) * square, (first_row + 0.5) * square
         return draped_texture(image.astype(np.float32), *middle, square, sharp=True)
     texel = settings.texel_m
     west, south, east, north = area

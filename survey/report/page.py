@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from functools import cache
+from pathlib import Path
 
 import jinja2
 
@@ -106,7 +107,7 @@ def _grouped(pictures: list[Picture]) -> list[tuple[str, list[dict]]]:
             {
                 "title": by_name[name].title,
                 "caption": by_name[name].caption,
-                "data": base64.b64encode(by_name[name].path.read_bytes()).decode(),
+                "data": _base64(by_name[name].path),
                 "is_wide": name in _WIDE,
             }
             for name in names
@@ -115,3 +116,7 @@ def _grouped(pictures: list[Picture]) -> list[tuple[str, list[dict]]]:
         if shown:
             groups.append((heading, shown))
     return groups
+
+
+def _base64(file: Path) -> str:
+    return base64.b64encode(file.read_bytes()).decode()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -189,37 +188,6 @@ def test_forms_of_services_give_the_same_level(tmp_path, form, zero):
     assert any("gauge_zero_m" in text for text in warnings) == (not is_own and zero is None)
 
 
-def usgs_json(unit="ft", values=None, no_data=-999999.0):
-    of = [{"value": v, "dateTime": (t - timedelta(hours=4)).strftime("%Y-%m-%dT%H:%M:%S.000-04:00")}
-          for t, v in zip(TIMES, values or scaled(1 / 0.3048, 4), strict=True)]  # fmt: skip
-    series = {"variable": {"variableName": "Gage height", "unit": {"unitCode": unit}, "noDataValue": no_data},
-              "values": [{"value": of}]}  # fmt: skip
-    flow = {"variable": {"variableName": "Discharge", "unit": {"unitCode": "ft3/s"}, "noDataValue": no_data},
-            "values": [{"value": [dict(each, value="77") for each in of]}]}  # fmt: skip
-    return {"name": "ns1", "value": {"queryInfo": {"note": []}, "timeSeries": [flow, series]}}
-
-
-def ogc_json():
-    rows = [{"time": t.isoformat(), "value": v, "unit_of_measure": "ft", "parameter_code": "00065"}
-            for t, v in zip(TIMES, scaled(1 / 0.3048, 4), strict=True)]  # fmt: skip
-    return {"type": "FeatureCollection", "features": [{"properties": row, "geometry": None} for row in rows]}
-
-
-@pytest.mark.parametrize("content", [usgs_json(), usgs_json("m", METRES), ogc_json()])
-def test_json_that_states_its_unit_is_read(tmp_path, content):
-    path = tmp_path / "gauge.json"
-    path.write_text(json.dumps(content))
-    assert levels(path, zero=0.0)[0] == pytest.approx(RIGHT, abs=0.002)
-
-
-def test_the_no_data_value_that_json_states_is_left_out(tmp_path):
-    path = tmp_path / "gauge.json"
-    path.write_text(json.dumps(usgs_json("m", ["-12345" if i == 20 else v for i, v in enumerate(METRES)], -12345)))
-    level, _, warnings = levels(path, zero=0.0)
-    assert level == pytest.approx(RIGHT, abs=0.002)
-    assert any("(-12345" in text for text in warnings)
-
-
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
@@ -230,11 +198,7 @@ def test_the_no_data_value_that_json_states_is_left_out(tmp_path):
         ("a.csv", lines("time,verified_m,verified_ft", "{t:%Y-%m-%d %H:%M}Z,{v},{v}", METRES), "2 columns of verified"),
         ("a.csv", lines("time,salinity", "{t:%Y-%m-%d %H:%M}Z,{v}", METRES), "no column level"),
         ("a.csv", lines("time,level_m", "{t:%m/%d/%Y %H:%M},{v}", METRES), "is not a time"),
-        ("a.json", json.dumps([{"timestamp": t.isoformat(), "value": 3} for t in TIMES]), "no unit"),
-        ("a.json", json.dumps({"data": [{"t": "2026-06-01 11:00", "v": "3"}]}), "no unit"),
-        ("a.json", "[" * 5000, "no JSON that can be read"),
-        ("a.json", '{"error": {"message": "No data was found"}}', "has no readings"),
-        ("a.json", "[[1, 2], null, 5]", "has no readings"),
+        ("a.json", "[]", "fetch the same series as CSV"),
     ],
 )
 def test_what_a_file_does_not_state_is_asked_for(tmp_path, name, content, words):

@@ -1,26 +1,23 @@
 """Series of levels in files: one's own CSV of time and level, and forms of NOAA CO-OPS, PEGELONLINE and USGS.
 
 Time zone and unit are those that the file states, in a column or in the name of one (``Time (GMT)``, ``tz_cd``,
-``value_cm``), or, of the RDB and JSON of USGS, beside it; they are never assumed. A column ``level`` without a unit has
+``value_cm``), or, of the RDB of USGS, beside it; they are never assumed. A column ``level`` without a unit has
 the unit of crs. Cells without a number, as services write them, are left out and named. What is at fault raises
 ConfigError.
 """
 
 from __future__ import annotations
 
-import json
 import re
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta, timezone, tzinfo
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 from geo.stated import unit_named
 from survey.display.quantities import named
 from survey.errors import ConfigError, Findings
-from survey.files.csv_table import Row, Table, meaning, number_of, text_lines, words_of
+from survey.files.csv_table import Row, Table, number_of, text_lines, words_of
 from survey.water.level_observation import std_of
 
 _WORDS = words_of({
@@ -50,7 +47,6 @@ _NO_DATA_WORDS = ("", "-", "--", "---", "***", "nan", "null", "none", "na", "n/a
 # Numbers that services write for no number, of either sign; 0 may be one, too.
 _NO_DATA_NUMBERS = (0.0, 99.9, 99.99, 99.999, 999.0, 999.9, 999.99, 9999.0, 9999.9, 9999.99, 99999.0, 999999.0, 32767.0,
                     32768.0, 65535.0, 1e6, 99.0)  # fmt: skip
-_MOST_DEEP = 30
 
 
 @dataclass(frozen=True)
@@ -75,32 +71,17 @@ class Series:
     findings: Findings
 
 
-@dataclass(frozen=True)
-class _Records:
-    """Content of a file by the meaning of its columns."""
-
-    rows: list[Row]
-    units: Mapping[str, float]  # [m], of columns whose names state one
-    zone: tzinfo | None  # That the name of the column of times states
-    cells: Mapping[str, str]  # Names of the columns in the file
-
-
 def read_series(path: Path, unit_m: float = 1.0, zero_m: float | None = None) -> Series:
     """The readings of a file, over the zero of a gauge at this height [m]; a level without a unit has that of crs."""
-    records = _of_json(path) if path.suffix.lower() in (".json", ".geojson") else _of_table(path)
-    # Of several parameters the one that has a unit of length.
-    rows = [row for row in records.rows if not row.cells.get("unit") or unit_named(row.cells["unit"]) is not None]
-    parameters = {row.cells.get("parameter", "") for row in rows}
-    if len(parameters) > 1:
-        series = ", ".join(sorted(parameters)[:6])
-        raise ConfigError(f"{path} has several series, {series}; keep the one of the water level")
-    records = replace(records, rows=rows)
-    names = [name for name in _LEVELS if any(name in row.cells for row in records.rows)]
+    if path.suffix.lower() in (".json", ".geojson"):
+        raise ConfigError(f"{path} is JSON, expected a table; fetch the same series as CSV, or from USGS as RDB")
+    table, rows, zone_of_column = _table_of(path)
+    cell_of = {column.name: column.cell for column in reversed(table.columns)}
+    names = [name for name in _LEVELS if any(name in row.cells for row in rows)]
     if not names:
         raise ConfigError(f"{path} has no readings, expected time,level, or a form of NOAA, PEGELONLINE or USGS")
-    std_units = {"std": records.units.get("std", 1.0)}
     names, readings, empty = names[:1] if names == ["predicted"] else [n for n in names if n != "predicted"], [], []
-    for row in records.rows:
+    for row in rows:
         where, cells = row.where, row.cells
         if _RDB_WIDTH.fullmatch(cells.get("time", "")):
             continue
@@ -110,12 +91,19 @@ def read_series(path: Path, unit_m: float = 1.0, zero_m: float | None = None) ->
             empty.append(where.rpartition(", ")[2])
             continue
         number = row.number(name)
-        unit = _unit_of(records, cells, name, unit_m, path)
-        zone = zone_of(cells["zone"]) if cells.get("zone") else records.zone
+        unit = unit_named(cells["unit"]) if cells.get("unit") else table.units.get(name)
+        if unit is None and name != "level":
+            cell = cell_of[name]
+            raise ConfigError(
+                f'{path} states no unit for "{cell}"; give a CSV that has it in the first line, as {cell} (m), '
+                f"{cell} (cm) or {cell} (ft)"
+            )
+        zone = zone_of(cells["zone"]) if cells.get("zone") else zone_of_column
         moment = utc_of(" ".join(cells[part] for part in ("date", "time") if cells.get(part)), where, zone)
         is_marker = is_no_data_number(number) or number == number_of(cells.get("no_data", ""))
-        level, std = number * unit + (zero_m or 0.0), std_of(row.multiplied(std_units), "gauge")
-        readings.append(Reading(where, moment, level, std, texts[name], is_marker))
+        level_m = number * (unit_m if unit is None else float(unit)) + (zero_m or 0.0)
+        std_m = std_of(row.multiplied({"std": table.units.get("std", 1.0)}), "gauge")
+        readings.append(Reading(where, moment, level_m, std_m, texts[name], is_marker))
     if len(readings) > 1 and all(later.time < earlier.time for earlier, later in pairwise(readings)):
         readings.reverse()
     if len(readings) < 2 or any(later.time <= earlier.time for earlier, later in pairwise(readings)):
@@ -128,10 +116,10 @@ def read_series(path: Path, unit_m: float = 1.0, zero_m: float | None = None) ->
         )
     if "level" not in names and zero_m is None:
         warnings.append(
-            f"the readings of {path.name} ({records.cells[names[0]]}) are taken as heights in crs: services count from "
+            f"the readings of {path.name} ({cell_of[names[0]]}) are taken as heights in crs: services count from "
             "the zero of the gauge or a chart datum; give [water] gauge_zero_m, its height in crs, 0 if it is that"
         )
-    kinds = {row.cells.get("kind", "").casefold()[:1] for row in records.rows}
+    kinds = {row.cells.get("kind", "").casefold()[:1] for row in rows}
     return Series(path, tuple(readings), kinds == {"h", "l"}, Findings(warnings=tuple(warnings)))
 
 
@@ -173,8 +161,8 @@ def zone_of(text: str) -> tzinfo | None:
     return timezone(timedelta(minutes=-minutes if offset[1] == "-" else minutes))
 
 
-def _of_table(path: Path) -> _Records:
-    """Rows of a CSV, or of the RDB of USGS."""
+def _table_of(path: Path) -> tuple[Table, list[Row], tzinfo | None]:
+    """Head and rows of a CSV, or of the RDB of USGS, and the zone that the name of its column of times states."""
     table, zone = Table.read(path, _WORDS, ConfigError), None
     described, columns = dict[str, str](), []
     if any(_RDB_COLUMN.fullmatch(column.cell) for column in table.columns):
@@ -200,64 +188,10 @@ def _of_table(path: Path) -> _Records:
     when = [name for name in ("date", "time") if name in table.names] or ["time"]
     others = ("std", "unit", "zone", "kind", "parameter", "no_data")
     rows = table.rows(when + levels[:1], (*levels[1:], *others))
-    return _Records(rows, table.units, zone, {column.name: column.cell for column in reversed(table.columns)})
-
-
-def _of_json(path: Path) -> _Records:
-    """Objects of JSON that have a time and a value, with what encloses them."""
-    try:
-        content = json.loads(path.read_bytes())
-        found = list(_objects(content, {}, 0))
-    except (OSError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{path} is no JSON that can be read ({error}); fetch it again") from error
-    rows: list[Row] = []
-    units: dict[str, float] = {}
-    cells: dict[str, str] = {}
-    for n, item in enumerate(found, start=1):
-        row = {}
-        for key, value in item.items():
-            name, unit = meaning(key.casefold(), _WORDS) or ("", None)
-            if name:
-                row[name], cells[name] = str(value), key
-                units |= {} if unit is None else {name: unit}
-        rows.append(Row(f"{path}, reading {n}", row, ".", ConfigError))
-    return _Records(rows, units, None, cells)
-
-
-def _objects(node: Any, around: dict[str, Any], depth: int) -> Iterator[dict[str, Any]]:
-    if depth > _MOST_DEEP:
-        raise ValueError("nested too deeply")
-    if isinstance(node, list):
-        for item in node:
-            yield from _objects(item, around, depth + 1)
-    elif isinstance(node, dict):
-        own = dict(_scalars(node, depth))
-        names = {known[0] for key in own if (known := meaning(key.casefold(), _WORDS)) is not None}
-        around = around | own
-        if "time" in names and names & set(_LEVELS):
-            yield around
-            return
-        for value in node.values():
-            yield from _objects(value, around, depth + 1)
-
-
-def _scalars(node: dict[str, Any], depth: int) -> Iterator[tuple[str, Any]]:
-    """Texts and numbers of an object and of those in it, such as a unit of its code."""
-    for key, value in node.items():
-        if isinstance(value, dict) and depth < _MOST_DEEP:
-            yield from _scalars(value, depth + 1)
-        elif isinstance(value, str | int | float) or value is None:
-            yield str(key), "" if value is None else value
-
-
-def _unit_of(records: _Records, cells: Mapping[str, str], name: str, unit_m: float, path: Path) -> float:
-    stated = unit_named(cells["unit"]) if cells.get("unit") else records.units.get(name)
-    if stated is not None:
-        return float(stated)
-    if name == "level":
-        return unit_m
-    cell = records.cells[name]
-    raise ConfigError(
-        f'{path} states no unit for "{cell}"; give a CSV that has it in the first line, as {cell} (m), {cell} (cm) or '
-        f"{cell} (ft)"
-    )
+    # Of several parameters the one that has a unit of length.
+    rows = [row for row in rows if not row.cells.get("unit") or unit_named(row.cells["unit"]) is not None]
+    parameters = {row.cells.get("parameter", "") for row in rows}
+    if len(parameters) > 1:
+        series = ", ".join(sorted(parameters)[:6])
+        raise ConfigError(f"{path} has several series, {series}; keep the one of the water level")
+    return table, rows, zone

@@ -78,7 +78,8 @@ def triangles(
             # A middle beyond the outermost places by rounding belongs to the band there.
             faces = faces[(middle.clip(0, bands[-1][1] - 1) >= first) & (middle < last)]
             edges = south_m + cell_m * np.array([first - rim, last + rim])
-            doubtful = _reaches_beyond(places, faces, edges)
+            centre, radius = _circles(places, faces)
+            doubtful = ~((centre[:, 1] - radius > edges[0]) & (centre[:, 1] + radius < edges[1]))
             if doubtful.any():
                 tree = cKDTree(xy, balanced_tree=False, compact_nodes=False) if tree is None else tree
                 doubtful[doubtful] = _contains_a_point(xy, tree, faces[doubtful] + begin)
@@ -123,12 +124,6 @@ def _circles(xy: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]
         b, c = bx * bx + by * by, cx * cx + cy * cy
         centre = np.column_stack([(cy * b - by * c) / twice, (bx * c - cx * b) / twice])
     return corner + centre, np.linalg.norm(centre, axis=1)
-
-
-def _reaches_beyond(xy: np.ndarray, faces: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Whether circumcircles (F,) reach beyond the southern or the northern edge of a band, (2,) [m]."""
-    centre, radius = _circles(xy, faces)
-    return ~((centre[:, 1] - radius > edges[0]) & (centre[:, 1] + radius < edges[1]))
 
 
 def _contains_a_point(xy: np.ndarray, tree: cKDTree, faces: np.ndarray) -> np.ndarray:

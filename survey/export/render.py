@@ -92,7 +92,15 @@ def render(
     """
     folder, output = RunDir(run), Path(output)
     folder.require_run()
-    field_folder, flight = _field_folder(folder) if trained else None, load_flight(folder.path)
+    flight, field_folder = load_flight(folder.path), None
+    if trained:
+        try:
+            field_folder = folder.load_stage(FIELD_STAGE)
+        except SurveyError as error:
+            raise SurveyError(
+                f"the run {folder.path} has no trained field; run `bathynerf process` again with --field mdw, or leave "
+                "--field out: its photographs are rendered then"
+            ) from error
     folder.warn_if_unfinished()
     targets = targets_of(folder, flight.frame, Path(cameras), output)
     if field_folder is not None:
@@ -185,16 +193,6 @@ def _inputs(folder: RunDir, cameras: Path) -> ReadFiles:
             with suppress(ConfigError):
                 inputs += survey_inputs(place)
     return inputs
-
-
-def _field_folder(folder: RunDir) -> Path:
-    try:
-        return folder.load_stage(FIELD_STAGE)
-    except SurveyError as error:
-        raise SurveyError(
-            f"the run {folder.path} has no trained field; run `bathynerf process` again with --field mdw, or leave "
-            "--field out: its photographs are rendered then"
-        ) from error
 
 
 def _cameras(file: PoseFile, path: Path, frame: LocalFrame, config: SurveyConfig) -> dict[str, PinholeCamera]:

@@ -126,7 +126,11 @@ def write_contours(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     grid = bed_raster(run, options)
     is_dry = grid.level is None
     values = grid.heights(grid.cells.whole) if is_dry else grid.depths(grid.cells.whole)
-    step = _interval(values, options.interval_m)
+    step = options.interval_m
+    if step is None:
+        # A round number that gives about ten.
+        low, high = np.nanquantile(values, [0.02, 0.98]).tolist()
+        step = round_up(max(high - low, 1e-3) / _ABOUT, _ROUND)
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     if (high - low) / step > _MOST_LEVELS:
         raise SurveyError(
@@ -179,11 +183,3 @@ def _lines(grid: BedRaster, values: np.ndarray, level: float) -> list[np.ndarray
     step = np.array(grid.cells.step)
     corner = np.array(grid.cells.origin) + 0.5 * step
     return [corner + line * step for line, length in zip(found, lengths, strict=True) if length >= SHORTEST]
-
-
-def _interval(values: np.ndarray, asked: float | None) -> float:
-    """Interval of contours [m]: the one asked for, or a round number that gives about ten."""
-    if asked is not None:
-        return asked
-    low, high = np.nanquantile(values, [0.02, 0.98])
-    return round_up(max(float(high - low), 1e-3) / _ABOUT, _ROUND)

@@ -34,6 +34,7 @@ from survey.photos.pixels import read_rgb
 
 TOKEN_HEADER = "X-Bathynerf-Token"
 _LONGEST_REQUEST = 100_000
+_CHANGES = ("/mark", "/add", "/undo")
 _SAFE = {
     "Cache-Control": "no-store",
     "X-Content-Type-Options": "nosniff",
@@ -155,8 +156,8 @@ class _Handler(BaseHTTPRequestHandler):
         body = self.rfile.read(int(length))
         if not self._is_ours(self._token()):
             return _FORBIDDEN
-        does = {"/mark": _mark, "/add": _add, "/undo": _undo}.get(urlsplit(self.path).path)
-        return _NOT_FOUND if does is None else self._json(lambda session: does(session, _object(body)))
+        path = urlsplit(self.path).path
+        return self._json(lambda session: _changed(session, path, body)) if path in _CHANGES else _NOT_FOUND
 
     def log_message(self, format, *args):
         """Nothing: the console is that of the command."""
@@ -192,32 +193,25 @@ _FORBIDDEN = _sentence(HTTPStatus.FORBIDDEN, "open the address that bathynerf ma
 _NOT_FOUND = _sentence(HTTPStatus.NOT_FOUND, "there is no such page")
 
 
-def _object(body: bytes) -> dict:
-    request = json.loads(body)
-    if not isinstance(request, dict):
-        raise ValueError("expected an object in JSON")
-    return request
-
-
 def _key(request: dict) -> PointKey:
     return PointKey(str(request["kind"]), str(request["name"]))
 
 
-def _mark(session: MarkingSession, request: dict) -> dict:
-    pixel = None if request["pixel"] is None else _numbers(request["pixel"], 2)
-    session.store.set(_key(request), str(request["image"]), pixel)
-    return session.state()
-
-
-def _add(session: MarkingSession, request: dict) -> dict:
-    place = request.get("place")
-    session.store.add(*_key(request), None if place is None else _numbers(place, 3))
-    return session.state()
-
-
-def _undo(session: MarkingSession, request: dict) -> dict:
-    edit = session.store.undo()
-    return session.state() | {"undone": {"kind": edit.key.kind, "name": edit.key.name, "image": edit.image}}
+def _changed(session: MarkingSession, path: str, body: bytes) -> dict:
+    """The state after one of `_CHANGES`."""
+    request, undone = json.loads(body), {}
+    if not isinstance(request, dict):
+        raise ValueError("expected an object in JSON")
+    if path == "/undo":
+        edit = session.store.undo()
+        undone = {"undone": {"kind": edit.key.kind, "name": edit.key.name, "image": edit.image}}
+    elif path == "/add":
+        place = request.get("place")
+        session.store.add(*_key(request), None if place is None else _numbers(place, 3))
+    else:
+        pixel = None if request["pixel"] is None else _numbers(request["pixel"], 2)
+        session.store.set(_key(request), str(request["image"]), pixel)
+    return session.state() | undone
 
 
 def _numbers(values, count: int) -> tuple:

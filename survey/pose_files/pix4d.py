@@ -7,7 +7,7 @@ tangential coefficients have OpenCV's order and sense.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,9 +50,7 @@ def read_pix4d(path: Path) -> PoseFile:
     cameras = _cameras(cameras_path) if cameras_path.is_file() else {}
     crs = _crs(path.with_name(stem + _MAP))
     if external_path.is_file():
-        poses = [
-            _external_pose(name, numbers, where, cameras.get(name)) for where, name, numbers in _external(external_path)
-        ]
+        poses = list(_external(external_path, cameras))
     else:
         offset = _offset(path.with_name(stem + _OFFSET), path)
         poses = [Pose(name, one.local + offset, one.cam_from_grid, one.lens) for name, one in cameras.items()]
@@ -66,27 +64,23 @@ def read_pix4d(path: Path) -> PoseFile:
     return PoseFile(tuple(poses), PoseFrame.GRID, crs, "Pix4D", notes=notes, height_unit_m=unit_m)
 
 
-def _external(path: Path) -> Iterator[tuple[str, str, list[float]]]:
-    """Place in the file, name and six numbers of each image; names may hold spaces."""
+def _external(path: Path, cameras: Mapping[str, _Camera]) -> Iterator[Pose]:
+    """The pose of each image; names may hold spaces."""
     for number, line in text_lines(path, PosesError):
-        where = f"{path}, line {number}"
-        cells = line.split()
+        where, cells = f"{path}, line {number}", line.split()
         if not cells or cells[0].casefold() == "imagename":
             continue
         if len(cells) < 7:
             raise PosesError(f"{where}: {len(cells)} values were found, expected a name and six numbers; {_EXPORT}")
-        yield where, line.strip().rsplit(None, 6)[0], numbers_in(cells[-6:], 6, where, _EXPORT)
-
-
-def _external_pose(name: str, numbers: list[float], where: str, camera: _Camera | None) -> Pose:
-    angles = (math.radians(angle) for angle in numbers[3:])
-    cam_from_grid = (grid_from_opk(*angles) @ CAM_FROM_OPK_CAM).T
-    if camera is not None and not np.abs(cam_from_grid - camera.cam_from_grid).max() < _AGREE:
-        raise PosesError(
-            f"{where}: the angles of {name} are not those of its rotation in the file of cameras, expected "
-            f"both of one project; {_EXPORT}"
-        )
-    return Pose(name, np.array(numbers[:3]), cam_from_grid, None if camera is None else camera.lens)
+        name, numbers = line.strip().rsplit(None, 6)[0], numbers_in(cells[-6:], 6, where, _EXPORT)
+        cam_from_grid = (grid_from_opk(*map(math.radians, numbers[3:])) @ CAM_FROM_OPK_CAM).T
+        camera = cameras.get(name)
+        if camera is not None and not np.abs(cam_from_grid - camera.cam_from_grid).max() < _AGREE:
+            raise PosesError(
+                f"{where}: the angles of {name} are not those of its rotation in the file of cameras, expected "
+                f"both of one project; {_EXPORT}"
+            )
+        yield Pose(name, np.array(numbers[:3]), cam_from_grid, None if camera is None else camera.lens)
 
 
 def _cameras(path: Path) -> dict[str, _Camera]:

@@ -9,7 +9,7 @@ from survey.adjust.block.on_ground import NAMES
 from survey.adjust.result.adjustment import Parameter
 from survey.display.blocks import Block, Rows, Sentences, Table, Text
 from survey.display.quantities import NO_BREAK, LengthUnit, count, is_known, length, number
-from survey.report.adjustment_figures import HELD_STD, AdjustmentFigures, ControlGroup
+from survey.report.adjustment_figures import HELD_STD, AdjustmentFigures
 
 
 def adjustment(found: AdjustmentFigures | None) -> list[Block]:
@@ -120,7 +120,14 @@ def _control(found: AdjustmentFigures) -> list[Table]:
         return []
     unit = LengthUnit.of([value for row in found.control for value in row.residual_m])
     axes = tuple(f"{axis} [{unit.name}]" for axis in ("east", "north", "up"))
-    tables = [_groups(found.control_groups, unit, axes)]
+    rows = [
+        (f"{group.name} points", count(group.num),
+         *(unit.number(value) for value in (*group.rms_m, group.ce95_m, group.le95_m)), number(group.rms_px, 2))
+        for group in found.control_groups
+    ]  # fmt: skip
+    spread = tuple(f"{name} [{unit.name}]" for name in ("plan, 95 %", "height, 95 %"))
+    titles = ("rms of", "number", *axes, *spread, "marks [px]")
+    tables = [Table(titles, rows, heading="Control and check points")]
     for is_check, heading in (
         (False, "Control points, adjusted to, not independent: adjusted less given"),
         (True, "Check points with marks, not adjusted to: adjusted less given"),
@@ -133,13 +140,3 @@ def _control(found: AdjustmentFigures) -> list[Table]:
         if rows:
             tables.append(Table(("point", "lies", *axes, "marks", "rms [px]"), rows, num_texts=2, heading=heading))
     return tables
-
-
-def _groups(groups: Sequence[ControlGroup], unit: LengthUnit, axes: tuple[str, ...]) -> Table:
-    rows = [
-        (f"{group.name} points", count(group.num),
-         *(unit.number(value) for value in (*group.rms_m, group.ce95_m, group.le95_m)), number(group.rms_px, 2))
-        for group in groups
-    ]  # fmt: skip
-    spread = tuple(f"{name} [{unit.name}]" for name in ("plan, 95 %", "height, 95 %"))
-    return Table(("rms of", "number", *axes, *spread, "marks [px]"), rows, heading="Control and check points")

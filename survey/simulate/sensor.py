@@ -53,7 +53,9 @@ class Sensor(SensorSettings):
         dtype = np.float32 if self.is_jittered else np.float64
         middle, across, down = (part.astype(dtype) for part in _rays_of(lens, camera))
         total = np.zeros((camera.height * camera.width, 3))
-        forward = self.blur_m * _horizontal(-camera.cam_from_local[1])
+        # Toward the top of the image, as far as that is level.
+        forward = -camera.cam_from_local[1] * (1.0, 1.0, 0.0)
+        forward *= self.blur_m / (np.linalg.norm(forward) or 1.0)
         rows = np.repeat(np.arange(camera.height) + 0.5, camera.width)[:, None]
         turn = np.random.default_rng([seed[0], 6, seed[1]]).random((len(total), 3), dtype=np.float32)
         for number, (part, offsets) in enumerate(self._samples(turn)):
@@ -101,9 +103,3 @@ def _rays_of(lens: Lens, camera: PinholeCamera) -> tuple[np.ndarray, np.ndarray,
     plane, change = normalised(lens)
     middle = np.concatenate([plane, np.ones((len(plane), 1))], axis=-1) @ camera.cam_from_local
     return middle, *(change[..., k] @ camera.cam_from_local[:2] for k in (0, 1))
-
-
-def _horizontal(direction: np.ndarray) -> np.ndarray:
-    level = np.array([direction[0], direction[1], 0.0])
-    length = np.linalg.norm(level)
-    return level / length if length > 0.0 else level

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -38,15 +37,6 @@ _LIKE_HEIGHTS = ("level", "height", "elev", "alt", "depth", "stage", "wse", "hoe
 _ONE_HEIGHT_M = 0.1
 
 
-@dataclass(frozen=True)
-class _Content:
-    """Features of all layers of a file."""
-
-    features: list[tuple[Feature, str]]  # Each with the name of its layer
-    crs: CRS | None
-    unit_m: float | None  # [m]: that a drawing states
-
-
 def points_of_features(path: Path, crs: CRS, layer: str | None = None) -> tuple[np.ndarray, tuple[str, ...]]:
     """Easting, northing, height (N, 3) in crs of all vertices of a vector file, each once, and what was assumed.
 
@@ -55,13 +45,13 @@ def points_of_features(path: Path, crs: CRS, layer: str | None = None) -> tuple[
     layers those of one, or of several with commas between their names. Without a CRS of its own a file is in crs;
     GeoJSON is in longitude and latitude (RFC 7946), unless its numbers are too large for degrees.
     """
-    content = _content(path, layer)
-    if content.crs is not None and has_height(content.crs) and not has_same_heights(content.crs, crs):
+    features, own_crs, unit_m = _content(path, layer)
+    if own_crs is not None and has_height(own_crs) and not has_same_heights(own_crs, crs):
         raise ConfigError(
-            f"{path} has heights in {crs_name(content.crs)}, expected those of {crs_name(crs)}; transform it, or state "
+            f"{path} has heights in {crs_name(own_crs)}, expected those of {crs_name(crs)}; transform it, or state "
             "a horizontal CRS alone if its heights are in crs"
         )
-    vertices, notes = _vertices(path, content.features, height_unit_m(crs))
+    vertices, notes = _vertices(path, features, height_unit_m(crs))
     if layer is None:
         heights: dict[str, list[float]] = {}
         for (_, _, height), of_layer in vertices:
@@ -70,8 +60,8 @@ def points_of_features(path: Path, crs: CRS, layer: str | None = None) -> tuple[
     points = np.array(list(dict.fromkeys(place for place, _ in vertices))).reshape(-1, 3)
     if (wrong := next((height for height in points[:, 2].tolist() if is_no_data_value(height)), None)) is not None:
         raise ConfigError(f"{path} has the height {wrong:g}, a no-data value; remove those points")
-    points, of_unit = _in_unit_of(points, content.unit_m, crs, path)
-    source, target = None if content.crs is None else horizontal_crs(content.crs), horizontal_crs(crs)
+    points, of_unit = _in_unit_of(points, unit_m, crs, path)
+    source, target = None if own_crs is None else horizontal_crs(own_crs), horizontal_crs(crs)
     if source is None:
         is_in_degrees = bool((np.abs(points[:, :2]) <= (180.0, 90.0)).all())
         is_geojson = path.suffix.lower() in GEOJSON
@@ -147,7 +137,8 @@ def layers_named(layer: str, names: Collection[str], path: Path) -> list[str]:
     return wanted
 
 
-def _content(path: Path, layer: str | None) -> _Content:
+def _content(path: Path, layer: str | None) -> tuple[list[tuple[Feature, str]], CRS | None, float | None]:
+    """Features of all layers of a file, each with the name of its layer, their CRS, and the unit [m] of a drawing."""
     if path.is_file() and path.stat().st_size > _LARGEST_BYTES:
         raise ConfigError(f"{path} has more than {_LARGEST_BYTES // 1_000_000} MB, expected a shoreline; thin it")
     try:
@@ -171,7 +162,7 @@ def _content(path: Path, layer: str | None) -> _Content:
     if len(kinds) > 1:
         raise ConfigError(f"{path} has layers in several CRSs; give one of them in [water] layer: {', '.join(names)}")
     (part,) = kinds.values()
-    return _Content([(each, name) for each, name, _ in found], part.crs, part.unit_m)
+    return [(each, name) for each, name, _ in found], part.crs, part.unit_m
 
 
 def _vertices(

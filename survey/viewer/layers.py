@@ -157,9 +157,7 @@ def mesh(shown: Shown) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     from survey.export.meshes import bed_surface
 
     std = shown.columns["std"]
-    surface = bed_surface(
-        shown.tree.points, shown.rgb, std, spacing_m=_cell_m(shown), method="delaunay", path=shown.folder
-    )
+    surface = bed_surface(shown.tree.points, shown.rgb, std, spacing_m=_cell_m(shown))
     return surface.vertices, surface.faces, np.asarray(surface.rgb)
 
 

@@ -59,7 +59,11 @@ def comparison(found: Figures | None) -> list[Block]:
     method = Rows(rows)
     notes = [Sentences(circumstances.notes)] if circumstances.notes else []
     bias = _bias_and_spread("part", _parts(found), unit, "Bias and spread")
-    return [method, _completeness(found.tolerances), *_reached(found), bias, *_bands(found, unit), *notes]
+    bands = [
+        _bias_and_spread(name, [(limits_label(b.low, b.high, of), b.distances) for b in bands], unit, f"By {name}")
+        for _, name, of, bands in found.parts.banded
+    ]
+    return [method, _completeness(found.tolerances), *_reached(found), bias, *bands, *notes]
 
 
 def _parts(found: Figures) -> list[tuple[str, DistanceStatistics]]:
@@ -76,15 +80,6 @@ def _parts(found: Figures) -> list[tuple[str, DistanceStatistics]]:
         beyond = f"{share(m3c2.significant_share)} beyond the level of detection"
         parts[f"M3C2, radius {m3c2.radius_m:g} m, {beyond}"] = m3c2.distances
     return [(name, part) for name, part in parts.items() if part is not None]
-
-
-def _bands(found: Figures, unit: LengthUnit) -> list[Table]:
-    return [
-        _bias_and_spread(
-            title, [(limits_label(band.low, band.high, of), band.distances) for band in bands], unit, f"By {title}"
-        )
-        for _, title, of, bands in found.parts.banded
-    ]
 
 
 def _bias_and_spread(title: str, parts: list[tuple[str, DistanceStatistics]], unit: LengthUnit, heading: str) -> Table:

@@ -158,11 +158,6 @@ def density(value_per_m2: float) -> str:
     return f"{count(value) if value >= 10.0 else number(value, 1)} per {unit.name}²"
 
 
-def with_unit(text: str, unit: str) -> str:
-    """A number and its unit, if it has one; degrees have no space before them."""
-    return text + (unit if unit == "°" else f"{NO_BREAK}{unit}" if unit else "")
-
-
 def bytes_of(text: str) -> float:
     """Bytes of a size as text: "8GB", "500 MB", "2GiB"."""
     found = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]*)?)\s*([A-Za-z]*)\s*", text)

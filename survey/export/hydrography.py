@@ -63,20 +63,15 @@ def write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
         "PROCESS_STEP_DESCRIPTION": f"{SOFTWARE}: a least-squares plane through the topmost points of each cell",
         # The standard deviation of the product, all errors included, not that of the soundings in a cell.
         "VERTICAL_UNCERT_CODE": "productUncert",
-        "XML_IDENTIFICATION_CITATION": _citation(run.bed_header.name),
+        # Of ISO 19139: a title, and the date of its creation.
+        "XML_IDENTIFICATION_CITATION": "<gmd:CI_Citation><gmd:title><gco:CharacterString>"
+        f"{escape(run.bed_header.name)}</gco:CharacterString></gmd:title><gmd:date><gmd:CI_Date><gmd:date><gco:Date>"
+        f"{datetime.now(UTC).date().isoformat()}</gco:Date></gmd:date><gmd:dateType><gmd:CI_DateTypeCode "
+        'codeList="http://www.isotc211.org/2005/resources/Codelist/gmxCodelists.xml#CI_DateTypeCode" '
+        'codeListValue="creation">creation</gmd:CI_DateTypeCode></gmd:dateType></gmd:CI_Date></gmd:date>'
+        "</gmd:CI_Citation>",
     }
     write_bag_file(path, form, noted_if_empty(path, parts_of(grid, values), _BAG_NODATA), tags)
-
-
-def _citation(title: str) -> str:
-    """The citation of ISO 19139: a title, and the date of its creation."""
-    codes = "http://www.isotc211.org/2005/resources/Codelist/gmxCodelists.xml#CI_DateTypeCode"
-    return (
-        f"<gmd:CI_Citation><gmd:title><gco:CharacterString>{escape(title)}</gco:CharacterString></gmd:title><gmd:date>"
-        f"<gmd:CI_Date><gmd:date><gco:Date>{datetime.now(UTC).date().isoformat()}</gco:Date></gmd:date><gmd:dateType>"
-        f'<gmd:CI_DateTypeCode codeList="{codes}" codeListValue="creation">creation</gmd:CI_DateTypeCode>'
-        "</gmd:dateType></gmd:CI_Date></gmd:date></gmd:CI_Citation>"
-    )
 
 
 def _index_of_water(run: LoadedRun) -> float:

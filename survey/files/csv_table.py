@@ -139,10 +139,6 @@ class Table:
         """The decimal mark beside the point."""
         return "." if self.delimiter in (",", _SPACE) else ","
 
-    def named(self, names: Iterable[str]) -> Table:
-        """The table with its columns called by their place."""
-        return replace(self, columns=tuple(Column(name, name, None) for name in names))
-
     def common_unit_m(self, one: str, other: str) -> float | None:
         """The unit [m] that two columns have by their names in the file; None where these state none."""
         units = [self.units.get(one), self.units.get(other)]

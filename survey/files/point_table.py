@@ -22,7 +22,7 @@ from geo.errors import GeoError
 from geo.stated import US_SURVEY_FOOT_M
 from geo.values import is_no_data_value, rounded_coordinates
 from survey.errors import SurveyError
-from survey.files.csv_table import Row, Table, UnspecifiedFoot, number_of, same_unit, words_of
+from survey.files.csv_table import Column, Row, Table, UnspecifiedFoot, number_of, same_unit, words_of
 
 PLACE = ("easting", "northing", "height")
 STDS = ("std_east", "std_north", "std_height")
@@ -240,7 +240,8 @@ def _by_place(table: Table) -> Table:
             f"{table.path} has {len(numbers)} columns without names ({', '.join(table.first)}), expected "
             "easting, northing, height and perhaps a standard deviation in metres; name the columns in a first line"
         )
-    return table.named((*PLACE, "std")[: len(numbers)])
+    columns = (Column(name, name, None) for name in (*PLACE, "std")[: len(numbers)])
+    return replace(table, columns=tuple(columns))
 
 
 def _with_data(row: Row, name: str) -> Row:

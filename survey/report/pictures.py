@@ -21,7 +21,7 @@ from survey.compare.canvas import canvas, nice_limit, plain_log_ticks, save
 from survey.display.column import finite, median
 from survey.display.palette import BLUE, INK, RED, SERIES, SOFT
 from survey.display.plan_grid import PlanGrid
-from survey.display.quantities import LengthUnit, number, with_unit
+from survey.display.quantities import NO_BREAK, LengthUnit, number
 from survey.report import adjustment_pictures, flight, maps, profile
 from survey.report.adjustment_figures import correlations
 from survey.report.facts import ReportFacts
@@ -153,7 +153,8 @@ def draw_histograms(path: Path, facts: ReportFacts) -> Picture:
         values = finite(column, bed.wet if column is bed.depth else None)
         if len(values):
             middle = _histogram(axes, values, scale, colour, is_count=not unit, is_log=label == _STD)
-            axes.set_title(f"median {with_unit(number(middle, decimals), unit)}", loc="right", color=SOFT, fontsize=9)
+            gap = NO_BREAK if unit not in ("", "°") else ""
+            axes.set_title(f"median {number(middle, decimals)}{gap}{unit}", loc="right", color=SOFT, fontsize=9)
         axes.set(yticks=[])
         axes.set_xlabel(f"{label} [{unit}]" if unit else label, color=INK)
         axes.tick_params(colors=SOFT, labelsize=8.5)

@@ -48,11 +48,15 @@ def check_plan(path: Path, *, chosen: Choices = USUAL, wind_m_s: float) -> list[
     """
     plan = flight_of(path)
     survey = survey_of(plan)
-    foreseen = foreseen_section(survey, depth_m=depth_of(plan), chosen=chosen)
+    foreseen, of_run = foreseen_section(survey, depth_m=depth_of(plan), chosen=chosen), make_plan(survey, chosen)
+    shown = [d for d in of_run.decisions if d.name in ("field", "image scale", "device")]
+    decisions, work = [(d.name, f"{d.choice}: {d.reason}") for d in shown], workload_of(survey, of_run)
+    warnings = room_warnings(work, survey.folder)
+    workload = verdict_text(Verdict.poor if warnings else Verdict.good, str(work), "; ".join(warnings))
     sections = [
         CheckSection("Flight", tuple(_flight_rows(plan, survey))),
         CheckSection("Light and motion", tuple(_light_rows(plan, survey, wind_m_s))),
-        CheckSection("Processing", tuple(_processing_rows(survey, chosen))),
+        CheckSection("Processing", (*decisions, ("workload", workload))),
     ]
     return sections if foreseen is None else [*sections[:1], foreseen, *sections[1:]]
 
@@ -168,14 +172,3 @@ def _hours_text(flight: GlitterOfFlight, time: datetime, place: tuple[float, flo
             spans.append([at, at])
     hours = " and ".join(f"{first:%H:%M} to {last:%H:%M}" for first, last in spans)
     return f"{hours}: little glitter, and the sun at {_LOWEST_SUN_DEG:g} degrees or higher"
-
-
-def _processing_rows(survey: Survey, chosen: Choices) -> list[tuple[str, str]]:
-    plan = make_plan(survey, chosen)
-    rows = [(d.name, f"{d.choice}: {d.reason}") for d in plan.decisions if d.name in ("field", "image scale", "device")]
-    workload = workload_of(survey, plan)
-    warnings = room_warnings(workload, survey.folder)
-    return [
-        *rows,
-        ("workload", verdict_text(Verdict.poor if warnings else Verdict.good, str(workload), "; ".join(warnings))),
-    ]

@@ -175,6 +175,7 @@ def test_a_dry_bed_has_no_depths(tmp_path):
     ("options", "words"),
     [
         (ExportOptions(thin="deep"), '--thin is "deep", expected one of none, shoal, mean'),
+        (ExportOptions(mesh_method="ball"), '--mesh-method is "ball", expected one of delaunay, poisson'),
         (ExportOptions(resolution_m=1.0), "give --thin shoal or --thin mean too"),
     ],
 )

@@ -50,6 +50,12 @@ class ExportOptions:
         least=0.0,
         most=LARGEST,
     )
+    mesh_method: str = _mesh(
+        "METHOD",
+        "delaunay: one height per place; poisson: with overhangs (extra mesh).",
+        default="delaunay",
+        one_of=("delaunay", "poisson"),
+    )
     watertight: bool = _mesh(None, "Close the mesh with walls and a bottom.", name="--watertight", default=False)
     interval_m: float | None = _made(
         "M",

@@ -37,7 +37,8 @@ FAMILIES: dict[str, tuple[Product, ...]] = {
                 "Folder: height of the water in each photograph, as GeoTIFF.", "waves", is_folder=True),
     ),
     "Meshes": (
-        Product("mesh", (".ply", ".obj", ".glb"), "meshes", ("crs", "resolution_m", "watertight", _EDITED),
+        Product("mesh", (".ply", ".obj", ".glb"), "meshes",
+                ("crs", "resolution_m", "mesh_method", "watertight", _EDITED),
                 "The bed in coloured triangles: PLY, OBJ or GLB.", "bed.obj --watertight"),
     ),
     "Lines and areas": (

@@ -24,9 +24,13 @@ def _table(kind: type) -> dict[str, Any]:
         "type": "object",
         "description": (kind.__doc__ or "").partition("\n")[0],
         "properties": {field.name: _key(hint, field) for field, hint in keys},
-        "required": [f.name for f, _ in keys if f.default is f.default_factory is dataclasses.MISSING],
+        "required": [field.name for field, _ in keys if _is_required(field)],
         "additionalProperties": False,
     }
+
+
+def _is_required(field: dataclasses.Field) -> bool:
+    return field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
 
 
 def _key(kind: Any, field: dataclasses.Field) -> dict[str, Any]:

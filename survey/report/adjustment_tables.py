@@ -22,11 +22,7 @@ def adjustment(found: AdjustmentFigures | None) -> list[Block]:
     if found.parameters:
         verdicts = Sentences([f"{row.name} {row.verdict}" for row in found.parameters])
         blocks += [parameter_table(found.parameters), verdicts]
-    titles = ("observations", "number", "1 sigma [px]", "variance factor (correlated errors)")
-    rows = [(row.name, count(row.num), number(row.std_px, 2), number(row.factor, 1)) for row in found.kinds]
-    rows.append(("left out as outliers", count(found.num_left_out), "", ""))
-    observations = Table(titles, rows, heading=f"Observations of {count(found.num_points)} points")
-    return [*blocks, *_parts(found), observations, Rows(_poses(found)), *_ground(found), *_control(found)]
+    return [*blocks, *_parts(found), _observations(found), Rows(_poses(found)), *_ground(found), *_control(found)]
 
 
 def _parts(found: AdjustmentFigures) -> list[Block]:
@@ -67,6 +63,13 @@ def _parameter(row: Parameter) -> tuple[str, ...]:
 def _digits(std: float | None) -> int:
     """Decimals that show two digits of a standard deviation."""
     return min(max(1 - math.floor(math.log10(std)), 0), 9) if is_known(std) and std > 0.0 else 4
+
+
+def _observations(found: AdjustmentFigures) -> Table:
+    titles = ("observations", "number", "1 sigma [px]", "variance factor (correlated errors)")
+    rows = [(row.name, count(row.num), number(row.std_px, 2), number(row.factor, 1)) for row in found.kinds]
+    rows.append(("left out as outliers", count(found.num_left_out), "", ""))
+    return Table(titles, rows, heading=f"Observations of {count(found.num_points)} points")
 
 
 def _poses(found: AdjustmentFigures) -> list[tuple[str, str]]:

@@ -157,7 +157,9 @@ def mesh(shown: Shown) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     from survey.export.meshes import bed_surface
 
     std = shown.columns["std"]
-    surface = bed_surface(shown.tree.points, shown.rgb, std, spacing_m=_cell_m(shown))
+    surface = bed_surface(
+        shown.tree.points, shown.rgb, std, spacing_m=_cell_m(shown), method="delaunay", path=shown.folder
+    )
     return surface.vertices, surface.faces, np.asarray(surface.rgb)
 
 

@@ -1,7 +1,7 @@
 """What does the field bring to a survey, and how well does it predict photographs that were held out?
 
     python benchmarks/bench_survey_field.py SURVEY -o WORK [--quality draft] [--rows sweep field held held_field]
-        [--reference F --visible F] [--lpips F] [--dists F] [--steps] [--views N]
+        [--reference F --visible F] [--steps] [--views N]
 
 Rows: `sweep`, the cloud of `bathynerf process --field off`; `field`, the same with the field, whose run goes on from
 that sweep; `held`, a survey without every eighth photograph, processed with the field, and what `bathynerf render`
@@ -9,7 +9,7 @@ makes of the cameras that were left out from the other photographs, over water p
 field; with --steps also over pixels within 5 px of a step of depth, away from steps, and of places that three
 photographs see at most; with --views N, of N of them. One JSON for each row in WORK, and markers for commands that
 have finished: the same command again does what is missing. SURVEY is only read. Reference and visible points default to
-reference.ply and visible.ply of the survey; weights of LPIPS and DISTS are state dicts of torch.
+reference.ply and visible.ply of the survey.
 """
 
 from __future__ import annotations
@@ -26,14 +26,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import torch
 from PIL import Image
 from scipy.ndimage import distance_transform_edt, map_coordinates, percentile_filter
 from scipy.spatial import cKDTree
 from study import tops
 
 from evaluation import distance_statistics, distance_to_mesh, image_quality, is_reached, psnr
-from evaluation.images.inputs import largest_rectangle
+from evaluation.images import largest_rectangle
 from geo import read_cloud, read_reference
 from refract import FlatWater, PinholeCamera
 from survey.folder.survey import Survey, load_survey
@@ -65,8 +64,6 @@ TOLERANCES_M = (0.05, 0.2)
 RISE_M, WIDE_M, CELL_M, COVERED = 0.5, 1.5, 0.1, 0.25
 # Sightings are counted at one pixel in so many each way.
 THINNED = 4
-# The shortest side of an image that allows five scales.
-SMALLEST_PX = 176
 
 
 def true_points(
@@ -181,7 +178,7 @@ def water_pixels(survey: Survey, view: View, deepest_m: float) -> np.ndarray:
     return held if mask is None else held & mask
 
 
-def view_figures(survey: Survey, view: View, picture: Path, deepest_m: float, weights: dict) -> dict:
+def view_figures(survey: Survey, view: View, picture: Path, deepest_m: float) -> dict:
     """Image quality of one rendered view over its water pixels; what needs a rectangle only where there is one."""
     with Image.open(picture) as image:
         rendered = np.asarray(image)
@@ -192,10 +189,8 @@ def view_figures(survey: Survey, view: View, picture: Path, deepest_m: float, we
     figures = {"image": view.name, "pixels": int(mask.sum()), "unseen_share": float((mask & ~seen).sum() / mask.sum())}
     figures["psnr_seen_db"] = psnr(photograph, found, mask & seen)
     rows, columns = largest_rectangle(mask)
-    if min(rows.stop - rows.start, columns.stop - columns.start) < SMALLEST_PX:
-        return figures | {"psnr_db": psnr(photograph, found, mask)}
     figures["rectangle_px"] = [columns.stop - columns.start, rows.stop - rows.start]
-    return figures | image_quality(photograph, found, mask=mask, **weights)
+    return figures | image_quality(photograph, found, mask=mask)
 
 
 def with_steps(
@@ -325,16 +320,11 @@ def held_row(name: str, options: argparse.Namespace) -> dict:
     arguments += ["--field"] if name == "held_field" else []
     record["render"] = once(options.output / f"{name}.render.json", arguments)
     survey, deepest = load_survey(options.survey), float(load_bed(RunDir(run).load_stage("bed")).bed.depth.max())
-    weights = {f"{k}_weights": load(getattr(options, k)) for k in ("lpips", "dists") if getattr(options, k)}
     rendered = [(view, (views / view.name).with_suffix(".png")) for view in survey.views]
-    each = [view_figures(survey, view, path, deepest, weights) for view, path in rendered if path.exists()]
+    each = [view_figures(survey, view, path, deepest) for view, path in rendered if path.exists()]
     if options.steps:
         with_steps(each, survey, kept_views(survey, held), options.reference, views, deepest)
     return {"row": name, **record, **summary(each), "views": each}
-
-
-def load(path: Path) -> dict:
-    return torch.load(path, map_location="cpu", weights_only=True)
 
 
 def table(rows: list[dict]) -> str:
@@ -370,7 +360,7 @@ def main() -> None:
     parser.add_argument("--rows", nargs="+", default=["sweep", "field", *HELD], choices=["sweep", "field", *HELD])
     parser.add_argument("--steps", action="store_true")
     parser.add_argument("--views", type=int)
-    for name in ("reference", "visible", "lpips", "dists"):
+    for name in ("reference", "visible"):
         parser.add_argument(f"--{name}", type=Path)
     options = parser.parse_args()
     options.reference = options.reference or options.survey / "reference.ply"

@@ -10,7 +10,7 @@
 | bias, spread and scores, also of parts as by depth | `summary`; confidence intervals, by blocks: `bootstrap` |
 | IHO S-44 and ASPRS | `standards`; the height of a cloud at check points: `vertical` |
 | what straight rays would give | `baselines` |
-| quality of images | `images/` |
+| quality of images | `images` |
 """
 
 # Part of bathynerf.
@@ -19,7 +19,7 @@ from evaluation.baselines import apparent_points, per_camera, times_index
 from evaluation.bootstrap import Blocks, mean_interval, spatial_blocks
 from evaluation.c2m import MeshDistances, distance_to_mesh
 from evaluation.completeness import distance_to_cloud, f_score, is_outlier, is_reached, sample_mesh
-from evaluation.images.quality import fsim, gmsd, image_quality, ms_gmsd, ms_ssim, psnr, ssim, vsi
+from evaluation.images import image_quality, psnr, ssim
 from evaluation.local_surface import LocalSurface, local_surface
 from evaluation.m3c2 import M3C2Distances, m3c2_distances
 from evaluation.standards import AsprsAccuracy, IhoS44, asprs_vertical, iho_s44
@@ -63,8 +63,6 @@ __all__ = [
     "distance_to_cloud",
     "distance_to_mesh",
     "f_score",
-    "fsim",
-    "gmsd",
     "height_at",
     "iho_s44",
     "image_quality",
@@ -73,8 +71,6 @@ __all__ = [
     "local_surface",
     "m3c2_distances",
     "mean_interval",
-    "ms_gmsd",
-    "ms_ssim",
     "per_camera",
     "psnr",
     "reached_by_slope",
@@ -86,6 +82,5 @@ __all__ = [
     "summarise",
     "times_index",
     "vertical_difference",
-    "vsi",
     "weld",
 ]

@@ -27,7 +27,7 @@ MOST_LINES = {
 # Folders by layer, the lowest first: a folder imports only folders of the layers below its own, within what its package
 # may import at all.
 LAYERS = (
-    {"refract", "geo", "evaluation/images"},
+    {"refract", "geo"},
     {"fields"},
     {"fields/sweep/kernels", "refract/curved"},
     {"evaluation", "fields/sweep", "fields/volume", "fields/waves", "survey"},

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from evaluation import distance_statistics, psnr, ssim
-from evaluation.images.inputs import largest_rectangle
+from evaluation import distance_statistics, image_quality
 from fields.image_based import heights_over
 from fields.volume.surface import Surface
 from geo import read_reference
@@ -31,8 +30,6 @@ from survey.volume.submodules import train_submodules
 from survey.volume.training import FieldResult, surface_in, train
 
 CLOUD, VIEWS, HELD, CURVE = "cloud.las", "views", "held out", "training.png"
-# Side of the windows of SSIM.
-SSIM_PX = 11
 
 
 def train_field(run: str | Path, output: str | Path, options: VolumeOptions | None = None) -> dict[str, Any]:
@@ -147,10 +144,8 @@ def _held_out(made: FieldResult, folder: Path, *, right_half: bool) -> dict[str,
             mask[:, : target.camera.width // 2] = False
         photograph = held.photographs.images[number] / 255.0
         if mask.any():
-            found["held_out_psnr_db"][target.name] = psnr(photograph, shown, mask)
-        window = largest_rectangle(mask)
-        if min(photograph[window].shape[:2]) >= SSIM_PX:
-            found["held_out_ssim"][target.name] = ssim(photograph[window], shown[window])
+            for measure, value in image_quality(photograph, shown, mask=mask).items():
+                found[f"held_out_{measure}"][target.name] = value
     return found
 
 

@@ -18,7 +18,7 @@ from survey.adjust.block.state import NUM_LENS, NUM_RELIEF, enlarged, lenses_of
 from survey.adjust.focal_lengths import with_focals
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import read_adjustment, write_adjustment
-from survey.adjust.result.std_common import height_jacobian, seen_places
+from survey.adjust.result.std_common import place_jacobian, seen_places
 from survey.adjust.rounds import adjust
 from survey.pose_files.colmap import read_model
 from tests.adjusted_block import assert_same
@@ -92,7 +92,7 @@ def test_each_photograph_has_its_own_lens_and_files_keep_it(drifted, tmp_path):
     write_adjustment(tmp_path, found)
     assert_same(read_adjustment(tmp_path), found)
     ties = seen_places(found.points[:3], moved)
-    assert height_jacobian(found, moved.water, ties).shape == (3, len(found.covariance.names))
+    assert place_jacobian(found, moved.water, ties).shape == (3, 3, len(found.covariance.names))
 
 
 def test_a_model_with_them_comes_back_as_one_lens(drifted, tmp_path):

@@ -12,7 +12,7 @@ from survey.adjust.block.prediction import linearise, predict
 from survey.adjust.block.priors import parameters_of
 from survey.adjust.block.state import Layout, State
 from survey.adjust.result.adjustment import Residuals
-from survey.adjust.result.std_common import _places_of_mean, common_error, height_jacobian, shift_std, std_common
+from survey.adjust.result.std_common import _places_of_mean, common_error, place_jacobian, shift_std, std_common
 from tests.adjusted_block import drawn_adjustment
 from tests.block_survey import survey_of
 from tests.changed_survey import changed
@@ -139,7 +139,7 @@ def test_an_error_of_the_index_scales_depths_seen_from_above():
     water = block.plane
     change = along(found, {"refractive_index": 0.001})
     ties = _places_of_mean(found)
-    rise = height_jacobian(found, water, ties) @ change
+    rise = place_jacobian(found, water, ties)[:, 2] @ change
     # Straight down the true depth is the apparent one times n; slanting rays add some more.
     expected = -0.001 / block.water[3] * water.depth(ties.start)
     assert np.median(rise / expected) == pytest.approx(1.0, abs=0.25)

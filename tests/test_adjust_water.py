@@ -272,7 +272,7 @@ def test_poses_of_a_run_that_is_named_are_used_and_a_run_without_poses_is_refuse
 
 def test_a_dry_survey_is_refused(tmp_path):
     survey = survey_with(tmp_path, convergent())
-    with pytest.raises(SurveyError, match="a dry survey has no water to estimate"):
+    with pytest.raises(SurveyError, match="is a dry survey, expected one with water; give"):
         calibrate_water(replace(survey, water=None))
 
 

@@ -185,12 +185,8 @@ def _opk(survey: Survey) -> str:
         angles = (math.atan2(-r[1, 2], r[2, 2]), math.asin(r[0, 2]), math.atan2(-r[0, 1], r[0, 0]))
         numbers = [f"{v:.{digits}f}" for v, digits in zip(centre, places, strict=True)]
         numbers += [f"{math.degrees(v):.10f}" for v in angles]
-        numbers += [f"{v:.{_DECIMALS_M}f}" for v in _motion_over_rows(view)] if rolls else []
+        if rolls:
+            per_row = np.zeros(3) if view.camera.motion is None else view.camera.motion
+            numbers += [f"{v:.{_DECIMALS_M}f}" for v in per_row * rows_between(view.lens.height)]
         lines.append(",".join([view.name, *numbers]))
     return "\n".join([*lines, ""])
-
-
-def _motion_over_rows(view: View) -> np.ndarray:
-    """Motion of the camera from the first row of a photograph to the last (3,) [m], local."""
-    motion = view.camera.motion
-    return np.zeros(3) if motion is None else motion * rows_between(view.lens.height)

@@ -130,13 +130,15 @@ def _statistics(done: RobustSolution, total: int) -> FitStatistics:
     solution, used = done.solution, done.used
     counts = {name: int((used.kind == kind).sum()) for kind, name in enumerate(KINDS)}
     factors = mean_by_kind(done.variance_factor, used.kind)
+    of_gps = done.prior.std[done.prior.layout.first_pose :].reshape(-1, 6)[:, :3]
+    of_gps = of_gps[np.isfinite(of_gps).all(axis=1)]
     return FitStatistics(
         std_px={name: float(solution.std_px[kind]) for kind, name in enumerate(KINDS) if counts[name]},
         variance_factor={name: float(factors[kind]) for kind, name in enumerate(KINDS) if counts[name]},
         num_observations={name: count for name, count in counts.items() if count},
         num_points=len(used.ties),
         num_left_out=total - len(used.kind),
-        gps_std_m=_gps_std(done.prior),
+        gps_std_m=None if not len(of_gps) else tuple(np.median(of_gps, axis=0).tolist()),
     )
 
 
@@ -151,16 +153,6 @@ def _names_of(survey: Survey, layout: Layout) -> tuple[str, ...]:
         *(f"{view.name}.{FOCAL_NAME}" for view in survey.views if layout.finds_focals),
         *(f"{view.name}.{name}" for view in survey.views for name in _POSE_NAMES),
     )
-
-
-def _gps_std(prior: PriorKnowledge) -> tuple[float, float, float] | None:
-    """Median standard deviation of the positions along each axis [m]; None where none is known."""
-    std = prior.std[prior.layout.first_pose :].reshape(-1, 6)[:, :3]
-    std = std[np.isfinite(std).all(axis=1)]
-    if not len(std):
-        return None
-    east, north, up = np.median(std, axis=0).tolist()
-    return east, north, up
 
 
 def _warnings(survey: Survey, done: RobustSolution) -> list[str]:

@@ -29,7 +29,6 @@ import numpy as np
 from refract.lens import MODELS, Lens
 from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.normal_equations import system_with
-from survey.adjust.block.normal_matrix import NormalMatrix
 from survey.adjust.block.priors import PriorKnowledge
 from survey.adjust.block.state import LEAST_FOCALS, NUM_POSE, is_held
 from survey.adjust.rounds import RobustSolution
@@ -99,25 +98,29 @@ def focal_drift(prior: PriorKnowledge, done: RobustSolution) -> FocalDrift | Non
     stated = with_focal_std(prior, done, np.inf)
     layout, solution = stated.layout, done.solution
     state = replace(solution.state, focals=np.zeros(len(layout.lens_of)))
+    own = np.arange(layout.first_focal, layout.first_pose)
+    others = np.r_[: layout.first_focal, layout.first_pose : len(layout)]
 
-    own = np.r_[: layout.first_focal, layout.first_pose : len(layout)]
-
-    def reduced(by_prior: PriorKnowledge) -> tuple[_ReducedNormals, float]:
-        """Normal equations of the focal lengths, and ``v' W v - ln |W|`` with the evidence of all others."""
+    def reduced(by_prior: PriorKnowledge) -> tuple[np.ndarray, np.ndarray, float]:
+        """Normal equations of the focal lengths with the others eliminated, and ``-2 ln p`` without these focals."""
         problem = done.used.problem(by_prior, state)
         system = system_with(problem, state, solution.weights)
         weights = by_prior.std[np.isfinite(by_prior.std)] ** -2.0
         base = problem.priors.squares(layout, state) - float(np.log(weights).sum())
-        found = _ReducedNormals.of(system.normal, system.right_side, own)
-        return found, base + found.evidence_term
+        normal, right = system.normal, system.right_side
+        factor, mixed = normal.only(others).factor(), normal.between(others, own)
+        step = factor.solve(np.column_stack([mixed, right[others]]))
+        evidence = factor.log_determinant() - float(right[others] @ step[:, -1])
+        kept = normal.between(own, own) - mixed.T @ step[:, :-1], right[own] - mixed.T @ step[:, -1]
+        return *kept, base + evidence
 
     # One focal length for each lens, positions as good as the block has them.
     as_found = np.insert(done.prior.std, layout.first_focal, np.full(len(layout.lens_of), np.inf))
-    eliminated, base = reduced(stated)
-    null_cost = base if np.array_equal(as_found, stated.std) else reduced(replace(stated, std=as_found))[1]
+    normal, right, base = reduced(stated)
+    null_cost = base if np.array_equal(as_found, stated.std) else reduced(replace(stated, std=as_found))[2]
     # In the eigenbasis of the focal lengths the log-likelihood of each standard deviation is a sum.
-    eigenvalues, eigenvectors = np.linalg.eigh(eliminated.normal)
-    eigenvalues, squares = np.maximum(eigenvalues, 0.0), np.square(eigenvectors.T @ eliminated.right)
+    eigenvalues, eigenvectors = np.linalg.eigh(normal)
+    eigenvalues, squares = np.maximum(eigenvalues, 0.0), np.square(eigenvectors.T @ right)
     logs = [
         np.sum(2.0 * np.log(std) + np.log(eigenvalues + std**-2.0) - squares / (eigenvalues + std**-2.0))
         for std in _STDS
@@ -125,25 +128,6 @@ def focal_drift(prior: PriorKnowledge, done: RobustSolution) -> FocalDrift | Non
     best = int(np.argmin(logs))
     gain = null_cost - (base + float(logs[best]))
     return FocalDrift(float(_STDS[best]), gain) if gain > _SIGNIFICANT else None
-
-
-@dataclass(frozen=True)
-class _ReducedNormals:
-    """Normal equations of some parameters (K,) with the others eliminated, and ``ln |N| - b' N^-1 b`` of these."""
-
-    normal: np.ndarray
-    right: np.ndarray
-    evidence_term: float
-
-    @classmethod
-    def of(cls, normal: NormalMatrix, right: np.ndarray, others: np.ndarray) -> _ReducedNormals:
-        kept = np.setdiff1d(np.arange(len(right)), others)
-        factor, mixed = normal.only(others).factor(), normal.between(others, kept)
-        step = factor.solve(np.column_stack([mixed, right[others]]))
-        return cls(
-            normal.between(kept, kept) - mixed.T @ step[:, :-1], right[kept] - mixed.T @ step[:, -1],
-            factor.log_determinant() - float(right[others] @ step[:, -1]),
-        )  # fmt: skip
 
 
 def with_focal_std(prior: PriorKnowledge, done: RobustSolution, std: float) -> PriorKnowledge:

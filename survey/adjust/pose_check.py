@@ -112,7 +112,7 @@ def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> Pos
     of_poses = found
     if found is not None and found > MOST_MISFIT_PX and kind == WINDOW:
         # Under the level that fits best.
-        best = solve_with_level(problem, solution.state, FREE_WATER.level_m)
+        best = solve_with_level(problem, solution.state, FREE_WATER[0])
         of_poses = None if best is None else misfit(best.residuals, seen.ties.view)
     if of_poses is None or of_poses > MOST_MISFIT_PX:
         # Errors of poses look like those of the water; all is adjusted together then.
@@ -152,21 +152,18 @@ def deep_check(folder: Path, *, device: str = "auto") -> list[CheckSection]:
         survey = replace(survey, provenance=replace(survey.provenance, contradiction=checked.contradiction))
     with progress.stage("Adjustment", 1.0) as stage:
         found = adjust_survey(survey, device=device, advance=stage.advance)
-    sections = [CheckSection("photographs", (*_rows_of_check(checked), *_rows(found)))]
+    sections = [CheckSection("photographs", _rows(checked, found))]
     if found.warnings:
         sections.append(CheckSection("contradicted by the photographs", tuple(("", text) for text in found.warnings)))
     return sections
 
 
-def _rows_of_check(checked: PoseCheck) -> tuple[tuple[str, str], ...]:
-    if checked.misfit_px is None:
-        return ()
-    message = f"reprojection misfit {checked.misfit_px:.2f} px with the given poses"
-    return (("poses", message if checked.contradiction is None else f"{message}, and {checked.contradiction}"),)
-
-
-def _rows(found: Adjustment) -> tuple[tuple[str, str], ...]:
-    rows = [(row.name, row.verdict) for row in found.parameters]
+def _rows(checked: PoseCheck, found: Adjustment) -> tuple[tuple[str, str], ...]:
+    rows = []
+    if checked.misfit_px is not None:
+        message = f"reprojection misfit {checked.misfit_px:.2f} px with the given poses"
+        rows.append(("poses", message if checked.contradiction is None else f"{message}, and {checked.contradiction}"))
+    rows += [(row.name, row.verdict) for row in found.parameters]
     for name, count in found.statistics.num_observations.items():
         rows.append((name, f"{count:,}, good to {found.statistics.std_px[name]:.2f} px"))
     for point in found.control:

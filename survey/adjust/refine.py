@@ -8,7 +8,7 @@ windows matched to a fraction of a pixel on the adjusted block (`survey.adjust.b
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -71,47 +71,43 @@ def adjust_survey(
         Estimates poses of a file again that are too inaccurate for windows; without it they are refused.
     """
     survey, note = with_square_pixels(survey)
-    found = _choose_start_and_adjust(survey, _Request(device, advance, use_windows, free_water), search)
+    prior = prior_of(survey, gsd_m(survey), free_water=free_water)
+
+    def from_start(other: Survey, start: PriorKnowledge, windows: TiePoints | None, *, silent: bool) -> Adjustment:
+        staged = StagedAdjustment(other, start, free_water)
+        return _adjust_in_stages(staged, windows, device, (lambda _share: None) if silent else advance, use_windows)
+
+    if survey.observations.ties is not None or not use_windows:
+        with name_open_roll(prior.rolls):
+            first = from_start(survey, prior, None, silent=False)
+            found = better_of_two_starts(
+                survey, prior, first, lambda other, start: from_start(other, start, None, silent=True)
+            )
+    else:
+        windows = windows_or_recovered_poses(
+            survey,
+            lambda: measure_windows(survey, device=device, advance=lambda part: advance(0.9 * part)),
+            search,
+        )
+        if isinstance(windows, TiePoints):
+            found = from_start(survey, prior, windows, silent=False)
+        else:
+            matched = replace(survey, observations=replace(survey.observations, ties=windows.ties))
+            prior = windows.start(prior_of(matched, gsd_m(matched), free_water=free_water))
+            found = from_start(matched, prior, None, silent=True)
+            found = replace(found, warnings=(windows.warning, *found.warnings))
     return found if note is None else replace(found, notes=(note, *found.notes))
 
 
-@dataclass(frozen=True)
-class _Request:
-    """Parameters of `adjust_survey`."""
-
-    device: str
-    advance: Callable[[float], None]
-    use_windows: bool
-    free_water: bool
-
-
-def _choose_start_and_adjust(survey: Survey, asked: _Request, search: PoseRecovery | None) -> Adjustment:
-    """Adjust from the poses of the survey, or from others where these are no start or not the best one."""
-    prior = prior_of(survey, gsd_m(survey), free_water=asked.free_water)
-    if survey.observations.ties is not None or not asked.use_windows:
-        with name_open_roll(prior.rolls):
-            found = _adjust_in_stages(survey, prior, None, asked)
-            silent = replace(asked, advance=lambda _share: None)
-            return better_of_two_starts(
-                survey, prior, found, lambda other, start: _adjust_in_stages(other, start, None, silent)
-            )
-    windows = windows_or_recovered_poses(
-        survey,
-        lambda: measure_windows(survey, device=asked.device, advance=lambda part: asked.advance(0.9 * part)),
-        search,
-    )
-    if isinstance(windows, TiePoints):
-        return _adjust_in_stages(survey, prior, windows, asked)
-    survey = replace(survey, observations=replace(survey.observations, ties=windows.ties))
-    prior = windows.start(prior_of(survey, gsd_m(survey), free_water=asked.free_water))
-    found = _adjust_in_stages(survey, prior, None, replace(asked, advance=lambda _share: None))
-    return replace(found, warnings=(windows.warning, *found.warnings))
-
-
-def _adjust_in_stages(survey: Survey, prior: PriorKnowledge, windows: TiePoints | None, asked: _Request) -> Adjustment:
+def _adjust_in_stages(
+    staged: StagedAdjustment,
+    windows: TiePoints | None,
+    device: str,
+    advance: Callable[[float], None],
+    use_windows: bool,
+) -> Adjustment:
     """Adjust with matches, with windows, and without contradicted values; ``windows`` where they are measured."""
-    device, advance, use_windows, free_water = asked.device, asked.advance, asked.use_windows, asked.free_water
-    staged = StagedAdjustment(survey, prior, free_water)
+    survey, free_water = staged.survey, staged.free_water
     done: RobustSolution | None = None
     shares = (0.0, 0.9, 0.1)
     if survey.observations.ties is not None:

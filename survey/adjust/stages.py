@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,11 +16,7 @@ from survey.adjust.block.priors import PriorKnowledge, SharedShift, prior_of
 from survey.adjust.block.state import NUM_POSE, NUM_WATER, WATER_PARAMETERS
 from survey.adjust.common_height import apply_level_datum, drop_common_height, water_start, with_common
 from survey.adjust.focal_lengths import FocalDrift, with_focal_std, with_focals
-from survey.adjust.observability import (
-    Unobservable,
-    adjust_free,
-    adjusted_with,
-)
+from survey.adjust.observability import Unobservable, adjust_free, adjusted_with
 from survey.adjust.parameter_tests import LEVEL, check_dry_block, dry_bed_error, release, worst_contradiction
 from survey.adjust.result.adjustment import MOST_SIGMAS, Adjustment
 from survey.adjust.result.ground_fit import GroundFit
@@ -36,24 +32,15 @@ from survey.plan.recipe import gsd_m
 _START_STD_M = 0.1
 
 
-@dataclass(frozen=True)
-class _OnGround:
-    """A block before its adjustment, shifted onto the ground of an earlier survey."""
-
-    prior: PriorKnowledge
-    start: PriorKnowledge  # The same from the shifted poses
-    part: tuple[int, TiePoints]  # Kind of the tie points, and these at shifted places
-    is_against_positions: bool  # Whether the ground contradicts the stated accuracy of positions
-
-
 class StagedAdjustment:
     """Adjustment of a survey in stages: observations are added, and all of them adjusted again.
 
     `prior` is that of the next stage: `first_ties` and `with_focals` replace it by what their stage has shown.
+    ``free_water``: nothing counts as known of the water.
     """
 
     def __init__(self, survey: Survey, prior: PriorKnowledge, free_water: bool):
-        self._survey, self.prior, self._free_water = survey, prior, free_water
+        self.survey, self.prior, self.free_water = survey, prior, free_water
         self._parts: list[tuple[int, TiePoints]] = []
         self._unobservable: dict[str, Unobservable] = {}
         self._is_against_positions = False
@@ -61,23 +48,21 @@ class StagedAdjustment:
     def first_ties(self, kind: int, ties: TiePoints) -> RobustSolution:
         """Adjust with the first tie points, which place the block on ground or water if these tell its height."""
         start, part = self.prior, (kind, self._thinned(ties))
-        ground = self._survey.observations.ground
+        ground = self.survey.observations.ground
         if ground is not None:
-            placed = self._onto_ground(ground, part)
-            self.prior, start, part = placed.prior, placed.start, placed.part
-            self._is_against_positions = placed.is_against_positions
+            start, part = self._onto_ground(ground, part)
         elif start.shifts:
             start, part = self._onto_stated_positions(part)
         self._parts = [part]
-        if self._free_water:
+        if self.free_water:
             return self._adjust_free(start)
         if start.common_up_std > 0.0:
             done, self.prior, part = self._at_level(part)
             self._parts = [part]
             return done
         done = self._adjust(start)
-        if self._survey.provenance.is_level_known:
-            level = check_dry_block(self._survey, start, self._observed, done)
+        if self.survey.provenance.is_level_known:
+            level = check_dry_block(self.survey, start, self._observed, done)
             if level is not None:
                 raise dry_bed_error(level, "leave out [water] if the bed is dry")
         return done
@@ -85,10 +70,10 @@ class StagedAdjustment:
     def more_ties(self, kind: int, ties: TiePoints, start: PriorKnowledge) -> RobustSolution:
         """Adjust with further tie points beside those before."""
         self._parts.append((kind, self._thinned(ties)))
-        return self._adjust_free(start) if self._free_water else self._adjust(start)
+        return self._adjust_free(start) if self.free_water else self._adjust(start)
 
     def _thinned(self, ties: TiePoints) -> TiePoints:
-        return ties.only(np.isin(ties.point, thinned(ties, sizes_of(self._survey), CELLS, PER_CELL)))
+        return ties.only(np.isin(ties.point, thinned(ties, sizes_of(self.survey), CELLS, PER_CELL)))
 
     @property
     def _observed(self) -> Observed:
@@ -96,13 +81,13 @@ class StagedAdjustment:
 
     def _seen(self, parts: list[tuple[int, TiePoints]], prior: PriorKnowledge) -> Observed:
         """Tie points with control and ground."""
-        return observed(parts, self._survey.observations.control, self._survey, prior)
+        return observed(parts, self.survey.observations.control, self.survey, prior)
 
     def _adjust(self, start: PriorKnowledge) -> RobustSolution:
         return adjust(start, self._observed)
 
     def _adjust_free(self, start: PriorKnowledge) -> RobustSolution:
-        done, self._unobservable = adjust_free(self._survey, start, self._observed)
+        done, self._unobservable = adjust_free(self.survey, start, self._observed)
         return done
 
     def _onto_stated_positions(self, part: tuple[int, TiePoints]) -> tuple[PriorKnowledge, tuple[int, TiePoints]]:
@@ -114,11 +99,13 @@ class StagedAdjustment:
         state = replace(prior.state, centres=prior.state.centres + shift)
         return replace(prior, state=state), (kind, replace(ties, start=ties.start + shift))
 
-    def _onto_ground(self, ground: StableGround, part: tuple[int, TiePoints]) -> _OnGround:
+    def _onto_ground(
+        self, ground: StableGround, part: tuple[int, TiePoints]
+    ) -> tuple[PriorKnowledge, tuple[int, TiePoints]]:
         """Block and tie points shifted onto the ground, after an adjustment without it; positions too, where it shows.
 
         Positions of unknown accuracy may share an error of metres, those of a stated one an error as large as that,
-        unless the ground contradicts it.
+        unless the ground contradicts it: the prior of later stages says so.
         """
         kind, ties = part
         stated = self.prior.std[self.prior.layout.first_pose :].reshape(-1, NUM_POSE)[~self.prior.unknown_positions, :3]
@@ -138,12 +125,13 @@ class StagedAdjustment:
         off = np.median(state.centres - prior.mean.centres, axis=0) + shift
         horizontal, vertical = ground.std_m
         of_both = np.sqrt(shared**2 + np.square([horizontal, horizontal, vertical]) + _START_STD_M**2)
-        is_against_positions = are_stated and bool((np.abs(off) > MOST_SIGMAS * of_both).any())
-        if not are_stated or is_against_positions:
+        self._is_against_positions = are_stated and bool((np.abs(off) > MOST_SIGMAS * of_both).any())
+        if not are_stated or self._is_against_positions:
             shifts = (SharedShift(every, np.maximum(shared, GPS_STD_M)),)
             prior = replace(prior, mean=replace(prior.mean, centres=prior.mean.centres + off), shifts=shifts)
+        self.prior = prior
         start = replace(prior, state=replace(state, centres=state.centres + shift))
-        return _OnGround(prior, start, (kind, replace(ties, start=ties.start + shift)), is_against_positions)
+        return start, (kind, replace(ties, start=ties.start + shift))
 
     def _at_level(self, part: tuple[int, TiePoints]) -> tuple[RobustSolution, PriorKnowledge, tuple[int, TiePoints]]:
         """Adjust a block whose height the level of the water determines, or else the positions.
@@ -155,20 +143,16 @@ class StagedAdjustment:
         # Without those of check points, which come last.
         part = kind, replace(ties, start=points[: len(ties)])
         done = adjust(start, self._seen([part], self.prior))
-        held = None if self._has_stated_positions else drop_common_height(self.prior, done)
+        are_stated = any(each.position_std is not None for each in self.survey.observations.priors.values())
+        held = None if are_stated else drop_common_height(self.prior, done)
         if held is None:
             return done, self.prior, part
         prior = replace(held, state=self.prior.state)
         return adjust(held, self._seen([part], prior)), prior, part
 
-    @property
-    def _has_stated_positions(self) -> bool:
-        """Whether the accuracy of any position is stated."""
-        return any(prior.position_std is not None for prior in self._survey.observations.priors.values())
-
     def with_focals(self, done: RobustSolution) -> tuple[RobustSolution, FocalDrift | None]:
         """Adjust with a focal length for each photograph, where they differ."""
-        if self._survey.observations.ground is not None:
+        if self.survey.observations.ground is not None:
             return done, None
         seen = self._observed
         done, drift = with_focals(self.prior, done, lambda start: adjust(start, seen))
@@ -179,23 +163,22 @@ class StagedAdjustment:
     def without_contradictions(self, done: RobustSolution) -> tuple[RobustSolution, list[GivenValueTest]]:
         """Adjust with contradicted parameters of the water free, the worst first; also returns the contradictions."""
         contradictions: list[GivenValueTest] = []
-        while len(contradictions) < NUM_WATER:
-            each = (_contradiction_of_sample(self._survey) if not contradictions else None) or worst_contradiction(
-                self._survey, done
-            )
-            if each is None:
-                break
+        # A sample under the given poses may test with more power than a block with free poses.
+        of_sample = self.survey.provenance.contradiction
+        is_of_water = of_sample is not None and not of_sample.is_of_lens
+        each = of_sample if is_of_water else worst_contradiction(self.survey, done)
+        while each is not None and len(contradictions) < NUM_WATER:
             contradictions.append(each)
-            start = release(restarted(done.prior, done), each)
-            done = self._adjust(start)
+            done = self._adjust(release(restarted(done.prior, done), each))
+            each = worst_contradiction(self.survey, done)
         return done, contradictions
 
     def against_control(self) -> list[str]:
         """A warning where positions and water contradict control that is too little to check itself."""
-        control = self._survey.observations.control
-        if control is None or not has_unchecked_control(self._survey):
+        control = self.survey.observations.control
+        if control is None or not has_unchecked_control(self.survey):
             return []
-        alone = replace(self._survey, observations=replace(self._survey.observations, control=None, ground=None))
+        alone = replace(self.survey, observations=replace(self.survey.observations, control=None, ground=None))
         prior = prior_of(alone, gsd_m(alone))
         # A block with an undetermined roll cannot test control.
         if prior.rolls:
@@ -205,24 +188,22 @@ class StagedAdjustment:
             free = apply_level_datum(StagedAdjustment(alone, prior, free_water=False).first_ties(kind, ties))[0]
         except NotConvergedError:
             return []
-        contradictions = contradicted_points(control, self._survey.views, free.prior, free.solution)
+        contradictions = contradicted_points(control, self.survey.views, free.prior, free.solution)
         return [contradiction_warning(contradictions)] if contradictions else []
 
     def result(self, done: RobustSolution, contradictions: Sequence[GivenValueTest]) -> Adjustment:
         """The adjustment in the terms of the survey."""
-        control = self._survey.observations.control
+        control = self.survey.observations.control
         total = sum(len(ties.view) for _, ties in self._parts) + (0 if control is None else len(control.marks))
-        if self._free_water:
-            return self._on_ground(assemble_result(self._survey, done, total, unobservable=self._unobservable), done)
+        if self.free_water:
+            return self._on_ground(assemble_result(self.survey, done, total, unobservable=self._unobservable), done)
         placed, common = apply_level_datum(done)
 
         def hold(held: np.ndarray) -> RobustSolution:
             return apply_level_datum(adjusted_with(done, held, self.prior.std))[0]
 
         used = {WATER_PARAMETERS.index(each.name) for each in contradictions} | (set() if common is None else {LEVEL})
-        found = self._on_ground(
-            assemble_result(self._survey, placed, total, contradicted=sorted(used), hold=hold), done
-        )
+        found = self._on_ground(assemble_result(self.survey, placed, total, contradicted=sorted(used), hold=hold), done)
         return found if common is None else with_common(found, common, placed.solution.state.water)
 
     def _on_ground(self, found: Adjustment, done: RobustSolution) -> Adjustment:
@@ -233,17 +214,11 @@ class StagedAdjustment:
         assert planes is not None
         fit = GroundFit(
             **vars(done.alignment),
-            reference=str(self._survey.config.control.reference),
-            moved=moved_by(self._survey.views, done.solution, planes),
+            reference=str(self.survey.config.control.reference),
+            moved=moved_by(self.survey.views, done.solution, planes),
             is_against_positions=self._is_against_positions,
         )
         return replace(found, ground=fit, notes=(*found.notes, *fit.notes), warnings=(*found.warnings, *fit.warnings))
-
-
-def _contradiction_of_sample(survey: Survey) -> GivenValueTest | None:
-    """GivenValueTest by a sample under the given poses; the test of a block with free poses may have less power."""
-    found = survey.provenance.contradiction
-    return None if found is None or found.is_of_lens else found
 
 
 def restarted(prior: PriorKnowledge, done: RobustSolution) -> PriorKnowledge:

@@ -178,7 +178,7 @@ def windows_or_recovered_poses(
     number, windows = len(survey.views), None
     try:
         windows = measure()
-        lost = without_windows(windows, number)
+        lost = int((np.bincount(windows.view, minlength=number) < FEW_MATCHES).sum())
         message = f"with the given poses, windows match in {number - lost} of {number} photographs only"
     except SurveyError as error:
         lost, message = number, f"with the given poses, {error}"
@@ -198,11 +198,6 @@ def windows_or_recovered_poses(
         "given ones place the block"
     )
     return replace(found, warning=warning)
-
-
-def without_windows(windows: TiePoints, num_views: int) -> int:
-    """Number of views with too few windows to determine their rotation."""
-    return int((np.bincount(windows.view, minlength=num_views) < FEW_MATCHES).sum())
 
 
 def recover_poses(survey: Survey, workspace: Path, report: Callable[[str], None]) -> RecoveredPoses:

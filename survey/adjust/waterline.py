@@ -35,7 +35,7 @@ class WaterEstimate:
 
     water: WaterConfig  # Values to use: estimates of the observable parameters, those of survey.toml for the rest
     parameters: tuple[Parameter, ...]  # Level, slopes and index first, then those of the lenses
-    covariance: tuple[tuple[float, ...], ...]  # 4 x 4, of level, slopes and index
+    covariance: np.ndarray  # (4, 4): of level, slopes and index
     num_views: int
     num_points: int
     num_measurements: int
@@ -55,9 +55,8 @@ class WaterEstimate:
 
     def correlation(self) -> np.ndarray:
         """Correlations (4, 4) of the estimates."""
-        covariance = np.array(self.covariance)
-        std = np.sqrt(np.diag(covariance))
-        return covariance / np.outer(std, std)
+        std = np.sqrt(np.diag(self.covariance))
+        return self.covariance / np.outer(std, std)
 
     def to_json(self) -> str:
         """All of it as JSON; units are in the names, and NaN is null."""
@@ -107,8 +106,6 @@ def estimate_water(
     if json_path is not None:
         require_file("--json", json_path, survey_inputs(folder), kind="a JSON file", is_of_kind=is_json)
     survey = load_survey(folder, workspace=workspace, report=progress.note)
-    if survey.water is None:
-        raise SurveyError("a dry survey has no water to estimate; give [water] level_m to start from")
     _, given = survey.require_water()
     start = replace(
         given,
@@ -146,8 +143,7 @@ def calibrate_water(
     advance : callable
         Called with the increment; increments sum to 1.
     """
-    if survey.water is None:
-        raise SurveyError("a dry survey has no water to estimate; give [water] level_m to start from")
+    survey.require_water()
     try:
         found = adjust_survey(survey, device=device, advance=advance, free_water=True)
     except NotConvergedError as error:
@@ -180,13 +176,12 @@ def nadir_views(survey: Survey) -> Survey:
     return replace(survey, views=views, observations=replace(survey.observations, ties=ties))
 
 
-def _covariance(survey: Survey, found: Adjustment) -> tuple[tuple[float, ...], ...]:
-    std = np.array([row.std for row in found.parameters[:NUM_WATER]])
+def _covariance(survey: Survey, found: Adjustment) -> np.ndarray:
     if not found.parameters[0].is_observable:
         # The block was adjusted under the given water.
-        return _rows(np.diag(std**2))
+        return np.diag([row.std**2 for row in found.parameters[:NUM_WATER]])
     by_local = settings_by_local(survey, np.array(found.covariance.water_point))
-    return _rows(propagated(by_local, found.covariance.matrix[:NUM_WATER, :NUM_WATER]))
+    return propagated(by_local, found.covariance.matrix[:NUM_WATER, :NUM_WATER])
 
 
 def _not_adjusted(survey: Survey, reason: str) -> WaterEstimate:
@@ -194,9 +189,5 @@ def _not_adjusted(survey: Survey, reason: str) -> WaterEstimate:
     _, given = survey.require_water()
     rows = zip(none_observable(reason).items(), settings_of(given).tolist(), strict=True)
     parameters = tuple(unobservable_verdict(name, lost.std, value, lost.reason) for (name, lost), value in rows)
-    covariance = _rows(np.diag([row.std**2 for row in parameters]))
+    covariance = np.diag([row.std**2 for row in parameters])
     return WaterEstimate(given, parameters, covariance, 0, 0, 0, 0, None)
-
-
-def _rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(float(v) for v in row) for row in matrix)

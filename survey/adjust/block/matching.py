@@ -111,11 +111,7 @@ def match(image: PreparedImage, templates, slopes, expected, offsets) -> tuple[n
         at[active] -= step
         moved[active] = np.linalg.norm(step, axis=1)
     found = usable & (moved <= _DONE_PX) & (alike > _ALIKE)
-    found[found] = _is_clear(image.clear, at[found], offsets[found])
+    # All samples of a window, which lie inside the photograph, are to be clear of masked pixels.
+    columns, lines = np.floor(at[found][:, :, None] + offsets[found]).astype(int).transpose(1, 0, 2)
+    found[found] = image.clear[lines, columns].all(axis=1)
     return at, found
-
-
-def _is_clear(clear: np.ndarray, at: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-    """Windows (K,) bool all of whose samples, inside the photograph, are clear of masked pixels."""
-    columns, lines = np.floor(at[:, :, None] + offsets).astype(int).transpose(1, 0, 2)
-    return clear[lines, columns].all(axis=1)

@@ -147,7 +147,6 @@ class _PlanesOnGrid:
     shape: tuple[int, int]
     normal: np.ndarray
     height: np.ndarray
-    std: np.ndarray
 
     @staticmethod
     def around(ground: StableGround, points: np.ndarray) -> _PlanesOnGrid:
@@ -164,19 +163,19 @@ class _PlanesOnGrid:
         by_row, by_column = np.gradient(surface.height.reshape(rows, columns), side)
         normal = np.column_stack([-by_column.ravel(), -by_row.ravel(), np.ones(len(nodes))])
         height = surface.height + np.einsum("ni,ni->n", normal[:, :2], nodes)
-        return _PlanesOnGrid(low, side, (rows, columns), normal, height, surface.std)
+        return _PlanesOnGrid(low, side, (rows, columns), normal, height)
 
-    def at(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Normals (N, 3), heights along them and their std (N,) at places (N, 2); NaN where there is no ground."""
+    def at(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Normals (N, 3) and heights along them (N,) at places (N, 2); NaN where there is no ground."""
         column, row = np.round((places - self.low) / self.side).astype(np.int64).T
         inside = (row >= 0) & (column >= 0) & (row < self.shape[0]) & (column < self.shape[1])
         node = np.where(inside, row * self.shape[1] + column, 0)
-        return self.normal[node], np.where(inside, self.height[node], np.nan), self.std[node]
+        return self.normal[node], np.where(inside, self.height[node], np.nan)
 
 
 def _cost(planes: _PlanesOnGrid, points: np.ndarray, shift: np.ndarray) -> float:
     """Cost of a shift in plan (2,), with that in height which suits most points; infinite without ground."""
-    normal, height, _ = planes.at(points[:, :2] + shift)
+    normal, height = planes.at(points[:, :2] + shift)
     off = np.einsum("mi,mi->m", normal, points + np.array([*shift, 0.0])) - height
     off = off[np.isfinite(off)]
     if len(off) < LEAST_GROUND_POINTS:
@@ -197,7 +196,7 @@ def _descend(planes: _PlanesOnGrid, points: np.ndarray, start: np.ndarray) -> tu
     best: tuple[float, np.ndarray] | None = None
     for _ in range(_STEPS):
         moved = points + shift
-        normal, height, _ = planes.at(moved[:, :2])
+        normal, height = planes.at(moved[:, :2])
         known = np.isfinite(height) & np.isfinite(normal).all(axis=1)
         if known.sum() < LEAST_GROUND_POINTS:
             break

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -44,17 +44,8 @@ EXACT_STD_M, EXACT_STD_DEG, _CALIBRATED = 0.01, 0.003, 0.02
 _GIVEN_LENS = 0.05
 
 
-class FreeWaterStd(NamedTuple):
-    """Standard deviations of the parameters of water of which nothing is known."""
-
-    level_m: float
-    slope_x: float
-    slope_y: float
-    refractive_index: float
-
-
-# Too wide to affect a parameter that the block determines.
-FREE_WATER = FreeWaterStd(level_m=5.0, slope_x=0.05, slope_y=0.05, refractive_index=0.1)
+# Of water of which nothing is known, level [m], slopes and index: too wide to affect one that the block determines.
+FREE_WATER = (5.0, 0.05, 0.05, 0.1)
 # A lens by its data sheet: focal lengths are within 2 % of it, the principal point within 1 % of the longer side. At
 # the corner of the image each term of distortion moves a pixel by some of these shares of its distance from the middle
 # (docs/adjustment.md).
@@ -121,9 +112,17 @@ def prior_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKn
     contradiction = survey.provenance.contradiction
     exact = (free_water or contradiction is not None) and survey.observations.ties is None
     calibrated = exact and not (contradiction is not None and contradiction.is_of_lens)
-    common_up = 0.0 if free_water else _common_up_std(survey)
+    # What clicks in the photographs say of the level is as high as the block.
+    is_level_known = survey.provenance.is_level_known and all(
+        level.source != "clicks" for level in survey.observations.levels
+    )
+    shares_height = survey.water is not None and is_level_known and not free_water
+    common_up = shared_height_std(survey) if shares_height else 0.0
     positions, given_std, unknown = _positions(survey, state.centres, exact=exact, shares_height=common_up > 0.0)
-    position_std = np.where(_is_rejected(survey)[:, None], np.inf, given_std)
+    # Those that structure from motion contradicts count for nothing.
+    of_views = [survey.observations.priors.get(view.name) for view in survey.views]
+    rejected = np.array([prior is not None and prior.rejected is not None for prior in of_views], dtype=bool)
+    position_std = np.where(rejected[:, None], np.inf, given_std)
     rotation_std, unknown_rotations = _rotations(survey, exact=exact)
     rolls = rolls_of(survey)
     mean = replace(
@@ -174,8 +173,13 @@ def _start(survey: Survey, layout: Layout, lenses: tuple[Lens, ...], focals: np.
     """The state that a survey comes with, without points; ``focals`` as of `lenses_of`."""
     centres = np.array([view.camera.centre for view in survey.views])
     num_readouts = 0 if layout.velocity_per_row is None else len(lenses)
+    water = survey.water
+    if water is not None:
+        # With the reference point under the middle of the cameras level and slopes are separate.
+        x, y = centres[:, :2].mean(axis=0).tolist()
+        water = replace(water, point=(x, y, float(water.height(x, y))))
     return State(
-        _with_reference_under_cameras(survey, centres),
+        water,
         np.zeros(NUM_RELIEF),
         np.array([parameters_of(lens) for lens in lenses]),
         centres,
@@ -267,14 +271,6 @@ def _hours(survey: Survey) -> np.ndarray | None:
     return np.array([survey.observations.tide.hours[view.name] for view in survey.views])
 
 
-def _with_reference_under_cameras(survey: Survey, centres: np.ndarray):
-    """The water with its reference point under the middle of the cameras, where level and slopes are separate."""
-    if survey.water is None:
-        return None
-    x, y = centres[:, :2].mean(axis=0).tolist()
-    return replace(survey.water, point=(x, y, float(survey.water.height(x, y))))
-
-
 def parameters_of(lens: Lens) -> np.ndarray:
     """A lens as parameters (8,) of the adjustment."""
     if is_held(lens):
@@ -350,13 +346,6 @@ def shared_height_std(survey: Survey) -> float:
     return 0.0 if given.ties is None or is_held else common_up_std(given.priors)
 
 
-def _common_up_std(survey: Survey) -> float:
-    """See `PriorKnowledge.common_up_std`."""
-    # What clicks in the photographs say of the level is as high as the block.
-    is_clicked = any(level.source == "clicks" for level in survey.observations.levels)
-    return shared_height_std(survey) if survey.water and survey.provenance.is_level_known and not is_clicked else 0.0
-
-
 def _positions(survey: Survey, centres: np.ndarray, *, exact: bool, shares_height: bool):
     """Mean positions (V, 3), their standard deviations (V, 3), and which of these are not known (V,)."""
     positions, std = centres.copy(), np.full(centres.shape, np.inf)
@@ -376,12 +365,6 @@ def _positions(survey: Survey, centres: np.ndarray, *, exact: bool, shares_heigh
             unknown[number] = True
             std[number] = GPS_STD_M if survey.observations.ties is not None else _POSES_STD_M
     return positions, std, unknown
-
-
-def _is_rejected(survey: Survey) -> np.ndarray:
-    """Views (V,) bool whose position structure from motion contradicts."""
-    priors = [survey.observations.priors.get(view.name) for view in survey.views]
-    return np.array([prior is not None and prior.rejected is not None for prior in priors], dtype=bool)
 
 
 def _rotations(survey: Survey, *, exact: bool):

@@ -55,24 +55,16 @@ class Roll:
     std: float  # [rad]: of the roll by attitudes
     num_attitudes: int
 
-    def mean_roll(self, layout: Layout) -> np.ndarray:
-        """g (P,): the mean roll of the photographs by the parameters."""
-        return self._by_turns(layout, self.turns / len(self.views))
-
-    def roll_of_block(self, layout: Layout) -> np.ndarray:
-        """f (P,): what a roll of all photographs by one radian changes of the rotations."""
-        return self._by_turns(layout, self.turns)
+    def of_block(self, layout: Layout) -> np.ndarray:
+        """f (P,): what a roll of all photographs by one radian changes of the rotations; over their number it is g."""
+        vector = np.zeros(len(layout))
+        vector[layout.first_pose :].reshape(-1, NUM_POSE)[self.views, 3:] = self.turns
+        return vector
 
     def std_by(self, layout: Layout, covariance: np.ndarray) -> float:
         """Standard deviation [rad] of the roll after an adjustment with a covariance (P, P)."""
-        mean = self.mean_roll(layout)
+        mean = self.of_block(layout) / len(self.views)
         return math.sqrt(max(float(mean @ covariance @ mean), 0.0))
-
-    def _by_turns(self, layout: Layout, turns: np.ndarray) -> np.ndarray:
-        vector = np.zeros(len(layout))
-        poses = vector[layout.first_pose :].reshape(-1, NUM_POSE)
-        poses[self.views, 3:] = turns
-        return vector
 
 
 def rolls_of(survey: Survey) -> tuple[Roll, ...]:
@@ -99,10 +91,10 @@ def roll_priors(rolls: Sequence[Roll], layout: Layout, std: np.ndarray) -> tuple
     """
     rows = np.zeros((2 * len(rolls), len(layout)))
     for number, roll in enumerate(rolls):
-        direction = roll.roll_of_block(layout)
+        direction = roll.of_block(layout)
         strong = direction / std**2
         rows[2 * number] = strong / math.sqrt(float(direction @ strong))
-        rows[2 * number + 1] = roll.mean_roll(layout) / roll.std
+        rows[2 * number + 1] = direction / len(roll.views) / roll.std
     return rows, np.tile([-1.0, 1.0], len(rolls))
 
 

@@ -130,8 +130,8 @@ class FitStatistics:
     # num_points, num_left_out: Points used; observations left out as outliers
     num_points: int
     num_left_out: int
-    # (3,) or None: median standard deviation of the positions as they were used
-    gps_std_m: tuple[float, float, float] | None
+    # (east, north, up) or None: median standard deviation of the positions as they were used
+    gps_std_m: tuple[float, ...] | None
 
 
 @dataclass(frozen=True)
@@ -165,14 +165,12 @@ class Adjustment:
     def layout(self) -> Layout:
         """Layout of the parameters of `covariance`, which leaves out the rises of a rough bed."""
         aspect = np.array([lens.focal[1] / lens.focal[0] for lens in self.lenses])
-        names = {f"camera0.{READOUT_NAME}"}
-        finds_readouts = not names.isdisjoint(self.covariance.names)
         poses = self.poses
         return Layout(
             poses.lens_of,
             aspect,
             poses.velocity_per_row,
-            finds_readouts=finds_readouts,
+            finds_readouts=f"camera0.{READOUT_NAME}" in self.covariance.names,
             tides=poses.tides,
             hours=poses.hours,
             finds_focals=poses.focals is not None,

@@ -223,7 +223,18 @@ def rows_of(found: Foreseen, by_depth: Sequence[HeightStds]) -> tuple[tuple[str,
         f"where nothing is said, an index that is not given to {ASSUMED_INDEX_STD:g}, still and clear water "
         "without glitter"
     )
-    rows = [("overlap", _overlap_text(*found.views_of_place)), ("angles", _angles_text(found.angle_deg))]
+    low, median = found.views_of_place
+    overlap = verdict_text(
+        verdict_by_limits(low, *OVERLAP),
+        f"a point of the ground is seen in {median:.0f} photographs (median), the worst tenth in {low:.0f} or fewer",
+        "fly with 80 % forward and 70 % side overlap, or a smaller area",
+    )
+    angles = verdict_text(
+        verdict_by_limits(found.angle_deg, *ANGLES_DEG),
+        f"rays to a point intersect at up to {found.angle_deg:.0f} degrees (median)",
+        "add crossing views tilted by 25 to 35 degrees",
+    )
+    rows = [("overlap", overlap), ("angles", angles)]
     if is_wet:
         rows += [
             ("level", _use(f"to {100.0 * found.level_std_m:.1f} cm", found.level_std_m, MOST_STD_LEVEL_M)),
@@ -235,22 +246,6 @@ def rows_of(found: Foreseen, by_depth: Sequence[HeightStds]) -> tuple[tuple[str,
         ("assumed", assumed),
     ]
     return tuple(rows)
-
-
-def _overlap_text(low: float, median: float) -> str:
-    return verdict_text(
-        verdict_by_limits(low, *OVERLAP),
-        f"a point of the ground is seen in {median:.0f} photographs (median), the worst tenth in {low:.0f} or fewer",
-        "fly with 80 % forward and 70 % side overlap, or a smaller area",
-    )
-
-
-def _angles_text(angle_deg: float) -> str:
-    return verdict_text(
-        verdict_by_limits(angle_deg, *ANGLES_DEG),
-        f"rays to a point intersect at up to {angle_deg:.0f} degrees (median)",
-        "add crossing views tilted by 25 to 35 degrees",
-    )
 
 
 def _use(words: str, std: float, limit: float) -> str:

@@ -98,12 +98,7 @@ def common_error(found: Adjustment, water: FlatWater | None) -> CommonError | No
 def height_jacobian_over_area(found: Adjustment, water: FlatWater | None) -> np.ndarray:
     """Jacobian (K, P) of the heights of points spread over the area, by the parameters of the covariance."""
     ties = _places_of_mean(found)
-    return height_jacobian(found, water, ties) if len(ties) else np.zeros((0, len(found.covariance.matrix)))
-
-
-def height_jacobian(found: Adjustment, water: FlatWater | None, ties: TiePoints) -> np.ndarray:
-    """Jacobian (K, P) of the heights of places by the parameters of `Adjustment.covariance`."""
-    return place_jacobian(found, water, ties)[:, 2]
+    return place_jacobian(found, water, ties)[:, 2] if len(ties) else np.zeros((0, len(found.covariance.matrix)))
 
 
 def place_jacobian(found: Adjustment, water: FlatWater | None, ties: TiePoints) -> np.ndarray:
@@ -268,15 +263,10 @@ def places_of(xyz: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
         # One number for each square: rows of two take three times as long.
         number = square @ np.array([_SQUARES + 1.0, 1.0])
         found = np.stack([index, number, np.sum((within - 0.5) ** 2, axis=1)])
-        nearest = _first_of_squares(np.concatenate([nearest, found], axis=1))
+        found = np.concatenate([nearest, found], axis=1)
+        order = np.lexsort((found[0], found[2]))
+        nearest = found[:, order[np.unique(found[1, order], return_index=True)[1]]]
     return xyz[np.sort(nearest[0].astype(np.int64))]
-
-
-def _first_of_squares(found: np.ndarray) -> np.ndarray:
-    """The nearest of each square, by columns of index, square and distance."""
-    order = np.lexsort((found[0], found[2]))
-    _, first = np.unique(found[1, order], return_index=True)
-    return found[:, order[first]]
 
 
 def seen_places(places: np.ndarray, survey: Survey) -> TiePoints:

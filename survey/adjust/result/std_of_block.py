@@ -252,8 +252,9 @@ def parts_warning(found: Adjustment, water: FlatWater | None) -> list[str]:
     known = [part.to_first_std_m for part in parts if part.to_first_std_m is not None]
     by = f", which determine their relative height to {length(max(known))} (1 sigma)" if known else ""
     return [
-        f"the photographs fall into {len(parts)} parts without common points, of {_listed(sizes)} photographs: only "
-        f"positions, control and water connect them{by}; where they should be one block, fly more overlap between them"
+        f"the photographs fall into {len(parts)} parts without common points, of {', '.join(sizes[:-1])} and "
+        f"{sizes[-1]} photographs: only positions, control and water connect them{by}; where they should be one block, "
+        "fly more overlap between them"
     ]
 
 
@@ -277,7 +278,3 @@ def _runs(names: tuple[str, ...], views: np.ndarray) -> str:
 
 def _std(found: Adjustment, jacobian: np.ndarray) -> float:
     return math.sqrt(max(float(jacobian @ found.covariance.matrix @ jacobian), 0.0))
-
-
-def _listed(texts: list[str]) -> str:
-    return f"{', '.join(texts[:-1])} and {texts[-1]}"

@@ -55,20 +55,7 @@ class TvuBand:
 
 @dataclass(frozen=True)
 class TvuOrder:
-    """Fulfilment of one order of IHO S-44.
-
-    Attributes
-    ----------
-    meets_tvu : bool
-        Whether at least 95 % of all points, whatever their depth, are within the limit.
-    is_undecided : bool
-        Whether fewer are within, but the error of the reference may be the cause.
-    failing, undecided : tuple of TvuBand
-        Bands of at least `MIN_BAND_POINTS` points with less than 95 % within: those that fail whatever the error of
-        the reference, and those where it may be the cause.
-    meets_tvu_at_all_depths : bool
-        Whether 95 % are within, of all points and in each of those bands.
-    """
+    """Fulfilment of one order of IHO S-44."""
 
     name: str
     tvu_at_median_depth_m: float  # [m]: total vertical uncertainty that the order allows there
@@ -78,35 +65,34 @@ class TvuOrder:
 
     @property
     def meets_tvu(self) -> bool:
+        """Whether at least 95 % of all points, whatever their depth, are within the limit."""
         return self.share_within >= _TVU_SHARE
 
     @property
     def is_undecided(self) -> bool:
+        """Whether fewer are within, but the error of the reference may be the cause."""
         return self.share_within < _TVU_SHARE <= self.share_possible
 
     @property
     def failing(self) -> tuple[TvuBand, ...]:
+        """Bands of `MIN_BAND_POINTS` with less than 95 % within, whatever the error of the reference."""
         return tuple(b for b in self.bands if b.n_points >= MIN_BAND_POINTS and b.share_possible < _TVU_SHARE)
 
     @property
     def undecided(self) -> tuple[TvuBand, ...]:
+        """Such bands where the error of the reference may be the cause."""
         large = (b for b in self.bands if b.n_points >= MIN_BAND_POINTS)
         return tuple(b for b in large if b.share_within < _TVU_SHARE <= b.share_possible)
 
     @property
     def meets_tvu_at_all_depths(self) -> bool:
+        """Whether 95 % are within, of all points and in each of those bands."""
         return self.meets_tvu and not self.failing and not self.undecided
 
 
 @dataclass(frozen=True)
 class IhoS44:
-    """Orders of IHO S-44 whose total vertical uncertainty a cloud meets.
-
-    Attributes
-    ----------
-    strictest : TvuOrder or None
-        The first whose uncertainty is met at all depths.
-    """
+    """Orders of IHO S-44 whose total vertical uncertainty a cloud meets."""
 
     n_points: int  # Points under water with a known error
     error_95_m: float  # [m]: 95 % of the errors are smaller
@@ -115,6 +101,7 @@ class IhoS44:
 
     @property
     def strictest(self) -> TvuOrder | None:
+        """The first whose uncertainty is met at all depths."""
         return next((order for order in self.orders if order.meets_tvu_at_all_depths), None)
 
 

@@ -71,7 +71,7 @@ def vertical_difference(
     if grid is None:
         return difference
     cell = grid.cell_of(points[finite, :2])
-    inside = cell >= 0
+    inside = (cell >= 0) & (grid.start[cell + 1] > grid.start[cell])
     order = np.argsort(cell[inside], kind="stable")
     rows, cell = finite[inside][order], cell[inside][order]
     counts = grid.start[cell + 1] - grid.start[cell]
@@ -136,14 +136,7 @@ class _Grid:
         return cell_numbers((plan - self.low) / self.cell, self.shape)
 
     def nearest_in_height(self, points: np.ndarray, cell: np.ndarray, counts: np.ndarray) -> np.ndarray:
-        """Difference (N,) of points in cells of ``counts`` triangles each; NaN where that is none."""
-        result = np.full(len(points), np.nan)
-        held = np.flatnonzero(counts)
-        if len(held):
-            result[held] = self._nearest_in_height(points[held], cell[held], counts[held])
-        return result
-
-    def _nearest_in_height(self, points: np.ndarray, cell: np.ndarray, counts: np.ndarray) -> np.ndarray:
+        """Difference (N,) of points in cells of ``counts`` triangles each, one at least."""
         starts = np.cumsum(counts) - counts
         point = np.repeat(np.arange(len(points)), counts)
         face = self.faces[self.start[cell][point] + np.arange(counts.sum()) - starts[point]]

@@ -9,6 +9,8 @@ colour  f_c = [G_n W_n] with one appearance vector W_n per scale; c = CRN(f_c, S
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import torch
 from torch import Tensor, nn
 
@@ -147,6 +149,12 @@ class ColourHead(nn.Module):
         gelu = nn.functional.gelu
         hidden = gelu(self.middle(gelu(torch.addmm(start, features, weighted))))
         return nn.functional.softplus(self.last(hidden), beta=4.0)
+
+
+def perceptron(*widths: int, activation: type[nn.Module] = nn.ReLU) -> nn.Sequential:
+    """Linear maps from width to width, with an activation after each but the last."""
+    maps = [layer for width in pairwise(widths) for layer in (nn.Linear(*width), activation())]
+    return nn.Sequential(*maps[:-1])
 
 
 def seen_radiance(

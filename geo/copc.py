@@ -87,7 +87,8 @@ def build_octree(columns: Sequence[np.ndarray], per_unit: Sequence[int] = (1, 1,
         nodes = code[taken] >> 3 * (bits - level)
         first = _starts(nodes)
         order.append(remaining[taken])
-        keys.append(_keys(nodes[first], level))
+        places = (_gather(nodes[first] >> axis) for axis in range(3))
+        keys.append(np.stack([np.full(len(first), level), *places], axis=1).astype("<i4"))
         counts.append(np.diff(np.append(first, len(nodes))))
         remaining, code = remaining[~taken], code[~taken]
         if not len(remaining):
@@ -111,11 +112,6 @@ def _taken(code: np.ndarray, bits: int, level: int, rng: np.random.Generator) ->
 def _starts(sorted_values: np.ndarray) -> np.ndarray:
     """Starts of runs of equal values."""
     return np.flatnonzero(np.append(True, sorted_values[1:] != sorted_values[:-1]))
-
-
-def _keys(nodes: np.ndarray, level: int) -> np.ndarray:
-    """Level, x, y, z (M, 4) of nodes by their codes (M,)."""
-    return np.stack([np.full(len(nodes), level), *(_gather(nodes >> axis) for axis in range(3))], axis=1).astype("<i4")
 
 
 _SPREADING = (

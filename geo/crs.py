@@ -238,7 +238,9 @@ def wkt1(crs: CRS) -> str:
     """
     try:
         if has_height(crs) and not _unbound(crs).is_compound:
-            return _wkt1_of_3d(crs)
+            horizontal = horizontal_crs(crs)
+            name = f"{horizontal.name} + Ellipsoid ({crs.axis_info[2].unit_name})"
+            return f'COMPD_CS["{name}",{horizontal.to_wkt("WKT1_GDAL")},{ellipsoidal_wkt1(crs)}]'
         return _unbound(crs).to_wkt("WKT1_GDAL")
     except (CRSError, ProjError) as error:
         raise UnsupportedCRS(
@@ -253,12 +255,6 @@ def ellipsoidal_wkt1(crs: CRS) -> str:
     authority = ',AUTHORITY["EPSG","9001"]' if axis.unit_name == "metre" else ""
     unit = f'UNIT["{axis.unit_name}",{axis.unit_conversion_factor:.15g}{authority}]'
     return f'VERT_CS["Ellipsoid ({axis.unit_name})",VERT_DATUM["Ellipsoid",2002],{unit},AXIS["Up",UP]]'
-
-
-def _wkt1_of_3d(crs: CRS) -> str:
-    horizontal = horizontal_crs(crs)
-    name = f"{horizontal.name} + Ellipsoid ({crs.axis_info[2].unit_name})"
-    return f'COMPD_CS["{name}",{horizontal.to_wkt("WKT1_GDAL")},{ellipsoidal_wkt1(crs)}]'
 
 
 def middle_lon_lat(lon_lat_deg: np.ndarray) -> np.ndarray:

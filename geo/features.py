@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -58,7 +58,11 @@ class Feature:
 
     def parts(self) -> Iterator[BaseGeometry]:
         """The points, lines and polygons that the geometry consists of."""
-        yield from _parts(self.geometry)
+        if isinstance(self.geometry, BaseMultipartGeometry):
+            for each in self.geometry.geoms:
+                yield from replace(self, geometry=each).parts()
+        elif not self.geometry.is_empty:
+            yield self.geometry
 
 
 @dataclass(frozen=True)
@@ -133,14 +137,6 @@ def in_horizontal_crs(geometry: BaseGeometry, source: CRS, target: CRS, path: Pa
     if not np.isfinite(shapely.get_coordinates(geometry)).all():
         raise UnreadableFile(f"{path} has corners that are not on the map of {target.name}; correct them or its CRS.")
     return geometry
-
-
-def _parts(geometry: BaseGeometry) -> Iterator[BaseGeometry]:
-    if isinstance(geometry, BaseMultipartGeometry):
-        for each in geometry.geoms:
-            yield from _parts(each)
-    elif not geometry.is_empty:
-        yield geometry
 
 
 def _of_geojson(path: Path) -> Features:
@@ -226,7 +222,9 @@ def _by_gdal(path: Path, layer: str | None) -> Features:
     geometries = shapely.from_wkb(shapes, on_invalid="ignore")
     features = (Feature(each, row) for each, row in zip(geometries, rows, strict=True) if each is not None)
     crs = None if meta["crs"] is None else CRS.from_user_input(meta["crs"])
-    return Features(tuple(features), crs, _unit_of_drawing(path) if path.suffix.lower() == ".dxf" else None)
+    with path.open("rb") as stream:
+        stated = _UNIT_OF_DRAWING.search(stream.read(_HEAD_BYTES)) if path.suffix.lower() == ".dxf" else None
+    return Features(tuple(features), crs, None if stated is None else UNITS_OF_DRAWINGS.get(int(stated[1])))
 
 
 def _layer(pyogrio: ModuleType, path: Path, layer: str | None) -> str:
@@ -245,10 +243,3 @@ def _layer(pyogrio: ModuleType, path: Path, layer: str | None) -> str:
             f"{path} has {len(kinds)} layers, {listed}; name the one that counts, as {path.name}:{next(iter(kinds))}."
         )
     return next(iter(kinds))
-
-
-def _unit_of_drawing(path: Path) -> float | None:
-    """The unit that a drawing states for its coordinates [m]; None where it states none."""
-    with path.open("rb") as stream:
-        found = _UNIT_OF_DRAWING.search(stream.read(_HEAD_BYTES))
-    return None if found is None else UNITS_OF_DRAWINGS.get(int(found[1]))

@@ -36,17 +36,10 @@ class LocalFrame:
     Use one frame per thread: PROJ's transformations must not be shared between threads. Raises MissingVerticalDatum or
     UnsupportedCRS as `geo.crs.parse_crs`; PlaceMismatch if the origin is not finite, not on the map, or more than 10
     degrees outside the area that the CRS is made for.
-
-    Parameters
-    ----------
-    crs : pyproj.CRS
-        Compound (horizontal + vertical) or 3D, see `geo.crs.parse_crs`.
-    origin : (easting or longitude, northing or latitude, height), in crs
-        Becomes (0, 0, 0).
     """
 
-    crs: CRS
-    origin: tuple[float, float, float]
+    crs: CRS  # Compound (horizontal + vertical) or 3D, see `geo.crs.parse_crs`
+    origin: tuple[float, float, float]  # easting or longitude, northing or latitude, height: becomes (0, 0, 0)
     _map: MapProjection = field(init=False, repr=False, compare=False)
     _origin_lon: float = field(init=False, repr=False, compare=False)
     _origin_geocentric: np.ndarray = field(init=False, repr=False, compare=False)

@@ -81,15 +81,9 @@ def enu_from_geocentric(lon, lat) -> np.ndarray:
 
 @dataclass(frozen=True)
 class MapProjection:
-    """The map projection of a CRS with heights, in float64.
+    """The map projection of a CRS with heights, in float64."""
 
-    Parameters
-    ----------
-    crs : pyproj.CRS
-        As `geo.crs.parse_crs` returns it.
-    """
-
-    crs: CRS
+    crs: CRS  # As `geo.crs.parse_crs` returns it
     # a, b [m]: Semi-axes of the ellipsoid
     a: float = field(init=False)
     b: float = field(init=False)

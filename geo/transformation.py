@@ -153,15 +153,11 @@ def height_scale(source: CRS, target: CRS, subject: str, *, unit_m: float | None
         return 1.0
     if is_geographic(source):
         return 1.0 / height_unit_m(target)
-    plan, axis, ours = (
-        crs_name(horizontal_crs(source)),
-        horizontal_crs(source).axis_info[0].unit_name,
-        target.axis_info[2],
-    )
+    plan = horizontal_crs(source)
     raise UnknownUnit(
-        f"{subject} have no unit: {plan} counts east and north in {axis}, and heights of the survey are in "
-        f"{ours.unit_name}; name the CRS with its vertical part, whose unit counts (of heights above NAVD 88: +5703 in "
-        "metres, +8228 in feet, +6360 in US survey feet)"
+        f"{subject} have no unit: {crs_name(plan)} counts east and north in {plan.axis_info[0].unit_name}, and heights "
+        f"of the survey are in {target.axis_info[2].unit_name}; name the CRS with its vertical part, whose unit counts "
+        "(of heights above NAVD 88: +5703 in metres, +8228 in feet, +6360 in US survey feet)"
     )
 
 
@@ -244,7 +240,7 @@ def middle_of(source: CRS, places: np.ndarray) -> np.ndarray | None:
         return None
     own = places[:, :2]
     if not source.is_geographic:
-        own = np.column_stack(_in_one_datum(source, geodetic_crs(source)).transform(*own.T))
+        own = np.column_stack(_projection(source.srs, geodetic_crs(source).srs).transform(*own.T))
     known = np.isfinite(own).all(axis=1)
     if not known.any():
         return None
@@ -252,13 +248,9 @@ def middle_of(source: CRS, places: np.ndarray) -> np.ndarray | None:
     return middle_lon_lat(np.degrees(own[known] * unit))
 
 
-def _in_one_datum(source: CRS, target: CRS) -> Transformer:
-    """Transformer between the grid of a CRS and its own longitudes and latitudes."""
-    return _projection(source.srs, target.srs)
-
-
 @lru_cache(maxsize=64)
 def _projection(source: str, target: str) -> Transformer:
+    """Transformer between the grid of a CRS and its own longitudes and latitudes, by their texts."""
     return Transformer.from_crs(source, target, always_xy=True)
 
 
@@ -299,10 +291,10 @@ def _spread_m(candidates: list[Transformer], source: CRS, target: CRS, middle: n
         return None
     x, y = middle
     if not source.is_geographic:
-        x, y = _in_one_datum(geodetic_crs(source), source).transform(x, y)
+        x, y = _projection(geodetic_crs(source).srs, source.srs).transform(x, y)
     places = np.array([each.transform(x, y) for each in rated])
     if not target.is_geographic:
-        places = np.column_stack(_in_one_datum(target, geodetic_crs(target)).transform(*places.T))
+        places = np.column_stack(_projection(target.srs, geodetic_crs(target).srs).transform(*places.T))
     unit = geodetic_crs(target).axis_info[0].unit_conversion_factor
     offsets = (places - places[rated.index(candidates[0])]) * unit * EARTH_RADIUS_M
     offsets[:, 0] *= np.cos(places[:, 1] * unit)
@@ -317,10 +309,10 @@ def _keeps_degrees(source: CRS, target: CRS, transformer: Transformer, middle: n
         return False
     x, y = middle
     if not source.is_geographic:
-        x, y = _in_one_datum(ends[0], source).transform(x, y)
+        x, y = _projection(ends[0].srs, source.srs).transform(x, y)
     x, y = transformer.transform(x, y)
     if not target.is_geographic:
-        x, y = _in_one_datum(target, ends[1]).transform(x, y)
+        x, y = _projection(target.srs, ends[1].srs).transform(x, y)
     return bool(np.abs(np.array([x, y]) - middle).max() < _UNCHANGED_DEG)
 
 

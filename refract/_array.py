@@ -38,13 +38,9 @@ _NUMPY = SimpleNamespace(
     orders=1,
     fixed=lambda x: x,
     tracked=lambda *arrays: False,
-    same=lambda mask: _same(mask),
+    same=lambda mask: True if mask.all() else None if mask.any() else False,
     none=lambda mask: not mask.any(),
 )  # fmt: skip
-
-
-def _same(mask) -> bool | None:
-    return True if mask.all() else None if mask.any() else False
 
 
 def quiet(function):

@@ -43,36 +43,24 @@ class PinholeCamera:
 
     Raises ValueError if a shape is wrong, the centre is not finite, `cam_from_local` is not a right-handed rotation, or
     a focal length or the image size is not positive.
-
-    Attributes
-    ----------
-    centre : (3,) float64 [m], local
-    cam_from_local : (3, 3) float64
-        Rotation; camera axes are x right, y down, z forward.
-    fx, fy, cx, cy : [px]
-        The centre of the first pixel is at (0.5, 0.5).
-    width, height : [px]
-    distortion : Distortion or None
-        None for a pinhole. Pixels are those of the photograph as it was taken.
-    motion : (3,) float64 [m/px], local, or None
-        How far the camera flies, without turning, from one row of a rolling shutter to the next: velocity times
-        readout time over the rows from the first to the last. `centre` is its place at the row `cy`. None for a
-        global shutter.
-    tide : [m]
-        Height of the water, when the photograph was taken, above the `water` that `paths` and `project` are called
-        with. Points and heights are the same for all photographs, whatever their tide.
     """
 
-    centre: np.ndarray
-    cam_from_local: np.ndarray
+    centre: np.ndarray  # (3,) float64 [m], local
+    cam_from_local: np.ndarray  # (3, 3) float64: rotation; camera axes are x right, y down, z forward
+    # fx, fy, cx, cy, width, height [px]: the centre of the first pixel is at (0.5, 0.5)
     fx: float
     fy: float
     cx: float
     cy: float
     width: int
     height: int
-    distortion: Distortion | None = None
+    distortion: Distortion | None = None  # None for a pinhole; pixels are those of the photograph as it was taken
+    # (3,) float64 [m/px], local, or None: how far the camera flies, without turning, from one row of a rolling shutter
+    # to the next: velocity times readout time over the rows from the first to the last. `centre` is its place at the
+    # row `cy`. None for a global shutter
     motion: np.ndarray | None = None
+    # [m]: height of the water, when the photograph was taken, above the `water` that `paths` and `project` are called
+    # with. Points and heights are the same for all photographs, whatever their tide
     tide: float = 0.0
 
     def __post_init__(self):

@@ -52,16 +52,11 @@ class Distortion:
     """The distortion of a lens.
 
     Raises ValueError if the kind is not known, or the number of coefficients is not that of the kind.
-
-    Attributes
-    ----------
-    kind : "brown", "rational", "fisheye" or "affine"
-    coefficients : tuple of float
-        In OpenCV's order: k1 k2 p1 p2 k3 of brown, and k4 k5 k6 more of rational; k1 k2 k3 k4 of fisheye. Of affine
-        those of brown, k4 for the eighth power of the radius, and the skew: x grows by skew times y, both distorted.
     """
 
-    kind: str
+    kind: str  # "brown", "rational", "fisheye" or "affine"
+    # In OpenCV's order: k1 k2 p1 p2 k3 of brown, and k4 k5 k6 more of rational; k1 k2 k3 k4 of fisheye. Of affine
+    # those of brown, k4 for the eighth power of the radius, and the skew: x grows by skew times y, both distorted
     coefficients: tuple[float, ...]
 
     def __post_init__(self):

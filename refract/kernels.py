@@ -201,7 +201,10 @@ def air_share(D_squared, H, h, n, steps, like=None):
         return in_blocks(lambda *block: (_solved(xp, block, steps, like),), *terms)[0]
     if not xp.tracked(*terms):
         return _solved(xp, terms, steps, like)
-    return _attached(_solved(xp, terms, max(steps - 1, 0), like), *terms)
+    # One more step, with its derivatives.
+    u = _solved(xp, terms, max(steps - 1, 0), like)
+    r = xp.rsqrt(_square(u, *terms))
+    return u - _halley(_left(u, r, *terms), u, r, *terms)
 
 
 def _solved(xp, terms, steps, like):
@@ -259,12 +262,6 @@ def _halley(left, u, r, a, b_squared, h):
     bend = near * (h * r)
     slope = 1.0 + bend
     return left * slope / fma(left, 1.5 * bend * far, slope * slope)
-
-
-def _attached(u, a, b_squared, h):
-    """The root after one more step from ``u``, with its derivatives."""
-    r = namespace(a, b_squared, h).rsqrt(_square(u, a, b_squared, h))
-    return u - _halley(_left(u, r, a, b_squared, h), u, r, a, b_squared, h)
 
 
 class WaterPlane(NamedTuple):

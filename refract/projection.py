@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, final
 
 from refract import kernels
@@ -21,17 +21,7 @@ _NO_LEG = 1e-200
 @final
 @dataclass(frozen=True)
 class Projection:
-    """Projection of points through the water; arrays of the library and precision of the points, local frame.
-
-    Crossing and lengths are computed when they are asked for.
-
-    Attributes
-    ----------
-    crossing : (..., 3) [m]
-        Where the ray meets the surface; the point itself where the ray is straight.
-    air_length, water_length : (...) [m]
-        Of the two legs; a straight ray is all air, or, from a camera under water to a wet point, all water.
-    """
+    """Projection of points through the water; arrays of the library and precision of the points, local frame."""
 
     direction: Any  # (..., 3) unit: from the camera toward where the point appears; NaN where it cannot be seen
     # (...) [m]: of the point below the surface, along the normal of a plane, vertical for a curved surface; zero
@@ -39,35 +29,10 @@ class Projection:
     depth: Any
     wet: Any  # (...) bool: the point is below the surface
     under_water: Any  # (...) bool: the camera is on or below the surface
-    # Where all is in reach; the point; the legs to the crossing and on to the point; `_measured` of the first.
-    _valid: Any = field(repr=False)
-    _point: tuple[Any, Any, Any] = field(repr=False)
-    _legs: tuple = field(repr=False)
-    _first: tuple = field(repr=False)
-
-    @property
-    @quiet
-    def crossing(self):
-        """See the class."""
-        return _stacked(self._valid, kernels.minus(self._point, self._legs[1]), self.depth)
-
-    @property
-    @quiet
-    def air_length(self):
-        """See the class."""
-        return self._select(0.0, _length(*self._first))
-
-    @property
-    @quiet
-    def water_length(self):
-        """See the class."""
-        return self._select(_length(*self._first), _length(*_measured(self._legs[1])))
-
-    def _select(self, sunk, others):
-        """``sunk`` where the camera is under water and the ray straight, ``others`` elsewhere, NaN where invalid."""
-        xp = namespace(self.depth)
-        number = xp.where(self.wet & self.under_water, sunk, others)
-        return xp.where(self._valid, xp.like(number, self.depth), math.nan)
+    crossing: Any  # (..., 3) [m]: where the ray meets the surface; the point itself where the ray is straight
+    # (...) [m]: of the two legs; a straight ray is all air, or, from a camera under water to a wet point, all water
+    air_length: Any
+    water_length: Any
 
     @property
     def regime(self):
@@ -84,15 +49,12 @@ class Projection:
 
 
 def _measured(leg):
-    """Square of the length of a leg, and one over the length; one where there is no leg."""
+    """Length of a leg, zero without gradient where there is none, one over it, or one, and whether there is one."""
     xp = namespace(*leg)
     squared = kernels.dot(leg, leg)
-    return squared, xp.rsqrt(xp.where(squared < _NO_LEG, 1.0, squared))
-
-
-def _length(squared, inverse):
-    """The length of a leg, zero without gradient where there is none."""
-    return namespace(squared).where(squared < _NO_LEG, 0.0, squared * inverse)
+    is_leg = ~(squared < _NO_LEG)
+    inverse = xp.rsqrt(xp.where(is_leg, squared, 1.0))
+    return xp.where(is_leg, squared * inverse, 0.0), inverse, is_leg
 
 
 def _stacked(keep, triple, like):
@@ -132,16 +94,14 @@ def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_
     valid, point, centre = _ends(point, centre, surface)
     legs, depth, below = _legs(point, centre, surface, steps)
     xp = namespace(depth)
-    wet = valid & (depth > 0.0)
-    squared, inverse = _measured(legs[0])
-    seen = valid & ~(squared < _NO_LEG)
-    direction = _stacked(seen, tuple(c * inverse for c in legs[0]), point[0])
-    depth = xp.where(valid, xp.like(depth, point[0]), math.nan)
-    numbers = depth, wet, valid & below
-    numbers = spread(*numbers, direction[..., 0])[:3]
-    return Projection(
-        direction, *numbers, _valid=valid, _point=kernels.double(point), _legs=legs, _first=(squared, inverse)
-    )
+    wet, below = valid & (depth > 0.0), valid & below
+    (air, inverse, is_leg), (water, _, _) = map(_measured, legs)
+    direction = _stacked(valid & is_leg, tuple(c * inverse for c in legs[0]), point[0])
+    crossing = _stacked(valid, kernels.minus(kernels.double(point), legs[1]), point[0])
+    lengths = xp.where(wet & below, 0.0, air), xp.where(wet & below, air, water)
+    depth, *lengths = (xp.where(valid, xp.like(v, point[0]), math.nan) for v in (depth, *lengths))
+    depth, wet, below, air, water, _ = spread(depth, wet, below, *lengths, direction[..., 0])
+    return Projection(direction, depth, wet, below, crossing, air, water)
 
 
 def _ends(point, centre, surface):

@@ -112,20 +112,12 @@ class FlatWater:
     let gradients flow to level, tilt and index; the rays must then be tensors, too. Raises ValueError if the index is
     outside 1 to 2, or a number is not finite. Numbers inside a transform of torch, which cannot be read, are not
     checked.
-
-    Parameters
-    ----------
-    point : (3,) [m], local
-        Any point of the surface.
-    n_water : [-]
-        Refractive index of the water relative to the air above it, at least 1.
-    slope_x, slope_y : [-]
-        Rise of the surface per metre along local x and y.
     """
 
-    point: tuple[Any, Any, Any]
+    point: tuple[Any, Any, Any]  # (3,) [m], local: any point of the surface
     _: KW_ONLY
-    n_water: Any = 1.333
+    n_water: Any = 1.333  # [-]: refractive index of the water relative to the air above it, at least 1
+    # slope_x, slope_y [-]: rise of the surface per metre along local x and y
     slope_x: Any = 0.0
     slope_y: Any = 0.0
 

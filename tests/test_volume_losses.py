@@ -78,7 +78,7 @@ def opacity_is(formula) -> AnalyticVolume:
 def test_even_density_costs_nothing_however_high_it_is():
     for density in (0.0, 3.0, 1e6):
         drawn = draw_nodes(AnalyticVolume(lambda x, d=density: torch.full((len(x),), d)), LENGTH)
-        assert number(density_loss(drawn)) == 0.0
+        assert number(density_loss(*drawn)) == 0.0
 
 
 def test_the_density_loss_of_a_ramp_is_its_closed_form():
@@ -86,25 +86,25 @@ def test_the_density_loss_of_a_ramp_is_its_closed_form():
     model = opacity_is(lambda x: 0.5 + x @ slope)
     torch.manual_seed(0)
     drawn = draw_nodes(model, LENGTH, drawn=4000, points=8)
-    torch.testing.assert_close(drawn.gradient.mean(dim=(0, 1)), LENGTH * slope, rtol=1e-5, atol=1e-7)  # float32 places
+    torch.testing.assert_close(drawn[1].mean(dim=(0, 1)), LENGTH * slope, rtol=1e-5, atol=1e-7)  # float32 places
     node = 2.0 / torch.tensor(BOX.counts(NODES))
     variance = number((slope**2 * node**2 / 12.0).sum()) * 7 / 8
     expected = number(torch.expm1(LENGTH * slope.abs()).mean()) + math.expm1(variance)
     # The variance is a mean over 4000 nodes: 1 % of a term that is a hundredth of the sum.
-    assert number(density_loss(drawn)) == pytest.approx(expected, rel=1e-3)
+    assert number(density_loss(*drawn)) == pytest.approx(expected, rel=1e-3)
 
 
 def test_the_density_loss_stays_finite_at_an_opaque_wall():
     drawn = draw_nodes(floor_at(0.0, width=1e-6, density=1e6), LENGTH)
-    assert number(drawn.gradient.abs().max()) <= 1.0
-    assert number(density_loss(drawn)) < math.e
+    assert number(drawn[1].abs().max()) <= 1.0
+    assert number(density_loss(*drawn)) < math.e
 
 
 def test_gradients_of_the_density_losses_are_those_of_finite_differences():
     def loss(slope: torch.Tensor) -> torch.Tensor:
         model = opacity_is(lambda x: 0.5 + 0.2 * torch.sin(x @ slope))
         torch.manual_seed(3)
-        return density_loss(draw_nodes(model, LENGTH, drawn=4, points=3)) + gaussian_density_loss(
+        return density_loss(*draw_nodes(model, LENGTH, drawn=4, points=3)) + gaussian_density_loss(
             model, LENGTH, points=5
         )
 

@@ -153,9 +153,9 @@ def test_points_that_a_virtual_view_cannot_see_are_left_out():
     paths, cells = seen_by(looking_down(), None), Cells.everywhere(BOX, 16)
     renderer = VolumeRenderer(floor_at(0.0))
     rendered = renderer.render(paths, cells.samples(paths, 64, jitter=False))
-    assert virtual_view(renderer, paths, rendered, cells, None).shown.float().mean() > 0.9
+    assert virtual_view(renderer, paths, rendered, cells, None)[1].float().mean() > 0.9
     # Weights moved 0.6 m below the floor: every virtual view stops at the floor before it.
     rendered.samples.edges += 0.6
-    assert not virtual_view(renderer, paths, rendered, cells, None).shown.any()
+    assert not virtual_view(renderer, paths, rendered, cells, None)[1].any()
     rendered.weights.data.zero_()
-    assert not virtual_view(renderer, paths, rendered, cells, None).shown.any()
+    assert not virtual_view(renderer, paths, rendered, cells, None)[1].any()

@@ -10,7 +10,7 @@ import torch
 from analytic_volume import BOX, WATER, floor_at, looking_down, seen_by
 
 from fields.volume.paths import Paths
-from fields.volume.photographs import COLUMNS, Photographs, PriorImages, Priors
+from fields.volume.photographs import COLUMNS, Photographs, PriorImages, prior_columns
 from fields.volume.prior_losses import (
     fit_views,
     normal_prior_loss,
@@ -45,13 +45,13 @@ def test_priors_travel_with_the_pixels_that_they_were_given_for():
     normal = np.broadcast_to([0.0, 0.6, 0.8], (8, 8, 3))
     known = [PriorImages(depth=index), PriorImages(normal=normal)]
     paths = Photographs(cameras, images, [np.arange(64)] * 2, priors=known).draw(200, BOX, np.random.default_rng(0))
-    priors = Priors.of(paths.priors)
+    terms, _, normals = prior_columns(paths)
     first = paths.view == 0
     pixel = torch.round(255.0 * paths.rgb[:, 0])
-    torch.testing.assert_close(priors.terms[first, 0] / priors.terms[first, 1], pixel[first])
-    assert priors.terms[~first].isnan().all()
-    assert priors.normal[first].isnan().all()
-    assert torch.equal(priors.normal[~first], torch.tensor([0.0, 0.6, 0.8]).expand(int((~first).sum()), 3))
+    torch.testing.assert_close(terms[first, 0] / terms[first, 1], pixel[first])
+    assert terms[~first].isnan().all()
+    assert normals[first].isnan().all()
+    assert torch.equal(normals[~first], torch.tensor([0.0, 0.6, 0.8]).expand(int((~first).sum()), 3))
 
 
 def test_paths_without_priors_carry_no_columns_and_a_loss_on_them_says_so():

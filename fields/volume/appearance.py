@@ -37,7 +37,6 @@ def appearance_vectors(photographs: int, length: int) -> nn.Embedding:
     return vectors
 
 
-@half_the_threads()
 def match_appearance(
     renderer: VolumeRenderer,
     photographs: Photographs,
@@ -64,37 +63,33 @@ def match_appearance(
     nn.Embedding
         A vector for each of the photographs; give it to the renderer as its ``appearance`` to see it with them.
     """
-    own = renderer.appearance
-    if own is None:
-        raise ValueError("the volume has no appearance vectors to match; train it with `appearance_vectors`")
-    rng = np.random.default_rng(seed)
-    place = renderer.model.place
-    vectors = appearance_vectors(len(photographs.cameras), own.embedding_dim).to(place)
-    vectors.weight.data += own.weight.detach().mean(dim=0)
-    fit_vectors(
-        renderer, vectors, cells, lambda: photographs.draw(rays, renderer.model.box, rng), steps=steps, seed=seed
+    rng, count = np.random.default_rng(seed), len(photographs.cameras)
+    return fitted_vectors(
+        renderer, count, cells, lambda: photographs.draw(rays, renderer.model.box, rng), steps=steps, seed=seed
     )
-    return vectors
 
 
-def fit_vectors(
+@half_the_threads()
+def fitted_vectors(
     renderer: VolumeRenderer,
-    vectors: nn.Embedding,
+    count: int,
     cells: Cells,
     draw: Callable[[], Paths],
     *,
     steps: int,
     seed: int = 0,
-) -> None:
-    """Fit vectors so that a trained volume has the colours of paths that are drawn anew in each step; all else stays.
+) -> nn.Embedding:
+    """Vectors, so many, with which a trained volume has the colours of paths that are drawn anew in each step.
 
-    Parameters
-    ----------
-    vectors : nn.Embedding
-        In place of the volume's own; `Paths.view` counts them.
+    `Paths.view` counts them. They begin as the mean of the volume's own vectors; all else stays. Raises ValueError if
+    it has none.
     """
-    torch.manual_seed(seed)
     own, place, cells = renderer.appearance, renderer.model.place, cells.to(renderer.model.place)
+    if own is None:
+        raise ValueError("the volume has no appearance vectors to match; train it with `appearance_vectors`")
+    vectors = appearance_vectors(count, own.embedding_dim).to(place)
+    vectors.weight.data += own.weight.detach().mean(dim=0)
+    torch.manual_seed(seed)
     optimiser = torch.optim.Adam(vectors.parameters(), lr=0.05)
     falling = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
     renderer.appearance = vectors
@@ -109,3 +104,4 @@ def fit_vectors(
             falling.step()
     finally:
         renderer.appearance = own
+    return vectors

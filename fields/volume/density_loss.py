@@ -18,7 +18,6 @@ over a cell in place of the unit of its scenes.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -32,14 +31,6 @@ NODES, DRAWN, POINTS = 16, 128, 8
 PAIRS = 4
 # Above this exponent, exp is replaced by its tangent.
 LIMIT = 5.0
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """Opacity and its gradient at points (P) drawn in nodes (M) of a grid."""
-
-    opacity: Tensor  # (M, P): equation (1)
-    gradient: Tensor  # (M, P, 3): ``l grad a``, by central differences over l; each component within 1
 
 
 def opacity(model: VolumeModel, x: Tensor, length: float) -> Tensor:
@@ -60,8 +51,11 @@ def draw_nodes(
     drawn: int = DRAWN,
     points: int = POINTS,
     of: Callable[[VolumeModel, Tensor, float], Tensor] = opacity,
-) -> Drawn:
-    """Opacities (or ``of``) and gradients at points drawn uniformly in nodes, themselves drawn; ``length`` is l [m]."""
+) -> tuple[Tensor, Tensor]:
+    """Opacities (M, P), or ``of``, and gradients (M, P, 3) at points drawn uniformly in nodes, themselves drawn.
+
+    ``length`` is l [m]; the gradients are ``l grad a``, by central differences over l, each component within 1.
+    """
     counts = model.box.counts(NODES)
     place = model.place
     node = torch.randint(0, int(np.prod(counts)), (drawn,), device=place)
@@ -71,20 +65,19 @@ def draw_nodes(
     axes = torch.eye(3, device=place)
     offsets = 0.5 * length * torch.cat([axes.new_zeros(1, 3), axes, -axes])
     middle, after, before = of(model, x[:, :, None] + offsets, length).split([1, 3, 3], dim=2)
-    return Drawn(middle[:, :, 0], after - before)
+    return middle[:, :, 0], after - before
 
 
-def density_loss(drawn: Drawn) -> Tensor:
-    """Equation (2): l1 of the exponentials of gradient and variance."""
-    variance = drawn.opacity.var(dim=1, correction=0)
-    return torch.expm1(drawn.gradient.abs()).mean() + torch.expm1(variance).mean()
+def density_loss(opacities: Tensor, gradient: Tensor) -> Tensor:
+    """Equation (2): l1 of the exponentials of gradient and variance, of what `draw_nodes` gives."""
+    return torch.expm1(gradient.abs()).mean() + torch.expm1(opacities.var(dim=1, correction=0)).mean()
 
 
 def printed_density_loss(model: VolumeModel, length: float, *, drawn: int = DRAWN, points: int = POINTS) -> Tensor:
     """Equation (4), with central differences over ``length`` [m]."""
-    found = draw_nodes(model, length, drawn=drawn, points=points, of=density_per_half)
-    gradient = found.gradient.abs() * (0.5 * model.box.edge / length)
-    return limited_exp(gradient).mean() + limited_exp(found.opacity.var(dim=1, correction=0)).mean()
+    density, gradient = draw_nodes(model, length, drawn=drawn, points=points, of=density_per_half)
+    gradient = gradient.abs() * (0.5 * model.box.edge / length)
+    return limited_exp(gradient).mean() + limited_exp(density.var(dim=1, correction=0)).mean()
 
 
 def limited_exp(x: Tensor) -> Tensor:

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 from fields.device import Device
 from fields.factors import Factors, geometric_scales
-from fields.heads import spherical_harmonics
+from fields.heads import perceptron, spherical_harmonics
 from fields.training import Rates
 from fields.volume.mlp import encoded_length, frequency_encoding
 from fields.volume.model import Setup, VolumeModel, density_of
@@ -62,7 +62,7 @@ class GroundPlaneVolume(VolumeModel):
         nn.init.ones_(self.density.weight)
         nn.init.zeros_(self.density.bias)
         seen = (settings.degree + 1) ** 2 - 1 + appearance
-        self.colour = nn.Sequential(nn.Linear(width + seen, hidden), nn.ReLU(), nn.Linear(hidden, 3))
+        self.colour = perceptron(width + seen, hidden, 3)
         inside = width + encoded_length(settings.frequencies)
         self.nerf = nn.Sequential(nn.Linear(inside, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU())
         self.nerf_density = nn.Linear(hidden, 1)

@@ -38,7 +38,7 @@ def added_loss(
     terms: list[tuple[float, Callable[[], Tensor]]] = [
         (losses.transparency, lambda: transparency_loss(rendered)),
         (losses.distortion, lambda: distortion_loss(paths, rendered)),
-        (losses.density, lambda: density_loss(draw_nodes(model, cell))),
+        (losses.density, lambda: density_loss(*draw_nodes(model, cell))),
         (losses.gaussian_density, lambda: gaussian_density_loss(model, cell)),
         (losses.printed_density, lambda: printed_density_loss(model, cell)),
         (losses.printed_gaussian_density, lambda: gaussian_density_loss(model, cell, of=density_per_half)),

@@ -58,13 +58,6 @@ class MlpVolume(VolumeModel):
 
     Density is ``softplus`` per half the shortest wave, ``edge / 2^L`` [m], the finest detail that the encoding
     resolves; an untrained box lets about 1/e of the light through along its longest edge.
-
-    Parameters
-    ----------
-    box : Box
-    settings : MlpSettings
-    appearance : int
-        Length of the appearance vectors; 0 without.
     """
 
     def __init__(self, box: Box, settings: MlpSettings, *, appearance: int = 0):

@@ -21,18 +21,13 @@ class Setup:
 
     box: Box
     cells: int  # Along the longest edge of the box at the finest scale; models without cells ignore it
-    device: Device  # For the lookups of those with planes
+    device: Device  # Dr.Jit for fused lookups of those with planes; "torch" for the reference implementation
     appearance: int = 0  # Length of the vectors of photographs; 0 for none
     steps: int = 2000  # Of the training that follows
 
 
 class VolumeModel(nn.Module):
-    """Density and colour in a box.
-
-    Attributes
-    ----------
-    box : Box
-    """
+    """Density and colour in a box; models take what a `Setup` has of them, and settings of their own."""
 
     def __init__(self, box: Box):
         super().__init__()

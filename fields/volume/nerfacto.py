@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from torch import Tensor, nn
+from torch import Tensor
 
-from fields.heads import seen_radiance
+from fields.heads import perceptron, seen_radiance
 from fields.training import Rates
 from fields.volume.hash_grid import PER_LEVEL, HashGrid
 from fields.volume.model import Setup, VolumeModel, density_of
@@ -43,13 +43,6 @@ class HashVolume(VolumeModel):
 
     Density is ``softplus`` per finest cell (Nerfacto has a truncated exponential, which softplus follows where the
     box is thin); an untrained box lets about 1/e of the light through along its longest edge.
-
-    Parameters
-    ----------
-    box : Box
-    settings : HashSettings
-    appearance : int
-        Length of the appearance vectors; 0 without.
     """
 
     RATE = 0.01
@@ -59,13 +52,9 @@ class HashVolume(VolumeModel):
         self.settings = settings
         hidden, geometry = settings.hidden, settings.geometry
         self.grid = HashGrid(box, settings.levels, settings.log2_table, settings.n_min, settings.n_max)
-        self.density = nn.Sequential(
-            nn.Linear(PER_LEVEL * settings.levels, hidden), nn.ReLU(), nn.Linear(hidden, 1 + geometry)
-        )
+        self.density = perceptron(PER_LEVEL * settings.levels, hidden, 1 + geometry)
         seen = geometry + (settings.degree + 1) ** 2 - 1 + appearance
-        self.colour = nn.Sequential(
-            nn.Linear(seen, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU(), nn.Linear(hidden, 3)
-        )
+        self.colour = perceptron(seen, hidden, hidden, 3)
 
     def evaluate(self, x: Tensor) -> tuple[Tensor, Tensor]:
         out = self.density(self.grid(self.box.unit(x)))

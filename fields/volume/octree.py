@@ -24,7 +24,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from fields.heads import seen_radiance
+from fields.heads import perceptron, seen_radiance
 from fields.training import Rates
 from fields.volume.model import Setup, VolumeModel, density_of
 from fields.volume.paths import Box
@@ -71,10 +71,7 @@ class OctreeVolume(VolumeModel):
         self.density = nn.Linear(settings.features, 1, bias=False)
         nn.init.constant_(self.density.weight, 1.0)
         seen = settings.features + (settings.degree + 1) ** 2 - 1 + appearance
-        width = settings.hidden
-        self.colour = nn.Sequential(
-            nn.Linear(seen, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 3)
-        )
+        self.colour = perceptron(seen, settings.hidden, settings.hidden, 3)
 
     @property
     def _rows(self) -> int:
@@ -91,14 +88,10 @@ class OctreeVolume(VolumeModel):
         for level in range(1, self.settings.depth):
             if self.cell(level - 1) <= footprint:
                 break
-            below = self.child[node, self._octant(u, level)]
+            x, y, z = (torch.floor(u * 2.0**level).long() % 2).T
+            below = self.child[node, x + 2 * y + 4 * z]
             node = torch.where(below >= 0, below, node)
         return node
-
-    @staticmethod
-    def _octant(u: Tensor, level: int) -> Tensor:
-        bits = torch.floor(u * 2.0**level).long() % 2
-        return bits[:, 0] + 2 * bits[:, 1] + 4 * bits[:, 2]
 
     def features(self, u: Tensor, node: Tensor) -> Tensor:
         """Features (S, F) of nodes (S,) at box coordinates (S, 3), equation (3)."""

@@ -53,27 +53,18 @@ class PriorImages:
         return torch.from_numpy(found)
 
 
-@dataclass(frozen=True)
-class Priors:
-    """Priors of paths (N), NaN where unknown."""
+def prior_columns(paths: Paths) -> tuple[Tensor, Tensor, Tensor]:
+    """Priors of paths (N), NaN where unknown: terms (N, 2), power (N,), and unit normals (N, 3), local frame.
 
-    # (N, 2): ``a terms[0] + b terms[1]`` is the path length to ``power`` for the scale and shift a, b of the photograph
-    terms: Tensor
-    power: Tensor  # (N,): 1 for depth, -1 for inverse depth
-    normal: Tensor  # (N, 3) unit, local frame
-
-    @staticmethod
-    def of(columns: Tensor) -> Priors:
-        """The columns (N, 6) of paths by name.
-
-        Raises ValueError if the paths carry no priors.
-        """
-        if columns.shape[1] != COLUMNS:
-            raise ValueError(
-                "a loss on priors has a weight, but the paths carry no priors; give Photographs its `priors`, or take "
-                "the weight away"
-            )
-        return Priors(columns[:, :2], columns[:, 2], columns[:, 3:])
+    ``a terms[0] + b terms[1]`` is the path length to ``power``, 1 for depth, -1 for inverse depth, for the scale and
+    shift a, b of the photograph. Raises ValueError if the paths carry no priors.
+    """
+    if paths.priors.shape[1] != COLUMNS:
+        raise ValueError(
+            "a loss on priors has a weight, but the paths carry no priors; give Photographs its `priors`, or take "
+            "the weight away"
+        )
+    return paths.priors[:, :2], paths.priors[:, 2], paths.priors[:, 3:]
 
 
 def pixels_over(camera: PinholeCamera, box: Box, water: WaterSurface | None) -> np.ndarray:
@@ -89,11 +80,15 @@ def pixels_over(camera: PinholeCamera, box: Box, water: WaterSurface | None) -> 
     return np.flatnonzero(on_floor & (paths.far > paths.near).numpy())
 
 
+def even_pixels(camera: PinholeCamera, step: float) -> np.ndarray:
+    """Positions (N, 2) [px] of an even grid over the picture of a camera, ``step`` [px] apart."""
+    columns, rows = (np.arange(0.5 * step, side, step) for side in (camera.width, camera.height))
+    return np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+
+
 def may_show(camera: PinholeCamera, box: Box, water: WaterSurface | None) -> bool:
     """Whether a coarse grid of pixels of a camera meets a box: a quick test before `pixels_over`."""
-    step = max(max(camera.width, camera.height) / COARSE, 1.0)
-    columns, rows = (np.arange(0.5 * step, side, step) for side in (camera.width, camera.height))
-    grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    grid = even_pixels(camera, max(max(camera.width, camera.height) / COARSE, 1.0))
     paths = paths_of(camera, water, grid, np.zeros((len(grid), 3)), box)
     return bool((paths.far > paths.near).any())
 

@@ -6,14 +6,12 @@ both in virtual views close to the photographs' own. MonoPatchNeRF (Wu et al. 20
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from fields.volume.paths import Box, Paths, paths_along
-from fields.volume.photographs import Priors
+from fields.volume.photographs import prior_columns
 from fields.volume.renderer import Rendered, VolumeRenderer
 from fields.volume.sampling import Cells, Samples
 from refract import WaterSurface, crossing_point
@@ -44,11 +42,11 @@ def relative_depth_loss(paths: Paths, rendered: Rendered, edge: float) -> Tensor
     equation 12), found in closed form; no gradient flows through them. Depth is taken along the bent path: the
     refraction of a view straight down is an affine map of depth, which the fit absorbs.
     """
-    priors = Priors.of(paths.priors)
-    seen = rendered.opacity.detach() > MIN_OPACITY
-    known = torch.isfinite(priors.terms).all(dim=1) & seen
-    terms, power, view = priors.terms[known], priors.power[known], paths.view[known]
-    length = mean_length(rendered)[known]
+    terms, power, _ = prior_columns(paths)
+    known = torch.isfinite(terms).all(dim=1) & (rendered.opacity.detach() > MIN_OPACITY)
+    terms, power, view = terms[known], power[known], paths.view[known]
+    # Of the light that stops.
+    length = ((rendered.weights * rendered.samples.s).sum(dim=1) / rendered.opacity.clamp(min=1e-6))[known]
     target = length**power
     scale_shift, fitted = fit_views(terms, target.detach(), view)
     departure = (target - (terms * scale_shift).sum(dim=1)) * length.detach() ** (1.0 - power)
@@ -57,15 +55,10 @@ def relative_depth_loss(paths: Paths, rendered: Rendered, edge: float) -> Tensor
 
 def normal_prior_loss(paths: Paths, normals: Tensor) -> Tensor:
     """Mean of ``|n - prior|_1 + 1 - n . prior`` over paths with a prior (MonoSDF, Yu et al. 2022, equation 13)."""
-    prior = Priors.of(paths.priors).normal
+    _, _, prior = prior_columns(paths)
     known = torch.isfinite(prior).all(dim=1)
     n, prior = normals[known], prior[known]
     return _mean((n - prior).abs().sum(dim=1) + 1.0 - (n * prior).sum(dim=1))
-
-
-def mean_length(rendered: Rendered) -> Tensor:
-    """Mean path length (N,) [m] of the light that stops."""
-    return (rendered.weights * rendered.samples.s).sum(dim=1) / rendered.opacity.clamp(min=1e-6)
 
 
 def fit_views(terms: Tensor, target: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
@@ -143,29 +136,25 @@ def ssim_loss(rendered: Tensor, seen: Tensor, shown: Tensor | None = None) -> Te
     return 0.5 * ((1.0 - ssim) * complete).sum() / complete.sum().clamp(min=1.0)
 
 
-@dataclass(frozen=True)
-class VirtualView:
-    """Rendering of the surfaces of paths (N) from virtual cameras beside those of their photographs."""
-
-    rendered: Rendered
-    length: Tensor  # (N,) [m]: from the virtual camera to the surface that was met
-    shown: Tensor  # (N,) bool: the virtual view does not hide it
-
-
 def virtual_view(
     renderer: VolumeRenderer, paths: Paths, rendered: Rendered, cells: Cells, water: WaterSurface | None
-) -> VirtualView:
-    """The points at the median of the weights, taken without gradient, from a camera beside each photograph's."""
+) -> tuple[Rendered, Tensor]:
+    """The points at the median of the weights, taken without gradient, from a camera beside each photograph's.
+
+    With them (N,) bool, which of them the virtual view does not hide.
+    """
     is_hit = ((rendered.opacity > MIN_OPACITY) & (paths.near < paths.far)).detach()
     depth = rendered.depth.detach()
     box = renderer.model.box
     middle = torch.as_tensor(0.5 * (box.low + box.high), dtype=depth.dtype, device=depth.device)
     points = torch.where(is_hit[:, None], paths.at(depth[:, None])[:, 0], middle)
     baseline = BASELINE * (depth * is_hit).sum() / is_hit.sum().clamp(min=1)
-    moved, length = paths_through(paths.origin + baseline * _offsets(paths.view), points, water, paths, box)
+    # A random direction for each view, the same for all of its paths.
+    away = nn.functional.normalize(torch.randn(int(paths.view.max()) + 1, 3, device=depth.device), dim=1)
+    moved, length = paths_through(paths.origin + baseline * away[paths.view], points, water, paths, box)
     virtual = renderer.render(moved, renderer.samples(moved, cells, SAMPLES, jitter=True))
     shown = (virtual.depth > length - HIDDEN_CELLS * cells.edge) & (moved.near < moved.far) & is_hit
-    return VirtualView(virtual, length, shown.detach())
+    return virtual, shown.detach()
 
 
 def virtual_patch_loss(
@@ -183,10 +172,12 @@ def virtual_patch_loss(
     """
     patches = len(paths) // size**2
     rows = torch.arange(len(paths), device=paths.near.device).view(patches, -1)[::EVERY].reshape(-1)
-    paths, rendered = paths[rows], _rows(rendered, rows)
-    found = virtual_view(renderer, paths, rendered, cells, water)
-    seen, virtual = as_patches(paths.rgb, size), as_patches(found.rendered.rgb, size)
-    shown = as_patches(found.shown, size).to(virtual.dtype)
+    of = rendered.samples
+    samples = Samples(of.s[rows], of.length[rows], of.edges[rows])
+    some = Rendered(rendered.rgb[rows].detach(), rendered.weights[rows].detach(), samples)
+    found, is_shown = virtual_view(renderer, paths[rows], some, cells, water)
+    seen, virtual = as_patches(paths.rgb[rows], size), as_patches(found.rgb, size)
+    shown = as_patches(is_shown, size).to(virtual.dtype)
     return (1.0 - masked_ncc(virtual, seen, shown)) ** 2 + 2.0 * ssim_loss(virtual, seen, shown)
 
 
@@ -218,17 +209,3 @@ def paths_through(
     moved = paths_along(origin, direction, water, seen.rgb.cpu(), box, seen.view.cpu()).to(place)
     length = first[:, 0] + np.linalg.norm(target - entry, axis=-1)
     return moved, torch.as_tensor(length, dtype=points.dtype, device=place)
-
-
-def _offsets(view: Tensor) -> Tensor:
-    """A random unit vector (N, 3) for each view, the same for all of its paths."""
-    directions = torch.nn.functional.normalize(torch.randn(int(view.max()) + 1, 3, device=view.device), dim=1)
-    return directions[view]
-
-
-@torch.no_grad()
-def _rows(rendered: Rendered, rows) -> Rendered:
-    """Some paths of a rendering, without gradient."""
-    of = rendered.samples
-    samples = Samples(of.s[rows], of.length[rows], of.edges[rows])
-    return Rendered(rendered.rgb[rows].detach(), rendered.weights[rows].detach(), samples)

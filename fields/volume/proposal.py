@@ -59,24 +59,13 @@ class Histogram:
 
 @dataclass
 class Proposed(Samples):
-    """Samples with the histograms that led to them.
-
-    Attributes
-    ----------
-    rounds : list of Histogram
-    """
+    """Samples with the histograms that led to them."""
 
     rounds: list[Histogram]
 
 
 class Proposal(nn.Module):
-    """Densities that draw samples, coarse first; a share of the samples is always even.
-
-    Parameters
-    ----------
-    box : Box
-    settings : ProposalSettings
-    """
+    """Densities that draw samples, coarse first; a share of the samples is always even."""
 
     RATE = 0.01
 
@@ -104,8 +93,9 @@ class Proposal(nn.Module):
             density = self.density(index, paths.at(drawn.s).view(-1, 3)).view(len(paths), count)
             rounds.append(Histogram(drawn.edges, render_weights(density * drawn.length)))
             power = self.power() if torch.is_grad_enabled() else 1.0
-            weights = rounds[-1].weights.detach() ** power
-            edges, mass = drawn.edges, _with_an_even_share(weights, drawn.length)
+            even = drawn.length / drawn.length.sum(dim=1, keepdim=True).clamp(min=1e-12)
+            mass = (1.0 - EVEN_SHARE) * rounds[-1].weights.detach() ** power + EVEN_SHARE * even
+            edges = drawn.edges
         drawn = samples_by_mass(edges, mass, num, jitter, dense=True)
         return Proposed(drawn.s, drawn.length, drawn.edges, rounds)
 
@@ -142,8 +132,3 @@ def bound_of(proposed: Histogram, edges: Tensor) -> Tensor:
     begins = (torch.searchsorted(bins, start, right=True) - 1).clamp(0, last)
     ends = torch.searchsorted(bins, end).clamp(0, last)
     return total.gather(1, torch.maximum(begins, ends)) - total.gather(1, begins)
-
-
-def _with_an_even_share(weights: Tensor, length: Tensor) -> Tensor:
-    even = length / length.sum(dim=1, keepdim=True).clamp(min=1e-12)
-    return (1.0 - EVEN_SHARE) * weights + EVEN_SHARE * even

@@ -23,6 +23,8 @@ from refract import PinholeCamera, WaterSurface
 # slower, since it is not filled.
 WORKING_BYTES = {"cpu": 16 << 20, "cuda": 1 << 30}
 BYTES_PER_NUMBER = 4
+# What a pixel has of which nothing is known: colour, distance, opacity, point.
+_UNSEEN = (0.0, np.nan, 0.0, np.nan)
 
 
 @dataclass
@@ -132,23 +134,12 @@ class VolumeRenderer(nn.Module):
 
 @dataclass(frozen=True)
 class VolumeImage:
-    """Image of a volume by a camera; where a path misses the box, the background, and NaN for distance and point.
+    """Image of a volume by a camera; where a path misses the box, the background, and NaN for distance and point."""
 
-    Attributes
-    ----------
-    rgb : (height, width, 3) float32
-        As a photograph stores it, 0 to 1.
-    distance : (height, width) float32 [m]
-        Along the path to the median of the weights.
-    opacity : (height, width) float32
-    points : (height, width, 3) float32 [m]
-        Position of the path at `distance`.
-    """
-
-    rgb: np.ndarray
-    distance: np.ndarray
-    opacity: np.ndarray
-    points: np.ndarray
+    rgb: np.ndarray  # (height, width, 3) float32: as a photograph stores it, 0 to 1
+    distance: np.ndarray  # (height, width) float32 [m]: along the path to the median of the weights
+    opacity: np.ndarray  # (height, width) float32
+    points: np.ndarray  # (height, width, 3) float32 [m]: position of the path at `distance`
 
 
 @half_the_threads()
@@ -184,28 +175,16 @@ def render_volume(
         depth = torch.where(paths.far > paths.near, seen.depth, torch.nan)
         parts.append((seen.rgb.clamp(max=1.0), depth, seen.opacity, paths.at(depth[:, None])[:, 0]))
     columns = [torch.cat(column).cpu().numpy() for column in zip(*parts, strict=True)]
-    if shown is not None:
-        columns = [_spread(column, shown, camera, fill) for column, fill in zip(columns, _UNSEEN, strict=True)]
-    return VolumeImage(*(c.reshape(camera.height, camera.width, *c.shape[1:]) for c in columns))
-
-
-# What a pixel has of which nothing is known: colour, distance, opacity, point.
-_UNSEEN = (0.0, np.nan, 0.0, np.nan)
-
-
-def _spread(values: np.ndarray, shown: np.ndarray, camera: PinholeCamera, fill: float) -> np.ndarray:
-    """Values (n, ...) of some pixels of a camera among all of them, the others ``fill``."""
-    image = np.full((camera.height * camera.width, *values.shape[1:]), fill, dtype=values.dtype)
-    image[shown] = values
-    return image
+    images = []
+    for column, unseen in zip(columns, _UNSEEN, strict=True):
+        image = np.full((camera.height * camera.width, *column.shape[1:]), unseen, dtype=column.dtype)
+        image[slice(None) if shown is None else shown] = column
+        images.append(image.reshape(camera.height, camera.width, *column.shape[1:]))
+    return VolumeImage(*images)
 
 
 def chunk_of(renderer: VolumeRenderer, samples: int) -> int:
     """Number of paths that are rendered together, so that their samples take `WORKING_BYTES`."""
-    working = WORKING_BYTES[renderer.model.place.type]
-    return max(working // (BYTES_PER_NUMBER * samples * _numbers_per_sample(renderer)), 64)
-
-
-def _numbers_per_sample(renderer: VolumeRenderer) -> int:
-    """Numbers in memory for a sample: four copies of its features, and some 60 others."""
-    return 4 * renderer.model.num_features + 60
+    # Four copies of the features of a sample, and some 60 others.
+    numbers = 4 * renderer.model.num_features + 60
+    return max(WORKING_BYTES[renderer.model.place.type] // (BYTES_PER_NUMBER * samples * numbers), 64)

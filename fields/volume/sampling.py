@@ -94,7 +94,9 @@ class Cells:
     def refined(self, opacity: Tensor, least: float, margin: float) -> Cells:
         """Cells whose opacity (cells,) is at least ``least`` and those within ``margin`` [m] of them."""
         filled = (opacity.view(self.occupied.shape) >= least).cpu().numpy()
-        return Cells(self.box, torch.from_numpy(_dilated(filled, self.box, margin)).to(opacity.device))
+        reach = np.ceil(margin * np.array(filled.shape) / self.box.size).astype(int)
+        occupied = binary_dilation(filled, np.ones(tuple(2 * reach + 1), dtype=bool))
+        return Cells(self.box, torch.from_numpy(occupied).to(opacity.device))
 
     @torch.no_grad()
     def samples(self, paths: Paths, num: int, *, jitter: bool) -> Samples:
@@ -122,8 +124,3 @@ def _even_samples(paths: Paths, num: int, *, jitter: bool) -> Samples:
     number = torch.arange(num + 1, device=near.device)
     shift = torch.rand(len(paths), 1, device=near.device) if jitter else near.new_full((len(paths), 1), 0.5)
     return Samples(near + (number[:-1] + shift) * length, length.expand(-1, num), near + number * length)
-
-
-def _dilated(occupied: np.ndarray, box: Box, margin: float) -> np.ndarray:
-    reach = np.ceil(margin * np.array(occupied.shape) / box.size).astype(int)
-    return binary_dilation(occupied, np.ones(tuple(2 * reach + 1), dtype=bool))

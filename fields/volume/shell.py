@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from fields.heads import perceptron
 from fields.volume.paths import Box, Paths
 
 # Octaves in which the coordinates enter the network, and its width.
@@ -29,12 +30,7 @@ class Shell(nn.Module):
 
     Paths go on from where they leave the box, or from where they enter the water if that comes later, in the medium
     that is there. Thickness is density times length in the coordinates (x', y', z', u); what passes it comes from
-    infinity.
-
-    Parameters
-    ----------
-    box : Box
-        Its corners lie on the ellipsoid.
+    infinity. The corners of the box lie on the ellipsoid.
     """
 
     centre: Tensor
@@ -46,9 +42,7 @@ class Shell(nn.Module):
         self.register_buffer("centre", torch.as_tensor(centre, dtype=torch.float32))
         self.register_buffer("axes", torch.as_tensor(axes, dtype=torch.float32))
         inputs = 4 * (1 + 2 * OCTAVES)
-        self.network = nn.Sequential(
-            nn.Linear(inputs, HIDDEN), nn.GELU(), nn.Linear(HIDDEN, HIDDEN), nn.GELU(), nn.Linear(HIDDEN, 4)
-        )
+        self.network = perceptron(inputs, HIDDEN, HIDDEN, 4, activation=nn.GELU)
 
     def forward(self, paths: Paths) -> Tensor:
         """Linear radiance (N, 3) that comes in from outside the box."""

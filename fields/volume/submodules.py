@@ -25,8 +25,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from fields.device import half_the_threads
-from fields.volume.appearance import SAMPLES, appearance_vectors, fit_vectors
+from fields.volume.appearance import SAMPLES, fitted_vectors
 from fields.volume.paths import Box, Paths, Rays
 from fields.volume.photographs import pixels_over
 from fields.volume.renderer import VolumeImage, VolumeRenderer, render_volume
@@ -232,7 +231,6 @@ def _inside(points: np.ndarray, box: Box) -> np.ndarray:
     return np.logical_and.reduce((points > box.low) & (points < box.high), axis=1)
 
 
-@half_the_threads()
 def matched_vector(
     target: Submodule,
     source: Submodule,
@@ -244,18 +242,14 @@ def matched_vector(
 ) -> nn.Embedding:
     """The appearance vector with which a submodule matches another along rays to places that both show.
 
-    Its start is the mean of the submodule's own vectors. All else of both is unchanged. Raises ValueError if it has no
-    vectors.
+    All else of both is unchanged. Raises ValueError if the submodule has no vectors.
 
     Parameters
     ----------
     source : Submodule
         One whose renderer has a single vector: the appearance to match.
     """
-    own = vectors_of(target)
     rng, place = np.random.default_rng(0), target.renderer.model.place
-    vector = appearance_vectors(1, own.shape[1]).to(place)
-    vector.weight.data += own.mean(dim=0)
     source_cells = source.cells.to(place)
 
     def draw() -> Paths:
@@ -266,8 +260,7 @@ def matched_vector(
             paths.rgb = source.renderer.render(source_paths, samples).rgb.clamp(max=1.0)
         return paths
 
-    fit_vectors(target.renderer, vector, target.cells, draw, steps=steps)
-    return vector
+    return fitted_vectors(target.renderer, 1, target.cells, draw, steps=steps)
 
 
 def single_vector(vector: torch.Tensor) -> nn.Embedding:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,7 +119,8 @@ def _of_view(
     water = photographs.water
     up = np.asarray(water.up if isinstance(water, FlatWater) else (0.0, 0.0, 1.0))
     parts = [np.zeros((0, 8))]
-    for flat in _pieces(photographs.pixels[view], chunk):
+    pixels = photographs.pixels[view]
+    for flat in np.array_split(pixels, -(-len(pixels) // chunk)) if len(pixels) else ():
         rows, columns = np.divmod(flat, camera.width)
         rgb = photographs.images[view][rows, columns]
         paths = paths_of(camera, water, np.stack([columns + 0.5, rows + 0.5], axis=-1), rgb, box, view)
@@ -130,10 +131,6 @@ def _of_view(
         incidence = np.arccos(np.clip(-(paths.air.cpu().numpy()[is_hit] @ up), -1.0, 1.0))
         parts.append(np.column_stack([points, rgb[is_hit], incidence, np.full(is_hit.sum(), view)]))
     return np.concatenate(parts)
-
-
-def _pieces(pixels: np.ndarray, size: int) -> Iterable[np.ndarray]:
-    return np.array_split(pixels, max(-(-len(pixels) // size), 1)) if len(pixels) else ()
 
 
 def _agreed(parts: list[np.ndarray], box: Box, side: float) -> Surface:

@@ -57,15 +57,6 @@ class TensorVolume(VolumeModel):
     """Density ``softplus(raw)`` per finest cell, from factors of all scales and directions; colour as MDW-NeRF.
 
     An untrained box lets a share of 1/e of the light through along its longest edge.
-
-    Parameters
-    ----------
-    box : Box
-    settings : TensorSettings
-    device : Device
-        Dr.Jit for fused lookups; "torch" for the reference implementation.
-    appearance : int
-        Length of the appearance vectors; 0 without.
     """
 
     # Adam's rates of MDW-NeRF; that of the factors falls to `TensorSettings.fine_rate` with the switch.

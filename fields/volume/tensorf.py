@@ -21,6 +21,7 @@ from torch import Tensor, nn
 
 from fields.device import Device
 from fields.factors import Factors, Grid, geometric_scales
+from fields.heads import perceptron
 from fields.training import Rates
 from fields.volume.model import Setup, VolumeModel, density_of
 from fields.volume.paths import Box
@@ -60,17 +61,7 @@ class TensorfSettings:
 
 
 class TensorfVolume(VolumeModel):
-    """Density and colour of TensoRF; its features are box coordinates, so that colour is looked up where it counts.
-
-    Parameters
-    ----------
-    box : Box
-    settings : TensorfSettings
-    device : Device
-        Dr.Jit for fused lookups; "torch" for the reference implementation.
-    appearance : int
-        Length of the appearance vectors; 0 without.
-    """
+    """Density and colour of TensoRF; its features are box coordinates, so that colour is looked up where it counts."""
 
     # Of planes and vectors, and of the networks; to what share rates and `tv_density` fall.
     FACTORS, NETWORKS, FALL = 0.02, 0.001, 0.1
@@ -85,13 +76,7 @@ class TensorfVolume(VolumeModel):
         length = settings.features
         self.basis = nn.Linear(len(DIRECTIONS) * settings.colour_channels, length, bias=False)
         seen = (length + 3) * (1 + 2 * settings.frequencies) + appearance
-        self.network = nn.Sequential(
-            nn.Linear(seen, settings.hidden),
-            nn.ReLU(),
-            nn.Linear(settings.hidden, settings.hidden),
-            nn.ReLU(),
-            nn.Linear(settings.hidden, 3),
-        )
+        self.network = perceptron(seen, settings.hidden, settings.hidden, 3)
 
     def _factors(self, grid: Grid, channels: int) -> Factors:
         factors = Factors([grid], DIRECTIONS, channels, self.device)

@@ -104,7 +104,7 @@ def train_volume(
     torch.manual_seed(seed)
     box = renderer.model.box
     cells = cells if cells is not None else Cells.everywhere(box, training.cells)
-    state = _State.begun(renderer, cells.to(renderer.model.place))
+    state = _State(0, cells.to(renderer.model.place), adam(renderer.rates(), eps=ADAM_EPS))
     if checkpoints is not None and (saved := checkpoints.load()) is not None:
         state.restore(saved, renderer)
     refresh = {round(share * training.steps) for share in training.refresh}
@@ -140,12 +140,11 @@ class _State:
     changed: list[int] = field(default_factory=list)
     history: list[tuple[int, float, float | None]] = field(default_factory=list)
 
-    @staticmethod
-    def begun(renderer: VolumeRenderer, cells: Cells) -> _State:
-        return _State(0, cells, adam(renderer.rates(), eps=ADAM_EPS))
-
     def saved(self, renderer: VolumeRenderer) -> dict[str, Any]:
         """State that the next steps depend on, for `torch.save`; the pixels that they draw follow from the step."""
+        generators = {"cpu": torch.get_rng_state()}
+        if torch.cuda.is_available():
+            generators["cuda"] = torch.cuda.get_rng_state()
         return {
             "step": self.step,
             "renderer": renderer.state_dict(),
@@ -154,7 +153,7 @@ class _State:
             "losses": torch.tensor(self.losses, dtype=torch.float64),
             "changed": self.changed,
             "history": self.history,
-            "generator": _generator_states(),
+            "generator": generators,
         }
 
     def restore(self, saved: dict[str, Any], renderer: VolumeRenderer) -> None:
@@ -166,7 +165,9 @@ class _State:
         self.step, self.changed, self.losses = saved["step"], list(saved["changed"]), saved["losses"].tolist()
         self.history = [tuple(moment) for moment in saved["history"]]
         self.cells = Cells(self.cells.box, saved["occupied"]).to(renderer.model.place)
-        _restore_generators(saved["generator"])
+        torch.set_rng_state(saved["generator"]["cpu"])
+        if "cuda" in saved["generator"] and torch.cuda.is_available():
+            torch.cuda.set_rng_state(saved["generator"]["cuda"])
 
 
 def _step(
@@ -226,15 +227,3 @@ def _batches(
         of_step = patches * patch**2
         for step in range(max(start - first, 0), count):
             yield pool[step * of_step : (step + 1) * of_step]
-
-
-def _generator_states() -> dict[str, torch.Tensor]:
-    """State of the random numbers of the host, and of a CUDA device."""
-    states = {"cpu": torch.get_rng_state()}
-    return states | ({"cuda": torch.cuda.get_rng_state()} if torch.cuda.is_available() else {})
-
-
-def _restore_generators(states: dict[str, torch.Tensor]) -> None:
-    torch.set_rng_state(states["cpu"])
-    if "cuda" in states and torch.cuda.is_available():
-        torch.cuda.set_rng_state(states["cuda"])

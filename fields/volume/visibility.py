@@ -18,8 +18,9 @@ import torch
 from torch import Tensor, nn
 
 from fields.device import half_the_threads
+from fields.heads import perceptron
 from fields.volume.paths import Box, Paths, paths_of
-from fields.volume.photographs import Photographs
+from fields.volume.photographs import Photographs, even_pixels
 from fields.volume.renderer import Rendered, VolumeRenderer
 from fields.volume.sampling import Cells
 from fields.volume.shell import HIDDEN, OCTAVES, octaves
@@ -38,10 +39,7 @@ class Visibility(nn.Module):
     def __init__(self, box: Box):
         super().__init__()
         self.box = box
-        self.network = nn.Sequential(
-            nn.Linear(3 * (1 + 2 * OCTAVES) + 3, HIDDEN), nn.GELU(), nn.Linear(HIDDEN, HIDDEN), nn.GELU(),
-            nn.Linear(HIDDEN, 1),
-        )  # fmt: skip
+        self.network = perceptron(3 * (1 + 2 * OCTAVES) + 3, HIDDEN, HIDDEN, 1, activation=nn.GELU)
 
     def forward(self, x: Tensor, direction: Tensor) -> Tensor:
         place = octaves(2.0 * self.box.unit(x) - 1.0)
@@ -74,16 +72,9 @@ def transmittance(weights: Tensor) -> Tensor:
 
 
 def coarse_paths(camera: PinholeCamera, water: WaterSurface | None, box: Box) -> Paths:
-    """Paths through an even grid of the picture of a camera, clipped to a box."""
-    pixels = coarse_pixels(camera)
+    """Paths through an even grid of the picture of a camera, `ACROSS` along its longer side, clipped to a box."""
+    pixels = even_pixels(camera, max(camera.width, camera.height) / ACROSS)
     return paths_of(camera, water, pixels, np.zeros((len(pixels), 3), dtype=np.uint8), box)
-
-
-def coarse_pixels(camera: PinholeCamera) -> np.ndarray:
-    """Positions (N, 2) [px] of an even grid over the picture of a camera, `ACROSS` along its longer side."""
-    step = max(camera.width, camera.height) / ACROSS
-    columns, rows = (np.arange(0.5 * step, side, step) for side in (camera.width, camera.height))
-    return np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
 
 
 @half_the_threads()

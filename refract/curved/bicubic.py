@@ -31,25 +31,15 @@ class BicubicWater(CurvedWater):
     Heights pass through the nodes, and slopes are continuous. Over a spacing s, of a smooth surface, heights are good
     to the third power of s and slopes to the second. numpy and torch. Raises ValueError if shapes do not fit, a height
     is not finite, the spacing not positive, or the index outside 1 to 2.
-
-    Parameters
-    ----------
-    corner : (2,) [m], local
-        x and y of the node ``heights[0, 0]``.
-    spacing : [m]
-        Between nodes, along x and y.
-    heights : (rows, columns) [m], local
-        At the nodes, x along columns; at least 3 by 3. A tensor lets gradients flow to them. Beyond the nodes there is
-        no water.
-    n_water : [-]
-        Refractive index of the water relative to the air above it, at least 1.
     """
 
-    corner: tuple[float, float]
-    spacing: float
+    corner: tuple[float, float]  # [m], local: x and y of the node ``heights[0, 0]``
+    spacing: float  # [m]: between nodes, along x and y
+    # (rows, columns) [m], local: at the nodes, x along columns; at least 3 by 3. A tensor lets gradients flow to them.
+    # Beyond the nodes there is no water
     heights: Any
     _: KW_ONLY
-    n_water: Any = 1.333
+    n_water: Any = 1.333  # [-]: refractive index of the water relative to the air above it, at least 1
 
     def __post_init__(self):
         shape = tuple(np.shape(self.heights))

@@ -21,37 +21,19 @@ class WavyWater(CurvedWater):
     The surface is ``z = plane + sum_i a_i sin(k_i . (r - r0) + phi_i)``. All numbers may be 0-d tensors, and
     amplitudes, wave vectors and phases tensors of the shapes below: gradients then flow to them, and the rays must be
     tensors, too. Raises ValueError if the numbers of waves differ, the index is outside 1 to 2, or a number is not
-    finite.
-
-    Parameters
-    ----------
-    point : (3,) [m], local
-        Any point r0 of the mean plane; phases count from there.
-    amplitudes : (waves,) [m]
-        From the mean plane to the crest: half the wave height.
-    wave_vectors : (waves, 2) [rad/m], local x and y
-        In the direction of propagation, of length 2 pi over the wavelength.
-    phases : (waves,) [rad]
-        At the point; zero by default.
-    frequencies : (waves,) [rad/s]
-        Angular; zero by default. Only `at` reads them.
-    n_water : [-]
-        Refractive index of the water relative to the air above it, at least 1.
-    slope_x, slope_y : [-]
-        Rise of the mean plane per metre along local x and y.
-
-    Notes
-    -----
-    A ray so flat that its first meeting is more than 10 000 steps away counts as one that never meets the water.
+    finite. A ray so flat that its first meeting is more than 10 000 steps away counts as one that never meets the
+    water.
     """
 
-    point: tuple[Any, Any, Any]
-    amplitudes: Any
+    point: tuple[Any, Any, Any]  # (3,) [m], local: any point r0 of the mean plane; phases count from there
+    amplitudes: Any  # (waves,) [m]: from the mean plane to the crest, half the wave height
+    # (waves, 2) [rad/m], local x and y: in the direction of propagation, of length 2 pi over the wavelength
     wave_vectors: Any
-    phases: Any = None
+    phases: Any = None  # (waves,) [rad]: at the point; zero by default
     _: KW_ONLY
-    frequencies: Any = None
-    n_water: Any = 1.333
+    frequencies: Any = None  # (waves,) [rad/s]: angular; zero by default. Only `at` reads them
+    n_water: Any = 1.333  # [-]: refractive index of the water relative to the air above it, at least 1
+    # slope_x, slope_y [-]: rise of the mean plane per metre along local x and y
     slope_x: Any = 0.0
     slope_y: Any = 0.0
 

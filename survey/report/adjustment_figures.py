@@ -37,7 +37,9 @@ class PositionFigures:
     """Positions of the cameras that were given, against the adjusted ones."""
 
     num: int
-    used_std_m: tuple[float, ...] | None  # (east, north, up) [m] or None: median standard deviation with which they were used
+    used_std_m: (
+        tuple[float, ...] | None
+    )  # (east, north, up) [m] or None: median standard deviation with which they were used
     rms_m: Axes  # (east, north, up) [m]: of adjusted minus given positions, without the common height error
     # largest_m, largest_name [m], str: the largest distance, and its photograph
     largest_m: float

@@ -98,9 +98,10 @@ def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_
     (air, inverse, is_leg), (water, _, _) = map(_measured, legs)
     direction = _stacked(valid & is_leg, tuple(c * inverse for c in legs[0]), point[0])
     crossing = _stacked(valid, kernels.minus(kernels.double(point), legs[1]), point[0])
-    lengths = xp.where(wet & below, 0.0, air), xp.where(wet & below, air, water)
-    depth, *lengths = (xp.where(valid, xp.like(v, point[0]), math.nan) for v in (depth, *lengths))
-    depth, wet, below, air, water, _ = spread(depth, wet, below, *lengths, direction[..., 0])
+    sunk = wet & below
+    numbers = depth, xp.where(sunk, 0.0, air), xp.where(sunk, air, water)
+    depth, air, water = (xp.where(valid, xp.like(v, point[0]), math.nan) for v in numbers)
+    depth, wet, below, air, water, _ = spread(depth, wet, below, air, water, direction[..., 0])
     return Projection(direction, depth, wet, below, crossing, air, water)
 
 

@@ -104,6 +104,7 @@ class Photographs:
     priors: list[PriorImages] | None = None  # or None: priors of the pixels of each photograph
     # list of (n,) float32 [m], optional: path lengths at which the paths of these pixels meet the bed of a `Layer`
     starts: list[np.ndarray] | None = None
+    names: tuple[str, ...] = ()  # of the photographs, where they are asked for
 
     @staticmethod
     def over(

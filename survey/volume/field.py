@@ -56,7 +56,9 @@ def train_field(run: str | Path, output: str | Path, options: VolumeOptions | No
         read_reference(options.reference)
     with LoadedRun(run) as loaded:
         flight = flight_of(loaded, options.survey)
-        targets = _targets(loaded, flight, output, options)
+        targets = []
+        if options.cameras is not None:
+            targets = targets_of(loaded.folder, flight.frame, options.cameras, output / VIEWS)
         folder = VolumeFolder(output, options.of_training(loaded), loaded.folder.inputs())
         made = (_one if options.submodules is None else train_submodules)(loaded, flight, options, folder)
         _write_cloud(output / CLOUD, made.surface, loaded, flight)
@@ -65,7 +67,8 @@ def train_field(run: str | Path, output: str | Path, options: VolumeOptions | No
             **made.report,
             "points": len(made.surface.xyz),
             "over_the_bed_of_the_run_m": _over_bed(made),
-            **_held_out(made, output / HELD, right_half=_fits_held(options)),
+            # With vectors of appearance the left halves are fitted, and the right ones alone are predicted.
+            **_held_out(made, output / HELD, right_half=options.appearance and options.submodules is None),
         }
     if not report["points"]:
         current().note(
@@ -91,10 +94,6 @@ def _one(run: LoadedRun, flight: Flight, options: VolumeOptions, folder: VolumeF
     return FieldResult(surface, scene.bed, scene.held, trained.view, views, trained.report())
 
 
-def _targets(run: LoadedRun, flight: Flight, output: Path, options: VolumeOptions) -> list[Target]:
-    return [] if options.cameras is None else targets_of(run.folder, flight.frame, options.cameras, output / VIEWS)
-
-
 def _write_cloud(path: Path, surface: Surface, run: LoadedRun, flight: Flight) -> None:
     depth = np.full(len(surface.xyz), np.nan) if flight.water is None else -heights_over(surface.xyz, flight.water)
     write_cloud(
@@ -116,11 +115,6 @@ def _over_bed(made: FieldResult) -> dict[str, Any]:
     return asdict(distance_statistics(made.surface.xyz[:, 2] - made.bed[nearest, 2]))
 
 
-def _fits_held(options: VolumeOptions) -> bool:
-    """Whether the left halves of the photographs held out are fitted, and the right ones alone are predicted."""
-    return options.appearance and options.submodules is None
-
-
 def _held_out(made: FieldResult, folder: Path, *, right_half: bool) -> dict[str, dict[str, float]]:
     """PSNR [dB] over the pixels of the photographs held out that show the box, and SSIM over their largest rectangle.
 
@@ -130,7 +124,7 @@ def _held_out(made: FieldResult, folder: Path, *, right_half: bool) -> dict[str,
     found: dict[str, dict[str, float]] = {"held_out_psnr_db": {}, "held_out_ssim": {}}
     targets = [
         Target(name, camera, folder / Path(name).with_suffix(""))
-        for name, camera in zip(held.names, held.photographs.cameras, strict=True)
+        for name, camera in zip(held.names, held.cameras, strict=True)
     ]
     if not targets:
         return found
@@ -139,10 +133,10 @@ def _held_out(made: FieldResult, folder: Path, *, right_half: bool) -> dict[str,
     for number, target in enumerate(targets):
         shown = views[id(target.camera)].rgb / 255.0
         mask = np.zeros((target.camera.height, target.camera.width), dtype=bool)
-        mask.flat[held.photographs.pixels[number]] = True
+        mask.flat[held.pixels[number]] = True
         if right_half:
             mask[:, : target.camera.width // 2] = False
-        photograph = held.photographs.images[number] / 255.0
+        photograph = held.images[number] / 255.0
         if mask.any():
             for measure, value in image_quality(photograph, shown, mask=mask).items():
                 found[f"held_out_{measure}"][target.name] = value

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -20,7 +21,7 @@ SUFFIXES = (".npy", ".tif", ".tiff", ".png")
 _MOST_STRETCH = 0.05
 
 
-def monocular_priors(folder: Path, names: list[str], cameras: list[PinholeCamera]) -> list[PriorImages]:
+def monocular_priors(folder: Path, names: Sequence[str], cameras: list[PinholeCamera]) -> list[PriorImages]:
     """Priors of photographs, empty where a photograph has no file.
 
     Of the photograph ``a/0001.jpg`` they are ``a/0001_depth``, or ``a/0001_disparity`` for its inverse, and

@@ -43,22 +43,14 @@ _EVERY_S, _SHARE = 5.0, 0.05
 
 
 @dataclass(frozen=True)
-class NamedPhotographs:
-    """Photographs of a volume with their names."""
-
-    names: list[str]
-    photographs: Photographs
-
-
-@dataclass(frozen=True)
 class Scene:
     """Training data of a volume: its box, the run's bed in it, photographs for training and held out."""
 
     box: Box
     bed: np.ndarray  # (N, 3) [m], local: points of the run inside the box
-    # train, held: for training, and held out
-    train: NamedPhotographs
-    held: NamedPhotographs
+    # train, held: for training, and held out, with their names
+    train: Photographs
+    held: Photographs
     pixel_m: float  # [m]: of a photograph, on the bed
 
     def cells_about_bed(self, num: int, margin: float) -> Cells:
@@ -95,7 +87,9 @@ class BedBox:
     def of_run(run: LoadedRun, flight: Flight, options: VolumeOptions) -> BedBox:
         """The box of the whole bed, or of the part in the bounds."""
         bed = flight.frame.local_from_crs(_within(run.columns("points_crs")["points_crs"], options.bounds))
-        box = _box_about(bed, options.cells)
+        low, high = np.percentile(bed, _INNER, axis=0)
+        bottom, top = _heights_about(bed, float((high - low).max()) / options.cells)
+        box = Box(np.append(low[:2], bottom), np.append(high[:2], top))
         ground = BedBox(box, bed, flight.water, options.straight, run.bed_header.gsd_m)
         return ground.read_for(box.edge, options)
 
@@ -117,7 +111,7 @@ class BedBox:
         low, high = _heights_about(part, float(box.size[:2].max()) / cells)
         return replace(self, box=Box(np.append(box.low[:2], low), np.append(box.high[:2], high)), bed=part)
 
-    def scene(self, train: NamedPhotographs, held: NamedPhotographs) -> Scene:
+    def scene(self, train: Photographs, held: Photographs) -> Scene:
         """Training data: photographs, and the bed in the box."""
         inside = ((self.bed > self.box.low) & (self.bed < self.box.high)).all(axis=1)
         return Scene(self.box, self.bed[inside], train, held, self.pixel_m)
@@ -132,7 +126,7 @@ def load_scene(run: LoadedRun, flight: Flight, options: VolumeOptions, advance: 
     return ground.scene(training_photographs(train, ground, options, len(flight.views)), _named(held, ground.bent))
 
 
-def held_photographs(ground: BedBox, flight: Flight, options: VolumeOptions) -> NamedPhotographs:
+def held_photographs(ground: BedBox, flight: Flight, options: VolumeOptions) -> Photographs:
     """The photographs of a flight that `load_scene` leaves out."""
     if options.held_every is None:
         return _named([], ground.bent)
@@ -148,7 +142,7 @@ def _held_of(options: VolumeOptions) -> slice:
 
 def training_photographs(
     shown: list[BoxPhotograph], ground: BedBox, options: VolumeOptions, photographs: int
-) -> NamedPhotographs:
+) -> Photographs:
     """Photographs for training, with their priors."""
     if len(shown) < LEAST_VIEWS:
         raise TooFewPhotographs(
@@ -157,9 +151,7 @@ def training_photographs(
         )
     learned = _named([each.whole() for each in shown] if options.shell else shown, ground.bent)
     if options.monocular is not None:
-        learned.photographs.priors = monocular_priors(
-            Path(options.monocular), learned.names, learned.photographs.cameras
-        )
+        learned.priors = monocular_priors(Path(options.monocular), learned.names, learned.cameras)
     return learned
 
 
@@ -207,9 +199,9 @@ def photographs_of(
     return found
 
 
-def _named(shown: list[BoxPhotograph], water: FlatWater | None) -> NamedPhotographs:
+def _named(shown: list[BoxPhotograph], water: FlatWater | None) -> Photographs:
     cameras, images, pixels = [e.camera for e in shown], [e.rgb for e in shown], [e.pixels for e in shown]
-    return NamedPhotographs([each.name for each in shown], Photographs(cameras, images, pixels, water))
+    return Photographs(cameras, images, pixels, water, names=tuple(each.name for each in shown))
 
 
 def _within(points: np.ndarray, bounds: tuple[float, float, float, float] | None) -> np.ndarray:
@@ -225,13 +217,6 @@ def _within(points: np.ndarray, bounds: tuple[float, float, float, float] | None
             f"{high[0]:.10g} east and from {low[1]:.10g} to {high[1]:.10g} north"
         )
     return points[inside]
-
-
-def _box_about(bed: np.ndarray, cells: int) -> Box:
-    """The box of points (N, 3), local, with room over and under them."""
-    low, high = np.percentile(bed, _INNER, axis=0)
-    bottom, top = _heights_about(bed, float((high - low).max()) / cells)
-    return Box(np.append(low[:2], bottom), np.append(high[:2], top))
 
 
 def _heights_about(bed: np.ndarray, cell: float) -> tuple[float, float]:

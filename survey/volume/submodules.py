@@ -13,6 +13,7 @@ import torch
 
 from fields.device import choose_device
 from fields.sweep.kernels.arrays import free_unused
+from fields.volume.photographs import Photographs
 from fields.volume.submodules import RIM, Grid, counts_of, match_submodule, matching_pairs, single_vector, vectors_of
 from fields.volume.surface import Surface
 from fields.volume.visibility import train_visibility
@@ -26,7 +27,6 @@ from survey.volume.folder import SUBMODULES
 from survey.volume.options import VolumeOptions
 from survey.volume.scene import (
     BedBox,
-    NamedPhotographs,
     TooFewPhotographs,
     VolumeFolder,
     held_photographs,
@@ -77,13 +77,10 @@ def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, fol
     )
     if options.appearance and not (folder.path / SUBMODULES / VECTORS).is_file():
         write_json(folder.path / SUBMODULES / VECTORS, _matched_vectors(views, flight, ground))
-        views = SubmoduleViews(
-            folder.path, options.recipe, ground, grid.counts, options.device, options.drop or Drop.geometry
-        )
-    report = _summary(reports, ground, held) | {"left_out": left_out, "submodules": reports}
-    named = zip(held.names, held.photographs.cameras, strict=True)
+    report = _summary(reports, ground) | {"left_out": left_out, "submodules": reports}
+    named = zip(held.names, held.cameras, strict=True)
     report["dropped"] = {name: views.dropped(camera) for name, camera in named}
-    held_views = (views.view(camera) for camera in held.photographs.cameras)
+    held_views = (views.view(camera) for camera in held.cameras)
     joined = Surface(*(np.concatenate([getattr(e, column.name) for e in surfaces]) for column in fields(Surface)))
     return FieldResult(joined, ground.scene(held, held).bed, held, views.view, held_views, report)
 
@@ -106,7 +103,7 @@ def _trained(
     flight: Flight,
     options: VolumeOptions,
     begun: Callable[[], VolumeFolder],
-    held: NamedPhotographs,
+    held: Photographs,
     what: str,
 ) -> Trained:
     """The field of a cell, by the photographs that show its box and are not held; ``begun`` makes its folder."""
@@ -125,7 +122,7 @@ def _trained(
 
 def _save_visibility(trained: Trained, path: Path) -> None:
     with current().stage("Visibility"):
-        of, photographs = trained.options, trained.scene.train.photographs
+        of, photographs = trained.options, trained.scene.train
         steps = max(round(VISIBILITY_STEPS * of.steps), 1)
         network = train_visibility(trained.renderer, photographs, trained.cells, steps=steps, seed=of.seed)
     with write_whole(path) as stream:
@@ -152,7 +149,7 @@ def _matched_vectors(views: SubmoduleViews, flight: Flight, ground: BedBox) -> d
     return {views.folders[number].name: vectors[k].tolist() for k, number in enumerate(numbers)}
 
 
-def _summary(reports: dict[str, dict[str, Any]], ground: BedBox, held: NamedPhotographs) -> dict[str, Any]:
+def _summary(reports: dict[str, dict[str, Any]], ground: BedBox) -> dict[str, Any]:
     """Figures of all submodules together, with the keys of those of one field."""
     trainings = [each["training"] for each in reports.values()]
     return {

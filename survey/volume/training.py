@@ -12,6 +12,7 @@ import psutil
 
 from fields.image_based import NovelView
 from fields.volume.appearance import match_appearance
+from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
 from fields.volume.surface import Surface, surface_of
@@ -22,7 +23,7 @@ from survey.run.flight import Flight
 from survey.run.stage_field import reporting
 from survey.run.stored_field import RestoredField
 from survey.volume.options import VolumeOptions
-from survey.volume.scene import NamedPhotographs, Scene
+from survey.volume.scene import Scene
 
 # Rays of a step of the matching of appearances, where a step of the training has no fewer.
 MATCHING_RAYS = 2048
@@ -47,7 +48,7 @@ class Trained:
 
     def held_views(self) -> Iterator[NovelView]:
         """Views of the cameras held out, each in an appearance that fits the left half of its photograph."""
-        held, own = self.scene.held.photographs, self.renderer.appearance
+        held, own = self.scene.held, self.renderer.appearance
         if own is not None and any(len(pixels) for pixels in held.left_half.pixels):
             rays, seed = min(self.options.rays, MATCHING_RAYS), self.options.seed
             self.renderer.appearance = match_appearance(self.renderer, held.left_half, self.cells, rays=rays, seed=seed)
@@ -73,7 +74,7 @@ class FieldResult:
 
     surface: Surface
     bed: np.ndarray  # (N, 3) [m], local: of the run
-    held: NamedPhotographs  # Photographs that were left out
+    held: Photographs  # that were left out
     view: Callable[[PinholeCamera, bool], NovelView]  # As `Trained.view`
     held_views: Iterable[NovelView]  # Of the photographs that were left out
     report: dict[str, Any]
@@ -81,18 +82,12 @@ class FieldResult:
 
 def train(scene: Scene, flight: Flight, options: VolumeOptions, checkpoints: Checkpoints | None = None) -> Trained:
     """Train the field of the options on a scene of a flight, or continue from a checkpoint."""
-    renderer = options.recipe.renderer(
-        scene.box,
-        flight.water,
-        len(scene.train.names),
-        options.device,
-    )
-    cells = min(Training.cells, options.cells)
+    renderer = options.recipe.renderer(scene.box, flight.water, len(scene.train.names), options.device)
     training = Training(
         steps=options.steps,
         rays=options.rays,
         samples=options.samples,
-        cells=cells,
+        cells=min(Training.cells, options.cells),
         losses=options.of_losses(),
     )
     start = None if options.from_scratch else scene.cells_about_bed(training.cells, training.margin)
@@ -100,13 +95,13 @@ def train(scene: Scene, flight: Flight, options: VolumeOptions, checkpoints: Che
     with current().stage("Training", 1.0) as stage:
         proxy, figures = train_volume(
             renderer,
-            scene.train.photographs,
+            scene.train,
             training,
             reporting(stage, training.rays),
             cells=start,
             seed=options.seed,
             checkpoints=checkpoints,
-            held=None if options.submodules else scene.held.photographs,
+            held=None if options.submodules else scene.held,
         )
     cost = {
         "wall_s": stage.seconds,
@@ -120,11 +115,10 @@ def surface_in(trained: Trained) -> Surface:
     """Surface points of a field, in cells of a pixel or of half a cell of the field, whichever is larger."""
     of, scene = trained.options, trained.scene
     cell = scene.box.edge / of.cells
-    photographs = scene.train.photographs
-    with current().stage("Surface", len(photographs.cameras)) as stage:
+    with current().stage("Surface", len(scene.train.cameras)) as stage:
         return surface_of(
             trained.renderer,
-            photographs,
+            scene.train,
             trained.cells,
             samples=of.samples,
             side=max(scene.pixel_m, 0.5 * cell),

@@ -71,7 +71,9 @@ class _RayPoints:
 
     def points(self, number, pixel=None) -> tuple:
         """Points at hypotheses (float) of all rays, or of some by number."""
-        begin, *rays = (each if pixel is None else dr.gather(type(each), each, pixel) for each in (self.begin, *self.rays))
+        begin, *rays = (
+            each if pixel is None else dr.gather(type(each), each, pixel) for each in (self.begin, *self.rays)
+        )
         points = point_at(rays, begin + number * constant(self.stack.device, self.step))
         dr.eval(points)
         return points

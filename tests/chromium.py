@@ -74,6 +74,22 @@ class Page:
                 raise TimeoutError(f"{expression} has not become true in {seconds} s")
             time.sleep(0.2)
 
+    def click_text(self, text: str) -> None:
+        """Click on the innermost element that has this text, once it is there."""
+        found = f"[...document.querySelectorAll('*')].filter(e => e.innerText?.trim() === {json.dumps(text)}).at(-1)"
+        self.until(f"{found} !== undefined")
+        self.value(f"{found}.scrollIntoView()")
+        middle = "(box => [box.x + box.width / 2, box.y + box.height / 2])"
+        self.click(*self.value(f"{middle}({found}.getBoundingClientRect())"))
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float], modifiers: int = 0) -> None:
+        """Move from a place [px] to another with the left button down; the modifier 8 is Shift."""
+        way = [tuple(a + (b - a) * part for a, b in zip(start, end, strict=True)) for part in (0.2, 0.6, 1.0)]
+        kinds = ["mousePressed", *["mouseMoved"] * 3, "mouseReleased"]
+        for kind, (x, y) in zip(kinds, [start, *way, end], strict=True):
+            held = {"button": "left", "buttons": 1, "clickCount": 1, "modifiers": modifiers}
+            self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, **held)
+
     def click(self, x: float, y: float) -> None:
         """Press and release the left button at a place [px]."""
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):

@@ -13,7 +13,9 @@ from survey.folder.survey import load_survey
 from survey.run.flight import Flight, save_flight
 from survey.run.folder import RunDir
 from survey.run.keys import Key
+from survey.run.products import write_bed_las
 from survey.run.stored import StoredBed, save_bed
+from survey.viewer.overlay import Overlay
 from survey.viewer.page import close_server, open_server
 from survey.viewer.session import ViewSession
 from survey.viewer.shown import Shown
@@ -32,8 +34,10 @@ def shown_of(folder: Path, num: int = 300) -> Shown:
 @contextmanager
 def served(shown: Shown) -> Iterator[ViewSession]:
     """A session on a server of its own."""
-    server = open_server("localhost", 0, "test")
+    overlay = Overlay()
+    server = open_server("localhost", 0, "test", overlay)
     session = ViewSession(shown, server)
+    overlay.attach(server, shown)
     try:
         yield session
     finally:
@@ -52,5 +56,6 @@ def small_run(folder: Path) -> Path:
         stage = run.finish_stage("bed", Key({}), stage)
         result = run.open_result("standard")
         save_flight(result, survey)
+        write_bed_las(result / "cloud.las", stored)
         run.publish(result, quality="standard", stages={"bed": stage})
     return run.path

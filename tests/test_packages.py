@@ -86,7 +86,7 @@ DISK_FOLDERS = (
     {"geo", "survey"}
     | {f"survey/{name}" for name in ("commands", "control", "files", "folder", "init", "marking", "photos")}
     | {f"survey/{name}" for name in ("export", "handles", "pose_files", "run", "sfm", "water")}
-    | {"survey/simulate/output", "survey/simulate/staging", "survey/volume"}
+    | {"survey/simulate/output", "survey/simulate/staging", "survey/viewer", "survey/volume"}
 )
 GIVEN_PATHS = {"Path", "RunDir"}
 # These read what is installed on the machine: libLLVM, foreign packages, the list of public names.

@@ -8,9 +8,11 @@ import chromium
 import numpy as np
 import pytest
 from PIL import Image
-from shown_run import served, shown_of
+from shown_run import served, shown_of, small_run
 
+from survey.run.edits import DELETED, Edits
 from survey.viewer.page import address, write_page
+from survey.viewer.session import ViewOptions, _load
 
 pytestmark = [
     pytest.mark.slow,
@@ -18,6 +20,8 @@ pytestmark = [
 ]
 SIZE = (1200, 800)
 CALLS_OUT = "https:", "wss:"
+# Not "10 points marked".
+NOTHING_MARKED = "/\\b(?<!\\d\\s)0 points marked/"
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +49,27 @@ def test_a_click_in_the_browser_brings_the_facts_of_its_point(shown):
         page.click(0.5 * SIZE[0], 0.5 * SIZE[1])
         page.until("document.body.innerText.includes('shown by')")
         assert [said for said in page.said if any(call in said for call in CALLS_OUT)] == []
+
+
+def test_points_in_a_box_are_deleted_in_the_browser(tmp_path):
+    run = small_run(tmp_path)
+    shown = _load(run, ViewOptions())
+    with served(shown) as session, chromium.page_at(address(session.server, "localhost"), *SIZE) as page:
+        wait_until_drawn(page)
+        # The overlay, by the camera of this browser.
+        page.until("document.querySelector('#bathynerf-overlay span').textContent.endsWith('m')")
+        page.click_text("edit")
+        page.until(f"{NOTHING_MARKED}.test(document.body.innerText)")
+        page.drag((0.55 * SIZE[0], 0.45 * SIZE[1]), (0.65 * SIZE[0], 0.55 * SIZE[1]), modifiers=8)
+        page.until(f"!{NOTHING_MARKED}.test(document.body.innerText)")
+        assert 0 < shown.is_marked.sum() < len(shown.is_marked)
+        marked = shown.is_marked.copy()
+        page.click_text("delete what is marked")
+        page.until("document.body.innerText.includes('deleted')")
+        np.testing.assert_array_equal(Edits(run).classes == DELETED, marked)
+        page.click_text("undo")
+        page.until("document.body.innerText.includes('edits: none')")
+        assert not (Edits(run).classes == DELETED).any()
 
 
 def test_a_page_opens_without_a_server(shown, tmp_path):

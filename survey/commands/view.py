@@ -9,12 +9,12 @@ from typing import Annotated
 import typer
 
 from survey.commands.console import command
-from survey.commands.options import Quiet, RunFolder, Verbose
+from survey.commands.options import Quiet, Verbose
 from survey.errors import SurveyError
 
 _served = partial(typer.Option, rich_help_panel="Where it is served")
 EXAMPLES = """
-    bathynerf view my_survey/bathynerf
+    bathynerf view my_survey
     bathynerf view RUN --reference lidar.ply --port 9000
     bathynerf view RUN --field mdw
     bathynerf view RUN --export view.html
@@ -22,7 +22,7 @@ EXAMPLES = """
 
 
 def run(
-    run: RunFolder,
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder, survey folder, or that of a trained field.")],
     reference: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Reference surface to show: mesh, GeoTIFF or points.")
     ] = None,
@@ -44,18 +44,18 @@ def run(
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
-    """View a run, or a trained field, in the browser: cloud, water and photographs (extra viewer).
+    """View and edit a run, or a trained field, in the browser: cloud, water and photographs (extra viewer).
 
-    RUN may also be a folder of `bathynerf field`.
-    While `process` is running, height maps are shown as they are finished. Ctrl-C ends it. From another machine:
-    ssh -L 8080:localhost:8080 HOST.
+    Ctrl-C ends it. From another machine: ssh -L 8080:localhost:8080 HOST.
     """
     with command(verbose, quiet, run, reads=run) as results:
+        from survey.run.folder import run_in
         from survey.viewer.session import ViewOptions, export_page, serve
         from survey.volume.folder import is_field, run_of
 
         if is_field(run):
             run, field = run_of(run), run
+        run = run_in(run)
         if export is not None and field is not None:
             raise SurveyError("a field is rendered by the server; leave out --field or --export")
         options = ViewOptions(survey=survey, reference=reference, field=field, host=host, port=port)

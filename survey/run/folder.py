@@ -323,6 +323,12 @@ def results_of_other_qualities(record: Mapping, quality: str) -> dict[str, dict[
     return {of: stages for of, stages in ({**record.get("others", {})} | before).items() if of != quality}
 
 
+def run_in(path: Path) -> Path:
+    """The run folder at a path: that of the survey, where the path is the folder of one."""
+    within = path / RUN_FOLDER
+    return within if (within / MARKER).is_file() and not (path / MARKER).is_file() else path
+
+
 def _record(folder: Path) -> dict:
     """The record of a finished stage; empty if there is none, or none that can be read."""
     return read_json_object(folder / STAGE_RECORD)

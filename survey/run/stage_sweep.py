@@ -5,7 +5,7 @@ A survey in tiles has a sweep for each; their maps are joined to those of whole 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,7 +31,7 @@ from survey.files.json_values import write_json
 from survey.plan.area import grown, inside, plane_name
 from survey.progress import shares
 from survey.run.stored import load_arrays, save_arrays
-from survey.run.stored_maps import IN_MEMORY, LiveMaps, Stored, load_masks, map_store, save_maps, save_masks
+from survey.run.stored_maps import IN_MEMORY, Stored, load_masks, map_store, save_maps, save_masks
 
 if TYPE_CHECKING:
     from fields.sweep.block import Block
@@ -101,7 +101,7 @@ def _sweep_block(job: Job, folder: Path, block: Block, title: str) -> list[list[
     with job.progress.stage(title, 1.0) as stage:
         passes = before_solver(PASSES) if job.plan.solves else PASSES
         passes = passes if job.cell is None else in_area(passes)
-        with map_store(folder / SCRATCH, HeightMap, show=_live(job, folder)) as make_store:
+        with map_store(folder / SCRATCH, HeightMap) as make_store:
             settings = SweepSettings(bound, passes, job.ground)
             swept = sweep(block, job.views_to_match, settings, shares(stage), make_store=make_store)
             if not swept and job.cell is None:
@@ -118,11 +118,6 @@ def _sweep_block(job: Job, folder: Path, block: Block, title: str) -> list[list[
         squares,
     )
     return squares
-
-
-def _live(job: Job, folder: Path) -> Callable[[HeightMap], None]:
-    """Callback that writes maps for the viewers of a run; ``folder`` is that of the stage."""
-    return LiveMaps(folder.parent.parent, job, folder.stem.strip(".")).show
 
 
 def _finished(block: Block, maps: OrderedMaps, make_store: StoreFactory) -> OrderedMaps:

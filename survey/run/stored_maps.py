@@ -1,27 +1,21 @@
-"""Height maps and solved maps on disk: scratch files during a stage, one archive after it, and those for a viewer."""
+"""Height maps and solved maps on disk: scratch files during a stage, one archive after it."""
 
 from __future__ import annotations
 
 import dataclasses
 import shutil
 from collections.abc import Callable, Iterable, Iterator, MutableMapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from fields.image_store import Masks
 from fields.sweep.maps import HeightMap, MemoryBudget
-from geo.errors import GeoError
 from geo.files import reporting_disk_errors
-from survey.run.flight import FLIGHT, save_flight
-from survey.run.stored import StoredArrays, save_arrays, unreadable, write_arrays
-
-if TYPE_CHECKING:
-    from survey.run.job import Job
-
+from survey.run.stored import StoredArrays, unreadable, write_arrays
 
 # Bytes of maps that are worked on in memory; files for the others take a twentieth of the time of the sweep.
 IN_MEMORY = 75_000_000
@@ -32,14 +26,11 @@ Kind = TypeVar("Kind")
 class Scratch(MutableMapping[int, Kind]):
     """Maps of one kind by number: in memory while the budget lasts, the others each in a file of a folder of their own.
 
-    The folder is made here. Maps in files are read from there whenever they are asked for; ``show`` is called with each
-    map that comes.
+    The folder is made here. Maps in files are read from there whenever they are asked for.
     """
 
-    def __init__(
-        self, folder: Path, kind: type[Kind], budget: MemoryBudget, show: Callable[[Kind], None] = lambda _: None
-    ):
-        self._folder, self._kind, self._budget, self._show = folder, kind, budget, show
+    def __init__(self, folder: Path, kind: type[Kind], budget: MemoryBudget):
+        self._folder, self._kind, self._budget = folder, kind, budget
         self._held: dict[int, Kind] = {}
         self._written: set[int] = set()
         with reporting_disk_errors(folder):
@@ -54,7 +45,6 @@ class Scratch(MutableMapping[int, Kind]):
             return _made(self._kind, number, lambda _name: np.load(stream))
 
     def __setitem__(self, number: int, each: Kind) -> None:
-        self._show(each)
         if number in self._held:
             self._budget.left += _bytes_of(self._held.pop(number))
         if number not in self._written and _bytes_of(each) <= self._budget.left:
@@ -92,18 +82,13 @@ def _bytes_of(each: Any) -> int:
 
 
 @contextmanager
-def map_store(
-    folder: Path, kind: type[Kind], in_memory: int = IN_MEMORY, show: Callable[[Kind], None] = lambda _: None
-) -> Iterator[Callable[[], Scratch[Kind]]]:
-    """Places for maps, the first bytes of them in memory, the others in a folder that is removed in the end.
-
-    ``show`` is called with each map that comes.
-    """
+def map_store(folder: Path, kind: type[Kind], in_memory: int = IN_MEMORY) -> Iterator[Callable[[], Scratch[Kind]]]:
+    """Places for maps, the first bytes of them in memory, the others in a folder that is removed in the end."""
     number, budget = count(), MemoryBudget(in_memory)
     with reporting_disk_errors(folder):
         folder.mkdir()
     try:
-        yield lambda: Scratch(folder / str(next(number)), kind, budget, show)
+        yield lambda: Scratch(folder / str(next(number)), kind, budget)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -192,48 +177,3 @@ def _made(kind: type[Kind], view: int, array: Callable[[str], np.ndarray]) -> Ki
     """A map of arrays by their names."""
     arrays: dict[str, Any] = {name: array(name) for name in _names(kind)}
     return kind(**({"view": view} if kind is HeightMap else {}), **arrays)
-
-
-# Folder in a run that the viewer makes: it holds the current points of each map, and the cameras.
-LIVE = ".live"
-# Pixels of a map that are shown, and the score that they have at least.
-_MOST_PIXELS, _LEAST_SCORE = 10_000, 0.7
-
-
-class LiveMaps:
-    """Points of height maps of a stage, of the job of a survey or a tile, for the viewers of a run by its folder.
-
-    The name of the stage begins the names of the files: of a survey in tiles there is a sweep for each.
-    """
-
-    def __init__(self, run: Path, job: Job, stage: str):
-        self._folder, self._job, self._stage = run / LIVE, job, stage
-
-    def show(self, m: HeightMap) -> None:
-        """Write the points of a map while a viewer is open; a full disk does not end the run."""
-        if not self._folder.is_dir():
-            return
-        with suppress(GeoError, OSError):
-            if not (self._folder / FLIGHT).is_file():
-                save_flight(self._folder, self._job.survey_job.survey)
-            xyz, rgb = self._points(m)
-            save_arrays(self._folder / f"{self._stage}-{m.view}.npz", xyz=xyz, rgb=rgb)
-
-    def _points(self, m: HeightMap) -> tuple[np.ndarray, np.ndarray]:
-        """Points (K, 3) [m], local, and their colours (K, 3) uint8."""
-        survey, rows, columns = self._job.survey, *m.height.shape
-        step = int(np.ceil(np.sqrt(m.height.size / _MOST_PIXELS)))
-        v, u = (each.ravel() for each in np.mgrid[step // 2 : rows : step, step // 2 : columns : step])
-        # Maps of coarse passes are halved once or twice, and rounded to whole pixels.
-        camera = self._job.block.cameras[m.view]
-        ratio = 2.0 ** round(np.log2(columns / camera.width))
-        camera = camera.scaled(ratio)
-        rgb = self._job.photographs.load(survey.views[m.view], scale=self._job.plan.image_scale)
-        known = (m.score[v, u] > _LEAST_SCORE) & np.isfinite(m.height[v, u])
-        v, u = v[known], u[known]
-        pixels = np.column_stack([u, v]) + 0.5
-        xyz = camera.paths(pixels, survey.water).at_height(m.height[v, u].astype(np.float64), survey.water)
-        # A smaller photograph is padded: there is nothing beyond it.
-        at = (pixels / ratio).astype(np.int64)
-        inside = (at < rgb.shape[1::-1]).all(axis=1) & np.isfinite(xyz).all(axis=1)
-        return self._job.in_survey(xyz[inside]), rgb[at[inside, 1], at[inside, 0]]

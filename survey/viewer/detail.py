@@ -47,7 +47,7 @@ def node_arrays(shown: Shown, node: int, style: Style) -> tuple[np.ndarray, np.n
 
     float16 rounds by at most 1/2048 of half the side, a thirtieth of the spacing of a node's points.
     """
-    rows = shown.tree.rows(node)
+    rows = shown.rows(node)
     points = shown.tree.points[rows]
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     return middle, (points - middle).astype(np.float16), shown.colours(style.kind, rows, style.limits)
@@ -59,7 +59,7 @@ class CloudInBrowser:
     def __init__(self, client: viser.ClientHandle, shown: Shown, style: Style):
         self._client, self._shown, self._style = client, shown, style
         self._nodes: dict[int, viser.PointCloudHandle] = {}
-        self._colouring: dict[int, tuple] = {}
+        self._drawn: dict[int, tuple[int, tuple]] = {}
         self._wake, self._is_closed = Event(), False
         self._wake.set()
         self._thread = Thread(target=self._work, daemon=True)
@@ -88,15 +88,18 @@ class CloudInBrowser:
         """Send missing nodes; stops early on new requests, after at least one node."""
         style, tree, view = self._style, self._shown.tree, camera_in_browser(self._client.camera)
         nodes = select_nodes(tree, view) if style.is_shown else np.empty(0, dtype=np.int64)
+        nodes = nodes[self._shown.num_shown[nodes] > 0]
         self._make_room(nodes)
         for node in nodes.tolist():
-            if node not in self._nodes:
-                self._add(node, style)
-            elif self._colouring[node] != style.colouring:
-                self._nodes[node].colors = self._shown.colours(style.kind, tree.rows(node), style.limits)
-                self._colouring[node] = style.colouring
-            else:
+            wanted = int(self._shown.revision[node]), style.colouring
+            if self._drawn.get(node) == wanted:
                 continue
+            if node in self._nodes and self._drawn[node][0] == wanted[0]:
+                self._nodes[node].colors = self._shown.colours(style.kind, self._shown.rows(node), style.limits)
+            else:
+                # One of the same name is replaced.
+                self._add(node, style)
+            self._drawn[node] = wanted
             if self._wake.is_set():
                 break
         drawn = np.array(sorted(self._nodes), dtype=np.int64)
@@ -116,15 +119,15 @@ class CloudInBrowser:
             point_shape="circle",
             point_shading="flat",
         )
-        self._colouring[node] = style.colouring
 
     def _make_room(self, nodes: np.ndarray) -> None:
         """Remove nodes that are not wanted from the browser, as far as it would draw too many points."""
         counts, needed = self._shown.tree.counts, set(nodes.tolist())
         total = int(counts[nodes].sum()) + sum(int(counts[node]) for node in self._nodes if node not in needed)
         for node in [node for node in self._nodes if node not in needed]:
-            if self._style.is_shown and total <= MOST_POINTS and self._colouring[node] == self._style.colouring:
+            drawn = int(self._shown.revision[node]), self._style.colouring
+            if self._style.is_shown and total <= MOST_POINTS and self._drawn[node] == drawn:
                 continue
             self._nodes.pop(node).remove()
-            del self._colouring[node]
+            del self._drawn[node]
             total -= int(counts[node])

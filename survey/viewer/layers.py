@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from threading import Thread
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,7 @@ from survey.escaping import markdown, printable
 from survey.photos.cameras import View
 from survey.progress import current
 from survey.viewer.detail import Style, camera_in_browser
-from survey.viewer.shown import SCALES, Shown, TrainedField
+from survey.viewer.shown import CLASS, SCALES, Shown, TrainedField
 from survey.viewer.sightings import thumbnail
 from survey.viewer.slices import LocalReference
 
@@ -70,21 +70,10 @@ def add_cameras(server: viser.ViserServer, shown: Shown) -> tuple[viser.FrameHan
 
     A click on a camera looks through it.
     """
-    top, handles = add_frusta(server, shown.views, median_height(shown.views) - shown.middle[2])
-    return top, Thumbnails(handles) if shown.has_photographs else None
-
-
-def median_height(views: Sequence[View]) -> float:
-    """Median height of the cameras over local z = 0 [m]."""
-    return float(np.median([view.camera.centre[2] for view in views]))
-
-
-def add_frusta(
-    server: viser.ViserServer, views: Sequence[View], height_m: float
-) -> tuple[viser.FrameHandle, list[tuple[View, viser.CameraFrustumHandle]]]:
-    """Frusta of cameras over a bed ``height_m`` below them, as one node and each."""
+    height_m = float(np.median([view.camera.centre[2] for view in shown.views])) - shown.middle[2]
     top = server.scene.add_frame("/cameras", show_axes=False)
-    return top, [(view, _add_camera(server, view, _CAMERA_SHARE * abs(height_m))) for view in views]
+    handles = [(view, _add_camera(server, view, _CAMERA_SHARE * abs(height_m))) for view in shown.views]
+    return top, Thumbnails(handles) if shown.has_photographs else None
 
 
 def _add_camera(server: viser.ViserServer, view: View, size: float) -> viser.CameraFrustumHandle:
@@ -156,10 +145,9 @@ def mesh(shown: Shown) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The triangulated bed, as `terrain`, in the colours of the photographs."""
     from survey.export.meshes import bed_surface
 
-    std = shown.columns["std"]
-    surface = bed_surface(
-        shown.tree.points, shown.rgb, std, spacing_m=_cell_m(shown), method="delaunay", path=shown.folder
-    )
+    rows = shown.rows_of_bed()
+    points, rgb, std = shown.tree.points[rows], shown.rgb[rows], shown.columns["std"][rows]
+    surface = bed_surface(points, rgb, std, spacing_m=_cell_m(shown), method="delaunay", path=shown.folder)
     return surface.vertices, surface.faces, np.asarray(surface.rgb)
 
 
@@ -217,6 +205,12 @@ class OnDemand:
         if self._node is not None:
             self._node.visible = on
 
+    def forget(self) -> None:
+        """Remove it: what it was computed from has changed."""
+        if self._node is not None:
+            self._node.remove()
+            self._node = None
+
 
 PHOTOGRAPHED = "colour of the photographs"
 _BAR_PX = (256, 14)
@@ -247,11 +241,12 @@ class Panel:
         for control in (self._points, self._size):
             control.on_update(lambda _: self._apply(is_shown=self._points.value, size=self._size.value))
 
-    def add_layer(self, label: str, *, is_on: bool, show: Callable[[bool], None]) -> None:
-        """A box that shows and hides a part of the scene; ``show`` is called with the new state, not at first."""
+    def add_layer(self, label: str, *, is_on: bool, show: Callable[[bool], None]) -> Any:
+        """A box that shows and hides a part of the scene; ``show`` is called with its new state, not at first."""
         with self.layers:
             box = self._server.gui.add_checkbox(label, is_on)
         box.on_update(lambda _: show(box.value))
+        return box
 
     def offer_kinds(self) -> None:
         """Offer all columns that `Shown` has by now."""
@@ -260,11 +255,13 @@ class Panel:
         self._kinds.value = chosen
 
     def _labels(self) -> list[str]:
-        return [PHOTOGRAPHED, *(scale.label for kind, scale in SCALES.items() if kind in self._shown.columns)]
+        labels = [scale.label for kind, scale in SCALES.items() if kind in self._shown.columns]
+        return [PHOTOGRAPHED, *labels, *[CLASS] * (self._shown.edits is not None)]
 
     def _choose(self) -> None:
         """Colours by another column, over its own range."""
-        kind = next((kind for kind, scale in SCALES.items() if scale.label == self._kinds.value), "colour")
+        kinds = {scale.label: kind for kind, scale in SCALES.items()} | {CLASS: CLASS}
+        kind = kinds.get(self._kinds.value, "colour")
         limits = self._shown.limits(kind)
         self._legend.visible = limits is not None
         if limits is not None:

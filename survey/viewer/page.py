@@ -21,6 +21,7 @@ from survey.escaping import printable
 from survey.files.outputs import ReadFiles, require_file
 from survey.marking.own_page import is_own_page
 from survey.viewer.layers import add_cameras, add_water, set_initial_view
+from survey.viewer.overlay import SCRIPT, Overlay
 from survey.viewer.shown import SCALES, Shown
 from survey.viewer.tree import CloudTree
 
@@ -33,8 +34,11 @@ MOST_POINTS = 1_000_000
 _SUFFIX, _MARK, _TITLE = ".html", b"Viser client", "<title>Viser</title>"
 
 
-def open_server(host: str, port: int, title: str) -> viser.ViserServer:
-    """A server at an address of this machine; the next free port, where the one that is asked for is taken."""
+def open_server(host: str, port: int, title: str, overlay: Overlay | None = None) -> viser.ViserServer:
+    """A server at an address of this machine; the next free port, where the one that is asked for is taken.
+
+    Its page has the script of the overlay, if there is one, which answers it.
+    """
     try:
         import viser
     except ModuleNotFoundError as error:
@@ -48,7 +52,7 @@ def open_server(host: str, port: int, title: str) -> viser.ViserServer:
             "all of its addresses, or one of them"
         ) from error
     # viser says where it listens, which the command does itself.
-    with redirect_stdout(io.StringIO()), _own_pages_only(host) as guarded:
+    with redirect_stdout(io.StringIO()), _own_pages_only(host, overlay) as guarded:
         server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
     if not guarded:
         server.stop()
@@ -61,7 +65,7 @@ def open_server(host: str, port: int, title: str) -> viser.ViserServer:
 
 
 @contextmanager
-def _own_pages_only(host: str) -> Iterator[list[Any]]:
+def _own_pages_only(host: str, overlay: Overlay | None) -> Iterator[list[Any]]:
     """Context in which a server of viser starts that answers its own pages only, below a path that others do not know.
 
     viser accepts all and has no hook to refuse. Its page opens the WebSocket at its own address. Yields the list of
@@ -76,7 +80,18 @@ def _own_pages_only(host: str) -> Iterator[list[Any]]:
             given, _, path = request.path.partition("?")[0].removeprefix("/").partition("/")
             if not is_own_page(request.headers, host, given, token()):
                 return connection.respond(403, "open the address that bathynerf view printed\n")
-            return process_request(connection, replace(request, path=f"/{path}"))
+            if overlay is not None and path == "here":
+                return connection.respond(200, overlay.answer(query_of(request.path)))
+            if overlay is None or path not in ("", "index.html"):
+                return process_request(connection, replace(request, path=f"/{path}"))
+            # Not compressed: the script goes into it.
+            del request.headers["Accept-Encoding"]
+            answered = process_request(connection, replace(request, path=f"/{path}"))
+            if answered is not None and answered.body:
+                answered.body = answered.body.replace(b"</body>", f"<script>{SCRIPT}</script></body>".encode(), 1)
+                del answered.headers["Content-Length"]
+                answered.headers["Content-Length"] = str(len(answered.body))
+            return answered
 
         made.append(serve(*arguments, process_request=answer, **options))
         return made[-1]
@@ -86,6 +101,12 @@ def _own_pages_only(host: str) -> Iterator[list[Any]]:
         yield made
     finally:
         websockets.serve = serve  # type: ignore[misc]
+
+
+def query_of(path: str) -> dict[str, str]:
+    """Names and values after the question mark of an address, as they stand there."""
+    pairs = (part.partition("=") for part in path.partition("?")[2].split("&"))
+    return {name: value for name, _, value in pairs}
 
 
 @cache
@@ -134,7 +155,8 @@ def write_page(path: Path, shown: Shown) -> None:
         set_initial_view(server, shown)
         add_water(server, shown)
         _, thumbnails = add_cameras(server, shown)
-        _add_points(server, shown, thinned(shown.tree, MOST_POINTS))
+        rows = thinned(shown.tree, MOST_POINTS)
+        _add_points(server, shown, rows[np.isfinite(shown.tree.points[rows, 0])])
         if thumbnails is not None:
             thumbnails.wait()
         page = server.scene.as_html().replace(_TITLE, f"<title>{html.escape(printable(shown.name))}</title>", 1)

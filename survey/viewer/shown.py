@@ -19,6 +19,7 @@ from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun, flight_of
 from survey.photos.cameras import View
 from survey.progress import current
+from survey.run.edits import DELETED, Edits
 from survey.run.flight import Flight
 from survey.viewer.slices import LocalReference, load_reference
 from survey.viewer.tree import CloudTree, build_tree
@@ -39,6 +40,9 @@ _FIELD = "field"
 _COLUMNS = ("xyz", "rgb", "std", "std_common", "num_views", "depth")
 # Colour of unknown values.
 UNKNOWN = "#808080"
+# Of the marked points, and by class: a column, and the colour of each class of LAS.
+MARKED, CLASS = (255, 0, 200), "class"
+_CLASS_COLOURS = {2: (166, 118, 72), 7: (230, 40, 40), 40: (40, 110, 190), 41: (90, 210, 230)}
 # Quantiles of the values at the two ends of the colours, and of the absolute distances to a reference.
 _SHARES, _OF_ERRORS = (0.02, 0.98), 0.9
 # Points by which a range is found.
@@ -158,6 +162,11 @@ class Shown:
     reference: LocalReference | None = None  # What the cloud is compared with
     # Of the run's own stage, where it has one, and of a folder of `bathynerf field`
     fields: list[TrainedField] = field(default_factory=list)
+    edits: Edits | None = None  # None where the points are not those of a run
+    is_marked: np.ndarray = field(init=False)  # (N,) bool: drawn as `MARKED`
+    # num_shown, revision (M,) int: of the nodes, their points that are not deleted, and how often these have changed
+    num_shown: np.ndarray = field(init=False)
+    revision: np.ndarray = field(init=False)
     # low, high (3,) [m], local: corners of a box about all points but strays
     low: np.ndarray = field(init=False)
     high: np.ndarray = field(init=False)
@@ -166,6 +175,10 @@ class Shown:
         # Stray points do not affect the initial view.
         some = self.tree.points[:: len(self.tree.points) // _SOME + 1]
         self.low, self.high = np.quantile(some, [0.005, 0.995], axis=0)
+        self.is_marked = np.zeros(len(self.tree.points), dtype=bool)
+        self.num_shown, self.revision = self.tree.counts.copy(), np.zeros(len(self.tree), dtype=np.int64)
+        if self.edits is not None:
+            self.follow_edits(np.flatnonzero(self.edits.classes == DELETED))
 
     @property
     def views(self) -> tuple[View, ...]:
@@ -196,11 +209,48 @@ class Shown:
         """Extent of the cloud in plan [m]."""
         return float(np.linalg.norm((self.high - self.low)[:2]))
 
+    def rows(self, node: int) -> np.ndarray:
+        """Rows (K,) of the points of a node that are not deleted."""
+        rows = self.tree.rows(node)
+        return rows[np.isfinite(self.tree.points[rows, 0])]
+
+    def rows_of_bed(self) -> np.ndarray:
+        """Rows (K,) of all points that are not deleted, and of the bed by their class."""
+        return np.arange(len(self.tree.points)) if self.edits is None else np.flatnonzero(self.edits.is_bed)
+
+    def mark(self, rows: np.ndarray) -> np.ndarray:
+        """Mark these points and no others; the rows whose mark has changed."""
+        wanted = np.zeros_like(self.is_marked)
+        wanted[rows] = True
+        changed = np.flatnonzero(wanted != self.is_marked)
+        self.is_marked = wanted
+        self._note_changed(changed)
+        return changed
+
+    def follow_edits(self, rows: np.ndarray) -> None:
+        """Take over what edits say of these points by now; deleted ones have no place, so that nothing meets them."""
+        if self.edits is not None:
+            is_deleted = self.edits.classes[rows] == DELETED
+            self.tree.points[rows] = np.where(is_deleted[:, None], np.nan, self.edits.places(rows))
+            self._note_changed(rows)
+
+    def _note_changed(self, rows: np.ndarray) -> None:
+        for node in self.tree.nodes_of(rows).tolist():
+            self.num_shown[node] = len(self.rows(node))
+            self.revision[node] += 1
+
     def colours(self, kind: str, rows: np.ndarray, limits: tuple[float, float] | None) -> np.ndarray:
         """Colours (K, 3) uint8 of some points by a column, or of the photographs: ``colour``."""
-        if kind not in self.columns or limits is None:
-            return self.rgb[rows]
-        return SCALES[kind].colours(self.columns[kind][rows], limits)
+        if kind == CLASS and self.edits is not None:
+            table = np.full((256, 3), 128, dtype=np.uint8)
+            table[list(_CLASS_COLOURS)] = list(_CLASS_COLOURS.values())
+            colours = table[self.edits.classes[rows]]
+        elif kind not in self.columns or limits is None:
+            colours = self.rgb[rows]
+        else:
+            colours = SCALES[kind].colours(self.columns[kind][rows], limits)
+        colours[self.is_marked[rows]] = MARKED
+        return colours
 
     def limits(self, kind: str) -> tuple[float, float] | None:
         """Values of the first and the last colour; None where colours are those of the photographs."""
@@ -209,7 +259,10 @@ class Shown:
     def measure_errors(self) -> None:
         """Fill the column ``error``, where there is a reference."""
         if self.reference is not None:
-            self.columns["error"] = self.reference.errors(self.tree.points).astype(np.float32)
+            errors = np.full(len(self.tree.points), np.nan, dtype=np.float32)
+            shown = np.isfinite(self.tree.points[:, 0])
+            errors[shown] = self.reference.errors(self.tree.points[shown])
+            self.columns["error"] = errors
 
     def water_corners(self) -> np.ndarray | None:
         """The water over the cloud as four corners (4, 3) [m], local, counter-clockwise from above; None without."""
@@ -240,6 +293,7 @@ def load_shown(run: LoadedRun, survey: str | None, reference: Path | None = None
         flight,
         has_photographs,
         run.bed_header.gsd_m,
+        edits=Edits(run.folder.path),
     )
     if _FIELD in run.stages:
         shown.fields.append(TrainedField.of_run(run.folder.load_stage(_FIELD), flight.water))

@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +15,7 @@ import cv2
 import numpy as np
 
 from geo.crs import is_geographic
+from geo.errors import GeoError
 from refract import FlatWater
 from survey.display.quantities import MINUS, length, number
 from survey.errors import SurveyError
@@ -21,6 +24,7 @@ from survey.photos.cameras import View
 from survey.photos.images import load_image
 from survey.photos.pixels import damage_named, open_image
 from survey.viewer.detail import Style, camera_in_browser
+from survey.viewer.measured import write_lines, write_profile
 from survey.viewer.shown import SCALES, Shown
 from survey.viewer.slices import picture_of, slice_of
 from survey.viewer.tree import CloudTree, is_blocked, pick
@@ -40,8 +44,9 @@ _LINE, _CROSS = 16, 6
 _BLOCKS_GSD, _FREE_GSD = 1.0, 6.0
 _INK, _PAPER, _MARK = (34, 48, 60), (255, 255, 255), (255, 230, 0)
 RAYS, DISTANCE, SLICE = "show its rays", "measure a distance", "cut a slice"
+LINES, PROFILE = "lines (GeoJSON)", "profile (CSV)"
 # By how many pixels a click may miss a point.
-_AIM_PX = 3.0
+AIM_PX = 3.0
 # A slice takes points up to so many ground sampling distances to either side.
 _SLICE_GSD = 2.0
 _AIR, _WATER, _CLICK_MARK = (242, 169, 59), (47, 111, 159), (195, 20, 13)
@@ -187,24 +192,32 @@ def table(rows: Sequence[tuple[str, str]]) -> str:
     return "\n".join(["| | |", "|---|---|", *(f"| {markdown(label)} | {markdown(text)} |" for label, text in rows)])
 
 
+def row_under(shown: Shown, event: viser.SceneClickEvent) -> int | None:
+    """The point that a click meets; None beside the cloud."""
+    angle = AIM_PX / camera_in_browser(event.client.camera).fy
+    origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
+    return pick(shown.tree, origin, direction, angle=angle, least_m=0.5 * shown.gsd_m)
+
+
 class Clicks:
     """The answers to clicks, in the scene and in the panel; slices have the colours of the style that `style` gives."""
 
-    def __init__(self, server: viser.ViserServer, shown: Shown, style: Callable[[], Style]):
+    def __init__(self, server: viser.ViserServer, panel: Any, shown: Shown, style: Callable[[], Style]):
         self._server, self._shown, self._style = server, shown, style
         self._photographs = PhotographCache(shown.views)
         self._nodes: list[Any] = []
         self._first: np.ndarray | None = None
         self._lock = Lock()
-        panel = server.gui.add_panel()
+        self._lines: list[tuple[np.ndarray, np.ndarray]] = []
         with panel.add_tab("click on a point"):
             self._does = server.gui.add_dropdown("action", (RAYS, DISTANCE, SLICE))
             self._text: Any = server.gui.add_markdown("")
             self._picture = server.gui.add_image(_BLANK, visible=False)
             clear = server.gui.add_button("clear")
-        panel.dock_left()
+            self._save = server.gui.add_button_group("save", (LINES, PROFILE), visible=False)
         self._does.on_update(lambda _: self.clear())
         clear.on_click(lambda _: self.clear())
+        self._save.on_click(self._download)
         server.scene.on_click()(self._clicked)
 
     def clear(self) -> None:
@@ -220,9 +233,7 @@ class Clicks:
         self._picture.visible = False
 
     def _clicked(self, event: viser.SceneClickEvent) -> None:
-        origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
-        angle = _AIM_PX / camera_in_browser(event.client.camera).fy
-        row = pick(self._shown.tree, origin, direction, angle=angle, least_m=0.5 * self._shown.gsd_m)
+        row = row_under(self._shown, event)
         with self._lock:
             if row is not None:
                 {RAYS: self._show_rays, DISTANCE: self._measure, SLICE: self._cut}[self._does.value](row)
@@ -275,7 +286,22 @@ class Clicks:
         first, self._first = self._first, None
         self._mark(point)
         self._draw("way", [(first, point)], _CLICK_MARK)
+        self._lines.append((first, point))
+        self._save.visible = True
         return first, point
+
+    def _download(self, event: viser.GuiEvent) -> None:
+        """Send the browser all measured lines, or the last one as the profile that `bathynerf profile` makes of it."""
+        if event.client is None:
+            return
+        try:
+            with TemporaryDirectory(prefix="bathynerf-view-") as folder:
+                is_lines = self._save.value == LINES
+                path = Path(folder) / ("lines.geojson" if is_lines else "profile.csv")
+                (write_lines if is_lines else write_profile)(path, self._shown, self._lines)
+                event.client.send_file_download(path.name, path.read_bytes(), save_immediately=True)
+        except (SurveyError, GeoError) as error:
+            event.client.add_notification("save", str(error), color="red")
 
     def _mark(self, point: np.ndarray) -> None:
         name = f"/click/point {len(self._nodes)}"

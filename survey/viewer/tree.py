@@ -55,6 +55,12 @@ class CloudTree:
         """Rows (K,) of the points of a node."""
         return self.order[self.starts[node] : self.starts[node + 1]]
 
+    def nodes_of(self, rows: np.ndarray) -> np.ndarray:
+        """The nodes (K,) that hold some of these points."""
+        is_one = np.zeros(len(self.points), dtype=bool)
+        is_one[rows] = True
+        return np.unique(np.searchsorted(self.starts, np.flatnonzero(is_one[self.order]), side="right") - 1)
+
     def is_leaf(self) -> np.ndarray:
         """Whether a node has no children (M,) bool."""
         leaf = np.ones(len(self), dtype=bool)

@@ -1,0 +1,52 @@
+// Compass, scale bar and the coordinates under the pointer, over the scene of viser; see overlay.py.
+(() => {
+  const box = document.createElement("div");
+  box.id = "bathynerf-overlay";
+  box.style.cssText =
+    "position:fixed;z-index:5;pointer-events:none;display:none;align-items:flex-end;gap:14px;padding:6px 10px;" +
+    "border-radius:6px;background:rgba(255,255,255,0.82);color:#22303c;font:12px/1.35 sans-serif;white-space:pre";
+  box.innerHTML =
+    '<svg width="34" height="34" viewBox="-17 -17 34 34"><g><path d="M0-15 5 3H-5Z" fill="#c3140d"/>' +
+    '<path d="M0 15 5 3H-5Z" fill="#9aa5ad"/><text y="1" font-size="9" text-anchor="middle" fill="#fff">N</text></g></svg>' +
+    '<div><div style="height:6px;border:solid #22303c;border-width:0 1.5px 1.5px"></div><span></span></div><div></div>';
+  const needle = box.querySelector("g"), [, scale, place] = box.children;
+  const [bar, label] = scale.children;
+  let at = [0.5, -1], number = null, busy = false, last = 0;
+
+  function show(found, canvas) {
+    if (found.azimuth_deg === undefined) return;
+    needle.setAttribute("transform", `rotate(${-found.azimuth_deg})`);
+    const metresPerPixel = (found.m_per_px * found.height_px) / canvas.height;
+    const most = 140 * metresPerPixel, power = 10 ** Math.floor(Math.log10(most));
+    const length = [5, 2, 1].map((step) => step * power).find((value) => value <= most);
+    bar.style.width = `${length / metresPerPixel}px`;
+    label.textContent = length >= 1 ? `${length} m` : `${Math.round(length * 1000) / 10} cm`;
+    place.textContent = found.place;
+    box.style.cssText += `;display:flex;left:${canvas.left + 12}px;bottom:${innerHeight - canvas.bottom + 12}px`;
+  }
+
+  async function ask() {
+    const canvas = document.querySelector("canvas");
+    number = document.querySelector(".bathynerf-browser")?.dataset.number ?? number;
+    if (busy || document.hidden || !canvas || number === null) return;
+    busy = true;
+    last = performance.now();
+    try {
+      const answer = await fetch(`here?number=${number}&x=${at[0]}&y=${at[1]}`);
+      if (answer.ok) show(await answer.json(), canvas.getBoundingClientRect());
+    } finally {
+      busy = false;
+    }
+  }
+
+  function moved(event) {
+    const canvas = document.querySelector("canvas")?.getBoundingClientRect();
+    if (canvas) at = [(event.clientX - canvas.left) / canvas.width, (event.clientY - canvas.top) / canvas.height];
+    if (performance.now() - last > 120) ask();
+  }
+
+  addEventListener("pointermove", moved, true);
+  addEventListener("wheel", moved, true);
+  setInterval(ask, 1000);
+  document.body.append(box);
+})();

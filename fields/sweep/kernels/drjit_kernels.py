@@ -14,9 +14,6 @@ these functions from `fields.sweep.kernels.backend.kernels`; `torch_kernels` has
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import drjit as dr
 import numpy as np
 
@@ -55,87 +52,68 @@ def sample_packed(stack: ViewStack, view: int, u, v, inside):
     return dr.select(inside & (parts[0] != MASKED), value, dr.nan)
 
 
-@dataclass(frozen=True)
-class _RayPoints:
-    """Points of P rays at height hypotheses: lowest ones ``begin`` [m], ``step`` [m]."""
-
-    stack: ViewStack
-    rays: list
-    begin: Any
-    step: float
-
-    @property
-    def size(self) -> int:
-        """P."""
-        return dr.width(self.begin)
-
-    def points(self, number, pixel=None) -> tuple:
-        """Points at hypotheses (float) of all rays, or of some by number."""
-        begin, *rays = (
-            each if pixel is None else dr.gather(type(each), each, pixel) for each in (self.begin, *self.rays)
-        )
-        points = point_at(rays, begin + number * constant(self.stack.device, self.step))
-        dr.eval(points)
-        return points
-
-
 def warp(values: list[Buffer], stack: ViewStack, rays, hypotheses: Hypotheses, neighbours: list[int]) -> None:
     """Fill ``values`` (`buffers`) with W of each neighbour; NaN outside its image."""
     start, step = hypotheses.start, hypotheses.step
-    ray_points = _RayPoints(stack, rays, floats(stack.device, start), step)
-    arrays = [room.array for room in values]
+    lines = [floats(stack.device, start), *rays]
+    targets = [(view, room.array) for view, room in zip(neighbours, values, strict=True)]
     for part in segments(hypotheses.count):
         straddling = straddling_pixels(stack, start, step, part)
-        if len(straddling) > _MANY * ray_points.size:
-            _warp_point_by_point(ray_points, part, neighbours, arrays)
+        if len(straddling) > _MANY * start.size:
+            _warp_point_by_point(stack, lines, step, part, targets)
             continue
-        _warp_along_curves(ray_points, part, neighbours, arrays)
+        _warp_along_curves(stack, lines, step, part, targets)
         if len(straddling):
-            _warp_point_by_point(ray_points, part, neighbours, arrays, straddling)
+            _warp_point_by_point(stack, lines, step, part, targets, straddling)
 
 
-def _warp_along_curves(ray_points: _RayPoints, part: range, neighbours: list[int], values: list) -> None:
-    stack, size = ray_points.stack, ray_points.size
+def _points(stack: ViewStack, lines: list, step: float, number) -> tuple:
+    """Points at hypotheses (float), ``step`` [m] apart, of lines: lowest heights [m], and rays."""
+    begin, *rays = lines
+    points = point_at(rays, begin + number * constant(stack.device, step))
+    dr.eval(points)
+    return points
+
+
+def _warp_along_curves(stack: ViewStack, lines: list, step: float, part: range, targets: list[tuple]) -> None:
+    size = dr.width(lines[0])
     UInt, Float = stack.device.module.UInt, stack.device.module.Float
     per_step = constant(stack.device, 1.0 / max(len(part) - 1, 1))
     count, length, first = (dr.opaque(UInt, each) for each in (len(part), size, part.start * size))
-    begin = dr.zeros(UInt, size), dr.arange(UInt, size) + first
-    places = _curve_supports(ray_points, part, neighbours)
-    for group, of_group, targets in zip(*map(groups, (neighbours, places, values)), strict=True):
+    places = _curve_supports(stack, lines, step, part, [view for view, _ in targets])
+    for group, of_group in zip(groups(targets), groups(places), strict=True):
         curves = [fit_curve(three) for three in of_group]
 
-        def sample_views(number, at, group=group, targets=targets, curves=curves):
-            for view, curve, target in zip(group, curves, targets, strict=True):
+        def sample_views(number, at, group=group, curves=curves):
+            for (view, target), curve in zip(group, curves, strict=True):
                 seen = point_on_curve(curve, Float(number) * per_step, stack.camera_rows[view])
                 dr.scatter(target, sample_packed(stack, view, *seen), at)
             return number + 1, at + length
 
+        # Anew: values that a kernel has computed before would be arguments of another kernel.
+        begin = dr.zeros(UInt, size), dr.arange(UInt, size) + first
         dr.while_loop(begin, lambda number, at: number < count, sample_views, labels=("number", "at"))
-        dr.eval(targets)
+        dr.eval([target for _, target in group])
 
 
-def _curve_supports(ray_points: _RayPoints, part: range, neighbours: list[int]) -> list:
+def _curve_supports(stack: ViewStack, lines: list, step: float, part: range, neighbours: list[int]) -> list:
     """Pixel positions (u, v) of the first, middle and last hypothesis in each neighbour."""
-    stack = ray_points.stack
-    found: list[list] = [[] for _ in neighbours]
+    found = []
     for number in np.linspace(part.start, part.stop - 1, 3):
-        points = ray_points.points(constant(stack.device, number))
-        for group, of_group in zip(groups(neighbours), groups(found), strict=True):
-            places = [
-                in_front_of_camera(project_with_depth(stack.camera_rows[view], points, stack.kernel_water, stack.terms))
-                for view in group
-            ]
+        points, places = _points(stack, lines, step, constant(stack.device, number)), []
+        for group in groups(neighbours):
+            seen = [project_with_depth(stack.camera_rows[v], points, stack.kernel_water, stack.terms) for v in group]
+            places += [in_front_of_camera(each) for each in seen]
             dr.eval(places)
-            for of_view, place in zip(of_group, places, strict=True):
-                of_view.append(place)
-    return found
+        found.append(places)
+    return list(zip(*found, strict=True))
 
 
 def _warp_point_by_point(
-    ray_points: _RayPoints, part: range, neighbours: list[int], values: list, pixels: np.ndarray | None = None
+    stack: ViewStack, lines: list, step: float, part: range, targets: list[tuple], pixels: np.ndarray | None = None
 ) -> None:
     """Warp with every point projected: all rays, or some by number (n,)."""
-    stack, size = ray_points.stack, ray_points.size
+    size = dr.width(lines[0])
     UInt, Float = stack.device.module.UInt, stack.device.module.Float
     num = size if pixels is None else len(pixels)
     number, pixel = hypothesis_and_pixel(stack.device, num * len(part), num)
@@ -144,9 +122,9 @@ def _warp_point_by_point(
     number += dr.opaque(UInt, part.start)
     at = number * dr.opaque(UInt, size) + pixel
     dr.eval(at)
-    points = ray_points.points(Float(number), pixel)
-    for group, targets in zip(groups(neighbours), groups(values), strict=True):
-        for view, target in zip(group, targets, strict=True):
+    points = _points(stack, [dr.gather(type(each), each, pixel) for each in lines], step, Float(number))
+    for group in groups(targets):
+        for view, target in group:
             seen = project(stack.camera_rows[view], points, stack.kernel_water, stack.terms)
             dr.scatter(target, sample_packed(stack, view, *seen), at)
-        dr.eval(targets)
+        dr.eval([target for _, target in group])

@@ -14,8 +14,8 @@ from functools import cached_property, lru_cache
 import cv2
 import numpy as np
 from scipy import sparse
+from scipy.linalg import solveh_banded
 from scipy.ndimage import binary_erosion, distance_transform_edt, grey_dilation, grey_erosion, map_coordinates
-from scipy.sparse.linalg import spsolve
 from scipy.spatial import cKDTree
 
 from evaluation.robust import std_by_median
@@ -167,14 +167,14 @@ def _lowest(box: StepBox, points: np.ndarray) -> np.ndarray:
 
 def smooth(values: np.ndarray, known: np.ndarray, stiffness: float) -> np.ndarray:
     """Surface (rows, columns) near the known values, with the least second differences elsewhere: a thin plate."""
-    bending = _bending(values.shape)
-    matrix = sparse.diags(known.ravel().astype(float)) + stiffness * bending
-    return spsolve(matrix.tocsc(), np.where(known, values, 0.0).ravel()).reshape(values.shape)
+    diagonals = stiffness * _bending(values.shape)
+    diagonals[0] += known.ravel()
+    return solveh_banded(diagonals, np.where(known, values, 0.0).ravel(), lower=True).reshape(values.shape)
 
 
 @lru_cache(maxsize=4)
-def _bending(shape: tuple[int, int]) -> sparse.csr_matrix:
-    """Sum of squares of the second differences of a grid as a matrix."""
+def _bending(shape: tuple[int, int]) -> np.ndarray:
+    """Sum of squares of the second differences of a grid as a matrix: its diagonal and those below."""
     rows, columns = (sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(size - 2, size)) for size in shape)
     down, across = (sparse.diags([-1.0, 1.0], [0, 1], shape=(size - 1, size)) for size in shape)
     parts = (
@@ -182,7 +182,9 @@ def _bending(shape: tuple[int, int]) -> sparse.csr_matrix:
         (1.0, sparse.kron(sparse.eye(shape[0]), columns)),
         (2.0, sparse.kron(down, across)),
     )
-    return sum(weight * (part.T @ part) for weight, part in parts).tocsr()
+    matrix = sum(weight * (part.T @ part) for weight, part in parts)
+    # Second differences reach two rows down.
+    return np.stack([np.pad(matrix.diagonal(-below), (0, below)) for below in range(2 * shape[1] + 1)])
 
 
 @dataclass(frozen=True)

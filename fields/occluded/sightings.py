@@ -59,11 +59,9 @@ class Sighting:
         return replace(self, **{name: getattr(self, name)[cells] for name in names})
 
     def colours(self, height: np.ndarray | float) -> np.ndarray:
-        """Stored values (rows, columns, 3) float32 at heights (rows, columns) [m] over the layer; NaN outside."""
+        """Stored values (rows, columns, 3) float32 at heights (rows, columns) [m] over the layer; any outside."""
         at = self.start + np.asarray(height, dtype=np.float32)[..., None] * self.change
-        values = cv2.remap(self.rgb, at[..., 0], at[..., 1], cv2.INTER_LINEAR).astype(np.float32)
-        values[~self.is_inside] = np.nan
-        return values
+        return cv2.remap(self.rgb, at[..., 0], at[..., 1], cv2.INTER_LINEAR).astype(np.float32)
 
 
 def sighting_of(
@@ -170,7 +168,7 @@ def consensus(colours: Colours) -> np.ndarray:
         if not both.any():
             continue
         difference = scaled[a] - scaled[b]
-        square = np.einsum("ijc,ijc->ij", difference, difference)
+        square = cv2.transform(difference * difference, np.ones((1, 3), np.float32))
         misfit = windowed(np.minimum(square, MISFIT_CLIP), both)
         kernel = np.where(both, np.exp(-0.5 * (misfit / PAIR_MISFIT) ** 2), np.float32(0.0))
         weight[a] += kernel

@@ -193,33 +193,39 @@ def spectral_means(log_ratio: np.ndarray | float, spectral_slope: float) -> Spec
 
 
 @cache
-def _symbols() -> tuple[np.ndarray, np.ndarray]:
-    """Symbols of the squared Laplacian, and of the second differences of a height."""
-    angle = 2.0 * np.pi * np.fft.fftfreq(_FREQUENCIES)
-    along = 2.0 - 2.0 * np.cos(angle)
+def _symbols() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Symbols of the squared Laplacian and of the second differences of a height, and shares of the spectrum.
+
+    At frequencies (F,) of a quarter of the spectrum, which the others mirror.
+    """
+    along = 2.0 - 2.0 * np.cos(2.0 * np.pi * np.arange(_FREQUENCIES // 2 + 1) / _FREQUENCIES)
+    share = np.full(len(along), 2.0 / _FREQUENCIES)
+    share[[0, -1]] *= 0.5
     # Of the ten second differences of a height three are along rows, three along columns and four across both.
     second = 0.3 * (along[:, None] ** 2 + along**2) + 0.8 * along[:, None] * along
-    return (along[:, None] + along) ** 2, second
+    return ((along[:, None] + along) ** 2).ravel(), second.ravel(), np.outer(share, share).ravel()
 
 
-def _power(spectral_slope: float) -> np.ndarray:
-    """Power spectrum of the bed; a constant is not relief."""
-    symbol, _ = _symbols()
-    return np.where(symbol > 0.0, np.maximum(symbol, 1e-30) ** -spectral_slope, 0.0)
+@cache
+def _by_ratio() -> tuple[np.ndarray, np.ndarray]:
+    """`SpectralMeans` of noise and its pixels (4, ratios), and weights (3, ratios, F) of the bed's power in others."""
+    symbol, second, share = _symbols()
+    transfer = 1.0 / (1.0 + _RATIOS[:, None] * symbol)
+    noise, taken = transfer**2, (1.0 - transfer) ** 2
+    changed = taken * noise
+    mean = changed @ share
+    # What the prior expects of the bed at that ratio, at the spectral slope of the prior.
+    relief = taken * share / _RATIOS[:, None]
+    of_noise = noise @ share, mean, noise @ (second * share), (changed**2 @ share) / mean**2
+    return np.stack(of_noise), np.stack([relief, relief * noise, relief * changed])
 
 
 @cache
 def _shares(spectral_slope: float) -> np.ndarray:
     """Logarithms of `SpectralMeans` (7, ratios)."""
-    symbol, second = _symbols()
-    power, rows = _power(spectral_slope), []
-    for ratio in _RATIOS:
-        transfer = 1.0 / (1.0 + ratio * symbol)
-        # What the prior expects of the bed at that ratio, at the spectral slope of the prior.
-        noise, relief = transfer**2, (1.0 - transfer) ** 2 * power / ratio
-        changed = (1.0 - transfer) ** 2 * noise
-        changed_relief, correlated_px = relief * transfer**2, (changed**2).mean() / changed.mean() ** 2
-        twice = changed_relief * (1.0 - transfer) ** 2
-        means = (part.mean() for part in (noise, relief, changed, changed_relief, twice, second * noise))
-        rows.append([*means, correlated_px])
-    return np.log(rows).T
+    symbol, (of_noise, of_power) = _symbols()[0], _by_ratio()
+    # A constant is not relief.
+    power = np.where(symbol > 0.0, np.maximum(symbol, 1e-30) ** -spectral_slope, 0.0)
+    noise, changed, differences, correlated_px = of_noise
+    relief, changed_relief, twice = of_power @ power
+    return np.log([noise, relief, changed, changed_relief, twice, differences, correlated_px])

@@ -117,7 +117,7 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
         ),
         tolerances=tuple(reach.scores(distances.signed) for reach in reaches),
         parts=measure.parts(scene, distances, depth, blocks),
-        reached=measure.reached_by_slope_of(scene, reaches),
+        reached=measure.reached_by_slope_of(distances, reaches),
         vertical=vertical,
         uncertainty=measure.uncertainty(distances, errors, depth),
         checkpoints=found,

@@ -103,6 +103,7 @@ class Distances:
     signed: np.ndarray
     nearest: np.ndarray  # (N, 3) [m], local: points of the reference, or of that surface
     slope_deg: np.ndarray | None  # (N,) [deg] or None: of the reference there; None where it is a cloud
+    target_slope_deg: np.ndarray | None  # (K,) [deg] or None: of the reference at the targets of the completeness
     # (N,) [m] or None: of the heights of the surface through a cloud; None of a mesh
     reference_std: np.ndarray | None = None
 
@@ -128,11 +129,13 @@ class Reach:
 def distances_of(scene: ComparedScene, sign: Sign) -> tuple[Distances, ReferenceSurface | None, list[str]]:
     """Distances of the compared points, what the surface through a reference of points is like, and notes on both."""
     reference = scene.inputs.reference
-    with current().stage("Distances", len(scene.points)) as stage:
-        if not isinstance(reference, Mesh):
-            surface = local_surface(scene.reference, scene.points[:, :2], advance=stage.advance)
-            return _over_surface(scene, surface)
-        result = distance_to_mesh(scene.points, scene.reference, reference.faces, sign=sign, advance=stage.advance)
+    if not isinstance(reference, Mesh):
+        with current().stage("Distances", len(scene.points)) as stage:
+            return _over_surface(scene, local_surface(scene.reference, scene.points[:, :2], advance=stage.advance))
+    # Together: the tree of a mesh takes as long as its search.
+    num, places = len(scene.points), np.concatenate([scene.points, scene.targets])
+    with current().stage("Distances", len(places)) as stage:
+        result = distance_to_mesh(places, scene.reference, reference.faces, sign=sign, advance=stage.advance)
     num_edges = num_inconsistent_edges(reference.faces) if sign == "winding" else 0
     notes = []
     if num_edges:
@@ -142,7 +145,7 @@ def distances_of(scene: ComparedScene, sign: Sign) -> tuple[Distances, Reference
         )
     if result.num_degenerate:
         notes.append(f"{result.num_degenerate} triangles of the reference have no area and were left out")
-    return Distances(result.signed, result.nearest, result.slope_deg), None, notes
+    return Distances(result.signed[:num], result.nearest[:num], *np.split(result.slope_deg, [num])), None, notes
 
 
 def _over_surface(scene: ComparedScene, surface: LocalSurface) -> tuple[Distances, ReferenceSurface, list[str]]:
@@ -165,7 +168,7 @@ def _over_surface(scene: ComparedScene, surface: LocalSurface) -> tuple[Distance
             f"{int((~known).sum())} of {len(known)} points are not compared: points of {name} do not surround them"
         )
     nearest = np.column_stack([scene.points[:, :2], surface.height])
-    return Distances(scene.points[:, 2] - surface.height, nearest, None, surface.std), found, notes
+    return Distances(scene.points[:, 2] - surface.height, nearest, None, None, surface.std), found, notes
 
 
 def reached_at(scene: ComparedScene, tolerance_m: float) -> Reach:
@@ -208,14 +211,10 @@ def parts(scene: ComparedScene, distances: Distances, depth: np.ndarray | None, 
     return Parts(_by_depth(distances.signed, depth, blocks), incidence, views, slope)
 
 
-def reached_by_slope_of(scene: ComparedScene, reaches: list[Reach]) -> tuple[ReachedBand, ...]:
+def reached_by_slope_of(distances: Distances, reaches: list[Reach]) -> tuple[ReachedBand, ...]:
     """Completeness in bands of slope, of the visible part where it is known; nothing for a reference of points."""
-    if not isinstance(scene.inputs.reference, Mesh):
-        return ()
-    with current().stage("Slopes", len(scene.targets)) as stage:
-        faces = scene.inputs.reference.faces
-        found = distance_to_mesh(scene.targets, scene.reference, faces, advance=stage.advance)
-    return reached_by_slope(found.slope_deg, [reach.targets for reach in reaches])
+    slope_deg = distances.target_slope_deg
+    return () if slope_deg is None else reached_by_slope(slope_deg, [reach.targets for reach in reaches])
 
 
 def vertical(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from survey.adjust.block.priors import _FOCAL_SHARE
+from survey.adjust.block.lens_priors import FOCAL_SHARE
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Status
 from survey.errors import SurveyError
@@ -45,7 +45,7 @@ def test_a_held_focal_length_is_as_uncertain_as_it_was_given(flat):
     at = found.covariance.names.index("camera0.f")
     covariance = found.covariance.matrix
     std = np.sqrt(np.diag(covariance))
-    assert std[at] == pytest.approx(_FOCAL_SHARE * block.stated_lens.focal[0], rel=1e-6)
+    assert std[at] == pytest.approx(FOCAL_SHARE * block.stated_lens.focal[0], rel=1e-6)
     assert np.linalg.eigvalsh(covariance / np.outer(std, std)).min() > -1e-9
 
 

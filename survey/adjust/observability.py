@@ -24,11 +24,12 @@ import numpy as np
 from survey.adjust.block.bundle import NotConvergedError, Solution, levenberg_marquardt
 from survey.adjust.block.normal_equations import system_with
 from survey.adjust.block.observed import Observed
-from survey.adjust.block.priors import FREE_WATER, HELD_SHARE, PriorKnowledge
+from survey.adjust.block.priors import FREE_WATER, PriorKnowledge
 from survey.adjust.block.problem import huber_weights
 from survey.adjust.block.propagation import propagated, propagated_variance
 from survey.adjust.block.roll import Roll, spans_area
 from survey.adjust.block.state import (
+    HELD_SHARE,
     LENS_NAMES,
     NUM_WATER,
     RATE_NAME,

@@ -28,9 +28,9 @@ from evaluation.robust import std_by_median
 from survey.adjust.block.bundle import NotConvergedError, Solution, solve
 from survey.adjust.block.normal_equations import system_at
 from survey.adjust.block.observed import Observed, sizes_of
-from survey.adjust.block.priors import HELD_SHARE, PriorKnowledge, prior_of, priors_for
+from survey.adjust.block.priors import PriorKnowledge, prior_of, priors_for
 from survey.adjust.block.problem import Problem, std_of_kinds
-from survey.adjust.block.state import LENS_NAMES, NUM_WATER, WATER_PARAMETERS, Layout, State, is_held
+from survey.adjust.block.state import HELD_SHARE, LENS_NAMES, NUM_WATER, WATER_PARAMETERS, Layout, State, is_held
 from survey.adjust.clusters import cluster_design_effect
 from survey.adjust.common_height import water_start
 from survey.adjust.observability import FEWEST_WET

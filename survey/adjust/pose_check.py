@@ -17,7 +17,8 @@ import numpy as np
 
 from survey.adjust.block.bundle import solve
 from survey.adjust.block.observed import MATCH, WINDOW, observed
-from survey.adjust.block.priors import FREE_WATER, HELD_SHARE, prior_of
+from survey.adjust.block.priors import FREE_WATER, prior_of
+from survey.adjust.block.state import HELD_SHARE
 from survey.adjust.block.windows import load_photographs, measure_loaded_windows
 from survey.adjust.parameter_tests import (
     check_dry_bed,

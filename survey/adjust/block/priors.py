@@ -9,19 +9,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from refract.lens import MODELS, Lens
+from refract.lens import Lens
+from survey.adjust.block.lens_priors import data_sheet, focals_std, lenses_std, parameters_of
 from survey.adjust.block.problem import Priors
 from survey.adjust.block.roll import Roll, roll_priors, rolled_by_attitudes, rolls_of
 from survey.adjust.block.state import (
-    BROWN,
-    LENS_NAMES,
-    NUM_LENS,
+    HELD_SHARE,
     NUM_POSE,
     NUM_RELIEF,
     NUM_SHIFT,
     Layout,
     State,
-    is_held,
     lenses_of,
 )
 from survey.folder.motion import rows_between
@@ -38,24 +36,14 @@ _POSES_STD_M = 0.05
 # Rotations of structure from motion, for photographs with too few matches to turn them: a block bends by far less.
 # Those of a file without a word on how good they are start from it; the block then tells how good they are.
 ROTATION_STD = math.radians(5.0)
-# Poses of an adjusted block, and by how much smaller than a data sheet's the errors of its lens are.
-EXACT_STD_M, EXACT_STD_DEG, _CALIBRATED = 0.01, 0.003, 0.02
-# The same of a lens whose distortion survey.toml has, of two photographs: they do not calibrate it.
-_GIVEN_LENS = 0.05
-
-
+# Poses of an adjusted block.
+EXACT_STD_M, EXACT_STD_DEG = 0.01, 0.003
 # Of water of which nothing is known, level [m], slopes and index: too wide to affect one that the block determines.
 FREE_WATER = (5.0, 0.05, 0.05, 0.1)
-# A lens by its data sheet: focal lengths are within 2 % of it, the principal point within 1 % of the longer side. At
-# the corner of the image each term of distortion moves a pixel by some of these shares of its distance from the middle
-# (docs/adjustment.md).
-_FOCAL_SHARE, _MIDDLE_SHARE, _RADIAL_SHARES, _DECENTRED_SHARE = 0.02, 0.01, (0.06, 0.04, 0.02), 0.004
 # How far a rough bed seems to rise at 45 degrees, as a share of the ground sampling distance (docs/adjustment.md).
 _RELIEF_GSD = 0.1
 # A ray of 63 degrees off nadir crosses the water two flying heights away.
 _SEEN_WATER = 2.0
-# Std of parameters that are held, as a share of what would be noticed.
-HELD_SHARE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -127,7 +115,7 @@ def prior_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKn
     rolls = rolls_of(survey)
     mean = replace(
         state,
-        lenses=np.array([_data_sheet(survey, lens) for lens in lenses]),
+        lenses=np.array([data_sheet(survey, lens) for lens in lenses]),
         centres=positions,
         rotations=rolled_by_attitudes(state.rotations, rolls),
         focals=np.zeros(len(focals)),
@@ -140,10 +128,10 @@ def prior_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKn
             of_water,
             np.full(NUM_RELIEF, _RELIEF_GSD * gsd),
             _shift_std(survey),
-            _lenses_std(survey, lenses, calibrated=calibrated),
+            lenses_std(survey, lenses, calibrated=calibrated),
             np.full(layout.first_rate - layout.first_readout, readout_std, dtype=np.float64),
             np.full(layout.first_focal - layout.first_rate, _rate_std(survey), dtype=np.float64),
-            _focals_std(lens_of, focals, calibrated=calibrated),
+            focals_std(lens_of, focals, calibrated=calibrated),
             np.concatenate([position_std, rotation_std], axis=1).ravel(),
         ]
     )
@@ -269,61 +257,6 @@ def _hours(survey: Survey) -> np.ndarray | None:
     if survey.water is None or survey.observations.tide is None or _rate_std(survey) is None:
         return None
     return np.array([survey.observations.tide.hours[view.name] for view in survey.views])
-
-
-def parameters_of(lens: Lens) -> np.ndarray:
-    """A lens as parameters (8,) of the adjustment."""
-    if is_held(lens):
-        # Its tie points are straightened: what is left is its pinhole.
-        return np.array([lens.focal[0], lens["cx"], lens["cy"], *np.zeros(NUM_LENS - 3)])
-    return np.array([lens.focal[0], *(lens[name] for name in LENS_NAMES[1:])])
-
-
-def _data_sheet(survey: Survey, lens: Lens) -> np.ndarray:
-    """The lens before any photograph was taken with it.
-
-    Straight rays take some of the bend at the water into the focal length: of photographs without poses that in EXIF
-    counts, not that of structure from motion.
-    """
-    given = parameters_of(lens)
-    cameras = survey.config.cameras
-    if survey.observations.ties is None or is_held(lens) or cameras.poses is not None:
-        return given
-    focal = cameras.focal_px[0] if isinstance(cameras.focal_px, tuple) else cameras.focal_px
-    if focal is None:
-        in_exif = survey.observations.exif_focals
-        focal = next((in_exif[view.name] for view in survey.views if view.lens == lens and view.name in in_exif), None)
-    middle = cameras.principal_point_px or (0.5 * lens.width, 0.5 * lens.height)
-    names = MODELS[cameras.model][1] if cameras.model in BROWN else ()
-    given_by_name = dict(zip([name for name in names if name[0] in "kp"], cameras.distortion or (), strict=False))
-    coefficients = [given_by_name.get(name, 0.0) for name in LENS_NAMES[3:]]
-    return np.array([given[0] if focal is None else focal, *middle, *coefficients])
-
-
-def _lenses_std(survey: Survey, lenses: tuple[Lens, ...], *, calibrated: bool) -> np.ndarray:
-    """Std of the parameters of all lenses (8 L,), by a data sheet, a calibration or the settings."""
-    is_given = len(survey.views) == 2 and survey.config.cameras.distortion is not None
-    share = _CALIBRATED if calibrated else _GIVEN_LENS if is_given else 1.0
-    return np.concatenate([share * _lens_std(lens) for lens in lenses])
-
-
-def _lens_std(lens: Lens) -> np.ndarray:
-    focal, side = lens.focal[0], max(lens.width, lens.height)
-    corner = 0.5 * math.hypot(lens.width, lens.height) / focal
-    radial = np.array(_RADIAL_SHARES) / corner ** np.array([2, 4, 6])
-    decentred = _DECENTRED_SHARE / corner
-    middle = _MIDDLE_SHARE * side
-    std = np.array([_FOCAL_SHARE * focal, middle, middle, *radial, decentred, decentred])
-    return HELD_SHARE * std if is_held(lens) else std
-
-
-def _focals_std(lens_of: np.ndarray, focals: np.ndarray, *, calibrated: bool) -> np.ndarray:
-    """Std of the focal lengths of photographs (V,): their scatter about that of their lens; held where it has none."""
-    if not len(focals):
-        return focals
-    scatter = np.sqrt(np.bincount(lens_of, focals**2) / np.bincount(lens_of))
-    std = np.where(scatter > 0.0, _CALIBRATED * _FOCAL_SHARE, 0.0) if calibrated else scatter
-    return np.maximum(std, HELD_SHARE * _FOCAL_SHARE)[lens_of]
 
 
 def _water_std(survey: Survey, *, free: bool) -> np.ndarray:

@@ -30,6 +30,8 @@ from survey.folder.survey import Survey
 from survey.photos.cameras import View
 from survey.settings.config import WaterConfig
 
+# Std of parameters that are held, as a share of what would be noticed.
+HELD_SHARE = 1e-9
 # Models whose distortion is Brown's; other lenses are held, and their tie points straightened.
 BROWN = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 _FOCAL_NAMES = ("f", "fx", "fy")

@@ -10,18 +10,20 @@ import torch
 from analytic_volume import BOX, AnalyticVolume, floor_at, looking_down, seen_by
 from volume_scenes import Backdrop
 
-from fields.volume.density_loss import (
+from fields.volume.losses import (
     LIMIT,
     NODES,
+    added_loss,
     density_loss,
     density_per_half,
+    distortion_loss,
     draw_nodes,
     empty_loss,
     gaussian_density_loss,
     limited_exp,
     printed_density_loss,
+    transparency_loss,
 )
-from fields.volume.losses import added_loss, distortion_loss, transparency_loss
 from fields.volume.photographs import COLUMNS
 from fields.volume.renderer import Rendered, VolumeRenderer
 from fields.volume.sampling import Cells, Samples

@@ -65,11 +65,10 @@ class Drop(StrEnum):
 
 
 class Mapper(StrEnum):
-    """Mappers of structure from motion: photograph by photograph (`auto`, too), in parts, or all at once."""
+    """Mappers of structure from motion: photograph by photograph (`auto`, too), or all at once."""
 
     auto = "auto"
     incremental = "incremental"
-    hierarchical = "hierarchical"
     global_ = "global"
 
 

@@ -46,8 +46,6 @@ _MOST_FEATURES = 4096
 _PAIRS_AT_ONCE = 100
 # Of a photograph while its features are looked for.
 _BYTES_OF_FEATURES = 2.0e9
-# Mappers that do not tell their progress.
-WITHOUT_PROGRESS = (Mapper.hierarchical, Mapper.global_)
 
 
 def features_of(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
@@ -288,7 +286,7 @@ class MatchedPhotographs:
 
 def reconstruct(matched: MatchedPhotographs, mapper: str) -> list[pycolmap.Reconstruction]:
     """Reconstructions of poses and points, each in a frame of its own; the largest first."""
-    run = {Mapper.global_: _global, Mapper.hierarchical: _hierarchical}.get(Mapper(mapper), _incremental)
+    run = _global if mapper == Mapper.global_ else _incremental
     with current().stage("Structure from motion", matched.num) as step:
         blocks = run(matched, step.advance)
     return sorted(blocks.values(), key=lambda block: (-block.num_reg_images(), -block.num_points3D()))
@@ -303,13 +301,6 @@ def _incremental(matched: MatchedPhotographs, advance: Callable[..., None]) -> d
     return solver().incremental_mapping(
         matched.database, matched.folder, matched.work, options, next_image_callback=advance
     )
-
-
-def _hierarchical(matched: MatchedPhotographs, _advance: Callable[..., None]) -> dict[int, pycolmap.Reconstruction]:
-    options = solver().HierarchicalPipelineOptions()
-    options.num_threads, options.num_workers = THREADS, 1
-    options.incremental_options = pipeline_options(matched.num)
-    return solver().hierarchical_mapping(matched.database, matched.folder, matched.work, options)
 
 
 def _global(matched: MatchedPhotographs, _advance: Callable[..., None]) -> dict[int, pycolmap.Reconstruction]:

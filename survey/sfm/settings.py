@@ -31,10 +31,10 @@ _PAIRS_OF_NEIGHBOUR = 0.65
 def mapper_of(num: int, asked: str) -> tuple[str, str]:
     """The mapper, and why, in words that fit so many images: the one that is asked for, else incremental mapping.
 
-    Global mapping bends blocks more, whatever their size; in parts large blocks fall apart (docs/decisions.md). Two
-    photographs alone are placed by incremental mapping only.
+    Global mapping bends blocks more, whatever their size (docs/decisions.md). Two photographs alone are placed by
+    incremental mapping only.
     """
-    if num == 2 and asked in (Mapper.hierarchical, Mapper.global_):
+    if num == 2 and asked == Mapper.global_:
         return Mapper.incremental.value, f"{asked} mapping, as set in {FILE_NAME}, does not place two photographs alone"
     if asked != Mapper.auto:
         return asked, f"set by [cameras] mapper in {FILE_NAME}"

@@ -18,9 +18,10 @@ from survey.errors import FILE_NAME, PosesError
 from survey.photos.exif import Exif
 from survey.photos.poses import least_track
 from survey.sfm import block as sfm_block
-from survey.sfm.block import WITHOUT_PROGRESS, CameraBody, reconstruct
+from survey.sfm.block import CameraBody, reconstruct
 from survey.sfm.gps_fit import attitudes_of
 from survey.sfm.pairs import LEAST_HEIGHT_M, Place
+from survey.words import Mapper
 
 if TYPE_CHECKING:
     import pycolmap
@@ -181,7 +182,7 @@ def _blocks(photographs: Photographs, work: Path, report: Callable[[str], None])
         for sensor in sensors_of(photographs.headers, photographs.focal_px)
     ]
     of_pairs = sfm_block.match_photographs(folder, sensors, places, work, report)
-    unknown = "; its progress is not known until it ends" if photographs.mapper in WITHOUT_PROGRESS else ""
+    unknown = "; its progress is not known until it ends" if photographs.mapper == Mapper.global_ else ""
     report(f"structure from motion: poses, by {photographs.mapper} mapping{unknown}")
     blocks = reconstruct(of_pairs, photographs.mapper)
     placed = blocks[0].num_reg_images() if blocks else 0

@@ -9,12 +9,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pycolmap
 import pytest
 
 from survey.sfm import block
 from survey.sfm.block import CameraBody, match_photographs
-from survey.sfm.distributed import computing_on, part_of
+from survey.sfm.distributed import computing_on
 
 SIZE = (320, 240)
 
@@ -64,14 +63,3 @@ def test_workers_leave_the_rows_of_one_process(photographs, tmp_path, monkeypatc
     assert sum(row[1] for row in found["here"]["two_view_geometries"]) > 300
     # Six photographs, and fifteen pairs.
     assert workers.items == 6 + 4
-
-
-def test_a_part_holds_the_features_of_its_pairs_alone(photographs, tmp_path):
-    sensors = [CameraBody(tuple(sorted(path.name for path in photographs.iterdir())), SIZE, None)]
-    database = match_photographs(photographs, sensors, {}, tmp_path, lambda _text: None).database
-    (tmp_path / "part.db").write_bytes(part_of(database, [("000000.png", "000003.png")]).database)
-    with pycolmap.Database.open(tmp_path / "part.db") as part:
-        assert part.num_images() == 6
-        assert part.num_matched_image_pairs() == 0
-        has = {part.read_image(number).name: part.exists_descriptors(number) for number in range(1, 7)}
-    assert [name for name, is_there in has.items() if is_there] == ["000000.png", "000003.png"]

@@ -44,7 +44,7 @@ _KERNELS_S, _RANGE_S = 2.0, 2.0
 _CHECKED, _MOST_MPX = 10, 6.0
 _CHECK_S, _ADJUST_S = (2.5, 0.1), (2.0, 2.0)
 # Structure from motion: features per megapixel and matching per pair, on all cores; mapping per photograph, on one.
-_FEATURES_S, _PAIR_S, _PLACING_S = 0.6, 0.1, 0.1
+_FEATURES_S, _PAIR_S, _PLACING_S = 0.3, 0.02, 0.1
 SFM_PARTS = ("Features", "Matches", "Structure from motion")
 # Decoding a megapixel; the report, once; bed and report, per point.
 _DECODING_S, _REPORT_S, _POINT_S = 0.02, 2.0, 3e-6
@@ -71,7 +71,7 @@ POINT_BYTES = 130
 # Per cell of one ground sampling distance: factors, their gradients and moments; rays drawn at once, of so many cells.
 _BYTES_OF_FIELD, _BYTES_OF_RAYS, _RAYS_OF_CELLS = 400, 1000, 500_000
 # On the disk, per pixel of a height map and per cell of the bed; pictures, report and log; structure from motion.
-_DISK_OF_MAP, _DISK_OF_CELL, _DISK_AT_LEAST, _DISK_OF_SFM = 18, 210, 30e6, 4e6
+_DISK_OF_MAP, _DISK_OF_CELL, _DISK_AT_LEAST, _DISK_OF_SFM = 18, 210, 30e6, 2e6
 # With more views than this, choosing those that cover the bed takes too long here: all count, as a bound.
 _MOST_VIEWS = 2000
 # For real photographs with noise, glitter or little texture, which need wider windows than simulated ones.

@@ -1,7 +1,6 @@
-"""Blocks of photographs by pycolmap: features (SIFT by OpenCV), verified matches, and what mapping makes of them.
+"""Blocks of photographs by pycolmap: a database of features and verified matches, and what mapping makes of them.
 
-Nothing outside this file knows pycolmap's options. Pixels are those of the stored image,
-whatever its EXIF orientation, and the centre of the first pixel is at (0.5, 0.5).
+Pixels are those of the stored image, whatever its EXIF orientation, and the centre of the first pixel is at (0.5, 0.5).
 """
 
 from __future__ import annotations
@@ -11,77 +10,36 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from geo.similarity import Similarity
 from refract.lens import Lens
 from survey import machine
-from survey.photos.images import eight_bits
-from survey.photos.pixels import read_rgb
 from survey.photos.poses import TiePoints, least_track
 from survey.progress import current
-from survey.sfm.distributed import Workers, add_rows, part_of, rows_of, workers
+from survey.sfm.distributed import Workers, workers
+from survey.sfm.features import ImageFeatures, PairsToMatch, features_of
 from survey.sfm.incremental import DIRECT_UP_TO, map_directly, pipeline_options
 from survey.sfm.pairs import VOTING, Place, image_pairs, similar_images
-from survey.sfm.settings import ALL_PAIRS_UP_TO, FEATURES_PX, MIN_IMAGES, SEED, THREADS, solver
+from survey.sfm.settings import ALL_PAIRS_UP_TO, MIN_IMAGES, SEED, THREADS, solver
 from survey.words import Mapper
 
 if TYPE_CHECKING:
     import pycolmap
 
-# Extrema of less contrast are noise; the limit is that of pycolmap.
-_CONTRAST = 0.02
-# A descriptor's numbers are shares of its whole, of which a byte has so many steps.
-_STEPS = 512.0
 # f, cx, cy, k1, k2. With one coefficient a real block is bent by decimetres; more than two gain nothing (see tests).
 MODEL = "RADIAL"
 # Most features of an image. The adjustment uses a few hundred of them (`survey.adjust.block.observed`), and twice
-# as many take twice the time.
-_MOST_FEATURES = 4096
-# Pairs that are matched between two words on the progress, at least.
+# as many take four times as long to match.
+_MOST_FEATURES = 2048
+# Pairs of a part, whose features are in memory together: some 100 images, of 0.3 MB each.
 _PAIRS_AT_ONCE = 100
 # Of a photograph while its features are looked for.
 _BYTES_OF_FEATURES = 2.0e9
-
-
-def features_of(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Features of a photograph, those of the largest scale first.
-
-    Parameters
-    ----------
-    path : Path
-        EXIF orientation is not applied.
-    most : int
-        No more than these are kept.
-
-    Returns
-    -------
-    (N, 4) float32
-        x, y, scale [px] and orientation [rad], in the stored photograph.
-    (N, 128) uint8
-        Roots of the shares (R. Arandjelovic and A. Zisserman, Three things everyone should know to improve object
-        retrieval, 2012), as pycolmap has them.
-    """
-    pixels = cv2.cvtColor(eight_bits(read_rgb(path)), cv2.COLOR_RGB2GRAY)
-    shrunk = min(1.0, FEATURES_PX / max(pixels.shape))
-    if shrunk < 1.0:
-        pixels = cv2.resize(pixels, None, fx=shrunk, fy=shrunk, interpolation=cv2.INTER_AREA)
-    sift = cv2.SIFT.create(nfeatures=0, contrastThreshold=_CONTRAST, enable_precise_upscale=True)
-    found = sift.detect(pixels, None)
-    # A large feature is found again from further off, and in worse photographs.
-    found = sorted(found, key=lambda each: (-each.size, -each.response, each.pt))[:most]
-    if not found:
-        return np.zeros((0, 4), np.float32), np.zeros((0, 128), np.uint8)
-    found, descriptors = sift.compute(pixels, found)
-    at = (np.array([each.pt for each in found]) + 0.5) / shrunk
-    size = np.array([[0.5 * each.size / shrunk, np.radians(each.angle)] for each in found])
-    share = descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-9)
-    rooted = np.clip(np.rint(_STEPS * np.sqrt(share)), 0, 255).astype(np.uint8)
-    return np.column_stack([at, size]).astype(np.float32), rooted
 
 
 @dataclass(frozen=True)
@@ -127,7 +85,7 @@ def match_photographs(
             report(f"structure from motion: {len(lost)} images without a position are matched by likeness")
             pairs = sorted({*pairs, *_similar_pairs(database, names, lost)})
         report(f"structure from motion: matches of {len(pairs)} pairs{on}")
-        _match_all(database, pairs, work, pool)
+        _match_all(database, pairs, pool)
     return MatchedPhotographs(database, folder, work, len(names))
 
 
@@ -171,35 +129,28 @@ def _similar_pairs(database: Path, names: Sequence[str], lost: Sequence[str]) ->
     return [(names[min(i, j)], names[max(i, j)]) for i, j in found if min(i, j) >= 0 and max(i, j) < len(names)]
 
 
-def _match_all(database: Path, pairs: Sequence[tuple[str, str]], work: Path, pool: Workers | None) -> None:
-    """Matches of pairs, part by part."""
-    at_once = _PAIRS_AT_ONCE if pool is not None else max(_PAIRS_AT_ONCE, len(pairs) // 20)
-    parts = [pairs[first : first + at_once] for first in range(0, len(pairs), at_once)]
-    with current().stage("Matches", len(pairs)) as step:
-        if pool is None:
-            for some in parts:
-                _match(database, some, work, machine.num_cores())
-                step.advance(len(some))
-            return
-        found = pool.map(partial(rows_of, match=_match), (part_of(database, some) for some in parts))
-        for some, rows in zip(parts, found, strict=True):
-            add_rows(database, rows)
-            step.advance(len(some))
+def _match_all(database: Path, pairs: Sequence[tuple[str, str]], pool: Workers | None) -> None:
+    """Verified matches of pairs, part by part."""
+    parts = [pairs[first : first + _PAIRS_AT_ONCE] for first in range(0, len(pairs), _PAIRS_AT_ONCE)]
+    with solver().Database.open(database) as opened, current().stage("Matches", len(pairs)) as step:
+        images = {image.name: image for image in opened.read_all_images()}
+        to_match = (
+            PairsToMatch(part, {name: _features_in(opened, images[name]) for name in sorted(set(chain(*part)))})
+            for part in parts
+        )
+        match = partial(PairsToMatch.matched, threads=machine.num_cores() if pool is None else 1)
+        for part, found in zip(parts, map(match, to_match) if pool is None else pool.map(match, to_match), strict=True):
+            for (one, other), (matches, geometry) in zip(part, found, strict=True):
+                numbers = images[one].image_id, images[other].image_id
+                opened.write_matches(*numbers, matches)
+                opened.write_two_view_geometry(*numbers, geometry)
+            step.advance(len(part))
 
 
-def _match(database: Path, pairs: Sequence[tuple[str, str]], work: Path, threads: int) -> None:
-    """Matches of pairs, verified; each pair has its own random numbers, so that threads change nothing."""
-    colmap = solver()
-    pairing, matching, verification = (
-        colmap.ImportedPairingOptions(),
-        colmap.FeatureMatchingOptions(),
-        colmap.TwoViewGeometryOptions(),
-    )
-    pairing.match_list_path = work / "pairs.txt"
-    matching.num_threads, matching.use_gpu = threads, False
-    verification.ransac.random_seed = SEED
-    pairing.match_list_path.write_text("".join(f"{a} {b}\n" for a, b in pairs), encoding="utf-8")
-    colmap.match_image_pairs(database, matching, pairing, verification, colmap.Device.cpu)
+def _features_in(opened: pycolmap.Database, image: pycolmap.Image) -> ImageFeatures:
+    """Features of an image in a database."""
+    keypoints, descriptors = opened.read_keypoints(image.image_id), opened.read_descriptors(image.image_id)
+    return ImageFeatures(opened.read_camera(image.camera_id), keypoints[:, :2], descriptors.data)
 
 
 def camera_of(block: pycolmap.Reconstruction, name: str) -> pycolmap.Camera:

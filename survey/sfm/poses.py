@@ -40,8 +40,8 @@ from survey.sfm.solve import FreeBlocks, Photographs, sensors_of, solve
 from survey.stage_key import code_hash, stage_key
 
 _RECORD, _MODEL, _WORK = "solved.json", "model", ".work.part"
-# Features and matches of an image take about 2 MB in the database.
-_BYTES_PER_IMAGE, _BYTES_AT_LEAST = 4_000_000, 50_000_000
+# Features and matches of an image take about 0.4 MB in the database.
+_BYTES_PER_IMAGE, _BYTES_AT_LEAST = 2_000_000, 50_000_000
 
 
 @dataclass(frozen=True)

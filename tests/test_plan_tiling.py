@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from survey.display.quantities import bytes_of, length, room, size
+from survey.display.quantities import bytes_of, room, size
 from survey.errors import SurveyError
 from survey.plan import tile_choice
 from survey.plan.area import Tiling, inside
@@ -219,13 +219,6 @@ def test_rays_miss_by_what_snell_says(planned):
     in_water = np.arcsin(np.sin(incidence) / survey.water.n_water)
     aside = 0.1 * (np.tan(incidence) - survey.water.n_water * np.tan(in_water)) / plan.gsd_m
     assert list(ray_skew_px(survey, plan, ground_of(survey, plan), [None])) == [(None, pytest.approx(aside, rel=1e-3))]
-
-
-def test_tiles_larger_than_a_local_frame_serves_for_are_warned_of(planned):
-    survey, plan, _ = planned
-    assert not tile_warnings(survey, replace(plan, tiling=Tiling((0.0, 1000.0, 2000.0), (0.0, 500.0), 0.2)))
-    (warning,) = tile_warnings(survey, replace(plan, tiling=Tiling((0.0, 1500.0, 3000.0), (0.0, 500.0), 0.2)))
-    assert warning.startswith(f"tiles are {length(1500.0)} wide, expected at most {length(1000.0)}")
 
 
 def test_windows_are_as_large_as_the_ground_that_they_show(planned):

@@ -44,9 +44,7 @@ def test_tiles_answer_what_stages_ask_of_a_job_for_themselves():
         assert getattr(TileJob, name) is not getattr(Job, name)
     # What is defined is asked for: a name of the base class, or of the tile alone.
     own = {name for name in vars(TileJob) if not name.startswith("_")}
-    assert own - set(dir(Job)) == {
-        "range_of_heights", "over_whole",
-    }  # fmt: skip
+    assert own - set(dir(Job)) == {"over_whole"}
 
 
 def test_only_a_survey_of_more_than_a_kilometre_has_frames_of_tiles():
@@ -181,7 +179,13 @@ def test_tiles_choose_more_views_under_glitter(monkeypatch):
         )
 
     def tile(*_):
-        return Tile(is_void=False, windows=[SimpleNamespace(view=7)], range_of_heights=lambda: (-2.0, 0.0), release=int)
+        return Tile(
+            is_void=False,
+            windows=[SimpleNamespace(view=7)],
+            bound=None,
+            range_within=lambda _: (-2.0, 0.0),
+            release=int,
+        )
 
     monkeypatch.setattr(stage_range, "TileJob", tile)
     plan = SimpleNamespace(recipe=RECIPES["draft"], tiling=[0])

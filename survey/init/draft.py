@@ -6,7 +6,6 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from pyproj import CRS
 
 from geo.crs import vertical_crs
 from geo.files import write_text
@@ -72,11 +71,7 @@ def write_settings(
     path = folder / FILE_NAME
     if path.exists() and not force:
         raise OutputError(f"{path} exists; --force replaces it")
-    return _write(path, (SCHEMA_LINE if names_schema else "") + draft(folder, options))
-
-
-def _write(path: Path, text: str) -> Path:
-    write_text(path, text)
+    write_text(path, (SCHEMA_LINE if names_schema else "") + draft(folder, options))
     return path
 
 
@@ -90,7 +85,8 @@ def require_settings(folder: Path, options: InitOptions) -> Path | None:
         found = find_survey(folder, config=parse_config(text))
         if found.poses_path is None:
             require_solvable(found)
-        return _write(folder / FILE_NAME, text)
+        write_text(folder / FILE_NAME, text)
+        return folder / FILE_NAME
     water = config.water or WaterConfig()
     given = (water.level_m, water.refractive_index == SEA_WATER or None, config.dry, config.crs, config.local.origin)
     for name, value in zip(("level_m", "sea", "dry", "crs", "origin"), given, strict=True):
@@ -140,19 +136,15 @@ def draft(folder: Path, options: InitOptions) -> str:
         area.add_comments(
             f"bounds = {[round(each, 1) for each in low + high]}    # of the cameras; without it all is taken"
         )
-    _write_water(folder, photographs, options, _heights_of(crs, places), top, water)
+    vertical = vertical_crs(crs)
+    heights = "above the ellipsoid" if vertical is None else f"as {vertical.name}"
+    if len(places):
+        heights += f", in which the cameras are at {places[:, 2].min():.1f} to {places[:, 2].max():.1f}"
+    _write_water(folder, photographs, options, heights, top, water)
     _write_control(folder, control)
     text = "\n".join(table.text() for table in (top, images, cameras, local, area, control, water) if table.lines)
     parse_config(text)
     return text
-
-
-def _heights_of(crs: CRS, places: np.ndarray) -> str:
-    """Heights of a CRS in words, and those of the cameras (N, 3) in it."""
-    vertical = vertical_crs(crs)
-    name = "above the ellipsoid" if vertical is None else f"as {vertical.name}"
-    low, high = (places[:, 2].min(), places[:, 2].max()) if len(places) else (0.0, 0.0)
-    return f"{name}, in which the cameras are at {low:.1f} to {high:.1f}" if len(places) else name
 
 
 def _write_water(

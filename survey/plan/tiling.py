@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fields.sweep.block import Overlap
-from survey.display.quantities import length
 from survey.plan.area import AREA_MARGIN_M, Area, Tiling, flattened, grown, local_area
 from survey.plan.heights import dry_ground
 from survey.plan.sweep_block import camera_of
@@ -77,23 +76,6 @@ def ray_skew_px(
 
 
 def tile_warnings(survey: Survey, plan: Plan) -> tuple[str, ...]:
-    """Warnings where a plane or a local frame is not accurate enough for a tile."""
-    return (*_water_warnings(survey, plan), *_frame_warnings(plan.tiling))
-
-
-def _frame_warnings(tiling: Tiling | None) -> tuple[str, ...]:
-    if tiling is None:
-        return ()
-    side = max(tiling.x[1] - tiling.x[0], tiling.y[1] - tiling.y[0])
-    if side <= FRAME_M * (1.0 + 1e-9):
-        return ()
-    return (
-        f"tiles are {length(side)} wide, expected at most {length(FRAME_M)}, for which a local frame serves: heights "
-        "kilometres from its middle come out too high (0.4 mm at 5 km); take more tiles (--tiles)",
-    )
-
-
-def _water_warnings(survey: Survey, plan: Plan) -> tuple[str, ...]:
     """A warning where the planes of the tiles do not approximate the water well enough."""
     if survey.water is None or survey.observations.departure is None:
         return ()

@@ -46,60 +46,49 @@ class Flight:
 
 def save_flight(folder: Path, survey: Survey) -> None:
     """Write what `load_flight` reads into the folder of a result."""
-    water = None if survey.water is None else {name: getattr(survey.water, name) for name in _WATER}
+    water, departure = survey.water, survey.observations.departure
+    views = [
+        {
+            "name": view.name,
+            "image": str(view.path.absolute()),
+            "mask": None if view.mask_path is None else str(view.mask_path.absolute()),
+            "model": view.lens.model,
+            "params": view.lens.params,
+            "size_px": [view.lens.width, view.lens.height],
+            "centre": view.camera.centre,
+            "cam_from_local": view.camera.cam_from_local,
+            "motion_m_per_row": view.camera.motion,
+            "tide_m": view.camera.tide,
+        }
+        for view in survey.views
+    ]
     record = {
         "crs_wkt": survey.frame.crs.to_wkt(),
         "origin": list(survey.frame.origin),
-        "water": water,
+        "water": None if water is None else {name: getattr(water, name) for name in _WATER},
         "bounds": survey.bounds,
-        "departure": _record_of_departure(survey.observations.departure),
-        "views": [_record_of_view(view) for view in survey.views],
+        "departure": None
+        if departure is None
+        else {"is_still": isinstance(departure, StillWater), "points": departure.points, "stds": departure.stds},
+        "views": views,
     }
     write_json(folder / FLIGHT, record)
 
 
-def _record_of_departure(departure: Departure | None) -> dict | None:
-    if departure is None:
-        return None
-    is_still = isinstance(departure, StillWater)
-    return {"is_still": is_still, "points": departure.points, "stds": departure.stds}
-
-
-def _departure(record: dict | None) -> Departure | None:
-    if record is None:
-        return None
-    kind = StillWater if record["is_still"] else Departure
-    return kind(np.array(record["points"]), np.array(record["stds"]))
-
-
-def _record_of_view(view: View) -> dict:
-    camera, lens = view.camera, view.lens
-    return {
-        "name": view.name,
-        "image": str(view.path.absolute()),
-        "mask": None if view.mask_path is None else str(view.mask_path.absolute()),
-        "model": lens.model,
-        "params": lens.params,
-        "size_px": [lens.width, lens.height],
-        "centre": camera.centre,
-        "cam_from_local": camera.cam_from_local,
-        "motion_m_per_row": camera.motion,
-        "tide_m": camera.tide,
-    }
-
-
 def load_flight(run: Path) -> Flight:
     """The flight of the result that stands in a run folder."""
-    path = run / FLIGHT
-    record = read_json_object(path)
+    record = read_json_object(run / FLIGHT)
     try:
-        water = record["water"]
+        water, departure = record["water"], record["departure"]
+        if departure is not None:
+            kind = StillWater if departure["is_still"] else Departure
+            departure = kind(np.array(departure["points"]), np.array(departure["stds"]))
         return Flight(
             LocalFrame(CRS.from_wkt(record["crs_wkt"]), tuple(record["origin"])),
             None if water is None else FlatWater(**{**water, "point": tuple(water["point"])}),
             tuple(_view(entry) for entry in record["views"]),
             None if record["bounds"] is None else tuple(record["bounds"]),
-            _departure(record.get("departure")),
+            departure,
         )
     except (KeyError, TypeError, ValueError) as error:
         why = "was made before runs kept their cameras" if not record else f"holds a {FLIGHT} that cannot be read"
@@ -109,9 +98,6 @@ def load_flight(run: Path) -> Flight:
 def _view(record: dict) -> View:
     lens = Lens(record["model"], tuple(record["params"]), *record["size_px"])
     motion, mask = record["motion_m_per_row"], record["mask"]
-    camera = replace(
-        lens.camera(np.array(record["centre"]), np.array(record["cam_from_local"])),
-        tide=record.get("tide_m", 0.0),
-        motion=None if motion is None else np.array(motion),
-    )
+    camera = lens.camera(np.array(record["centre"]), np.array(record["cam_from_local"]))
+    camera = replace(camera, tide=record["tide_m"], motion=None if motion is None else np.array(motion))
     return View(record["name"], Path(record["image"]), camera, lens, None if mask is None else Path(mask))

@@ -17,8 +17,7 @@ class Owner:
     name: str  # For messages only: it may change
     # name to bytes: cameras give the same names again in every flight, but hardly the same sizes too
     photographs: dict[str, int]
-    # name to SHA-256: of what their files hold: photographs that are not compressed are of one size. None of a run of a
-    # version that did not keep it.
+    # name to SHA-256: of what their files hold: photographs that are not compressed are of one size
     contents: dict[str, str] = field(default_factory=dict)
 
     @classmethod
@@ -29,10 +28,8 @@ class Owner:
 
     @classmethod
     def from_record(cls, record: Mapping) -> Owner | None:
-        """Owner from its record; None in a run of a version that kept none."""
-        if "photographs" not in record:
-            return None
-        return cls(record["survey"], record["photographs"], record.get("contents", {}))
+        """Owner from its record; None before a run is claimed."""
+        return cls(record["survey"], record["photographs"], record["contents"]) if "survey" in record else None
 
     def as_record(self) -> dict:
         """Plain values."""

@@ -22,12 +22,11 @@ from survey.run.merged import join_solved, join_sweeps
 from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
 from survey.run.stage_adjust import MISFIT, adjust_block, check_poses, use_adjustment, use_misfit
 from survey.run.stage_bed import FILES, POINTS, find_points, make_bed, use_bed
-from survey.run.stage_field import train_field
+from survey.run.stage_field import COLOUR_FILE, estimate_colour, train_field, use_colour
 from survey.run.stage_range import find_range, use_range
 from survey.run.stage_solver import FIGURES, SIGHTINGS, SOLVED, WAVES, learn_figures, solve_heights
 from survey.run.stage_sweep import CONSISTENCY, MAPS, SATURATED, sweep_views
 from survey.run.stage_sweep import FILES as SWEEP_FILES
-from survey.run.stage_water_colour import COLOUR_FILE, estimate_colour, use_colour
 from survey.run.stored import FIELD_FILES
 
 Compute = Callable[["Job", Path, Mapping[str, Path]], None]

@@ -1,9 +1,12 @@
-"""The stage of the field: a radiance field for views, in a layer about the heights of the solver."""
+"""Two optional stages, by torch: the absorption of the water, where survey.toml does not say it, and a field for views.
+
+The field is a radiance field in a layer about the heights of the solver.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -12,13 +15,15 @@ import numpy as np
 
 from fields.solver.solver import SolvedMap
 from fields.sweep.maps import HeightMap, Sources, trusted
-from survey.errors import SurveyError
+from survey.errors import Findings, SurveyError
+from survey.files.json_values import read_json_object, write_json
 from survey.plan.area import within
 from survey.plan.sweep_block import device_word
 from survey.progress import Step
 from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import MAPS
 from survey.run.stored_maps import Stored
+from survey.settings.water import WaterColour
 
 if TYPE_CHECKING:
     from fields.volume.layer import Layer
@@ -29,6 +34,7 @@ if TYPE_CHECKING:
     from survey.run.job import Job
     from survey.run.stored_field import RestoredField
 
+COLOUR_FILE = "water_colour.json"
 # Of each path inside the layer: the paper samples within +-s of the proxy surface.
 SAMPLES = 8
 # Half of the layer: so many cells, or so many times the median spread of the heights where that is more.
@@ -175,3 +181,31 @@ def _meetings(own: _OwnPoints, layer: Layer) -> tuple[np.ndarray, np.ndarray]:
     is_inside = (moved * direction[:, 2]).abs() < INSIDE * layer.half
     is_inside &= layer.holds(xyz + moved[:, None] * direction)
     return own.length + moved.numpy(), is_inside.numpy()
+
+
+def estimate_colour(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+    """Estimate the absorption of the water from the photographs that have a height map."""
+    # Imported where it is needed: it takes torch, whose import takes seconds.
+    from fields.colour.true_colour import estimate_absorption
+
+    with job.progress.stage("Water colour"):
+        try:
+            absorption = estimate_absorption(job.sources(Stored(needs["sweep"] / MAPS, HeightMap)))
+        except ValueError as error:
+            raise SurveyError(
+                f"the absorption of the water cannot be estimated from the photographs: {error}; give [water] "
+                "absorption_per_m and veiling_light in survey.toml, or leave --true-colour out"
+            ) from error
+        write_json(folder / COLOUR_FILE, {"absorption_per_m": absorption})
+
+
+def use_colour(job: Job, folder: Path) -> None:
+    """Give the job's survey the absorption that was found, and no veiling light."""
+    red, green, blue = read_json_object(folder / COLOUR_FILE)["absorption_per_m"]
+    _, given = job.survey.require_water()
+    water = replace(given, colour=WaterColour((red, green, blue), (0.0, 0.0, 0.0)))
+    listed = ", ".join(f"{a:.3f}" for a in (red, green, blue))
+    note = f"absorption_per_m = [{listed}], from the photographs, and no veiling_light"
+    findings = job.survey.findings + Findings(assumptions=(note,))
+    job.survey = replace(job.survey, config=replace(job.survey.config, water=water), findings=findings)
+    job.progress.detail(f"water colour: {note}")

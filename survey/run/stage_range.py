@@ -49,7 +49,7 @@ def _of_tiles(job: Job, advance: Callable[[float], None]) -> tuple[list[tuple[fl
         tile = TileJob(job, number, BedSearch(job.limits, list(range(len(job.survey.views)))))
         if not tile.is_void:
             try:
-                found[number] = tile.range_of_heights()
+                found[number] = tile.range_within(tile.bound)
                 tile.block.set_overlap_height(0.5 * sum(found[number]))
             except SurveyError as error:
                 why = error

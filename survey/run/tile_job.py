@@ -13,7 +13,6 @@ import numpy as np
 from fields.image_store import GreyImages
 from fields.sweep.block import Block
 from fields.sweep.views import ground_points
-from survey.errors import SurveyError
 from survey.plan.area import Area, flattened, grown, limits
 from survey.plan.sweep_block import backend
 from survey.plan.tiling import places_of
@@ -138,15 +137,6 @@ class TileJob(Job):
     def bound(self) -> tuple[float, float]:
         """Bound of the bed, over the plane of the tile."""
         return self._bound
-
-    def range_of_heights(self) -> tuple[float, float]:
-        """The bound by thumbnails of the windows, for which that of the tile are the search limits."""
-        from fields.sweep.height_range import find_range
-
-        try:
-            return find_range(self.block, self._bound)
-        except ValueError as error:
-            raise SurveyError(str(error)) from error
 
     def _camera_in_frame(self, camera: PinholeCamera) -> PinholeCamera:
         return camera if self._moved is None else camera.in_frame(self._moved.rotation, self._moved.shift)

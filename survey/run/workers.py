@@ -7,7 +7,6 @@ of a run that has one, and need no common disk.
 
 from __future__ import annotations
 
-import platform
 import time
 import uuid
 import warnings
@@ -15,7 +14,6 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import suppress
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
@@ -44,25 +42,6 @@ WORKER_TIMEOUT_S = 60.0
 _LOOK_EVERY_S = 5.0
 
 
-@dataclass(frozen=True)
-class Failure:
-    """Error of a task on a worker, by its address and the name of its machine."""
-
-    place: str
-    machine: str
-    error: Exception
-
-
-def _attempted(compute: Callable[..., Computed], *given: Any) -> Computed | Failure:
-    """Result of a task, on a worker; or what kept this one from it, which another may not lack: disk, photographs."""
-    try:
-        return compute(*given)
-    except (SurveyError, GeoError, OSError) as error:
-        from distributed import get_worker
-
-        return Failure(get_worker().address, platform.node(), error)
-
-
 class Workers:
     """Workers of the scheduler of a Dask client, for a run by the folder of its stages, or by its URL.
 
@@ -85,16 +64,13 @@ class Workers:
         """Compute tasks; as each ends its number, the folder of its result, its seconds, and what it had to say.
 
         Those of the highest cost begin first, each where a worker is free: Dask would share out all at once, and let a
-        worker that has ended its own wait for one that has not. With a URL job and folders are names there. A task with
-        an error is given to another worker once.
+        worker that has ended its own wait for one that has not. With a URL job and folders are names there.
         """
         from distributed import KilledWorker
         from distributed.comm.core import CommClosedError
 
         queue = deque(sorted(range(len(tasks)), key=lambda number: tasks[number].cost, reverse=True))
-        futures, failures = dict[Any, int](), dict[int, Failure]()
-        waiting: set[Any] = set()
-        ended = 0
+        futures, waiting, ended = dict[Any, int](), set[Any](), 0
 
         def begin() -> None:
             most = self._tasks_of_worker * max(len(self._client.nthreads()), 1)
@@ -116,21 +92,8 @@ class Workers:
                         "ended by the system, most likely for want of memory; what other tiles have is kept: give the "
                         f"same command with {advice}"
                     ) from error
-                if isinstance(found, Failure):
-                    others = [each for each in self._client.nthreads() if each != found.place]
-                    if number in failures or not others:
-                        raise found.error
-                    failures[number] = found
-                    retry = self._submit(job, tasks[number], others)
-                    futures[retry] = number
-                    waiting.add(retry)
-                    continue
-                folder, seconds, parts = found
-                if (failure := failures.get(number)) is not None:
-                    why = f"{tasks[number].name}: the worker on {failure.machine} could not compute it"
-                    parts = [*parts, ("warn", f"{why} ({failure.error}); another one has")]
                 ended += 1
-                yield number, folder, seconds, parts
+                yield number, *found
         except (CancelledError, CommClosedError) as error:
             raise SurveyError(
                 f"the scheduler of the workers was lost; {len(tasks) - ended} of {len(tasks)} tiles are missing: start "
@@ -188,12 +151,12 @@ class Workers:
         finally:
             self._client.cancel([future for _, future in under_way])
 
-    def _submit(self, job: Path | str, task: Task, workers: list[str] | None = None) -> Any:
-        """The future of a task, on any worker, or on one of ``workers``."""
+    def _submit(self, job: Path | str, task: Task) -> Any:
+        """The future of a task."""
         compute, place = self._place
-        given = (compute, job, place, task, code_hash())
         key = f"{task.name}-{uuid.uuid4().hex}"
-        return self._client.submit(_attempted, *given, pure=False, key=key, resources=self._resources, workers=workers)
+        given = job, place, task, code_hash()
+        return self._client.submit(compute, *given, pure=False, key=key, resources=self._resources)
 
     def _as_they_end(self, left: set[Any], begin: Callable[[], None] = lambda: None) -> Iterator[Any]:
         """The futures, as they end, also those that come meanwhile; raise where no worker is left to end one.

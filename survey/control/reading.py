@@ -208,7 +208,12 @@ def _marks(
         elif mark.point not in points:
             unknown_points.setdefault(mark.point, mark)
         else:
-            _require_inside(mark, image, sizes[image])
+            width, height = sizes[image]
+            if not (0.0 <= mark.pixel[0] <= width and 0.0 <= mark.pixel[1] <= height):
+                raise ControlError(
+                    f"{mark.where}: the mark of {mark.point} at {_at(mark)} lies outside {image}, which has {width} x "
+                    f"{height} pixels; if the photographs were reduced, reduce the marks too, else correct it"
+                )
             first = marks.setdefault((mark.point, image), mark)
             if first.pixel != mark.pixel:
                 raise ControlError(
@@ -241,15 +246,6 @@ def _left_out(found: Mapping[str, GivenMark], noun: str, why: str) -> list[str]:
         f"{warning} (first in {first.where}): their marks are left out; correct the names or remove the lines"
         for warning in named(list(found), noun, f"{why} in the files of control")
     ]
-
-
-def _require_inside(mark: GivenMark, image: str, size: tuple[int, int]) -> None:
-    x, y = mark.pixel
-    if not (0.0 <= x <= size[0] and 0.0 <= y <= size[1]):
-        raise ControlError(
-            f"{mark.where}: the mark of {mark.point} at {_at(mark)} lies outside {image}, which has {size[0]} x "
-            f"{size[1]} pixels; if the photographs were reduced, reduce the marks too, else correct it"
-        )
 
 
 def _warnings(points: Sequence[GivenPoint]) -> list[str]:

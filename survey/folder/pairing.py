@@ -121,7 +121,14 @@ def lenses_from_config(cameras: CamerasConfig, headers: dict[str, Exif]) -> tupl
 
 def lens_from_config(cameras: CamerasConfig, headers: dict[str, Exif]) -> tuple[Lens, Findings]:
     """Lens for all images with a pose, with a note for each parameter that survey.toml does not give."""
-    width, height = cameras.size_px or _common_size(headers)
+    sizes = {header.size_px: name for name, header in headers.items()}
+    if cameras.size_px is None and len(sizes) > 1:
+        (a, name_a), (b, name_b) = list(sizes.items())[:2]
+        raise ConfigError(
+            f"images have different sizes ({name_a}: {a[0]} x {a[1]}, {name_b}: {b[0]} x {b[1]}), expected one "
+            "camera; give size_px in [cameras] and leave out the others, or poses with a camera per image (COLMAP)"
+        )
+    width, height = cameras.size_px or next(iter(sizes))
     (fx, fy), findings = _focal(cameras, headers)
     if cameras.principal_point_px is None:
         findings += Findings(("the principal point is the centre of the image",))
@@ -147,17 +154,6 @@ def lens_from_config(cameras: CamerasConfig, headers: dict[str, Exif]) -> tuple[
         return Lens(model, tuple(values[name] for name in names), width, height), findings
     except LensError as error:
         raise ConfigError(f"[cameras] in {FILE_NAME}: {error}") from error
-
-
-def _common_size(headers: dict[str, Exif]) -> tuple[int, int]:
-    sizes = {header.size_px: name for name, header in headers.items()}
-    if len(sizes) > 1:
-        (a, name_a), (b, name_b) = list(sizes.items())[:2]
-        raise ConfigError(
-            f"images have different sizes ({name_a}: {a[0]} x {a[1]}, {name_b}: {b[0]} x {b[1]}), expected one "
-            "camera; give size_px in [cameras] and leave out the others, or poses with a camera per image (COLMAP)"
-        )
-    return next(iter(sizes))
 
 
 def _focal(cameras: CamerasConfig, headers: dict[str, Exif]) -> tuple[tuple[float, float], Findings]:

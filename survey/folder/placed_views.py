@@ -58,7 +58,12 @@ def with_masks(found: Found, views: Sequence[View], own: Path | None) -> tuple[l
         if given is None:
             return masked, Findings()
         raise ImageError(f"no mask in {given} is named like an image, e.g. {Path(views[0].name).stem}.png; rename them")
-    _require_sizes(masked)
+    for view in masked:
+        if view.mask_path is not None:
+            with open_image(view.mask_path) as image:
+                found_px, expected_px = stored_size(image), (view.lens.width, view.lens.height)
+            remedy = "make it from the photograph as it is stored"
+            require_pixels(f"the mask {view.mask_path}", found_px, expected_px, "its photograph", remedy)
     message = f"the masks are those {where}, of {len(views) - len(without)} images; black is left out"
     warnings = (*named(without, "image", "without a mask, used whole"), *_warnings(masked))
     return masked, Findings((message,) if given is None else (), warnings)
@@ -69,7 +74,10 @@ def _masked(found: Found, views: Sequence[View], folder: Path | None) -> list[Vi
     root = found.folder / found.config.images.local_dir if folder is None else folder
     names, masks = ImageNames(found.images), dict[str, tuple[int, Path]]()
     for path in _files(found, root, is_beside=folder is None):
-        candidates = _names_by_mask(path.relative_to(root), is_beside=folder is None)
+        # Names of the photograph that it may belong to, the longest match first.
+        full_name, stem = path.relative_to(root).as_posix(), path.relative_to(root).with_suffix("").as_posix()
+        candidates = [stem[: -len(MASK_ENDING)]] if stem.lower().endswith(MASK_ENDING) else []
+        candidates = candidates if folder is None else [full_name, stem, *candidates]
         rank, name = next(((i, n) for i, c in enumerate(candidates) if (n := names.find(c, str(path)))), (0, None))
         if name is None:
             continue
@@ -94,23 +102,6 @@ def _files(found: Found, root: Path, *, is_beside: bool) -> list[Path]:
         and not is_hidden(path.relative_to(root))
         and path.is_file()
     )
-
-
-def _names_by_mask(mask: Path, *, is_beside: bool) -> list[str]:
-    """Names of the photograph that a mask may belong to, by its path: the longest match first."""
-    full_name, stem = mask.as_posix(), mask.with_suffix("").as_posix()
-    ending = [stem[: -len(MASK_ENDING)]] if stem.lower().endswith(MASK_ENDING) else []
-    return ending if is_beside else [full_name, stem, *ending]
-
-
-def _require_sizes(views: Sequence[View]) -> None:
-    for view in views:
-        if view.mask_path is None:
-            continue
-        with open_image(view.mask_path) as image:
-            found, expected = stored_size(image), (view.lens.width, view.lens.height)
-        remedy = "make it from the photograph as it is stored"
-        require_pixels(f"the mask {view.mask_path}", found, expected, "its photograph", remedy)
 
 
 def _warnings(views: Sequence[View]) -> list[str]:

@@ -99,14 +99,6 @@ def require_plausible(
             "the convention of the angles (omega, phi, kappa about the grid axes; camera x right, y up, z back)"
         )
     centres = np.array([view.camera.centre for view in views])
-    _require_together(frame, views, centres)
-    if over_water is not None and config.water is not None:
-        _require_above_water(frame, views, over_water, config.water, headers)
-    if config.area.bounds is not None:
-        _require_bounds_near(frame, centres, config.area.bounds)
-
-
-def _require_together(frame: LocalFrame, views: list[View], centres: np.ndarray) -> None:
     distance = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
     worst = int(np.argmax(distance))
     if distance[worst] > ONE_SURVEY_M:
@@ -115,6 +107,10 @@ def _require_together(frame: LocalFrame, views: list[View], centres: np.ndarray)
             f"the camera of {views[worst].name} at {place} lies {distance_text(distance[worst])} from the others, "
             f"expected at most {distance_text(ONE_SURVEY_M)}; correct its pose or leave the image out"
         )
+    if over_water is not None and config.water is not None:
+        _require_above_water(frame, views, over_water, config.water, headers)
+    if config.area.bounds is not None:
+        _require_bounds_near(frame, centres, config.area.bounds)
 
 
 def _require_above_water(

@@ -83,7 +83,10 @@ def cams_from_local(file: PoseFile, poses: Sequence[Pose], centres_crs: np.ndarr
     if file.frame is PoseFrame.GRID and crs_difference(own, horizontal_crs(frame.crs)) is None:
         return rotations @ np.swapaxes(frame.local_from_grid(centres_crs), -1, -2)
     if file.frame is PoseFrame.GRID:
-        rotations = rotations @ _grid_from_enu(file, poses)
+        # From true east, north and up to the grid axes of the file's own crs, at its poses.
+        own, centres = frame.crs if file.crs is None else file.crs, np.array([pose.centre for pose in poses])
+        grid = LocalFrame(own if has_height(own) else own.to_3d(), tuple(np.median(centres, axis=0).tolist()))
+        rotations = rotations @ np.swapaxes(grid.local_from_grid(centres), -1, -2) @ grid.local_from_enu(centres)
     elif file.frame is PoseFrame.GEOCENTRIC:
         lon, lat, _ = _geodetic(file, np.array([pose.centre for pose in poses]))
         rotations = rotations @ np.swapaxes(enu_from_geocentric(lon, lat), -1, -2)
@@ -126,16 +129,6 @@ def middle_of_geocentric(file: PoseFile) -> tuple[float, float]:
     """Longitude and latitude [deg] of the middle of geocentric poses."""
     lon, lat, _ = _geodetic(file, np.median([pose.centre for pose in file.poses], axis=0))
     return float(np.degrees(lon)), float(np.degrees(lat))
-
-
-def _grid_from_enu(file: PoseFile, poses: Sequence[Pose]) -> np.ndarray:
-    """Rotations (N, 3, 3) from true east, north and up to the grid axes of the file's own crs, at its poses."""
-    own = file.crs
-    if own is None:
-        raise ValueError("a poses file without a crs of its own has the grid of the survey")
-    centres = np.array([pose.centre for pose in poses])
-    frame = LocalFrame(own if has_height(own) else own.to_3d(), tuple(np.median(centres, axis=0).tolist()))
-    return np.swapaxes(frame.local_from_grid(centres), -1, -2) @ frame.local_from_enu(centres)
 
 
 def _geodetic(file: PoseFile, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -117,7 +117,10 @@ def priors_of_gps(
     attitude_std = ATTITUDE_STD_DEG if std_deg is None else float(np.max(per_axis(std_deg)))
     priors = {}
     for view in views:
-        prior = _by_gps(cameras, local.get(view.name), found.headers[view.name], datums.get(view.name, EXACT))
+        prior, datum = PosePrior(None, None, None, "none"), datums.get(view.name, EXACT)
+        if (position := local.get(view.name)) is not None:
+            std, source = _std_by_exif(cameras, found.headers[view.name], datum)
+            prior = PosePrior(position, std, None, source, _common_up(std), datum.plan)
         prior = prior.without_position() if view.name in rejected else prior
         priors[view.name] = replace(prior, attitude=attitudes.get(view.name), attitude_std_deg=attitude_std)
     return priors
@@ -173,13 +176,6 @@ def best_plan_std(cameras: CamerasConfig, headers: Iterable[Exif]) -> float:
     """The smallest standard deviation [m] in plan that is known of GPS positions as given; infinite where none is."""
     stds = [_std_as_given(cameras, header)[0] for header in headers if header.lat_lon_height is not None]
     return min((float(std[:2].max()) for std in stds if std is not None), default=math.inf)
-
-
-def _by_gps(cameras: CamerasConfig, position: np.ndarray | None, header: Exif, datum: DatumStd) -> PosePrior:
-    if position is None:
-        return PosePrior(None, None, None, "none")
-    std, source = _std_by_exif(cameras, header, datum)
-    return PosePrior(position, std, None, source, _common_up(std), datum.plan)
 
 
 def accuracy_of_priors(priors: Mapping[str, PosePrior]) -> str:

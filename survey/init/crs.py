@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from textwrap import shorten
@@ -139,9 +139,9 @@ def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
         code = crs_code(file.crs)
         if code is not None and file.crs.is_projected:
             return code, f"that of the poses, {file.crs.name}"
-    table = _table_crs(photographs.headers)
-    if table is not None and file is None:
-        return table, f"that of {GEO_TXT}"
+    tables = [header.table_place.crs for header in photographs.headers.values() if header.table_place is not None]
+    if file is None and tables and tables[0].is_projected and (code := crs_code(tables[0])) is not None:
+        return code, f"that of {GEO_TXT}"
     if file is None and (by_control := _of_control(photographs)) is not None:
         return by_control
     zone = utm_code_of(dict(photographs.headers))
@@ -190,7 +190,11 @@ def _vertical(
     place = photographs.lat_lon
     systems = () if place is None else height_systems_at(*place)
     listed = tuple(_label(system) for system in systems)
-    chosen = systems[0] if len(systems) == 1 else _combined_with(CRS(horizontal), systems)
+    chosen = systems[0] if len(systems) == 1 else None
+    if len(systems) > 1:
+        # The one that EPSG combines with the horizontal one, as a country uses them.
+        names, plan = {info.name for info in query_crs_info("EPSG", PJType.COMPOUND_CRS)}, CRS(horizontal).name
+        chosen = next((system for system in systems if f"{plan} + {system.name}" in names), None)
     if chosen is None and systems and options.ask is not None:
         question = (
             f"Heights of the water and of control: {'; '.join(listed)}. Code, or empty for mean sea level (EGM96)"
@@ -210,12 +214,6 @@ def _vertical(
     )
     more += tuple(f"    {system}" for system in listed)
     return EGM96_HEIGHT, f"heights above mean sea level (EGM96), as in {position_sources(photographs.headers)}", more
-
-
-def _combined_with(plan: CRS, systems: Sequence[CRS]) -> CRS | None:
-    """The first of vertical CRSs that EPSG combines with a horizontal one, as a country uses them; None where none."""
-    names = {info.name for info in query_crs_info("EPSG", PJType.COMPOUND_CRS)}
-    return next((system for system in systems if f"{plan.name} + {system.name}" in names), None)
 
 
 def _of_ellipsoidal(
@@ -278,12 +276,6 @@ def write_origin(photographs: FolderPhotographs, options: InitOptions, found: Fo
         "zero point of the poses in crs",
         ("Not certain: by GPS positions in EXIF, a few metres. Better the numbers given to model_aligner.",),
     )
-
-
-def _table_crs(headers: Mapping[str, Exif]) -> str | None:
-    """Code of the CRS of the table that gives positions of photographs; None without a table, or of degrees."""
-    table = next((header.table_place.crs for header in headers.values() if header.table_place is not None), None)
-    return None if table is None or not table.is_projected else crs_code(table)
 
 
 def _fits_positions(crs: CRS, file: PoseFile, poses_path: Path | None, headers: Mapping[str, Exif]) -> bool:

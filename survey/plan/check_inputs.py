@@ -127,11 +127,15 @@ def level_warning(found: Found, survey: Survey | None) -> str | None:
     is_given = water is None or water.level_m is not None or water.sources.clicks is not None
     if is_given or (survey is not None and survey.provenance.is_level_known):
         return None
-    tilts = (
-        _tilts_by_headers(found)
-        if survey is None
-        else tilts_deg(np.array([v.camera.cam_from_local for v in survey.views]))
-    )
+    if survey is None:
+        motions = (header.motion for header in found.headers.values())
+        rotations = [
+            enu_from_yaw_pitch_roll(math.radians(yaw), math.radians(pitch + 90.0), math.radians(roll)).T
+            for yaw, pitch, roll in (motion.gimbal_deg for motion in motions if motion.gimbal_deg is not None)
+        ]
+    else:
+        rotations = [view.camera.cam_from_local for view in survey.views]
+    tilts = tilts_deg(np.array(rotations).reshape(-1, 3, 3))
     if not len(tilts):
         return (
             "the level of the water is not given, and the viewing directions of the photographs are not known yet: "
@@ -149,13 +153,3 @@ def level_warning(found: Found, survey: Survey | None) -> str | None:
 def tilts_deg(cam_from_local: np.ndarray) -> np.ndarray:
     """Angles (V,) [deg] between the directions of views and straight down, from rotations (V, 3, 3)."""
     return np.degrees(np.arccos(np.clip(-cam_from_local[:, 2, 2], -1.0, 1.0)))
-
-
-def _tilts_by_headers(found: Found) -> np.ndarray:
-    """Tilts by the attitudes in XMP, of the photographs that have one."""
-    gimbals = [header.motion.gimbal_deg for header in found.headers.values() if header.motion.gimbal_deg is not None]
-    rotations = [
-        enu_from_yaw_pitch_roll(math.radians(yaw), math.radians(pitch + 90.0), math.radians(roll)).T
-        for yaw, pitch, roll in gimbals
-    ]
-    return tilts_deg(np.array(rotations).reshape(-1, 3, 3))

@@ -150,7 +150,12 @@ def _facts(
     survey, plan, done = finished.job.survey, finished.job.plan, finished.stages
     start = time.monotonic()
     comparison, of_sweep = _comparisons(finished)
-    timings = _timings(finished.run, survey, done)
+    timings = {name: seconds_of(place) for name, place in done.items()}
+    if survey.config.cameras.poses is None:
+        from survey.sfm.poses import seconds_of_solve
+
+        seconds = seconds_of_solve(finished.run.sfm_path)
+        timings = timings if seconds is None else {"structure from motion": seconds} | timings
     if comparison is not None:
         timings["comparison"] = time.monotonic() - start
     return ReportFacts(
@@ -219,17 +224,6 @@ def _versions(done: Mapping[str, Path]) -> dict[str, str]:
         if version != now.get(name)
     }
     return now | earlier
-
-
-def _timings(run: RunDir, survey: Survey, done: Mapping[str, Path]) -> dict[str, float]:
-    """Seconds of the search for poses, where there was one, and of the stages, each when it was computed [s]."""
-    timings = {name: seconds_of(place) for name, place in done.items()}
-    if survey.config.cameras.poses is not None:
-        return timings
-    from survey.sfm.poses import seconds_of_solve
-
-    seconds = seconds_of_solve(run.sfm_path)
-    return timings if seconds is None else {"structure from motion": seconds} | timings
 
 
 def _comparisons(finished: FinishedRun) -> tuple[Comparison | None, Comparison | None]:

@@ -19,7 +19,7 @@ from io import BufferedReader, BytesIO
 from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pyproj import CRS
@@ -103,22 +103,17 @@ def write_arrays(path: str | Path, arrays: Iterable[tuple[str, np.ndarray | Colu
     with write_whole(path) as stream, zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
         for name, array in arrays:
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                if isinstance(array, Column):
-                    _write_column(member, array)
-                else:
+                if not isinstance(array, Column):
                     np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
-
-
-def _write_column(stream: IO[bytes], column: Column) -> None:
-    descr = np.lib.format.dtype_to_descr(column.dtype)
-    header = {"descr": descr, "fortran_order": False, "shape": column.shape}
-    np.lib.format.write_array_header_1_0(stream, header)
-    written = 0
-    for part in column.parts:
-        stream.write(np.ascontiguousarray(part, dtype=column.dtype).data)
-        written += len(part)
-    if written != column.shape[0]:
-        raise ValueError(f"the parts of a column have {written} rows, expected {column.shape[0]}")
+                    continue
+                descr, written = np.lib.format.dtype_to_descr(array.dtype), 0
+                header = {"descr": descr, "fortran_order": False, "shape": array.shape}
+                np.lib.format.write_array_header_1_0(member, header)
+                for part in array.parts:
+                    member.write(np.ascontiguousarray(part, dtype=array.dtype).data)
+                    written += len(part)
+                if written != array.shape[0]:
+                    raise ValueError(f"the parts of a column have {written} rows, expected {array.shape[0]}")
 
 
 def load_arrays(path: str | Path) -> dict[str, np.ndarray]:

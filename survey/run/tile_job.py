@@ -68,7 +68,7 @@ class TileJob(Job):
             self._limits = limits(flattened(survey_job.survey) if is_alone else survey)
             self._bound = self._limits if found.bounds is None else found.bounds[number]
         # One for each view
-        self.windows = self._find_windows(survey.water) if found.windows is None else found.windows[number]
+        self.windows = self._windows(survey.water) if found.windows is None else found.windows[number]
         views = tuple(
             replace(
                 survey_job.survey.views[w.view],
@@ -82,15 +82,13 @@ class TileJob(Job):
         self.waits_for_kernels = survey_job.waits_for_kernels
         self._hashed, self._hashed_of = {}, (None, None)
 
-    def _find_windows(self, water: FlatWater | None) -> list[Window]:
+    def _windows(self, water: FlatWater | None) -> list[Window]:
         """Windows of the photographs that show the tile."""
         survey_job, own = self.survey_job, self._in_frame(self._tiling.ground(self.number, 0.0))
         showing = survey_job.outlines.may_show(water, own, self._bound, self._moved)
         cameras = {view: self._camera_in_frame(survey_job.cameras[view]) for view in showing}
-        footprints = None
-        if self._moved is None:
-            footprints = survey_job.outlines.footprints(showing, water, self._bound)
-        return windows_of(cameras, water, own, self.ground, self._bound, footprints)
+        known = None if self.has_frame else survey_job.outlines.footprints(showing, water, self._bound)
+        return windows_of(cameras, water, own, self.ground, self._bound, known)
 
     @property
     def is_void(self) -> bool:

@@ -28,8 +28,8 @@ class Owner:
 
     @classmethod
     def from_record(cls, record: Mapping) -> Owner | None:
-        """Owner from its record; None before a run is claimed."""
-        return cls(record["survey"], record["photographs"], record["contents"]) if "survey" in record else None
+        """Owner from its record; None before a run is claimed, and of a run of a version that kept none."""
+        return cls(record["survey"], record["photographs"], record.get("contents", {})) if "survey" in record else None
 
     def as_record(self) -> dict:
         """Plain values."""

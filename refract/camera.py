@@ -100,15 +100,6 @@ class PinholeCamera:
             fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy, width=width, height=height,
         )  # fmt: skip
 
-    def in_frame(self, rotation: np.ndarray, shift: np.ndarray) -> PinholeCamera:
-        """The same camera in another frame, in which points are at ``rotation @ point + shift``; both point z up."""
-        return replace(
-            self,
-            centre=rotation @ self.centre + shift,
-            cam_from_local=self.cam_from_local @ rotation.T,
-            motion=None if self.motion is None else rotation @ self.motion,
-        )
-
     def cropped(self, row: int, column: int, height: int, width: int) -> PinholeCamera:
         """The camera of a window of its image, by the first row and column and the size of the window [px]."""
         return replace(self, cx=self.cx - column, cy=self.cy - row, width=width, height=height)

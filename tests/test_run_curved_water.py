@@ -125,7 +125,7 @@ def test_heights_over_the_plane_of_a_tile_become_those_over_that_of_the_survey(r
     def over_whole(water: FlatWater) -> np.ndarray:
         survey = SimpleNamespace(water=water, views=[SimpleNamespace(camera=camera)])
         whole = SimpleNamespace(survey=SimpleNamespace(water=PLANE))
-        tile = SimpleNamespace(survey=survey, survey_job=whole, _moved=None, in_survey=lambda xyz: xyz)
+        tile = SimpleNamespace(survey=survey, survey_job=whole)
         return TileJob.over_whole(tile, 0, row, column, heights)
 
     xyz = camera.paths(np.column_stack([column, row]) + 0.5, own).at_height(heights.astype(float), own)

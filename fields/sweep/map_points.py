@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,22 +83,14 @@ class MapPoints:
             masks[number] = mask
 
 
-def places_in_plan(
-    block: Block, m: HeightMap, in_frame: Callable[[np.ndarray], np.ndarray] | None = None
-) -> np.ndarray:
-    """Places (height, width, 2) float32 [m], local, of the points that a height map shows.
-
-    ``in_frame`` takes points (N, 3) to those in another frame, whose places are wanted.
-    """
+def places_in_plan(block: Block, m: HeightMap) -> np.ndarray:
+    """Places (height, width, 2) float32 [m], local, of the points that a height map shows."""
     stack = ViewStack.build(block.device, [block.cameras[m.view]], [m.height], block.water)
     rays = rays_of_rows(stack, 0, 0, stack.height)
     points = point_at(rays, floats(block.device, m.height))
     over_water = np.stack([host(block.device, each) for each in points])
     water = stack.kernel_water
-    if in_frame is None:
-        xy = (water.from_local.T[:2] @ over_water).T + water.origin[:2]
-    else:
-        xy = in_frame((water.from_local.T @ over_water).T + water.origin)[:, :2]
+    xy = (water.from_local.T[:2] @ over_water).T + water.origin[:2]
     return xy.astype(np.float32).reshape(*m.height.shape, 2)
 
 

@@ -169,9 +169,7 @@ def _settings_of_model(survey: Survey) -> str:
     shutter = ""
     if any(view.camera.motion is not None for view in survey.views):
         shutter = f", rolling_shutter_s = {survey.config.cameras.rolling_shutter_s!r}"
-    is_cut = any(len(view.name.split()) != 1 for view in survey.views)
-    cut = "# Some names have spaces, at which other programs cut them in images.txt\n" if is_cut else ""
-    return f'# In survey.toml: [cameras] poses = "sparse"{shutter} and [local] origin = [{origin}]\n{cut}'
+    return f'# In survey.toml: [cameras] poses = "sparse"{shutter} and [local] origin = [{origin}]\n'
 
 
 def _opk(survey: Survey) -> str:

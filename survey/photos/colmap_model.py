@@ -12,6 +12,7 @@ from geo.files import write_text
 from refract.lens import Lens
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
+from survey.progress import current
 
 _GREY = "128 128 128"
 FILES = ("cameras.txt", "images.txt", "points3D.txt")
@@ -24,6 +25,8 @@ def write_model(folder: Path, views: Sequence[View], *, head: str, points: str, 
     of cameras.txt, ``points`` is points3D.txt, or its comment lines before ``ties``, which have the places that
     straight rays give them.
     """
+    if any(len(view.name.split()) != 1 for view in views):
+        current().warn(f"{folder}: COLMAP cuts names of photographs at spaces; rename those that have any for it")
     lenses = tuple(dict.fromkeys(view.lens for view in views))
     cameras = head + "".join(_lens_line(number, lens) for number, lens in enumerate(lenses, start=1))
     seen = [""] * len(views)

@@ -23,7 +23,7 @@ from survey.plan.choices import Choices
 from survey.plan.heights import dry_ground
 from survey.plan.plan import Decision, Plan, make_plan
 from survey.plan.sweep_block import camera_of
-from survey.plan.tiling import FRAME_M, MOST_SKEW_PX, RIM_GSD, ground_of, ray_skew_px, tile_warnings
+from survey.plan.tiling import MOST_SKEW_PX, RANGE_M, RIM_GSD, ground_of, ray_skew_px, tile_warnings
 from survey.plan.workload import POINT_BYTES, Amounts, Workload, amounts_of_run, memory_of, workload_of
 
 # What the tiles of a run share, in the folder of a stage.
@@ -126,7 +126,7 @@ def _one_piece(workload: Workload, reason: str) -> TileChoice:
 def _as_needed(
     survey: Survey, plan: Plan, chosen: Choices, workload: Workload, amounts: Amounts, earlier: int | None
 ) -> TileChoice:
-    """As few tiles as memory, workers, water and local frames allow; one piece where it serves for all of them."""
+    """As few tiles as memory, workers, water and ranges of heights allow; one piece where it serves for all of them."""
     ground, one = ground_of(survey, plan), float(workload.memory_bytes)
     for_workers = max(1 if chosen.scheduler is None else 2, chosen.workers or 1)
     for_geometry, why = _for_geometry(survey, plan, ground)
@@ -163,8 +163,8 @@ def _most_tiles(ground: Area, plan: Plan, least_footprints: float = _LEAST_FOOTP
 
 
 def _for_geometry(survey: Survey, plan: Plan, ground: Area) -> tuple[int, str]:
-    """Least number of tiles in each of which a local frame serves, and a plane for the water or is off least; why."""
-    for_frames = math.prod(math.ceil((ground[axis + 2] - ground[axis]) / FRAME_M) for axis in (0, 1))
+    """Least number of tiles in which one range of heights serves, and a plane for the water or is off least; why."""
+    for_ranges = math.prod(math.ceil((ground[axis + 2] - ground[axis]) / RANGE_M) for axis in (0, 1))
     most = _most_tiles(ground, plan)
     # A river is long: few tiles of it are not square.
     counts = sorted({*range(2, min(most, _FEW) + 1), *_counts(ground, most)})
@@ -174,8 +174,8 @@ def _for_geometry(survey: Survey, plan: Plan, ground: Area) -> tuple[int, str]:
         tried.append((px, 1 if tiling is None else len(tiling)))
         if px <= MOST_SKEW_PX:
             break
-    if not tried or for_frames > min(tried)[1]:
-        return for_frames, "a local frame serves for a kilometre"
+    if not tried or for_ranges > min(tried)[1]:
+        return for_ranges, "a range of heights serves for a kilometre"
     return min(tried)[1], f"rays of a point bent at one plane are skew by up to {tried[0][0]:.2g} px"
 
 

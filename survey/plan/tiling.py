@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 RIM_GSD = 8.0
 # Largest distance between the rays of a point: how far they are skew [px] (= ground sampling distances).
 MOST_SKEW_PX = 0.25
-# A local frame is used for no more than this [m] along a side.
-FRAME_M = 1000.0
+# A range of heights is used for no more than this [m] along a side.
+RANGE_M = 1000.0
 # Places along each side of a tile.
 _PLACES = 16
 

@@ -22,8 +22,6 @@ from survey.run.windows import BedSearch, Outlines
 from survey.stage_key import stage_key
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from fields.sweep.block import Block
     from fields.sweep.maps import HeightMap
     from refract import PinholeCamera
@@ -57,12 +55,10 @@ class Job:
     ):
         self.survey, self.chosen, self.plan, self.progress = survey, chosen, plan, progress
         self.workspace, self.scratch = workspace, scratch
-        # Of a tile the job of the whole survey, the camera of a whole photograph, the rectangle of its points in the
-        # frame of the survey, and whether it has a local frame of its own.
+        # Of a tile the job of the whole survey, the camera of a whole photograph, and the rectangle of its points.
         self.survey_job: Job = self
         self.whole_camera: PinholeCamera | None = None
         self.cell: Area | None = None
-        self.has_frame = False
         # Set when a wait for kernels begins that is long enough for another thread to hold the GIL.
         self.waits_for_kernels = Event()
         self.bed_search: BedSearch | None = None  # Once heights and photographs of the search are known
@@ -165,10 +161,6 @@ class Job:
     def own_ground(self) -> Area | None:
         """The same, without what a tile shares with others."""
         return self.ground
-
-    def in_survey(self, xyz: np.ndarray) -> np.ndarray:
-        """Points (N, 3) [m] in the local frame of the survey, from those in that of the job."""
-        return xyz
 
     @property
     def limits(self) -> tuple[float, float]:

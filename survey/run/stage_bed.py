@@ -250,7 +250,6 @@ def find_points(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Points of the bed, those of a tile by their places, with the heights of the solver, if there are."""
     bed = points_of_bed(job, needs) if len(Stored(needs["sweep"] / MAPS, HeightMap)) else BedPoints.empty()
     if job.cell is not None:
-        bed = replace(bed, xyz=job.in_survey(bed.xyz))
         bed = bed[inside(bed.xyz, job.cell)]
     columns: dict[str, np.ndarray | Column] = {each.name: getattr(bed, each.name) for each in fields(BedPoints)}
     write_arrays(folder / POINTS, (columns | {"points_crs": in_crs(job.survey_job.survey, bed.xyz)}).items())

@@ -13,17 +13,17 @@ from survey.plan.area import local_area
 from survey.plan.recipe import required_views
 from survey.plan.tile_choice import SHARED
 from survey.run.tile_job import TileJob
-from survey.run.windows import BedSearch, has_frames
+from survey.run.windows import BedSearch, has_own_ranges
 
 if TYPE_CHECKING:
     from survey.run.job import Job
 
 
 def find_range(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
-    """Find the bound by thumbnails, and the views that cover the bed; tile by tile where these have local frames."""
+    """Find the bound by thumbnails, and the views that cover the bed; tile by tile in a large survey."""
     tiles = 1 if job.plan.tiling is None else len(job.plan.tiling)
     water = None if job.survey.water is None else asdict(job.survey.water)
-    if job.plan.tiling is not None and has_frames(job.plan.tiling):
+    if job.plan.tiling is not None and has_own_ranges(job.plan.tiling):
         with job.progress.stage("Range of heights", tiles) as stage:
             bounds, views = _of_tiles(job, stage.advance)
         write_json(folder / SHARED, {"bounds": bounds, "views": views, "tiles": tiles, "water": water})

@@ -136,7 +136,7 @@ def _choose_pixels(job: Job, folder: Path) -> list[list[int]]:
         return count_in_squares(block, maps, learned_from(job, folder))
     own, around = kept.copy(), grown(job.cell, _BESIDE_GSD * job.plan.gsd_m)
     for number, m in enumerate(maps):
-        places = places_in_plan(block, m, job.in_survey if job.has_frame else None)
+        places = places_in_plan(block, m)
         kept[number] = kept[number] & inside(places, around)
         own[number] = inside(places, job.cell)
     save_masks(folder / KEPT, kept)

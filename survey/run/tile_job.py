@@ -21,10 +21,8 @@ from survey.run.windows import (
     BedSearch,
     Window,
     WindowStore,
-    area_in_frame,
-    frame_of_tile,
-    has_frames,
-    survey_in_frame,
+    has_own_ranges,
+    survey_over,
     windows_of,
 )
 
@@ -34,15 +32,17 @@ if TYPE_CHECKING:
     from survey.progress import Progress, Step
 
 # Parts of a job that a tile takes from the survey as they are.
-_OF_SURVEY = ("name", "water_settings", "ties", "priors", "control", "freed", "water_colour", "true_colour", "code")
+_OF_SURVEY = (
+    *("name", "frame", "water_settings", "ties", "priors", "control", "freed", "water_colour", "true_colour", "code"),
+)
 
 
 class TileJob(Job):
     """The part of a job that a tile is.
 
     Its survey has the views that show the tile, cut to their windows at the size that is worked on, and where the water
-    is no plane the one that fits it there; settings and what else belongs to the survey are those of the whole. A
-    survey larger than a kilometre has a local frame for each tile: `survey.run.windows`.
+    is no plane the one that fits it there; settings and what else belongs to the survey are those of the whole. In a
+    survey larger than a kilometre each tile has a range of heights of its own.
     """
 
     bed_search: BedSearch
@@ -51,18 +51,16 @@ class TileJob(Job):
         if (tiling := survey_job.plan.tiling) is None:
             raise ValueError("expected a job with tiles")
         self.survey_job, self.number, self.bed_search, self._tiling = survey_job, number, found, tiling
-        survey, self._moved = survey_job.survey, None
-        self.whole_camera, self.cell, self.has_frame = survey_job.cameras[0], tiling.cell(number), has_frames(tiling)
-        if self.has_frame:
-            frame, ground = frame_of_tile(survey.frame, tiling, number), tiling.ground(number, 0.0)
-            self._moved = frame.from_frame(survey.frame)
-            survey = survey_in_frame(survey, frame, grown(ground, max(survey_job.plan.footprint_m)))
+        survey, self.cell = survey_job.survey, tiling.cell(number)
+        self.whole_camera: PinholeCamera | None = survey_job.cameras[0]
+        own_range = has_own_ranges(tiling)
+        if own_range:
+            survey = survey_over(survey, grown(tiling.ground(number, 0.0), max(survey_job.plan.footprint_m)))
         survey, (lowest, highest) = over_own_plane(survey, self.ground)
-        self.plan = replace(survey_job.plan, image_scale=1.0)
-        if self._moved is None:
-            # The bound of the survey is over its plane.
-            self._bound = found.bound[0] - highest, found.bound[1] - lowest
-        else:
+        self.plan, self._limits = replace(survey_job.plan, image_scale=1.0), survey_job.limits
+        # The bound of the survey is over its plane.
+        self._bound = found.bound[0] - highest, found.bound[1] - lowest
+        if own_range:
             # The height of dry ground may be known from how far views are apart, which one alone does not tell.
             is_alone = survey.water is None and len(survey.views) < 2
             self._limits = limits(flattened(survey_job.survey) if is_alone else survey)
@@ -72,7 +70,7 @@ class TileJob(Job):
         views = tuple(
             replace(
                 survey_job.survey.views[w.view],
-                camera=self._camera_in_frame(survey_job.cameras[w.view]).cropped(w.row, w.column, w.height, w.width),
+                camera=survey_job.cameras[w.view].cropped(w.row, w.column, w.height, w.width),
             )
             for w in self.windows
         )
@@ -84,11 +82,11 @@ class TileJob(Job):
 
     def _windows(self, water: FlatWater | None) -> list[Window]:
         """Windows of the photographs that show the tile."""
-        survey_job, own = self.survey_job, self._in_frame(self._tiling.ground(self.number, 0.0))
-        showing = survey_job.outlines.may_show(water, own, self._bound, self._moved)
-        cameras = {view: self._camera_in_frame(survey_job.cameras[view]) for view in showing}
-        known = None if self.has_frame else survey_job.outlines.footprints(showing, water, self._bound)
-        return windows_of(cameras, water, own, self.ground, self._bound, known)
+        survey_job, own = self.survey_job, self._tiling.ground(self.number, 0.0)
+        showing = survey_job.outlines.may_show(water, own, self._bound)
+        cameras = {view: survey_job.cameras[view] for view in showing}
+        footprints = survey_job.outlines.footprints(showing, water, self._bound)
+        return windows_of(cameras, water, own, self.ground, self._bound, footprints)
 
     @property
     def is_void(self) -> bool:
@@ -109,35 +107,23 @@ class TileJob(Job):
 
     @property
     def ground(self) -> Area:
-        """Rectangle of the tile with its rim, in its frame."""
-        return self._in_frame(self._tiling.ground(self.number, self._tiling.rim))
+        """Rectangle of the tile with its rim."""
+        return self._tiling.ground(self.number, self._tiling.rim)
 
     @property
     def own_ground(self) -> Area:
-        """Rectangle that holds the points of the tile, in its frame."""
-        return self._in_frame(self._tiling.cell(self.number))
-
-    def _in_frame(self, area: Area) -> Area:
-        return area if self._moved is None else area_in_frame(area, self._moved)
-
-    def in_survey(self, xyz: np.ndarray) -> np.ndarray:
-        """Points (N, 3) [m] in the local frame of the survey, from those in that of the tile."""
-        if self._moved is None:
-            return xyz
-        return (xyz - self._moved.shift) @ self._moved.rotation
+        """Rectangle that holds the points of the tile."""
+        return self._tiling.cell(self.number)
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Search limits of the whole survey; of the tile itself where it has a frame of its own."""
-        return self.survey_job.limits if self._moved is None else self._limits
+        """Search limits of the whole survey; of the tile itself where it has a range of its own."""
+        return self._limits
 
     @property
     def bound(self) -> tuple[float, float]:
         """Bound of the bed, over the plane of the tile."""
         return self._bound
-
-    def _camera_in_frame(self, camera: PinholeCamera) -> PinholeCamera:
-        return camera if self._moved is None else camera.in_frame(self._moved.rotation, self._moved.shift)
 
     @property
     def hashes(self) -> dict[str, tuple[str, str, str | None]]:
@@ -174,10 +160,10 @@ class TileJob(Job):
     def over_whole(self, view: int, row: np.ndarray, column: np.ndarray, heights: np.ndarray) -> np.ndarray:
         """Heights (N,) [m] of pixels of a window over the water of the whole survey, from those over its own."""
         own, water = self.survey.water, self.survey_job.survey.water
-        if self._moved is None and own == water:
+        if own == water:
             return heights
         paths = self.survey.views[view].camera.paths(np.column_stack([column + 0.5, row + 0.5]), own)
-        xyz = self.in_survey(paths.at_height(heights.astype(np.float64), own))
+        xyz = paths.at_height(heights.astype(np.float64), own)
         over = xyz[:, 2] if water is None else (xyz - np.array(water.point)) @ np.array(water.up)
         return over.astype(heights.dtype)
 
@@ -189,13 +175,11 @@ class TileJob(Job):
 
     def hash_of_part(self, name: str) -> str:
         """`Job.hash_of_part`; what belongs to the survey is hashed for all tiles together."""
-        is_shared = name in _OF_SURVEY or (name == "heights" and self._moved is None)
+        is_shared = name in _OF_SURVEY or (name == "heights" and not has_own_ranges(self._tiling))
         return self.survey_job.hash_of_part(name) if is_shared else super().hash_of_part(name)
 
     def _part(self, name: str):
-        if name == "area":
-            return self.cell, self.ground
-        return (self.survey_job.survey.frame, self.survey.frame) if name == "frame" else super()._part(name)
+        return (self.cell, self.ground) if name == "area" else super()._part(name)
 
 
 class _ProgressOfTile:

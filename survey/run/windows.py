@@ -1,9 +1,7 @@
-"""Windows of photographs that show a tile of the ground, and the local frames of tiles.
+"""Windows of photographs that show a tile of the ground.
 
-Of a survey larger than a kilometre each tile has a frame of its own that touches the Earth in its middle.
-
-float32 holds a place to a millimetre 10 km from the origin of a frame, and level ground there lies 7.8 m below its
-z = 0 and tilts by 1.6 mm a metre. In a frame of its own a tile is as near to the origin as a small survey is.
+All tiles are in the local frame of the survey: float32 holds a place to half a millimetre 5 km from its origin, where a
+bed comes out 0.4 mm too high.
 """
 
 from __future__ import annotations
@@ -16,14 +14,12 @@ import numpy as np
 
 from fields.sweep.view_pass import outline_of
 from fields.sweep.views import Footprint, pixels_in
-from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera
 from survey.photos.cameras import View
 from survey.photos.images import ImageStore
 from survey.plan.area import Area, within
 
 if TYPE_CHECKING:
-    from geo.similarity import Similarity
     from survey.folder.survey import Survey
     from survey.plan.area import Tiling
 
@@ -39,8 +35,6 @@ _LEAST_PX, _LEAST_SEEN_PX = 128, 8
 _LEAST_FALL, _MARGIN = 0.05, 0.05
 # A survey that reaches further from its origin along x or y is larger than a kilometre [m].
 _FAR_M = 500.0
-# Heights of the bed that a rectangle in another frame has to hold [m]: over so much the axes part by 0.2 m at 10 km.
-_HEIGHTS_M = (-60.0, 60.0)
 
 
 @dataclass(frozen=True)
@@ -65,7 +59,7 @@ class BedSearch:
 
     bound: tuple[float, float]  # (low, high) [m]: heights over the water plane between which the bed lies
     views: list[int]  # Those that get height maps
-    # Bound of each tile over a plane of its own [m], where tiles have frames of their own
+    # Bound of each tile over a plane of its own [m], where tiles have ranges of their own
     bounds: tuple[tuple[float, float], ...] | None = None
     windows: tuple[list[Window], ...] | None = None  # Those of each tile, where they are known
 
@@ -99,15 +93,9 @@ class Outlines:
             known.update(zip(new, found, strict=True))
         return {number: known[number] for number in numbers}
 
-    def may_show(
-        self, water: FlatWater | None, area: Area, bound: tuple[float, float], moved: Similarity | None = None
-    ) -> list[int]:
-        """Numbers of the cameras that may show an area between two heights [m] over a plane, or over z = 0.
-
-        ``moved`` is the transform into the frame of water and area, where this is another than that of the cameras.
-        """
-        centres = self._centres if moved is None else moved(self._centres)
-        rays = self._rays if moved is None else self._rays @ moved.rotation.T
+    def may_show(self, water: FlatWater | None, area: Area, bound: tuple[float, float]) -> list[int]:
+        """Numbers of the cameras that may show an area between two heights [m] over a plane, or over z = 0."""
+        centres, rays = self._centres, self._rays
         up = np.array((0.0, 0.0, 1.0) if water is None else water.up)
         over = centres @ up if water is None else (centres - np.array(water.point)) @ up
         cos_nadir = -rays @ up
@@ -196,60 +184,14 @@ class WindowStore:
         return np.pad(image, ((0, rows), (0, columns), (0, 0))) if rows or columns else image
 
 
-def has_frames(tiling: Tiling) -> bool:
-    """Whether the tiles of a survey have local frames of their own."""
+def has_own_ranges(tiling: Tiling) -> bool:
+    """Whether each tile of a survey has a range of heights of its own: where it is larger than a kilometre."""
     return max(map(abs, (*tiling.x, *tiling.y))) > _FAR_M
 
 
-def frame_of_tile(frame: LocalFrame, tiling: Tiling, number: int) -> LocalFrame:
-    """Local frame in the middle of a tile, at the height in crs of the origin of the frame of the survey."""
-    x0, y0, x1, y1 = tiling.ground(number, 0.0)
-    east, north, _ = frame.crs_from_local(np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.0])).tolist()
-    return LocalFrame(frame.crs, (east, north, frame.origin[2]))
-
-
-def survey_in_frame(survey: Survey, frame: LocalFrame, ground: Area) -> Survey:
-    """Survey in another local frame, with the views and matched points over some ground (of the old one) alone.
-
-    Cameras, water and points are moved; what else was measured (ties, control) stays, and no tile uses it.
-    """
-    moved = frame.from_frame(survey.frame)
-    views_over = [view for view in survey.views if within(view.camera.centre[None], ground)[0]] or survey.views
-    views = tuple(replace(view, camera=view.camera.in_frame(moved.rotation, moved.shift)) for view in views_over)
-    observations, water = survey.observations, survey.water
-    if observations.points is not None:
-        points = observations.points[within(observations.points, ground)]
-        observations = replace(observations, points=moved(points))
-    if water is not None:
-        up = moved.rotation @ np.array(water.up)
-        point = tuple(moved(np.array(water.point)).tolist())
-        plane = replace(water, point=point, slope_x=float(-up[0] / up[2]), slope_y=float(-up[1] / up[2]))
-        departure = observations.departure
-        if departure is not None:
-            x, y, over = departure.points.T
-            points = moved(np.column_stack([x, y, water.height(x, y) + over]))
-            points[:, 2] -= plane.height(points[:, 0], points[:, 1])
-            departure = type(departure)(points, departure.stds)
-        observations, water = replace(observations, departure=departure), plane
-    return replace(survey, frame=frame, views=views, water=water, observations=observations)
-
-
-def area_in_frame(area: Area, moved: Similarity) -> Area:
-    """The rectangle in another frame that holds a rectangle (x0, y0, x1, y1) [m], whatever the height of the bed.
-
-    Sides without end stay without end.
-    """
-    finite = np.array(area)
-    known = np.isfinite(finite)
-    # A side without end takes no part in where the others come to lie.
-    for low, high in ((0, 2), (1, 3)):
-        if not known[low]:
-            finite[low] = finite[high] if known[high] else 0.0
-        if not known[high]:
-            finite[high] = finite[low]
-    x0, y0, x1, y1 = finite.tolist()
-    base = -moved.rotation.T @ moved.shift
-    corners = np.array([[x, y, base[2] + z] for x in (x0, x1) for y in (y0, y1) for z in _HEIGHTS_M])
-    plan = moved(corners)[:, :2]
-    found = np.concatenate([plan.min(axis=0), plan.max(axis=0)])
-    return tuple(np.where(known, found, np.array(area)).tolist())
+def survey_over(survey: Survey, ground: Area) -> Survey:
+    """The survey with the views and matched points over some ground alone; with all views where none is over it."""
+    views = tuple(view for view in survey.views if within(view.camera.centre[None], ground)[0])
+    points = survey.observations.points
+    points = None if points is None else points[within(points, ground)]
+    return replace(survey, views=views or survey.views, observations=replace(survey.observations, points=points))

@@ -55,7 +55,10 @@ def run(
             ) from error
         with server:
             results.line(server.url)
-            if not no_browser and _has_display():
+            # Without a window to open the system may start a browser in the terminal.
+            shown = [os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")]
+            has_display = sys.platform in ("darwin", "win32") or any(shown)
+            if not no_browser and has_display:
                 webbrowser.open(server.url)
             with suppress(KeyboardInterrupt):
                 server.serve_forever()
@@ -64,8 +67,3 @@ def run(
                 results.line(path)
         for line in session.store.settings():
             results.line(f"in survey.toml: {line}")
-
-
-def _has_display() -> bool:
-    """Whether a browser has a window to open; without one the system may start one in the terminal."""
-    return sys.platform in ("darwin", "win32") or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))

@@ -39,11 +39,11 @@ Quiet = Annotated[
 
 def asking(told: InitOptions, *, needs_level: bool) -> InitOptions:
     """These options, and a person at the terminal to be asked for others, if there is one."""
-    return replace(told, ask=_ask if sys.stdin.isatty() and sys.stderr.isatty() else None, needs_level=needs_level)
 
+    def ask(question: str) -> str:
+        return typer.prompt(wrap_for(printable(question), sys.stderr), default="", show_default=False, err=True)
 
-def _ask(question: str) -> str:
-    return typer.prompt(wrap_for(printable(question), sys.stderr), default="", show_default=False, err=True)
+    return replace(told, ask=ask if sys.stdin.isatty() and sys.stderr.isatty() else None, needs_level=needs_level)
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:

@@ -169,7 +169,14 @@ def place_poses(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Placed
         return _placed(found, file, poses, gps, fit)
     if gps is None or positions is None:
         return PlacedPoses(file, poses), findings
-    stated = _in_gps_frame(found, file, poses, gps)
+    # Where file and settings put the cameras in the local frame of GPS positions; None off the map.
+    origin = found.config.local.origin
+    stated: np.ndarray | None
+    if file.frame is PoseFrame.LOCAL and origin is not None:
+        stated = gps.frame.from_frame(LocalFrame(found.crs, origin))(centres)
+    else:
+        stated = gps.frame.local_from_crs(points_in_crs(file, centres, found.crs, "crs"))
+        stated = stated if np.isfinite(stated).all() else None
     at_place = None if stated is None else GpsFit.of(stated[known], positions, drift_m)
     is_elsewhere = stated is None or (at_place is not None and np.hypot(*at_place.shift[:2]) > ONE_SURVEY_M)
     if is_elsewhere and fit is not None and _is_near_zero(centres) and file.crs is None:
@@ -192,18 +199,6 @@ def place_poses(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Placed
 
 def _is_near_zero(centres: np.ndarray) -> bool:
     return bool(np.abs(centres).max() < ONE_SURVEY_M)
-
-
-def _in_gps_frame(found: Found, file: PoseFile, poses: list[Pose], gps: GpsPositions) -> np.ndarray | None:
-    """Cameras (N, 3) [m] in the local frame of GPS positions, where file and settings put them; None off the map."""
-    centres = np.array([pose.centre for pose in poses])
-    origin = found.config.local.origin
-    if file.frame is PoseFrame.LOCAL:
-        assert origin is not None
-        return gps.frame.from_frame(LocalFrame(found.crs, origin))(centres)
-    in_crs = points_in_crs(file, centres, found.crs, "crs")
-    local = gps.frame.local_from_crs(in_crs)
-    return local if np.isfinite(local).all() else None
 
 
 def _recognised(found: Found, file: PoseFile, poses: list[Pose], gps: GpsPositions | None) -> tuple[PoseFile, Findings]:

@@ -182,8 +182,11 @@ def require_seen(survey: Survey) -> None:
     # Both samples are needed: small bounds may contain no sample of a photograph, and a footprint none of large bounds.
     inside = (places[within(places, area)] for places in footprints)
     for places in chain(_places(level, area), inside):
-        if _is_seen_twice(level, places):
-            return
+        count = np.zeros(len(places), dtype=np.int64)
+        for camera in (view.camera for view in level.views):
+            count += camera.sees(camera.project(places, level.water)) if len(places) else 0
+            if (count >= 2).any():
+                return
     corners = survey.frame.crs_from_local(np.concatenate(footprints))
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
     e0, n0, e1, n1 = survey.bounds
@@ -215,20 +218,6 @@ def _footprint(view: View, survey: Survey) -> np.ndarray:
     if water is not None:
         return path.crossing[falls]
     return path.at_height(dry_ground(survey).height, None)[falls]
-
-
-def _is_seen_twice(survey: Survey, places: np.ndarray) -> bool:
-    """Whether two views see one of the places (N, 3) [m], local."""
-    count = np.zeros(len(places), dtype=np.int64)
-    for view in survey.views:
-        if not len(places):
-            break
-        camera = view.camera
-        pixel = camera.project(places, survey.water)
-        count += camera.sees(pixel)
-        if (count >= 2).any():
-            return True
-    return False
 
 
 @dataclass(frozen=True)

@@ -188,6 +188,15 @@ def _rows_without_poses(found: Found) -> list[tuple[str, str]]:
     num_of_size = Counter(header.size_px for header in found.headers.values())
     heights = np.array([height for _, _, height in places])
     on_places = f", heights {_range(heights)} m" if places else ""
+    # Of heights in EXIF, where the level of the water places the block.
+    std, water = common_up_std_of_exif(found.config.cameras, found.headers, found.datum), found.config.water
+    shared_error: list[tuple[str, str]] = []
+    if std and not found.config.control.files and water is not None and water.level_m is not None:
+        is_stated = found.config.cameras.position_std_m is not None
+        unless = "" if is_stated else f", unless positions prove good to {WELL_KNOWN_M:g} m and agree with it"
+        shared_error = [
+            ("heights", f"may be {std:g} m off, the same for all: the level of the water places the block{unless}")
+        ]
     return [
         ("survey", f"{found.name} in {found.folder}"),
         ("crs", f"{found.config.crs} ({found.crs.name})"),
@@ -201,21 +210,10 @@ def _rows_without_poses(found: Found) -> list[tuple[str, str]]:
         ),
         ("poses", "none"),
         ("accuracy", accuracy_of_gps(found.config.cameras, found.headers, found.datum)),
-        *_shared_error(found),
+        *shared_error,
         ("water", _water_below(found, heights)),
         *control_rows(found.control),
     ]
-
-
-def _shared_error(found: Found) -> list[tuple[str, str]]:
-    """Row on the common error of heights in EXIF, where the level of the water places the block."""
-    std = common_up_std_of_exif(found.config.cameras, found.headers, found.datum)
-    water = found.config.water
-    if std == 0.0 or found.config.control.files or water is None or water.level_m is None:
-        return []
-    is_stated = found.config.cameras.position_std_m is not None
-    unless = "" if is_stated else f", unless positions prove good to {WELL_KNOWN_M:g} m and agree with it"
-    return [("heights", f"may be {std:g} m off, the same for all: the level of the water places the block{unless}")]
 
 
 def _water_below(found: Found, heights: np.ndarray) -> str:

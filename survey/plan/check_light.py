@@ -177,7 +177,12 @@ def _motion(found: Found, survey: Survey | None) -> tuple[float | None, float | 
     speeds = {name: velocity.speed for name, velocity in velocities.items()}
     exposures = {name: header.exposure_s for name, header in found.headers.items() if header.exposure_s is not None}
     both = sorted(speeds.keys() & exposures.keys(), key=lambda name: speeds[name] * exposures[name])
-    focal, height = _focal_px(found), _height_m(found)
+    focal, height = _focal_px(found), above_start_of(found.headers)
+    water = found.config.water
+    heights = [header.lat_lon_height[2] for header in found.headers.values() if header.lat_lon_height is not None]
+    if water is not None and water.level_m is not None and heights:
+        over_water = float(np.nanmedian(heights)) - water.level_m / height_unit_m(found.crs)
+        height = over_water if over_water > 0.0 else height
     by_headers = None if focal is None or height is None else height / focal
     pixel = by_headers if survey is None else gsd_m(survey)
     if not both:
@@ -206,17 +211,6 @@ def _focal_px(found: Found) -> float | None:
         return given[0] if isinstance(given, tuple) else given
     focals = [header.focal_px for header in found.headers.values() if header.focal_px is not None]
     return float(np.median(focals)) if focals else None
-
-
-def _height_m(found: Found) -> float | None:
-    """Median height [m] of the cameras over the water, else over the take-off point."""
-    water = found.config.water
-    heights = [header.lat_lon_height[2] for header in found.headers.values() if header.lat_lon_height is not None]
-    if water is not None and water.level_m is not None and heights:
-        height = float(np.nanmedian(heights)) - water.level_m / height_unit_m(found.crs)
-        if height > 0.0:
-            return height
-    return above_start_of(found.headers)
 
 
 def _sun_rows(found: Found, survey: Survey | None, wind_m_s: float) -> list[tuple[str, str]]:

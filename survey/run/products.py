@@ -150,6 +150,14 @@ def _facts(
     survey, plan, done = finished.job.survey, finished.job.plan, finished.stages
     start = time.monotonic()
     comparison, of_sweep = _comparisons(finished)
+    # Of reused stages the versions of the libraries that computed them, as "torch (sweep)".
+    now = versions()
+    earlier = {
+        f"{name} ({stage})": version
+        for stage, place in done.items()
+        for name, version in versions_of(place).items()
+        if version != now.get(name)
+    }
     timings = {name: seconds_of(place) for name, place in done.items()}
     if survey.config.cameras.poses is None:
         from survey.sfm.poses import seconds_of_solve
@@ -169,7 +177,7 @@ def _facts(
         height_maps=Stored(done["sweep"] / MAPS, HeightMap),
         comparison=comparison,
         sweep_comparison=of_sweep,
-        versions=_versions(done),
+        versions=now | earlier,
         verdict=verdict,
         adjustment=adjustment_of(finished.result, done),
         std_common=stored.std_common,
@@ -212,18 +220,6 @@ def adjustment_of(folder: Path, done: Mapping[str, Path]) -> Adjustment | None:
     # Whole: some models have binary files beside the text.
     shutil.copytree(done["adjust"] / MODEL_FOLDER, folder / MODEL_FOLDER, dirs_exist_ok=True)
     return read_adjustment(folder)
-
-
-def _versions(done: Mapping[str, Path]) -> dict[str, str]:
-    """Versions of the libraries that compute, by name; of reused stages, theirs as "torch (sweep)"."""
-    now = versions()
-    earlier = {
-        f"{name} ({stage})": version
-        for stage, place in done.items()
-        for name, version in versions_of(place).items()
-        if version != now.get(name)
-    }
-    return now | earlier
 
 
 def _comparisons(finished: FinishedRun) -> tuple[Comparison | None, Comparison | None]:

@@ -135,7 +135,7 @@ def test_a_polygon_of_clicks_is_classified(session, run):
     assert (Edits(run).classes[rows] == 7).all()
     red = shown.colours(CLASS, rows, None)
     assert (red[:, 0] > red[:, 1]).all()
-    assert not np.isin(rows, shown.rows_of_bed()).any()
+    assert not shown.edits.is_bed[rows].any()
 
 
 def test_saved_points_lie_in_the_run_folder(session, run):

@@ -31,7 +31,7 @@ _CAMERA = (34, 48, 60)
 _CAMERA_SHARE = 0.04
 # Initial viewpoint, relative to the middle of the cloud, in units of its extent.
 _FROM = np.array([0.0, -0.55, 0.6])
-# Most cells of a terrain model and of a mesh along the extent of the cloud: triangles that browsers can draw.
+# Most cells of a terrain model along the extent of the cloud: triangles that browsers can draw.
 _MOST_CELLS = 500
 # A cell has this many ground sampling distances at least: some points, so that few are empty.
 _CELL_GSD = 2.0
@@ -134,25 +134,12 @@ def terrain(shown: Shown) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     from survey.export.product import ExportOptions
     from survey.handles.run import dem_mesh
 
-    surface = dem_mesh(shown.folder, ExportOptions(resolution_m=_cell_m(shown)))
+    cell_m = max(_CELL_GSD * shown.gsd_m, shown.extent_m / _MOST_CELLS)
+    surface = dem_mesh(shown.folder, ExportOptions(resolution_m=cell_m))
     vertices, limits = shown.new_frame().local_from_crs(surface.vertices), shown.limits("height")
     if limits is None:
         raise RuntimeError("a cloud has heights")
     return vertices, surface.faces, SCALES["height"].colours(vertices[:, 2] + shown.base_m, limits)
-
-
-def mesh(shown: Shown) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The triangulated bed, as `terrain`, in the colours of the photographs."""
-    from survey.export.meshes import bed_surface
-
-    rows = shown.rows_of_bed()
-    points, rgb, std = shown.tree.points[rows], shown.rgb[rows], shown.columns["std"][rows]
-    surface = bed_surface(points, rgb, std, spacing_m=_cell_m(shown), method="delaunay", path=shown.folder)
-    return surface.vertices, surface.faces, np.asarray(surface.rgb)
-
-
-def _cell_m(shown: Shown) -> float:
-    return max(_CELL_GSD * shown.gsd_m, shown.extent_m / _MOST_CELLS)
 
 
 def coloured_mesh(server: viser.ViserServer, name: str, parts: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Any:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock, Thread
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from survey.export.loaded import LoadedRun
 from survey.files.outputs import ReadFiles
@@ -22,7 +22,6 @@ from survey.viewer.layers import (
     add_field,
     add_water,
     coloured_mesh,
-    mesh,
     reference_node,
     set_initial_view,
     terrain,
@@ -79,16 +78,13 @@ class ViewSession:
         if water is not None:
             self.panel.add_layer("water surface", is_on=True, show=lambda on: setattr(water, "visible", on))
         self.panel.add_layer("cameras", is_on=True, show=lambda on: setattr(cameras, "visible", on))
-        made: dict[str, Callable[[], Any]] = {
-            "terrain model": lambda: coloured_mesh(self.server, "/terrain", terrain(self.shown)),
-            "mesh": lambda: coloured_mesh(self.server, "/mesh", mesh(self.shown)),
-        }
+        self._terrain = OnDemand(
+            self.server, "terrain model", lambda: coloured_mesh(self.server, "/terrain", terrain(self.shown))
+        )
+        self._box_of_terrain = self.panel.add_layer("terrain model", is_on=False, show=self._terrain.show)
         if (reference := self.shown.reference) is not None:
-            made["reference"] = lambda: reference_node(self.server, reference, self.shown.gsd_m)
-        self._computed = {label: OnDemand(self.server, label, make) for label, make in made.items()}
-        self._boxes = {
-            label: self.panel.add_layer(label, is_on=False, show=layer.show) for label, layer in self._computed.items()
-        }
+            node = OnDemand(self.server, "reference", lambda: reference_node(self.server, reference, self.shown.gsd_m))
+            self.panel.add_layer("reference", is_on=False, show=node.show)
 
     def _compare(self) -> None:
         """Errors of all points, which take a while; then the panel offers them."""
@@ -115,11 +111,11 @@ class ViewSession:
             cloud.redraw(style)
 
     def _redraw(self, is_edited: bool) -> None:
-        """Draw what is marked or edited now; surfaces made of the cloud before are taken away."""
+        """Draw what is marked or edited now; the terrain model of the cloud before is taken away."""
         self._restyle(self.panel.style)
-        for label in ("terrain model", "mesh") if is_edited else ():
-            self._computed[label].forget()
-            self._boxes[label].value = False
+        if is_edited:
+            self._terrain.forget()
+            self._box_of_terrain.value = False
 
     def close(self) -> None:
         """End the threads of the browsers."""

@@ -214,10 +214,6 @@ class Shown:
         rows = self.tree.rows(node)
         return rows[np.isfinite(self.tree.points[rows, 0])]
 
-    def rows_of_bed(self) -> np.ndarray:
-        """Rows (K,) of all points that are not deleted, and of the bed by their class."""
-        return np.arange(len(self.tree.points)) if self.edits is None else np.flatnonzero(self.edits.is_bed)
-
     def mark(self, rows: np.ndarray) -> np.ndarray:
         """Mark these points and no others; the rows whose mark has changed."""
         wanted = np.zeros_like(self.is_marked)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from refract.lens import Lens, affine_from_brown, distorted
+from survey.adjust import refine
 from survey.adjust.applied import apply_adjustment
 from survey.adjust.block.observed import thinned
 from survey.adjust.focal_lengths import with_square_pixels
@@ -201,3 +202,19 @@ def test_photographs_agree_whatever_ratio_straight_rays_had(block):
     # The ratio moves a pixel at the edge of the photograph by 1.5; what of it no pose and lens takes is over the noise.
     assert held.statistics.std_px["matches"] > 1.5 * PIXEL_STD
     assert any(text.startswith("pixels are taken as square") for text in found.notes)
+
+
+@pytest.mark.parametrize(("wave_px", "times"), [(0.4, 2), (0.0, 1)])
+def test_windows_are_measured_again_on_the_adjusted_block_over_waves_alone(monkeypatch, wave_px, times):
+    block = draw_block(1, num_points=200, num_views=18, pixel_std=0.05, shared=wave_px / 0.05, dry_share=0.2)
+    survey, measured = survey_of(block), []
+
+    def measure(given, **_kwargs):
+        measured.append(np.array([view.camera.centre for view in given.views]))
+        return survey.observations.ties
+
+    monkeypatch.setattr(refine, "measure_windows", measure)
+    found = adjust_survey(changed(survey, ties=None))
+    assert len(measured) == times
+    # Where the same windows are found again, the block stays where it is, to a part of its standard deviation.
+    assert (np.abs(measured[-1] - found.poses.centres) < 0.1 * found.poses.position_std).all() == (times == 2)

@@ -3,6 +3,7 @@
 matches of structure from motion (`Survey.ties`), where there are any -> a first adjustment, which removes the bending;
 poses of a file that are too far off for windows get such matches first (`survey.adjust.starts`)
 windows matched to a fraction of a pixel on the adjusted block (`survey.adjust.block.windows`) -> the final adjustment
+windows matched under poses before an adjustment, over waves: again on the adjusted block
 """
 
 from __future__ import annotations
@@ -14,18 +15,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from survey.adjust.applied import at_state
-from survey.adjust.block.observed import MATCH, WINDOW
+from survey.adjust.block.observed import KINDS, MATCH, WINDOW
 from survey.adjust.block.priors import PriorKnowledge, prior_of
 from survey.adjust.block.windows import measure_windows
 from survey.adjust.common_height import apply_level_datum, height_warnings
 from survey.adjust.focal_lengths import FocalDrift, with_square_pixels
-from survey.adjust.observability import (
-    dry_or_within_bounds,
-    name_open_roll,
-    roll_notes,
-    water_std,
-    within_bounds,
-)
+from survey.adjust.observability import dry_or_within_bounds, name_open_roll, roll_notes, water_std, within_bounds
 from survey.adjust.parameter_tests import LEVEL_NAME
 from survey.adjust.result.adjustment import MOST_SIGMAS_OF_FOUR, MOST_STD_LEVEL_M, Adjustment, Status
 from survey.adjust.result.std_of_block import parts_warning
@@ -41,6 +36,9 @@ from survey.plan.recipe import gsd_m
 
 # Of the time of an adjustment, about: of matches, of windows, and of all.
 _SHARES = (0.3, 0.4, 0.3)
+# Windows under water that scatter by more [px], as the solver finds surfaces from: measured under poses before the
+# adjustment, they bend the block (docs/decisions.md).
+_WAVES_PX = 0.1
 # Windows are measured up to four times as well as matches, and are as many.
 _MOST_GAIN = 6.0
 
@@ -115,16 +113,23 @@ def _adjust_in_stages(
         ties = survey.observations.ties
         done = staged.first_ties(MATCH, dry_or_within_bounds(survey, ties) if free_water else ties)
         if use_windows and not survey.provenance.is_level_known and not free_water:
-            _require_level(survey, done)
+            std = float(water_std(survey, done)[0])
+            # Windows cannot tell it either.
+            if not std <= _MOST_GAIN * MOST_STD_LEVEL_M:
+                raise _level_error(survey, std)
         advance(shares[0])
     if use_windows:
         if windows is None:
             windows = _windows_at(survey, done, device, lambda part: advance(shares[1] * part))
-        windows = within_bounds(survey, windows) if free_water else windows
-        if done is None:
-            done = staged.first_ties(WINDOW, windows)
-        else:
-            done = staged.more_ties(WINDOW, windows, restarted(staged.prior, done))
+        while True:
+            before, windows = done, within_bounds(survey, windows) if free_water else windows
+            if done is None:
+                done = staged.first_ties(WINDOW, windows)
+            else:
+                done = staged.with_ties(WINDOW, windows, restarted(staged.prior, done))
+            if before is not None or not _show_waves(done):
+                break
+            windows = _windows_at(survey, done, device, lambda _share: None)
         advance(shares[2])
     assert done is not None
     contradictions: list[GivenValueTest] = []
@@ -148,11 +153,11 @@ def _adjust_in_stages(
     return replace(found, notes=(*found.notes, *notes), warnings=(*found.warnings, *warnings))
 
 
-def _require_level(survey: Survey, done: RobustSolution) -> None:
-    """Raise where an adjustment of matches leaves the level so uncertain that windows cannot tell it either."""
-    std = float(water_std(survey, done)[0])
-    if not std <= _MOST_GAIN * MOST_STD_LEVEL_M:
-        raise _level_error(survey, std)
+def _show_waves(done: RobustSolution) -> bool:
+    """Whether windows under water scatter as over waves."""
+    kind = done.problem.kind
+    wet = kind[(kind >= len(KINDS)) & (kind % len(KINDS) == WINDOW)]
+    return len(wet) > 0 and bool(np.mean(done.problem.given_std_px[wet] ** 2) > _WAVES_PX**2)
 
 
 def _level_error(survey: Survey, std: float) -> SurveyError:

@@ -54,23 +54,21 @@ class StagedAdjustment:
         elif start.shifts:
             start, part = self._onto_stated_positions(part)
         self._parts = [part]
-        if self.free_water:
-            return self._adjust_free(start)
         if start.common_up_std > 0.0:
             done, self.prior, part = self._at_level(part)
             self._parts = [part]
             return done
         done = self._adjust(start)
-        if self.survey.provenance.is_level_known:
+        if self.survey.provenance.is_level_known and not self.free_water:
             level = check_dry_block(self.survey, start, self._observed, done)
             if level is not None:
                 raise dry_bed_error(level, "leave out [water] if the bed is dry")
         return done
 
-    def more_ties(self, kind: int, ties: TiePoints, start: PriorKnowledge) -> RobustSolution:
-        """Adjust with further tie points beside those before."""
-        self._parts.append((kind, self._thinned(ties)))
-        return self._adjust_free(start) if self.free_water else self._adjust(start)
+    def with_ties(self, kind: int, ties: TiePoints, start: PriorKnowledge) -> RobustSolution:
+        """Adjust with tie points in place of those of their kind, beside others."""
+        self._parts = [part for part in self._parts if part[0] != kind] + [(kind, self._thinned(ties))]
+        return self._adjust(start)
 
     def _thinned(self, ties: TiePoints) -> TiePoints:
         return ties.only(np.isin(ties.point, thinned(ties, sizes_of(self.survey), CELLS, PER_CELL)))
@@ -84,9 +82,8 @@ class StagedAdjustment:
         return observed(parts, self.survey.observations.control, self.survey, prior)
 
     def _adjust(self, start: PriorKnowledge) -> RobustSolution:
-        return adjust(start, self._observed)
-
-    def _adjust_free(self, start: PriorKnowledge) -> RobustSolution:
+        if not self.free_water:
+            return adjust(start, self._observed)
         done, self._unobservable = adjust_free(self.survey, start, self._observed)
         return done
 

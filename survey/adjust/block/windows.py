@@ -275,8 +275,6 @@ def measure_loaded_windows(
 
     ``sparse`` takes fewer windows: as many as means over photographs need.
     """
-    from survey.adjust.block.windows import DENSE, SPARSE, measure_tie_points
-
     ties = measure_tie_points(block, bound, local_area(survey), advance, SPARSE if sparse else DENSE)
     full = [(view.camera, camera_of(view, plan)) for view in survey.views]
     enlarge = np.array([(camera.fx / used.fx, camera.fy / used.fy) for camera, used in full])

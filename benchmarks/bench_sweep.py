@@ -112,7 +112,7 @@ class Case:
             write_bed_las(Path(folder) / "cloud.las", stored)
             found = compare_surfaces(Path(folder) / "cloud.las", self.reference, options)
         figures = {"points": len(found.distances), "farthest_m": float(np.abs(found.distances).max())}
-        distances = found.figures.summary.distances
+        distances = found.figures.distances
         figures |= {"mean_inner90_m": distances.mean_inner90_m, "std_inner90_m": distances.std_inner90_m}
         far = float((np.abs(found.distances) > 0.2).mean())
         complete = {f"complete_{s.tolerance_m:g}": s.completeness_visible for s in found.figures.tolerances}

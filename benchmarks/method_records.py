@@ -139,7 +139,7 @@ def errors_of(cloud: Path, case: Case) -> Errors:
     found = compare_surfaces(
         cloud, case.reference, CompareOptions(TOLERANCES_M, visible=case.visible, bounds=case.bounds)
     )
-    of_all = found.figures.summary.distances
+    of_all = found.figures.distances
     shares = {
         f"{scores.tolerance_m:g}": scores.completeness if case.visible is None else scores.completeness_visible
         for scores in found.figures.tolerances

@@ -29,13 +29,11 @@ from evaluation.summary import (
     DistanceStatistics,
     ReachedBand,
     Scores,
-    Summary,
     by_band,
     by_depth,
     distance_statistics,
     reached_by_slope,
     scores,
-    summarise,
 )
 from evaluation.triangles import weld
 from evaluation.vertical import Coverage, coverage_by_class, height_at, slope_below, vertical_difference
@@ -53,7 +51,6 @@ __all__ = [
     "MeshDistances",
     "ReachedBand",
     "Scores",
-    "Summary",
     "apparent_points",
     "asprs_vertical",
     "by_band",
@@ -79,7 +76,6 @@ __all__ = [
     "slope_below",
     "spatial_blocks",
     "ssim",
-    "summarise",
     "times_index",
     "vertical_difference",
     "weld",

@@ -60,44 +60,6 @@ class Scores:
     completeness_visible: float | None = None
 
 
-@dataclass(frozen=True)
-class Summary:
-    """The numbers of a comparison over all its points."""
-
-    n_cropped: int  # Points that were cropped before the comparison
-    distances: DistanceStatistics
-    scores: Scores
-
-
-def summarise(
-    distances: np.ndarray,
-    *,
-    tolerance_m: float,
-    is_reached: np.ndarray,
-    is_reached_visible: np.ndarray | None = None,
-    num_cropped: int = 0,
-    blocks: Blocks | None = None,
-) -> Summary:
-    """The numbers of a comparison over all its points.
-
-    Parameters
-    ----------
-    distances : (N,) [m]
-        Signed (unsigned if the reference is a cloud). NaN is counted and left out.
-    tolerance_m, is_reached, is_reached_visible :
-        As `scores`.
-    num_cropped : int
-        Points that were cropped before the comparison.
-    blocks : Blocks of the N points, optional
-        As `distance_statistics`.
-    """
-    return Summary(
-        int(num_cropped),
-        distance_statistics(distances, blocks),
-        scores(distances, tolerance_m=tolerance_m, is_reached=is_reached, is_reached_visible=is_reached_visible),
-    )
-
-
 def scores(
     distances: np.ndarray,
     *,

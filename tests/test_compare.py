@@ -259,7 +259,7 @@ def test_distances_for_a_whole_file_are_nan_where_it_was_cropped(cloud, plane):
     comparison = compare_surfaces(cloud, plane, CompareOptions(bounds=(e - 9, n - 9, e, n + 9)))
     whole = comparison.distances_of_cloud
     assert len(whole) == 101**2
-    assert np.isnan(whole).sum() == comparison.figures.summary.n_cropped
+    assert np.isnan(whole).sum() == comparison.figures.n_cropped
 
 
 # What is refused ------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from evaluation import by_band, by_depth, distance_statistics, spatial_blocks, summarise
+from evaluation import by_band, by_depth, distance_statistics, scores, spatial_blocks
 from evaluation.bootstrap import cell_counts, cell_means, cell_numbers
 
 EXACT = {"rel": 1e-12, "abs": 1e-15}
@@ -58,24 +58,14 @@ def test_no_distance_at_all_gives_nan_without_a_warning():
     assert math.isnan(numbers.std_inner90_m)
 
 
-def test_the_summary_holds_distances_and_scores_at_one_tolerance():
-    found = summarise(
-        np.array([0.1, -0.2, 0.3, -0.1]),
-        tolerance_m=0.2,
-        is_reached=np.array([True, False, True, True]),
-        is_reached_visible=np.array([True, True]),
-        num_cropped=7,
-    )
-    assert (found.distances.n_points, found.n_cropped) == (4, 7)
-    assert (found.scores.completeness, found.scores.completeness_visible) == (0.75, 1.0)
+def test_scores_at_one_tolerance():
+    distances, reached = np.array([0.1, -0.2, np.nan, 0.3, -0.1]), np.array([True, False, True, True])
+    found = scores(distances, tolerance_m=0.2, is_reached=reached, is_reached_visible=np.array([True, True]))
+    assert (found.completeness, found.completeness_visible) == (0.75, 1.0)
     # |d| = 0.2 is not closer than 0.2.
-    assert found.scores.accuracy_share == 0.5
-    assert found.scores.f_score == pytest.approx(0.6, **EXACT)
-
-
-def test_what_was_not_asked_for_is_none():
-    found = summarise(np.zeros(3), tolerance_m=0.2, is_reached=np.ones(1, bool))
-    assert (found.scores.completeness_visible, found.distances.mean_ci95_m) == (None, None)
+    assert found.accuracy_share == 0.5
+    assert found.f_score == pytest.approx(0.6, **EXACT)
+    assert scores(distances, tolerance_m=0.2, is_reached=reached).completeness_visible is None
 
 
 def test_wet_and_dry_are_split_five_centimetres_off_the_shoreline():

@@ -75,8 +75,8 @@ def test_compare_reads_soundings_back(tmp_path, suffix, code):
     export(run, las=las, soundings=path)
     for first, second in ((las, path), (path, las)):
         figures = compare_files(first, second)
-        assert figures.summary.distances.n_points + figures.summary.distances.n_nan == len(points)
-        assert abs(figures.summary.distances.mean_m) < 1e-3
+        assert figures.distances.n_points + figures.distances.n_nan == len(points)
+        assert abs(figures.distances.mean_m) < 1e-3
     assert (read_shape(path, None).crs is None) == (suffix == ".xyz")
     assert ("depth" in read_shape(path, None).extra) == (suffix == ".csv")
 

@@ -86,7 +86,7 @@ def test_a_profile_is_drawn_beside_the_true_bed(survey, run):
     axes = figure.subplots()
     assert run.plot_profile(middle_of(run), axes=axes) is figure
     assert axes.lines
-    assert abs(run.compare(truth, CompareOptions(tolerances_m=(0.1,))).summary.distances.median_m) < 0.02
+    assert abs(run.compare(truth, CompareOptions(tolerances_m=(0.1,))).distances.median_m) < 0.02
 
 
 @pytest.mark.parametrize("line", [[], [1.0, 2.0], [[1.0, 2.0]], [[1.0, 2.0], [np.nan, 1.0]], [[1, 2, 3], [4, 5, 6]]])

@@ -87,7 +87,7 @@ def test_an_assumed_index_and_an_image_left_out_are_told(tmp_path):
 
 
 def test_the_comparison_is_that_of_the_cloud_with_the_raised_plane(plane_report):
-    comparison = plane_report.figures.comparison.summary
+    comparison = plane_report.figures.comparison
     # The distance to a plane is along its normal; the cloud lies below it.
     assert comparison.distances.mean_m == pytest.approx(-RAISED_M / np.hypot(1.0, SLOPE), abs=LAS_BIAS_M)
     assert comparison.distances.std_m == pytest.approx(LAS_STD_M, rel=0.1)

@@ -68,7 +68,7 @@ def test_report_html_loads_nothing_and_runs_nothing(plane_report):
 
 def test_report_html_shows_the_figures_of_report_json(plane_report):
     page = plane_report.run.report_html_path.read_text(encoding="utf-8")
-    cloud, distances = plane_report.figures.cloud, plane_report.figures.comparison.summary.distances
+    cloud, distances = plane_report.figures.cloud, plane_report.figures.comparison.distances
     for text in (
         "small &amp; &lt;shallow&gt;",
         "water of index 1.3330 &lt;here&gt;",

@@ -20,7 +20,6 @@ from evaluation import (
     is_outlier,
     m3c2_distances,
     spatial_blocks,
-    summarise,
 )
 from evaluation.c2m import Sign
 from evaluation.completeness import SEED
@@ -107,14 +106,8 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
         found, of_checkpoints = checkpoint_accuracy(scene, *checkpoints)
         notes += of_checkpoints
     figures = Figures(
-        summary=summarise(
-            distances.signed,
-            tolerance_m=first.tolerance_m,
-            is_reached=first.samples,
-            is_reached_visible=first.visible,
-            num_cropped=inputs.num_cropped,
-            blocks=blocks,
-        ),
+        n_cropped=inputs.num_cropped,
+        distances=distance_statistics(distances.signed, blocks),
         tolerances=tuple(reach.scores(distances.signed) for reach in reaches),
         parts=measure.parts(scene, distances, depth, blocks),
         reached=measure.reached_by_slope_of(distances, reaches),

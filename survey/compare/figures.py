@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from evaluation import AsprsAccuracy, Band, DepthParts, DistanceStatistics, IhoS44, ReachedBand, Scores, Summary
+from evaluation import AsprsAccuracy, Band, DepthParts, DistanceStatistics, IhoS44, ReachedBand, Scores
 from evaluation.bootstrap import LEVEL, NUM_DRAWS, SEED
 from evaluation.c2m import Sign
 from evaluation.standards import TvuOrder
@@ -120,7 +120,8 @@ class Circumstances:
 class Figures:
     """All figures of a comparison; what was not requested or is unknown is None."""
 
-    summary: Summary  # Over all compared points, at the first tolerance
+    n_cropped: int  # Points that were cropped before the comparison
+    distances: DistanceStatistics  # Of all compared points
     tolerances: tuple[Scores, ...]  # At each tolerance
     parts: Parts
     # Completeness by the slope of the reference, of what cameras see where that is known; empty where it is a cloud
@@ -170,10 +171,9 @@ def numbers_of(figures: Figures) -> dict:
     the circumstances; below it ``tolerances``, ``vertical``, ``iho_s44``, ``reference_surface``, ``asprs``, ``c2c`` and
     ``m3c2``. What was not requested is missing; a value that does not exist is None.
     """
-    summary = figures.summary
-    statistics = _known(summary.distances)
-    numbers = {"n_points": statistics.pop("n_points"), "n_cropped": summary.n_cropped} | statistics
-    numbers |= _known(summary.scores) | {"tolerances": [_known(s) for s in figures.tolerances]}
+    statistics = _known(figures.distances)
+    numbers = {"n_points": statistics.pop("n_points"), "n_cropped": figures.n_cropped} | statistics
+    numbers |= _known(figures.tolerances[0]) | {"tolerances": [_known(s) for s in figures.tolerances]}
     if figures.parts.depth is not None:
         numbers |= _depth_parts(figures.parts.depth)
     numbers |= {f"{key}_bands": _bands(bands, unit) for key, _, unit, bands in figures.parts.banded}

@@ -41,7 +41,7 @@ def write_report(comparison: Comparison, folder: Path) -> list[Path]:
     Returns their paths.
     """
     figures, crs = comparison.figures, comparison.inputs.crs
-    scores, distances = figures.summary.scores, figures.summary.distances
+    scores, distances = figures.tolerances[0], figures.distances
     tolerance_m, is_visible = scores.tolerance_m, scores.completeness_visible is not None
     reached = share(scores.completeness_visible if is_visible else scores.completeness)
     in_short = (

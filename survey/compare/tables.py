@@ -40,7 +40,7 @@ def comparison(found: Figures | None) -> list[Block]:
     """Distances to the reference and completeness, whole and in parts; nothing without a reference."""
     if found is None:
         return []
-    circumstances, distances, num_cropped = found.circumstances, found.summary.distances, found.summary.n_cropped
+    circumstances, distances, num_cropped = found.circumstances, found.distances, found.n_cropped
     cropped = f", {count(num_cropped)} outside the bounds left out" if num_cropped else ""
     beside = f", {count(distances.n_nan)} not among the points of the reference" if distances.n_nan else ""
     rows = [
@@ -69,7 +69,7 @@ def comparison(found: Figures | None) -> list[Block]:
 def _parts(found: Figures) -> list[tuple[str, DistanceStatistics]]:
     depth = found.parts.depth
     parts = {
-        "all points": found.summary.distances,
+        "all points": found.distances,
         "vertical difference": None if found.vertical is None else found.vertical.distances,
         "wet points": None if depth is None else depth.wet,
         "dry points": None if depth is None else depth.dry,

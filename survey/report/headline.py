@@ -101,7 +101,7 @@ def cards(figures: ReportFigures) -> Iterator[Card]:
 def _of_comparison(figures: ReportFigures) -> Iterator[Card]:
     if figures.comparison is None:
         return
-    distances, uncertainty = figures.comparison.summary.distances, figures.comparison.uncertainty
+    distances, uncertainty = figures.comparison.distances, figures.comparison.uncertainty
     mean_m, std_m = distances.mean_inner90_m, distances.std_inner90_m
     unit = LengthUnit.of([std_m, mean_m])
     value = f"{unit.number(mean_m)}{NO_BREAK}±{NO_BREAK}{unit.text(std_m)}"

@@ -94,7 +94,7 @@ def _of_adjustment(facts: ReportFacts, found: Adjustment) -> dict[str, Callable[
 
 def _of_comparison(facts: ReportFacts, comparison: Comparison) -> dict[str, Callable[[Path], Picture]]:
     crs = facts.survey.frame.crs
-    tolerance_m = comparison.figures.summary.scores.tolerance_m
+    tolerance_m = comparison.figures.tolerances[0].tolerance_m
 
     def error_map(path: Path) -> Picture:
         compare_report.error_map(comparison.points, comparison.distances, path, crs=crs)

@@ -15,7 +15,7 @@ from survey.errors import OutputError, SurveyError
 from survey.export.export import export
 from survey.folder.survey import load_survey
 from survey.pose_files import read_poses
-from survey.run.flight import load_flight, save_flight
+from survey.run.flight import FLIGHT, load_flight, save_flight
 
 LENSES = {
     "brown": Lens("FULL_OPENCV", (101.3, 101.2, 31.7, 24.4, 0.02, -0.01, 1e-4, -2e-4, 0.003, 0.0, 0.0, 0.0), 64, 48),
@@ -162,3 +162,28 @@ def test_a_folder_with_other_files_is_not_written_into_and_an_earlier_model_is_r
     assert sorted(p.name for p in (tmp_path / "model").iterdir()) == ["cameras.txt", "images.txt", "points3D.txt"]
     with pytest.raises(OutputError, match="whose files are read"):
         export(path, colmap=path / "stages")
+
+
+def test_names_that_a_colmap_text_would_cut_are_whole_in_a_binary_model(run, tmp_path):
+    pycolmap = pytest.importorskip("pycolmap")
+    path, views, _ = run(LENSES["pinhole"])
+    target, stored = tmp_path / "model", (path / FLIGHT).read_text("utf-8")
+    said = json.loads(stored)
+    said["views"][0]["name"] = "DJI 0001.jpg"
+    (path / FLIGHT).write_text(json.dumps(said), "utf-8")
+    export(path, colmap=target)
+    text, model = tmp_path / "text", pycolmap.Reconstruction(target)
+    assert {image.name for image in model.images.values()} == {"DJI 0001.jpg", *(view.name for view in views[1:])}
+    # All else is what the text says.
+    text.mkdir()
+    for name in ("cameras.txt", "images.txt", "points3D.txt"):
+        (text / name).write_bytes((target / name).read_bytes())
+    for number, image in pycolmap.Reconstruction(text).images.items():
+        other = model.images[number]
+        assert np.array_equal(image.cam_from_world().matrix(), other.cam_from_world().matrix())
+        assert np.array_equal(image.camera.params, other.camera.params)
+    assert len(model.points3D) == len(pycolmap.Reconstruction(text).points3D) > 0
+    # Binary files go before text: those of an earlier export do not stay.
+    (path / FLIGHT).write_text(stored, "utf-8")
+    export(path, colmap=target)
+    assert sorted(p.name for p in target.iterdir()) == ["cameras.txt", "images.txt", "points3D.txt"]

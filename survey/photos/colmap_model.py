@@ -1,4 +1,7 @@
-"""Photographs, lenses and tie points as a COLMAP model of text in the local frame."""
+"""Photographs, lenses and tie points as a COLMAP model in the local frame.
+
+Models are text, and binary beside it where names have spaces, at which readers of the text cut them.
+"""
 
 from __future__ import annotations
 
@@ -9,24 +12,23 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from geo.files import write_text
-from refract.lens import Lens
+from refract.lens import MODELS, Lens
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
 from survey.progress import current
 
 _GREY = "128 128 128"
 FILES = ("cameras.txt", "images.txt", "points3D.txt")
+_BINARY = ("cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin")
 
 
 def write_model(folder: Path, views: Sequence[View], *, head: str, points: str, ties: TiePoints | None = None) -> None:
     """Write a model in the local frame into a folder that exists.
 
-    COLMAP prefers binary files to text, so that those of an earlier model are removed. ``head`` are the comment lines
-    of cameras.txt, ``points`` is points3D.txt, or its comment lines before ``ties``, which have the places that
-    straight rays give them.
+    COLMAP prefers binary files to text, so that those of an earlier model are removed. BROWN_AFFINE, which is none of
+    its camera models, is written as text alone. ``head`` are the comment lines of cameras.txt, ``points`` is
+    points3D.txt, or its comment lines before ``ties``, which have the places that straight rays give them.
     """
-    if any(len(view.name.split()) != 1 for view in views):
-        current().warn(f"{folder}: COLMAP cuts names of photographs at spaces; rename those that have any for it")
     lenses = tuple(dict.fromkeys(view.lens for view in views))
     cameras = head + "".join(_lens_line(number, lens) for number, lens in enumerate(lenses, start=1))
     seen = [""] * len(views)
@@ -34,7 +36,26 @@ def write_model(folder: Path, views: Sequence[View], *, head: str, points: str, 
         points, seen = points + _point_lines(views, ties), _observation_lines(len(views), ties)
     for name, text in zip(FILES, (cameras, "".join(_pose_lines(views, lenses, seen)), points), strict=True):
         write_text(folder / name, text)
-        (folder / name).with_suffix(".bin").unlink(missing_ok=True)
+    for name in _BINARY:
+        (folder / name).unlink(missing_ok=True)
+    is_cut = any(len(view.name.split()) != 1 for view in views)
+    if is_cut and all(MODELS[lens.model][0] is not None for lens in lenses):
+        _write_binary(folder, views)
+
+
+def _write_binary(folder: Path, views: Sequence[View]) -> None:
+    """The model of the text with whole names, by pycolmap."""
+    try:
+        import pycolmap
+    except ModuleNotFoundError:
+        current().warn(
+            f"{folder}: without pycolmap the model is text alone, in which other programs cut names at spaces"
+        )
+        return
+    model = pycolmap.Reconstruction(folder)
+    for number, view in enumerate(views, start=1):
+        model.images[number].name = view.name
+    model.write_binary(folder)
 
 
 def _lens_line(number: int, lens: Lens) -> str:

@@ -142,6 +142,13 @@ def test_the_posterior_says_how_wrong_heights_are(drawn):
     assert drawn.found.errors[..., 0].std() == pytest.approx(actual, rel=0.25)
 
 
+def test_the_error_of_all_heights_alike_is_told_apart(drawn):
+    assert np.abs(drawn.found.errors[..., 0].mean(axis=1)).max() < 1e-6
+    shared = drawn.height_errors(drawn.found.displacement - drawn.true).mean()
+    # Of three draws.
+    assert 0.0 < abs(shared) < 4.0 * drawn.found.common_std
+
+
 def test_the_noise_is_found(drawn):
     assert drawn.found.noise == pytest.approx(2.0, rel=0.1)
 

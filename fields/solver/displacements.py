@@ -136,11 +136,8 @@ def waves_of(parts: Sequence[TileDisplacements], still: Waves, spacing: float, b
         at = np.flatnonzero(view == each)
         places = point[at].T.astype(np.float32)
         rays = still.crossings(each, places)
-        crossing[at], by_height[at], by_gradient[at] = (
-            rays.place.T,
-            rays.by_height.T,
-            rays.by_gradient.transpose(2, 0, 1),
-        )
+        crossing[at], by_height[at] = rays.place.T, rays.by_height.T
+        by_gradient[at] = rays.by_gradient.transpose(2, 0, 1)
         if before is not None:
             # The equations of all rounds are linear, in the surfaces as a whole.
             crossing[at] = (place := before.through(each, places)[0]).T

@@ -72,8 +72,7 @@ def without_waves(
         return None
     bed = bed_of(views, kept)
     still = (still_photograph(views, views.waves, view, bed) for view in range(len(block.cameras)))
-    images = GreyImages(still, of_one_size=False)
-    return block.with_images(images), views.waves, moved_px
+    return block.with_images(GreyImages(still, of_one_size=False)), views.waves, moved_px
 
 
 def bed_of(views: Views, kept: Sequence[np.ndarray]) -> np.ndarray:

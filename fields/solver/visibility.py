@@ -19,15 +19,13 @@ from fields.sweep.kernels.rays import point_at, project, refracted_rays
 from fields.sweep.kernels.stack import CameraTerms, camera_table
 from fields.sweep.kernels.water import kernel_water
 from fields.sweep.maps import HeightMap
-from fields.waves.waves import Waves
+from fields.waves.waves import Waves, interpolated
 from refract import FlatWater, PinholeCamera
 
 # The step of the differences across the image [px]: positions in float32 are good to 3e-4 px.
 _STEP_PX = 1.0
 # Pixels about a position that a cubic lookup needs.
 _RIM_PX = 2.5
-# OpenCV takes positions as an image, with sides below 32768: they are laid out in lines of so many.
-_LINE = 2048
 # How far from the border a position has to be so that no pixel beyond it counts.
 _RIMS = {cv2.INTER_LINEAR: 0.5, cv2.INTER_CUBIC: 1.5}
 # Of the search for the crossing; docs/optics.md.
@@ -123,14 +121,8 @@ def lookup_window(x: np.ndarray, y: np.ndarray) -> tuple[slice, slice]:
 
 def lookup(image: np.ndarray, x: np.ndarray, y: np.ndarray, interpolation: int) -> np.ndarray:
     """Values (N,) of an image at positions (N,) [px], by a flag of OpenCV; NaN outside."""
-    lines = -(-len(x) // _LINE)
-    at = np.zeros((2, lines * _LINE), dtype=np.float32)
-    at[0, : len(x)], at[1, : len(x)] = x - 0.5, y - 0.5
-    across, down = at.reshape(2, lines, _LINE)
     # Not NaN as the value of the border: OpenCV 5 gives it to eight positions in a row if one of them is outside.
-    values = cv2.remap(image, across, down, interpolation, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0).ravel()[
-        : len(x)
-    ]
+    values = interpolated(image, np.stack([x, y]) - 0.5, interpolation)
     rim = _RIMS[interpolation]
     inside = (x >= rim) & (x <= image.shape[1] - rim) & (y >= rim) & (y <= image.shape[0] - rim)
     return np.where(inside, values, np.float32(np.nan))

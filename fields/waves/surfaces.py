@@ -25,11 +25,13 @@ ROUNDS, HASTE = 6, 1.5
 # Draws whose errors are kept, of the last steps.
 DRAWS = 3
 # Conjugate gradients: most steps, and the residual relative to the first at which they end.
-CG_STEPS, CG_RESIDUAL = 60, 2e-2
+CG_STEPS, CG_RESIDUAL = 120, 5e-3
 # Power spectra are smoothed by a Gauss filter of this standard deviation, in steps of the Fourier transform.
 SPECTRUM_STD = 0.8
-# Power of the first spectrum falls with this power of the wave number, from waves of this many spacings on.
-START_SLOPE, START_LENGTH = -5.0, 60.0
+# Power of the first spectrum falls with this power of the wave number, from waves of this many spacings on. Where it
+# falls more steeply than that of the sea, a bend that all surfaces share stands in for the short waves that it leaves:
+# it scales displacements, as rays are those to displaced points.
+START_SLOPE, START_LENGTH = -4.5, 60.0
 # Margin of a surface about the crossings, in spacings: surfaces are periodic.
 MARGIN = 6
 
@@ -188,8 +190,9 @@ class Posterior:
     sea: Sea
     noise: float  # Variance of the displacements, over that by their information
     displacement: np.ndarray  # (M, 2) [m]
-    # (draws, C, 3) [m]: height of a cell and shift of its photographs by the error of the surfaces
+    # (draws, C, 3) [m]: height of a cell and shift of its photographs by the error of the surfaces, less `common_std`
     errors: np.ndarray
+    common_std: float  # [m]: of the error of all heights alike, by a bend that all surfaces share
 
 
 def find_surfaces(d: Displacements, num_views: int, spacing: float) -> Posterior:
@@ -212,7 +215,11 @@ def find_surfaces(d: Displacements, num_views: int, spacing: float) -> Posterior
         noise = sum(float(each.sum(dtype=np.float64)) for each in squares) / cells.degrees_of_freedom
         ratio = grid.smoothed((np.square(np.abs(waves)) + np.square(np.abs(error))).mean(axis=0))
         spectrum, waves = spectrum * ratio**HASTE, waves * root
-    return Posterior(grid, grid.coefficients(waves), Sea.of(grid, spectrum), noise, found, np.array(drawn[-DRAWS:]))
+    errors = np.array(drawn[-DRAWS:])
+    common = errors[:, :, 0].mean(axis=1)
+    errors[:, :, 0] -= common[:, None]
+    std = float(np.sqrt(np.mean(common**2)))
+    return Posterior(grid, grid.coefficients(waves), Sea.of(grid, spectrum), noise, found, errors, std)
 
 
 def _start(d: Displacements, grid: SurfaceGrid, cells: CellAdjustment) -> np.ndarray:

@@ -35,6 +35,7 @@ class Waves:
     variance: np.ndarray
     variance_corner: np.ndarray  # (2,) [m]: of its first node; they are at the same spacing
     sea: Sea | None = None
+    common_std: float = 0.0  # [m]: of the error of all heights alike, by what is wrong with surfaces
     _rasters: dict[int, np.ndarray] = field(default_factory=dict, compare=False, repr=False)
 
     @staticmethod
@@ -47,7 +48,7 @@ class Waves:
         """The cameras over the surfaces that were found."""
         return replace(
             self, corner=found.grid.corner, spacing=found.grid.spacing, coefficients=found.coefficients,
-            variance=variance, variance_corner=variance_corner, sea=found.sea, _rasters={},
+            variance=variance, variance_corner=variance_corner, sea=found.sea, common_std=found.common_std, _rasters={},
         )  # fmt: skip
 
     def crossings(self, view: int, points: np.ndarray) -> Crossings:
@@ -84,7 +85,7 @@ class Waves:
     def surface(self, view: int, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Heights (N,) [m] and gradients (2, N) of a surface at places (2, N) [m]."""
         node = (place - self.corner[view][:, None]) * (_FINER / self.spacing)
-        height, *slopes = (_lookup(each, node, cv2.INTER_CUBIC) for each in self.raster(view))
+        height, *slopes = (interpolated(each, node, cv2.INTER_CUBIC) for each in self.raster(view))
         return height, np.stack(slopes)
 
     def raster(self, view: int) -> np.ndarray:
@@ -93,10 +94,8 @@ class Waves:
             columns, rows = self.coefficients[view].shape
             turned = 2.0 * np.pi * fft.fftfreq(columns)[:, None], 2.0 * np.pi * fft.rfftfreq(rows)[None]
             # A B-spline has these values and slopes at its nodes.
-            (x, y), (dx, dy) = (
-                [(2.0 + np.cos(k)) / 3.0 for k in turned],
-                [1j * np.sin(k) / self.spacing for k in turned],
-            )
+            x, y = ((2.0 + np.cos(k)) / 3.0 for k in turned)
+            dx, dy = (1j * np.sin(k) / self.spacing for k in turned)
             parts = fft.rfft2(self.coefficients[view]) * np.stack([x * y, dx * y, x * dy])
             padded, half = np.zeros((3, _FINER * columns, parts.shape[2]), dtype=complex), columns // 2
             padded[:, :half], padded[:, half - columns :] = parts[:, :half], parts[:, half:]
@@ -108,13 +107,13 @@ class Waves:
         """Variances (N,) [m^2] of heights and places of points of the bed (3, N) [m] by what is wrong with surfaces."""
         node = (points[:2] - self.variance_corner[:, None]) / self.spacing
         last = np.array(self.variance.shape[:0:-1])[:, None] - 1.0
-        height, place = (_lookup(each, np.clip(node, 0.0, last), cv2.INTER_LINEAR) for each in self.variance)
+        height, place = (interpolated(each, np.clip(node, 0.0, last), cv2.INTER_LINEAR) for each in self.variance)
         wet = points[2] < 0.0
         return np.where(wet, height, 0.0), np.where(wet, place, 0.0)
 
 
-def _lookup(raster: np.ndarray, node: np.ndarray, interpolation: int) -> np.ndarray:
-    """Values (N,) of a raster (rows, columns) at nodes (2, N), column and row; 0 beyond."""
+def interpolated(raster: np.ndarray, node: np.ndarray, interpolation: int) -> np.ndarray:
+    """Values (N,) of a raster (rows, columns) at nodes (2, N), column and row, by a flag of OpenCV; 0 beyond."""
     lines = -(-node.shape[1] // _LINE)
     at = np.zeros((2, lines * _LINE), dtype=np.float32)
     at[:, : node.shape[1]] = node

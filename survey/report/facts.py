@@ -59,6 +59,7 @@ class WaveFigures:
     moved_px: float  # Standard deviation of the shifts of photographs by waves
     # By the surfaces of all photographs, the fields of `fields.waves.surfaces.Sea`; None where water was taken as still
     sea: dict[str, float] | None
+    common_std_m: float = 0.0  # Of the error of all heights alike, by what is wrong with surfaces
 
 
 def dry_warnings(survey: Survey, bed: BedPoints) -> list[str]:

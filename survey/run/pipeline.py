@@ -185,7 +185,7 @@ STAGES = (
     ),
     Stage(
         name="bed",
-        needs=("adjust", "points"),
+        needs=("adjust", "points", "solver"),
         depends_on=(*_VIEWS, "water_settings", "priors", "frame", "name", "gsd"),
         files=FILES,
         compute=make_bed,

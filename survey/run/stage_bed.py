@@ -32,12 +32,13 @@ from survey.adjust.result.std_common import BASIS_ADJUSTED, BASIS_STATED, std_co
 from survey.display.column import median
 from survey.display.quantities import length
 from survey.errors import SurveyError
+from survey.files.json_values import read_json_object
 from survey.photos.intersection import equations_of_lines
 from survey.plan.area import inside
 from survey.progress import shares
 from survey.run.keys import colour_of
 from survey.run.points import adjustment_of, bed_points, is_placed, with_std_of_block
-from survey.run.stage_solver import SOLVED
+from survey.run.stage_solver import SOLVED, WAVES
 from survey.run.stage_sweep import KEPT, MAPS
 from survey.run.stored import (
     BED_FILE,
@@ -292,7 +293,7 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Points of all tiles with the parts of their std that follow from the whole bed."""
     survey, found = job.asked or job.survey, adjustment_of(needs)
     with job.progress.stage("Bed"), columns_in(folder) as new_column:
-        bed, xyz_in_crs = _gathered([needs[name] / POINTS for name in needs if name != "adjust"], folder / GATHERED)
+        bed, xyz_in_crs = _gathered([p for each in needs.values() if (p := each / POINTS).is_file()], folder / GATHERED)
         if len(bed) == 0:
             raise SurveyError(
                 "no point of the bed was confirmed by two views; check that poses, water level and images belong "
@@ -305,6 +306,9 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
             xyz_in_crs = in_crs(survey, bed.xyz)
         common, in_plan = new_column(len(bed)), new_column(len(bed))
         std_common(bed.xyz, bed.wet, survey, found, job.plan.gsd_m, common, in_plan)
+        of_waves = (read_json_object(place / WAVES) for place in needs.values() if (place / WAVES).is_file())
+        by_waves = max((each["common_std_m"] for each in of_waves), default=0.0)
+        np.hypot(common, by_waves, out=common, where=bed.wet)
         bed, of_block = with_std_of_block(bed, survey, found, job.plan.gsd_m, new_column)
         std_placed = None
         if of_block is not None:

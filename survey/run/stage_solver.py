@@ -88,7 +88,7 @@ def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     if not len(maps):
         save_maps(folder / SOLVED, SolvedMap, [])
         write_json(folder / SIGHTINGS, {})
-        write_json(folder / WAVES, {"moved_px": 0.0, "sea": None})
+        write_json(folder / WAVES, {"moved_px": 0.0, "sea": None, "common_std_m": 0.0})
         return
     kept, (before, moved_px) = solvable(job.block, maps, load_masks(swept / KEPT)), load_rough_water(swept)
     with job.progress.stage("Solver", 1.0) as stage, map_store(folder / SCRATCH, SolvedMap) as make_store:
@@ -105,7 +105,8 @@ def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 def _save_waves(job: Job, folder: Path, moved_px: float, waves: Waves | None) -> None:
     """What the waves of the survey are like, and the surface of each photograph, in the frame of the water."""
     sea, moved = None if waves is None else waves.sea, f"photographs shifted by {moved_px:.2f} px"
-    write_json(folder / WAVES, {"moved_px": moved_px, "sea": None if sea is None else asdict(sea)})
+    table = {"moved_px": moved_px, "sea": None if sea is None else asdict(sea)}
+    write_json(folder / WAVES, table | {"common_std_m": 0.0 if waves is None else waves.common_std})
     if waves is None or sea is None:
         if job.survey.water is not None:
             job.progress.detail(f"waves: off, {moved}")

@@ -22,7 +22,7 @@ MAY_IMPORT = {
 }
 # Lines of each package, which may only become fewer until all have 70,000 together.
 MOST_LINES = {
-    "bathynerf": 146, "evaluation": 2335, "fields": 14_563, "geo": 5152, "refract": 3058, "survey": 55_331,
+    "bathynerf": 146, "evaluation": 1814, "fields": 14_374, "geo": 5083, "refract": 2950, "survey": 53_110,
 }  # fmt: skip
 # Folders by layer, the lowest first: a folder imports only folders of the layers below its own, within what its package
 # may import at all.

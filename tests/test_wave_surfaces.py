@@ -109,13 +109,17 @@ def test_splines_are_those_of_the_solver(block, tmp_path):
         assert np.abs(surface.height[known] - nearest).max() < 0.02 * 0.36 * SPACING
 
 
-def test_a_folder_is_written_again_and_one_with_other_files_kept(block, tmp_path):
+def test_a_folder_of_the_run_is_written_again_and_one_with_other_files_refused(block, tmp_path):
     run, _ = solved(block, tmp_path / "run")
-    for _ in range(2):
-        export(run, waves=tmp_path / "out")
-    (tmp_path / "out" / "other.tif").write_bytes(b"II*\0")
+    other, of_others = tmp_path / "out" / "other.tif", tmp_path / "others"
+    export(run, waves=other.parent)
+    other.write_bytes(b"II*\0")
+    export(run, waves=other.parent)
+    assert other.read_bytes() == b"II*\0"
+    of_others.mkdir()
+    (of_others / "other.tif").write_bytes(b"II*\0")
     with pytest.raises(OutputError, match="holds other files"):
-        export(run, waves=tmp_path / "out")
+        export(run, waves=of_others)
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,6 @@ from survey.marking.session import MarkingSession
 from survey.progress import Progress
 from survey.report.page import render_page
 from survey.viewer.page import write_page
-from survey.viewer.session import LiveRun
 
 NAMES = (
     '<iframe srcdoc="<script>parent.ran = 1</script>">',
@@ -148,7 +147,6 @@ def test_the_panels_of_the_viewer_show_names_as_they_are(shown, in_markdown, nam
         raise SurveyError(f"{folder.name} cannot be read")
 
     with served(replace(shown, name=folder.name)) as session:
-        LiveRun(SimpleNamespace(path=folder, result=lambda: None), session.server).close()
         monkeypatch.setattr(session.clicks._photographs, "window", fail)
         session.clicks._show_windows([SimpleNamespace()])
     told = [kinds_and_text(content) for content in in_markdown]

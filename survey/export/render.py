@@ -92,7 +92,7 @@ def render(
     """
     folder, output = RunDir(run), Path(output)
     folder.require_run()
-    flight, field_folder = load_flight(folder.path), None
+    field_folder = None
     if trained:
         try:
             field_folder = folder.load_stage(FIELD_STAGE)
@@ -101,6 +101,7 @@ def render(
                 f"the run {folder.path} has no trained field; run `bathynerf process` again with --field mdw, or leave "
                 "--field out: its photographs are rendered then"
             ) from error
+    flight = load_flight(folder.path)
     folder.warn_if_unfinished()
     targets = targets_of(folder, flight.frame, Path(cameras), output)
     if field_folder is not None:

@@ -186,7 +186,7 @@ def read_model(folder: Path) -> PoseFile:
         cam_from_local = rotation_from_quaternion(*image.pose[:4])
         centre = -cam_from_local.T @ np.array(image.pose[4:])
         poses.append(Pose(image.name, centre, cam_from_local, lenses[image.camera], where=str(path)))
-    # From an adjustment with bent rays; its text lies beside it where it is binary.
+    # From an adjustment with bent rays; where it is binary, text files are in the same folder.
     text = folder / "cameras.txt"
     is_own = text.is_file() and begins_with(text, _OWN_FIRST_WORDS)
     return PoseFile(tuple(poses), PoseFrame.LOCAL, tool=None if is_own else "COLMAP")

@@ -16,7 +16,7 @@ from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize
 
 from evaluation import height_at, vertical_difference
-from evaluation.robust import MAD_TO_STD
+from evaluation.summary import MAD_TO_STD
 from geo import LocalFrame, parse_crs, read_cloud, read_reference
 from refract.lens import Lens, undistorted
 from survey.compare.measure import read_checkpoints

@@ -28,7 +28,7 @@ from bench_solver import BATHYNERF, FINE, accuracy, inner90, raster_of
 from scipy.ndimage import map_coordinates
 from stress_factors import bare_sand
 
-from evaluation.robust import MAD_TO_STD
+from evaluation.summary import MAD_TO_STD
 from fields.solver.visibility import lookup
 from geo import read_reference
 from refract import PinholeCamera, crossing_point

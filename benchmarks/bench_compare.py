@@ -123,7 +123,7 @@ def run_cloudcompare(program: str, folder: Path, cloud: Path, mesh: Path) -> tup
 
 def num_tied(points: np.ndarray, sizes: np.ndarray, mesh: Path) -> int:
     """Number of points with two or more triangles at their distance (to 1e-6 m), by testing all that are near."""
-    from evaluation.triangles import closest_on_triangles
+    from evaluation.c2m import closest_on_triangles
     from geo import read_reference
 
     reference = read_reference(mesh)

@@ -33,7 +33,7 @@ from bench_real_points import corrected, palau, read_stream
 from pyproj import Transformer
 from tables import TABLES, publish
 
-from evaluation.robust import std_by_median
+from evaluation.summary import std_by_median
 from geo import read_cloud
 from survey.adjust.applied import apply_adjustment
 from survey.adjust.refine import adjust_survey

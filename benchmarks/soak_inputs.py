@@ -31,8 +31,8 @@ from PIL import ExifTags, Image
 from pyproj import CRS
 
 from geo.errors import GeoError
+from geo.features import read_lines, read_polygons
 from geo.las import write_cloud
-from geo.lines import read_lines, read_polygons
 from geo.reading import read_reference
 from survey.control.reading import read_control
 from survey.errors import SurveyError

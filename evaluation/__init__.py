@@ -2,13 +2,12 @@
 
 | measure | files |
 |---|---|
-| signed distance to a mesh (C2M), **positive above the mesh** | `c2m`, on `triangles` |
-| vertical difference, positive above the mesh; share of errors within 1.96 std, interval score | `vertical` |
-| height over a reference of points, with its uncertainty | `local_surface` |
-| distance along normals (M3C2), positive above the reference | `m3c2` |
+| signed distance to a mesh (C2M), **positive above the mesh** | `c2m` |
+| vertical difference, positive above the mesh; share of errors within 1.96 std | `vertical` |
+| height over a reference of points, with its uncertainty; M3C2, positive above the reference | `local_surface` |
 | distance to a cloud, completeness, F-score, statistical outliers | `completeness` |
-| bias, spread and scores, also of parts as by depth | `summary`; confidence intervals, by blocks: `bootstrap` |
-| IHO S-44 and ASPRS | `standards`; the height of a cloud at check points: `vertical` |
+| bias, spread and scores, also of parts as by depth; Huber's weights | `summary`; by blocks: `bootstrap` |
+| IHO S-44 and ASPRS | `standards` |
 | what straight rays would give | `baselines` |
 | quality of images | `images` |
 """
@@ -17,11 +16,10 @@
 
 from evaluation.baselines import apparent_points, per_camera, times_index
 from evaluation.bootstrap import Blocks, mean_interval, spatial_blocks
-from evaluation.c2m import MeshDistances, distance_to_mesh
+from evaluation.c2m import MeshDistances, distance_to_mesh, weld
 from evaluation.completeness import distance_to_cloud, f_score, is_outlier, is_reached, sample_mesh
 from evaluation.images import image_quality, psnr, ssim
-from evaluation.local_surface import LocalSurface, local_surface
-from evaluation.m3c2 import M3C2Distances, m3c2_distances
+from evaluation.local_surface import LocalSurface, M3C2Distances, local_surface, m3c2_distances
 from evaluation.standards import AsprsAccuracy, IhoS44, asprs_vertical, iho_s44
 from evaluation.summary import (
     Band,
@@ -35,7 +33,6 @@ from evaluation.summary import (
     reached_by_slope,
     scores,
 )
-from evaluation.triangles import weld
 from evaluation.vertical import Coverage, coverage_by_class, height_at, slope_below, vertical_difference
 
 __all__ = [

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
-from evaluation.triangles import area_vectors, distinct
+from evaluation.c2m import area_vectors, distinct
 
 NUM_SAMPLES = 1_000_000
 SEED = 20_060_617  # any number, but always the same: two comparisons of one cloud give one result

@@ -2,12 +2,14 @@
 
 | subject | files |
 |---|---|
-| coordinate reference systems | `crs`, `projection`; whether two data sets fit together: `compatibility` |
-| the local frame | `frames`; fitted transforms: `similarity` |
+| coordinate reference systems and units | `crs`, `projection`; from one into another: `transformation`, `reproject` |
+| whether data sets and places fit together | `compatibility` |
+| the local frame, and fitted transforms | `frames` |
 | cells of rasters in plan | `grid` |
 | clouds and meshes in memory | `shapes` |
-| reading by the suffix of a name | `reading`, which takes `las`, `ply`, `obj`, `gltf`, `raster` and `e57` |
-| writing | `las` (with `las_header`, `copc`), `ply`, `obj`, `gltf`, `e57` |
+| reading by the suffix of a name, with checks of the values | `reading` |
+| formats | `las` (with `las_header`, `copc`), `ply`, `meshes` (OBJ, glTF), `e57`, `raster` |
+| lines and areas | `features` (read), `vectors` (written) |
 | files that are written whole or not at all, libraries of single formats | `files`; errors: `errors` |
 
 A file, a CRS or a place at fault raises an error of `errors`, which names what was found and how to mend it; a function

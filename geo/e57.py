@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import horizontal_crs, wkt1
+from geo.crs import crs_named, horizontal_crs, wkt1
 from geo.errors import EmptyCloud, UnreadableFile, UnwritableFile
 from geo.files import existing_file, library_for, write_whole_at
 from geo.shapes import Cloud
-from geo.stated import crs_named
 
 # GPS time began on 6 January 1980, and has been 18 s ahead of UTC since 2017.
 _GPS_EPOCH_S, _LEAP_S = 315_964_800.0, 18.0

@@ -1,27 +1,31 @@
-"""Features of vector files: GeoJSON (RFC 7946 and older), GeoPackage, shapefile, DXF, KML and GPX."""
+"""Features, lines and polygons of vector files: GeoJSON (RFC 7946 and older), GeoPackage, shapefile, DXF, KML, GPX."""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 from xml.etree import ElementTree
 
 import numpy as np
+import rasterio
 import shapely
 from pyproj import CRS
 from pyproj.exceptions import CRSError
+from rasterio.features import geometry_mask
 from shapely.errors import ShapelyError
 from shapely.geometry import LineString, Point, Polygon, shape
 from shapely.geometry.base import BaseGeometry, BaseMultipartGeometry
 
-from geo.drivers import vector_library
+from geo.crs import horizontal_crs, horizontal_unit
 from geo.errors import UnreadableFile
-from geo.files import existing_file
+from geo.files import existing_file, library_for
+from geo.grid import Grid
 from geo.transformation import WGS84, transformed
 
 GEOJSON = (".geojson", ".json")
@@ -30,6 +34,17 @@ SUFFIXES = (*GEOJSON, ".gpkg", ".shp", ".dxf", *_MARKUP)
 
 # A file that exists in a path with the name of a layer behind it.
 _WITH_LAYER = re.compile(r"(.+\.[A-Za-z]{3,4})(?:\|layername=|:)([^/\\]+)")
+# GDAL goes by content, and some of its formats (VRT, services of maps) name other files and addresses, which it reads.
+# How files of vectors begin: pyogrio offers no choice of drivers. A DXF begins with a group of its first section, or
+# with comments.
+_BEGINNINGS = {
+    ".gpkg": rb"SQLite format 3\x00",
+    ".shp": rb"\x00\x00\x27\x0a",
+    ".dxf": rb"AutoCAD Binary DXF\r\n\x1a\x00|(\xef\xbb\xbf)?(\s*999[^\S\n]*\n[^\n]*\n)*\s*0\s+SECTION\b",
+}
+# Drivers that go by a tag of XML find it anywhere at the beginning.
+_TAG = re.compile(rb"<[A-Za-z?!]")
+_LOOKED_AT_BYTES = 1 << 16
 # $INSUNITS of DXF: lengths [m] by number.
 UNITS_OF_DRAWINGS = {
     1: 0.0254, 2: 0.3048, 4: 0.001, 5: 0.01, 6: 1.0, 7: 1000.0, 10: 0.9144, 14: 0.1, 21: 1200.0 / 3937.0,
@@ -213,6 +228,20 @@ def _of_gpx(part: ElementTree.Element) -> BaseGeometry:
     return Point(places[0]) if part.tag == "wpt" else LineString(places)
 
 
+def vector_library(path: Path) -> ModuleType:
+    """`pyogrio`, for a GeoPackage, shapefile or DXF that may be given to it."""
+    library = library_for(path, "pyogrio", "vector")
+    with path.open("rb") as stream:
+        beginning = stream.read(_LOOKED_AT_BYTES)
+    suffix = path.suffix.lower()
+    is_foreign = suffix == ".dxf" and _TAG.search(beginning) is not None
+    if is_foreign or re.match(_BEGINNINGS[suffix], beginning) is None:
+        raise UnreadableFile(
+            f"{path} does not begin as a file with the suffix {path.suffix} does; export it again in that format."
+        )
+    return library
+
+
 def _by_gdal(path: Path, layer: str | None) -> Features:
     pyogrio = vector_library(path)
     meta, _, shapes, columns = pyogrio.raw.read(path.absolute(), layer=_layer(pyogrio, path, layer))
@@ -243,3 +272,118 @@ def _layer(pyogrio: ModuleType, path: Path, layer: str | None) -> str:
             f"{path} has {len(kinds)} layers, {listed}; name the one that counts, as {path.name}:{next(iter(kinds))}."
         )
     return next(iter(kinds))
+
+
+_Shape = TypeVar("_Shape")
+# Attributes that name a line, in any case; a DXF has layers.
+_NAMES = ("name", "id", "line", "profile", "layer")
+_WGS84_OF_GEOJSON = "GeoJSON without a crs, is taken as longitude and latitude of WGS 84"
+# Places of a ring, the first again as the last, that enclose nothing.
+_FEWEST_OF_RING = 3
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of two corners or more."""
+
+    name: str  # By its attributes, else its number from 1
+    corners: np.ndarray  # (N, 2): easting or longitude first
+
+
+def read_lines(path: str | Path, crs: CRS, around: np.ndarray) -> list[Line]:
+    """All lines of a file, in the horizontal part of crs.
+
+    GeoJSON has longitude and latitude of WGS 84, or the CRS that an older file names; a GeoPackage and a shapefile
+    state their own; a DXF states none, and is taken to be in crs, as is a shapefile without .prj. A DXF in another unit
+    than crs is converted where its coordinates lie around the cloud only then: templates state units that nobody meant.
+
+    Parameters
+    ----------
+    path : Path
+        May name a layer, see `geo.features.layer_of`.
+    around : (2, 2), in crs
+        Lowest and highest corner of the cloud that the lines are for.
+    """
+    found = [
+        (_named(properties), np.array(line.coords))
+        for line, properties in _in_crs(path, "lines", LineString, crs, around)
+    ]
+    if not found:
+        raise UnreadableFile(f"{path} has no line of two corners or more; draw the profile as a line.")
+    return [Line(name, corners) for name, corners in _numbered(found)]
+
+
+def assumed_crs(path: str | Path) -> list[str]:
+    """The sentence that WGS 84 is assumed, of GeoJSON that names no CRS; none of other files."""
+    is_assumed = layer_of(path)[0].suffix.lower() in GEOJSON and read_features(path, "lines or polygons").crs is None
+    return [f"{Path(path).name} names no CRS: taken as longitude and latitude of WGS 84 (RFC 7946)"] * is_assumed
+
+
+def read_polygons(path: str | Path, crs: CRS, around: np.ndarray) -> dict[str, Polygon]:
+    """All polygons of a file by name, in the horizontal part of crs, easting or longitude first; else as `read_lines`.
+
+    Closed lines are polygons: a drawing has no others.
+    """
+    found = [
+        (_named(properties), part if isinstance(part, Polygon) else Polygon(part))
+        for part, properties in _in_crs(path, "polygons", (Polygon, LineString), crs, around)
+        if isinstance(part, Polygon) or (part.is_closed and len(part.coords) > _FEWEST_OF_RING)
+    ]
+    if not found:
+        raise UnreadableFile(
+            f"{path} has no polygon and no closed line, expected one at least; draw the area as a polygon."
+        )
+    return dict(_numbered(found))
+
+
+def cells_inside(polygons: Iterable[Polygon], grid: Grid) -> np.ndarray:
+    """Whether the middle of each cell (rows, columns) lies in a polygon."""
+    return geometry_mask(list(polygons), grid.shape, rasterio.Affine(*grid.transform), invert=True)
+
+
+def points_inside(polygons: Iterable[Polygon], points: np.ndarray) -> np.ndarray:
+    """Whether each point (N, 2) lies in a polygon."""
+    # Rings that cross themselves become those that the even-odd rule has.
+    area = shapely.union_all([shapely.make_valid(polygon) for polygon in polygons])
+    shapely.prepare(area)
+    return shapely.contains_xy(area, points)
+
+
+def _in_crs(
+    path: str | Path, plural: str, kinds: type | tuple[type, ...], crs: CRS, around: np.ndarray
+) -> list[tuple[Any, dict[str, Any]]]:
+    """Parts of some kinds of the geometries of a file, in the horizontal part of crs, with their attributes."""
+    content, path, target = read_features(path, plural), layer_of(path)[0], horizontal_crs(crs)
+    unstated = WGS84 if path.suffix.lower() in GEOJSON else target
+    source = unstated if content.crs is None else horizontal_crs(content.crs)
+    named = f"{path}, {_WGS84_OF_GEOJSON}," if content.crs is None and unstated is WGS84 else str(path)
+    found = [
+        (in_horizontal_crs(part, source, target, named), feature.properties)
+        for feature in content.features
+        for part in feature.parts()
+        if isinstance(part, kinds)
+    ]
+    unit_m = horizontal_unit(target) if target.is_projected else None
+    if content.unit_m is None or unit_m is None or content.unit_m == unit_m:
+        return found
+    factor, box = content.unit_m / unit_m, shapely.box(*around.ravel())
+    scaled = [(shapely.transform(part, lambda plan: plan * factor), properties) for part, properties in found]
+    meets, meets_scaled = (any(box.intersects(part) for part, _ in parts) for parts in (found, scaled))
+    return scaled if meets_scaled and not meets else found
+
+
+def _numbered(found: list[tuple[str, _Shape]]) -> list[tuple[str, _Shape]]:
+    """Shapes with a name each: a number where they have none, and where parts of one feature or layer have the same."""
+    names = [name or str(number) for number, (name, _) in enumerate(found, 1)]
+    several = {name for name, times in Counter(names).items() if times > 1}
+    numbers: Counter[str] = Counter()
+    named = []
+    for name, (_, geometry) in zip(names, found, strict=True):
+        numbers[name] += 1
+        named.append((f"{name} {numbers[name]}" if name in several else name, geometry))
+    return named
+
+
+def _named(attributes: dict[str, Any]) -> str:
+    by_name = {str(name).lower(): value for name, value in attributes.items() if value not in (None, "")}
+    return next((str(by_name[name]) for name in _NAMES if name in by_name), "")

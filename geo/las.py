@@ -18,12 +18,11 @@ from lazrs import LazrsError
 from pyproj import CRS
 
 from geo import copc
-from geo.columns import ComputedColumn, portions
 from geo.crs import is_geographic, wkt1
 from geo.errors import EmptyCloud, GeoError, UnreadableFile, UnwritableFile
 from geo.files import existing_file, write_whole
 from geo.las_header import add_extra_bytes, crs_of_header, extra_of, length_fault, stored_extra
-from geo.shapes import Cloud
+from geo.shapes import Cloud, ComputedColumn, portions
 
 POINT_FORMAT = 7
 CLASS_GROUND, CLASS_NOISE, CLASS_BATHYMETRIC, CLASS_WATER_SURFACE, CLASS_NO_BOTTOM = 2, 7, 40, 41, 45

@@ -12,9 +12,8 @@ from pyproj import CRS
 from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
 
-from geo.columns import ComputedColumn, portions
-from geo.crs import has_height, horizontal_crs
-from geo.stated import checked_height_unit, unit_of_code, with_height_unit
+from geo.crs import checked_height_unit, has_height, horizontal_crs, unit_of_code, with_height_unit
+from geo.shapes import ComputedColumn, portions
 
 # Keys of GeoTIFF 1.1 (OGC 19-008r4).
 _MODEL, _GEOGRAPHIC, _PROJECTED, _LINEAR_UNIT, _VERTICAL, _VERTICAL_UNIT = 1024, 2048, 3072, 3076, 4096, 4099

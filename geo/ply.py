@@ -24,12 +24,10 @@ from typing import NamedTuple
 import numpy as np
 from pyproj import CRS
 
-from geo.columns import portions
-from geo.crs import crs_code
+from geo.crs import crs_code, crs_named
 from geo.errors import UnreadableFile
 from geo.files import existing_file, write_whole
-from geo.shapes import Cloud, Mesh, as_classes, triangulated
-from geo.stated import crs_named
+from geo.shapes import Cloud, Mesh, as_classes, portions, triangulated
 
 SCALAR = "scalar_"
 # Before the code of the CRS, and before each piece of its WKT.

@@ -21,16 +21,26 @@ from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
 from geo.compatibility import crs_difference
-from geo.crs import ellipsoid, ellipsoidal_wkt1, has_height, horizontal_crs, vertical_crs
-from geo.drivers import open_raster
+from geo.crs import (
+    checked_height_unit,
+    ellipsoid,
+    ellipsoidal_wkt1,
+    has_height,
+    horizontal_crs,
+    unit_named,
+    vertical_crs,
+)
 from geo.errors import UnreadableFile, UnwritableFile
 from geo.files import disk_error_text, existing_file, write_whole_at
 from geo.shapes import Mesh
-from geo.stated import checked_height_unit, unit_named
 
 # Tag "Software" of every raster, by which bathynerf recognises its own files.
 SOFTWARE = f"bathynerf {version('bathynerf')}"
 _BLOCK = 512
+
+
+# GDAL goes by content, and some of its formats (VRT, services of maps) name other files and addresses, which it reads.
+_DRIVERS = {".tif": "GTiff", ".tiff": "GTiff", ".bag": "BAG"}
 
 
 @dataclass(frozen=True)
@@ -193,6 +203,11 @@ def _working_folder(part: Path, path: Path) -> Iterator[Path]:
         # GDAL hides the system's error.
         text = disk_error_text(OSError(reason), path) or f"cannot write {path} ({reason})"
         raise UnwritableFile(f"{text}.") from error
+
+
+def open_raster(path: Path) -> rasterio.io.DatasetReader:
+    """Open a GeoTIFF or BAG with rasterio, whose errors are raised."""
+    return rasterio.open(path.absolute(), driver=_DRIVERS[path.suffix.lower()])
 
 
 def is_our_tiff(path: Path) -> bool:

@@ -1,22 +1,204 @@
-"""Clouds and meshes read by the suffix of their file: PLY, OBJ, LAS, LAZ, COPC, GeoTIFF, BAG; with extras glTF, E57."""
+"""Clouds and meshes read by the suffix of their file: PLY, OBJ, LAS, LAZ, COPC, GeoTIFF, BAG; with extras glTF, E57.
+
+Of every file the values are checked for rounding (single precision, few digits) and undeclared no-data values, whatever
+type the format stores.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from pyproj import CRS
 
+from geo.crs import has_height, height_unit_m
 from geo.e57 import read_e57
 from geo.errors import EmptyCloud, UnreadableFile
 from geo.files import existing_file
-from geo.gltf import read_gltf
 from geo.las import read_cloud
-from geo.obj import read_obj
+from geo.meshes import read_gltf, read_obj
 from geo.ply import read_ply
+from geo.projection import ground_units_m
 from geo.raster import read_raster
 from geo.shapes import Cloud, Mesh, vertices_of
-from geo.values import check_values
+
+# Coarser steps than this begin to spoil a comparison.
+_COARSEST_STEP_M = 0.005
+# Steps up to this may be intended, as in LAS; larger ones are rounding, as are those of single precision or few digits.
+_COARSEST_MEANT_M = 0.05
+_LARGEST_STEP_M = 1000.0
+_SMALLEST_EXTENT_M = 0.05
+# Fewer points than this may lie on whole metres by chance or by design.
+_FEWEST = 10
+_SAMPLE = 1000
+# This many points around the middle are enough to estimate the density of a cloud.
+_ENOUGH = 500_000
+# Half a step of LAS, in which rounded values may have been stored later.
+_STORED_M = 0.0006
+_DIGITS = range(4, 10)
+# Share of points with another height at the same place in plan; share of the cells of a raster with a height.
+_MANY_SHARED, _RASTER = 0.1, 0.3
+
+# No-data values that programs write where there is no height; 0 may also be one.
+_NO_DATA_VALUES = (-9999.0, 9999.0, -99999.0, 99999.0, -999.0, -32768.0, -32767.0, 32767.0, 65535.0, 1e6, -1e6)
+_BEYOND_EARTH = 1e7
+# The highest ground on Earth, also in feet.
+_HIGHEST = 30_000.0
+_FAR, _FAR_UNKNOWN, _SPREADS = 100.0, 1000.0, 10.0
+_SHARE = 0.01
+
+
+def is_no_data_value(height: float) -> bool:
+    """Whether a height is a usual no-data value that no place on Earth has."""
+    return height in _NO_DATA_VALUES and not 0.0 < height < _HIGHEST
+
+
+def check_values(points: np.ndarray, crs: CRS | None, path: Path) -> tuple[str, ...]:
+    """Notes on the points (N, 3) of a file, in crs (None: metres)."""
+    # Coordinates of a damaged file may be as large as numbers go.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return (*_no_data_notes(points[:, 2], path), *rounded_coordinates(points, crs, path))
+
+
+def rounded_coordinates(points: np.ndarray, crs: CRS | None, path: Path) -> tuple[str, ...]:
+    """Notes on rounded coordinates: the part of `check_values` that tests their steps."""
+    if len(points) < _FEWEST:
+        return ()
+    metres = np.ones(2) if crs is None else ground_units_m(crs, points[0])
+    steps = np.array([_step(values, unit) for values, unit in zip(points[:, :2].T, metres, strict=True)])
+    if np.isinf(steps).all() and points[:, 2].min() < points[:, 2].max():
+        raise UnreadableFile(
+            f"all {len(points)} points of {path} have the same easting and northing, and different heights: their "
+            "places were rounded; export it again with double precision and all decimals."
+        )
+    notes = _rounded_heights(points[:, 2], 1.0 if crs is None or not has_height(crs) else height_unit_m(crs), path)
+    if not (np.isfinite(steps) & (steps > 0.0)).any():
+        return notes
+    listed = " and ".join(f"{step:.3g}" for step in steps if step > 0.0 and np.isfinite(step))
+    what = f"the eastings and northings of {path} are multiples of {listed}"
+    by = _rounding_cause(points[:, :2], steps, metres)
+    shared, is_raster = _shared_places(points)
+    if by and not is_raster:
+        raise UnreadableFile(
+            f"{what}: they went through {by}, which loses the places of its points; export it again with double "
+            "precision and all decimals, or with an origin near by."
+        )
+    if shared > _MANY_SHARED:
+        if (steps * metres)[np.isfinite(steps)].max() > _COARSEST_MEANT_M:
+            raise UnreadableFile(
+                f"{what}, and {100.0 * shared:.0f} % of its points share their place with another height: their places "
+                "were rounded; export it again with all decimals."
+            )
+        return (*notes, f"{what}, coarser than the spacing of its points: differences of that size are rounding")
+    return notes
+
+
+def _step(values: np.ndarray, metres: float) -> float:
+    """The largest power of two or ten, over 5 mm, by multiples of which values differ; 0 if none, inf if they agree."""
+    some = values[:: max(len(values) // _SAMPLE, 1)]
+    if values.min() == values.max():
+        return np.inf
+    if np.ptp(values) * metres < _SMALLEST_EXTENT_M:
+        return 0.0
+    found = (step for step in _steps(metres) if _is_multiple(some, values[0], step, metres))
+    return next((step for step in found if _is_multiple(values, values[0], step, metres)), 0.0)
+
+
+def _steps(metres: float) -> Iterator[float]:
+    """Powers of two and of ten, in units of so many metres, the largest first."""
+    low, high = np.log2([_COARSEST_STEP_M / metres, _LARGEST_STEP_M / metres])
+    twos = [2.0**k for k in range(int(np.ceil(low)), int(high) + 1)]
+    low, high = np.log10([_COARSEST_STEP_M / metres, _LARGEST_STEP_M / metres])
+    tens = [float(f"1e{k}") for k in range(int(np.ceil(low)), int(high) + 1)]
+    yield from sorted({*twos, *tens}, reverse=True)
+
+
+def _is_multiple(values: np.ndarray, origin: float, step: float, metres: float) -> bool:
+    along = values - origin
+    return bool((np.abs(along - np.round(along / step) * step) <= min(_STORED_M / metres, 0.05 * step)).all())
+
+
+def _rounding_cause(plan: np.ndarray, steps: np.ndarray, metres: np.ndarray) -> str | None:
+    """Cause of steps (2,) like these on coordinates (N, 2) of this size, in words; None if none is known.
+
+    Equal steps along both axes say nothing: they may be meant.
+    """
+    if steps[0] == steps[1]:
+        return None
+    largest = np.abs(plan).max(axis=0)
+
+    def fits(expected: np.ndarray) -> bool:
+        is_fine = expected * metres <= _COARSEST_STEP_M
+        return bool((np.isinf(steps) | (steps == np.where(is_fine, 0.0, expected))).all())
+
+    if fits(np.spacing(largest.astype(np.float32)).astype(np.float64)):
+        return "single precision"
+    for digits in _DIGITS:
+        num_digits = np.floor(np.log10(np.maximum(largest, 1e-300))) + 1.0
+        if fits(np.array([float(f"1e{int(n)}") for n in num_digits - digits])):
+            return f"numbers of {digits} digits"
+    return None
+
+
+def _shared_places(points: np.ndarray) -> tuple[float, bool]:
+    """Share of points that have another height at the same easting and northing, and whether points form a raster.
+
+    A few corners above each other (of a box) do not count.
+    """
+    if len(points) > _ENOUGH:
+        half = 0.5 * np.ptp(points[:, :2], axis=0) * (_ENOUGH / len(points)) ** 0.5
+        middle = np.median(points[:, :2], axis=0)
+        points = points[(np.abs(points[:, :2] - middle) <= half).all(axis=1)]
+    distinct = np.unique(points, axis=0)
+    _, number, count = np.unique(distinct[:, :2], axis=0, return_inverse=True, return_counts=True)
+    if len(count) < _FEWEST and len(distinct) < _FEWEST * len(count):
+        return 0.0, False
+    rows = np.prod([len(np.unique(values)) for values in distinct[:, :2].T], dtype=np.float64)
+    return float((count[number.ravel()] > 1).mean()), bool(count.max() == 1 and len(count) > _RASTER * rows)
+
+
+def _rounded_heights(height: np.ndarray, metres: float, path: Path) -> tuple[str, ...]:
+    """A note where all heights are multiples of centimetres or more, and there are more points than heights."""
+    step = _step(height, metres)
+    if not np.isfinite(step) or step * metres <= 0.02 or len(np.unique(height)) * 5 > len(height):
+        return ()
+    # A box has few heights, and few vertices.
+    if len(np.unique(height)) < _FEWEST and len(height) < _SAMPLE:
+        return ()
+    return (f"the heights of {path} are multiples of {step:g}: smaller differences are not known from it",)
+
+
+def _no_data_notes(height: np.ndarray, path: Path) -> tuple[str, ...]:
+    """A note where the lowest or highest of heights (N,) may be a no-data value; UnreadableFile where it must be."""
+    for value in {float(height.min()), float(height.max())}:
+        has_value = height == value
+        other_heights = height[~has_value]
+        known, num = value in _NO_DATA_VALUES or abs(value) >= _BEYOND_EARTH, int(has_value.sum())
+        # No-data values may have been scaled and shifted with the heights.
+        if not len(other_heights) or not (known or value == 0.0 or num >= _FEWEST):
+            continue
+        low, high = np.quantile(other_heights, [0.01, 0.99])
+        gap = max(low - value, value - high)
+        message = (
+            f"{num} of the {len(height)} heights of {path} are exactly {value:.10g}, most of the others from "
+            f"{low:.6g} to {high:.6g}"
+        )
+        far = _FAR if known or value == 0.0 else _FAR_UNKNOWN
+        if gap > max(_SPREADS * (high - low), far) and (known or num > 2):
+            raise UnreadableFile(
+                f"{message}: a no-data value that the file does not declare; declare it (of a raster: gdal_translate "
+                f"-a_nodata {value:.10g} {path.name} new.tif), or remove those points."
+            )
+        if (
+            (known or value == 0.0)
+            and num > max(_SHARE * len(height), 20)
+            and len(np.unique(other_heights)) > 0.5 * len(other_heights)
+        ):
+            return (f"{message}: if that is a no-data value, declare it (gdal_translate -a_nodata {value:.10g})",)
+    return ()
+
 
 _READERS = {
     ".ply": read_ply,
@@ -39,7 +221,7 @@ def read_reference(path: str | Path) -> Mesh | Cloud:
     `Cloud`. Coordinates are float64 throughout. Raises EmptyCloud if the file has no points; UnreadableFile if it does
     not exist, has another suffix, needs a library that is not installed, is damaged, has coordinates that are not
     finite, or faces that name vertices it does not have; if its values were rounded, or have undeclared no-data values,
-    see `geo.values`.
+    see `geo.reading`.
     """
     path = existing_file(path)
     reader = _READERS.get(path.suffix.lower())

@@ -17,7 +17,7 @@ from pyproj.exceptions import CRSError
 from shapely import LineString, Polygon
 from shapely.ops import split
 
-from geo.area_of_use import require_in_area
+from geo.compatibility import require_in_area
 from geo.crs import crs_of, has_height, horizontal_crs, is_geographic, parse_crs, vertical_crs
 from geo.errors import UnknownCRS, UnsupportedCRS
 from geo.projection import nan_unless_finite

@@ -15,8 +15,7 @@ from survey.run.folder import RunDir
 from survey.run.keys import Key
 from survey.run.products import write_bed_las
 from survey.run.stored import StoredBed, save_bed
-from survey.viewer.overlay import Overlay
-from survey.viewer.page import close_server, open_server
+from survey.viewer.page import Overlay, close_server, open_server
 from survey.viewer.session import ViewSession
 from survey.viewer.shown import Shown
 from survey.viewer.tree import build_tree

@@ -9,7 +9,7 @@ import pytest
 from pyproj import CRS, Transformer
 from small_survey import write_image
 
-from geo.area_of_use import likely_crs
+from geo.compatibility import likely_crs
 from survey.control.local_control import require_near
 from survey.control.points import GivenPoint
 from survey.display.quantities import distance_text

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geo import columns
-from geo.columns import ComputedColumn
+from geo import shapes
+from geo.shapes import ComputedColumn
 from survey.display.column import finite, median
 
 
 @pytest.fixture(autouse=True)
 def small_portions(monkeypatch):
-    monkeypatch.setattr(columns, "_PORTION", 37)
+    monkeypatch.setattr(shapes, "_PORTION", 37)
 
 
 @pytest.mark.parametrize("kind", [np.float16, np.float32, np.float64, np.uint8, np.int64])

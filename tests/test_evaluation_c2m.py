@@ -8,7 +8,7 @@ from scipy.spatial import ConvexHull
 from slow_cases import slow
 
 from evaluation import distance_to_mesh, weld
-from evaluation.triangles import closest_on_triangles, num_inconsistent_edges
+from evaluation.c2m import closest_on_triangles, num_inconsistent_edges
 
 EPS = np.finfo(np.float64).eps
 # Numbers of size 10 m go through some twenty operations each.

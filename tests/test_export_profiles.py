@@ -16,8 +16,8 @@ from pyproj import CRS, Transformer
 
 from geo.crs import height_unit_m, horizontal_crs
 from geo.errors import UnreadableFile
+from geo.features import Line, read_lines
 from geo.las import write_cloud
-from geo.lines import Line, read_lines
 from survey.export.profiles import COLUMNS, Bed, ProfileError, profiles_along, write_picture
 from survey.progress import Progress
 

@@ -7,7 +7,7 @@ import pytest
 from pyproj import CRS, Transformer
 from small_survey import small_survey
 
-from geo.lines import read_polygons
+from geo.features import read_polygons
 from survey.control.reading import in_crs, read_control
 from survey.errors import ControlError, PosesError
 from survey.pose_files import find_poses, find_unread, read_poses

@@ -11,9 +11,9 @@ import pytest
 from pyproj import datadir
 from small_survey import LEVEL, camera_lines, replaced, small_survey, unposed, write_poses
 
-from geo.area_of_use import approximate_undulation_m
+from geo.compatibility import approximate_undulation_m
 from geo.crs import parse_crs
-from geo.operations import use_grids
+from geo.transformation import use_grids
 from survey.errors import ConfigError
 from survey.folder.faults import exif_height_warnings, explanation, xmp_height_warnings
 from survey.folder.found import find_survey

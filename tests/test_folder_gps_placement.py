@@ -20,7 +20,7 @@ from test_pose_files_nerfstudio import transforms
 from test_pose_files_opensfm import block_json
 from test_pose_files_tables import lens_toml
 
-from geo.similarity import Similarity
+from geo.frames import Similarity
 from survey.errors import ConfigError, PosesError
 from survey.folder.gps_placement import GpsFit
 from survey.folder.survey import load_survey

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pyproj import CRS, Transformer
 
-from geo.area_of_use import require_at
+from geo.compatibility import require_at
 from geo.crs import middle_lon_lat, parse_crs
 from geo.errors import PlaceMismatch, UnsupportedCRS
 from geo.reproject import Reprojection, crosses, cut_line, cut_polygon

@@ -146,7 +146,6 @@ def test_every_raster_and_vector_of_others_comes_by_the_one_door():
         in ("rasterio.open", "pyogrio.read", "pyogrio.raw.read", "Image.open", "cv2.imread", "pyogrio.list_layers")
     }
     assert opened == {
-        ("geo/drivers.py", "rasterio.open"),
         ("geo/raster.py", "rasterio.open"),
         ("geo/features.py", "pyogrio.raw.read"),
         ("geo/features.py", "pyogrio.list_layers"),

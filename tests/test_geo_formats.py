@@ -15,7 +15,7 @@ from geo import Cloud, Mesh, read_reference
 from geo.crs import parse_crs
 from geo.e57 import write_e57
 from geo.errors import UnreadableFile, UnwritableFile
-from geo.gltf import write_glb
+from geo.meshes import write_glb
 
 # What the libraries themselves warn about on import or writing is not ours.
 pytestmark = pytest.mark.filterwarnings("ignore")

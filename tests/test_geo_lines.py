@@ -13,8 +13,7 @@ import shapely
 from pyproj import CRS
 
 from geo.errors import UnreadableFile
-from geo.features import UNITS_OF_DRAWINGS, layer_of
-from geo.lines import assumed_crs, read_lines, read_polygons
+from geo.features import UNITS_OF_DRAWINGS, assumed_crs, layer_of, read_lines, read_polygons
 from geo.vectors import DxfLine, write_dxf
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*crs.*:UserWarning")

@@ -14,13 +14,11 @@ from pyproj import CRS, Transformer
 from rasterio.errors import NotGeoreferencedWarning
 
 from geo import Mesh, read_reference
-from geo.crs import height_unit_m, horizontal_crs
+from geo.crs import height_unit_m, horizontal_crs, unit_named
 from geo.e57 import write_e57
 from geo.errors import UnreadableFile, UnwritableFile
-from geo.gltf import write_glb
-from geo.obj import write_obj
+from geo.meshes import write_glb, write_obj
 from geo.ply import write_ply
-from geo.stated import unit_named
 from survey.compare.inputs import InputPaths, load_inputs
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*trimesh.*")

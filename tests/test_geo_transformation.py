@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pyproj import CRS, Transformer
 
-from geo.area_of_use import require_in_area
+from geo.compatibility import require_in_area
 from geo.crs import horizontal_crs
 from geo.errors import CRSMismatch, MissingGrid, PlaceMismatch, UnknownUnit, UnsupportedCRS
 from geo.projection import metres_per_unit
@@ -17,7 +17,7 @@ from geo.transformation import WGS84, Transformation, height_scale, lon_lat, tra
 US_FOOT_M, FOOT_M = 1200.0 / 3937.0, 0.3048
 PACKAGES = ("geo", "survey", "evaluation", "fields", "refract", "bathynerf")
 # The door, and where one is made without a change of datum.
-DOORS = {"geo/operations.py", "geo/transformation.py", "geo/projection.py"}
+DOORS = {"geo/transformation.py", "geo/projection.py"}
 MAKERS = ("Transformer.", "TransformerGroup(", "Proj(", "rasterio.warp", "osr.")
 
 

@@ -13,7 +13,7 @@ from pyproj import CRS
 from geo import read_reference
 from geo.errors import UnreadableFile
 from geo.ply import write_ply
-from geo.values import check_values, is_no_data_value
+from geo.reading import check_values, is_no_data_value
 from survey.compare.inputs import InputPaths, load_inputs
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*trimesh.*")

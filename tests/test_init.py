@@ -16,7 +16,7 @@ from small_survey import unposed, write_image
 from test_pose_files_metashape import cameras_xml
 from test_pose_files_opensfm import REFERENCE, block_json, tracks_csv
 
-from geo.area_of_use import height_systems_at
+from geo.compatibility import height_systems_at
 from geo.crs import vertical_crs
 from survey.errors import ConfigError
 from survey.init.crs import FolderPhotographs, SettingsTable, write_crs

@@ -98,7 +98,7 @@ NETWORK = {"socket", "urllib", "http", "requests", "ftplib", "fsspec"}
 # Where a user names a URL.
 REMOTE = "survey/files/remote.py"
 # These listen, or judge what others ask, and call nobody.
-SERVERS = {"survey/marking/server.py", "survey/marking/own_page.py"}
+SERVERS = {"survey/marking/server.py"}
 FILES_OF = {package: sorted((ROOT / package).rglob("*.py")) for package in MAY_IMPORT}
 FILES = sorted(path for files in FILES_OF.values() for path in files)
 

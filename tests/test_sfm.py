@@ -20,7 +20,7 @@ from synthetic_block import synthetic_block
 
 from geo.crs import parse_crs
 from geo.errors import MissingVerticalDatum, UnwritableFile
-from geo.similarity import fit_similarity, robust_similarity
+from geo.frames import fit_similarity, robust_similarity
 from refract import PinholeCamera
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
 from survey.photos.exif import Exif, read_exif

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from synthetic_block import synthetic_block
 
 from geo.crs import parse_crs
-from geo.frames import LocalFrame
-from geo.similarity import Similarity
+from geo.frames import LocalFrame, Similarity
 from refract import PinholeCamera
 from survey.control.points import ControlPoint, Mark
 from survey.errors import ControlError

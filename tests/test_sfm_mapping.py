@@ -11,7 +11,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from geo.similarity import fit_similarity
+from geo.frames import fit_similarity
 from survey.adjust.refine import adjust_survey
 from survey.adjust.starts import recover_poses
 from survey.errors import PosesError, SurveyError

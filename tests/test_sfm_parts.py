@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from synthetic_block import synthetic_block
 from test_sfm_control import FRAME, PLACES, block_control
 
-from geo.similarity import Similarity
+from geo.frames import Similarity
 from survey.errors import PosesError
 from survey.sfm import block as sfm_block
 from survey.sfm.absolute_orientation import place_by_control, place_by_gps, views_of_block

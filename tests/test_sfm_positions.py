@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 import numpy as np
 import pytest
 
-from geo.similarity import robust_similarity
+from geo.frames import robust_similarity
 from survey.folder.headers import position_warnings
 from survey.photos.exif import Exif
 from survey.sfm.gps_fit import is_contradicted, line_of

@@ -18,11 +18,10 @@ from survey.export.export import cloud_of
 from survey.run.edits import DELETED, Edits
 from survey.run.folder import run_in
 from survey.viewer.editing import rows_in_box
-from survey.viewer.measured import write_lines, write_profile
-from survey.viewer.overlay import Overlay, overlay_of
-from survey.viewer.page import address
+from survey.viewer.page import Overlay, address, overlay_of
 from survey.viewer.session import ViewOptions, _load
 from survey.viewer.shown import CLASS, MARKED
+from survey.viewer.sightings import write_lines, write_profile
 from survey.viewer.tree import pick
 
 # From x right, y down, z forward to east, south, down: north is up on the screen.

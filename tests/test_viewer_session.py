@@ -17,7 +17,7 @@ from shown_run import served, shown_of, small_run
 
 from survey.commands.faults import BAD_INPUT
 from survey.errors import SurveyError
-from survey.marking.own_page import is_own_page
+from survey.marking.server import is_own_page
 from survey.viewer import detail, session
 from survey.viewer.detail import CloudInBrowser, Style, node_arrays
 from survey.viewer.page import address, close_server, open_server, token

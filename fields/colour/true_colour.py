@@ -16,7 +16,7 @@ import torch
 from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize_scalar
 
-from evaluation.robust import std_by_median
+from evaluation.summary import std_by_median
 from fields.image_store import GAMMA
 from fields.sweep.bed import BedPoints
 from fields.sweep.maps import HeightMap, Sources, trusted

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from evaluation.robust import std_by_median
+from evaluation.summary import std_by_median
 from fields.occluded.holes import Holes
 from fields.occluded.sightings import MISFIT_CLIP, WINDOW, Colours, Sighting, consensus, windowed
 

@@ -18,7 +18,7 @@ from scipy.linalg import solveh_banded
 from scipy.ndimage import binary_erosion, distance_transform_edt, grey_dilation, grey_erosion, map_coordinates
 from scipy.spatial import cKDTree
 
-from evaluation.robust import std_by_median
+from evaluation.summary import std_by_median
 from fields.sweep.maps import HeightMap, trusted
 from refract import FlatWater, PinholeCamera
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from scipy import sparse
 
-from evaluation.robust import MAD_TO_STD
+from evaluation.summary import MAD_TO_STD
 from fields.median import median_reordering
 from fields.solver.tile import SolverTile
 

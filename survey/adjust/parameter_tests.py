@@ -24,7 +24,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from evaluation.robust import std_by_median
+from evaluation.summary import std_by_median
 from survey.adjust.block.bundle import NotConvergedError, Solution, solve
 from survey.adjust.block.normal_equations import system_at
 from survey.adjust.block.observed import Observed, sizes_of

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from geo.similarity import Similarity
+from geo.frames import Similarity
 from survey.adjust.assembling import FEW_MATCHES
 from survey.adjust.block.observed import KINDS, MARK
 from survey.adjust.block.priors import PriorKnowledge

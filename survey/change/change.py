@@ -14,11 +14,10 @@ from pathlib import Path
 import numpy as np
 from shapely import Polygon
 
-from evaluation.robust import MAD_TO_STD
-from geo.features import layer_of
+from evaluation.summary import MAD_TO_STD
+from geo.features import assumed_crs, cells_inside, layer_of, read_polygons
 from geo.files import existing_file
 from geo.grid import Grid
-from geo.lines import assumed_crs, cells_inside, read_polygons
 from geo.raster import RasterBand, RasterForm, is_our_tiff, write_cog
 from survey.change.differences import (
     CHANGED_STDS,

@@ -28,8 +28,8 @@ from pyproj import CRS
 from scipy.fft import irfft2, next_fast_len, rfft2
 
 from evaluation.bootstrap import cell_numbers
-from evaluation.robust import MAD_TO_STD
 from evaluation.standards import TO_95
+from evaluation.summary import MAD_TO_STD
 from geo import Cloud, read_reference, require_same_place
 from geo.compatibility import same_crs
 from geo.crs import has_height, height_unit_m

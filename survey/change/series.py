@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from evaluation.standards import TO_95
+from geo.features import cells_inside
 from geo.files import reporting_disk_errors, write_text
-from geo.lines import cells_inside
 from survey.change.change import changes_in, polygons_for, require_cells, require_surveys, volume_text
 from survey.change.differences import ChangeError, Volume, differences_of
 from survey.change.options import ChangeOptions

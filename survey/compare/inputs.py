@@ -10,12 +10,12 @@ import numpy as np
 from pyproj import CRS
 
 from evaluation import weld
-from evaluation.triangles import has_area
+from evaluation.c2m import has_area
 from geo import LocalFrame, require_same_crs, require_same_place
 from geo.compatibility import bounds_in_other_order
 from geo.crs import has_height, height_unit_m, is_geographic
 from geo.files import existing_file
-from geo.reading import read_reference
+from geo.reading import check_values, read_reference, rounded_coordinates
 from geo.shapes import (
     Cloud,
     Mesh,
@@ -26,7 +26,6 @@ from geo.shapes import (
     used_as_ground,
     vertices_of,
 )
-from geo.values import check_values, rounded_coordinates
 from survey.compare.frame import ShiftedFrame, within
 from survey.compare.options import Bounds, CompareError, as_text
 from survey.files.crs_lines import crs_of_comment

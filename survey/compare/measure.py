@@ -28,11 +28,10 @@ from evaluation import (
     scores,
     vertical_difference,
 )
-from evaluation.c2m import Sign
+from evaluation.c2m import Sign, num_inconsistent_edges
 from evaluation.completeness import NUM_SAMPLES
 from evaluation.standards import MIN_CHECKPOINTS
 from evaluation.summary import INCIDENCE_EDGES_DEG, SLOPE_EDGES_DEG, VIEWS_EDGES
-from evaluation.triangles import num_inconsistent_edges
 from geo import Cloud, Mesh
 from geo.compatibility import require_same_crs, require_same_place
 from geo.crs import height_unit_m

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from pyproj import CRS
 
-from geo.area_of_use import likely_crs
+from geo.compatibility import likely_crs
 from geo.crs import EARTH_RADIUS_M, height_unit_m, horizontal_unit, is_geographic, vertical_crs
 from geo.frames import LocalFrame
 from geo.transformation import lon_lat

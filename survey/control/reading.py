@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import crs_name, horizontal_crs, is_geographic
+from geo.crs import checked_height_unit, crs_name, horizontal_crs, is_geographic
 from geo.errors import GeoError
-from geo.stated import checked_height_unit
 from geo.transformation import Transformation, height_scale
 from survey.control import gcp_list, metashape_xml, tables, waypoints
 from survey.control.points import Content, GivenMark, GivenPoint, Mark

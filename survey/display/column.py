@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from geo.columns import ComputedColumn, portions
+from geo.shapes import ComputedColumn, portions
 
 
 def finite(values: np.ndarray | ComputedColumn, mask: np.ndarray | None = None) -> np.ndarray:

@@ -10,9 +10,9 @@ import numpy as np
 from pyproj import CRS
 
 from evaluation.bootstrap import cell_numbers
-from geo.columns import ComputedColumn, portions
 from geo.grid import Grid
 from geo.projection import ground_units_m
+from geo.shapes import ComputedColumn, portions
 
 # Strays: points beyond this share of the outermost ones on each side, by more than this share of the extent. They must
 # not shrink the picture of all others.

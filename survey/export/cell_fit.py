@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from evaluation.robust import MAD_TO_STD, huber_weights
+from evaluation.summary import MAD_TO_STD, huber_weights
 
 # Prior standard deviation of a slope: 45 degrees.
 _SLOPE_STD = 1.0

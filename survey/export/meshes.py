@@ -17,8 +17,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from geo.files import library_for
-from geo.gltf import write_glb
-from geo.obj import write_obj
+from geo.meshes import write_glb, write_obj
 from geo.ply import write_ply
 from geo.shapes import Mesh
 from survey.errors import SurveyError

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
-from geo.columns import portions
+from geo.shapes import portions
 
 # Points that are read at a time, and those of a band of rows: 60 bytes each while they are sorted.
 _PORTION, _POINTS_OF_BAND = 200_000, 2_000_000

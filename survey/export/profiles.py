@@ -21,10 +21,9 @@ from scipy.spatial import cKDTree
 from evaluation import vertical_difference
 from geo import Cloud, Mesh, read_cloud
 from geo.crs import crs_code, has_height, height_unit_m, is_geographic
-from geo.features import layer_of
+from geo.features import Line, assumed_crs, layer_of, read_lines
 from geo.files import write_text
 from geo.grid import plan_box
-from geo.lines import Line, assumed_crs, read_lines
 from geo.projection import ground_units_m
 from geo.shapes import ground_of, in_height_unit, masked_cloud
 from geo.vectors import DxfLine, write_dxf

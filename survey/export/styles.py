@@ -11,8 +11,8 @@ from laspy.copc import CopcReader
 from matplotlib.colors import Colormap, to_hex
 
 from evaluation.standards import TVU
-from geo.drivers import open_raster
 from geo.files import write_text
+from geo.raster import open_raster
 from survey.display.palette import DEPTHS, RED
 from survey.progress import current
 

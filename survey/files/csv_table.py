@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from itertools import dropwhile
 from pathlib import Path
 
-from geo.stated import unit_named
+from geo.crs import unit_named
 from survey.errors import SurveyError
 from survey.files.limits import LARGEST
 

@@ -17,10 +17,9 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import has_height, height_unit_m, horizontal_unit, is_geographic
+from geo.crs import US_SURVEY_FOOT_M, has_height, height_unit_m, horizontal_unit, is_geographic
 from geo.errors import GeoError
-from geo.stated import US_SURVEY_FOOT_M
-from geo.values import is_no_data_value, rounded_coordinates
+from geo.reading import is_no_data_value, rounded_coordinates
 from survey.errors import SurveyError
 from survey.files.csv_table import Column, Row, Table, UnspecifiedFoot, number_of, same_unit, words_of
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from geo.crs import height_unit_m
 from geo.errors import PlaceMismatch
-from geo.frames import LocalFrame
-from geo.similarity import Similarity
+from geo.frames import LocalFrame, Similarity
 from survey.control.local_control import control_in_local, require_near
 from survey.control.points import Control, ControlPoint
 from survey.display.quantities import named

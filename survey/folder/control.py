@@ -18,11 +18,10 @@ from scipy.spatial import KDTree
 
 from geo.compatibility import same_crs
 from geo.crs import has_height, height_unit_m, vertical_crs
-from geo.features import layer_of
+from geo.features import assumed_crs, layer_of, points_inside, read_polygons
 from geo.files import existing_file
 from geo.frames import LocalFrame
 from geo.grid import plan_box
-from geo.lines import assumed_crs, points_inside, read_polygons
 from geo.projection import metres_per_unit
 from geo.reading import read_reference
 from geo.reproject import Reprojection

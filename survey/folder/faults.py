@@ -14,7 +14,7 @@ import numpy as np
 from pyproj import CRS
 from scipy.spatial.transform import Rotation
 
-from geo.area_of_use import approximate_undulation_m
+from geo.compatibility import approximate_undulation_m
 from geo.crs import height_unit_m, middle_lon_lat, vertical_crs
 from geo.transformation import lon_lat
 from refract.lens import Lens

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from pyproj import CRS
 
-from geo.area_of_use import require_at
+from geo.compatibility import require_at
 from geo.crs import EGM96_HEIGHT, height_unit_m, parse_crs
-from geo.operations import use_grids
+from geo.transformation import use_grids
 from survey.errors import FILE_NAME, ConfigError, Findings, PosesError, SurveyError
 from survey.files.entries import require_plain_entries
 from survey.files.outputs import ReadFiles

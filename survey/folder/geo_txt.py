@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from pyproj import CRS, Geod
 
-from geo.area_of_use import require_in_area
+from geo.compatibility import require_in_area
 from geo.crs import has_height, height_unit_m, horizontal_crs, horizontal_unit, is_geographic
 from geo.transformation import lon_lat
 from survey.display.quantities import named

@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pyproj import CRS
 
-from geo.area_of_use import require_at
+from geo.compatibility import require_at
 from geo.crs import is_geographic
 from geo.errors import GeoError
-from geo.frames import LocalFrame
-from geo.similarity import Similarity, robust_similarity
+from geo.frames import LocalFrame, Similarity, robust_similarity
 from geo.transformation import lon_lat
 from survey.errors import FILE_NAME, ConfigError, Findings, PosesError, SurveyError
 from survey.folder.found import Found, below

@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from pyproj import CRS
 
-from geo.drivers import open_raster
+from geo.features import Line
 from geo.las import read_cloud
-from geo.lines import Line
-from geo.raster import read_raster
+from geo.raster import open_raster, read_raster
 from geo.shapes import Cloud, Mesh
 from survey.display.embedded import picture_html, table_html
 from survey.errors import SurveyError

@@ -14,7 +14,7 @@ from pyproj import CRS
 from pyproj.database import query_crs_info
 from pyproj.enums import PJType
 
-from geo.area_of_use import height_systems_at, likely_crs, require_at
+from geo.compatibility import height_systems_at, likely_crs, require_at
 from geo.crs import (
     EGM96_HEIGHT,
     crs_code,

@@ -11,6 +11,7 @@ import secrets
 import sys
 import threading
 from collections.abc import Callable, Mapping
+from email.message import Message
 from functools import cache, lru_cache
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -27,7 +28,6 @@ from survey.escaping import printable
 from survey.files.json_values import finite_numbers
 from survey.files.limits import LARGEST
 from survey.marking.mark_store import PointKey
-from survey.marking.own_page import is_own_page
 from survey.marking.session import MarkingSession
 from survey.photos.images import eight_bits
 from survey.photos.pixels import read_rgb
@@ -228,3 +228,17 @@ def page() -> bytes:
     parts = {name: room.joinpath(f"page.{name}").read_text(encoding="utf-8") for name in ("html", "css", "js")}
     text = parts["html"].replace("/* page.css */", parts["css"]).replace("/* page.js */", parts["js"])
     return text.replace("{tile_px}", str(TILE_PX)).encode()
+
+
+_LOOPBACK = ("localhost", "127.0.0.1", "::1")
+
+
+def is_own_page(headers: Mapping[str, str] | Message, host: str, given: str, token: str) -> bool:
+    """Whether a request to a server at a host has its token, and comes from a page of it, or from no page.
+
+    A server on a loopback address only answers requests to loopback names, against DNS rebinding.
+    """
+    named, origin = headers.get("Host") or "", headers.get("Origin")
+    is_here = host not in _LOOPBACK or urlsplit(f"//{named}").hostname in _LOOPBACK
+    is_own = origin is None or origin in (f"http://{named}", f"https://{named}")
+    return secrets.compare_digest(given.encode(), token.encode()) and is_here and is_own

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from evaluation import DistanceStatistics, apparent_points, distance_statistics, per_camera, times_index
-from geo.columns import ComputedColumn
 from geo.crs import crs_code
 from geo.grid import plan_box
+from geo.shapes import ComputedColumn
 from refract import FlatWater, crossing_point, water_index
 from refract.media import USUAL_SALINITY_PSU, USUAL_TEMPERATURE_C
 from survey.adjust.result.adjustment import Status

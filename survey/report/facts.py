@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geo.columns import ComputedColumn
+from geo.shapes import ComputedColumn
 from survey.adjust.result.adjustment import Adjustment
 from survey.display.quantities import height
 from survey.folder.survey import Survey

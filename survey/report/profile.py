@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from evaluation.bootstrap import cell_numbers
-from geo.columns import ComputedColumn, portions
 from geo.crs import height_unit_m, is_geographic
+from geo.shapes import ComputedColumn, portions
 from survey.compare.canvas import canvas, figure_of, lay_out
 from survey.display.palette import BLUE, INK, LAND, RED, WATER, WATER_LINE
 from survey.display.plan_grid import PlanGrid

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from shapely import Polygon
 
+from geo.features import points_inside
 from geo.files import reporting_disk_errors
 from geo.las import CLASS_BATHYMETRIC, CLASS_GROUND, CLASS_NOISE, CLASS_WATER_SURFACE, classes_of
-from geo.lines import points_inside
 from geo.shapes import NOT_GROUND
 from survey.errors import SurveyError
 from survey.run.folder import RunDir

@@ -14,10 +14,10 @@ import numpy as np
 
 from fields.sweep.maps import HeightMap
 from fields.sweep.photo_consistency import Consistency
-from geo.columns import ComputedColumn
 from geo.e57 import write_e57
 from geo.las import is_withheld, write_cloud
 from geo.ply import write_ply
+from geo.shapes import ComputedColumn
 from survey.adjust.applied import CAMERAS, MODEL_FOLDER
 from survey.adjust.result.adjustment import ARRAYS, JSON, Adjustment, read_adjustment
 from survey.compare.figures import Comparison

@@ -25,7 +25,7 @@ from fields.sweep.bed import BedPoints
 from fields.sweep.maps import HeightMap
 from fields.sweep.overhangs import without_ghosts
 from fields.sweep.views import Footprint
-from geo.columns import portions
+from geo.shapes import portions
 from refract import FlatWater, PinholeCamera, kernels
 from refract.curved import BicubicWater
 from survey.adjust.result.std_common import BASIS_ADJUSTED, BASIS_STATED, std_common

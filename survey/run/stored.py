@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pyproj import CRS
 
-from geo.columns import ComputedColumn
 from geo.files import reporting_disk_errors, write_whole
+from geo.shapes import ComputedColumn
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
 

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geo.crs import height_unit_m
-from geo.frames import LocalFrame
-from geo.similarity import Similarity, fit_similarity, robust_similarity
+from geo.frames import LocalFrame, Similarity, fit_similarity, robust_similarity
 from refract import PinholeCamera
 from survey.display.quantities import listed
 from survey.errors import ControlError, PosesError, SurveyError

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geo.similarity import Similarity
+from geo.frames import Similarity
 from refract.lens import Lens
 from survey import machine
 from survey.photos.poses import TiePoints, least_track

@@ -13,7 +13,7 @@ from math import comb
 
 import numpy as np
 
-from geo.similarity import Similarity, fit_similarity, robust_similarity
+from geo.frames import Similarity, fit_similarity, robust_similarity
 from refract import PinholeCamera
 from survey.control.points import ControlPoint
 from survey.display.quantities import listed

@@ -19,8 +19,7 @@ from pyproj.exceptions import ProjError
 from pyproj.transformer import AreaOfInterest
 
 from geo.crs import horizontal_crs, middle_lon_lat, vertical_crs
-from geo.operations import area_about, operations
-from geo.transformation import Transformation
+from geo.transformation import Transformation, area_about, operations
 from survey.errors import FILE_NAME, ConfigError
 
 # Positions that are better than this are those of a receiver with corrections, or of an adjusted block.

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from geo.similarity import Similarity, gross_error_limit
+from geo.frames import Similarity, gross_error_limit
 from survey.photos.exif import Exif
 from survey.photos.rotations import enu_from_yaw_pitch_roll
 
@@ -99,7 +99,7 @@ def is_contradicted(residuals) -> np.ndarray:
     if known.sum() < _FEWEST:
         return wrong
     distance = np.linalg.norm(residuals[known] - np.median(residuals[known], axis=0), axis=1)
-    # At first no more than half of them are trusted, as in `geo.similarity.robust_similarity`.
+    # At first no more than half of them are trusted, as in `geo.frames.robust_similarity`.
     num = len(distance) // 2 + 1
     for _ in range(2):
         is_wrong = distance > gross_error_limit(float(np.median(distance)), num)

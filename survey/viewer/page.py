@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import html
 import io
+import json
+import math
 import secrets
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
 from functools import cache
@@ -16,14 +18,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geo.files import write_text
+from refract import PinholeCamera
 from survey.errors import OutputError, SurveyError
 from survey.escaping import printable
 from survey.files.outputs import ReadFiles, require_file
-from survey.marking.own_page import is_own_page
+from survey.marking.server import is_own_page
+from survey.viewer.detail import camera_in_browser
 from survey.viewer.layers import add_cameras, add_water, set_initial_view
-from survey.viewer.overlay import SCRIPT, Overlay
 from survey.viewer.shown import SCALES, Shown
-from survey.viewer.tree import CloudTree
+from survey.viewer.sightings import AIM_PX, facts_of
+from survey.viewer.tree import CloudTree, pick
 
 if TYPE_CHECKING:
     import viser
@@ -191,3 +195,62 @@ def _add_points(server: viser.ViserServer, shown: Shown, rows: np.ndarray) -> No
             precision="float32", point_size=size, point_shape="circle", point_shading="flat",
             visible=kind == "colour",
         )  # fmt: skip
+
+
+SCRIPT = Path(__file__).with_name("overlay.js").read_text(encoding="utf-8")
+# That the script finds the number of its browser by.
+MARK = '<span class="bathynerf-browser" data-number="{}"></span>'
+_LABELS = ("easting", "northing", "longitude", "latitude", "height", SCALES["depth"].label)
+
+
+class Overlay:
+    """Answers to the script; nothing before `attach`."""
+
+    def __init__(self) -> None:
+        self._server: viser.ViserServer | None = None
+        self._shown: Shown | None = None
+
+    def attach(self, server: viser.ViserServer, shown: Shown) -> None:
+        """Answer for the browsers of a server from now on."""
+        self._server, self._shown = server, shown
+
+        @server.on_client_connect
+        def number(client: viser.ClientHandle) -> None:
+            client.gui.add_html(MARK.format(client.client_id))
+
+    def answer(self, asked: Mapping[str, str]) -> str:
+        """JSON for a browser ``number`` and a place x, y of its screen, as shares; an empty object for others."""
+        try:
+            number, x, y = int(asked["number"]), float(asked["x"]), float(asked["y"])
+        except (KeyError, ValueError):
+            return "{}"
+        client = None if self._server is None else self._server.get_clients().get(number)
+        if client is None or self._shown is None or not (math.isfinite(x) and math.isfinite(y)):
+            return "{}"
+        return json.dumps(overlay_of(self._shown, camera_in_browser(client.camera), x, y))
+
+
+def overlay_of(shown: Shown, camera: PinholeCamera, x: float, y: float) -> dict:
+    """Azimuth of what is up on the screen [deg], metres of a pixel in its middle, and what is at x, y."""
+    _, down, forward = camera.cam_from_local
+    up = (forward - down)[:2]
+    hit = _row_at(shown, camera, 0.5, 0.5)
+    if hit is not None:
+        distance = float(forward @ (shown.tree.points[hit] - camera.centre))
+    else:
+        # Where no point is in the middle, the height of that of the cloud.
+        distance = float((shown.middle[2] - camera.centre[2]) / min(forward[2], -1e-3))
+    row = _row_at(shown, camera, x, y)
+    facts = [] if row is None else [f"{label} {text}" for label, text in facts_of(shown, row) if label in _LABELS]
+    return {
+        "azimuth_deg": math.degrees(math.atan2(up[0], up[1])),
+        "m_per_px": abs(distance) / camera.fy,
+        "height_px": camera.height,
+        "place": "  ".join(facts),
+    }
+
+
+def _row_at(shown: Shown, camera: PinholeCamera, x: float, y: float) -> int | None:
+    across, down = (x * camera.width - camera.cx) / camera.fx, (y * camera.height - camera.cy) / camera.fy
+    direction = camera.cam_from_local.T @ np.array([across, down, 1.0])
+    return pick(shown.tree, camera.centre, direction, angle=AIM_PX / camera.fy, least_m=0.5 * shown.gsd_m)

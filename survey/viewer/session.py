@@ -26,8 +26,7 @@ from survey.viewer.layers import (
     set_initial_view,
     terrain,
 )
-from survey.viewer.overlay import Overlay
-from survey.viewer.page import address, close_server, open_server, require_page, write_page
+from survey.viewer.page import Overlay, address, close_server, open_server, require_page, write_page
 from survey.viewer.shown import Shown, load_shown
 from survey.viewer.sightings import Clicks
 

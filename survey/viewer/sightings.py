@@ -16,21 +16,47 @@ import numpy as np
 
 from geo.crs import is_geographic
 from geo.errors import GeoError
+from geo.features import Line
+from geo.vectors import Layer, write_geojson
 from refract import FlatWater
 from survey.display.quantities import MINUS, length, number
 from survey.errors import SurveyError
 from survey.escaping import markdown
+from survey.export.profiles import Bed, write_csv
 from survey.photos.cameras import View
 from survey.photos.images import load_image
 from survey.photos.pixels import damage_named, open_image
 from survey.viewer.detail import Style, camera_in_browser
-from survey.viewer.measured import write_lines, write_profile
 from survey.viewer.shown import SCALES, Shown
 from survey.viewer.slices import picture_of, slice_of
 from survey.viewer.tree import CloudTree, is_blocked, pick
 
 if TYPE_CHECKING:
     import viser
+
+# Two points (3,) [m], local.
+Ends = tuple[np.ndarray, np.ndarray]
+
+
+def write_lines(path: Path, shown: Shown, lines: Sequence[Ends]) -> None:
+    """Lines with their lengths and height differences, as GeoJSON."""
+    frame, offsets = shown.new_frame(), [end - start for start, end in lines]
+    columns: dict[str, list] = {
+        "name": [str(number) for number in range(1, len(lines) + 1)],
+        "distance_m": [round(float(np.linalg.norm(offset)), 4) for offset in offsets],
+        "in_plan_m": [round(float(np.linalg.norm(offset[:2])), 4) for offset in offsets],
+        "height_difference_m": [round(float(offset[2]), 4) for offset in offsets],
+    }
+    shapes = [frame.crs_from_local(np.array(ends))[:, :2] for ends in lines]
+    write_geojson(path, Layer("lines", "LineString", shapes, frame.crs, columns))
+
+
+def write_profile(path: Path, shown: Shown, lines: Sequence[Ends]) -> None:
+    """The last line as the table of `bathynerf profile`."""
+    corners = shown.new_frame().crs_from_local(np.array(lines[-1]))[:, :2]
+    reference = None if shown.reference is None else shown.reference.path
+    write_csv(path, [Bed(shown.folder, reference).along(Line(str(len(lines)), corners))])
+
 
 # Longer side of a thumbnail in its camera [px].
 THUMBNAIL_PX = 160

@@ -14,7 +14,7 @@ from datetime import UTC, datetime, timedelta, timezone, tzinfo
 from itertools import pairwise
 from pathlib import Path
 
-from geo.stated import unit_named
+from geo.crs import unit_named
 from survey.display.quantities import named
 from survey.errors import ConfigError, Findings
 from survey.files.csv_table import Row, Table, number_of, text_lines, words_of

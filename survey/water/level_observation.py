@@ -19,7 +19,7 @@ import numpy as np
 from pyproj import CRS
 from scipy.spatial import KDTree
 
-from evaluation.robust import HUBER_OF_MANY, huber_weights, std_by_median
+from evaluation.summary import HUBER_OF_MANY, huber_weights, std_by_median
 from geo.crs import EARTH_RADIUS_M, height_unit_m, horizontal_crs, middle_lon_lat
 from geo.features import SUFFIXES
 from geo.reading import read_reference

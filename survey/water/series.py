@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evaluation.robust import std_by_median
+from evaluation.summary import std_by_median
 from survey.display.quantities import length, named
 from survey.errors import ConfigError, Findings
 from survey.settings.water import MOST_RATE_M_PER_H

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import KDTree
 
-from evaluation.robust import std_by_median
+from evaluation.summary import std_by_median
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from refract import FlatWater

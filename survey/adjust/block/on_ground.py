@@ -23,7 +23,7 @@ from scipy.ndimage import minimum_filter
 from scipy.spatial.transform import Rotation
 
 from evaluation.local_surface import local_surface
-from evaluation.robust import std_by_median
+from evaluation.summary import std_by_median
 from survey.adjust.block.bundle import Solution
 from survey.adjust.block.normal_equations import System, system_with
 from survey.adjust.block.problem import Planes, Problem

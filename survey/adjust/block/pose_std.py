@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from evaluation.robust import std_by_median
+from evaluation.summary import std_by_median
 from survey.adjust.block.bundle import Solution
 from survey.adjust.block.normal_matrix import NormalMatrix
 from survey.adjust.block.priors import ROTATION_STD, PriorKnowledge, without_shifts

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
-from evaluation import robust
-from evaluation.robust import HUBER
+from evaluation import summary
+from evaluation.summary import HUBER
 from survey.adjust.block.normal_matrix import EliminationOrder, elimination_order
 from survey.adjust.block.prediction import predict
 from survey.adjust.block.state import NUM_POSE, Layout, State
@@ -205,5 +205,5 @@ def std_of_kinds(problem: Problem, residuals: np.ndarray, taken: float) -> np.nd
 def huber_weights(problem: Problem, residuals: np.ndarray, std_px: np.ndarray) -> np.ndarray:
     """Huber weights (N,) [1/px^2]; zero where there is no residual."""
     std, length = std_px[problem.kind], np.linalg.norm(residuals, axis=1)
-    weights = robust.huber_weights(length, std) / std**2
+    weights = summary.huber_weights(length, std) / std**2
     return np.where(np.isfinite(length), weights, 0.0)

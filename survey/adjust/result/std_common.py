@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from geo.columns import portions
+from geo.shapes import portions
 from refract import FlatWater
 from survey.adjust.block.lens_priors import parameters_of
 from survey.adjust.block.observed import original_rows

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
-from geo.columns import portions
+from geo.shapes import portions
 from refract import FlatWater
 from survey.adjust.block.propagation import propagated
 from survey.adjust.result.adjustment import Adjustment, Residuals

@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image
 
 from evaluation import sample_mesh
-from evaluation.triangles import area_vectors
+from evaluation.c2m import area_vectors
 from geo import write_ply, write_whole
 from refract import PinholeCamera
 from refract.lens import Lens, distorted, normalised

@@ -15,8 +15,6 @@ from pathlib import Path
 
 import psutil
 
-# Address space that libraries and kernels map and do not fill, on one core.
-_MAPPED_BYTES = 2.4e9
 # File that names the groups of this process, and the folder of all of them.
 PROCESS, GROUPS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 # Files with limits, the file with what is used, and the word for cached files in memory.stat that the system drops
@@ -33,21 +31,6 @@ def memory_bytes() -> int:
 def free_memory_bytes() -> int:
     """Memory available without swapping, of the machine and of the job."""
     return min([psutil.virtual_memory().available, *(group.free for group in group_memories())])
-
-
-def limit_bytes(kind: str) -> float:
-    """Limit of this process on its address space ("AS", ulimit -v) or data ("DATA", ulimit -d).
-
-    Infinite without one, and on systems other than Linux and FreeBSD, which keep no such limits.
-    """
-    number = getattr(psutil, f"RLIMIT_{kind}", None)
-    limit = -1 if number is None else psutil.Process().rlimit(number)[0]
-    return float("inf") if limit in (-1, getattr(psutil, "RLIM_INFINITY", -1)) else float(limit)
-
-
-def allowed_memory_bytes() -> float:
-    """Memory that the limits of this process leave to its data; infinite without limits."""
-    return min(limit_bytes("DATA"), limit_bytes("AS") - _MAPPED_BYTES)
 
 
 def num_cores() -> int:

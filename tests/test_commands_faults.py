@@ -8,11 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from command_line import bathynerf, fake_module, raising, without_times
-from small_survey import small_survey
+from command_line import bathynerf, fake_module, raising
 
 from geo.errors import EmptyCloud, GeoError
-from survey import machine
 from survey import progress as progress_room
 from survey.errors import SurveyError
 
@@ -89,42 +87,6 @@ def test_our_own_fault_leaves_its_traceback_in_the_log_and_shows_it_when_asked(m
     assert "in process\n    raise RuntimeError" in log.read_text()
     assert "error: RuntimeError: no such tile" in log.read_text()
     assert "Traceback" in bathynerf("process", "s", "-v").stderr
-
-
-@pytest.mark.parametrize("arguments", [("process", "s"), ("waterline", "s"), ("simulate", "s.toml", "-o", "s")])
-def test_a_limit_on_memory_below_what_any_survey_needs_is_refused(monkeypatch, arguments):
-    monkeypatch.setattr(machine, "limit_bytes", lambda _: 1_536_000_000.0)
-    result = bathynerf(*arguments)
-    assert result.exit_code == 2
-    assert "limited to 1.5 GB (ulimit -v), expected at least 3 GB; raise the limit" in result.stderr
-
-
-def test_a_limit_on_data_that_kernels_would_crash_at_is_refused(monkeypatch):
-    monkeypatch.setattr(machine, "limit_bytes", {"DATA": 3e8, "AS": float("inf")}.get)
-    result = bathynerf("process", "s")
-    assert result.exit_code == 2
-    assert "limited to 0.3 GB (ulimit -d), expected at least 0.4 GB; raise the limit" in result.stderr
-
-
-def test_check_warns_of_the_limit_that_process_refuses(monkeypatch, tmp_path):
-    monkeypatch.setattr(machine, "limit_bytes", lambda _: 1_536_000_000.0)
-    result = bathynerf("check", small_survey(tmp_path / "s"))
-    assert result.exit_code == 0
-    sentence = bathynerf("process", "s").stderr.removeprefix("error: ")
-    assert without_times(result.stderr) == f"reading {tmp_path / 's'}\nwarning: {sentence}"
-    assert sentence.startswith("the address space of this process is limited to 1.5 GB")
-
-
-def test_ctrl_c_before_there_is_a_run_folder_promises_nothing(monkeypatch, tmp_path):
-    fake_module(monkeypatch, "survey.run.process", process=raising(KeyboardInterrupt()))
-    assert bathynerf("process", "s", "-o", tmp_path / "run").stderr == "error: stopped\n"
-    (tmp_path / "run").mkdir()
-    assert "finished work is kept" in bathynerf("process", "s", "-o", tmp_path / "run").stderr
-
-
-def test_an_error_that_speaks_of_memory_itself_is_said_as_it_is(monkeypatch):
-    fake_module(monkeypatch, "survey.run.process", process=raising(SurveyError("out of memory; take 8 GB")))
-    assert bathynerf("process", "s").stderr == "error: out of memory; take 8 GB\n"
 
 
 def test_a_full_disk_under_the_log_does_not_hide_the_error(monkeypatch):

@@ -21,7 +21,7 @@ SCREEN = 24
 
 
 @pytest.mark.parametrize("width", [60, 80])
-@pytest.mark.parametrize("verb", [None, *(verb.__name__.rpartition(".")[2] for verb in VERBS)])
+@pytest.mark.parametrize("verb", [None, *(verb.__name__ for verb in VERBS)])
 def test_every_page_of_help_has_an_example_and_breaks_no_word(verb, width, monkeypatch, capsys):
     def page(columns: int) -> str:
         monkeypatch.setenv("COLUMNS", str(columns))

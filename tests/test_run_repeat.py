@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from small_survey import small_survey
 
-from survey.commands import process as command
+from survey.commands.compute import process
 from survey.folder.survey import load_survey
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
@@ -49,7 +49,7 @@ def test_every_option_that_was_chosen_is_repeated(folder):
         "--quality", "draft", "--device", "cpu", "--field", "off", "--poses", "fixed",
         "--image-scale", "0.5", "--true-colour", "--reference", "true bed.ply",
     ]  # fmt: skip
-    known = {parameter.replace("_", "-") for parameter in command.run.__annotations__}
+    known = {parameter.replace("_", "-") for parameter in process.__annotations__}
     assert {word.removeprefix("--") for word in said if word.startswith("--")} <= known
 
 

@@ -1,7 +1,4 @@
-"""Errors that end a command, with message and exit code; standard streams that are closed, full, or a broken pipe.
-
-Limits of memory (ulimit -v, ulimit -d) that are too small for Dr.Jit are refused: it would crash without a message.
-"""
+"""Errors that end a command, with message and exit code; standard streams that are closed, full, or a broken pipe."""
 
 from __future__ import annotations
 
@@ -12,8 +9,6 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-
-from survey.errors import SurveyError
 
 OUR_BUG, BAD_INPUT, STOPPED, BROKEN_PIPE = 1, 2, 130, 141
 
@@ -33,15 +28,6 @@ _NO_MEMORY = (
 # The loader reports a disk mounted without permission to execute in the same words.
 _NOT_PERMITTED = "not permitted"
 _DISK_FULL = ("no space left on device", "disk is full")
-# Address space of the smallest survey in draft quality on four cores: 3.0 GB suffice; with 2.8 GB Dr.Jit ends the
-# process by a segmentation fault or an abort.
-_LEAST_BYTES = 3.0e9
-# Data segment of the smallest survey; 0.3 GB crash in the same way, and 0.2 GB during imports.
-_LEAST_DATA_BYTES = 0.4e9
-_LIMITS = (
-    ("AS", "address space", "ulimit -v", _LEAST_BYTES),
-    ("DATA", "memory", "ulimit -d", _LEAST_DATA_BYTES),
-)
 
 
 @dataclass(frozen=True)
@@ -158,24 +144,3 @@ def say_error(message: str) -> None:
         with suppress(OSError):
             sys.stderr.write(f"{wrap_for(printable(message), sys.stderr, label='error: ')}\n")
             sys.stderr.flush()
-
-
-def address_space_shortage() -> str | None:
-    """The message if this process is limited to less address space or data than the kernels need; else None."""
-    from survey import machine
-
-    for kind, words, command, least in _LIMITS:
-        limit = machine.limit_bytes(kind)
-        if limit < least:
-            return (
-                f"the {words} of this process is limited to {limit / 1e9:.1f} GB ({command}), expected at least "
-                f"{least / 1e9:.1g} GB; raise the limit"
-            )
-    return None
-
-
-def require_address_space() -> None:
-    """Raise SurveyError with the message of `address_space_shortage`, if there is one."""
-    shortage = address_space_shortage()
-    if shortage is not None:
-        raise SurveyError(shortage)

@@ -1,6 +1,6 @@
-"""The verbs of `bathynerf`, each in its own file of the same name.
+"""The verbs of `bathynerf` as one program, with its help and its usage errors.
 
-A verb's file has its options and prints its results; what it computes is elsewhere, and imported when it runs.
+A verb has its options and prints its results; what it computes is elsewhere, and imported when it runs.
 """
 
 from __future__ import annotations
@@ -15,31 +15,17 @@ from typing import Annotated, Any, cast
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from survey.commands import (
-    change,
-    check,
-    compare,
-    export,
-    field,
-    init,
-    mark,
-    process,
-    profile,
-    render,
-    simulate,
-    view,
-    waterline,
-)
-from survey.commands.console import BEFORE_VERB
+from survey.commands import compute, prepare, results
+from survey.commands.console import BEFORE_VERB, Quiet, Verbose
 from survey.commands.faults import BAD_INPUT, say_error
-from survey.commands.options import Quiet, Verbose
 
 # Titles of the options without a panel: where there are no panels, and after panels.
 _ALL, _REST = "Options", "Other options"
 _ARGUMENTS = "Arguments"
 # In the order of `bathynerf --help`.
 VERBS = (
-    init, check, mark, process, waterline, view, export, render, field, compare, change, profile, simulate
+    prepare.init, prepare.check, prepare.mark, compute.process, compute.waterline, results.view, results.export,
+    results.render, compute.field, results.compare, results.change, results.profile, prepare.simulate,
 )  # fmt: skip
 
 _EPILOG = """\b
@@ -67,7 +53,9 @@ class Page(TyperCommand):
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Typer's usage line, with arguments by their placeholder alone: SURVEY, not {SURVEY}."""
-        return [self.options_metavar or "", *(_usage(param) for param in _arguments(self.get_params(ctx)))]
+        arguments = [param for param in self.get_params(ctx) if _panel(param) == _ARGUMENTS]
+        names = [(f"{param.metavar}" if param.required else f"[{param.metavar}]", param.nargs) for param in arguments]
+        return [self.options_metavar or "", *(name if nargs == 1 else f"{name}..." for name, nargs in names)]
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write arguments and options in panels by purpose; a single option gets no panel."""
@@ -92,16 +80,6 @@ def _row(param: Any, ctx: Any) -> tuple[str, str] | None:
     """Row of the help on a parameter; None for a hidden one."""
     record = param.get_help_record(ctx)
     return (param.metavar, record[1]) if record is not None and _panel(param) == _ARGUMENTS else record
-
-
-def _arguments(params: list[Any]) -> list[Any]:
-    return [param for param in params if _panel(param) == _ARGUMENTS]
-
-
-def _usage(param: Any) -> str:
-    """An argument as it appears in the usage line."""
-    name = param.metavar if param.required else f"[{param.metavar}]"
-    return name if param.nargs == 1 else f"{name}..."
 
 
 class _Verbs(TyperGroup):
@@ -159,12 +137,7 @@ def _root(
         typer.echo(ctx.get_help())
 
 
-def _add(verb) -> None:
-    name = verb.__name__.rpartition(".")[2]
-    summary = inspect.cleandoc(verb.run.__doc__).partition("\n\n")[0]
-    examples = textwrap.indent(textwrap.dedent(verb.EXAMPLES).strip(), "  ")
-    app.command(name, cls=Page, short_help=summary, epilog=f"\b\nExamples:\n{examples}\n")(verb.run)
-
-
 for _verb in VERBS:
-    _add(_verb)
+    _summary = inspect.cleandoc(_verb.__doc__ or "").partition("\n\n")[0]
+    _examples = textwrap.indent(vars(_verb)["examples"], "  ")
+    app.command(_verb.__name__, cls=Page, short_help=_summary, epilog=f"\b\nExamples:\n{_examples}\n")(_verb)

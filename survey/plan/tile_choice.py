@@ -232,8 +232,7 @@ def _budget(chosen: Choices) -> tuple[float, str]:
     """Memory that a run may take [bytes], and where that is from."""
     if chosen.memory is not None:
         return bytes_of(chosen.memory), "are allowed (--memory)"
-    free = min(float(machine.free_memory_bytes()), machine.allowed_memory_bytes())
-    return _SHARE_OF_FREE * free, f"may be taken ({_SHARE_OF_FREE:.0%} of what is free)"
+    return _SHARE_OF_FREE * machine.free_memory_bytes(), f"may be taken ({_SHARE_OF_FREE:.0%} of what is free)"
 
 
 def _size_of(tiling: Tiling) -> str:

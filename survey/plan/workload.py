@@ -230,29 +230,23 @@ def amounts_of_run(survey: Survey, plan: Plan) -> Amounts:
 def room_warnings(workload: Workload, run_folder: Path, *, refuses: bool = False) -> list[str]:
     """Warnings where the disk of the run folder or the memory will not suffice.
 
-    Raises SurveyError where the run ``refuses`` what is sure: too small a disk, or limits of this process.
+    Raises SurveyError where the disk is too small and the run ``refuses`` what is sure.
     """
-    warnings, memory = list[str](), f"the run needs {workload.bound_words}{size(workload.memory_bytes)} of memory, and "
+    warnings, needs = list[str](), f"the run needs {workload.bound_words}"
     stored = run_folder.glob("stages/**/*") if run_folder.is_dir() else ()
     room_bytes = machine.free_disk_bytes(run_folder) + sum(path.stat().st_size for path in stored if path.is_file())
     if workload.disk_bytes > room_bytes:
         warnings.append(
-            f"the run needs {workload.bound_words}{size(workload.disk_bytes)} in {run_folder}, and {room(room_bytes)} "
-            "are free there; free some, name a run folder elsewhere with -o, or use a lower --quality"
+            f"{needs}{size(workload.disk_bytes)} in {run_folder}, and {room(room_bytes)} are free there; free some, "
+            "name a run folder elsewhere with -o, or use a lower --quality"
         )
-    allowed = machine.allowed_memory_bytes()
-    if workload.memory_bytes > allowed:
-        warnings.append(
-            f"{memory}limits of this process leave {room(max(allowed, 0.0))} (ulimit -d, ulimit -v); raise them, use a "
-            "lower --quality, or give [area] bounds"
-        )
-    if refuses and warnings and not workload.is_bound:
-        raise SurveyError(warnings[0])
+        if refuses and not workload.is_bound:
+            raise SurveyError(warnings[0])
     free = machine.free_memory_bytes()
     if workload.memory_bytes > free:
         warnings.append(
-            f"{memory}{room(free)} are free: the system may stop it; close other programs, use a lower --quality, or "
-            "give [area] bounds"
+            f"{needs}{size(workload.memory_bytes)} of memory, and {room(free)} are free: the system may stop it; close "
+            "other programs, use a lower --quality, or give [area] bounds"
         )
     return warnings
 

@@ -35,9 +35,8 @@ from survey.plan.plan import Plan, make_plan
 from survey.progress import Progress
 from survey.run.edits import Edits as edit
 from survey.run.process import process
-from survey.simulate.drawn import draw_survey
-from survey.simulate.drawn.settings import DrawnScene
-from survey.simulate.staging.simulate import simulate
+from survey.simulate.drawn import DrawnScene, draw_survey
+from survey.simulate.simulate import simulate
 
 __version__: str
 

@@ -36,8 +36,8 @@ from survey.folder.local_frame import water_plane
 from survey.folder.survey import Survey, load_survey
 from survey.photos.images import ImageStore
 from survey.simulate.drawn import DrawnScene, stage_drawing
-from survey.simulate.output.sidecars import StagedScene
-from survey.simulate.output.writing import write_survey
+from survey.simulate.sidecars import StagedScene
+from survey.simulate.writing import write_survey
 
 NUM_PLACES = 1500
 WINDOWS_PX = (3, 5, 7, 11, 15)

@@ -28,7 +28,7 @@ from evaluation.vertical import WALL_DEG
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.compare.frame import to_local
 from survey.errors import FILE_NAME
-from survey.simulate.output.writing import write_survey
+from survey.simulate.writing import write_survey
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "stress.md"
 HEAD = "| photographs hold | at 5 cm | mean | std | beyond 5 cm | std covers | its largest fifth | median std | exit |"

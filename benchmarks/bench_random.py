@@ -30,13 +30,13 @@ from evaluation.vertical import WALL_DEG
 from geo import read_reference
 from geo.las_header import extra_of
 from survey.simulate.drawn import DrawnScene, stage_drawing
-from survey.simulate.ground.ground import Ground, Material, shade_of_map
-from survey.simulate.ground.shapes import BedGrid
-from survey.simulate.ground.textures import light_of_bed
-from survey.simulate.ground.textures import noise as smooth_noise
+from survey.simulate.ground import Ground, Material, shade_of_map
 from survey.simulate.light import Light
-from survey.simulate.output.sidecars import StagedScene
-from survey.simulate.output.writing import write_survey
+from survey.simulate.shapes import BedGrid
+from survey.simulate.sidecars import StagedScene
+from survey.simulate.textures import light_of_bed
+from survey.simulate.textures import noise as smooth_noise
+from survey.simulate.writing import write_survey
 
 SIZES_PX = ((320, 240), (400, 300), (480, 360))
 # Vertices of the bed to a ground sampling distance, so that it goes on below the pixel.

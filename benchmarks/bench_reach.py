@@ -36,7 +36,7 @@ from survey.folder.survey import Survey, load_survey
 from survey.plan.choices import Choices
 from survey.plan.tile_choice import plan_run
 from survey.plan.tiling import ground_of, ray_skew_px
-from survey.simulate.staging.simulate import simulate
+from survey.simulate.simulate import simulate
 from survey.water.surface import Departure
 
 ORIGIN, CRS_NAME = (676120.0, 5311480.0, 584.0), "EPSG:25832+7837"

@@ -42,7 +42,7 @@ from survey.plan.area import local_area, within
 from survey.run.folder import RunDir
 from survey.run.stored import load_bed
 from survey.settings.config import read_config
-from survey.simulate.ground.shapes import TriangleMesh
+from survey.simulate.shapes import TriangleMesh
 
 # The images number 4, 12, 20, ... of the table are left out.
 EVERY, FIRST = 8, 4

@@ -31,7 +31,7 @@ from evaluation import distance_statistics
 from geo import write_ply
 from survey.compare.canvas import canvas, save, write_title
 from survey.errors import FILE_NAME
-from survey.simulate.staging.simulate import simulate_flight
+from survey.simulate.simulate import simulate_flight
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 ORIGIN = (676120.0, 5311480.0, 584.2)

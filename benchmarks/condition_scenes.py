@@ -15,13 +15,12 @@ from scipy.spatial import cKDTree
 from refract import FlatWater
 from refract.curved import WavyWater
 from survey.simulate.drawn import DrawnScene, stage_drawing
-from survey.simulate.ground.ground import Ground, Material, shade_of_normals
-from survey.simulate.ground.shapes import Solid
-from survey.simulate.ground.textures import TILE, ImageTexture, periodic
-from survey.simulate.light import Light
-from survey.simulate.output.sidecars import StagedScene
+from survey.simulate.ground import Ground, Material, shade_of_normals
+from survey.simulate.light import Light, WaterOptics
 from survey.simulate.sensor import RadianceFunction
-from survey.simulate.water import WaterOptics
+from survey.simulate.shapes import Solid
+from survey.simulate.sidecars import StagedScene
+from survey.simulate.textures import TILE, ImageTexture, periodic
 
 # Between two photographs [s], and the acceleration of gravity [m/s2].
 BETWEEN_S, _GRAVITY = 2.0, 9.81

@@ -27,8 +27,8 @@ from geo import write_ply
 from geo.crs import horizontal_crs
 from refract import FlatWater
 from refract.lens import distorted
-from survey.simulate.output.sidecars import cameras_csv, gps_exif
-from survey.simulate.output.writing import ground_mesh, seen_by
+from survey.simulate.sidecars import cameras_csv, gps_exif
+from survey.simulate.writing import ground_mesh, seen_by
 
 MIN_VIEWS = 3
 MARK_STD_PX, MARK_STD_M, ROD_STD_M = 0.4, 0.01, 0.01

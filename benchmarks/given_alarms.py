@@ -34,7 +34,7 @@ from survey.folder.survey import Survey, load_survey
 from survey.photos.poses import TiePoints
 from survey.plan.plan import Plan, make_plan
 from survey.simulate.drawn import DrawnScene, stage_drawing
-from survey.simulate.output.sidecars import cameras_csv, survey_toml
+from survey.simulate.sidecars import cameras_csv, survey_toml
 
 RESULTS = "alarms.json"
 TRUE = ("true", 0.0)

@@ -17,12 +17,11 @@ from geo import read_reference
 from refract import FlatWater, PinholeCamera
 from survey.folder.survey import load_survey
 from survey.photos.images import load_image
-from survey.simulate.ground.ground import NOTHING, Ground, Material, place_object, plane, texture_of_bed
-from survey.simulate.ground.shapes import TriangleMesh
-from survey.simulate.light import Light
-from survey.simulate.render.direct import DirectRenderer
+from survey.simulate.direct import DirectRenderer
+from survey.simulate.ground import NOTHING, Ground, Material, place_object, plane, texture_of_bed
+from survey.simulate.light import Light, WaterOptics
 from survey.simulate.scene_file import ObjectSettings, TextureSettings
-from survey.simulate.water import WaterOptics
+from survey.simulate.shapes import TriangleMesh
 
 GAMMA = 2.2
 # One photograph in so many is held out.

@@ -41,8 +41,8 @@ from survey.photos.complete import require_complete
 from survey.photos.exif import Exif, read_exif
 from survey.pose_files import find_poses, read_poses, read_ties
 from survey.settings.config import parse_config
-from survey.simulate.output.sidecars import gps_exif
-from survey.simulate.output.writing import write_ply
+from survey.simulate.sidecars import gps_exif
+from survey.simulate.writing import write_ply
 from survey.water.gauge_files import read_series
 from survey.water.level_observation import points_of_surface
 from survey.water.surface_features import points_of_features

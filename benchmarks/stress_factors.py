@@ -20,12 +20,12 @@ from stress_faults import Fault, filling_disk, killed, little_address_space, lit
 from refract import FlatWater, PinholeCamera
 from refract.curved import WavyWater
 from survey.simulate.drawn import DrawnScene, stage_drawing
-from survey.simulate.ground.ground import Ground, Material, shade_of_map
-from survey.simulate.ground.shapes import BedGrid
-from survey.simulate.ground.textures import TILE, ImageTexture, light_of_bed, periodic, sand
+from survey.simulate.ground import Ground, Material, shade_of_map
 from survey.simulate.light import Light
-from survey.simulate.output.sidecars import StagedScene
-from survey.simulate.output.writing import write_survey
+from survey.simulate.shapes import BedGrid
+from survey.simulate.sidecars import StagedScene
+from survey.simulate.textures import TILE, ImageTexture, light_of_bed, periodic, sand
+from survey.simulate.writing import write_survey
 
 _SEED = 20_261_122
 

@@ -13,7 +13,7 @@ from geo.crs import parse_crs
 from geo.frames import LocalFrame
 from geo.transformation import lon_lat
 from refract import FlatWater, PinholeCamera
-from survey.simulate.output.sidecars import gps_exif
+from survey.simulate.sidecars import gps_exif
 
 FRAME = LocalFrame(parse_crs("EPSG:25832+7837"), (676120.0, 5311480.0, 584.0))
 SIZE, FOCAL, NOISE = (480, 360), 600.0, 1.5

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from survey.simulate.scene_file import read_scene
-from survey.simulate.staging.planning import plan_scene
-from survey.simulate.staging.simulate import stage_scene
+from survey.simulate.simulate import plan_scene, stage_scene
 
 SCENE = """
 crs = "EPSG:25832+7837"

@@ -19,7 +19,7 @@ from survey.adjust.waterline import WaterEstimate, calibrate_water
 from survey.folder.survey import Survey, load_survey
 from survey.photos.poses import TiePoints
 from survey.simulate.drawn import DrawnScene, stage_drawing
-from survey.simulate.output.writing import write_survey
+from survey.simulate.writing import write_survey
 from tests.changed_survey import changed
 
 SCENE = DrawnScene(**SMALL)

@@ -12,7 +12,7 @@ from small_survey import small_survey
 
 from refract import FlatWater
 from survey.folder.survey import load_survey
-from survey.simulate.ground.shapes import TriangleMesh
+from survey.simulate.shapes import TriangleMesh
 
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.34)
 BED, TOP = -3.0, -1.0

@@ -14,10 +14,9 @@ from survey.adjust.result.foreseen import foresee
 from survey.commands.verbs import app
 from survey.errors import ConfigError, SurveyError
 from survey.plan.choices import Choices
+from survey.simulate.check_plan import check_plan, survey_of
 from survey.simulate.scene_file import read_scene
-from survey.simulate.staging.check_plan import check_plan, survey_of
-from survey.simulate.staging.planning import plan_scene
-from survey.simulate.staging.simulate import light_of, simulate_flight
+from survey.simulate.simulate import light_of, plan_scene, simulate_flight
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 PLAN = """

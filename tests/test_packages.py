@@ -33,18 +33,18 @@ LAYERS = (
     {"evaluation", "fields/sweep", "fields/volume", "fields/waves", "survey"},
     {"fields/colour", "fields/occluded", "fields/solver", "survey/files", "survey/display"},
     {"survey/photos", "survey/compare", "survey/settings"},
-    {"survey/control", "survey/pose_files", "survey/simulate/flight", "survey/water"},
+    {"survey/control", "survey/pose_files", "survey/water"},
     {"survey/sfm"},
-    {"survey/folder", "survey/simulate"},
-    {"survey/plan", "survey/init", "survey/simulate/ground"},
-    {"survey/adjust/block", "survey/simulate/render"},
+    {"survey/folder"},
+    {"survey/plan", "survey/init"},
+    {"survey/adjust/block"},
     {"survey/adjust/result"},
     {"survey/adjust"},
     {"survey/report"},
-    {"survey/run", "survey/simulate/output"},
-    {"survey/export", "survey/simulate/drawn"},
+    {"survey/run"},
+    {"survey/export"},
     {
-        "survey/simulate/staging",
+        "survey/simulate",
         "survey/change",
         "survey/marking",
         "survey/volume",
@@ -86,7 +86,7 @@ DISK_FOLDERS = (
     {"geo", "survey"}
     | {f"survey/{name}" for name in ("commands", "control", "files", "folder", "init", "marking", "photos")}
     | {f"survey/{name}" for name in ("export", "handles", "pose_files", "run", "sfm", "water")}
-    | {"survey/simulate/output", "survey/simulate/staging", "survey/viewer", "survey/volume"}
+    | {"survey/simulate", "survey/viewer", "survey/volume"}
 )
 GIVEN_PATHS = {"Path", "RunDir"}
 # These read what is installed on the machine: libLLVM, foreign packages, the list of public names.

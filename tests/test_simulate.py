@@ -16,8 +16,8 @@ from survey.commands.verbs import app
 from survey.errors import OutputError
 from survey.folder.survey import load_survey
 from survey.settings.config import read_config
-from survey.simulate.output import writing
-from survey.simulate.staging.simulate import simulate, simulate_flight
+from survey.simulate import writing
+from survey.simulate.simulate import simulate, simulate_flight
 
 
 @pytest.fixture(scope="module")

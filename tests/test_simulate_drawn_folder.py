@@ -10,10 +10,9 @@ from drawn_shore import SHORE
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object
 from survey.settings.config import read_config
-from survey.simulate.drawn import DrawnScene, draw_survey, stage_drawing
-from survey.simulate.drawn.__main__ import main
-from survey.simulate.output import writing
-from survey.simulate.output.sidecars import StagedScene
+from survey.simulate import writing
+from survey.simulate.drawn import DrawnScene, draw_survey, main, stage_drawing
+from survey.simulate.sidecars import StagedScene
 
 # For tests of the folder alone: the same angle of view in a seventh of the pixels.
 FEW = DrawnScene.tiny(num_views=3, image_px=(60, 45), focal_px=105.0)
@@ -73,7 +72,7 @@ def test_a_change_of_any_file_of_the_simulator_draws_the_survey_anew(tmp_path, m
     for place in (".", "drawn", "render"):
         (code / place).mkdir(exist_ok=True)
         (code / place / "module.py").write_text("", encoding="utf-8")
-    assert (writing.CODE / "render" / "path_tracer.py").is_file()
+    assert (writing.CODE / "path_tracer.py").is_file()
     monkeypatch.setattr(writing, "CODE", code)
     draw_survey(tmp_path / "survey", FEW)
     marker = tmp_path / "survey" / writing.MARKER

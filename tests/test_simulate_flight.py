@@ -14,8 +14,7 @@ from refract import FlatWater
 from refract.lens import Lens
 from survey.display.palette import OBLIQUE
 from survey.errors import SurveyError
-from survey.simulate.flight.coverage import coverage, draw_flight
-from survey.simulate.flight.patterns import PATTERNS, FlightSettings, Site, plan_flight
+from survey.simulate.flight import PATTERNS, FlightSettings, Site, coverage, draw_flight, plan_flight
 
 LENS = Lens("PINHOLE", (1750.0, 1750.0, 512.0, 384.0), 1024, 768)
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.333)
@@ -151,7 +150,7 @@ def test_the_picture_of_a_plan_is_a_png_that_shows_views_and_cameras(tmp_path):
 def test_planned_poses_are_read_back_from_cameras_csv():
     from geo.crs import parse_crs
     from geo.frames import LocalFrame
-    from survey.simulate.output.sidecars import cameras_csv
+    from survey.simulate.sidecars import cameras_csv
 
     frame = LocalFrame(parse_crs("EPSG:25832+7837"), (676120.0, 5311480.0, 584.2))
     cameras = fly()

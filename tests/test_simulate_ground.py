@@ -12,15 +12,14 @@ from scene_files import SCENE, scene_file, staged, write_mesh
 from geo.errors import GeoError
 from refract import FlatWater
 from survey.errors import SurveyError
-from survey.simulate.ground.ground import NOTHING, Ground, Material, shade_of_normals
-from survey.simulate.ground.shapes import BedGrid, Solid, TriangleMesh
-from survey.simulate.ground.textures import VertexTexture
-from survey.simulate.light import Light
-from survey.simulate.output.writing import depth_map
-from survey.simulate.render.direct import DirectRenderer
+from survey.simulate.direct import DirectRenderer
+from survey.simulate.ground import NOTHING, Ground, Material, shade_of_normals
+from survey.simulate.light import Light, WaterOptics
 from survey.simulate.scene_file import read_scene
-from survey.simulate.staging.planning import plan_scene
-from survey.simulate.water import WaterOptics
+from survey.simulate.shapes import BedGrid, Solid, TriangleMesh
+from survey.simulate.simulate import plan_scene
+from survey.simulate.textures import VertexTexture
+from survey.simulate.writing import depth_map
 
 
 def test_rays_meet_any_mesh_where_they_meet_the_same_bed_as_a_grid(rng):

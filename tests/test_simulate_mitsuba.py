@@ -13,18 +13,17 @@ from refract import FlatWater, PinholeCamera
 from refract.curved import BicubicWater, WavyWater
 from refract.lens import Lens
 from survey.errors import ConfigError
-from survey.simulate.ground.ground import Ground, Material, shade_of_normals, texture_of_bed
-from survey.simulate.ground.shapes import BedGrid, rotation
-from survey.simulate.light import Light
-from survey.simulate.render.direct import DirectRenderer
+from survey.simulate.direct import DirectRenderer
+from survey.simulate.ground import Ground, Material, shade_of_normals, texture_of_bed
+from survey.simulate.light import Light, WaterOptics
 from survey.simulate.scene_file import TextureSettings
 from survey.simulate.sensor import Sensor
-from survey.simulate.water import WaterOptics
+from survey.simulate.shapes import BedGrid, rotation
 
 pytest.importorskip("mitsuba", reason="the physical mode needs the extra [simulate]: pip install 'bathynerf[simulate]'")
 
-from survey.simulate.render.mitsuba_scene import load_mitsuba, solid_scene, water_scene
-from survey.simulate.render.path_tracer import PathTracer, Sunlight
+from survey.simulate.mitsuba_scene import load_mitsuba, solid_scene, water_scene
+from survey.simulate.path_tracer import PathTracer, Sunlight
 
 # What the two modes may differ by on the image [px].
 SAME_PX = 0.02

@@ -16,8 +16,7 @@ from geo.ply import write_ply
 from survey.errors import SurveyError
 from survey.folder.local_frame import water_plane
 from survey.simulate.scene_file import read_scene
-from survey.simulate.staging.planning import plan_scene
-from survey.simulate.staging.simulate import light_of
+from survey.simulate.simulate import light_of, plan_scene
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 

@@ -15,7 +15,7 @@ from survey.folder.survey import load_survey
 from survey.photos.images import load_image
 from survey.simulate.light import Light
 from survey.simulate.sensor import Sensor
-from survey.simulate.staging.simulate import simulate
+from survey.simulate.simulate import simulate
 
 LENSES = [
     Lens("OPENCV", (160.0, 160.0, 47.0, 37.0, -0.12, 0.03, 1e-3, -2e-3), 96, 72),

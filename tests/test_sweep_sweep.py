@@ -20,7 +20,7 @@ from fields.sweep.view_pass import SweepSettings
 from refract import FlatWater
 from refract.distortion import BROWN, Distortion
 from survey.simulate.drawn import DrawnScene, stage_drawing
-from survey.simulate.output.sidecars import StagedScene
+from survey.simulate.sidecars import StagedScene
 
 # Coarse to fine in small: images of 96 x 72 px have too few pixels left at a quarter, where PASSES begin.
 SMALL = (

@@ -151,7 +151,7 @@ def _of_plan(path: Path, asked: ProcessConfig, wind: float, deep: bool) -> Itera
     from survey.plan.check import CheckSection
     from survey.plan.choices import choices_of
     from survey.run.aim import plan_for_aim
-    from survey.simulate.staging.check_plan import check_plan, depth_of, flight_of, survey_of
+    from survey.simulate.check_plan import check_plan, depth_of, flight_of, survey_of
 
     if deep:
         raise SurveyError("--deep tests a survey against its photographs, and a plan has none; remove it")
@@ -240,7 +240,7 @@ def simulate(
 ) -> None:
     """Simulate a survey of a known scene: photographs, poses and ground truth."""
     with command(verbose, quiet, output, stopped=KEPT) as results:
-        from survey.simulate.staging.simulate import simulate, simulate_flight
+        from survey.simulate.simulate import simulate, simulate_flight
 
         if flight_only:
             simulate_flight(scene, output)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from survey.errors import ConfigError
 from survey.files.toml_table import key, parse_toml, read_toml
-from survey.simulate.flight.patterns import FlightSettings
+from survey.simulate.flight import FlightSettings
 
 BEDS = ("drawn", "plane", "mesh", "cloud")
 TEXTURES = ("sand", "checker", "image", "vertex")

@@ -10,9 +10,9 @@ from fields.device import choose_device
 from refract.curved import BicubicWater, CurvedWater, WavyWater
 from refract.surfaces import WaterSurface
 from survey.errors import SurveyError
-from survey.simulate.ground.ground import Ground, Shape
-from survey.simulate.ground.shapes import BedGrid
-from survey.simulate.ground.textures import ImageTexture, VertexTexture
+from survey.simulate.ground import Ground, Shape
+from survey.simulate.shapes import BedGrid
+from survey.simulate.textures import ImageTexture, VertexTexture
 
 # The plane of the water reaches this far beyond the solids, as a share of their extent: light comes from there.
 _BEYOND = 0.1

@@ -29,9 +29,9 @@ from survey.plan.recipe import gsd_m
 from survey.plan.workload import room_warnings, workload_of
 from survey.progress import rough
 from survey.settings.config import AreaConfig, SurveyConfig
-from survey.simulate.flight.coverage import NADIR_DEG, coverage
+from survey.simulate.flight import NADIR_DEG, coverage
 from survey.simulate.scene_file import read_scene
-from survey.simulate.staging.planning import ScenePlan, plan_scene, sun_of
+from survey.simulate.simulate import ScenePlan, plan_scene, sun_of
 
 # Shares of the area seen by fewer than three photographs, up to which coverage is good, and fair.
 _UNSEEN = 0.0, 0.05

@@ -24,8 +24,9 @@ from refract.lens import Lens, distorted, normalised
 from survey.errors import SurveyError
 from survey.machine import num_cores
 from survey.progress import Progress, Step
-from survey.simulate.ground.ground import Ground
-from survey.simulate.output.sidecars import (
+from survey.simulate.direct import DirectRenderer, depth_below
+from survey.simulate.ground import Ground
+from survey.simulate.sidecars import (
     GAUGE,
     StagedScene,
     cameras_csv,
@@ -35,7 +36,6 @@ from survey.simulate.output.sidecars import (
     write_image,
     xmp_of_views,
 )
-from survey.simulate.render.direct import DirectRenderer, depth_below
 
 # Candidates for visible points per square metre of ground.
 _POINTS_PER_M2 = 1000
@@ -48,7 +48,7 @@ MARKER = "simulated.json"
 # Number of cameras that have to see a point for it to count as visible.
 _MIN_VIEWS = 3
 # Code that determines the photographs of a survey.
-CODE = Path(__file__).parent.parent
+CODE = Path(__file__).parent
 
 
 def ground_mesh(ground: Ground, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

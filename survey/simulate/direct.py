@@ -1,17 +1,7 @@
-"""Caustics and glint: the sun on the waves of one photograph.
+"""Direct rendering through water: refracted rays and simple light, exact in geometry and free of noise.
 
-The waves are a tile of a random surface that repeats, with slopes of equal variance in each octave of wavelengths.
-Viewing rays are not refracted by them, so that the ground truth is that of still water. Symbols: ``n`` index, ``d``
-depth, ``s`` slopes, ``E`` irradiance of the sun on a surface that faces it.
-
-Caustics: a ray of the sun that enters where the surface slopes by ``s`` ends ``(1 - 1 / n) d s`` away from where it
-would under still water. Rays through all of the tile are counted on a grid at several depths, blurred by the disc of
-the sun; between these depths the pattern is interpolated. It multiplies the light of the bed.
-
-Glint: ripples smaller than a cell of the tile have Gaussian slopes of standard deviation ``r`` about ``s``. With ``h``
-the half vector between the directions to camera and sun, and ``p`` the density of ripples whose normal is ``h``, the
-radiance is ``R E p / (4 cos(view) cos(h)^4)``, R by Fresnel (Cox and Munk, Journal of the Optical Society of America
-44(11), 838-850, 1954).
+Rays cross a flat surface by formulas of this module, not by those of `refract`, so that the photographs test the
+optics there. Other surfaces are crossed by `refract`.
 """
 
 from __future__ import annotations
@@ -22,10 +12,135 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from refract import FlatWater, PinholeCamera
+from refract import FlatWater, PinholeCamera, trace
 from refract.snell import fresnel_coefficients
+from refract.surfaces import WaterSurface
 from survey.errors import SurveyError
-from survey.simulate.light import Light
+from survey.simulate.ground import Ground
+from survey.simulate.light import Light, WaterOptics
+
+# Rays at a time, so that they and derived arrays stay in the cache.
+_RAYS_AT_A_TIME = 1 << 15
+
+
+@dataclass(frozen=True)
+class Hits:
+    """First hits of rays."""
+
+    points: np.ndarray  # (N, 3) [m], local: NaN for a ray that meets nothing
+    # body, face (N,): body of the ground, `BED` for the bed, `NOTHING` for none, and the face of it
+    body: np.ndarray
+    face: np.ndarray
+    # (N,) [m]: path length in water; zero for points above it, infinite for a ray that meets nothing in it
+    in_water: np.ndarray
+    incidence: np.ndarray  # (N,): cosine of the angle of incidence at the water surface
+
+
+@dataclass(frozen=True)
+class DirectRenderer:
+    """Renderer of a ground without light transport, through water if there is any.
+
+    `indices` are those of the water for red, green and blue; None where all have that of ``water``, which is also that
+    of the truth. `sun` makes caustics and glint of one photograph; ``water`` is the plane that its waves run on.
+    """
+
+    ground: Ground
+    water: WaterSurface | None
+    colour: WaterOptics
+    indices: tuple[float, float, float] | None = None
+    sun: SunOnWaves | None = None
+
+    def trace(self, camera: PinholeCamera, pixels: np.ndarray) -> Hits:
+        """Hits of the rays of pixels (N, 2) [px] of a camera."""
+        direction = camera.directions(pixels)
+        return self.trace_rays(np.broadcast_to(camera.centres(pixels), direction.shape), direction)
+
+    def trace_rays(self, origin: np.ndarray, direction: np.ndarray) -> Hits:
+        """Hits of rays from origins (N, 3) [m] in unit directions (N, 3), local."""
+        if self.water is None:
+            t, body, face = self.ground.first_hit(origin, direction, np.full(len(direction), np.inf))
+            return Hits(_at(origin, direction, t), body, face, np.zeros(len(t)), np.ones(len(t)))
+        in_air, bent, incidence = _cross(self.water, origin, direction)
+        t, body, face = self.ground.first_hit(origin, direction, in_air)
+        points, in_water = _at(origin, direction, t), np.zeros(len(t))
+        wet = np.flatnonzero(~np.isfinite(t) & np.isfinite(in_air))
+        crossing = origin[wet] + in_air[wet, None] * direction[wet]
+        in_water[wet], body[wet], face[wet] = self.ground.first_hit(crossing, bent[wet], np.full(len(wet), np.inf))
+        points[wet] = _at(crossing, bent[wet], in_water[wet])
+        return Hits(points, body, face, in_water, incidence)
+
+    def radiance(self, camera: PinholeCamera, pixels: np.ndarray) -> np.ndarray:
+        """Linear radiance (N, 3) that reaches pixels (N, 2) [px]."""
+        direction = camera.directions(pixels)
+        return self.radiance_of_rays(np.broadcast_to(camera.centres(pixels), direction.shape), direction)
+
+    def radiance_of_rays(self, origin: np.ndarray, direction: np.ndarray, seed: int = 0) -> np.ndarray:
+        """Linear radiance (N, 3) along rays; see `trace_rays`. Deterministic: `seed` is not used."""
+        parts = range(0, len(direction), _RAYS_AT_A_TIME)
+        ends = [slice(k, k + _RAYS_AT_A_TIME) for k in parts]
+        if self.indices is None or not isinstance(self.water, FlatWater):
+            return np.concatenate([self._radiance(origin[part], direction[part]) for part in ends])
+        bent = [replace(self, water=replace(self.water, n_water=n), indices=None) for n in self.indices]
+        channels = [each.radiance_of_rays(origin, direction)[:, channel] for channel, each in enumerate(bent)]
+        return np.stack(channels, axis=-1)
+
+    def _radiance(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        hits = self.trace_rays(origin, direction)
+        dry = self.ground.colour(hits.points, hits.body, hits.face)
+        if self.water is None:
+            return dry
+        depth = np.where(np.isfinite(hits.in_water), np.maximum(depth_below(self.water, hits.points), 0.0), 0.0)
+        wet = hits.in_water > 0.0
+        lit = dry
+        if self.sun is not None:
+            lit = dry * np.where(wet, self.sun.on_bed(np.nan_to_num(hits.points), depth), 1.0)[:, None]
+        seen = self.colour.seen_through(lit, depth, hits.in_water)
+        crossed = fresnel_coefficients(hits.incidence, n_from=1.0, n_to=self.water.n_water)
+        mirrored = crossed.reflectance[:, None]
+        surface = mirrored * self.colour.sky
+        if self.sun is not None:
+            surface = surface + self.sun.reflected(origin, direction)[:, None]
+        return np.where(wet[:, None], (1.0 - mirrored) * seen + surface, dry)
+
+
+def _cross(water: WaterSurface, origin: np.ndarray, direction: np.ndarray):
+    """Distance to the surface (N,) [m], direction below it (N, 3), and cosine of incidence (N,)."""
+    if not isinstance(water, FlatWater):
+        paths = trace(origin, direction, water)
+        along = np.einsum("ij,ij->i", paths.water_direction, direction)
+        return paths.air_length, paths.water_direction, _incidence(along, water.n_water)
+    normal = np.array(water.up)
+    falling = -direction @ normal
+    with np.errstate(divide="ignore"):
+        in_air = (origin - water.point) @ normal / falling
+    in_air = np.where(falling > 0.0, in_air, np.inf)
+    # Snell: the component along the surface is divided by the index, the other follows from unit length.
+    along = (direction + falling[:, None] * normal) / water.n_water
+    bent = along - np.sqrt(1.0 - np.sum(along**2, axis=1, keepdims=True)) * normal
+    return in_air, bent, np.abs(falling)
+
+
+def _at(origin: np.ndarray, direction: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Points (N, 3) at distances (N,), NaN where infinite."""
+    t = np.where(np.isfinite(t), t, np.nan)
+    return origin + t[:, None] * direction
+
+
+def depth_below(water: WaterSurface | None, points: np.ndarray) -> np.ndarray:
+    """Vertical depth (N,) [m] of points (N, 3) below the water, or below the origin of local without it."""
+    level = 0.0 if water is None else water.height(points[:, 0], points[:, 1])
+    return level - points[:, 2]
+
+
+def _incidence(cosine_of_bend: np.ndarray, n: float) -> np.ndarray:
+    """Cosine of incidence (N,) of rays, from the cosine of the angle by which they were bent.
+
+    From ``sin a = n sin(a - bend)``: ``tan a = n sin(bend) / (n cos(bend) - 1)``.
+    """
+    cosine = np.clip(cosine_of_bend, -1.0, 1.0)
+    tangent = n * np.sqrt(1.0 - cosine**2) / np.maximum(n * cosine - 1.0, 1e-12)
+    return 1.0 / np.hypot(1.0, tangent)
+
 
 # Of the tile: cells along a side, and their size [m].
 _CELLS, _CELL_M = 256, 0.03

@@ -22,8 +22,7 @@ from refract.lens import Lens, coefficients_of
 from refract.surfaces import WaterSurface
 from survey.photos.rotations import CAM_FROM_OPK_CAM
 from survey.settings.config import WaterConfig
-from survey.simulate.render.direct import DirectRenderer
-from survey.simulate.render.sun_on_waves import SunOnWaves
+from survey.simulate.direct import DirectRenderer, SunOnWaves
 from survey.simulate.sensor import RadianceFunction, Sensor
 
 _JPEG_QUALITY = 92

@@ -12,7 +12,7 @@ from small_survey import unposed
 from test_settings_config import FULL
 
 from survey.errors import ConfigError
-from survey.files.toml_schema import schema_of
+from survey.files.toml_table import schema_of
 from survey.init.draft import SCHEMA_LINE, SCHEMA_NAME
 from survey.settings.config import SurveyConfig, parse_config
 

@@ -1,7 +1,7 @@
-"""Tables of a TOML file as frozen dataclasses, their keys and types checked.
+"""Tables of a TOML file as frozen dataclasses, their keys and types checked, and their JSON schema for editors.
 
 A dataclass is the schema of a table: its fields are the known keys, their types those of the values, their defaults
-the values of missing keys, with words and ranges (`key`). Its ``__post_init__`` checks how keys go together.
+the values of missing keys, with words and limits (`key`). Its ``__post_init__`` checks how keys go together.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import re
 import tomllib
 import types
 import typing
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,52 +23,28 @@ from survey.words import instead_of_word
 
 # Bytes of settings at most; those with all keys and comments have 10 kB.
 _MOST_BYTES = 1_000_000
+# Of each type its words in messages, and its name in a schema.
 _KINDS = {
-    float: f"a finite number of at most {LARGEST:g} in size",
-    int: "a whole number",
-    bool: "true or false",
-    str: "a text in quotes",
+    float: (f"a finite number of at most {LARGEST:g} in size", "number"),
+    int: ("a whole number", "integer"),
+    bool: ("true or false", "boolean"),
+    str: ("a text in quotes", "string"),
+}
+# Of each limit its test, its words in messages, and its name in a schema.
+_LIMITS: dict[str, tuple[Callable[[float, float], bool], str, str]] = {
+    "above": (operator.gt, "above", "exclusiveMinimum"),
+    "least": (operator.ge, "of at least", "minimum"),
+    "below": (operator.lt, "below", "exclusiveMaximum"),
+    "most": (operator.le, "at most", "maximum"),
 }
 # Share of letters that two near names have in common, in order: "level" and "level_m", not "gcp" and "gps_height".
 _NEAR = 0.6
-# Metadata of a field: a description of valid values, for the error message; all of them, where they are few; limits of
-# its numbers, by their words in a schema; the option of the command line that sets it; True where it is an option alone
-# and no key of the table.
+# Metadata of a field: see `key`.
 EXPECTED, ONE_OF, LIMITS, OPTION, OPTION_ALONE = "expected", "one_of", "limits", "option", "option_alone"
-_HOLDS: dict[str, Callable[[float, float], bool]] = {
-    "exclusiveMinimum": operator.gt, "minimum": operator.ge, "exclusiveMaximum": operator.lt, "maximum": operator.le,
-}  # fmt: skip
-_LIMIT_IN_WORDS = dict(zip(_HOLDS, ("above", "of at least", "below", "at most"), strict=True))
-_WORD_OF_LIMIT = dict(zip(("above", "least", "below", "most"), _HOLDS, strict=True))
 # Metadata of a field whose record has keys of the table that it stands in, those that belong together.
 INLINE = {"inline": True}
 # A number in any form; signs that backslashes of a path become.
 _NUMBER, _CONTROL = re.compile(r"[+-]?[\d.,' ]*\d[\d.,' ]*(\s*[A-Za-z%°]+)?"), re.compile(r"[\x00-\x1f\x7f]")
-
-
-def key(default: Any, expected: str = "", *, one_of: Iterable[Any] = (), **limits: float) -> Any:
-    """A field of a table with its own wording of what is expected, e.g. "[width, height] in pixels".
-
-    By default that are the values in ``one_of``, where few are known, or what the type says. ``limits`` of a number, or
-    of each in a list, are above, least, below and most.
-    """
-    return dataclasses.field(default=default, metadata=_metadata(expected, one_of, limits))
-
-
-def _metadata(expected: str, one_of: Iterable[Any], limits: Mapping[str, float]) -> dict[str, Any]:
-    words = tuple(one_of)
-    listed = ", ".join(f"{word:g}" if isinstance(word, float) else str(word) for word in words)
-    return {
-        EXPECTED: expected or (f"one of {listed}" if words else ""),
-        ONE_OF: words,
-        LIMITS: {_WORD_OF_LIMIT[name]: limit for name, limit in limits.items()},
-    }
-
-
-def std_key(most: float, unit: str, example: str, form: str = "") -> Any:
-    """A field for a standard deviation, or for one of each direction: ``form`` then says which."""
-    of = f"{most:g} {unit}".strip() + (f", {form}" if form else "")
-    return key(None, f"a standard deviation above 0 and at most {of}; {example}", above=0.0, most=most)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,6 +58,34 @@ class Option:
     name: str | None = None
 
 
+def key(
+    default: Any,
+    expected: str = "",
+    *,
+    one_of: Iterable[Any] = (),
+    option: Option | None = None,
+    alone: bool = False,
+    **limits: float,
+) -> Any:
+    """A field of a table with its own wording of what is expected, e.g. "[width, height] in pixels".
+
+    By default that are the values in ``one_of``, where few are known, or what the type says. ``limits`` of a number, or
+    of each in a list, are above, least, below and most. ``option`` of the command line sets it, `alone` where it is no
+    key of the table.
+    """
+    words = tuple(one_of)
+    listed = ", ".join(f"{word:g}" if isinstance(word, float) else str(word) for word in words)
+    expected = expected or (f"one of {listed}" if words else "")
+    metadata = {EXPECTED: expected, ONE_OF: words, LIMITS: limits, OPTION_ALONE: alone}
+    return dataclasses.field(default=default, metadata=metadata | ({} if option is None else {OPTION: option}))
+
+
+def std_key(most: float, unit: str, example: str, form: str = "") -> Any:
+    """A field for a standard deviation, or for one of each direction: ``form`` then says which."""
+    of = f"{most:g} {unit}".strip() + (f", {form}" if form else "")
+    return key(None, f"a standard deviation above 0 and at most {of}; {example}", above=0.0, most=most)
+
+
 def option(
     panel: str,
     metavar: str | None,
@@ -89,20 +93,13 @@ def option(
     *,
     name: str | None = None,
     default: Any = None,
-    expected: str = "",
     one_of: Iterable[Any] = (),
-    alone: bool = False,
-    **limits: float,
+    **of_key: Any,
 ) -> Any:
-    """A field that an option of the command line sets, and, unless it is `alone`, a key of a table, as `key` has it.
-
-    Where a few words are known and nothing else is said, the placeholder is made of them, too.
-    """
+    """A `key` that an option of the command line sets; the placeholder may be made of the words that are known."""
     words = tuple(one_of)
     made = Option(panel, metavar or "|".join(words) or None, help, name)
-    return dataclasses.field(
-        default=default, metadata={**_metadata(expected, words, limits), OPTION: made, OPTION_ALONE: alone}
-    )
+    return key(default, one_of=words, option=made, **of_key)
 
 
 def option_name(field: dataclasses.Field) -> str:
@@ -115,25 +112,46 @@ def require_options(record: Any) -> None:
     require_valid(record, type(record), option_name)
 
 
-def keys_of(record: Any) -> Iterator[dataclasses.Field]:
-    """The fields of a dataclass, or of one of its values, that are keys of its table or hold some of them."""
+def require_valid(record: Any, table: type, name_of: Callable[[dataclasses.Field], str]) -> None:
+    """Raise ConfigError where a value that no file gave is none that its key in a table takes."""
+    for field in dataclasses.fields(table):
+        if (value := getattr(record, field.name, None)) is not None:
+            _require_valid(field, name_of(field), value)
+
+
+def _require_valid(field: dataclasses.Field, name: str, value: Any) -> None:
+    words, limits, expected = (field.metadata.get(part) for part in (ONE_OF, LIMITS, EXPECTED))
+    shown = str(list(value)) if isinstance(value, tuple) else f"{value:g}" if isinstance(value, float) else str(value)
+    if words and value not in words:
+        shown = f'"{value}"' if isinstance(value, str) else shown
+        raise ConfigError(f"{name} is {shown}, expected {expected}{instead_of_word(value)}")
+    numbers, limits = value if isinstance(value, tuple) else (value,), limits or {}
+    if not all(_LIMITS[word][0](number, limit) for word, limit in limits.items() for number in numbers):
+        in_words = " and ".join(f"{_LIMITS[word][1]} {limit:g}" for word, limit in limits.items())
+        raise ConfigError(f"{name} is {shown}, expected {expected or f'a number {in_words}'}")
+
+
+def fields_of(kind: type) -> Iterator[tuple[dataclasses.Field, Any]]:
+    """Fields of a table with their types, those of inline records among them."""
+    hints = typing.get_type_hints(kind)
+    for field in _keys_of(kind):
+        if field.metadata == INLINE:
+            yield from fields_of(hints[field.name])
+        else:
+            yield field, hints[field.name]
+
+
+def _keys_of(record: Any) -> Iterator[dataclasses.Field]:
     return (field for field in dataclasses.fields(record) if not field.metadata.get(OPTION_ALONE))
-
-
-def is_inline(field: dataclasses.Field) -> bool:
-    """Whether the fields of a field's record are keys of the table itself."""
-    return field.metadata == INLINE
 
 
 def table_of(record: Any) -> dict[str, Any]:
     """The values of a dataclass by the keys that they have in a file, those of inner tables as dicts."""
     values: dict[str, Any] = {}
-    for field in keys_of(record):
+    for field in _keys_of(record):
         value = getattr(record, field.name)
-        if is_inline(field):
-            values |= table_of(value)
-        else:
-            values[field.name] = table_of(value) if dataclasses.is_dataclass(value) else value
+        value = table_of(value) if dataclasses.is_dataclass(value) else value
+        values |= value if field.metadata == INLINE else {field.name: value}
     return values
 
 
@@ -168,6 +186,11 @@ def parse_toml(text: str, kind: type, *, synonyms: Mapping[str, str] | None = No
     return _Reader(kind, synonyms or {}).table(kind, "", tables)
 
 
+def parse_values(values: Mapping[str, Any], kind: type) -> Any:
+    """A dataclass filled from values as TOML has them; see `parse_toml`."""
+    return _Reader(kind, {}).table(kind, "", dict(values))
+
+
 _POINT = "write numbers with a decimal point and without separators, as 1234.5"
 _SLASHES = "write paths with /, as C:/data, or in single quotes, since a backslash begins a sign such as a line break"
 # What people write in lines that are no TOML, and what to write instead.
@@ -191,35 +214,6 @@ def _advice(text: str, error: tomllib.TOMLDecodeError) -> str:
     return "correct that line" if known is None else f"in {line.strip()!r}, {known}"
 
 
-def parse_values(values: Mapping[str, Any], kind: type) -> Any:
-    """A dataclass filled from values as TOML has them; see `parse_toml`."""
-    return _Reader(kind, {}).table(kind, "", dict(values))
-
-
-def require_valid(record: Any, table: type, name_of: Callable[[dataclasses.Field], str]) -> None:
-    """Raise ConfigError where a value that no file gave is none that its key in a table takes."""
-    for field in dataclasses.fields(table):
-        if (value := getattr(record, field.name, None)) is not None:
-            _require_valid(field, name_of(field), value)
-
-
-def _require_valid(field: dataclasses.Field, name: str, value: Any) -> None:
-    words, limits = field.metadata.get(ONE_OF), field.metadata.get(LIMITS, {})
-    if words and value not in words:
-        raise ConfigError(f"{name} is {_shown(value)}, expected {field.metadata[EXPECTED]}{instead_of_word(value)}")
-    numbers = value if isinstance(value, tuple) else (value,)
-    if not all(_HOLDS[word](number, limit) for word, limit in limits.items() for number in numbers):
-        expected = " and ".join(f"{_LIMIT_IN_WORDS[word]} {limit:g}" for word, limit in limits.items())
-        expected = field.metadata[EXPECTED] or f"a number {expected}"
-        raise ConfigError(f"{name} is {_shown(value)}, expected {expected}")
-
-
-def _shown(value: float | str | tuple) -> str:
-    if isinstance(value, tuple):
-        return str(list(value))
-    return f'"{value}"' if isinstance(value, str) else f"{value:g}" if isinstance(value, float) else str(value)
-
-
 @dataclasses.dataclass(frozen=True)
 class _Reader:
     root: type
@@ -232,74 +226,70 @@ class _Reader:
         known = [field.name for field, _ in fields_of(kind)]
         for name, value in values.items():
             if name not in known:
-                self._refuse(known, where, name, value)
+                raise ConfigError(self._unknown(known, where, name, value))
         return self._record(kind, where, values)
 
     def _record(self, kind: type, where: str, values: Mapping[str, Any]) -> Any:
         """A dataclass from the values of its keys, with the records whose keys stand in the same table."""
-        hints, found = typing.get_type_hints(kind), {}
-        for field in keys_of(kind):
-            if is_inline(field):
-                found[field.name] = self._record(hints[field.name], where, values)
+        hints, arguments = typing.get_type_hints(kind), {}
+        for field in _keys_of(kind):
+            name, hint = field.name, hints[field.name]
+            if field.metadata == INLINE:
+                arguments[name] = self._record(hint, where, values)
                 continue
-            name = field.name
-            dotted = f"{where}.{name}" if where else name
-            expected = field.metadata.get(EXPECTED) or _words(hints[name])
+            dotted, expected = _join(where, name), field.metadata.get(EXPECTED) or _words(hint)
             if name in values:
-                found[name] = self._value(hints[name], dotted, values[name], expected)
-                _require_valid(field, dotted, found[name])
-            elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+                arguments[name] = self._value(hint, dotted, values[name], expected)
+                _require_valid(field, dotted, arguments[name])
+            elif _is_required(field):
                 raise ConfigError(f"{dotted} is missing, expected {expected}; add it")
         try:
-            return kind(**found)
+            return kind(**arguments)
         except ConfigError:
             raise
         except ValueError as error:
             raise ConfigError(f"{where}.{error}") from error
 
     def _value(self, kind: Any, dotted: str, value: Any, expected: str) -> Any:
+        is_list, hint = isinstance(value, list), ""
         if isinstance(kind, types.UnionType):
             parts = [part for part in typing.get_args(kind) if part is not type(None)]
-            of_list = [part for part in parts if (typing.get_origin(part) is tuple) == isinstance(value, list)]
-            kind = (of_list or parts)[0]
-        if isinstance(kind, type) and dataclasses.is_dataclass(kind):
-            return self.table(kind, dotted, value)
+            kind = next((part for part in parts if (typing.get_origin(part) is tuple) == is_list), parts[0])
+        if dataclasses.is_dataclass(kind):
+            return self.table(typing.cast("type", kind), dotted, value)
         if typing.get_origin(kind) is tuple:
-            return self._tuple(typing.get_args(kind), dotted, value, expected)
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        if kind is float and is_number and abs(value) <= LARGEST:
-            return float(value)
-        if kind is str and isinstance(value, str) and value.strip():
-            if _CONTROL.search(value):
+            parts = list(typing.get_args(kind))
+            if is_list and parts[-1] is Ellipsis:
+                parts = parts[:1] * len(value)
+            if is_list and len(value) == len(parts):
+                named = ((part, f"{dotted}[{i}]") for i, part in enumerate(parts))
+                return tuple(self._value(*of, item, _words(of[0])) for of, item in zip(named, value, strict=True))
+            hint = f"; {_POINT}" if is_list and len(value) == 2 * len(parts) else ""
+        elif self._is_of(kind, value):
+            if kind is str and _CONTROL.search(value):
                 raise ConfigError(f"{dotted} is {value!r}, expected a text of one line; {_SLASHES}")
-            return value
-        if (kind is int and is_number and isinstance(value, int)) or (kind is bool and isinstance(value, bool)):
-            return value
-        is_text_of_number = isinstance(value, str) and kind in (float, int) and _NUMBER.fullmatch(value.strip())
-        hint = f"; {_POINT}, without quotes" if is_text_of_number else ""
+            return float(value) if kind is float else value
+        elif isinstance(value, str) and kind in (float, int) and _NUMBER.fullmatch(value.strip()):
+            hint = f"; {_POINT}, without quotes"
         raise ConfigError(f"{dotted} is {value!r}, expected {expected}{hint}")
 
-    def _tuple(self, parts: tuple, dotted: str, value: Any, expected: str) -> tuple:
-        if not isinstance(value, list) or (parts[-1] is not Ellipsis and len(value) != len(parts)):
-            is_halved = isinstance(value, list) and len(value) == 2 * len(parts) and parts[-1] is not Ellipsis
-            raise ConfigError(f"{dotted} is {value!r}, expected {expected}{f'; {_POINT}' if is_halved else ''}")
-        kinds = [parts[0]] * len(value) if parts[-1] is Ellipsis else parts
-        return tuple(
-            self._value(part, f"{dotted}[{i}]", v, _words(part))
-            for i, (part, v) in enumerate(zip(kinds, value, strict=True))
-        )
+    @staticmethod
+    def _is_of(kind: type, value: Any) -> bool:
+        if kind is str:
+            return isinstance(value, str) and bool(value.strip())
+        if kind is bool or isinstance(value, bool):
+            return kind is bool and isinstance(value, bool)
+        return isinstance(value, int) if kind is int else isinstance(value, int | float) and abs(value) <= LARGEST
 
-    def _refuse(self, known: Sequence[str], where: str, name: str, value: Any) -> typing.NoReturn:
-        """Raise ConfigError for an unknown key, with the right name, the nearest one, or all known keys."""
-        dotted = f"{where}.{name}" if where else name
+    def _unknown(self, known: list[str], where: str, name: str, value: Any) -> str:
+        """A sentence on an unknown key, with the right name, the nearest one, or all known keys."""
         is_table = isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))
-        what = f"table [{dotted}]" if is_table else f"key {name}" + (f" in [{where}]" if where else "")
+        what = f"table [{_join(where, name)}]" if is_table else f"key {name}" + (f" in [{where}]" if where else "")
         # A table is compared with tables and a key with keys.
-        everywhere = list(_all_keys(self.root))
-        tables = {path for path, has_keys in everywhere if has_keys}
-        same_kind = [other for other in known if (_join(where, other) in tables) == is_table]
+        everywhere = dict(_all_keys(self.root))
+        same_kind = [other for other in known if everywhere[_join(where, other)] == is_table]
         near = difflib.get_close_matches(name, same_kind, 1, _NEAR)
-        elsewhere = [path for path, _ in everywhere if path.split(".")[-1] == name]
+        elsewhere = [path for path in everywhere if path.split(".")[-1] == name]
         synonym = self.synonyms.get(name.casefold())
         # What other programs call it is surer than what looks alike.
         is_here = synonym is not None and _join(where, synonym.split(".")[-1]) == synonym
@@ -312,24 +302,27 @@ class _Reader:
         else:
             listed = ", ".join(f"[{_join(where, other)}]" if is_table else other for other in same_kind)
             remedy = f"known are {listed or 'none'}. Correct or remove it"
-        raise ConfigError(f"unknown {what}; {remedy}")
+        return f"unknown {what}; {remedy}"
+
+
+def _is_required(field: dataclasses.Field) -> bool:
+    return field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
 
 
 def _all_keys(kind: type, where: str = "") -> Iterator[tuple[str, bool]]:
     """Dotted names of all keys under a table, and whether each is a table itself."""
     for field, hint in fields_of(kind):
-        dotted = _join(where, field.name)
-        inner = [part for part in _parts(hint) if isinstance(part, type) and dataclasses.is_dataclass(part)]
-        yield dotted, bool(inner)
-        if inner:
-            yield from _all_keys(inner[0], dotted)
+        inner = _table_in(hint)
+        yield _join(where, field.name), inner is not None
+        if inner is not None:
+            yield from _all_keys(inner, _join(where, field.name))
 
 
-def _parts(kind: Any) -> Iterator[Any]:
-    """A type, and the members of a union or a tuple."""
-    yield kind
-    for part in typing.get_args(kind):
-        yield from _parts(part)
+def _table_in(kind: Any) -> type | None:
+    """The table that a type is, or that a union or tuple has."""
+    if dataclasses.is_dataclass(kind):
+        return typing.cast("type", kind)
+    return next((table for part in typing.get_args(kind) if (table := _table_in(part)) is not None), None)
 
 
 def _join(where: str, name: str) -> str:
@@ -346,22 +339,47 @@ def _place(dotted: str, is_table: bool = False) -> str:
 
 def _words(kind: Any) -> str:
     """A kind of value in words."""
+    parts = typing.get_args(kind)
     if isinstance(kind, types.UnionType):
-        return " or ".join(dict.fromkeys(_words(part) for part in typing.get_args(kind) if part is not type(None)))
-    if dataclasses.is_dataclass(kind):
-        return "a table"
+        return " or ".join(dict.fromkeys(_words(part) for part in parts if part is not type(None)))
     if typing.get_origin(kind) is tuple:
-        parts = typing.get_args(kind)
-        count = "a list" if parts[-1] is Ellipsis else f"a list of {len(parts)}"
-        return f"{count}, each {_words(parts[0])}"
-    return _KINDS[kind]
+        return f"a list{'' if parts[-1] is Ellipsis else f' of {len(parts)}'}, each {_words(parts[0])}"
+    return "a table" if dataclasses.is_dataclass(kind) else _KINDS[kind][0]
 
 
-def fields_of(kind: type) -> Iterator[tuple[dataclasses.Field, Any]]:
-    """Fields of a table with their types, those of inline records among them."""
-    hints = typing.get_type_hints(kind)
-    for field in keys_of(kind):
-        if is_inline(field):
-            yield from fields_of(hints[field.name])
-        else:
-            yield field, hints[field.name]
+def schema_of(kind: type) -> dict[str, Any]:
+    """The JSON schema of a whole file, of a dataclass as `parse_toml` takes it."""
+    return {"$schema": "http://json-schema.org/draft-07/schema#", **_table_schema(kind)}
+
+
+def _table_schema(kind: type) -> dict[str, Any]:
+    return {
+        "type": "object",
+        "description": (kind.__doc__ or "").partition("\n")[0],
+        "properties": {field.name: _key_schema(hint, field) for field, hint in fields_of(kind)},
+        "required": [field.name for field, _ in fields_of(kind) if _is_required(field)],
+        "additionalProperties": False,
+    }
+
+
+def _key_schema(kind: Any, field: dataclasses.Field) -> dict[str, Any]:
+    words, limits, expected = (field.metadata.get(part) for part in (ONE_OF, LIMITS, EXPECTED))
+    schema: dict[str, Any] = {"enum": list(words)} if words else _value_schema(kind, limits or {})
+    if expected:
+        schema["description"] = expected
+    if field.default is not dataclasses.MISSING and field.default is not None:
+        schema["default"] = field.default
+    return schema
+
+
+def _value_schema(kind: Any, limits: Mapping[str, float]) -> dict[str, Any]:
+    parts = [part for part in typing.get_args(kind) if part is not type(None)]
+    if isinstance(kind, types.UnionType):
+        schemas = [_value_schema(part, limits) for part in parts]
+        return schemas[0] if len(schemas) == 1 else {"anyOf": schemas}
+    if dataclasses.is_dataclass(kind):
+        return _table_schema(typing.cast("type", kind))
+    if typing.get_origin(kind) is tuple:
+        length = {} if parts[-1] is Ellipsis else {"minItems": len(parts), "maxItems": len(parts)}
+        return {"type": "array", "items": _value_schema(parts[0], limits), **length}
+    return {"type": _KINDS[kind][1], **{_LIMITS[word][2]: limit for word, limit in limits.items()}}

@@ -14,7 +14,7 @@ from survey.control.reading import read_control
 from survey.errors import FILE_NAME, ConfigError, ControlError, OutputError
 from survey.escaping import printable
 from survey.files.json_values import write_json
-from survey.files.toml_schema import schema_of
+from survey.files.toml_table import schema_of
 from survey.folder.found import Found, find_survey, image_folder_of, require_survey_folder
 from survey.folder.headers import read_headers
 from survey.folder.sfm_views import require_solvable

@@ -1,4 +1,4 @@
-"""What clicks show and what layers are made of: slices, references, terrain, texts, and the page for others."""
+"""What clicks show and what layers are made of: references, terrain, texts, and the page for others."""
 
 from __future__ import annotations
 
@@ -12,14 +12,13 @@ from small_bed import SLOPE, write_plane_mesh
 from small_survey import small_survey
 
 from geo.errors import GeoError
-from refract import FlatWater
 from survey.errors import OutputError, SurveyError
 from survey.files.outputs import ReadFiles
 from survey.folder.survey import load_survey
 from survey.viewer.layers import OnDemand
 from survey.viewer.page import require_page, thinned, write_page
-from survey.viewer.sightings import DISTANCE, RAYS, SLICE, distance_between, facts_of
-from survey.viewer.slices import LocalReference, load_reference, picture_of, slice_of
+from survey.viewer.shown import LocalReference, load_reference
+from survey.viewer.sightings import DISTANCE, RAYS, distance_between, facts_of
 from survey.viewer.tree import build_tree
 
 RAISED_M = 0.04
@@ -54,7 +53,6 @@ def test_a_reference_of_points_is_looked_up_between_them():
     plane = np.column_stack([x, y, 0.1 * x])
     reference = LocalReference(None, plane, None)
     places = np.array([[3.1, 4.2, 5.0], [8.03, 1.9, -5.0], [-30.0, 0.0, 0.0]])
-    np.testing.assert_allclose(reference.heights(places)[:2], 0.1 * places[:2, 0], atol=1e-9)
     np.testing.assert_allclose(reference.errors(places)[:2], places[:2, 2] - 0.1 * places[:2, 0], atol=1e-9)
 
 
@@ -63,31 +61,6 @@ def test_a_reference_of_another_place_is_refused(shown, tmp_path):
     path = write_plane_mesh(tmp_path / "plane.ply", other, raised_m=0.0)
     with pytest.raises(GeoError):
         load_reference(path, other.frame, other.frame.crs_from_local(shown.tree.points[:5] + np.array([5e4, 0.0, 0.0])))
-
-
-@pytest.mark.parametrize("end", [(5.0, 0.0), (-3.0, 4.0), (0.0, -2.0)])
-def test_a_slice_holds_the_points_beside_its_line(shown, end):
-    points, start, end = shown.tree.points, np.array([0.3, 0.2, -0.3]), np.array([*end, -0.3])
-    found = slice_of(shown.tree, start, end, 0.15, shown.water, shown.reference)
-    way = (end - start)[:2]
-    length = np.linalg.norm(way)
-    way /= length
-    t = (points[:, :2] - start[:2]) @ way
-    off = (points[:, :2] - start[:2]) @ [-way[1], way[0]]
-    expected = np.flatnonzero((np.abs(off) <= 0.15) & (t >= 0.0) & (t <= length))
-    assert sorted(found.rows.tolist()) == expected.tolist()
-    np.testing.assert_allclose(found.distance, t[found.rows])
-    places = start[:2] + found.along[:, None] * way
-    np.testing.assert_allclose(found.reference, SLOPE * places[:, 0] - 0.3 + RAISED_M, atol=2e-5)
-    np.testing.assert_allclose(found.water, shown.water.height(*places.T))
-    assert picture_of(found, shown.base_m, shown.rgb[found.rows]).ndim == 3
-
-
-def test_a_slice_beside_the_cloud_is_empty():
-    tree = build_tree(np.random.default_rng(1).uniform(0.0, 1.0, (100, 3)))
-    found = slice_of(tree, np.array([50.0, 0.0, 0.0]), np.array([60.0, 0.0, 0.0]), 0.1, FlatWater((0.0, 0.0, 0.0)))
-    assert len(found.rows) == 0
-    assert np.isnan(found.reference).all()
 
 
 def test_the_facts_of_a_point_are_those_of_the_cloud(shown):
@@ -129,17 +102,15 @@ def test_a_click_shows_rays_and_windows_and_the_next_one_replaces_them(session):
     assert not session.clicks._picture.visible
 
 
-@pytest.mark.parametrize("does", [DISTANCE, SLICE])
-def test_two_clicks_measure_and_cut(session, does):
+def test_two_clicks_measure(session):
     session.clicks.clear()
-    session.clicks._does.value = does
+    session.clicks._does.value = DISTANCE
     middle = len(session.shown.tree.points) // 2
     click(session, middle)
     assert "click a second point" in session.clicks._text.content
     click(session, middle + 20)
     # Twenty points of a row 0.1 m apart.
     assert "| in plan | 2.000\u00a0m |" in html.unescape(session.clicks._text.content)
-    assert session.clicks._picture.visible == (does == SLICE)
 
 
 def test_a_layer_is_made_once_and_when_it_is_asked_for(session):

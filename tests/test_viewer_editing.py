@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import urllib.error
 import urllib.request
@@ -21,7 +20,7 @@ from survey.viewer.editing import rows_in_box
 from survey.viewer.page import Overlay, address, overlay_of
 from survey.viewer.session import ViewOptions, _load
 from survey.viewer.shown import CLASS, MARKED
-from survey.viewer.sightings import write_lines, write_profile
+from survey.viewer.sightings import profile_of, write_lines
 from survey.viewer.tree import pick
 
 # From x right, y down, z forward to east, south, down: north is up on the screen.
@@ -192,7 +191,7 @@ def test_the_overlay_answers_no_nonsense_and_only_those_who_know_the_token(sessi
     refused.value.close()
 
 
-def test_measured_lines_are_saved_as_geojson_and_as_the_profile_of_the_last_one(session, tmp_path):
+def test_measured_lines_are_saved_as_geojson_and_the_last_one_has_a_profile(session, tmp_path):
     shown = session.shown
     ends = np.array([[-1.0, 0.0], [1.0, 0.0]])
     lines = [tuple(np.column_stack([shown.middle[:2] + ends * way, [0.0, 0.3]])) for way in (1.0, 0.5)]
@@ -200,12 +199,10 @@ def test_measured_lines_are_saved_as_geojson_and_as_the_profile_of_the_last_one(
     features = json.loads((tmp_path / "a.geojson").read_text())["features"]
     assert [feature["properties"]["in_plan_m"] for feature in features] == [2.0, 1.0]
     assert features[0]["properties"]["distance_m"] == pytest.approx(np.hypot(2.0, 0.3), abs=1e-4)
-    write_profile(tmp_path / "a.csv", shown, lines)
-    with (tmp_path / "a.csv").open() as stream:
-        rows = list(csv.DictReader(stream))
-    # The scale of the grid is within 0.0004 of that of the ground; the table has millimetres.
-    assert float(rows[-1]["distance_m"]) == pytest.approx(1.0, abs=2e-3)
-    bed = [float(row["bed"]) for row in rows if row["bed"]]
+    profile = profile_of(shown, lines)
+    # The scale of the grid is within 0.0004 of that of the ground.
+    assert profile.distance[-1] == pytest.approx(1.0, abs=2e-3)
+    bed = profile.bed[np.isfinite(profile.bed)]
     assert len(bed) > 3
     assert np.ptp(bed) < 0.2
 
@@ -217,9 +214,11 @@ def test_a_browser_gets_what_was_measured(session):
     client = browser_above(shown)
     for kind in clicks._save.options:
         clicks._save.value = kind
-        clicks._download(SimpleNamespace(client=client))
+        clicks._hand_out(SimpleNamespace(client=client))
     assert [name for name, _ in client.told] == ["lines.geojson", "profile.csv"]
     assert client.told[0][1].startswith(b"{")
+    assert client.told[1][1].startswith(b"line,distance_m")
+    assert clicks._picture.visible
 
 
 def test_the_folder_of_a_survey_stands_for_its_run(run, tmp_path):

@@ -18,10 +18,11 @@ from shown_run import served, shown_of, small_run
 from survey.commands.faults import BAD_INPUT
 from survey.errors import SurveyError
 from survey.marking.server import is_own_page
-from survey.viewer import detail, session
-from survey.viewer.detail import CloudInBrowser, Style, node_arrays
+from survey.viewer import session
 from survey.viewer.page import address, close_server, open_server, token
-from survey.viewer.shown import Shown
+from survey.viewer.session import CloudInBrowser, node_arrays
+from survey.viewer.shown import Shown, Style
+from survey.viewer.tree import camera_in_browser, select_nodes
 
 
 @pytest.fixture(scope="module")
@@ -73,22 +74,16 @@ def test_a_browser_gets_the_cloud_and_then_its_colours(shown):
     cloud.close()
 
 
-def test_a_browser_never_draws_more_points_than_the_limit(shown, monkeypatch):
-    for module in (detail, sys.modules["survey.viewer.tree"]):
-        monkeypatch.setattr(module, "MOST_POINTS", 60_000)
-    monkeypatch.setattr(detail, "select_nodes", lambda tree, view: SELECT(tree, view, 60_000))
+def test_a_browser_never_draws_more_points_than_the_limit(shown):
     browser = Browser(20.0)
-    cloud = CloudInBrowser(browser, shown, Style())
+    cloud = CloudInBrowser(browser, shown, Style(), 60_000)
     for height in (20.0, 2.0, 1.0, 6.0):
         browser.look_down(height)
         cloud.redraw()
-        wanted = SELECT(shown.tree, detail.camera_in_browser(browser.camera), 60_000)
+        wanted = select_nodes(shown.tree, camera_in_browser(browser.camera), 60_000)
         browser.until(lambda wanted=wanted: {f"/cloud/{n}" for n in wanted} <= set(browser.nodes))
         assert sum(len(node.points) for node in browser.nodes.values()) <= 60_000
     cloud.close()
-
-
-SELECT = detail.select_nodes
 
 
 def test_the_water_lies_over_the_cloud(shown):

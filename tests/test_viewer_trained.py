@@ -14,7 +14,7 @@ from shown_run import served, shown_of
 
 from refract import FlatWater
 from survey.run.stored_field import save_layer_field
-from survey.viewer.shown import TrainedField
+from survey.viewer.shown import TrainedField, field_of_run
 from survey.viewer.tree import camera_of_screen
 
 WATER = FlatWater((0.0, 0.0, 0.0))
@@ -38,7 +38,7 @@ def test_the_camera_of_a_screen_sees_what_it_shows():
 @pytest.mark.parametrize("dry", [True, False])
 def test_the_picture_shows_the_field_and_white_beside_it(folder, dry):
     view = camera_of_screen(np.array([0.0, 0.0, 8.0]), DOWN, math.radians(60.0), 1.5, 900.0)
-    picture = TrainedField.of_run(folder, WATER).picture(view, dry=dry)
+    picture = field_of_run(folder, WATER).picture(view, dry=dry)
     assert picture.shape == (200, 300, 3)
     is_white = (picture == 255).all(axis=2)
     assert not is_white[100, 150]
@@ -70,7 +70,7 @@ def test_a_field_is_loaded_once_however_many_clicks_there_are_and_keeps_its_note
 
 def test_a_run_with_a_field_offers_it(folder, tmp_path):
     shown = shown_of(tmp_path / "t", num=20)
-    shown.fields = [TrainedField.of_run(folder, WATER)]
+    shown.fields = [field_of_run(folder, WATER)]
     with served(shown) as session:
         labels = [handle.label for handle in session.server.gui._gui_input_handle_from_uuid.values()]
     assert "render from here" in labels

@@ -15,10 +15,9 @@ from survey.errors import SurveyError
 from survey.escaping import markdown
 from survey.export.export import cloud_of
 from survey.run.edits import CLASSES, Edits
-from survey.viewer.detail import camera_in_browser
 from survey.viewer.shown import MARKED, Shown
 from survey.viewer.sightings import row_under
-from survey.viewer.tree import seen_nodes
+from survey.viewer.tree import camera_in_browser, seen_nodes
 
 if TYPE_CHECKING:
     import viser

@@ -16,10 +16,9 @@ from survey.errors import SurveyError
 from survey.escaping import markdown, printable
 from survey.photos.cameras import View
 from survey.progress import current
-from survey.viewer.detail import Style, camera_in_browser
-from survey.viewer.shown import CLASS, SCALES, Shown, TrainedField
+from survey.viewer.shown import CLASS, SCALES, LocalReference, Shown, Style, TrainedField
 from survey.viewer.sightings import thumbnail
-from survey.viewer.slices import LocalReference
+from survey.viewer.tree import camera_in_browser
 
 if TYPE_CHECKING:
     import viser

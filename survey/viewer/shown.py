@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geo import Mesh, read_reference, require_same_crs, require_same_place
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
+from geo.shapes import ground_of, in_height_unit, vertices_of
 from refract import FlatWater, PinholeCamera
 from survey.display.quantities import number
 from survey.errors import SurveyError
@@ -21,7 +23,6 @@ from survey.photos.cameras import View
 from survey.progress import current
 from survey.run.edits import DELETED, Edits
 from survey.run.flight import Flight
-from survey.viewer.slices import LocalReference, load_reference
 from survey.viewer.tree import CloudTree, build_tree
 
 if TYPE_CHECKING:
@@ -50,41 +51,89 @@ _SOME_VALUES = 200_000
 
 
 class TrainedField:
-    """A trained field in a folder, loaded when it is first rendered, with the notes for the user from loading.
+    """A trained field, loaded when it is first rendered, with the notes for the user from loading.
 
-    `load` returns its render function; it is called with a function that takes notes. The panel shows the name.
+    ``load`` returns its render function; it is called with a function that takes notes.
     """
 
     def __init__(self, name: str, load: Callable[[Callable[[str], None]], Render]):
         self.name, self.notes, self._load = name, list[str](), load
+        self._render: Render | None = None
         # Every click has a thread of its own.
         self._lock = Lock()
-
-    @staticmethod
-    def of_run(folder: Path, water: FlatWater | None) -> TrainedField:
-        """The field that `process --field` left in the folder of its stage."""
-        from survey.run.stored_field import load_layer_field
-
-        return TrainedField("field", lambda _note: load_layer_field(folder, water, "auto").view)
-
-    @staticmethod
-    def volume(folder: Path, run: LoadedRun) -> TrainedField:
-        """The field that `bathynerf field` left in a folder; see `survey.volume.stored.StoredVolume`."""
-        # It takes torch.
-        from survey.volume.stored import StoredVolume
-
-        stored = StoredVolume.of_run(folder, run)
-        return TrainedField(stored.recipe.model, lambda note: stored.load(note=note))
-
-    @cached_property
-    def _render(self) -> Render:
-        return self._load(self.notes.append)
 
     def picture(self, camera: PinholeCamera, *, dry: bool) -> np.ndarray:
         """Rendering (rows, columns, 3) uint8 of a screen, white beside the bed; ``dry``: along straight rays."""
         with self._lock:
+            self._render = self._render or self._load(self.notes.append)
             seen = self._render(camera.scaled(_ROWS / camera.height), dry)
         return np.where(seen.coloured[..., None], seen.rgb, np.uint8(_PAPER))
+
+
+def field_of_run(folder: Path, water: FlatWater | None) -> TrainedField:
+    """The field that `process --field` left in the folder of its stage."""
+    from survey.run.stored_field import load_layer_field
+
+    return TrainedField("field", lambda _note: load_layer_field(folder, water, "auto").view)
+
+
+def field_of_volume(folder: Path, run: LoadedRun) -> TrainedField:
+    """The field that `bathynerf field` left in a folder; see `survey.volume.stored.StoredVolume`."""
+    # It takes torch.
+    from survey.volume.stored import StoredVolume
+
+    stored = StoredVolume.of_run(folder, run)
+    return TrainedField(stored.recipe.model, lambda note: stored.load(note=note))
+
+
+@dataclass(frozen=True)
+class LocalReference:
+    """A reference, mesh or cloud, in the local frame of a run."""
+
+    path: Path
+    points: np.ndarray  # (V, 3) float64 [m], local: vertices, or points
+    faces: np.ndarray | None  # (F, 3) int; None of a cloud
+
+    def errors(self, points: np.ndarray) -> np.ndarray:
+        """Signed distances (N,) [m] of points (N, 3), local, to a mesh (C2M), or heights over the surface of a cloud.
+
+        As `bathynerf compare` measures them; nothing is aligned.
+        """
+        # Imported where they are needed: they take a second, and most runs are shown without a reference.
+        from evaluation import distance_to_mesh, local_surface
+
+        if self.faces is not None:
+            return distance_to_mesh(points, self.points, self.faces).signed
+        return points[:, 2] - local_surface(self.points, points[:, :2]).height
+
+
+def load_reference(path: Path, frame: LocalFrame, cloud_crs: np.ndarray) -> LocalReference:
+    """The reference in a file, which has to lie near some points (N, 3) of the run, in crs."""
+    from evaluation import weld
+
+    shape = read_reference(path)
+    require_same_crs(frame.crs, shape.crs, "the run", str(path))
+    shape = in_height_unit(shape, height_unit_m(frame.crs))
+    require_same_place(cloud_crs, vertices_of(shape), "the run", str(path))
+    if isinstance(shape, Mesh):
+        vertices, faces = weld(shape.vertices, shape.faces)
+        return LocalReference(path, frame.local_from_crs(vertices), faces)
+    return LocalReference(path, frame.local_from_crs(ground_of(shape, path)[0].points), None)
+
+
+@dataclass(frozen=True)
+class Style:
+    """How points are drawn: colours, size, visibility."""
+
+    kind: str = "colour"  # A column of `Shown`, or ``colour``
+    limits: tuple[float, float] | None = None  # (low, high): values of the first and the last colour
+    size: float = 1.0  # [-]: factor of the sizes that leave no gap
+    is_shown: bool = True
+
+    @property
+    def colouring(self) -> tuple:
+        """Settings that determine the colours."""
+        return self.kind, self.limits
 
 
 @dataclass(frozen=True)
@@ -292,9 +341,9 @@ def load_shown(run: LoadedRun, survey: str | None, reference: Path | None = None
         edits=Edits(run.folder.path),
     )
     if _FIELD in run.stages:
-        shown.fields.append(TrainedField.of_run(run.folder.load_stage(_FIELD), flight.water))
+        shown.fields.append(field_of_run(run.folder.load_stage(_FIELD), flight.water))
     if volume is not None:
-        shown.fields.append(TrainedField.volume(volume, run))
+        shown.fields.append(field_of_volume(volume, run))
     columns["height"] = (points[:, 2] + shown.base_m).astype(np.float32)
     if reference is not None:
         some = flight.frame.crs_from_local(points[:: len(points) // _SOME + 1])

@@ -1,4 +1,4 @@
-"""Photographs that show a point of the bed, and the response to a click: rays, windows, a distance, a slice."""
+"""Photographs that show a point of the bed, and the response to a click: rays, windows, a distance, a profile."""
 
 from __future__ import annotations
 
@@ -22,17 +22,16 @@ from refract import FlatWater
 from survey.display.quantities import MINUS, length, number
 from survey.errors import SurveyError
 from survey.escaping import markdown
-from survey.export.profiles import Bed, write_csv
+from survey.export.profiles import Bed, Profile, figure_of, write_csv
 from survey.photos.cameras import View
 from survey.photos.images import load_image
 from survey.photos.pixels import damage_named, open_image
-from survey.viewer.detail import Style, camera_in_browser
 from survey.viewer.shown import SCALES, Shown
-from survey.viewer.slices import picture_of, slice_of
-from survey.viewer.tree import CloudTree, is_blocked, pick
+from survey.viewer.tree import CloudTree, camera_in_browser, is_blocked, pick
 
 if TYPE_CHECKING:
     import viser
+    from matplotlib.figure import Figure
 
 # Two points (3,) [m], local.
 Ends = tuple[np.ndarray, np.ndarray]
@@ -51,11 +50,11 @@ def write_lines(path: Path, shown: Shown, lines: Sequence[Ends]) -> None:
     write_geojson(path, Layer("lines", "LineString", shapes, frame.crs, columns))
 
 
-def write_profile(path: Path, shown: Shown, lines: Sequence[Ends]) -> None:
-    """The last line as the table of `bathynerf profile`."""
+def profile_of(shown: Shown, lines: Sequence[Ends]) -> Profile:
+    """The profile of the last line, as `bathynerf profile` has it."""
     corners = shown.new_frame().crs_from_local(np.array(lines[-1]))[:, :2]
     reference = None if shown.reference is None else shown.reference.path
-    write_csv(path, [Bed(shown.folder, reference).along(Line(str(len(lines)), corners))])
+    return Bed(shown.folder, reference).along(Line(str(len(lines)), corners))
 
 
 # Longer side of a thumbnail in its camera [px].
@@ -69,12 +68,12 @@ _LINE, _CROSS = 16, 6
 # far a ray 35 degrees off nadir runs close to a bed of that slope.
 _BLOCKS_GSD, _FREE_GSD = 1.0, 6.0
 _INK, _PAPER, _MARK = (34, 48, 60), (255, 255, 255), (255, 230, 0)
-RAYS, DISTANCE, SLICE = "show its rays", "measure a distance", "cut a slice"
-LINES, PROFILE = "lines (GeoJSON)", "profile (CSV)"
+RAYS, DISTANCE = "show its rays", "measure a distance"
+LINES, PROFILE, PICTURE = "lines (GeoJSON)", "profile (CSV)", "profile"
 # By how many pixels a click may miss a point.
 AIM_PX = 3.0
-# A slice takes points up to so many ground sampling distances to either side.
-_SLICE_GSD = 2.0
+# Of the picture of a profile.
+_SIZE_IN, _DPI = (6.0, 4.0), 120
 _AIR, _WATER, _CLICK_MARK = (242, 169, 59), (47, 111, 159), (195, 20, 13)
 _BLANK = np.full((1, 1, 3), 255, dtype=np.uint8)
 
@@ -218,6 +217,16 @@ def table(rows: Sequence[tuple[str, str]]) -> str:
     return "\n".join(["| | |", "|---|---|", *(f"| {markdown(label)} | {markdown(text)} |" for label, text in rows)])
 
 
+def pixels_of(figure: Figure) -> np.ndarray:
+    """A drawn figure (rows, columns, 3) uint8."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    figure.set(size_inches=_SIZE_IN, dpi=_DPI)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
 def row_under(shown: Shown, event: viser.SceneClickEvent) -> int | None:
     """The point that a click meets; None beside the cloud."""
     angle = AIM_PX / camera_in_browser(event.client.camera).fy
@@ -226,24 +235,24 @@ def row_under(shown: Shown, event: viser.SceneClickEvent) -> int | None:
 
 
 class Clicks:
-    """The answers to clicks, in the scene and in the panel; slices have the colours of the style that `style` gives."""
+    """The answers to clicks, in the scene and in the panel."""
 
-    def __init__(self, server: viser.ViserServer, panel: Any, shown: Shown, style: Callable[[], Style]):
-        self._server, self._shown, self._style = server, shown, style
+    def __init__(self, server: viser.ViserServer, panel: Any, shown: Shown):
+        self._server, self._shown = server, shown
         self._photographs = PhotographCache(shown.views)
         self._nodes: list[Any] = []
         self._first: np.ndarray | None = None
         self._lock = Lock()
         self._lines: list[tuple[np.ndarray, np.ndarray]] = []
         with panel.add_tab("click on a point"):
-            self._does = server.gui.add_dropdown("action", (RAYS, DISTANCE, SLICE))
+            self._does = server.gui.add_dropdown("action", (RAYS, DISTANCE))
             self._text: Any = server.gui.add_markdown("")
             self._picture = server.gui.add_image(_BLANK, visible=False)
             clear = server.gui.add_button("clear")
-            self._save = server.gui.add_button_group("save", (LINES, PROFILE), visible=False)
+            self._save = server.gui.add_button_group("line", (LINES, PROFILE, PICTURE), visible=False)
         self._does.on_update(lambda _: self.clear())
         clear.on_click(lambda _: self.clear())
-        self._save.on_click(self._download)
+        self._save.on_click(self._hand_out)
         server.scene.on_click()(self._clicked)
 
     def clear(self) -> None:
@@ -262,7 +271,7 @@ class Clicks:
         row = row_under(self._shown, event)
         with self._lock:
             if row is not None:
-                {RAYS: self._show_rays, DISTANCE: self._measure, SLICE: self._cut}[self._does.value](row)
+                (self._show_rays if self._does.value == RAYS else self._measure)(row)
 
     def _show_rays(self, row: int) -> None:
         self._clear()
@@ -285,49 +294,39 @@ class Clicks:
         self.show(mosaic(windows, [sighting.view.name for sighting in seen]))
 
     def _measure(self, row: int) -> None:
-        between = self._between(row)
-        if between is not None:
-            self._text.content = table(distance_between(*between))
-
-    def _cut(self, row: int) -> None:
-        between = self._between(row)
-        if between is None or not np.linalg.norm((between[1] - between[0])[:2]) > 0.0:
-            return
-        shown, style = self._shown, self._style()
-        found = slice_of(shown.tree, *between, _SLICE_GSD * shown.gsd_m, shown.water, shown.reference)
-        self._text.content = table(
-            [*distance_between(*between), ("points within", f"{100.0 * found.half_m:.0f} cm to either side")]
-        )
-        self.show(picture_of(found, shown.base_m, shown.colours(style.kind, found.rows, style.limits)))
-
-    def _between(self, row: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """The first point and this one, a line between them drawn; None where this is the first."""
+        """Mark the first of two points, or measure from it to the second and draw the line between them."""
         point = self._shown.tree.points[row]
         if self._first is None:
             self._clear()
             self._first = point
             self._mark(point)
             self._text.content = table([*facts_of(self._shown, row), ("then", "click a second point")])
-            return None
+            return
         first, self._first = self._first, None
         self._mark(point)
         self._draw("way", [(first, point)], _CLICK_MARK)
         self._lines.append((first, point))
         self._save.visible = True
-        return first, point
+        self._text.content = table(distance_between(first, point))
 
-    def _download(self, event: viser.GuiEvent) -> None:
-        """Send the browser all measured lines, or the last one as the profile that `bathynerf profile` makes of it."""
+    def _hand_out(self, event: viser.GuiEvent) -> None:
+        """Send the browser all measured lines, or the profile of the last one as a table; or draw that profile."""
         if event.client is None:
             return
         try:
             with TemporaryDirectory(prefix="bathynerf-view-") as folder:
-                is_lines = self._save.value == LINES
-                path = Path(folder) / ("lines.geojson" if is_lines else "profile.csv")
-                (write_lines if is_lines else write_profile)(path, self._shown, self._lines)
+                path = Path(folder) / ("lines.geojson" if self._save.value == LINES else "profile.csv")
+                if self._save.value == LINES:
+                    write_lines(path, self._shown, self._lines)
+                else:
+                    profile = profile_of(self._shown, self._lines)
+                    if self._save.value == PICTURE:
+                        self.show(pixels_of(figure_of([profile])))
+                        return
+                    write_csv(path, [profile])
                 event.client.send_file_download(path.name, path.read_bytes(), save_immediately=True)
         except (SurveyError, GeoError) as error:
-            event.client.add_notification("save", str(error), color="red")
+            event.client.add_notification("profile", str(error), color="red")
 
     def _mark(self, point: np.ndarray) -> None:
         name = f"/click/point {len(self._nodes)}"

@@ -8,11 +8,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from geo.copc import CELLS, build_octree
 from refract import PinholeCamera
+from survey.photos.rotations import rotation_from_quaternion
+
+if TYPE_CHECKING:
+    import viser
 
 # Steps along the largest extent: finer than any cloud, and they fit into 32 bits.
 _STEPS = 2**30
@@ -162,6 +167,12 @@ def camera_of_screen(
     height = max(round(height_px), 1)
     width, focal = max(round(height * aspect), 1), 0.5 * height / math.tan(0.5 * fov)
     return PinholeCamera(position, cam_from_local, focal, focal, 0.5 * width, 0.5 * height, width, height)
+
+
+def camera_in_browser(camera: viser.CameraHandle) -> PinholeCamera:
+    """The camera of a browser."""
+    rotation = rotation_from_quaternion(*(float(v) for v in camera.wxyz))
+    return camera_of_screen(np.asarray(camera.position), rotation.T, camera.fov, camera.aspect, camera.image_height)
 
 
 def _bounding_planes(camera: PinholeCamera) -> np.ndarray:

@@ -17,7 +17,7 @@ from survey.marking.mark_store import GROUND, WATER, MarkStore, Pixel, PointKey
 from survey.photos.cameras import View
 from survey.photos.intersection import Intersection, intersect
 from survey.settings.tables import DEFAULT_MARKS_STD_PX
-from survey.water.clicks import CLICK_STD_PX
+from survey.water.level_observation import CLICK_STD_PX
 
 _Points = Mapping[PointKey, GivenPoint | None]
 _Marks = Mapping[PointKey, Mapping[str, Pixel]]

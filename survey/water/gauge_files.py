@@ -2,8 +2,8 @@
 
 Time zone and unit are those that the file states, in a column or in the name of one (``Time (GMT)``, ``tz_cd``,
 ``value_cm``), or, of the RDB of USGS, beside it; they are never assumed. A column ``level`` without a unit has
-the unit of crs. Cells without a number, as services write them, are left out and named. What is at fault raises
-ConfigError.
+the unit of crs. Cells without a number, as services write them, are left out and named.
+What is at fault raises ConfigError.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ _ZONE_BEHIND = re.compile(r"(.*?)[\s_]*[(\[_ ]\s*([a-z]{1,4}|(?:utc|gmt)?[+-][\d
 _GERMAN = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})(.*)")
 # Column of a parameter in the RDB of USGS, its description in the comments, and the widths under the names.
 _RDB_COLUMN = re.compile(r"(\d+)_(\d{5})(?:_\d{5})?")
+_RDB_COMMENT = re.compile(r"\s(\d{5})\s+(?:\d{5}\s+)?(\D.+)")
 _RDB_WIDTH = re.compile(r"\d+[sdn]")
 # Words for no number; those of three letters are of USGS (ice, equipment, backwater, maintenance and others).
 _NO_DATA_WORDS = ("", "-", "--", "---", "***", "nan", "null", "none", "na", "n/a", "m", "missing", "ice", "eqp", "bkw",
@@ -59,6 +60,11 @@ class Reading:
     std_m: float
     text: str  # As the file has it
     is_marker: bool = False  # Whether it is a number that services write where there is none, or the file says so
+
+    @property
+    def line(self) -> str:
+        """Its line in the file, for messages."""
+        return self.where.rpartition(", ")[2]
 
 
 @dataclass(frozen=True)
@@ -123,6 +129,40 @@ def read_series(path: Path, unit_m: float = 1.0, zero_m: float | None = None) ->
     return Series(path, tuple(readings), kinds == {"h", "l"}, Findings(warnings=tuple(warnings)))
 
 
+def _table_of(path: Path) -> tuple[Table, list[Row], tzinfo | None]:
+    """Head and rows of a CSV, or of the RDB of USGS, and the zone that the name of its column of times states."""
+    table, zone = Table.read(path, _WORDS, ConfigError), None
+    described, columns = dict[str, str](), []
+    if any(_RDB_COLUMN.fullmatch(column.cell) for column in table.columns):
+        comments = (line for _, line in text_lines(path, ConfigError) if line.startswith("#"))
+        described = {match[1]: match[2].strip() for line in comments for match in _RDB_COMMENT.finditer(line)}
+    for column in table.columns:
+        behind = _ZONE_BEHIND.fullmatch(column.cell)
+        if column.name == column.cell and behind is not None and _WORDS.get(behind[1]) == "time":
+            column, zone = replace(column, name="time"), zone_of(behind[2])
+        if (parameter := _RDB_COLUMN.fullmatch(column.cell)) is not None:
+            # "Gage height, feet", which a statistic may follow.
+            unit = unit_named(re.sub(r"\(.*", "", described.get(parameter[2], "")).rpartition(",")[2])
+            column = column if unit is None else replace(column, name="reading", unit_m=unit)
+        columns.append(column)
+    table = replace(table, columns=tuple(columns))
+    for name in ("time", *_LEVELS[:-1]):
+        twice = [column.cell for column in table.columns if column.name == name]
+        if len(twice) > 1:
+            raise ConfigError(f"{path} has {len(twice)} columns of {name}, {' and '.join(twice)}; keep one")
+    levels = [name for name in _LEVELS if name in table.names] or ["level"]
+    when = [name for name in ("date", "time") if name in table.names] or ["time"]
+    others = ("std", "unit", "zone", "kind", "parameter", "no_data")
+    rows = table.rows(when + levels[:1], (*levels[1:], *others))
+    # Of several parameters the one that has a unit of length.
+    rows = [row for row in rows if not row.cells.get("unit") or unit_named(row.cells["unit"]) is not None]
+    parameters = {row.cells.get("parameter", "") for row in rows}
+    if len(parameters) > 1:
+        series = ", ".join(sorted(parameters)[:6])
+        raise ConfigError(f"{path} has several series, {series}; keep the one of the water level")
+    return table, rows, zone
+
+
 def is_no_data_number(number: float) -> bool:
     """Whether a number is one that services write where there is none; some of them are levels elsewhere."""
     return abs(number) in _NO_DATA_NUMBERS
@@ -159,39 +199,3 @@ def zone_of(text: str) -> tzinfo | None:
         return None
     minutes = 60 * int(offset[2]) + int(offset[3] or 0)
     return timezone(timedelta(minutes=-minutes if offset[1] == "-" else minutes))
-
-
-def _table_of(path: Path) -> tuple[Table, list[Row], tzinfo | None]:
-    """Head and rows of a CSV, or of the RDB of USGS, and the zone that the name of its column of times states."""
-    table, zone = Table.read(path, _WORDS, ConfigError), None
-    described, columns = dict[str, str](), []
-    if any(_RDB_COLUMN.fullmatch(column.cell) for column in table.columns):
-        # Codes of parameters with their texts in the comments of an RDB.
-        comments = [line for _, line in text_lines(path, ConfigError) if line.startswith("#")]
-        matches = [match for line in comments for match in re.finditer(r"\s(\d{5})\s+(?:\d{5}\s+)?(\D.+)", line)]
-        described = {match[1]: match[2].strip() for match in matches}
-    for column in table.columns:
-        behind = _ZONE_BEHIND.fullmatch(column.cell)
-        if column.name == column.cell and behind is not None and _WORDS.get(behind[1]) == "time":
-            column, zone = replace(column, name="time"), zone_of(behind[2])
-        if (parameter := _RDB_COLUMN.fullmatch(column.cell)) is not None:
-            # "Gage height, feet", which a statistic may follow.
-            unit = unit_named(re.sub(r"\(.*", "", described.get(parameter[2], "")).rpartition(",")[2])
-            column = column if unit is None else replace(column, name="reading", unit_m=unit)
-        columns.append(column)
-    table = replace(table, columns=tuple(columns))
-    for name in ("time", *_LEVELS[:-1]):
-        twice = [column.cell for column in table.columns if column.name == name]
-        if len(twice) > 1:
-            raise ConfigError(f"{path} has {len(twice)} columns of {name}, {' and '.join(twice)}; keep one")
-    levels = [name for name in _LEVELS if name in table.names] or ["level"]
-    when = [name for name in ("date", "time") if name in table.names] or ["time"]
-    others = ("std", "unit", "zone", "kind", "parameter", "no_data")
-    rows = table.rows(when + levels[:1], (*levels[1:], *others))
-    # Of several parameters the one that has a unit of length.
-    rows = [row for row in rows if not row.cells.get("unit") or unit_named(row.cells["unit"]) is not None]
-    parameters = {row.cells.get("parameter", "") for row in rows}
-    if len(parameters) > 1:
-        series = ", ".join(sorted(parameters)[:6])
-        raise ConfigError(f"{path} has several series, {series}; keep the one of the water level")
-    return table, rows, zone

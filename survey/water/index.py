@@ -27,32 +27,25 @@ def refractive_index(given: WaterConfig, light: Callable[[], MatchedLight]) -> t
 
     ``light`` measures that of the photographs; it is called only where the index depends on it.
     """
-    if given.medium.temperature_c is not None:
-        return _of_water(given, given.medium.temperature_c, light())
-    if given.refractive_index is None:
-        message = f"fresh water (the sea has {SEA_WATER:.3f}, 0.7 % more depth), "
-        return _converted(FRESH_WATER, SODIUM_NM, light(), message)
-    if given.medium.index_wavelength_nm is None:
-        return given.refractive_index, Findings()
-    return _converted(given.refractive_index, given.medium.index_wavelength_nm, light(), "")
-
-
-def _converted(index: float, wavelength_nm: float, light: MatchedLight, what: str) -> tuple[float, Findings]:
-    """The index of the matched light, from that of a wavelength."""
-    found = round(converted_index(index, wavelength_nm, light.shares), 6)
-    return found, Findings((f"refractive_index = {found}, {what}{index:g} at {wavelength_nm:g} nm for {light}",))
-
-
-def _of_water(given: WaterConfig, temperature_c: float, light: MatchedLight) -> tuple[float, Findings]:
-    """The index of water by its temperature and salinity."""
-    assumed = ("salinity_psu = 0, fresh water",) if given.medium.salinity_psu is None else ()
+    temperature_c, salinity_psu = given.medium.temperature_c, given.medium.salinity_psu
+    if temperature_c is None:
+        index, wavelength_nm, what = given.refractive_index, given.medium.index_wavelength_nm, ""
+        if index is None:
+            index, wavelength_nm = FRESH_WATER, SODIUM_NM
+            what = f"fresh water (the sea has {SEA_WATER:.3f}, 0.7 % more depth), "
+        if wavelength_nm is None:
+            return index, Findings()
+        matched = light()
+        found = round(converted_index(index, wavelength_nm, matched.shares), 6)
+        return found, Findings((f"refractive_index = {found}, {what}{index:g} at {wavelength_nm:g} nm for {matched}",))
+    matched, assumed = light(), () if salinity_psu is not None else ("salinity_psu = 0, fresh water",)
     with warnings.catch_warnings(record=True) as fit_warnings:
         warnings.simplefilter("always")
         try:
-            index = round(light.index(temperature_c, given.medium.salinity_psu or 0.0), 6)
+            index = round(matched.index(temperature_c, salinity_psu or 0.0), 6)
         except ValueError as error:
             raise ConfigError(f"[water] in {FILE_NAME}: {error}; or give refractive_index instead") from error
-    message = f"refractive_index = {index}, of water of {temperature_c:g} degrees for {light}"
+    message = f"refractive_index = {index}, of water of {temperature_c:g} degrees for {matched}"
     if fit_warnings:
         message += f", although {' and '.join(dict.fromkeys(str(each.message) for each in fit_warnings))}"
     return index, Findings((*assumed, message))

@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
+from evaluation.summary import HUBER_OF_MANY, huber_weights, std_by_median
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from geo.projection import metres_per_unit
@@ -30,37 +31,24 @@ from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.settings.config import SurveyConfig
 from survey.settings.water import MOST_LEVEL_STD_M, MOST_SLOPE, LevelSources, WaterConfig, require_slope
-from survey.water.clicks import levels_of_clicks
-from survey.water.level_observation import (
-    COMMON_STD_M,
-    LevelObservation,
-    huber_fit,
-    points_of_surface,
-)
+from survey.water.level_observation import COMMON_STD_M, LevelObservation, levels_of_clicks, points_of_surface
 from survey.water.surface import SURFACE, plane_warning
 from survey.water.tides import MovingLevel, Tide, tide_of_gauge, tide_of_levels, tide_of_rate
 
 _MEASURED = ("shoreline", "gnss_points")
-_POINTS = (*_MEASURED, "surface")
 # A level in survey.toml without level_std_m is that of a staff.
 STAFF_STD_M = 0.02
-
 # Slopes count only where they exceed their standard deviation by this factor.
 _SIGNIFICANT = 3.0
-# Fewer points than this may lie on a tilted plane by chance.
-_LEAST_FOR_SLOPES = 6
-# Fewer points than this do not determine their scatter.
+# Fewer points than this may lie on a tilted plane by chance, and do not determine their scatter.
 _FEW = 6
-_LEAST_STD_M = 1e-3
-# Points farther from the plane than this many standard deviations are named.
-_FAR = 5.0
-# Where more than this share of them is, they are not of one water.
-_MOST_FAR = 0.5
+_LEAST_STD_M, _MOST_ROUNDS = 1e-3, 50
+# Points farther from the plane than so many standard deviations are named; more than this share are not of one water.
+_FAR, _MOST_FAR = 5.0, 0.5
 # Points of a surface that are no farther apart count as one place [m].
 _ONE_PLACE_M = 0.1
 # Points of a surface up to this far beyond the cameras, in flying heights, are used for its plane.
 _UNDER_VIEWS = 0.5
-_IN_WORDS = {1: "one", 3: "three"}
 
 
 @dataclass(frozen=True)
@@ -96,26 +84,26 @@ def with_level(
     if sources.image_levels is not None:
         moving = tide_of_levels(folder / sources.image_levels, headers, unit_m)
         return _with_moving(config, water, moving, f"mean of {moving.num_images} images")
-    name = next((source for source in _POINTS if source in water.sources.named), None)
+    name = next((source for source in (*_MEASURED, SURFACE) if source in sources.named), None)
     if name is None:
         return config, (), tide, Findings()
-    points, found = points_of_surface(folder / water.sources.named[name], name, crs, water.layer)
+    path = folder / sources.named[name]
+    points, found = points_of_surface(path, name, crs, water.layer)
     if name == SURFACE:
-        _require_apart(folder / water.sources.named[name], points, crs)
-    water, findings = _of_points(water, points, crs)
+        _require_apart(path, points, crs)
+    fitted, findings = _of_points(water, points, crs)
     if name == SURFACE:
         # `with_plane_of_surface` fits the plane under the photographs, and reports it.
-        water, findings = replace(water, level_std_m=config.water.level_std_m if config.water else None), Findings()
-    return replace(config, water=water), points, tide, found + findings
+        fitted, findings = replace(fitted, level_std_m=water.level_std_m), Findings()
+    return replace(config, water=fitted), points, tide, found + findings
 
 
 def _require_apart(path: Path, points: Sequence[LevelObservation], crs: CRS) -> None:
     """Raise ConfigError where all points of a surface lie at one place, and so do not determine a surface."""
-    places = np.array([each.place for each in points if each.place is not None]).reshape(-1, 2)
+    places = np.array([(*each.place, 0.0) for each in points if each.place is not None]).reshape(-1, 3)
     if not len(places):
         return
-    unit_m = metres_per_unit(crs, np.column_stack([places, np.zeros(len(places))]))
-    spread_m = float(np.linalg.norm(np.ptp(places, axis=0) * unit_m))
+    spread_m = float(np.linalg.norm(np.ptp(places[:, :2], axis=0) * metres_per_unit(crs, places)))
     if spread_m < _ONE_PLACE_M:
         raise ConfigError(
             f"{path} has {len(places)} points of the water surface within {100.0 * spread_m:.0f} cm of each other, "
@@ -133,25 +121,18 @@ def with_plane_of_surface(
         return config, Findings()
     at = frame.local_from_crs(np.array([(*point.place, 0.0) for point in points if point.place is not None]))[:, :2]
     centres = np.array([view.camera.centre for view in views])
-    height = (
-        float(np.median(centres[:, 2]))
-        - frame.local_from_crs(
-            np.array([*(config.water.known_level_at), config.water.known_level_m / height_unit_m(frame.crs)])
-        )[2]
-    )
-    reach = _UNDER_VIEWS * max(float(height), 0.0)
+    level = [*config.water.known_level_at, config.water.known_level_m / height_unit_m(frame.crs)]
+    height = float(np.median(centres[:, 2])) - float(frame.local_from_crs(np.array(level))[2])
+    reach = _UNDER_VIEWS * max(height, 0.0)
     low, high = centres[:, :2].min(axis=0) - reach, centres[:, :2].max(axis=0) + reach
-    near = [point for point, place in zip(points, at, strict=True) if ((place >= low) & (place <= high)).all()]
+    near = [points[i] for i in np.flatnonzero(((at >= low) & (at <= high)).all(axis=1))]
     water = replace(config.water, level_at=None, slope_east=0.0, slope_north=0.0)
-    water, findings = _of_points(water, near if len(near) >= _LEAST_FOR_SLOPES else points, frame.crs)
+    water, findings = _of_points(water, near if len(near) >= _FEW else points, frame.crs)
     return replace(config, water=water), findings
 
 
 def with_level_of_clicks(
-    folder: Path,
-    config: SurveyConfig,
-    views: Sequence[View],
-    frame: LocalFrame,
+    folder: Path, config: SurveyConfig, views: Sequence[View], frame: LocalFrame
 ) -> tuple[SurveyConfig, tuple[LevelObservation, ...], Findings]:
     """Settings with the water level where rays of clicks in the photographs meet, and the heights of all places."""
     water = config.water
@@ -166,6 +147,7 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS)
     """The water through points of its surface, with the standard deviation of its level at ``level_at``."""
     source = points[0].source if points else "points"
     coordinates = np.array([(*each.place, each.level_m) for each in points if each.place is not None]).reshape(-1, 3)
+    stds = np.array([each.std_m for each in points])
     # Slopes are metres of height in metres of ground, whatever the unit of crs.
     unit_m = metres_per_unit(crs, coordinates) if len(coordinates) else np.ones(2)
     if not np.isfinite(unit_m).all():
@@ -173,42 +155,32 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS)
         unit_m = np.ones(2)
     coordinates[:, :2] *= unit_m
     free = water.slope_east == 0.0 == water.slope_north
-    fit = fit_surface(
-        coordinates, np.array([each.std_m for each in points]), with_slopes=free, least=1 if source == "clicks" else 3
-    )
-    # By the slopes, from the middle of the points to level_at.
-    east, north = (float(value) for value in np.array(fit.level_at) / unit_m)
-    level_at = water.level_at or (east, north)
-    fit = replace(fit, slope_east=fit.slope_east or water.slope_east, slope_north=fit.slope_north or water.slope_north)
-    slope = (fit.slope_east, fit.slope_north)
+    fit = fit_surface(coordinates, stds, with_slopes=free, least=1 if source == "clicks" else 3)
+    slope = (fit.slope_east or water.slope_east, fit.slope_north or water.slope_north)
     remedy = "points of two waters, of the bed or the bank are not of one surface: give those of the water alone"
     require_slope(slope, f"the points in [water] {source} have slopes east and north of", remedy)
+    # By the slopes, from the middle of the points to level_at.
+    east, north = (np.array(fit.level_at) / unit_m).tolist()
+    level_at = water.level_at or (east, north)
     offset_m = np.array(level_at) * unit_m - fit.level_at
-    level = fit.level_m + fit.slope_east * offset_m[0] + fit.slope_north * offset_m[1]
-    common = COMMON_STD_M.get(source, 0.0)
-    std = math.hypot(math.sqrt(np.array([1.0, *offset_m]) @ fit.covariance @ np.array([1.0, *offset_m])), common)
+    level = fit.level_m + float(np.array(slope) @ offset_m)
+    terms, common = np.array([1.0, *offset_m]), COMMON_STD_M.get(source, 0.0)
+    std = math.hypot(math.sqrt(terms @ fit.covariance @ terms), common)
     shared = f", of which {common:g} m that all of them share" if common else ""
     message = (
         f"level_m = {level:.3f} +- {std:.3f} from {len(coordinates)} points in [water] {source}, slope "
-        f"{fit.slope_east:.5f} east and {fit.slope_north:.5f} north{shared}"
+        f"{slope[0]:.5f} east and {slope[1]:.5f} north{shared}"
     )
     level_std_m = water.level_std_m or min(std, MOST_LEVEL_STD_M)
     warning = None
     if source in _MEASURED:
-        stds = np.array([each.std_m for each in points])
-        warning = plane_warning(coordinates, stds, level_std_m, source) if free else None
         residuals = coordinates[:, 2] - fit.level_m - (coordinates[:, :2] - fit.level_at) @ slope
+        warning = plane_warning(coordinates, stds, level_std_m, source) if free else None
         warning = warning or _far_warning(residuals, stds, source)
     water = replace(
-        water,
-        level_m=level,
-        level_at=level_at,
-        slope_east=fit.slope_east,
-        slope_north=fit.slope_north,
-        level_std_m=level_std_m,
-        layer=None,
-        sources=LevelSources(),
-    )
+        water, level_m=level, level_at=level_at, slope_east=slope[0], slope_north=slope[1], level_std_m=level_std_m,
+        layer=None, sources=LevelSources(),
+    )  # fmt: skip
     return water, Findings((message,), () if warning is None else (warning,))
 
 
@@ -218,17 +190,17 @@ def _far_warning(residuals: np.ndarray, stds: np.ndarray, source: str) -> str | 
     if not far.any():
         return None
     worst = float(residuals[np.argmax(np.abs(residuals))])
+    message = (
+        f"{int(far.sum())} of {len(far)} points in [water] {source} lie more than {_FAR:g} standard deviations from "
+        f"the plane through all, the farthest {length(abs(worst))}"
+    )
     if far.mean() > _MOST_FAR:
         raise ConfigError(
-            f"{int(far.sum())} of {len(far)} points in [water] {source} lie more than {_FAR:g} standard deviations "
-            f"from the plane through all, the farthest {length(abs(worst))}: they are not of one water; leave out "
-            "those of the bed, the bank or another water, or give the accuracy of the points in a column std"
+            f"{message}: they are not of one water; leave out those of the bed, the bank or another water, or give "
+            "the accuracy of the points in a column std"
         )
-    return (
-        f"{int(far.sum())} of {len(far)} points in [water] {source} lie more than {_FAR:g} standard deviations from "
-        f"the plane through all, the farthest {length(abs(worst))} {'over' if worst > 0.0 else 'under'} it: check that "
-        "none is of the bed, the bank or another water"
-    )
+    side = "over" if worst > 0.0 else "under"
+    return f"{message} {side} it: check that none is of the bed, the bank or another water"
 
 
 def fit_surface(
@@ -242,28 +214,24 @@ def fit_surface(
     points = np.asarray(points, dtype=np.float64)
     if len(points) < least:
         raise ConfigError(
-            f"{len(points)} points of the water surface were found, expected {_IN_WORDS[least]} or more; measure "
-            "more, or give level_m"
+            f"{len(points)} points of the water surface were found, expected {'three' if least == 3 else 'one'} or "
+            "more; measure more, or give level_m"
         )
     stds = np.full(len(points), _LEAST_STD_M) if stds is None else stds
-    middle = points[:, :2].mean(axis=0)
-    level_at = (float(middle[0]), float(middle[1]))
-    design = np.column_stack([np.ones(len(points)), points[:, :2] - middle])
+    east, north = points[:, :2].mean(axis=0).tolist()
+    design = np.column_stack([np.ones(len(points)), points[:, :2] - (east, north)])
     # Points along one line do not determine the slope across it.
     spread = np.linalg.svd(design[:, 1:], compute_uv=False)
-    if with_slopes and len(points) >= _LEAST_FOR_SLOPES and spread[1] > 0.05 * spread[0]:
+    if with_slopes and len(points) >= _FEW and spread[1] > 0.05 * spread[0]:
         values, covariance = _robust(design, points[:, 2], stds)
         if math.hypot(*values[1:]) > MOST_SLOPE:
             # The scatter of few points may be small by chance: no water slopes so.
             values, covariance = _robust(design, points[:, 2], stds, 1.0)
-        slopes, rough = values[1:], covariance[1:, 1:]
-        if slopes @ np.linalg.solve(rough, slopes) > _SIGNIFICANT**2:
-            level, east, north = values.tolist()
-            return SurfaceFit(level, level_at, east, north, covariance)
+        if values[1:] @ np.linalg.solve(covariance[1:, 1:], values[1:]) > _SIGNIFICANT**2:
+            level, slope_east, slope_north = values.tolist()
+            return SurfaceFit(level, (east, north), slope_east, slope_north, covariance)
     values, covariance = _robust(design[:, :1], points[:, 2], stds)
-    padded = np.zeros((3, 3))
-    padded[0, 0] = covariance[0, 0]
-    return SurfaceFit(float(values[0]), level_at, 0.0, 0.0, padded)
+    return SurfaceFit(float(values[0]), (east, north), 0.0, 0.0, np.diag([covariance[0, 0], 0.0, 0.0]))
 
 
 def _robust(
@@ -275,7 +243,13 @@ def _robust(
     """
     # Such files are rounded to a millimetre: the scatter is not smaller than that.
     least = max(_LEAST_STD_M / float(np.median(stds)), 1.0 if len(heights) < _FEW else least_scatter)
-    values, weights, scatter = huber_fit(design, heights, stds, least)
+    weights, scatter = np.ones(len(heights)), least
+    for _ in range(_MOST_ROUNDS):
+        root = np.sqrt(weights) / stds
+        values = np.linalg.lstsq(design * root[:, None], heights * root, rcond=None)[0]
+        normalised = np.abs(heights - design @ values) / stds
+        scatter = max(float(std_by_median(normalised)), least)
+        weights = huber_weights(normalised, scatter, HUBER_OF_MANY)
     normal = design.T @ ((weights / stds**2)[:, None] * design)
     return values, np.linalg.inv(normal) * scatter**2 * len(heights) / max(len(heights) - design.shape[1], 1)
 

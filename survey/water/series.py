@@ -11,7 +11,6 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
@@ -21,14 +20,12 @@ from survey.errors import ConfigError, Findings
 from survey.settings.water import MOST_RATE_M_PER_H
 from survey.water.gauge_files import Reading, Series
 
-# Beyond this many standard deviations, of the stated one or of the scatter of the series if that is larger.
+# Contradicted beyond this many standard deviations, of the stated one or of the scatter of the series if larger.
 _CONTRADICTED = 5.0
 # Noise of a reading against the line through two neighbours, over that against the cubic through four: sqrt(5 / 1.94).
 _OF_A_LINE = 1.6
-# Readings in a run at most: more may be a seiche or a wake.
-_LONGEST_RUN = 3
-# Share of readings that may be left out; where more are, it is no series of one water.
-_MOST_LEFT_OUT = 0.1
+# Readings in a run at most (more may be a seiche or a wake), and the share of readings that may be left out.
+_LONGEST_RUN, _MOST_LEFT_OUT = 3, 0.1
 # Readings farther from the flight than three tides [h] say nothing of it, nor do more than so many on each side.
 _AROUND_H, _MOST_ON_A_SIDE = 37.2, 500
 # Least distance [m] of a number for no data from all other levels; it is also farther than their range.
@@ -48,34 +45,54 @@ def levels_at(series: Series, moments: np.ndarray) -> tuple[np.ndarray, float, t
 
     With what interpolation adds to the standard deviation [m] of the mean level.
     """
-    near = _near(series.readings, float(moments.min()), float(moments.max()))
+    path, near = series.path, _near(series.readings, float(moments.min()), float(moments.max()))
     readings, left_out = without_markers(near)
-    times = np.array([each.time.timestamp() for each in readings]) / 3600.0
-    levels = np.array([each.level_m for each in readings])
-    stds = np.array([each.std_m for each in readings])
+    times, levels, stds = _columns(readings)
     is_of_extremes = series.is_of_extremes or are_extremes(times, levels)
     if not is_of_extremes:
-        keep = ~contradicted(times, levels, stds)
-        left_out += [each for each, is_kept in zip(readings, keep, strict=True) if not is_kept]
-        readings = tuple(each for each, is_kept in zip(readings, keep, strict=True) if is_kept)
-        times, levels, stds = times[keep], levels[keep], stds[keep]
-    parts = [f"{each.where.rpartition(', ')[2]} ({each.text} at {each.time:%d %b %H:%M})" for each in left_out]
-    warnings = named(parts, "reading", f"of {series.path.name} that the others contradict, left out")
+        wrong = contradicted(times, levels, stds)
+        left_out += [readings[i] for i in np.flatnonzero(wrong)]
+        readings = tuple(readings[i] for i in np.flatnonzero(~wrong))
+        times, levels, stds = times[~wrong], levels[~wrong], stds[~wrong]
+    parts = [f"{each.line} ({each.text} at {each.time:%d %b %H:%M})" for each in left_out]
+    warnings = named(parts, "reading", f"of {path.name} that the others contradict, left out")
     if len(left_out) > _MOST_LEFT_OUT * len(near) and sum(not each.is_marker for each in left_out) > 1:
-        raise ConfigError(f"{warnings[0]}; they are too many for a series of one water: correct {series.path}")
-    first, last = moments.min() / 3600.0, moments.max() / 3600.0
+        raise ConfigError(f"{warnings[0]}; they are too many for a series of one water: correct {path}")
+    hours = moments / 3600.0
+    first, last = hours.min(), hours.max()
     if len(times) < 2 or first < times[0] or last > times[-1]:
         covered = f"runs from {_shown(times[0])} to {_shown(times[-1])}" if len(times) else "has no level"
         raise ConfigError(
-            f"{series.path} {covered}, but images were taken from {_shown(first)} to {_shown(last)}; add the readings "
+            f"{path} {covered}, but images were taken from {_shown(first)} to {_shown(last)}; add the readings "
             f"around the flight{''.join(f'; {text}' for text in warnings)}"
         )
     require_slow(readings)
+    i = np.clip(np.searchsorted(times, hours, side="right") - 1, 0, len(times) - 2)
+    before, after = hours - times[i], times[i + 1] - hours
     if is_of_extremes:
-        at, std, notes = _cosines(series.path, times, levels, moments / 3600.0)
-        return at, std, readings, Findings(notes, tuple(warnings))
-    at, std, of_gap = _lines(series.path, readings, times, levels, stds, moments / 3600.0)
-    return at, std, readings, Findings(warnings=(*warnings, *of_gap))
+        rise, share = levels[i + 1] - levels[i], before / (before + after)
+        at = levels[i] + rise * 0.5 * (1.0 - np.cos(np.pi * share))
+        note = f"{path.name} has high and low waters alone: the level between them is half a cosine"
+        return at, _COSINE * float(np.abs(rise).max()), readings, Findings((note,), tuple(warnings))
+    longest = float((before + after).max())
+    bend, is_known = curvature(times, levels, stds, longest)
+    std = float(np.mean(0.5 * before * after)) * bend
+    if std > float(np.median(stds)) or not (is_known or longest <= _LONG_H):
+        j = int(i[np.argmax(before + after)])
+        by = "by the curvature of the series" if is_known else "by the tide that their difference may be a part of"
+        warnings.append(
+            f"the readings of {path.name} around the flight are {longest:.2g} h apart ({_shown(times[j])}, "
+            f"{readings[j].line}, to {_shown(times[j + 1])}): the level between them is known to "
+            f"{length(std)} {by}; add readings during the flight"
+        )
+    return np.interp(hours, times, levels), std, readings, Findings(warnings=tuple(warnings))
+
+
+def _columns(readings: Sequence[Reading]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times [h since 1970], levels and stds [m], (N,) each."""
+    rows = [(each.time.timestamp() / 3600.0, each.level_m, each.std_m) for each in readings]
+    times, levels, stds = np.array(rows).reshape(-1, 3).T
+    return times, levels, stds
 
 
 def _near(readings: tuple[Reading, ...], first: float, last: float) -> tuple[Reading, ...]:
@@ -105,10 +122,9 @@ def contradicted(times: np.ndarray, levels: np.ndarray, stds: np.ndarray) -> np.
     for size in range(1, _LONGEST_RUN + 1):
         while len(keep) > size + 3:
             residuals, sides = _run_residuals(times[keep], levels[keep], size)
-            least = np.abs(residuals).min(axis=1)
             # At a step one side contradicts alone.
             one_sign = (np.sign(np.hstack([residuals, sides])) == np.sign(residuals[:, :1])).all(axis=1)
-            least = np.where(one_sign, np.minimum(least, np.abs(sides).min(axis=1) / _OF_A_LINE), 0.0)
+            least = np.minimum(np.abs(residuals).min(axis=1), np.abs(sides).min(axis=1) / _OF_A_LINE) * one_sign
             worst = int(np.argmax(least))
             rest = np.delete(keep, np.arange(worst + 1, worst + 1 + size))
             # The scatter of the series without the run, which would hide itself among few readings.
@@ -124,9 +140,7 @@ def contradicted(times: np.ndarray, levels: np.ndarray, stds: np.ndarray) -> np.
             at = _through(times[keep[near]][None], levels[keep[near]][None], times[keep[[end]]])
             if abs(levels[keep[end]] - at[0]) > _CONTRADICTED * scatter:
                 keep = np.delete(keep, end)
-    mask = np.ones(len(times), dtype=bool)
-    mask[keep] = False
-    return mask
+    return ~np.isin(np.arange(len(times)), keep)
 
 
 def _run_residuals(times: np.ndarray, levels: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -163,10 +177,9 @@ def _through(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
 def require_levels(readings: Sequence[Reading]) -> None:
     """Raise ConfigError where one of the levels of photographs, in their order, is none, by those before and after."""
     kept, wrong = without_markers(tuple(readings))
-    levels, stds = np.array([each.level_m for each in kept]), np.array([each.std_m for each in kept])
+    _, levels, stds = _columns(kept)
     # Photographs of a burst have one time.
-    mask = contradicted(np.arange(len(kept), dtype=np.float64), levels, stds)
-    wrong += [each for each, is_wrong in zip(kept, mask, strict=True) if is_wrong]
+    wrong += [kept[i] for i in np.flatnonzero(contradicted(np.arange(len(kept), dtype=np.float64), levels, stds))]
     if wrong:
         more = f", and so are {len(wrong) - 1} others" if len(wrong) > 1 else ""
         raise ConfigError(
@@ -190,49 +203,9 @@ def require_slow(readings: tuple[Reading, ...]) -> None:
         if abs(other.level_m - one.level_m) > most:
             raise ConfigError(
                 f"{other.where}: the level is {other.text} after {one.text} {60.0 * hours:.2g} minutes before "
-                f"({one.where.rpartition(', ')[2]}), faster than water rises ({MOST_RATE_M_PER_H:g} m/h); correct or "
-                "remove the line that is wrong"
+                f"({one.line}), faster than water rises ({MOST_RATE_M_PER_H:g} m/h); correct or remove the line that "
+                "is wrong"
             )
-
-
-def _cosines(
-    path: Path, times: np.ndarray, levels: np.ndarray, moments: np.ndarray
-) -> tuple[np.ndarray, float, tuple[str, ...]]:
-    """Levels at moments, half a cosine between high and low waters, their std and what was assumed."""
-    i = np.clip(np.searchsorted(times, moments, side="right") - 1, 0, len(times) - 2)
-    share = (moments - times[i]) / (times[i + 1] - times[i])
-    at = levels[i] + (levels[i + 1] - levels[i]) * 0.5 * (1.0 - np.cos(np.pi * share))
-    std = _COSINE * float(np.abs(levels[i + 1] - levels[i]).max())
-    return at, std, (f"{path.name} has high and low waters alone: the level between them is half a cosine",)
-
-
-def _lines(
-    path: Path,
-    readings: tuple[Reading, ...],
-    times: np.ndarray,
-    levels: np.ndarray,
-    stds: np.ndarray,
-    moments: np.ndarray,
-) -> tuple[np.ndarray, float, tuple[str, ...]]:
-    """Levels at moments on straight lines between readings, their std, and a warning where readings are far apart."""
-    i = np.clip(np.searchsorted(times, moments, side="right") - 1, 0, len(times) - 2)
-    hours = float((times[i + 1] - times[i]).max())
-    bend, is_known = curvature(times, levels, stds, hours)
-    std = float(np.mean(0.5 * (moments - times[i]) * (times[i + 1] - moments))) * bend
-    at = np.interp(moments, times, levels)
-    if std <= float(np.median(stds)) and (is_known or hours <= _LONG_H):
-        return at, std, ()
-    j = int(i[np.argmax(times[i + 1] - times[i])])
-    by = "by the curvature of the series" if is_known else "by the tide that their difference may be a part of"
-    return (
-        at,
-        std,
-        (
-            f"the readings of {path.name} around the flight are {hours:.2g} h apart ({_shown(times[j])}, "
-            f"{readings[j].where.rpartition(', ')[2]}, to {_shown(times[j + 1])}): the level between them is known to "
-            f"{length(std)} {by}; add readings during the flight",
-        ),
-    )
 
 
 def curvature(times: np.ndarray, levels: np.ndarray, stds: np.ndarray, hours: float) -> tuple[float, bool]:
@@ -243,10 +216,9 @@ def curvature(times: np.ndarray, levels: np.ndarray, stds: np.ndarray, hours: fl
     """
     before = np.searchsorted(times, times - 0.5 * hours, side="right") - 1
     after = np.searchsorted(times, times + 0.5 * hours, side="left")
-    inside = (before >= 0) & (after < len(times))
-    k, p, n = np.flatnonzero(inside), before[inside], after[inside]
-    near = times[n] - times[p] <= 4.0 * hours
-    k, p, n = k[near], p[near], n[near]
+    k = np.flatnonzero((before >= 0) & (after < len(times)))
+    k = k[times[after[k]] - times[before[k]] <= 4.0 * hours]
+    p, n = before[k], after[k]
     if not len(k):
         # A difference within the noise of readings may be so large.
         rate = float((np.maximum(np.abs(np.diff(levels)), np.hypot(stds[1:], stds[:-1])) / np.diff(times)).max())

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import shapely
@@ -45,7 +44,7 @@ def points_of_features(path: Path, crs: CRS, layer: str | None = None) -> tuple[
     layers those of one, or of several with commas between their names. Without a CRS of its own a file is in crs;
     GeoJSON is in longitude and latitude (RFC 7946), unless its numbers are too large for degrees.
     """
-    features, own_crs, unit_m = _content(path, layer)
+    features, own_crs, drawn_m = _content(path, layer)
     if own_crs is not None and has_height(own_crs) and not has_same_heights(own_crs, crs):
         raise ConfigError(
             f"{path} has heights in {crs_name(own_crs)}, expected those of {crs_name(crs)}; transform it, or state "
@@ -60,16 +59,18 @@ def points_of_features(path: Path, crs: CRS, layer: str | None = None) -> tuple[
     points = np.array(list(dict.fromkeys(place for place, _ in vertices))).reshape(-1, 3)
     if (wrong := next((height for height in points[:, 2].tolist() if is_no_data_value(height)), None)) is not None:
         raise ConfigError(f"{path} has the height {wrong:g}, a no-data value; remove those points")
-    points, of_unit = _in_unit_of(points, unit_m, crs, path)
-    source, target = None if own_crs is None else horizontal_crs(own_crs), horizontal_crs(crs)
-    if source is None:
-        is_in_degrees = bool((np.abs(points[:, :2]) <= (180.0, 90.0)).all())
+    points, of_unit = _in_unit_of(points, drawn_m, crs, path)
+    if own_crs is not None:
+        source = horizontal_crs(own_crs)
+    else:
         is_geojson = path.suffix.lower() in GEOJSON
+        is_in_degrees = bool((np.abs(points[:, :2]) <= (180.0, 90.0)).all())
         if not (is_geojson and is_in_degrees) or is_geographic(crs):
             reason = ", and its coordinates are too large for degrees" if is_geojson and not is_in_degrees else ""
             return points, (*notes, *of_unit, f"{path.name} names no CRS{reason}: taken as crs")
         source = WGS84
         notes = (*notes, f"{path.name} names no CRS: taken as longitude and latitude of WGS 84 (RFC 7946)")
+    target = horizontal_crs(crs)
     if len(points) and not source.equals(target, ignore_axis_order=True):
         points = transformed(source, target, points, str(path), "or give the points in crs.")
         if not np.isfinite(points).all():
@@ -112,18 +113,15 @@ def _is_in_area(crs: CRS, points: np.ndarray) -> bool:
 def require_one_water(path: Path, heights: Mapping[str, Sequence[float]], unit_m: float) -> None:
     """Raise ConfigError where layers of a file have different heights, in a unit [m]: they are not of one water."""
     ranges = {name: (min(values), max(values)) for name, values in heights.items() if len(values)}
-    if len(ranges) < 2:
+    if len(ranges) < 2 or np.ptp(list(ranges.values())) * unit_m <= _ONE_HEIGHT_M:
         return
-    low, high = min(low for low, _ in ranges.values()), max(high for _, high in ranges.values())
-    if (high - low) * unit_m <= _ONE_HEIGHT_M:
-        return
-    found = [
+    each = [
         f"{name or 'without a name'} ({low:.2f}" + (f" to {high:.2f})" if high > low else ")")
         for name, (low, high) in ranges.items()
     ]
     raise ConfigError(
-        f"{path} has {len(found)} layers or codes of points, with the heights {listed(found)}; give the one that is "
-        f'the water, e.g. [water] layer = "{min(ranges, key=lambda name: ranges[name][1] - ranges[name][0])}", or '
+        f"{path} has {len(each)} layers or codes of points, with the heights {listed(each)}; give the one that is "
+        f'the water, e.g. [water] layer = "{min(ranges, key=lambda name: np.ptp(ranges[name]))}", or '
         'several as "a, b"'
     )
 
@@ -132,8 +130,8 @@ def layers_named(layer: str, names: Collection[str], path: Path) -> list[str]:
     """The layers, or codes of points, that [water] layer names: one of those of a file, or several with commas."""
     wanted = [layer] if layer in names else [part.strip() for part in layer.split(",")]
     if missing := [name for name in wanted if name not in names]:
-        listed = ", ".join(name or "one without a name" for name in names)
-        raise ConfigError(f'{path} has no layer or code "{missing[0]}", expected one of its own: {listed}')
+        others = ", ".join(name or "one without a name" for name in names)
+        raise ConfigError(f'{path} has no layer or code "{missing[0]}", expected one of its own: {others}')
     return wanted
 
 
@@ -145,33 +143,28 @@ def _content(path: Path, layer: str | None) -> tuple[list[tuple[Feature, str]], 
         parts = {name: read_features(path, "points, lines or polygons", name) for name in layers_of(path)}
     except UnreadableFile as error:
         raise ConfigError(str(error)) from error
-    several = len(parts) > 1
-    found = [
-        (each, (name or "") if several else each.layer, part)
+    features = [
+        (feature, (name or "") if len(parts) > 1 else feature.layer, part)
         for name, part in parts.items()
-        for each in part.features
-        if not each.geometry.is_empty
+        for feature in part.features
+        if not feature.geometry.is_empty
     ]
-    names = dict.fromkeys(name for _, name, _ in found)
+    names = dict.fromkeys(name for _, name, _ in features)
     if layer is not None:
         wanted = layers_named(layer, names, path)
-        found = [each for each in found if each[1] in wanted]
-    kinds = {part.crs.srs if part.crs is not None else "": part for _, _, part in found} or {
-        "": next(iter(parts.values()))
-    }
-    if len(kinds) > 1:
+        features = [row for row in features if row[1] in wanted]
+    by_crs = {"" if part.crs is None else part.crs.srs: part for _, _, part in features}
+    if len(by_crs) > 1:
         raise ConfigError(f"{path} has layers in several CRSs; give one of them in [water] layer: {', '.join(names)}")
-    (part,) = kinds.values()
-    return [(each, name) for each, name, _ in found], part.crs, part.unit_m
+    part = next(iter((by_crs or parts).values()))
+    return [(feature, name) for feature, name, _ in features], part.crs, part.unit_m
 
 
 def _vertices(
     path: Path, features: list[tuple[Feature, str]], unit_m: float
 ) -> tuple[list[tuple[tuple[float, float, float], str]], tuple[str, ...]]:
     """Place and layer of each vertex, and a note where heights are those of a property, though there are third ones."""
-    coordinates = [
-        shapely.get_coordinates(each.geometry, include_z=each.geometry.has_z).tolist() for each, _ in features
-    ]
+    coordinates = [shapely.get_coordinates(f.geometry, include_z=f.geometry.has_z).tolist() for f, _ in features]
     thirds = [place[2] for places in coordinates for place in places if len(place) > 2]
     is_flat = bool(thirds) and not any(thirds)
     names = sorted({name for feature, _ in features for name in _like_heights(feature)}) if is_flat else []
@@ -185,40 +178,45 @@ def _vertices(
             has_third = len(place) > 2 and uses_third
             height = place[2] if has_third else _height_of(path, feature, unit_m, is_flat=is_flat)
             vertices.append(((place[0], place[1], height), layer))
-    if not names:
-        return vertices, ()
-    return vertices, (f"all third coordinates of {path.name} are 0: heights are those of its property {names[0]}",)
+    return vertices, tuple(
+        f"all third coordinates of {path.name} are 0: heights are those of its property {name}" for name in names[:1]
+    )
+
+
+def _numbers_of(feature: Feature) -> dict[str, float]:
+    """Properties that are finite numbers, or texts that are, as columns of text are exported."""
+    texts = {str(name): str(v) for name, v in feature.properties.items() if isinstance(v, int | float | str)}
+    numbers = {name: number_of(text) for name, text in texts.items() if len(text) < 40}
+    return {name: number for name, number in numbers.items() if math.isfinite(number)}
 
 
 def _like_heights(feature: Feature) -> list[str]:
     """Names of properties that hold a number and may be a height."""
-    names = {str(name): str(name).casefold() for name, value in feature.properties.items() if _is_number(value)}
+    names = {name: name.casefold() for name in _numbers_of(feature)}
     return [name for name, low in names.items() if meaning(low, _WORDS) or any(part in low for part in _LIKE_HEIGHTS)]
 
 
 def _height_of(path: Path, feature: Feature, unit_m: float, *, is_flat: bool) -> float:
     """The height among the properties of a feature; ConfigError where there is none, or several that differ."""
-    numbers = {str(name).casefold(): number_of(str(v)) for name, v in feature.properties.items() if _is_number(v)}
-    known = {name: meaning(name, _WORDS) for name in numbers}
-    heights = {name: numbers[name] * (found[1] or unit_m) / unit_m for name, found in known.items() if found}
-    flat = "third coordinates that are all 0, and " if is_flat else ""
-    remedy = f"keep one property {HEIGHT_NAMES[0]} with the height in crs, or give the height as third coordinate"
-    if len(set(heights.values())) > 1:
-        message = ", ".join(f"{name} = {numbers[name]:g}" for name in heights)
-        raise ConfigError(f"{path} has {flat}several properties that may be the height ({message}); {remedy}")
-    if heights:
+    numbers = _numbers_of(feature)
+    known = {name.casefold(): (number, meaning(name.casefold(), _WORDS)) for name, number in numbers.items()}
+    heights = {name: number * (means[1] or unit_m) / unit_m for name, (number, means) in known.items() if means}
+    if len(set(heights.values())) == 1:
         return next(iter(heights.values()))
-    if like := _like_heights(feature):
-        message = ", ".join(f"{name} = {float(feature.properties[name]):g}" for name in like[:4])
-        raise ConfigError(f"{path} has {flat or 'positions without a height, and '}the property {message}; {remedy}")
+    flat = "third coordinates that are all 0, and " if is_flat else ""
+    if heights:
+        texts = [f"{name} = {known[name][0]:g}" for name in heights]
+        lack = f"{flat}several properties that may be the height ({', '.join(texts)})"
+    elif like := _like_heights(feature):
+        texts = [f"{name} = {numbers[name]:g}" for name in like[:4]]
+        lack = f"{flat or 'positions without a height, and '}the property {', '.join(texts)}"
+    else:
+        raise ConfigError(
+            f"{path} has {'features' if is_flat else 'positions'} without a height, expected three coordinates, or a "
+            f"property {HEIGHT_NAMES[0]}; a line in plan alone does not tell the level: measure heights along it, or "
+            "give level_m"
+        )
     raise ConfigError(
-        f"{path} has {'features without a height' if is_flat else 'positions without a height'}, expected three "
-        f"coordinates, or a property {HEIGHT_NAMES[0]}; a line in plan alone does not tell the level: measure heights "
-        "along it, or give level_m"
+        f"{path} has {lack}; keep one property {HEIGHT_NAMES[0]} with the height in crs, or give the height as third "
+        "coordinate"
     )
-
-
-def _is_number(value: Any) -> bool:
-    """Whether a property is a finite number, or a text that is one, as columns of text are exported."""
-    is_short = isinstance(value, int | float | str) and not isinstance(value, bool) and len(str(value)) < 40
-    return is_short and math.isfinite(number_of(str(value)))

@@ -3,21 +3,17 @@
 Source: the PLY format of the Stanford 3D scanning repository. Every element becomes a table of columns; ASCII
 is read as if it were binary with doubles throughout.
 
-No library reads or writes it here. plyfile, the usual one, is under the GNU General Public License (3 or later), which
-would bind anyone who redistributes this package under the Apache License, and reads lists row by row. trimesh 5.2.0
-writes in single precision, and rounds those of ASCII files that say "float" so: at a northing of 5,311,475 m
-a mesh comes back 0.25 m off. It drops comments, and with them the CRS, and refuses binary files with polygons of
-several sizes. Of 250,000 vertices with 500,000 triangles in ASCII it takes 2.3 s of processor time, this module 1.3 s.
-
-CloudCompare opens properties whose name begins with ``scalar_`` as scalar fields, and shows them without the prefix.
+By hand: plyfile is under the GNU General Public License, trimesh 5.2.0 rounds to single precision (0.25 m at a northing
+of 5,311,475 m) and drops the CRS. CloudCompare opens properties whose name begins with ``scalar_`` as scalar fields,
+without the prefix.
 """
 
 from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -74,19 +70,19 @@ def write_ply(
         Triangles.
     """
     points = np.asarray(points_crs, dtype=np.float64)
-    columns: dict[Sequence[str], np.ndarray] = {"xyz": points}
-    if rgb is not None:
-        columns[_COLOURS] = np.asarray(rgb, dtype=np.uint8)
-    for values in columns.values():
+    colours = None if rgb is None else np.asarray(rgb, dtype=np.uint8)
+    for values in (points, points if colours is None else colours):
         if values.shape != (len(points), 3):
             raise ValueError(f"expected points and colours (N, 3), got {points.shape} and {values.shape}")
-    scalars = scalars or {}
-    fields = [(name, "<f8" if names == "xyz" else "u1") for names in columns for name in names]
-    for name, values in scalars.items():
-        if not name.isidentifier() or name in dict(fields):
+    columns = dict(zip("xyz", points.T, strict=True))
+    columns |= {} if colours is None else dict(zip(_COLOURS, colours.T, strict=True))
+    fields = [(name, "<f8" if name in "xyz" else "u1") for name in columns]
+    for name, values in (scalars or {}).items():
+        if not name.isidentifier() or name in columns:
             raise ValueError(f"{name!r} cannot name a property; expected one word that is not in use")
         if np.shape(values) != points.shape[:1]:
             raise ValueError(f"{name} has shape {np.shape(values)}, expected {points.shape[:1]}")
+        columns[SCALAR + name] = values
         fields.append((SCALAR + name, "<f4"))
     lines = ["ply", "format binary_little_endian 1.0", "comment bathynerf", *_crs_comments(crs)]
     lines += [f"element vertex {len(points)}", *(f"property {_WORDS[kind]} {name}" for name, kind in fields)]
@@ -96,14 +92,10 @@ def write_ply(
         stream.write("\n".join([*lines, "end_header", ""]).encode())
         for rows in portions(len(points), _PORTION):
             table = np.empty(len(points[rows]), dtype=fields)
-            for names, column in columns.items():
-                for name, values in zip(names, column[rows].T, strict=True):
-                    table[name] = values
-            for name, values in scalars.items():
-                table[SCALAR + name] = values[rows]
+            for name, values in columns.items():
+                table[name] = values[rows]
             stream.write(table.view(np.uint8).data)
-        if faces is None:
-            return
+        faces = np.empty((0, 3)) if faces is None else faces
         for rows in portions(len(faces), _PORTION):
             triangles = np.empty(len(faces[rows]), dtype=[("corners", "u1"), ("vertices", "<i4", 3)])
             triangles["corners"], triangles["vertices"] = 3, faces[rows]
@@ -129,13 +121,12 @@ class _Property(NamedTuple):
 
     name: str
     kind: str
-    count_kind: str | None = None
+    count_kind: str = ""
 
 
-@dataclass(frozen=True)
-class _Element:
+class _Element(NamedTuple):
     name: str
-    count: int
+    num: int
     properties: list[_Property]
 
 
@@ -154,13 +145,13 @@ def read_ply(path: str | Path) -> Mesh | Cloud:
     path = existing_file(path)
     data = path.read_bytes()
     try:
-        is_ascii, order, elements, start, crs_text = _header(data)
-        tables: dict[str, dict] = {}
+        form, elements, start, crs_text = _header(data)
         body = memoryview(data)[start:]
-        if is_ascii:
+        if form == "ascii":
             body, elements = _binary_of_ascii(body, elements)
+        tables: dict[str, dict] = {}
         for element in elements:
-            tables[element.name], used = _table(body, element, order)
+            tables[element.name], used = _table(body, element, _ORDERS[form])
             body = body[used:]
         shape = _shape(tables)
     except _Damaged as error:
@@ -171,14 +162,13 @@ def read_ply(path: str | Path) -> Mesh | Cloud:
     return replace(shape, crs=crs, notes=notes)
 
 
-def _header(data: bytes) -> tuple[bool, str, list[_Element], int, str]:
-    """Header: is it ASCII, the byte order, the elements, where the body starts, and the CRS of comments, or ""."""
+def _header(data: bytes) -> tuple[str, list[_Element], int, str]:
+    """Format, elements, where the body starts, and the CRS of comments, or ""."""
     end = re.search(rb"^end_header[^\n]*\n", data, re.MULTILINE)
     if not data.startswith(b"ply") or end is None:
         raise _Damaged('it does not begin with "ply" and a header up to "end_header"')
-    form: str | None = None
+    form, code, wkt = "", "", ""
     elements: list[_Element] = []
-    code, wkt = "", ""
     for line in data[: end.start()].decode("ascii", "replace").splitlines()[1:]:
         words = line.split()
         try:
@@ -204,9 +194,9 @@ def _header(data: bytes) -> tuple[bool, str, list[_Element], int, str]:
                     raise ValueError(line)
         except (ValueError, KeyError, IndexError) as error:
             raise _Damaged(f'the line "{line[:60]}" of its header is not understood') from error
-    if form is None:
+    if not form:
         raise _Damaged("its header names no format")
-    return form == "ascii", _ORDERS[form], elements, end.end(), code or wkt
+    return form, elements, end.end(), code or wkt
 
 
 def _binary_of_ascii(body: memoryview, elements: list[_Element]) -> tuple[memoryview, list[_Element]]:
@@ -216,78 +206,61 @@ def _binary_of_ascii(body: memoryview, elements: list[_Element]) -> tuple[memory
     except ValueError as error:
         raise _Damaged(f"its body has a word that is not a number ({str(error)[:60]})") from error
     doubles = [
-        _Element(e.name, e.count, [_Property(p.name, "d", "d" if p.count_kind else None) for p in e.properties])
-        for e in elements
+        e._replace(properties=[_Property(p.name, "d", p.count_kind and "d") for p in e.properties]) for e in elements
     ]
     return memoryview(numbers.tobytes()), doubles
 
 
 def _table(body: memoryview, element: _Element, order: str) -> tuple[dict[str, np.ndarray | _Lists], int]:
     """The columns of an element by name, and the bytes it takes."""
-    shortest = sum(struct.calcsize(order + (p.count_kind or p.kind)) for p in element.properties)
-    if shortest * element.count > len(body):
-        raise _Damaged(f"it ends before the last of its {element.count} elements of kind {element.name}")
-    if element.count == 0:
-        lists = _Lists(np.zeros(0, np.int64), np.zeros(0))
-        return {p.name: lists if p.count_kind else np.zeros(0) for p in element.properties}, 0
-    return _even_table(body, element, order) or _uneven_table(body, element, order)
-
-
-def _even_table(body: memoryview, element: _Element, order: str) -> tuple[dict[str, np.ndarray | _Lists], int] | None:
-    """Result of `_table` if all lists of a column are as long as its first one; else None."""
-    _, lengths, _ = _row(body, 0, element, order)
-    fields: list[tuple] = []
-    for index, (p, length) in enumerate(zip(element.properties, lengths, strict=True)):
-        if p.count_kind:
-            fields.append((f"count {index}", order + p.count_kind))
-        fields.append((f"value {index}", order + p.kind, (length,) if p.count_kind else ()))
-    dtype = np.dtype(fields)
-    if dtype.itemsize * element.count > len(body):
-        return None
-    rows = np.frombuffer(body, dtype, element.count)
-    columns: dict[str, np.ndarray | _Lists] = {}
-    for index, (p, length) in enumerate(zip(element.properties, lengths, strict=True)):
-        values = rows[f"value {index}"]
-        columns[p.name] = values
-        if p.count_kind:
-            if (rows[f"count {index}"] != length).any():
-                return None
-            columns[p.name] = _Lists(np.full(element.count, length), values.reshape(-1))
-    return columns, dtype.itemsize * element.count
-
-
-def _uneven_table(body: memoryview, element: _Element, order: str) -> tuple[dict[str, np.ndarray | _Lists], int]:
-    """Result of `_table`, read row by row."""
-    columns: list[list[float]] = [[] for _ in element.properties]
-    counts: list[list[int]] = [[] for _ in element.properties]
-    offset = 0
-    for _ in range(element.count):
-        values, lengths, offset = _row(body, offset, element, order)
-        for column, lengths_so_far, value, length in zip(columns, counts, values, lengths, strict=True):
-            column.extend(value)
-            lengths_so_far.append(length)
-    return {
-        p.name: _Lists(np.array(length), np.array(column)) if p.count_kind else np.array(column)
-        for p, column, length in zip(element.properties, columns, counts, strict=True)
-    }, offset
-
-
-def _row(body: memoryview, offset: int, element: _Element, order: str):
-    """Values and their numbers, property by property, of the row at an offset, and the offset of the next."""
-    values, lengths = [], []
+    kind, count, properties = element
+    if sum(struct.calcsize(order + (p.count_kind or p.kind)) for p in properties) * count > len(body):
+        raise _Damaged(f"it ends before the last of its {count} elements of kind {kind}")
     try:
-        for p in element.properties:
-            length = 1
-            if p.count_kind:
-                length = int(struct.unpack_from(order + p.count_kind, body, offset)[0])
-                offset += struct.calcsize(order + p.count_kind)
-            form = f"{order}{length}{p.kind}"
-            values.append(struct.unpack_from(form, body, offset))
-            lengths.append(length)
-            offset += struct.calcsize(form)
+        first = _row(body, 0, properties, order)[0] if count else [(0.0,)] * len(properties)
+        fields: list[tuple] = []
+        for p, values in zip(properties, first, strict=True):
+            fields += [(f"count {p.name}", order + p.count_kind)] if p.count_kind else []
+            fields.append((p.name, order + p.kind, (len(values),) if p.count_kind else ()))
+        dtype = np.dtype(fields)
+        lists = {p.name: len(values) for p, values in zip(properties, first, strict=True) if p.count_kind}
+        if dtype.itemsize * count <= len(body):
+            rows = np.frombuffer(body, dtype, count)
+            if all((rows[f"count {name}"] == length).all() for name, length in lists.items()):
+                return {
+                    p.name: _Lists(np.full(count, lists[p.name]), rows[p.name].ravel())
+                    if p.count_kind
+                    else rows[p.name]
+                    for p in properties
+                }, dtype.itemsize * count
+        # Lists of several lengths.
+        columns: list[list[tuple]] = [[] for _ in properties]
+        offset = 0
+        for _ in range(count):
+            row, offset = _row(body, offset, properties, order)
+            for column, value in zip(columns, row, strict=True):
+                column.append(value)
     except (struct.error, ValueError, OverflowError) as error:
-        raise _Damaged(f"it ends, or breaks, within its elements of kind {element.name}") from error
-    return values, lengths, offset
+        raise _Damaged(f"it ends, or breaks, within its elements of kind {kind}") from error
+    table: dict[str, np.ndarray | _Lists] = {}
+    for p, column in zip(properties, columns, strict=True):
+        flat = np.array(list(chain.from_iterable(column)), dtype=order + p.kind)
+        table[p.name] = _Lists(np.array([len(value) for value in column]), flat) if p.count_kind else flat
+    return table, offset
+
+
+def _row(body: memoryview, offset: int, properties: list[_Property], order: str) -> tuple[list[tuple], int]:
+    """Values of each property in the row at an offset, and the offset of the next."""
+    values = []
+    for p in properties:
+        length = 1
+        if p.count_kind:
+            length = int(struct.unpack_from(order + p.count_kind, body, offset)[0])
+            offset += struct.calcsize(order + p.count_kind)
+        form = f"{order}{length}{p.kind}"
+        values.append(struct.unpack_from(form, body, offset))
+        offset += struct.calcsize(form)
+    return values, offset
 
 
 def _shape(tables: dict[str, dict]) -> Mesh | Cloud:
@@ -297,47 +270,35 @@ def _shape(tables: dict[str, dict]) -> Mesh | Cloud:
     if tables.get("tristrips"):
         raise _Damaged("it stores triangle strips; export it with a list of faces")
     points = np.stack([vertex[axis] for axis in "xyz"], axis=-1)
-    if points.dtype == np.float32:
-        _require_fine_steps(points)
+    if points.dtype.itemsize == 4:
+        largest = np.abs(points[np.isfinite(points)]).max(initial=0.0)
+        step = float(np.spacing(largest))
+        if step > _COARSEST_STEP:
+            raise _Damaged(
+                f"it stores coordinates up to {largest:.10g} in single precision, with a resolution of {step:.3g}; "
+                "export it with double precision"
+            )
     points = points.astype(np.float64)
+    rgb = None
+    if set(_COLOURS) <= vertex.keys() and all(vertex[name].dtype.kind in "uf" for name in _COLOURS):
+        stored = np.stack([vertex[name] for name in _COLOURS], axis=-1)
+        rgb = stored.astype(np.uint8) if ((stored >= 0) & (stored <= 255)).all() else None
     face = tables.get("face", {})
     corners = face.get("vertex_indices", face.get("vertex_index"))
     if isinstance(corners, _Lists) and len(corners.counts):
-        return Mesh(points, triangulated(corners.counts, corners.values), rgb=_rgb(vertex))
-    scalars = _scalars(vertex)
+        return Mesh(points, triangulated(corners.counts, corners.values), rgb=rgb)
+    scalars = {
+        name.removeprefix(SCALAR): np.array(values)
+        for name, values in vertex.items()
+        if name not in {"x", "y", "z", *_COLOURS} and isinstance(values, np.ndarray)
+    }
     # As CloudCompare and PDAL keep the classes and flags of LAS.
     by_name = {name.lower().replace(" ", "_"): values for name, values in scalars.items()}
     withheld = next((by_name[name] for name in _WITHHELD if name in by_name), None)
     return Cloud(
         points,
-        rgb=_rgb(vertex),
+        rgb=rgb,
         extra=scalars,
         classification=as_classes(by_name.get("classification")),
         withheld=None if withheld is None or not np.isin(withheld, (0, 1)).all() else withheld.astype(bool),
     )
-
-
-def _require_fine_steps(points: np.ndarray) -> None:
-    largest = np.abs(points[np.isfinite(points)]).max(initial=0.0)
-    step = float(np.spacing(largest))
-    if step > _COARSEST_STEP:
-        raise _Damaged(
-            f"it stores coordinates up to {largest:.10g} in single precision, with a resolution of {step:.3g}; "
-            "export it with double precision"
-        )
-
-
-def _rgb(vertex: dict[str, np.ndarray]) -> np.ndarray | None:
-    if not set(_COLOURS) <= vertex.keys() or any(vertex[name].dtype.kind not in "uf" for name in _COLOURS):
-        return None
-    rgb = np.stack([vertex[name] for name in _COLOURS], axis=-1)
-    return rgb.astype(np.uint8) if ((rgb >= 0) & (rgb <= 255)).all() else None
-
-
-def _scalars(vertex: dict[str, np.ndarray | _Lists]) -> dict[str, np.ndarray]:
-    known = {"x", "y", "z", *_COLOURS}
-    return {
-        name.removeprefix(SCALAR): np.array(values)
-        for name, values in vertex.items()
-        if name not in known and isinstance(values, np.ndarray)
-    }

@@ -21,10 +21,10 @@ import tomli_w
 from bench_methods import run_bathynerf
 from condition_scenes import CONDITIONS
 from method_cases import Case, case_of, variant
+from std_coverage import WALL_DEG, slope_below
 from tables import publish
 
-from evaluation import slope_below, vertical_difference
-from evaluation.vertical import WALL_DEG
+from evaluation import vertical_difference
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.compare.frame import to_local
 from survey.errors import FILE_NAME

@@ -23,10 +23,10 @@ import numpy as np
 from bench_methods import run_bathynerf
 from method_cases import case_of
 from method_records import Errors, errors_of
+from std_coverage import WALL_DEG, coverage_by_class, slope_below
 from stress_factors import blur, compressed, contrast, exposure, images, noise, with_waves
 
-from evaluation import coverage_by_class, slope_below, vertical_difference
-from evaluation.vertical import WALL_DEG
+from evaluation import vertical_difference
 from geo import read_reference
 from geo.las_header import extra_of
 from survey.simulate.drawn import DrawnScene, stage_drawing

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 from method_cases import Case
+from std_coverage import WALL_DEG, Coverage, slope_below
 
-from evaluation import Coverage, per_camera, slope_below, times_index, vertical_difference
-from evaluation.vertical import WALL_DEG
+from evaluation import per_camera, times_index, vertical_difference
 from geo import Mesh, read_cloud, write_cloud
 from geo.files import write_text
 from refract import FlatWater, PinholeCamera

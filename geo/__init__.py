@@ -30,21 +30,3 @@ from geo.las import read_cloud, write_cloud
 from geo.ply import write_ply
 from geo.reading import read_reference
 from geo.shapes import Cloud, Mesh
-
-__all__ = [
-    "Cloud",
-    "GeoError",
-    "LocalFrame",
-    "Mesh",
-    "crs_difference",
-    "parse_crs",
-    "read_cloud",
-    "read_reference",
-    "require_same_crs",
-    "require_same_place",
-    "same_crs",
-    "wkt1",
-    "write_cloud",
-    "write_ply",
-    "write_whole",
-]

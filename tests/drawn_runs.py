@@ -9,17 +9,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from std_coverage import WALL_DEG, Coverage, coverage_by_class, slope_below
 
-from evaluation import (
-    Coverage,
-    coverage_by_class,
-    distance_to_mesh,
-    is_reached,
-    slope_below,
-    vertical_difference,
-)
+from evaluation import distance_to_mesh, is_reached, vertical_difference
 from evaluation.c2m import MeshDistances
-from evaluation.vertical import WALL_DEG
 from geo import Cloud, Mesh, read_cloud, read_reference
 from geo.las import CLASS_BATHYMETRIC
 from survey.folder.survey import Survey, load_survey

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from drawn_runs import drawn
 from slow_cases import slow
+from std_coverage import WALL_DEG, coverage_by_class, slope_below
 
-from evaluation import coverage_by_class, slope_below, vertical_difference
-from evaluation.vertical import WALL_DEG
+from evaluation import vertical_difference
 from geo import read_cloud
 from survey.progress import Progress
 from survey.run.process import process

@@ -10,8 +10,8 @@ from control_files import METASHAPE, POINTS, SURVEY_CRS, gathered, marks, odm, t
 from pyproj import CRS, Transformer
 
 from geo.crs import height_unit_m
+from survey.control.formats import read_checkpoints
 from survey.control.reading import in_crs, merge_control, read_control
-from survey.control.tables import read_checkpoints
 
 WKT = CRS("EPSG:25832").to_wkt("WKT1_GDAL")
 FORMAT_FILES = {

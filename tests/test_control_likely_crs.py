@@ -10,8 +10,8 @@ from pyproj import CRS, Transformer
 from small_survey import write_image
 
 from geo.compatibility import likely_crs
-from survey.control.local_control import require_near
 from survey.control.points import GivenPoint
+from survey.control.reading import require_near
 from survey.display.quantities import distance_text
 from survey.errors import ControlError
 from survey.init.draft import draft

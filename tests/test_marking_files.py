@@ -8,7 +8,7 @@ from control_files import odm, table
 from small_survey import E0, LEVEL, N0, replaced, small_survey
 
 from geo.crs import parse_crs
-from survey.control.gcp_list import read_gcp_list
+from survey.control.formats import read_gcp_list
 from survey.errors import SurveyError
 from survey.folder.found import find_survey
 from survey.marking.gcp_file import ControlMark, header_of, points_without_mark, read_clicks, with_click, with_marks

@@ -21,7 +21,7 @@ from control_files import odm
 from PIL import Image
 from small_survey import E0, LEVEL, N0, TOML, small_survey, unposed
 
-from survey.control.gcp_list import read_gcp_list
+from survey.control.formats import read_gcp_list
 from survey.errors import SurveyError
 from survey.folder.found import find_survey
 from survey.folder.survey import load_survey

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
-from survey.errors import ControlError
 from survey.files.point_table import Units
 
 
@@ -108,26 +107,3 @@ class ControlFormat:
     name: str  # In a sentence: "expected ..."
     recognises: Callable[[Path], bool]  # whether a path, which is a file, is of this format
     read: Callable[[Path], Content]  # the content of such a file; raises ControlError
-
-
-# Words for roles, in lower case.
-_CHECK, _CONTROL = ("check", "checkpoint", "check point", "cp"), ("control", "gcp", "ground control", "")
-
-
-def is_check_role(role: str, where: str) -> bool:
-    """Whether the word for a point's role means a check point."""
-    word = role.strip().casefold()
-    if word not in (*_CHECK, *_CONTROL):
-        raise ControlError(f'{where}: the role is "{role}", expected control or check; correct it')
-    return word in _CHECK
-
-
-def require_std(values: tuple[float, float, float], where: str) -> tuple[float, float, float]:
-    """Standard deviations [m] that a file has; ControlError unless all are above zero and at most 10 m."""
-    if not all(0.0 < value <= 10.0 for value in values):
-        shown = ", ".join(f"{value:g}" for value in values)
-        raise ControlError(
-            f"{where}: the standard deviations are {shown}, expected metres above 0 and at most 10; correct them, or "
-            "leave the columns out and give [control] std_m"
-        )
-    return values

@@ -11,17 +11,17 @@ import numpy as np
 from geo.crs import height_unit_m
 from geo.errors import PlaceMismatch
 from geo.frames import LocalFrame, Similarity
-from survey.control.local_control import control_in_local, require_near
-from survey.control.points import Control, ControlPoint
+from survey.control.points import Control, ControlPoint, Mark
+from survey.control.reading import require_near
 from survey.display.quantities import named
 from survey.errors import FILE_NAME, ControlError, Findings, PosesError
+from survey.folder.control import control_in_local
 from survey.folder.found import Found
 from survey.folder.observations import PlacedViews
 from survey.folder.pose_priors import GPS_STD_M, PosePrior
 from survey.photos.cameras import View
 from survey.photos.poses import connected_parts, least_track
 from survey.pose_files import find_unread
-from survey.settings.tables import per_direction
 from survey.sfm.control_fit import (
     MIN_POINTS,
     coordinates,
@@ -32,7 +32,7 @@ from survey.sfm.control_fit import (
 )
 from survey.sfm.gps import frame_about, is_whole, what_is_missing
 from survey.sfm.gps_fit import ROLL_REMEDY
-from survey.sfm.mark_rays import BlockControl, Intersections, intersect_marks
+from survey.sfm.mark_rays import BlockControl, intersect_marks
 from survey.words import GEO_TXT
 
 # On straight rays the bed seems higher than it is by about a quarter of its depth.
@@ -55,10 +55,8 @@ def control_of_block(found: Found) -> BlockControl | None:
         frame = frame_about(found.crs, [point.place for point in given])
     except PlaceMismatch as error:
         raise ControlError(f"control points (first in {given[0].where}) cannot be in crs: {error}") from error
-    control = control_in_local(
-        found.control.merged, frame, list(found.images), per_direction(found.control.config.std_m), marks_std_px=1.0
-    )
-    return None if control is None else control_for_block(control, frame, found)
+    control = control_in_local(found.control, frame, list(found.images))
+    return None if control is None else _for_block(control, frame, found)
 
 
 def require_placing_control(found: Found) -> BlockControl:
@@ -106,7 +104,7 @@ def may_hold_roll(found: Found) -> bool:
     )
 
 
-def control_for_block(control: Control, frame: LocalFrame, found: Found) -> BlockControl:
+def _for_block(control: Control, frame: LocalFrame, found: Found) -> BlockControl:
     """Control for structure from motion without check points, with a tolerance in height for the refraction."""
     points = tuple(point for point in control.points if not point.is_check)
     heights = np.array([point.crs[2] for point in points]) * height_unit_m(frame.crs)
@@ -123,90 +121,90 @@ def checked_parts(block: PlacedViews) -> tuple[PlacedViews, Findings]:
 
     Parts share no points: each has a place, a tilt and a scale of its own.
     """
-    views, seen = block.views, block.observations
+    views, seen = list(block.views), block.observations
     ties, control = seen.ties, seen.control
     if control is None or ties is None:
         return block, Findings()
     # Views that share no point with two others have no part of their own.
     part = np.maximum(connected_parts(len(views), ties.point, ties.view), 0)
-    moved_views, priors, marks = list(views), dict(seen.priors), []
+    priors, marks, findings = dict(seen.priors), set[Mark](), Findings()
     refusals: list[ControlError] = []
-    findings = Findings()
     for number in range(int(part.max()) + 1):
-        members = np.flatnonzero(part == number)
-        names = {views[k].name for k in members}
-        own_marks = tuple(mark for mark in control.marks if mark.view in names)
-        if not own_marks:
+        members = [views[k] for k in np.flatnonzero(part == number)]
+        names = {view.name for view in members}
+        own = _with_marks(control, [mark for mark in control.marks if mark.view in names])
+        if own is None:
             continue
-        shown = {mark.point for mark in own_marks}
-        own_points = tuple(point for point in control.points if point.name in shown)
-        own = replace(control, points=own_points, marks=own_marks)
         own_priors = {name: prior for name, prior in priors.items() if name in names}
         try:
-            own_views = [views[k] for k in members]
-            own_left, tested, move, of_part = checked_control(block.found, block.frame, own_views, own, own_priors)
+            kept, tested, move, added = _checked(block.found, block.frame, members, own, own_priors)
         except ControlError as error:
             refusals.append(error)
             continue
-        findings += of_part
+        findings += added
         priors |= tested
-        marks += [] if own_left is None else list(own_left.marks)
+        marks |= set() if kept is None else set(kept.marks)
         if move is not None:
             is_moved = np.zeros(len(ties), dtype=bool)
             is_moved[ties.point] = part[ties.view] == number
             ties = replace(ties, start=np.where(is_moved[:, None], move(ties.start), ties.start))
-            for k in members:
+            for k in np.flatnonzero(part == number):
                 pose = move(views[k].camera.centre), views[k].camera.cam_from_local @ move.rotation.T
-                moved_views[k] = replace(views[k], camera=views[k].lens.camera(*pose))
+                views[k] = replace(views[k], camera=views[k].lens.camera(*pose))
     if refusals and not marks:
         raise refusals[0]
     what = "control of a part of the photographs that shares no points with the others"
     findings += Findings(warnings=tuple(f"{what}: {error}" for error in refusals))
-    kept = {mark.point for mark in marks}
-    points = tuple(point for point in control.points if point.name in kept)
-    order = {mark: place for place, mark in enumerate(control.marks)}
-    marks.sort(key=order.__getitem__)
-    left = replace(control, points=points, marks=tuple(marks)) if points else None
+    left = _with_marks(control, [mark for mark in control.marks if mark in marks])
     seen = replace(seen, points=ties.start, ties=ties, control=left, priors=priors)
-    return replace(block, views=moved_views, observations=seen), findings
+    return replace(block, views=views, observations=seen), findings
 
 
-def checked_control(
-    found: Found,
-    frame: LocalFrame,
-    views: Sequence[View],
-    control: Control,
-    priors: Mapping[str, PosePrior],
+def _with_marks(control: Control, marks: list[Mark]) -> Control | None:
+    """Control with some of its marks and their points; None without any."""
+    names = {mark.point for mark in marks}
+    points = tuple(point for point in control.points if point.name in names)
+    return replace(control, points=points, marks=tuple(marks)) if points else None
+
+
+def _checked(
+    found: Found, frame: LocalFrame, views: Sequence[View], control: Control, priors: Mapping[str, PosePrior]
 ) -> tuple[Control | None, Mapping[str, PosePrior], Similarity | None, Findings]:
     """Control and priors of a block without contradicted ones, which warnings name.
 
     Also what transforms the block to its control, where its positions contradict that.
     """
-    block = control_for_block(control, frame, found)
+    block = _for_block(control, frame, found)
     posed = {view.name: view.camera for view in views}
-    intersections = intersect_marks(block, posed)
-    require_consistent_marks(block, posed, intersections)
+    seen = intersect_marks(block, posed)
+    require_consistent_marks(block, posed, seen)
     fit = None
-    if len(intersections.points) >= MIN_POINTS:
+    if len(seen.points) >= MIN_POINTS:
         # On one line points determine no similarity by themselves.
-        _, across, least = spread_of(*coordinates(intersections))
-        fit = fit_majority(intersections, posed) if across >= least else None
+        _, across, least = spread_of(*coordinates(seen))
+        fit = fit_majority(seen, posed) if across >= least else None
     wrong = {} if fit is None else fit.wrong
-    warnings = _left_out(intersections, wrong)
-    lost = {*intersections.inconsistent, *wrong}
-    points = tuple(point for point in control.points if point.name not in lost)
-    bad = {(mark.point, mark.view) for mark in intersections.wrong_marks}
-    marks = tuple(mark for mark in control.marks if mark.point not in lost and (mark.point, mark.view) not in bad)
-    good = [
-        (place, p.local, p.std)
-        for p, place in zip(intersections.points, intersections.places, strict=True)
-        if p.name not in lost
-    ]
-    move = None
+    warnings = named(
+        [f"{mark.point} in {mark.view}" for mark in seen.wrong_marks],
+        "mark",
+        "of control that the other marks of its point contradict, left out",
+    )
+    warnings += named(
+        list(seen.inconsistent), "control point", "whose marks contradict each other, left out; correct the marks"
+    )
+    warnings += named(
+        [f"{name} (by {off:.2f} m)" for name, off in wrong.items()],
+        "control point",
+        "that the others contradict, left out; correct coordinates or name",
+    )
+    lost = {*seen.inconsistent, *wrong}
+    bad = {(mark.point, mark.view) for mark in seen.wrong_marks}
+    marks = [mark for mark in control.marks if mark.point not in lost and (mark.point, mark.view) not in bad]
+    good, move = [i for i, point in enumerate(seen.points) if point.name not in lost], None
     if good:
-        places, control_xyz, stds = (np.array(column) for column in zip(*good, strict=True))
-        reach, std = float(np.median(intersections.ranges)), np.median(stds, axis=0)
-        other_datum = _other_datum(np.median(places - control_xyz, axis=0), std, reach, priors)
+        common = np.median([seen.places[i] - seen.points[i].local for i in good], axis=0)
+        reach, std = float(np.median(seen.ranges)), np.median([seen.points[i].std for i in good], axis=0)
+        other_datum = _other_datum(common, std, reach, priors)
         if other_datum is not None:
             warnings.append(other_datum)
             move = None if fit is None else fit.similarity
@@ -217,28 +215,7 @@ def checked_control(
         elif sum(prior.position is not None for prior in priors.values()) < _FEWEST_TO_TEST:
             priors, far = _without_far(views, std, reach, priors)
             warnings += far
-    left = replace(control, points=points, marks=marks) if points else None
-    return left, priors, move, Findings(warnings=tuple(warnings))
-
-
-def _left_out(intersections: Intersections, wrong: Mapping[str, float]) -> list[str]:
-    return [
-        *named(
-            [f"{mark.point} in {mark.view}" for mark in intersections.wrong_marks],
-            "mark",
-            "of control that the other marks of its point contradict, left out",
-        ),
-        *named(
-            list(intersections.inconsistent),
-            "control point",
-            "whose marks contradict each other, left out; correct the marks",
-        ),
-        *named(
-            [f"{name} (by {off:.2f} m)" for name, off in wrong.items()],
-            "control point",
-            "that the others contradict, left out; correct coordinates or name",
-        ),
-    ]
+    return _with_marks(control, marks), priors, move, Findings(warnings=tuple(warnings))
 
 
 def _other_datum(common: np.ndarray, std: np.ndarray, reach: float, priors: Mapping[str, PosePrior]) -> str | None:
@@ -255,8 +232,8 @@ def _other_datum(common: np.ndarray, std: np.ndarray, reach: float, priors: Mapp
     if np.hypot(common[0], common[1]) > _OTHER_DATUM_M + bent + _MOST_STD * float(std[:2].max()):
         raise ControlError(f"{message}: one of both has another CRS or datum; correct crs, or the CRS of the control")
     stated = [prior.position_std for prior in priors.values() if prior.position_std is not None]
-    of_positions = np.median(stated, axis=0) if stated else np.full(3, GPS_STD_M)
-    if (np.abs(common) <= bent + _MOST_STD * np.hypot(of_positions, std)).all():
+    position_std = np.median(stated, axis=0) if stated else np.full(3, GPS_STD_M)
+    if (np.abs(common) <= bent + _MOST_STD * np.hypot(position_std, std)).all():
         return None
     return (
         f"{message}, more than their stated accuracies allow: the block is fitted to the control, and the accuracy of "

@@ -6,7 +6,6 @@ ground of an earlier survey, is cut to the block.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -28,10 +27,9 @@ from geo.reproject import Reprojection
 from geo.shapes import Cloud, Mesh, ground_of, in_height_unit, masked_cloud, vertices_of
 from geo.transformation import Transformation
 from refract import FlatWater
-from survey.control.local_control import checkpoints_in_local, control_in_local, without_pose
-from survey.control.points import Checkpoint, Content, Control, GivenPoint, StableGround
+from survey.control.formats import read_checkpoints
+from survey.control.points import Checkpoint, Content, Control, ControlPoint, GivenPoint, StableGround
 from survey.control.reading import MergedControl, in_crs, merge_control, read_control
-from survey.control.tables import read_checkpoints
 from survey.display.quantities import length, named
 from survey.errors import ControlError, Findings
 from survey.files.point_table import accuracy_warnings, point_table, several_heights
@@ -52,6 +50,15 @@ _FAR_LEVEL_M, _TIMES_NEARER = 3.0, 5.0
 _DEEP = 1.5
 # A single mark this many times as far off as the median belongs to another point.
 _TIMES = 10.0
+# Assumed accuracy of a reference that states none: airborne lidar, or photogrammetry on control.
+REFERENCE_STD_M = 0.1
+# Ground may be wet if it is lower than this above the water [m], or than this many standard deviations of the level.
+_LEAST_ABOVE_M, _LEAST_SIGMAS = 0.1, 3.0
+# Reach of the reference around the middle of cameras and tie points, in units of their extent.
+_REACH = 1.5
+_MOST_POINTS = 1_000_000
+# Fewer points are not ground.
+_FEWEST = 50
 
 
 @dataclass(frozen=True)
@@ -74,11 +81,7 @@ class FoundControl:
 
 
 def find_control(
-    folder: Path,
-    config: ControlConfig,
-    crs: CRS,
-    headers: Mapping[str, Exif],
-    level: float | None = None,
+    folder: Path, config: ControlConfig, crs: CRS, headers: Mapping[str, Exif], level: float | None = None
 ) -> tuple[FoundControl, Findings]:
     """Read the files of [control].
 
@@ -88,34 +91,44 @@ def find_control(
         if name is not None:
             existing_file(layer_of(folder / name)[0])
     checkpoints: list[GivenPoint] = []
-    findings = Findings()
+    merged, findings = MergedControl(), Findings()
     if config.checkpoints is not None:
-        given = read_checkpoints(folder / config.checkpoints, level, crs)
-        checkpoints, findings = in_crs(given, crs)
-        findings += Findings(warnings=accuracy_warnings(point_table(folder / config.checkpoints, ControlError)))
-    if not config.gcp_files:
-        found = FoundControl(config, checkpoints=tuple(checkpoints))
-        return found, findings + Findings(warnings=_doubts(found, crs, level))
-    contents = [read_control(folder / name) for name in config.gcp_files]
-    if config.marks is not None:
-        # Metashape's XML has coordinates too, but here only its marks are used.
-        contents.append(Content(marks=read_control(folder / config.marks).marks))
-    sizes = {name: header.size_px for name, header in headers.items()}
-    merged, of_files = merge_control(contents, crs, sizes)
-    config, of_stds = _with_stds(config, merged)
-    findings += of_files + of_stds
+        path = folder / config.checkpoints
+        checkpoints, findings = in_crs(read_checkpoints(path, level, crs), crs)
+        findings += Findings(warnings=accuracy_warnings(point_table(path, ControlError)))
+    if config.gcp_files:
+        contents = [read_control(folder / name) for name in config.gcp_files]
+        if config.marks is not None:
+            # Metashape's XML has coordinates too, but here only its marks are used.
+            contents.append(Content(marks=read_control(folder / config.marks).marks))
+        merged, added = merge_control(contents, crs, {name: header.size_px for name, header in headers.items()})
+        findings += added + _assumed_stds(config, merged)
+        std_m, marks_std_px = config.std_m or DEFAULT_STD_M, config.marks_std_px or DEFAULT_MARKS_STD_PX
+        config = replace(config, std_m=std_m, marks_std_px=marks_std_px)
     found = FoundControl(config, merged, (*checkpoints, *merged.unmarked))
     return found, findings + Findings(warnings=_doubts(found, crs, level))
 
 
+def _assumed_stds(config: ControlConfig, merged: MergedControl) -> Findings:
+    """Standard deviations that are assumed, with a warning where nothing states that of points."""
+    untold = sum(point.std_m is None for point in merged.points)
+    warnings = () if config.std_m is not None or not untold else (
+        f"no accuracy is stated for {untold} of {len(merged.points)} control points: {DEFAULT_STD_M:g} m is "
+        "assumed, as of GNSS with corrections or a total station; give [control] std_m, e.g. 0.03, or [0.02, 0.03] "
+        "horizontally and vertically",
+    )  # fmt: skip
+    assumed = f"[control] marks_std_px = {DEFAULT_MARKS_STD_PX:g}, the std of their marks in pixels"
+    return Findings((assumed,) if config.marks_std_px is None else (), warnings)
+
+
 def _doubts(found: FoundControl, crs: CRS, level: float | None) -> tuple[str, ...]:
     """Warnings about places of control with several heights, check points that are control, and a level's sign."""
-    places = np.array([point.place for point in found.points]).reshape(-1, 3)
-    several = several_heights([point.name for point in found.points], places, height_unit_m(crs))
+    unit_m, places = height_unit_m(crs), np.array([point.place for point in found.points]).reshape(-1, 3)
+    several = several_heights([point.name for point in found.points], places, unit_m)
     warnings = named(several, "place", "of control with several heights, of which one is true at most")
     given = [point.place for point in found.given]
     if given and found.checkpoints:
-        unit = np.array([*metres_per_unit(crs, places), height_unit_m(crs)])
+        unit = np.array([*metres_per_unit(crs, places), unit_m])
         checks = np.array([point.place for point in found.checkpoints])
         distance = KDTree(np.array(given) * unit).query(checks * unit)[0]
         same = [point.name for point, far in zip(found.checkpoints, distance, strict=True) if far < _ONE_POINT_M]
@@ -124,7 +137,7 @@ def _doubts(found: FoundControl, crs: CRS, level: float | None) -> tuple[str, ..
         )
     if level is not None and len(places):
         low, high = places[:, 2].min(), places[:, 2].max()
-        off, off_other = (max(low - at, at - high, 0.0) * height_unit_m(crs) for at in (level, -level))
+        off, off_other = (max(low - at, at - high, 0.0) * unit_m for at in (level, -level))
         if off > max(_FAR_LEVEL_M, _TIMES_NEARER * off_other):
             side = "under" if level < low else "over"
             warnings.append(
@@ -134,37 +147,42 @@ def _doubts(found: FoundControl, crs: CRS, level: float | None) -> tuple[str, ..
     return tuple(warnings)
 
 
-def _with_stds(config: ControlConfig, merged: MergedControl) -> tuple[ControlConfig, Findings]:
-    """Settings with all standard deviations, missing ones assumed; a warning where nothing states that of points."""
-    untold = sum(point.std_m is None for point in merged.points)
-    warnings = () if config.std_m is not None or not untold else (
-        f"no accuracy is stated for {untold} of {len(merged.points)} control points: {DEFAULT_STD_M:g} m is "
-        "assumed, as of GNSS with corrections or a total station; give [control] std_m, e.g. 0.03, or [0.02, 0.03] "
-        "horizontally and vertically",
-    )  # fmt: skip
-    assumed = f"[control] marks_std_px = {DEFAULT_MARKS_STD_PX:g}, the std of their marks in pixels"
-    findings = Findings((assumed,) if config.marks_std_px is None else (), warnings)
-    std_m, marks_std_px = config.std_m or DEFAULT_STD_M, config.marks_std_px or DEFAULT_MARKS_STD_PX
-    return replace(config, std_m=std_m, marks_std_px=marks_std_px), findings
-
-
 def place_control(
     found: FoundControl, frame: LocalFrame, views: Sequence[str]
 ) -> tuple[Control | None, tuple[Checkpoint, ...], Findings]:
     """Control and check points in the local frame of the views that have a pose, by name."""
-    checkpoints = checkpoints_in_local(found.checkpoints, frame)
+    checkpoints = tuple(Checkpoint(point.name, point.place, _local(point, frame)) for point in found.checkpoints)
     if not found.merged.points:
         return None, checkpoints, Findings()
-    std, marks_std_px = per_direction(found.config.std_m), found.config.marks_std_px
-    if marks_std_px is None:
-        raise ValueError("[control] marks_std_px is not filled in; expected what `find_control` returns")
-    warnings = named(
-        without_pose(found.merged.marks, views), "photograph", "with marks of control has no pose, its marks left out"
-    )
-    control = control_in_local(found.merged, frame, views, std, marks_std_px)
+    posed = set(views)
+    lost = [view for view in dict.fromkeys(mark.view for mark in found.merged.marks) if view not in posed]
+    warnings = named(lost, "photograph", "with marks of control has no pose, its marks left out")
+    control = control_in_local(found, frame, views)
     if control is None:
         warnings.append("no photograph with a pose shows a control point: they are not used")
     return control, checkpoints, Findings(warnings=tuple(warnings))
+
+
+def control_in_local(found: FoundControl, frame: LocalFrame, views: Sequence[str]) -> Control | None:
+    """The control that views with a pose show; None where they show none of it."""
+    posed = set(views)
+    marks = tuple(mark for mark in found.merged.marks if mark.view in posed)
+    shown, points = {mark.point for mark in marks}, []
+    for point in (point for point in found.merged.points if point.name in shown):
+        std = np.hypot(point.std_m or per_direction(found.config.std_m), [point.datum_std_m, point.datum_std_m, 0.0])
+        place = _local(point, frame)
+        points.append(ControlPoint(point.name, point.place, place, std, point.is_check, point.datum_std_m))
+    return Control(tuple(points), marks, found.config.marks_std_px or DEFAULT_MARKS_STD_PX) if points else None
+
+
+def _local(point: GivenPoint, frame: LocalFrame) -> np.ndarray:
+    local = frame.local_from_crs(np.array(point.place))
+    if not np.isfinite(local).all():
+        raise ControlError(
+            f"{point.where}: {point.place[0]:.10g}, {point.place[1]:.10g} is not on the map of {frame.crs.name}; "
+            "correct it, or the CRS of the file"
+        )
+    return local
 
 
 def mark_residuals(control: Control, views: Sequence[View], water: FlatWater | None) -> np.ndarray:
@@ -172,43 +190,10 @@ def mark_residuals(control: Control, views: Sequence[View], water: FlatWater | N
 
     NaN where a point lies behind its camera.
     """
-    by_name = {view.name: view for view in views}
+    cameras = {view.name: view.camera for view in views}
     local = {point.name: point.local for point in control.points}
-    found = []
-    for mark in control.marks:
-        view = by_name[mark.view]
-        shown = view.camera.project(local[mark.point], water)
-        found.append(np.linalg.norm(np.array(mark.pixel) - shown))
-    return np.array(found)
-
-
-def checkpoint_warnings(
-    checkpoints: Sequence[Checkpoint], views: Sequence[View], water: FlatWater | None, departure: Departure | None
-) -> list[str]:
-    """Warnings about check points that no photograph shows by its pose, and where heights of all may be depths."""
-    if not checkpoints:
-        return []
-    places = np.array([point.local for point in checkpoints])
-    wet = np.zeros(len(places), bool) if water is None else height_above(water, departure, places) < 0.0
-    seen = np.zeros(len(places), bool)
-    for view in views:
-        for part, over in ((wet, plane_under(water, departure, view.camera.centre)), (~wet, None)):
-            if part.any():
-                seen[part] |= view.camera.sees(view.camera.project(places[part], over))
-    unseen = [point.name for point, is_seen in zip(checkpoints, seen, strict=True) if not is_seen]
-    warnings = named(unseen, "check point", "that no photograph shows, so that nothing is compared with it")
-    if water is None:
-        return warnings
-    above = height_above(water, departure, places)
-    flying = float(np.median(height_above(water, departure, np.array([view.camera.centre for view in views]))))
-    if (above > 0.0).all() or (above < -_DEEP * flying).all():
-        side = "over" if above[0] > 0.0 else "under"
-        low, high = np.sort(np.abs(above))[[0, -1]]
-        warnings.append(
-            f"all {len(above)} check points lie {side} the water, by {length(low)} to {length(high)}: if their heights "
-            "are depths, call the column depth; if they are not, check the level of the water and its sign"
-        )
-    return warnings
+    shown = [cameras[mark.view].project(local[mark.point], water) for mark in control.marks]
+    return np.linalg.norm(np.array([mark.pixel for mark in control.marks]) - np.array(shown), axis=1)
 
 
 def mark_warnings(control: Control, views: Sequence[View], water: FlatWater | None) -> list[str]:
@@ -223,23 +208,38 @@ def mark_warnings(control: Control, views: Sequence[View], water: FlatWater | No
             "the coordinates and heights of the points, the order x, y of the marks, that they are in pixels of these "
             "images, and the poses"
         ]
-    wrong = [
-        f"{mark.point} in {mark.view}"
-        for mark, is_near, distance in zip(control.marks, near, residuals, strict=True)
-        if not is_near and not distance <= _TIMES * middle
-    ]
-    return named(wrong, "mark", "far from where the pose shows its point, to be checked")
+    # NaN is wrong, too.
+    wrong = np.flatnonzero(~near & ~(residuals <= _TIMES * middle))
+    names = [f"{control.marks[i].point} in {control.marks[i].view}" for i in wrong]
+    return named(names, "mark", "far from where the pose shows its point, to be checked")
 
 
-# Assumed accuracy of a reference that states none: airborne lidar, or photogrammetry on control.
-REFERENCE_STD_M = 0.1
-# Ground may be wet if it is lower than this above the water [m], or than this many standard deviations of the level.
-_LEAST_ABOVE_M, _LEAST_SIGMAS = 0.1, 3.0
-# Reach of the reference around the middle of cameras and tie points, in units of their extent.
-_REACH = 1.5
-_MOST_POINTS = 1_000_000
-# Fewer points are not ground.
-_FEWEST = 50
+def checkpoint_warnings(
+    checkpoints: Sequence[Checkpoint], views: Sequence[View], water: FlatWater | None, departure: Departure | None
+) -> list[str]:
+    """Warnings about check points that no photograph shows by its pose, and where heights of all may be depths."""
+    if not checkpoints:
+        return []
+    places = np.array([point.local for point in checkpoints])
+    above = np.full(len(places), np.inf) if water is None else height_above(water, departure, places)
+    wet, seen = above < 0.0, np.zeros(len(places), bool)
+    for view in views:
+        for part, over in ((wet, plane_under(water, departure, view.camera.centre)), (~wet, None)):
+            if part.any():
+                seen[part] |= view.camera.sees(view.camera.project(places[part], over))
+    unseen = [point.name for point, is_seen in zip(checkpoints, seen, strict=True) if not is_seen]
+    warnings = named(unseen, "check point", "that no photograph shows, so that nothing is compared with it")
+    if water is None:
+        return warnings
+    flying = float(np.median(height_above(water, departure, np.array([view.camera.centre for view in views]))))
+    if (above > 0.0).all() or (above < -_DEEP * flying).all():
+        side = "over" if above[0] > 0.0 else "under"
+        low, high = np.sort(np.abs(above))[[0, -1]]
+        warnings.append(
+            f"all {len(above)} check points lie {side} the water, by {length(low)} to {length(high)}: if their heights "
+            "are depths, call the column depth; if they are not, check the level of the water and its sign"
+        )
+    return warnings
 
 
 def read_ground(
@@ -264,7 +264,7 @@ def read_ground(
             f"{given.reference} is dry; give level_m, or polygons of stable ground in [control] stable"
         )
     path = folder / given.reference
-    cloud, way_std, of_file = _in_crs(path, frame.crs)
+    cloud, way_std, findings = _in_crs(path, frame.crs)
     num_all = len(cloud.points)
     if given.stable is not None:
         polygons = read_polygons(folder / given.stable, frame.crs, plan_box(cloud.points)).values()
@@ -285,63 +285,50 @@ def read_ground(
             f"(of {num_all} points, {len(local)} are near the photographs); give a reference of the bank or of rocks "
             "over the water, in the vertical datum of crs"
         )
-    std, findings = _shared_std(given.reference_std_m, masked_cloud(cloud, dry), given.reference)
-    return StableGround(
-        local[dry], (math.hypot(std[0], way_std[0]), math.hypot(std[1], way_std[1]))
-    ), of_file + findings
+    std, of_std = _shared_std(given.reference_std_m, masked_cloud(cloud, dry), given.reference)
+    across, up = np.hypot(std, way_std).tolist()
+    return StableGround(local[dry], (across, up)), findings + of_std
 
 
 def _near(cloud: Cloud, frame: LocalFrame, places: np.ndarray) -> Cloud:
     """Points of a cloud near places (N, 3) [m], local; a sample of `_MOST_POINTS` where there are more."""
-    # Two corners give the box in metres of the map, whatever its units.
-    around = frame.crs_from_local(_box(places))
+    middle = np.median(places, axis=0)
+    x, y = _REACH * np.maximum(np.abs(places - middle).max(axis=0)[:2], 1.0)
+    # Corners give the box in units of the map.
+    around = frame.crs_from_local(middle + np.array([[-x, -y, 0.0], [-x, y, 0.0], [x, -y, 0.0], [x, y, 0.0]]))
     low, high = around.min(axis=0)[:2], around.max(axis=0)[:2]
     cloud = masked_cloud(cloud, ((cloud.points[:, :2] >= low) & (cloud.points[:, :2] <= high)).all(axis=1))
     if len(cloud.points) <= _MOST_POINTS:
         return cloud
-    chosen = np.random.default_rng(0).choice(len(cloud.points), _MOST_POINTS, replace=False)
     keep = np.zeros(len(cloud.points), dtype=bool)
-    keep[chosen] = True
+    keep[np.random.default_rng(0).choice(len(keep), _MOST_POINTS, replace=False)] = True
     return masked_cloud(cloud, keep)
-
-
-def _box(places: np.ndarray) -> np.ndarray:
-    """Corners (4, 3) of a box in plan about places, larger than what these span."""
-    middle = np.median(places, axis=0)
-    x, y = _REACH * np.maximum(np.abs(places - middle).max(axis=0)[:2], 1.0)
-    return middle + np.array([[-x, -y, 0.0], [-x, y, 0.0], [x, -y, 0.0], [x, y, 0.0]])
 
 
 def _in_crs(path: Path, crs: CRS) -> tuple[Cloud, tuple[float, float], Findings]:
     """The ground of a file in the crs of the survey, the accuracy of the operation [m], and what was assumed."""
     shape = read_reference(path)
-    cloud = Cloud(points=vertices_of(shape), crs=shape.crs) if isinstance(shape, Mesh) else shape
     if isinstance(shape, Mesh):
-        cloud = replace(cloud, height_unit_m=shape.height_unit_m)
-    cloud, left_out = ground_of(cloud, path.name)
-    notes = [*left_out]
-    own = cloud.crs
+        shape = Cloud(points=vertices_of(shape), crs=shape.crs, height_unit_m=shape.height_unit_m)
+    cloud, notes = ground_of(shape, path.name)
+    own, unit_m = cloud.crs, height_unit_m(crs)
     if own is None or not has_height(own):
         of = "its CRS" if own is None else "what its heights count from"
-        notes.append(f"{path.name} does not say {of}: taken to be that of the survey")
+        notes = (*notes, f"{path.name} does not say {of}: taken to be that of the survey")
     if own is not None and not has_height(own):
         vertical = vertical_crs(crs)
         own = own.to_3d() if vertical is None else CompoundCRS(f"{own.name} + {vertical.name}", [own, vertical])
-    if own is not None and not same_crs(own, crs):
-        if cloud.height_unit_m is not None:
-            cloud = replace(cloud, points=cloud.points * [1.0, 1.0, cloud.height_unit_m / height_unit_m(own)])
-        reprojection = Reprojection.between(own, crs, where=f"the CRS of {path}", places=cloud.points)
-        found = Findings(tuple(notes), () if reprojection.warning is None else (reprojection.warning,))
-        accuracy_m = Transformation.between(own, reprojection.crs, cloud.points).accuracy_m or 0.0
-        return (
-            replace(cloud, points=reprojection(cloud.points), crs=crs),
-            (accuracy_m, reprojection.height_std_m),
-            found,
-        )
-    unit_m = height_unit_m(crs)
-    if own is not None and has_height(own):
-        cloud = replace(cloud, points=cloud.points * [1.0, 1.0, height_unit_m(own) / unit_m])
-    return in_height_unit(cloud, unit_m), (0.0, 0.0), Findings(tuple(notes))
+    if own is None or same_crs(own, crs):
+        if own is not None:
+            cloud = replace(cloud, points=cloud.points * [1.0, 1.0, height_unit_m(own) / unit_m])
+        return in_height_unit(cloud, unit_m), (0.0, 0.0), Findings(tuple(notes))
+    if cloud.height_unit_m is not None:
+        cloud = replace(cloud, points=cloud.points * [1.0, 1.0, cloud.height_unit_m / height_unit_m(own)])
+    reprojection = Reprojection.between(own, crs, where=f"the CRS of {path}", places=cloud.points)
+    accuracy_m = Transformation.between(own, reprojection.crs, cloud.points).accuracy_m or 0.0
+    cloud = replace(cloud, points=reprojection(cloud.points), crs=crs)
+    warnings = () if reprojection.warning is None else (reprojection.warning,)
+    return cloud, (accuracy_m, reprojection.height_std_m), Findings(tuple(notes), warnings)
 
 
 def _shared_std(

@@ -14,7 +14,7 @@ import numpy as np
 
 from geo.frames import LocalFrame
 from refract.lens import MODELS, Lens, LensError, coefficients_of
-from survey.control.local_control import require_near
+from survey.control.reading import require_near
 from survey.display.quantities import named
 from survey.errors import FILE_NAME, ConfigError, Findings, PosesError
 from survey.folder import local_frame

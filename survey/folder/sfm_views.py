@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 
 from geo.crs import EARTH_RADIUS_M, height_unit_m, middle_lon_lat
 from refract.lens import Lens
-from survey.control.local_control import require_near
+from survey.control.reading import require_near
 from survey.display.quantities import distance_text, named
 from survey.errors import ControlError, Findings, ImageError, PosesError
 from survey.folder.checked_control import control_of_block, may_hold_roll, require_placing_control, with_two_marks

@@ -19,7 +19,7 @@ from pyproj import CRS
 from geo.crs import crs_code, horizontal_crs, is_geographic
 from geo.errors import UnknownUnit
 from geo.transformation import height_scale, transformed
-from survey.control.gcp_list import is_of_content, line_cells, mark_line, read_gcp_list
+from survey.control.formats import is_of_content, line_cells, mark_line, read_gcp_list
 from survey.control.points import Content, GivenPoint
 from survey.errors import ConfigError, ControlError
 from survey.files.crs_lines import odm_crs

@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from geo.files import write_text
-from survey.control import gcp_list
+from survey.control.formats import is_gcp_list, read_checkpoints, read_gcp_list
 from survey.control.points import Content, GivenMark, GivenPoint
 from survey.control.reading import in_crs, read_control
-from survey.control.tables import read_checkpoints
 from survey.errors import SurveyError
 from survey.folder.found import Found
 from survey.marking.gcp_file import ControlMark, points_without_mark, read_clicks, with_click, with_marks
@@ -56,7 +55,7 @@ class MarkStore:
         # The gcp_list.txt that [control] names, whether or not it exists; else the usual name.
         self.control_path = found.folder / GCP_LIST
         for path in (found.folder / name for name in config.control.gcp_files):
-            if gcp_list.FORMAT.recognises(path) if path.is_file() else path.suffix.lower() == ".txt":
+            if is_gcp_list(path) if path.is_file() else path.suffix.lower() == ".txt":
                 self.control_path = path
                 break
         water = config.water
@@ -189,7 +188,7 @@ class MarkStore:
         """Marks by name and photograph, and points, of gcp_list.txt; of other files before there is one."""
 
         def read(path: Path) -> tuple[Mapping[tuple[str, str], Pixel], Mapping[str, GivenPoint]]:
-            content = gcp_list.read_gcp_list(path)
+            content = read_gcp_list(path)
             return self._of_photographs(content.marks), self._in_survey_crs(
                 [*content.points, *points_without_mark(path)]
             )

@@ -301,7 +301,7 @@ def _height_warnings(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS
         return []
     low, high = heights[~far].min(), heights[~far].max()
     why = f"far from the others by its height, which are at {low:.2f} to {high:.2f} m"
-    names = [f"{points[i].name} ({texts[i]})" for i in np.flatnonzero(far)]
+    names = [f"{points[i].name} ({texts[i]})" for i in np.flatnonzero(far).tolist()]
     return named(names, "control or check point", why)
 
 

@@ -12,7 +12,6 @@ from small_survey import small_survey
 from survey.folder.survey import load_survey
 from survey.run.flight import Flight, save_flight
 from survey.run.folder import RunDir
-from survey.run.keys import Key
 from survey.run.products import write_bed_las
 from survey.run.stored import StoredBed, save_bed
 from survey.viewer.page import Overlay, close_server, open_server
@@ -52,7 +51,7 @@ def small_run(folder: Path) -> Path:
     with RunDir(folder / "run") as run:
         stage = run.open_stage("bed")
         save_bed(stage, stored)
-        stage = run.finish_stage("bed", Key({}), stage)
+        stage = run.finish_stage("bed", {}, stage)
         result = run.open_result("standard")
         save_flight(result, survey)
         write_bed_las(result / "cloud.las", stored)

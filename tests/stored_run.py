@@ -11,7 +11,6 @@ from small_survey import small_survey
 from fields.sweep.bed import BedPoints
 from survey.folder.survey import load_survey
 from survey.run.folder import RunDir
-from survey.run.keys import Key
 from survey.run.stored import StoredBed, save_bed
 
 GSD_M = 0.02
@@ -29,7 +28,7 @@ def run_of(stored: StoredBed, path: Path, **parts: str) -> Path:
     with RunDir(path) as run:
         folder = run.open_stage("bed")
         save_bed(folder, stored)
-        folder = run.finish_stage("bed", Key(parts), folder)
+        folder = run.finish_stage("bed", parts, folder)
         run.publish(run.open_result("standard"), quality="standard", stages={"bed": folder})
     return run.path
 

@@ -14,7 +14,7 @@ from small_survey import small_survey
 
 from survey.errors import ConfigError, SurveyError
 from survey.plan.choices import USUAL, Choices, choices_of
-from survey.run.repeat import Truth, command_of
+from survey.run.products import command_of
 from survey.settings.config import dump_config, parse_config
 from survey.settings.tables import ProcessConfig
 
@@ -149,7 +149,7 @@ def test_the_report_of_check_in_json_has_what_is_printed(tmp_path):
 def test_the_command_that_repeats_a_run_overrides_survey_toml(by_file):
     config = SimpleNamespace(process=ProcessConfig(**by_file))
     job = SimpleNamespace(chosen=USUAL, survey=SimpleNamespace(folder="s", config=config))
-    words = command_of(job, Truth(None, None)).split()
+    words = command_of(job, {}).split()
     added = ["--device", "auto", "--no-true-colour"] if by_file else []
     assert words == ["bathynerf", "process", "s", "--quality", "standard", *added]
     assert asdict(config.process).keys() == VALUES.keys()

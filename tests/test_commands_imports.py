@@ -66,7 +66,7 @@ def test_ctrl_c_during_an_import_is_one_sentence(tmp_path, module):
 
 def test_a_run_with_exact_poses_and_without_a_field_imports_neither_torch_nor_scipy_stats():
     slow = "{'torch', 'scipy.stats', 'scipy.signal', 'matplotlib'}"
-    code = f"import sys, survey.run.process, survey.run.pipeline; print({slow} & set(sys.modules))"
+    code = f"import sys, survey.run.process, survey.run.stages; print({slow} & set(sys.modules))"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ended.stdout == "set()\n"
 

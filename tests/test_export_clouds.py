@@ -19,7 +19,6 @@ from survey.export.product import ExportOptions
 from survey.export.registry import PRODUCTS
 from survey.progress import Progress
 from survey.run.folder import RunDir
-from survey.run.keys import Key
 from survey.run.stored import load_bed, save_bed
 from survey.settings.config import SurveyConfig, WaterConfig, dump_config
 
@@ -152,7 +151,7 @@ def test_what_is_no_run_is_refused(tmp_path):
 
 def test_a_run_that_has_not_come_to_its_cloud_is_refused_with_the_mend(tmp_path):
     with RunDir(tmp_path / "run") as run:
-        run.finish_stage("sweep", Key({}), run.open_stage("sweep"))
+        run.finish_stage("sweep", {}, run.open_stage("sweep"))
     with pytest.raises(SurveyError, match=r"no finished stage bed; run the same `bathynerf process` again"):
         export(tmp_path / "run", las=tmp_path / "out.las")
 

@@ -28,7 +28,6 @@ from survey.photos.cameras import View
 from survey.progress import Progress
 from survey.run.flight import save_flight
 from survey.run.folder import RunDir
-from survey.run.keys import Key
 from survey.run.stage_sweep import MAPS
 from survey.run.stored_field import save_layer_field
 from survey.run.stored_maps import save_maps
@@ -53,7 +52,7 @@ def run(tmp_path, frame):
         stage = folder.open_stage("field")
         # Straight down heights count from the water at local z = 0.5.
         save_layer_field(stage, field_over(level_layer(-1.5), OPTICS))
-        stage = folder.finish_stage("field", Key({}), stage)
+        stage = folder.finish_stage("field", {}, stage)
         result = folder.open_result("fine")
         unknown = SimpleNamespace(departure=None)
         save_flight(result, SimpleNamespace(frame=frame, water=OPTICS, bounds=None, observations=unknown, views=()))
@@ -212,7 +211,7 @@ def photographed(tmp_path):
         stages = {name: folder.stages_path / stage for name, stage in folder.result()["stages"].items()}
         stage = folder.open_stage("sweep")
         save_maps(stage / MAPS, HeightMap, [map_of(bed, number, view) for number, view in enumerate(survey.views)])
-        stages["sweep"] = folder.finish_stage("sweep", Key({}), stage)
+        stages["sweep"] = folder.finish_stage("sweep", {}, stage)
         result = folder.open_result("standard")
         (result / "plan.json").write_text(json.dumps({"image_scale": 1.0}))
         (result / "settings.toml").write_text(dump_config(survey.config), encoding="utf-8")

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from drawn_runs import drawn, process_quietly
 
-from survey.run.execution import MOST_RAISED_M
 from survey.run.folder import RunDir
+from survey.run.stages import MOST_RAISED_M
 from survey.run.stored import StoredBed, load_bed
 
 LEVEL = re.compile(r"level_m = ([\d.]+)")

@@ -14,8 +14,7 @@ from small_survey import SIZE, small_survey, write_image
 from geo.errors import UnwritableFile
 from survey.errors import SurveyError
 from survey.folder.found import find_survey
-from survey.run.folder import RunDir
-from survey.run.owner import Owner
+from survey.run.folder import Owner, RunDir
 from survey.run.process import process
 
 

@@ -14,8 +14,7 @@ from survey.errors import SurveyError
 from survey.files.json_values import write_json
 from survey.files.remote import Remote, local_run
 from survey.progress import Progress
-from survey.run.folder import RunDir
-from survey.run.owner import Owner
+from survey.run.folder import Owner, RunDir
 from survey.run.process import process
 from survey.run.remote_run import RemoteRun
 

@@ -21,7 +21,6 @@ from survey.folder.survey import load_survey
 from survey.report.maps import draw_waves
 from survey.run.flight import save_flight
 from survey.run.folder import RunDir
-from survey.run.keys import Key
 from survey.run.stage_solver import SURFACES, WAVES, load_surfaces
 from survey.run.stored import save_arrays
 
@@ -65,7 +64,7 @@ def solved(block, path, *, sea=SEA, has_surfaces=True):
             names = np.array([view.name for view in survey.views])
             arrays = {"corner": np.tile(corner, (len(names), 1)), "spacing": np.asarray(SPACING)}
             save_arrays(folder / SURFACES, names=names, coefficients=coefficients(corner), **arrays)
-        folder = run.finish_stage("solver", Key({}), folder)
+        folder = run.finish_stage("solver", {}, folder)
         stages = {"bed": run.load_stage("bed"), "solver": folder}
         run.publish(run.open_result("standard"), quality="standard", stages=stages)
     save_flight(path, survey)

@@ -1,16 +1,15 @@
-"""The run folder: its contents, and which of them a later run may reuse.
+"""The run folder: its contents, the survey that it belongs to, and what a later run may reuse.
 
 RUN/cloud.las, report.json, report.html, settings.toml, plan.json, flight.json, result.json, log.txt, pictures/*.png,
 stages/<name>-<key>/..., and sfm/ where poses had to be found.
 
-A stage works in a fresh hidden folder that is renamed when the stage is finished, so that every folder under
-``stages`` is complete; its name ends in a hash of all that the stage depends on, so that results of other settings are
-kept side by side. One process at a time gives stages their place in a run; a lock ensures this. Workers of a cluster
-may still write to hidden folders after a run that ended early; the next run removes them.
+A stage works in a fresh hidden folder that is renamed when it is finished, so that every folder under ``stages`` is
+complete; its name ends in a hash of all that it depends on, so that results of other settings are kept side by side.
+One process at a time writes a run, which a lock ensures; what workers of a cluster still write to hidden folders after
+a run that ended early, the next run removes.
 
-A result, cloud, report, settings and plan, is written into a hidden folder. Renaming the complete folder commits it,
-and its files are then moved to their places; a process that is killed in between leaves the rest of the moving to the
-next one. So settings, cloud and report in a run always belong together.
+A result, cloud, report, settings and plan, is written into a hidden folder, which renaming commits; its files are then
+moved to their places, by the next process where this one is killed. So they always belong together.
 """
 
 from __future__ import annotations
@@ -23,6 +22,7 @@ import sys
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from geo.files import reporting_disk_errors
@@ -31,9 +31,7 @@ from survey.files.entries import require_plain_entries
 from survey.files.json_values import read_json_object, write_json
 from survey.files.outputs import ReadFiles, locked
 from survey.progress import current
-from survey.run.keys import Key
-from survey.run.owner import Owner
-from survey.stage_key import code_hash
+from survey.stage_key import code_hash, content_hash, stage_key
 from survey.words import RUN_FOLDER, SFM_FOLDER
 
 MARKER, STAGE_RECORD, _PART = ".bathynerf-run.json", "stage.json", ".part"
@@ -47,16 +45,65 @@ RECORD = "result.json"
 _COMPLETE, _UNFINISHED = ".result.whole", ".unfinished.json"
 # As a path has it, with one slash.
 _URL = re.compile(r"[a-z][a-z0-9+.-]+:/")
-_NAMED_VERSIONS = (
-    "numpy",
-    "scipy",
-    "drjit",
-    "torch",
-    "opencv-python-headless",
-    "pyproj",
-    "laspy",
-    "pycolmap",
-)
+_NAMED_VERSIONS = ("numpy", "scipy", "drjit", "torch", "opencv-python-headless", "pyproj", "laspy", "pycolmap")
+
+# What a stage depends on: a hash for each part of the job, or the folder of another stage, by its name.
+Key = Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Owner:
+    """A survey as a run folder knows it."""
+
+    name: str  # For messages only: it may change
+    # name to bytes: cameras give the same names again in every flight, but hardly the same sizes too
+    photographs: dict[str, int]
+    # name to SHA-256: photographs that are not compressed are of one size
+    contents: dict[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, name: str, images: Mapping[str, Path]) -> Owner:
+        """Owner for a survey with these images, name to path."""
+        sizes = {image: path.stat().st_size for image, path in images.items()}
+        return cls(name, sizes, {image: content_hash(path) for image, path in images.items()})
+
+    @classmethod
+    def from_record(cls, record: Mapping) -> Owner | None:
+        """Owner from its record; None before a run is claimed, and of a run of a version that kept none."""
+        return cls(record["survey"], record["photographs"], record.get("contents", {})) if "survey" in record else None
+
+    def as_record(self) -> dict:
+        """Plain values."""
+        return {"survey": self.name, "photographs": self.photographs, "contents": self.contents}
+
+    def require_unchanged(self, name: str, path: Path) -> None:
+        """Raise SurveyError where the file at a path is not the photograph of this name, by size and content."""
+        before, now, content = self.photographs.get(name), path.stat().st_size, self.contents.get(name)
+        if before is not None and before != now:
+            differs = f"it has {now} bytes, expected {before}"
+        elif content is not None and content != content_hash(path):
+            differs = "it has the same size and another content"
+        else:
+            return
+        raise SurveyError(
+            f"{path} is not the photograph that the run used: {differs}; put the photographs of the run there, name "
+            "the folder of the survey with --survey DIR, or process again"
+        )
+
+    def require_same(self, other: Owner, run: Path) -> None:
+        """Raise SurveyError where a run of this survey is to become one of another.
+
+        Photographs may come, go and change, but half of those of the smaller of the two have to be the same.
+        """
+        same = self.photographs.items() & other.photographs.items()
+        if self.contents:
+            same = {(name, size) for name, size in same if self.contents.get(name) == other.contents.get(name)}
+        if 2 * len(same) < min(len(self.photographs), len(other.photographs)):
+            raise SurveyError(
+                f"the run folder {run} belongs to another survey, {self.name}, with other photographs ({len(same)} of "
+                f"{len(other.photographs)} have the same name, size and content there); name another folder with -o, "
+                "or remove that one"
+            )
 
 
 class RunDir:
@@ -118,7 +165,7 @@ class RunDir:
 
         ``is_inside``: the run lies in the folder of the survey, and is its own whatever became of its photographs.
         """
-        before = Owner.from_record(read_json_object(self.path / MARKER))
+        before = self.owner()
         if before is not None and not is_inside:
             before.require_same(owner, self.path)
         if before != owner:
@@ -231,7 +278,9 @@ class RunDir:
     def finished_stage(self, name: str, key: Key, leaves: Iterable[str] = ()) -> Path | None:
         """The folder of a stage that was finished with this key and has these files; None if there is none."""
         folder = self.place(name, key)
-        is_whole = _record(folder).get("key") == key.digest and all((folder / leaf).is_file() for leaf in leaves)
+        is_whole = _record(folder).get("key") == stage_key(dict(key)) and all(
+            (folder / leaf).is_file() for leaf in leaves
+        )
         return folder if is_whole else None
 
     def latest_stage_json(self, name: str) -> dict:
@@ -239,10 +288,10 @@ class RunDir:
         found = [path for path in self.stages_path.glob(f"*/{name}") if path.parent.name[0] != "."]
         return read_json_object(max(found, key=lambda path: path.stat().st_mtime)) if found else {}
 
-    def recompute_reason(self, name: str, key: Key) -> str | None:
-        """Reason why a stage is computed again, in words; None if it never was."""
+    def earlier_keys(self, name: str) -> list[Key]:
+        """Keys with which a stage was finished before."""
         records = [_record(folder) for folder in self.stages_path.glob(f"{name}-*")]
-        return key.reason(record["parts"] for record in records if isinstance(record.get("parts"), dict))
+        return [record["parts"] for record in records if isinstance(record.get("parts"), dict)]
 
     def open_stage(self, name: str) -> Path:
         """A fresh folder for a stage to work in; `finish_stage` gives it its place."""
@@ -262,7 +311,7 @@ class RunDir:
         ``seconds`` are those of another process, which made the folder.
         """
         seconds = time.monotonic() - self._started.pop(temp) if seconds is None else seconds
-        record = {"key": key.digest, "parts": key.parts, "seconds": round(seconds, 3), "versions": versions()}
+        record = {"key": stage_key(dict(key)), "parts": dict(key), "seconds": round(seconds, 3), "versions": versions()}
         write_json(temp / STAGE_RECORD, record)
         place = self.place(name, key)
         with reporting_disk_errors(place):
@@ -288,7 +337,7 @@ class RunDir:
 
     def place(self, name: str, key: Key) -> Path:
         """Folder of a stage with a key, whether it is there or not."""
-        return self.stages_path / f"{name}-{key.digest[:12]}"
+        return self.stages_path / f"{name}-{stage_key(dict(key))[:12]}"
 
     def _require_ours_or_empty(self) -> None:
         if self.path.exists() and not self.path.is_dir():

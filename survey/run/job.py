@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from threading import Event
@@ -16,10 +17,10 @@ from survey.errors import SurveyError
 from survey.photos.images import ImageStore
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
 from survey.plan.sweep_block import camera_of, cameras_of_block, load_block
-from survey.run.keys import PARTS, colour_of
 from survey.run.stored import ArrayFiles
 from survey.run.windows import BedSearch, Outlines
-from survey.stage_key import stage_key
+from survey.settings.water import WaterColour
+from survey.stage_key import code_hash, stage_key
 
 if TYPE_CHECKING:
     from fields.sweep.block import Block
@@ -30,6 +31,57 @@ if TYPE_CHECKING:
     from survey.plan.choices import Choices
     from survey.plan.plan import Plan
     from survey.progress import Progress
+
+
+def colour_of(survey: Survey) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
+    """Absorption [1/m] and veiling light (linear, 1 for white) of red, green and blue; None where not known."""
+    water = survey.config.water
+    return (None, None) if water is None else (water.colour.absorption_per_m, water.colour.veiling_light)
+
+
+def _water(job: Job) -> Any:
+    departure = job.survey.observations.departure
+    return job.survey.water if departure is None else (job.survey.water, departure.points, departure.stds)
+
+
+def _water_settings(job: Job) -> Any:
+    water = job.survey.config.water
+    return None if water is None else replace(water, colour=WaterColour()), job.survey.observations.tide
+
+
+def _priors(job: Job) -> Any:
+    return dict(job.survey.observations.priors), job.survey.config.cameras, job.survey.provenance.contradiction
+
+
+# Parts of a `Job` that stages depend on: in words, and what is hashed.
+PARTS: dict[str, tuple[str, Callable[[Job], Any]]] = {
+    "photographs": ("the photographs or masks", lambda job: [job.hashes[view.name] for view in job.survey.views]),
+    "cameras": ("poses or lenses", lambda job: [(view.name, view.camera, view.lens) for view in job.survey.views]),
+    "water": ("the water", _water),
+    "water_settings": ("level, slopes or index in survey.toml", _water_settings),
+    "ties": ("the matches of structure from motion", lambda job: job.survey.observations.ties),
+    "priors": ("positions, or the standard deviations of poses", _priors),
+    "control": ("the control points", lambda job: (job.survey.observations.control, job.survey.observations.ground)),
+    "freed": ("--calibrate-water", lambda job: job.chosen.calibrate_water),
+    "heights": ("the range of heights", lambda job: job.limits),
+    "area": ("the area", lambda job: job.area if job.cell is None else (job.cell, job.ground)),
+    "tiles": ("the tiles (--tiles, --memory)", lambda job: job.plan.tiling),
+    "frame": ("the local frame", lambda job: job.survey.frame),
+    "name": ("the name of the survey", lambda job: job.survey.name),
+    "size": ("the size that images are worked on", lambda job: job.plan.image_scale),
+    "gsd": ("the ground sampling distance", lambda job: job.plan.gsd_m),
+    "refined": ("which pixels the sweep refines (--field, or --quality)", lambda job: job.plan.solves),
+    "coverage": ("the number of views per place (--quality, or the program)", lambda job: job.plan.recipe.times_seen),
+    "rays": (
+        "the rays that the field learns from (--quality, or the program)",
+        lambda job: (job.plan.field, job.plan.recipe.rays_per_cell),
+    ),
+    "boxes": ("whether the bed is looked for in boxes beside edges (--field)", lambda job: job.plan.boxes),
+    "device": ("the device", lambda job: job.plan.device),
+    "water_colour": ("the colour of the water", lambda job: colour_of(job.survey)),
+    "true_colour": ("--true-colour", lambda job: colour_of(job.survey) if job.chosen.true_colour else None),
+    "code": ("the program", lambda _job: code_hash()),
+}
 
 
 class Job:
@@ -186,14 +238,11 @@ class Job:
         )
 
     def hash_of_part(self, name: str) -> str:
-        """The hash of a part of the job that stages depend on, by its name in `survey.run.keys.PARTS`.
-
-        Each part is hashed once for a survey and a plan: thousands of cameras take a tenth of a second.
-        """
+        """The hash of one of `PARTS`, made once for a survey and a plan: 1000 cameras take a tenth of a second."""
         if self._hashed_of[0] is not self.survey or self._hashed_of[1] is not self.plan:
             self._hashed, self._hashed_of = {}, (self.survey, self.plan)
         if name not in self._hashed:
-            self._hashed[name] = stage_key(self._part(name))
+            self._hashed[name] = stage_key(PARTS[name][1](self))
         return self._hashed[name]
 
     @cached_property
@@ -207,6 +256,3 @@ class Job:
             view.name: (view.name, content[view.path], None if view.mask_path is None else content[view.mask_path])
             for view in views
         }
-
-    def _part(self, name: str) -> Any:
-        return PARTS[name][1](self)

@@ -1,6 +1,6 @@
 """`bathynerf process`: from a survey folder to a run folder.
 
-    check -> plan -> stages (survey.run.pipeline) -> cloud.las -> comparison -> report -> verdict
+    check -> plan -> stages (survey.run.stages) -> cloud.las -> comparison -> report -> verdict
 
 Stages leave their result in the run folder and are used again while what they depend on is the same. Cloud, report,
 settings and plan are the result of a run and take the place of an earlier one together, at the end.
@@ -16,6 +16,7 @@ from threading import Thread
 from typing import Any
 
 from survey.display.quantities import length
+from survey.errors import SurveyError
 from survey.files.outputs import ReadFiles, require_folder
 from survey.files.remote import Remote, is_url, local_run
 from survey.folder.found import survey_inputs
@@ -28,12 +29,10 @@ from survey.plan.workload import Workload, room_warnings, workload_of_images
 from survey.progress import Progress, opened
 from survey.run.aim import plan_for_aim
 from survey.run.edits import edits_of_others
-from survey.run.execution import run_stages
-from survey.run.folder import RunDir
+from survey.run.folder import Owner, RunDir
 from survey.run.job import Job
-from survey.run.owner import Owner
 from survey.run.remote_run import RemoteRun
-from survey.run.repeat import Truth
+from survey.run.stages import run_stages
 from survey.run.start_workers import WorkerNeeds, workers_for
 from survey.settings.config import SurveyConfig, settings_of
 from survey.settings.tables import ProcessConfig
@@ -80,11 +79,14 @@ def process(
     """
     began = time.monotonic()
     survey_folder, folder = Path(survey_folder), local_run(Path(survey_folder), run_folder)
-    truth = Truth(*(None if path is None else Path(path) for path in (reference, visible)))
-    truth.require_there()
+    truth = {
+        option: Path(path) for option, path in (("reference", reference), ("visible", visible)) if path is not None
+    }
+    for option, path in truth.items():
+        if not path.exists():
+            raise SurveyError(f"--{option} {path} does not exist; give the path of a PLY, OBJ, LAS or LAZ file")
     settings = settings_of(survey_folder)
-    inputs = survey_inputs(survey_folder, settings) + ReadFiles.of(truth.reference, truth.visible)
-    require_folder("-o", folder, inputs)
+    require_folder("-o", folder, survey_inputs(survey_folder, settings) + ReadFiles.of(*truth.values()))
     chosen = choices_of(ProcessConfig(**options).over((settings or SurveyConfig()).process))
     checked = require_processable(survey_folder, chosen, settings)
     run = RemoteRun(folder, Remote(str(run_folder))) if is_url(run_folder) else RunDir(folder)
@@ -110,18 +112,18 @@ def process(
         # The report takes half a second to import, beside the kernels of the sweep; if it fails, it does so below.
         Thread(target=_import_products, args=(job,), daemon=True).start()
         result = run.open_result(job.plan.quality)
-        done = run_stages(job, run, resume=resume, compares_sweep=truth.reference is not None)
+        stages = run_stages(job, run, resume=resume, compares_sweep="reference" in truth)
         from survey.run.products import FinishedRun, write_products
 
-        verdict = write_products(FinishedRun(run, job, done, truth, result, time.monotonic() - began))
-        run.publish(result, quality=job.plan.quality, stages=done)
+        verdict = write_products(FinishedRun(run, job, stages, truth, result, time.monotonic() - began))
+        run.publish(result, quality=job.plan.quality, stages=stages)
         progress.detail(f"report: {run.report_html_path}")
         if (of_others := edits_of_others(run)) is not None:
             progress.warn(of_others)
         for gate in verdict.gates:
             if not gate.passed:
-                of = "a draft, for a first look" if job.plan.quality == Quality.draft else "quality gate"
-                progress.warn(f"{of}: {gate.sentence}; all outputs are written")
+                kind = "a draft, for a first look" if job.plan.quality == Quality.draft else "quality gate"
+                progress.warn(f"{kind}: {gate.sentence}; all outputs are written")
     return 0 if verdict.passed else QUALITY_GATE_FAILED
 
 

@@ -1,13 +1,14 @@
-"""The results of a run, its cloud, settings, plan and report, written into a folder of their own."""
+"""The results of a run in a folder of their own: cloud, settings with the command that repeats it, plan and report."""
 
 from __future__ import annotations
 
 import math
+import shlex
 import shutil
 import time
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,7 @@ from survey.files.toml_table import table_of
 from survey.folder.survey import Survey
 from survey.photos.exif import read_exif
 from survey.photos.texture import matched_light
+from survey.plan.choices import option_of
 from survey.plan.tiling import tile_warnings
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.checkpoints import checkpoint_warnings
@@ -38,11 +40,12 @@ from survey.run.flight import save_flight
 from survey.run.folder import RunDir, seconds_of, versions, versions_of
 from survey.run.gate import gates_of_aim, verdict_of
 from survey.run.job import Job
-from survey.run.repeat import Truth, options_of, settings_text
 from survey.run.stage_solver import SIGHTINGS, WAVES, load_surfaces
 from survey.run.stage_sweep import CONSISTENCY, MAPS, SATURATED
 from survey.run.stored import StoredBed, load_bed
 from survey.run.stored_maps import Stored
+from survey.settings.config import dump_config
+from survey.settings.tables import ProcessConfig
 
 # At which the report asks how complete the cloud is: that of the study which this work follows, and a finer one.
 TOLERANCES_M = (0.2, 0.05)
@@ -92,6 +95,52 @@ def write_bed_e57(path: Path, stored: StoredBed) -> None:
     write_e57(path, stored.points_crs, stored.crs, rgb=stored.bed.rgb)
 
 
+def options_of(job: Job, truth: Mapping[str, Path]) -> dict:
+    """Effective options of a run by name, and under ``command`` the command that repeats it."""
+    chosen, plan = job.chosen, job.plan
+    return {
+        "quality": plan.quality,
+        "device": plan.device,
+        "field": plan.field,
+        "poses": plan.pose_choice,
+        "image_scale": plan.image_scale,
+        "calibrate_water": chosen.calibrate_water,
+        "true_colour": chosen.true_colour,
+        "tiles": 1 if job.plan.tiling is None else len(job.plan.tiling),
+        **({"target_std_m": chosen.target_std_m, "time_budget_s": chosen.time_budget_s} if chosen.has_aim else {}),
+        "command": command_of(job, truth),
+    }
+
+
+def command_of(job: Job, truth: Mapping[str, Path]) -> str:
+    """The command line of a run, without its run folder; ``truth`` has the files of its reference by their options."""
+    words = ["bathynerf", "process", str(job.survey.folder)]
+    for field in fields(ProcessConfig):
+        name, value = option_of(field.name), getattr(job.chosen, field.name)
+        if job.chosen.has_aim and field.name in ("quality", "image_scale"):
+            continue
+        # A default is stated too where survey.toml has another value.
+        is_open = getattr(job.survey.config.process, field.name) in (None, value)
+        if value is True or (value is False and not is_open):
+            words.append(name if value else name.replace("--", "--no-", 1))
+        elif value not in (None, False) and not (value == "auto" and is_open):
+            words += [name, str(value)]
+    for name, path in truth.items():
+        words += [f"--{name}", str(path)]
+    return shlex.join(words)
+
+
+def settings_text(job: Job, options: dict) -> str:
+    """The settings of a run as survey.toml has them, with its `options_of` as comments."""
+    effect = ", ".join(f"{name} {value}" for name, value in options.items() if name != "command" and value is not None)
+    head = (
+        "# The settings in effect, with defaults and with what the run found of the water.\n"
+        f"# Options in effect: {effect}\n"
+        f"# The same run again: {options['command']}\n\n"
+    )
+    return head + dump_config(replace(job.survey.config, process=ProcessConfig()))
+
+
 @dataclass(frozen=True)
 class FinishedRun:
     """A run whose stages are finished."""
@@ -99,7 +148,7 @@ class FinishedRun:
     run: RunDir
     job: Job
     stages: Mapping[str, Path]  # Their folders, by name
-    truth: Truth
+    truth: Mapping[str, Path]  # "reference" and "visible", where they are given
     result: Path  # Folder of the new result; it takes its place in the run afterwards
     seconds: float  # Of the run so far [s]
 
@@ -110,7 +159,7 @@ def write_products(finished: FinishedRun) -> RunVerdict:
     # Beside the report, which reads it only to compare it.
     with ThreadPoolExecutor(1) as pool:
         written = pool.submit(write_bed_las, cloud, stored)
-        if finished.truth.reference is not None:
+        if "reference" in finished.truth:
             written.result()
         with lengths_in_feet(foot_m(finished.job.survey.config.report.units, stored.crs)):
             verdict = _write_report(finished, stored)
@@ -224,16 +273,16 @@ def adjustment_of(folder: Path, done: Mapping[str, Path]) -> Adjustment | None:
 
 def _comparisons(finished: FinishedRun) -> tuple[Comparison | None, Comparison | None]:
     """The cloud against the reference, and the cloud that the sweep alone would give; None where there is none."""
-    job, folder, truth = finished.job, finished.result, finished.truth
-    if truth.reference is None:
+    job, folder, reference = finished.job, finished.result, finished.truth.get("reference")
+    if reference is None:
         return None, None
     note = job.progress.note
     # Loads what compares images too; most runs have nothing to compare with.
     from survey.compare.comparison import CompareOptions, compare_surfaces
 
-    options = CompareOptions(tolerances_m=TOLERANCES_M, visible=truth.visible, bounds=job.survey.bounds)
-    note(f"comparison of the cloud with {truth.reference.name}")
-    found = compare_surfaces(folder / "cloud.las", truth.reference, options)
+    options = CompareOptions(tolerances_m=TOLERANCES_M, visible=finished.truth.get("visible"), bounds=job.survey.bounds)
+    note(f"comparison of the cloud with {reference.name}")
+    found = compare_surfaces(folder / "cloud.las", reference, options)
     # The final path, not that of the folder in which the result is written.
     circumstances = replace(found.figures.circumstances, cloud=str(finished.run.cloud_path))
     found = replace(found, figures=replace(found.figures, circumstances=circumstances))
@@ -241,7 +290,7 @@ def _comparisons(finished: FinishedRun) -> tuple[Comparison | None, Comparison |
         return found, None
     cloud = folder / "sweep.las"
     write_bed_las(cloud, load_bed(finished.stages["bed_of_sweep"]))
-    note(f"comparison of what the sweep alone gives with {truth.reference.name}")
-    of_sweep = compare_surfaces(cloud, truth.reference, options)
+    note(f"comparison of what the sweep alone gives with {reference.name}")
+    of_sweep = compare_surfaces(cloud, reference, options)
     cloud.unlink()
     return found, of_sweep

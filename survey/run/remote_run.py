@@ -21,9 +21,7 @@ from geo.files import reporting_disk_errors, write_text
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object, write_json
 from survey.files.remote import Remote, files_below
-from survey.run.folder import MARKER, NAMES, RECORD, STAGE_RECORD, RunDir, results_of_other_qualities
-from survey.run.keys import Key
-from survey.run.owner import Owner
+from survey.run.folder import MARKER, NAMES, RECORD, STAGE_RECORD, Key, Owner, RunDir, results_of_other_qualities
 from survey.words import SFM_FOLDER
 
 _STAGES, _LOG = "stages", "log.txt"

@@ -36,7 +36,7 @@ from survey.files.json_values import read_json_object
 from survey.photos.intersection import equations_of_lines
 from survey.plan.area import inside
 from survey.progress import shares
-from survey.run.keys import colour_of
+from survey.run.job import colour_of
 from survey.run.points import adjustment_of, bed_points, is_placed, with_std_of_block
 from survey.run.stage_solver import SOLVED, WAVES
 from survey.run.stage_sweep import KEPT, MAPS

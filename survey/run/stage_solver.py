@@ -6,7 +6,7 @@ What the solver has to know of a survey is learned from a sample of all its tile
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,9 +20,20 @@ from fields.waves.waves import Waves
 from survey.display.quantities import length
 from survey.files.json_values import read_json_object, write_json
 from survey.progress import shares
-from survey.run.stage_sweep import KEPT, MAPS, SCRATCH, SQUARES, learned_from, load_rough_water, solvable
+from survey.run.stage_sweep import (
+    KEPT,
+    MAPS,
+    OWN,
+    SCRATCH,
+    SQUARES,
+    learned_from,
+    load_rough_water,
+    maps_by_view,
+    places_of_tiles,
+    solvable,
+)
 from survey.run.stored import load_arrays, save_arrays
-from survey.run.stored_maps import Stored, load_masks, map_store, save_maps
+from survey.run.stored_maps import Stored, StoredMasks, load_masks, map_store, save_maps
 from survey.water.wave_surfaces import WaveSurfaces
 
 if TYPE_CHECKING:
@@ -118,6 +129,40 @@ def _save_waves(job: Job, folder: Path, moved_px: float, waves: Waves | None) ->
     names = np.array([view.name for view in job.survey.views])
     parts = {name: np.asarray(getattr(waves, name)) for name in ("corner", "spacing", "coefficients")}
     save_arrays(folder / SURFACES, names=names, **parts)
+
+
+def join_solved(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+    """Solved maps of whole photographs, in the order of `join_sweeps`, and how often each photograph was seen."""
+    swept, solved = (places_of_tiles(job, needs, name) for name in ("sweep", "solver"))
+    save_maps(folder / SOLVED, SolvedMap, _whole_solved(job, swept, solved))
+    sightings = [read_json_object(place / SIGHTINGS) for place in solved]
+    names = [view.name for view in job.survey.views]
+    counts = {name: np.sum([of_tile.get(name, (0, 0)) for of_tile in sightings], axis=0).tolist() for name in names}
+    write_json(folder / SIGHTINGS, counts)
+    # Of the tile with the highest waves: the others are shallow, or dry.
+    seas = [read_json_object(place / WAVES) for place in solved]
+    write_json(folder / WAVES, max(seas, key=lambda waves: (waves["sea"] or {}).get("significant_height_m", 0.0)))
+
+
+def _whole_solved(job: Job, swept: Sequence[Path], solved: Sequence[Path]) -> Iterator[SolvedMap]:
+    width, maps = job.cameras[0].width, [Stored(place / SOLVED, SolvedMap) for place in solved]
+    own, views = (
+        [StoredMasks(place / OWN) for place in swept],
+        [Stored(place / MAPS, HeightMap).views for place in swept],
+    )
+    for of_view in maps_by_view(job, swept).values():
+        parts = []
+        for tile, number, window in of_view:
+            of_tile, mask = maps[tile.number][number], own[tile.number][number].ravel()
+            keep = mask[of_tile.pixels]
+            row, column = np.divmod(of_tile.pixels[keep], window.width)
+            pixels = (row + window.row) * width + column + window.column
+            height = tile.over_whole(views[tile.number][number], row, column, of_tile.height[keep])
+            parts.append((pixels, height, of_tile.std[keep]))
+        pixels, height, std = (np.concatenate(column) for column in zip(*parts, strict=True))
+        # A pixel whose heights in two tiles lie on either side of the line between them is in both.
+        pixels, first = np.unique(pixels, return_index=True)
+        yield SolvedMap(pixels, height[first], std[first])
 
 
 def load_surfaces(folder: Path, flight: Flight | Survey) -> WaveSurfaces | None:

@@ -5,10 +5,10 @@ A survey in tiles has a sweep for each; their maps are joined to those of whole 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -21,22 +21,24 @@ from fields.sweep.fusion import remove_free_space_violations
 from fields.sweep.map_points import places_in_plan
 from fields.sweep.maps import HeightMap, views_of
 from fields.sweep.passes import PASSES, before_solver, in_area
-from fields.sweep.photo_consistency import photo_consistency
+from fields.sweep.photo_consistency import Consistency, photo_consistency
 from fields.sweep.sweep import sweep
 from fields.sweep.view_pass import SweepSettings
 from fields.sweep.wide_windows import wet_pairs, with_wide_windows
 from fields.waves.waves import Waves
 from survey.errors import SurveyError
-from survey.files.json_values import write_json
+from survey.files.json_values import read_json_object, write_json
 from survey.plan.area import grown, inside, plane_name
 from survey.progress import shares
 from survey.run.stored import load_arrays, save_arrays
-from survey.run.stored_maps import IN_MEMORY, Stored, load_masks, map_store, save_maps, save_masks
+from survey.run.stored_maps import IN_MEMORY, Stored, StoredMasks, load_masks, map_store, save_maps, save_masks
 
 if TYPE_CHECKING:
     from fields.sweep.block import Block
     from fields.sweep.maps import OrderedMaps, StoreFactory
     from survey.run.job import Job
+    from survey.run.tile_job import TileJob
+    from survey.run.windows import Window
 
 MAPS = "maps.npz"
 # Of each photograph by its name: the share of white pixels, and whether it shows the bed that was found.
@@ -169,3 +171,59 @@ def _save_of_photographs(
     write_json(folder / SATURATED, saturated)
     write_json(folder / CONSISTENCY, consistency)
     write_json(folder / SQUARES, {"pixels": squares})
+
+
+def places_of_tiles(job: Job, needs: Mapping[str, Path], name: str) -> list[Path]:
+    """Folders of a stage of all tiles."""
+    return [needs[part.stage_name(name)] for part in job.parts]
+
+
+def maps_by_view(job: Job, swept: Sequence[Path]) -> dict[int, list[tuple[TileJob, int, Window]]]:
+    """Tile, number of the map in it, and window, for each view of the survey that has a map, by rising number."""
+    by_view: dict[int, list[tuple[TileJob, int, Window]]] = {}
+    for tile, place in zip(cast("Sequence[TileJob]", job.parts), swept, strict=True):
+        for number, view in enumerate(Stored(place / MAPS, HeightMap).views):
+            window = tile.windows[view]
+            by_view.setdefault(window.view, []).append((tile, number, window))
+    return dict(sorted(by_view.items()))
+
+
+def join_sweeps(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+    """Height maps of whole photographs: each pixel from the tile that has its point."""
+    swept = places_of_tiles(job, needs, "sweep")
+    save_maps(folder / MAPS, HeightMap, _whole_maps(job, swept))
+    names = [view.name for view in job.survey.views]
+    write_json(folder / SATURATED, dict(zip(names, job.block.saturated, strict=True)))
+    of_tiles = [read_json_object(place / CONSISTENCY) for place in swept]
+    write_json(folder / CONSISTENCY, {name: asdict(_joined_consistency(of_tiles, name)) for name in names})
+
+
+def _whole_maps(job: Job, swept: Sequence[Path]) -> Iterator[HeightMap]:
+    shape = job.cameras[0].height, job.cameras[0].width
+    maps, own = [Stored(place / MAPS, HeightMap) for place in swept], [StoredMasks(place / OWN) for place in swept]
+    for view, of_view in maps_by_view(job, swept).items():
+        height, known = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=bool)
+        score, spread = np.full(shape, -1.0, dtype=np.float16), np.zeros(shape, dtype=np.float16)
+        agreeing = np.zeros(shape, dtype=np.uint8)
+        for tile, number, window in of_view:
+            m, mask = maps[tile.number][number], own[tile.number][number] & ~known[window.part]
+            row, column = np.nonzero(mask)
+            height[window.part][mask] = tile.over_whole(m.view, row, column, m.height[mask])
+            for target, values in ((score, m.score), (agreeing, m.agreeing), (spread, m.spread)):
+                target[window.part][mask] = values[mask]
+            known[window.part] |= mask
+        # Where no tile looked, no other view confirms the height.
+        height[~known] = np.median(height[known]) if known.any() else np.float32(0.0)
+        yield HeightMap(view, height, score, agreeing, spread)
+
+
+def _joined_consistency(of_tiles: Sequence[Mapping[str, dict]], name: str) -> Consistency:
+    """Consistency of a photograph in several tiles: means by the number of points."""
+    parts = [Consistency(**values[name]) for values in of_tiles if name in values]
+    count = np.array([part.num_points for part in parts], dtype=float)
+    known = [part.correlation is not None for part in parts]
+    if not any(known):
+        return Consistency(int(count.sum()), None, max((part.contrast for part in parts), default=0.0))
+    correlation = float(np.average([part.correlation or 0.0 for part in parts], weights=count * known))
+    contrast = float(np.sqrt(np.average([part.contrast**2 for part in parts], weights=np.maximum(count, 1.0))))
+    return Consistency(int(count.sum()), correlation, contrast)

@@ -178,9 +178,6 @@ class TileJob(Job):
         is_shared = name in _OF_SURVEY or (name == "heights" and not has_own_ranges(self._tiling))
         return self.survey_job.hash_of_part(name) if is_shared else super().hash_of_part(name)
 
-    def _part(self, name: str):
-        return (self.cell, self.ground) if name == "area" else super()._part(name)
-
 
 class _ProgressOfTile:
     """Progress of a run with the tile in the names of its parts; what is noted of a tile is a detail."""

@@ -59,7 +59,7 @@ class Task:
 
     name: str  # Of the stage
     tile: int
-    # callable: as `survey.run.pipeline.Stage.compute`; cloudpickle carries it
+    # callable: as `survey.run.stages.Stage.compute`; cloudpickle carries it
     compute: Callable[[Job, Path, Mapping[str, Path]], None]
     needs: Mapping[str, Path]  # mapping: folders of the stages that it needs, by the names that ``compute`` knows
     cost: int = 0  # Expected, in pixels: the longest are to begin first

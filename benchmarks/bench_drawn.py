@@ -25,7 +25,7 @@ from method_cases import IMAGES
 from method_records import METHODS, Record, Results, read_results, write_results
 from method_text import comparison, pareto_front
 
-from survey.compare.canvas import canvas, save
+from survey.display.canvas import canvas, save
 from survey.display.palette import INK, RED, SERIES, SOFT
 
 COLOURS = dict(zip(METHODS, (*SERIES, RED), strict=True))

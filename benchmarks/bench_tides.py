@@ -29,7 +29,7 @@ from tables import publish
 from bathynerf import Dem, Progress, Run, load_survey, process, read_cloud, read_reference, simulate
 from evaluation import distance_statistics
 from geo import write_ply
-from survey.compare.canvas import canvas, save, write_title
+from survey.display.canvas import canvas, save, write_title
 from survey.errors import FILE_NAME
 from survey.simulate.simulate import simulate_flight
 

@@ -13,8 +13,8 @@ import numpy as np
 from method_records import METHODS, Cost, Record, Results
 from scipy.stats import t as student
 
-from survey.compare.canvas import canvas, plain_log_ticks, save
 from survey.display.blocks import aligned
+from survey.display.canvas import canvas, plain_log_ticks, save
 from survey.display.palette import INK, RED, SERIES, SOFT
 from survey.display.quantities import length, listed
 

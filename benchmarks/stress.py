@@ -32,7 +32,7 @@ from method_records import Cost, Errors, errors_of
 from stress_factors import FACTORS, prepared
 from stress_faults import resumed
 
-from survey.compare.canvas import save
+from survey.display.canvas import save
 from survey.display.palette import BLUE, DOUBTFUL, INK, RED, SOFT
 
 # Shares of errors that count as 95 %, and standard deviations that a median may be off by.

@@ -7,7 +7,7 @@ import pytest
 
 from geo import shapes
 from geo.shapes import ComputedColumn
-from survey.display.column import finite, median
+from survey.display.plan_grid import finite, median
 
 
 @pytest.fixture(autouse=True)

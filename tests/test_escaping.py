@@ -109,7 +109,7 @@ def test_a_figure_shows_a_text_as_it_is(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_a_report_has_the_same_elements_under_any_name(plane_report, name):
     figures = plane_report.figures
-    page = render_page(replace(figures, survey=replace(figures.survey, name=name)), [])
+    page = render_page(figures | {"survey": figures["survey"] | {"name": name}}, [])
     assert Tags(page).names == Tags(render_page(figures, [])).names
 
 

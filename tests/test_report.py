@@ -23,56 +23,54 @@ from small_survey import TOML, small_survey
 
 from evaluation import DistanceStatistics, iho_s44
 from survey.folder.survey import load_survey
-from survey.report.collect import figures_of
 from survey.report.facts import RunVerdict, dry_warnings
-from survey.report.figures import Spread, json_of
-from survey.report.headline import cards, headline
-from survey.report.page import render_page
+from survey.report.figures import figures_of, json_of
+from survey.report.page import cards, headline, render_page
 
 
 def test_the_figures_of_a_plane_are_those_of_its_geometry(plane_report):
-    cloud, bed = plane_report.figures.cloud, plane_report.facts.bed
-    assert (cloud.points, cloud.points_wet + cloud.points_dry) == (len(bed), len(bed))
+    cloud, bed = plane_report.figures["cloud"], plane_report.facts.bed
+    assert (cloud["points"], cloud["points_wet"] + cloud["points_dry"]) == (len(bed), len(bed))
     # Wet where SLOPE * x < 0.3, i.e. 134 of 140 columns (-6.95 to 6.35 m).
-    assert cloud.points_wet == 134 * 140
+    assert cloud["points_wet"] == 134 * 140
     # One point per SPACING_M squared; the 56 cells of 0.25 m along a side are covered whole.
-    assert cloud.covered_area_m2 == pytest.approx((56 * 0.25) ** 2)
-    assert cloud.density_per_m2 == pytest.approx(1.0 / SPACING_M**2)
+    assert cloud["covered_area_m2"] == pytest.approx((56 * 0.25) ** 2)
+    assert cloud["density_per_m2"] == pytest.approx(1.0 / SPACING_M**2)
     # Depths run evenly between the two ends.
     low, high = 0.3 - SLOPE * 6.35, 0.3 + SLOPE * 6.95
-    assert cloud.depth_m.min == pytest.approx(low, abs=CURVATURE_M)
-    assert cloud.depth_m.max == pytest.approx(high, abs=CURVATURE_M)
-    assert cloud.depth_m.median == pytest.approx(0.5 * (low + high), abs=SLOPE * SPACING_M)
+    assert cloud["depth_m"]["min"] == pytest.approx(low, abs=CURVATURE_M)
+    assert cloud["depth_m"]["max"] == pytest.approx(high, abs=CURVATURE_M)
+    assert cloud["depth_m"]["median"] == pytest.approx(0.5 * (low + high), abs=SLOPE * SPACING_M)
     # Evenly from 5 to 15 mm.
-    assert cloud.std_m.median == pytest.approx(0.010, abs=1e-6)
-    assert cloud.std_m.p95 == pytest.approx(0.0145, abs=1e-6)
-    assert cloud.views_per_point == Spread(2.0, 4.0, pytest.approx(4.0), 6.0, 6.0)
-    assert cloud.incidence_deg.max == pytest.approx(np.degrees(0.5), abs=1e-5)
+    assert cloud["std_m"]["median"] == pytest.approx(0.010, abs=1e-6)
+    assert cloud["std_m"]["p95"] == pytest.approx(0.0145, abs=1e-6)
+    assert list(cloud["views_per_point"].values()) == [2.0, 4.0, pytest.approx(4.0), 6.0]
+    assert cloud["incidence_deg"]["max"] == pytest.approx(np.degrees(0.5), abs=1e-5)
 
 
 def test_a_bed_that_lies_above_the_water_all_over_is_a_warning(shallow_survey):
-    (warning,) = figures_of(facts_of(shallow_survey, plane_bed(shallow_survey, num=20, depth_m=-4.0))).warnings
+    (warning,) = figures_of(facts_of(shallow_survey, plane_bed(shallow_survey, num=20, depth_m=-4.0)))["warnings"]
     # The lowest of 20 columns, SPACING_M apart.
     assert (
         f"above the water, whose level is 2105.00\u00a0m: the lowest point by {4.0 - 9.5 * SPACING_M * SLOPE:.2f}"
         in (warning)
     )
     assert "vertical datum" in warning
-    assert figures_of(facts_of(shallow_survey, plane_bed(shallow_survey, num=20))).warnings == ()
+    assert figures_of(facts_of(shallow_survey, plane_bed(shallow_survey, num=20)))["warnings"] == []
     water = replace(shallow_survey.config, water=None)
     dry = replace(shallow_survey, water=None, config=water)
     assert dry_warnings(dry, plane_bed(dry, num=20)) == []
 
 
 def test_survey_and_water_say_where_they_come_from(plane_report):
-    survey, water = plane_report.figures.survey, plane_report.figures.water
-    assert survey.crs.code == "EPSG:25832+5778"
-    assert (survey.views_used, survey.views_left_out) == (4, 0)
-    assert survey.bounds == (589006, 5194730, 589019, 5194742)
-    assert (water.level_m, water.refractive_index) == (2105.0, 1.333)
-    assert water.refractive_index_from == "survey.toml"
-    assert plane_report.figures.total_s == pytest.approx(65.2)
-    assert plane_report.figures.versions == {"bathynerf": "0.1.0"}
+    survey, water = plane_report.figures["survey"], plane_report.figures["water"]
+    assert survey["crs"]["code"] == "EPSG:25832+5778"
+    assert (survey["views_used"], survey["views_left_out"]) == (4, 0)
+    assert survey["bounds"] == (589006, 5194730, 589019, 5194742)
+    assert (water["level_m"], water["refractive_index"]) == (2105.0, 1.333)
+    assert water["refractive_index_from"] == "survey.toml"
+    assert plane_report.figures["timings_s"]["total"] == pytest.approx(65.2)
+    assert plane_report.figures["versions"] == {"bathynerf": "0.1.0"}
 
 
 def test_an_assumed_index_and_an_image_left_out_are_told(tmp_path):
@@ -81,13 +79,13 @@ def test_an_assumed_index_and_an_image_left_out_are_told(tmp_path):
     (folder / "images" / "9999.jpg").write_bytes((folder / "images" / "0000.jpg").read_bytes())
     survey = load_survey(folder)
     figures = figures_of(facts_of(survey, plane_bed(survey, num=20)))
-    assert re.match(r"assumed: refractive_index = 1\.33\d+, fresh water", figures.water.refractive_index_from)
-    assert figures.survey.views_left_out == 1
-    assert "9999.jpg" in figures.warnings[0]
+    assert re.match(r"assumed: refractive_index = 1\.33\d+, fresh water", figures["water"]["refractive_index_from"])
+    assert figures["survey"]["views_left_out"] == 1
+    assert "9999.jpg" in figures["warnings"][0]
 
 
 def test_the_comparison_is_that_of_the_cloud_with_the_raised_plane(plane_report):
-    comparison = plane_report.figures.comparison
+    comparison = plane_report.figures["comparison"]
     # The distance to a plane is along its normal; the cloud lies below it.
     assert comparison.distances.mean_m == pytest.approx(-RAISED_M / np.hypot(1.0, SLOPE), abs=LAS_BIAS_M)
     assert comparison.distances.std_m == pytest.approx(LAS_STD_M, rel=0.1)
@@ -95,7 +93,7 @@ def test_the_comparison_is_that_of_the_cloud_with_the_raised_plane(plane_report)
 
 
 def test_vertical_uncertainty_is_that_of_the_comparison(plane_report):
-    iho = plane_report.figures.comparison.uncertainty.iho
+    iho = plane_report.figures["comparison"].uncertainty.iho
     # The bed lies 4 mm under the reference everywhere, and LAS rounds to half a millimetre.
     assert iho.error_95_m == pytest.approx(RAISED_M, abs=0.6e-3)
     assert all(order.meets_tvu for order in iho.orders)
@@ -103,9 +101,10 @@ def test_vertical_uncertainty_is_that_of_the_comparison(plane_report):
 
 def test_the_card_claims_an_order_only_where_every_depth_meets_it(plane_report):
     def card(errors, depth):
-        uncertainty = replace(plane_report.figures.comparison.uncertainty, iho=iho_s44(errors, depth))
-        comparison = replace(plane_report.figures.comparison, uncertainty=uncertainty)
-        return next(c for c in cards(replace(plane_report.figures, comparison=comparison)) if c.label.startswith("IHO"))
+        comparison = plane_report.figures["comparison"]
+        uncertainty = replace(comparison.uncertainty, iho=iho_s44(errors, depth))
+        figures = plane_report.figures | {"comparison": replace(comparison, uncertainty=uncertainty)}
+        return next(card for card in cards(figures) if card.label.startswith("IHO"))
 
     depth, errors = np.repeat([1.5, 3.5], [2000, 38_000]), np.zeros(40_000)
     everywhere = "strictest order whose TVU is met at every depth"
@@ -122,7 +121,7 @@ def test_the_card_claims_an_order_only_where_every_depth_meets_it(plane_report):
 
 def test_without_a_reference_orders_are_said_to_be_stated_alone(shallow_survey):
     figures = figures_of(facts_of(shallow_survey, plane_bed(shallow_survey, num=20)))
-    assert figures.comparison is None
+    assert figures["comparison"] is None
     assert json_of(figures)["iho_s44"] is None
     page = render_page(figures, [])
     assert "Vertical uncertainty (IHO S-44)" not in page
@@ -133,7 +132,7 @@ def test_without_a_reference_orders_are_said_to_be_stated_alone(shallow_survey):
 def test_a_failed_gate_is_in_the_verdict_and_among_the_warnings(shallow_survey):
     facts = facts_of(shallow_survey, plane_bed(shallow_survey, num=20), verdict=RunVerdict((MET, MISSED)))
     figures = figures_of(facts)
-    assert figures.warnings == (MISSED.sentence,)
+    assert figures["warnings"] == [MISSED.sentence]
     assert json_of(figures)["verdict"] == {"passed": False, "gates": [asdict(MET), asdict(MISSED)]}
 
 
@@ -160,14 +159,14 @@ def test_a_draft_is_for_a_first_look_and_says_what_makes_a_cloud_for_use():
 
 def test_straight_rays_and_their_corrections_stand_beside_what_was_measured(plane_report):
     """The bed is a plane of 0.05 to 0.65 m depth; every view sees it through index 1.333."""
-    by_name = {row.name: row for row in plane_report.figures.baselines.rows}
+    by_name = {row["name"]: row for row in plane_report.figures["baselines"]["rows"]}
     straight, times_n, dietrich, measured = by_name.values()
-    depth = plane_report.figures.cloud.depth_m.median
-    assert [row.kind for row in by_name.values()] == ["predicted"] * 3 + ["measured"]
+    depth = plane_report.figures["cloud"]["depth_m"]["median"]
+    assert [row["kind"] for row in by_name.values()] == ["predicted"] * 3 + ["measured"]
     # At nadir a quarter of the depth; more where rays are slanted.
-    assert 0.25 < straight.median_m / depth < 0.5
-    assert abs(dietrich.median_m) < abs(times_n.median_m) < straight.median_m
-    assert measured.mean_m == pytest.approx(-RAISED_M, abs=LAS_BIAS_M)
+    assert 0.25 < straight["median_m"] / depth < 0.5
+    assert abs(dietrich["median_m"]) < abs(times_n["median_m"]) < straight["median_m"]
+    assert measured["mean_m"] == pytest.approx(-RAISED_M, abs=LAS_BIAS_M)
     page = plane_report.run.report_html_path.read_text(encoding="utf-8")
     assert "per-camera correction (Dietrich)" in page
 
@@ -176,7 +175,7 @@ def test_the_sweep_has_a_row_beside_the_solver(plane_report):
     wet = DistanceStatistics(n_points=1, n_nan=0, mean_m=0.1, median_m=0.2, nmad_m=0.3)
     sweep = SimpleNamespace(figures=SimpleNamespace(wet=wet))
     facts = replace(plane_report.facts, sweep_comparison=sweep, plan=replace(PLAN, field="solver"))
-    rows = figures_of(facts).baselines.rows
-    assert [row.name for row in rows[3:]] == ["sweep before the solver", "this run: sweep and solver"]
-    assert rows[3].median_m == 0.2
-    assert figures_of(replace(plane_report.facts, comparison=None)).baselines is None
+    rows = figures_of(facts)["baselines"]["rows"]
+    assert [row["name"] for row in rows[3:]] == ["sweep before the solver", "this run: sweep and solver"]
+    assert rows[3]["median_m"] == 0.2
+    assert figures_of(replace(plane_report.facts, comparison=None))["baselines"] is None

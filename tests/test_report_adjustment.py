@@ -18,8 +18,10 @@ from survey.display.quantities import length, typeset
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import load_survey
 from survey.report import ReportFacts
-from survey.report.adjustment_figures import adjustment_of, correlations, shown_lenses
-from survey.report.adjustment_pictures import (
+from survey.report.adjustment import adjustment_of, correlations, parameter_table, shown_lenses
+from survey.report.checkpoints import CheckpointAccuracy, CheckpointRow
+from survey.report.figures import figures_of, json_of
+from survey.report.flight_pictures import (
     Residual,
     clip_outliers,
     draw_correlation,
@@ -30,10 +32,6 @@ from survey.report.adjustment_pictures import (
     mean_residuals,
     residuals_of,
 )
-from survey.report.adjustment_tables import parameter_table
-from survey.report.checkpoints import CheckpointAccuracy, CheckpointRow
-from survey.report.collect import figures_of
-from survey.report.figures import json_of
 from survey.report.page import render_page
 from tests.adjusted_block import drawn_adjustment
 from tests.changed_survey import changed
@@ -79,10 +77,10 @@ def test_report_json_has_the_adjustment_by_its_names(facts):
 
 
 def test_positions_are_told_by_their_distance_to_those_given(facts):
-    positions = adjustment_of(facts.survey, facts.adjustment).positions
-    assert positions.num == 20
-    assert positions.rms_m == pytest.approx(np.abs(OFF))
-    assert positions.largest_m == pytest.approx(np.linalg.norm(OFF))
+    positions = adjustment_of(facts.survey, facts.adjustment)["positions"]
+    assert positions["num"] == 20
+    assert positions["rms_m"] == pytest.approx(np.abs(OFF))
+    assert positions["largest_m"] == pytest.approx(np.linalg.norm(OFF))
 
 
 def test_what_heights_of_positions_have_in_common_is_told_apart(facts):
@@ -91,20 +89,22 @@ def test_what_heights_of_positions_have_in_common_is_told_apart(facts):
         name: replace(prior, position=prior.position + np.array([0.0, 0.0, 25.0])) for name, prior in priors.items()
     }
     survey, found = changed(facts.survey, priors=higher), replace(facts.adjustment, common_up_m=(25.0, 0.1))
-    positions = adjustment_of(survey, found).positions
-    assert positions.rms_m == pytest.approx(np.abs(OFF))
-    assert positions.common_up_m == (25.0, 0.1)
+    positions = adjustment_of(survey, found)["positions"]
+    assert positions["rms_m"] == pytest.approx(np.abs(OFF))
+    assert positions["common_up_m"] == (25.0, 0.1)
     page = render_page(figures_of(replace(facts, survey=survey, adjustment=found)), [])
     assert f"all {length(25.0)} too high" in page
 
 
 def test_control_and_check_points_are_told_apart(facts):
-    control, check = adjustment_of(facts.survey, facts.adjustment).control_groups
-    assert (control.name, control.num, control.rms_px) == ("control", 1, pytest.approx(0.31))
-    assert check.rms_m == pytest.approx((0.012, 0.006, 0.021))
-    assert check.le95_m == pytest.approx(1.9599640 * 0.021)
+    control, check = adjustment_of(facts.survey, facts.adjustment)["control_groups"]
+    assert (control["name"], control["num"], control["rms_px"]) == ("control", 1, pytest.approx(0.31))
+    assert check["rms_m"] == pytest.approx([0.012, 0.006, 0.021])
+    assert check["le95_m"] == pytest.approx(1.9599640 * 0.021)
     # Of two errors that are alike, the square over the variance is that of an exponential distribution: -2 ln 0.1.
-    assert check.ce95_m == pytest.approx(np.sqrt(-2.0 * np.log(0.05)) * np.sqrt((0.012**2 + 0.006**2) / 2.0), rel=1e-6)
+    assert check["ce95_m"] == pytest.approx(
+        np.sqrt(-2.0 * np.log(0.05)) * np.sqrt((0.012**2 + 0.006**2) / 2.0), rel=1e-6
+    )
 
 
 def test_correlations_leave_out_what_was_not_to_move(facts):
@@ -126,23 +126,22 @@ def test_the_page_has_verdicts_control_and_the_uncertainty_of_all_heights(facts)
     for row in facts.adjustment.parameters:
         assert typeset(f"{row.name} {row.verdict}") in page
     assert "gcp2" in page
-    assert figures.adjustment.note[1:] in page
+    assert "tandard deviation by water, lens and poses: " in page
 
 
 def test_what_was_given_exactly_has_no_digits_of_its_error(facts):
-    level, *others = adjustment_of(facts.survey, facts.adjustment).parameters
+    level, *others = adjustment_of(facts.survey, facts.adjustment)["parameters"]
     slope = replace(level, name="slope_east", value=0.0, given=0.0, std=1e-9, given_std=1e-9)
-    figures = replace(adjustment_of(facts.survey, facts.adjustment), parameters=(level, slope, *others))
-    assert parameter_table(figures.parameters).rows[1] == ("slope_east", "free", "0", "exact", "0", "exact")
+    assert parameter_table((level, slope, *others)).rows[1] == ("slope_east", "free", "0", "exact", "0", "exact")
 
 
 def test_water_says_what_the_adjustment_found_and_what_it_kept(facts):
-    water = figures_of(facts).water
-    assert water.level_from == "found by the adjustment"
-    assert water.refractive_index_from == "survey.toml"
+    water = figures_of(facts)["water"]
+    assert water["level_from"] == "found by the adjustment"
+    assert water["refractive_index_from"] == "survey.toml"
     level, *others = facts.adjustment.parameters
     unknown = replace(facts.adjustment, parameters=(replace(level, status=Status.UNKNOWN), *others))
-    assert figures_of(replace(facts, adjustment=unknown)).water.level_from == "survey.toml, [water] level_m"
+    assert figures_of(replace(facts, adjustment=unknown))["water"]["level_from"] == "survey.toml, [water] level_m"
 
 
 def test_a_run_without_an_adjustment_has_no_such_section(facts):

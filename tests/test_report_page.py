@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -68,14 +67,14 @@ def test_report_html_loads_nothing_and_runs_nothing(plane_report):
 
 def test_report_html_shows_the_figures_of_report_json(plane_report):
     page = plane_report.run.report_html_path.read_text(encoding="utf-8")
-    cloud, distances = plane_report.figures.cloud, plane_report.figures.comparison.distances
+    cloud, distances = plane_report.figures["cloud"], plane_report.figures["comparison"].distances
     for text in (
         "small &amp; &lt;shallow&gt;",
         "water of index 1.3330 &lt;here&gt;",
         "EPSG:25832+5778",
         "19\u202f600",
-        f"{cloud.depth_m.median:.2f}\u00a0m",
-        f"{1000 * cloud.std_m.median:.1f}\u00a0mm",
+        f"{cloud['depth_m']['median']:.2f}\u00a0m",
+        f"{1000 * cloud['std_m']['median']:.1f}\u00a0mm",
         f"{1000 * distances.mean_inner90_m:.1f}".replace("-", "−"),
         f"±\u00a0{1000 * distances.std_inner90_m:.1f}\u00a0mm",
         "<td>sweep</td>",
@@ -120,7 +119,7 @@ def test_columns_of_lengths_have_one_unit():
 
 
 def test_the_verdict_stands_on_top_in_words_and_colour(plane_report):
-    page = render_page(replace(plane_report.figures, verdict=RunVerdict((MET, MISSED))), [])
+    page = render_page(plane_report.figures | {"verdict": RunVerdict((MET, MISSED))}, [])
     assert page.index('class="verdict failed"') < page.index('class="cards"') < page.index("<h2>Pictures</h2>")
     assert "<strong>Failed</strong> 1 of 2 quality gates is not met." in page
     assert MISSED.sentence in page

@@ -9,8 +9,7 @@ from small_report import facts_of
 from small_survey import write_image
 
 from survey.display.blocks import Folded
-from survey.report.collect import figures_of
-from survey.report.figures import json_of
+from survey.report.figures import figures_of, json_of
 from survey.report.page import render_page
 from survey.report.photographs import PhotographFigures, table
 
@@ -48,7 +47,7 @@ def test_photographs_without_a_pose_are_named_in_page_and_json(shallow_survey):
     finally:
         (shallow_survey.folder / "images" / "9999 & more.jpg").unlink()
     assert json_of(figures)["photographs_left_out"] == ["9999 & more.jpg"]
-    assert figures.survey.views_left_out == 1
+    assert figures["survey"]["views_left_out"] == 1
     page = render_page(figures, [])
     assert "<details open>" in page
     assert "9999 &amp; more.jpg" in page

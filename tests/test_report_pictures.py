@@ -17,13 +17,14 @@ from small_survey import TOML, small_survey
 
 from geo import LocalFrame
 from geo.grid import Grid
-from survey.compare.canvas import map_canvas, write_labels
+from survey.display import canvas
+from survey.display.canvas import map_canvas, write_labels
 from survey.display.palette import RED
 from survey.display.plan_grid import PlanGrid
 from survey.folder.survey import load_survey
 from survey.photos.exif import read_exif
-from survey.report import NUM_STEPS, raster, write_report
-from survey.report.flight import draw_plan, flight_lines
+from survey.report import NUM_STEPS, write_report
+from survey.report.flight_pictures import draw_plan, flight_lines
 from survey.report.maps import codes_of, draw_std, draw_unseen
 from survey.report.profile import _medians, choose_cut, draw_profile, has_profile, two_digits
 from survey.report.seen_cells import SeenCells, cells_of
@@ -77,14 +78,14 @@ def test_every_kind_of_bed_gets_a_report(shallow_survey, dry_survey, tmp_path, k
     maps = [plane_height_map(survey, 0)] if kind == "dry" else None
     with RunDir(tmp_path / "run") as run:
         figures = write_report(run.path, facts_of(survey, bed, height_maps=maps))
-    assert figures.cloud.points == len(bed)
+    assert figures["cloud"]["points"] == len(bed)
     assert (run.pictures_path / "plan.png").exists()
     assert (run.pictures_path / "depth.png").exists() == (len(bed) > 0)
     assert (run.pictures_path / "profile.png").exists() == (kind not in ("empty", "one point"))
-    assert figures.verdict is None
+    assert figures["verdict"] is None
     if kind == "dry":
-        assert figures.water is None
-        assert figures.cloud.depth_m is None
+        assert figures["water"] is None
+        assert figures["cloud"]["depth_m"] is None
         assert "a dry survey" in run.report_html_path.read_text(encoding="utf-8")
 
 
@@ -122,7 +123,7 @@ def test_a_handful_of_points_gets_no_profile(shallow_survey):
 
 def test_a_profile_of_a_wet_survey_shows_the_level_even_over_a_dry_bed(shallow_survey, tmp_path, monkeypatch):
     drawn = []
-    monkeypatch.setattr(raster, "save", lambda figure, _path: drawn.append(figure.axes[0]))
+    monkeypatch.setattr(canvas, "save", lambda figure, _path: drawn.append(figure.axes[0]))
     bed = plane_bed(shallow_survey)
     level = shallow_survey.config.water.level_m
     facts = facts_of(shallow_survey, bed)

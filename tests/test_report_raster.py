@@ -9,7 +9,7 @@ from pyproj import CRS
 from geo.grid import plan_box
 from survey.display import plan_grid
 from survey.display.plan_grid import PlanGrid
-from survey.report.raster import hillshade, without_pinholes
+from survey.report.maps import hillshade, without_pinholes
 
 UTM = CRS("EPSG:25832+5778")
 

@@ -8,8 +8,8 @@ from small_bed import plane_bed
 from small_report import facts_of
 
 from survey.report.checkpoints import CE95, LE95, stated_of, table
-from survey.report.collect import figures_of
-from survey.report.headline import cards
+from survey.report.figures import figures_of
+from survey.report.page import cards
 
 
 def test_le95_and_ce95_hold_95_percent_of_normal_errors(rng):
@@ -47,4 +47,4 @@ def test_dry_points_and_unknown_ones_count_for_no_order():
 def test_without_a_reference_the_stated_order_is_among_the_main_figures(shallow_survey):
     figures = figures_of(facts_of(shallow_survey, plane_bed(shallow_survey, num=20)))
     (card,) = [card for card in cards(figures) if "S-44" in card.label]
-    assert (card.label, card.value) == ("IHO S-44, vertical, stated", figures.stated.strictest.name)
+    assert (card.label, card.value) == ("IHO S-44, vertical, stated", figures["stated"].strictest.name)

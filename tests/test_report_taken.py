@@ -9,7 +9,7 @@ import pytest
 from small_survey import write_image
 
 from survey.photos.exif import Exif, read_exif
-from survey.report.photographs import CameraFigures, flight_time, taken_of, taken_rows
+from survey.report.photographs import flight_time, taken_of, taken_rows
 from survey.settings.config import ReportConfig, parse_config
 
 START = datetime(2026, 6, 1, 10, 12, 40, tzinfo=UTC)
@@ -24,8 +24,8 @@ def headers(**others: Exif) -> dict[str, Exif]:
 
 def test_the_head_says_who_when_and_with_what():
     found = taken_of(SAID, headers(a=replace(HEAD, taken=START + timedelta(minutes=19))), NOW)
-    assert found.cameras == (CameraFigures("DJI FC6310", ("0A1B",), 2),)
-    assert (found.first, found.last, found.clock) == ("2026-06-01T10:12:40", "2026-06-01T10:31:40", "UTC")
+    assert found["cameras"] == [{"name": "DJI FC6310", "serials": ["0A1B"], "num": 2}]
+    assert (found["first"], found["last"], found["clock"]) == ("2026-06-01T10:12:40", "2026-06-01T10:31:40", "UTC")
     assert taken_rows(found) == [
         ("project", "Harbour & basin"),
         ("operator", "A. Surveyor"),

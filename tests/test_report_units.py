@@ -23,7 +23,7 @@ from survey.display.quantities import (
 )
 from survey.errors import ConfigError
 from survey.export.pdf import print_page
-from survey.report.collect import figures_of
+from survey.report.figures import figures_of
 from survey.report.page import render_page
 from survey.report.seen_cells import coverage_of
 from survey.settings.config import parse_config
@@ -69,7 +69,7 @@ def test_a_page_in_feet_has_the_figures_of_that_in_metres(plane_report):
     figures = plane_report.figures
     with lengths_in_feet(FOOT):
         page = render_page(figures, [])
-    assert f"{figures.cloud.depth_m.median / FOOT:.2f}\u00a0ft" in page
+    assert f"{figures['cloud']['depth_m']['median'] / FOOT:.2f}\u00a0ft" in page
     assert "in feet of 0.3048 m; tolerances, bands of depth and limits of S-44 are in metres" in page
     assert "true depth [ft]" in page
     assert "\u00a0mm" not in page.partition("Comparison with the reference")[0]
@@ -91,7 +91,7 @@ def test_limits_are_those_of_the_run(plane_report):
     figures = figures_of(facts_of(survey, bed, coverage=coverage))
     page = render_page(figures, [])
     assert "Nothing independent was measured with it" in page
-    assert f"within {length(1.96 * figures.height_std.whole)} of the truth in 95 of 100 cases" in page
+    assert f"within {length(1.96 * figures['height_std_m'].whole)} of the truth in 95 of 100 cases" in page
     assert "300\u00a0m³ ± 6.0\u00a0m³" in page
     assert "200\u00a0m², 50.0\u00a0% of the water that was looked at: turbid" in page
 

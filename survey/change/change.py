@@ -294,7 +294,7 @@ def _draw(change: Change, path: Path) -> None:
     """A map of the differences; those within the level of detection are pale."""
     from matplotlib.colors import Normalize
 
-    from survey.compare.canvas import colour_bar, map_canvas, nice_limit, save, show, write_title
+    from survey.display.canvas import colour_bar, map_canvas, nice_limit, save, show, write_title
     from survey.display.palette import DIFFERENCES
     from survey.display.quantities import LengthUnit
 

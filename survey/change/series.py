@@ -172,7 +172,7 @@ def _draw(path: Path, first: Path, epochs: Sequence[Epoch]) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from survey.compare.canvas import save, write_title
+    from survey.display.canvas import save, write_title
     from survey.display.palette import INK, SOFT
     from survey.escaping import figure_text
 

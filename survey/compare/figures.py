@@ -162,6 +162,13 @@ class Comparison:
         distances[self.inputs.inside] = self.distances
         return distances
 
+    def reference_heights(self, rows: np.ndarray) -> np.ndarray:
+        """Height (K,) in crs of the reference nearest to points of the file (K,); NaN where none was compared."""
+        heights, is_compared = np.full(len(rows), np.nan), self.inputs.inside[rows]
+        nearest = self.nearest[np.cumsum(self.inputs.inside)[rows[is_compared]] - 1]
+        heights[is_compared] = self.inputs.frame.crs_from_local(nearest)[:, 2]
+        return heights
+
 
 def numbers_of(figures: Figures) -> dict:
     """The figures as dicts, lists, numbers and texts.

@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 from pyproj import CRS
 
 from evaluation import Band
-from survey.compare.canvas import Extent, canvas, colour_bar, figure_of, map_canvas, nice_limit, save, show, write_title
 from survey.compare.figures import Parts
 from survey.compare.tables import limits_label
+from survey.display.canvas import Extent, Picture, canvas, colour_bar, finished, map_canvas, nice_limit, save, show
 from survey.display.palette import BLUE, DIFFERENCES, INK, NOT_REACHED, PALE, RED, SIZES, SOFT
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, count, length, share
@@ -48,58 +48,52 @@ def write_report(comparison: Comparison, folder: Path) -> list[Path]:
         f"inner 90 %: mean {length(distances.mean_inner90_m)}, std {length(distances.std_inner90_m)}  ·  "
         f"{reached} complete at {tolerance_m:g} m{' (visible)' if is_visible else ''}"
     )
-    paths = [folder / name for name in ("histogram.png", "map.png", "completeness.png")]
-    histogram(comparison.distances, paths[0], tolerance_m=tolerance_m)
-    error_map(comparison.points, comparison.distances, paths[1], crs=crs, subtitle=in_short)
-    completeness_map(
-        comparison.targets,
-        comparison.is_reached,
-        paths[2],
-        crs=crs,
-        subtitle=f"{reached} of {'the visible points' if is_visible else 'the reference'} "
-        f"closer than {tolerance_m:g} m",
-    )
+    of = f"{reached} of {'the visible points' if is_visible else 'the reference'} closer than {tolerance_m:g} m"
+    path, targets, is_reached = folder / "completeness.png", comparison.targets, comparison.is_reached
+    pictures = [
+        histogram(comparison.distances, folder / "histogram.png", tolerance_m=tolerance_m),
+        error_map(comparison.points, comparison.distances, folder / "map.png", crs=crs, subtitle=in_short),
+        completeness_map(targets, is_reached, path, crs=crs, tolerance_m=tolerance_m, subtitle=of),
+    ]
     if has_bands(figures.parts):
-        paths.append(folder / "bands.png")
-        draw_bands(figures.parts, paths[-1])
-    return paths
+        pictures.append(draw_bands(figures.parts, folder / "bands.png"))
+    return [picture.path for picture in pictures]
 
 
-def histogram(distances: np.ndarray, path: Path, *, tolerance_m: float | None = None) -> None:
+def histogram(distances: np.ndarray, path: Path, *, tolerance_m: float | None = None) -> Picture:
     """Draw how often each distance (N,) [m] occurs, without NaN; the text names the share within a tolerance [m]."""
     d = distances[np.isfinite(distances)]
     limit = nice_limit(d)
     unit = LengthUnit.of([limit])
-    is_signed = bool((d < 0.0).any())
-    figure, axes = canvas(7.2, 4.0)
-    edges = np.linspace(-limit if is_signed else 0.0, limit, 121 if is_signed else 81) * unit.per_metre
+    low, num = (-limit, 121) if (d < 0.0).any() else (0.0, 81)
+    _, axes = canvas(7.2, 4.0)
+    edges = np.linspace(low, limit, num) * unit.per_metre
     d_in_unit = d * unit.per_metre
     inner = float(np.quantile(np.abs(d_in_unit), 0.9)) if len(d) else math.nan
-    axes.axvspan(-inner if is_signed else 0.0, inner, color=PALE, lw=0, label="inner 90 %")
+    axes.axvspan(-inner if low else 0.0, inner, color=PALE, lw=0, label="inner 90 %")
     counts, _ = np.histogram(d_in_unit, bins=edges)
     shares = 100.0 * counts / max(len(d), 1)
     axes.bar(edges[:-1], shares, width=np.diff(edges), align="edge", color=BLUE, lw=0)
     axes.axvline(0.0, color=INK, lw=0.8)
+    parts = ["no points"]
     if len(d):
         axes.axvline(d_in_unit.mean(), color=RED, lw=1.4, label=f"mean {length(d.mean())}")
         axes.axvline(np.median(d_in_unit), color=RED, lw=1.4, ls=":", label=f"median {length(np.median(d))}")
-    axes.set_xlim(edges[0], edges[-1])
-    axes.set_xlabel(f"distance to the reference{', above it positive' if is_signed else ''} [{unit.name}]")
-    axes.set_ylabel("share of the points [%]")
-    axes.legend(loc="upper left" if is_signed else "center right", frameon=False, fontsize=9)
-    parts = ["no points"]
-    if len(d):
         parts = [f"{count(len(d))} points", f"std {length(d.std())}"]
         parts.append(f"{share(np.mean(np.abs(d) > limit))} beyond the axis")
-    if len(d) and tolerance_m is not None:
-        parts.append(f"{share(np.mean(np.abs(d) < tolerance_m))} closer than {tolerance_m:g} m")
-    write_title(axes, "Distance of the cloud to the reference", "  ·  ".join(parts))
-    save(figure, path)
+        if tolerance_m is not None:
+            parts.append(f"{share(np.mean(np.abs(d) < tolerance_m))} closer than {tolerance_m:g} m")
+    axes.set_xlim(edges[0], edges[-1])
+    axes.set_xlabel(f"distance to the reference{', above it positive' if low else ''} [{unit.name}]")
+    axes.set_ylabel("share of the points [%]")
+    axes.legend(loc="upper left" if low else "center right", frameon=False, fontsize=9)
+    title, words = "Distance of the cloud to the reference", "Nothing was aligned or shifted before."
+    return finished(axes, path, title, "  ·  ".join(parts), words)
 
 
 def error_map(
     points: np.ndarray, distances: np.ndarray, path: Path, *, crs: CRS | None = None, subtitle: str = ""
-) -> None:
+) -> Picture:
     """Draw signed distances (N,) [m] of points (N, 3), in crs, in plan view: mean per cell, red above and blue below.
 
     Points with NaN are left out; the crs names the axes and, if geographic, gives their aspect.
@@ -108,27 +102,32 @@ def error_map(
     points, d = points[known], distances[known]
     limit = nice_limit(d)
     unit = LengthUnit.of([limit])
-    is_signed = bool((d < 0.0).any())
+    end, is_signed = limit * unit.per_metre, bool((d < 0.0).any())
     axes, image, extent = _map_of_means(points, d * unit.per_metre, _POINTS_PER_CELL, crs)
-    end = limit * unit.per_metre
     norm = Normalize(-end if is_signed else 0.0, end)
     drawn = show(axes, image, extent, cmap=DIFFERENCES if is_signed else SIZES, norm=norm)
     label = f"{'above (+) or below (−)' if is_signed else 'distance to'} the reference [{unit.name}]"
     colour_bar(axes, drawn, label, extend="both" if is_signed else "max")
-    write_title(axes, "Distance to the reference in plan view", subtitle)
-    save(figure_of(axes), path)
+    words = "Red lies above the reference, blue below it."
+    return finished(axes, path, "Distance to the reference in plan view", subtitle, words)
 
 
 def completeness_map(
-    targets: np.ndarray, is_reached: np.ndarray, path: Path, *, crs: CRS | None = None, subtitle: str = ""
-) -> None:
+    targets: np.ndarray,
+    is_reached: np.ndarray,
+    path: Path,
+    *,
+    crs: CRS | None = None,
+    tolerance_m: float = 0.2,
+    subtitle: str = "",
+) -> Picture:
     """Draw in plan view where the cloud does not reach points (M, 3) of the reference, in crs, in red."""
     axes, image, extent = _map_of_means(targets, 100.0 * (1.0 - is_reached), _SAMPLES_PER_CELL, crs)
     drawn = show(axes, image, extent, cmap=NOT_REACHED, norm=Normalize(0.0, 100.0))
     colour_bar(axes, drawn, "not reached [%]", extend="neither")
     axes.set_facecolor("white")
-    write_title(axes, "What the cloud does not reach", subtitle)
-    save(figure_of(axes), path)
+    words = f"Red: no point of the cloud within {tolerance_m:g} m."
+    return finished(axes, path, "What the cloud does not reach", subtitle, words)
 
 
 def _map_of_means(
@@ -153,7 +152,7 @@ def _panels(parts: Parts) -> list[tuple[tuple[Band, ...], str, str]]:
     return [(bands, labels[key], unit) for key, _, unit, bands in parts.banded if key in labels]
 
 
-def draw_bands(parts: Parts, path: Path) -> None:
+def draw_bands(parts: Parts, path: Path) -> Picture:
     """Mean with its confidence interval, and one standard deviation to both sides, in each band."""
     panels = _panels(parts)
     figure = Figure(figsize=(11.0, 3.6), layout="constrained")
@@ -171,6 +170,8 @@ def draw_bands(parts: Parts, path: Path) -> None:
     handles, labels = row[0].get_legend_handles_labels()
     figure.legend(handles, labels, frameon=False, fontsize=8.5, loc="outside lower center", ncols=3)
     save(figure, path)
+    words = "Mean and spread of the distances in each band, with the number of its points above it."
+    return Picture(path, "Bias and spread by depth, incidence and number of views", words)
 
 
 def _limits(panels: list[tuple[Band, ...]]) -> tuple[float, float]:

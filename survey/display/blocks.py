@@ -1,9 +1,12 @@
-"""Parts of a section of report.html, or of a text in a terminal: texts and tables, formatted."""
+"""Parts of a section of report.html, of a text in a terminal, or of a notebook: texts, tables, pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import base64
+import html
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from textwrap import wrap
 from typing import ClassVar
 
@@ -77,3 +80,23 @@ def aligned(titles: Sequence[str], rows: Sequence[Sequence[str]], num_texts: int
         width = max(map(len, column))
         padded.append([cell.ljust(width) if number < num_texts else cell.rjust(width) for cell in column])
     return ["  ".join(line).rstrip() for line in zip(*padded, strict=True)]
+
+
+def table_html(rows: Iterable[tuple[str, object]]) -> str:
+    """A table of labels and values."""
+    lines = (
+        f"<tr><th style='text-align: left'>{html.escape(label)}</th>"
+        f"<td style='text-align: left'>{html.escape(str(value))}</td></tr>"
+        for label, value in rows
+    )
+    return f"<table>{''.join(lines)}</table>"
+
+
+def picture_html(path: Path) -> str:
+    """A PNG, inside the page."""
+    return f'<img alt="{html.escape(path.stem)}" style="max-width: 40em" src="{png_data(path)}">'
+
+
+def png_data(path: Path) -> str:
+    """A PNG as a URL that holds it."""
+    return f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}"

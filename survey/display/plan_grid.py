@@ -1,4 +1,4 @@
-"""Points seen from above, binned into square cells: for maps, and for the area that they cover."""
+"""Points seen from above, binned into square cells, for maps and the area that they cover; values of columns."""
 
 from __future__ import annotations
 
@@ -128,3 +128,19 @@ def _add(total: np.ndarray, number: np.ndarray, weights: np.ndarray | None = Non
         first = int(number.min())
         found = np.bincount(number - first, weights)
         total.reshape(-1)[first : first + len(found)] += found
+
+
+def finite(values: np.ndarray | ComputedColumn, mask: np.ndarray | None = None) -> np.ndarray:
+    """The finite values (n,) of a column (N,), of those in a ``mask`` (N,) bool: float64, of smaller ones float32."""
+    kept = [np.zeros(0, dtype=np.float32)]
+    for rows in portions(len(values)):
+        part = np.asarray(values[rows])
+        keep = np.isfinite(part) if mask is None else np.isfinite(part) & mask[rows]
+        kept.append(part[keep].astype(np.result_type(part, np.float32)))
+    return np.concatenate(kept)
+
+
+def median(values: np.ndarray | ComputedColumn, mask: np.ndarray | None = None) -> float:
+    """The median of the finite values of a column (N,); NaN where there is none."""
+    known = finite(values, mask)
+    return float(np.median(known, overwrite_input=True)) if len(known) else math.nan

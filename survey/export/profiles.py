@@ -27,8 +27,8 @@ from geo.grid import plan_box
 from geo.projection import ground_units_m
 from geo.shapes import ground_of, in_height_unit, masked_cloud
 from geo.vectors import DxfLine, write_dxf
-from survey.compare.canvas import save, write_title
 from survey.compare.inputs import InputPaths, load_inputs
+from survey.display.canvas import save, write_title
 from survey.display.palette import BLUE, INK, LAND, RED, WATER, WATER_LINE
 from survey.display.quantities import length, named, share
 from survey.errors import SurveyError

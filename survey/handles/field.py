@@ -8,7 +8,7 @@ from typing import Any
 
 from geo.las import read_cloud
 from geo.shapes import Cloud
-from survey.display.embedded import picture_html, table_html
+from survey.display.blocks import picture_html, table_html
 from survey.files.json_values import read_json_object
 from survey.volume.field import CLOUD, CURVE, rows_of
 from survey.volume.field import train_field as train

@@ -17,7 +17,7 @@ from geo.features import Line
 from geo.las import read_cloud
 from geo.raster import open_raster, read_raster
 from geo.shapes import Cloud, Mesh
-from survey.display.embedded import picture_html, table_html
+from survey.display.blocks import picture_html, table_html
 from survey.errors import SurveyError
 from survey.export.export import cloud_of, export
 from survey.export.loaded import LoadedRun

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from survey.display.embedded import table_html
+from survey.display.blocks import table_html
 from survey.files.remote import local_run
 from survey.folder import survey as folder_survey
 from survey.folder.found import Found, find_survey

@@ -7,9 +7,8 @@ from pathlib import Path
 
 from geo.files import write_text
 from survey.files.json_values import write_json
-from survey.report.collect import figures_of
 from survey.report.facts import ReportFacts
-from survey.report.figures import ReportFigures, json_of
+from survey.report.figures import ReportFigures, figures_of, json_of
 from survey.report.page import render_page
 from survey.report.pictures import draw_pictures
 

@@ -14,7 +14,7 @@ from geo.shapes import ComputedColumn, portions
 from survey.compare.frame import within
 from survey.control.points import Checkpoint, ControlPoint
 from survey.display.blocks import Block, Rows, Text
-from survey.display.column import median
+from survey.display.plan_grid import median
 from survey.display.quantities import count, length, named, share
 from survey.folder.survey import Survey
 from survey.water.surface import height_above

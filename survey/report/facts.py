@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,6 +12,7 @@ import numpy as np
 
 from geo.shapes import ComputedColumn
 from survey.adjust.result.adjustment import Adjustment
+from survey.display.plan_grid import median
 from survey.display.quantities import height
 from survey.folder.survey import Survey
 from survey.photos.exif import Exif
@@ -48,7 +50,7 @@ class RunVerdict:
 
     @property
     def passed(self) -> bool:
-        """Whether every gate is met."""
+        """Whether all are met."""
         return all(gate.passed for gate in self.gates)
 
 
@@ -121,3 +123,18 @@ def stated_std(std: np.ndarray, std_common: np.ndarray | None) -> ComputedColumn
     if std_common is None:
         return ComputedColumn(np.abs, std)
     return ComputedColumn(lambda own, shared: np.hypot(own, np.nan_to_num(shared)), std, std_common)
+
+
+@dataclass(frozen=True)
+class HeightStd:
+    """Standard deviation of the height of a point; medians over the points [m]."""
+
+    whole: float  # Random and shared
+    shared: float | None  # Common to large parts of the cloud, by water, lens and poses; None where unknown
+    random: float  # Independent for each point
+
+
+def height_std(std: np.ndarray, std_common: np.ndarray | None) -> HeightStd:
+    """Std of the height of a point, all included, from its parts (N,) [m], N at least 1."""
+    shared = math.nan if std_common is None else median(std_common)
+    return HeightStd(median(stated_std(std, std_common)), None if math.isnan(shared) else shared, median(std))

@@ -1,241 +1,266 @@
-"""The figures of a report, as frozen dataclasses for report.html and as plain values for report.json."""
+"""The figures of a report, from the results of a run: what report.json holds and report.html shows.
+
+A figure is named here, by its key with its unit (none: m, or [-] of an index), and where the page shows it.
+"""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from datetime import datetime
+from typing import TYPE_CHECKING, Any
 
-from survey.compare.figures import Figures, numbers_of
+import numpy as np
+
+from evaluation import DistanceStatistics, apparent_points, distance_statistics, per_camera, times_index
+from geo.crs import crs_code
+from geo.grid import plan_box
+from geo.shapes import ComputedColumn
+from refract import FlatWater, crossing_point, water_index
+from refract.media import USUAL_SALINITY_PSU, USUAL_TEMPERATURE_C
+from survey.adjust.result.adjustment import Status
+from survey.compare.figures import numbers_of
+from survey.display.plan_grid import PlanGrid, finite, median
 from survey.files.json_values import plain
-from survey.plan.plan import Plan
-from survey.report.adjustment_figures import AdjustmentFigures
-from survey.report.checkpoints import CheckpointAccuracy, StatedFigures
-from survey.report.facts import RunVerdict, WaveFigures
-from survey.report.photographs import PhotographFigures, TakenFigures
-from survey.report.seen_cells import CoverageFigures
+from survey.folder.motion import shutter_text
+from survey.folder.survey import Survey
+from survey.photos.images import list_images
+from survey.report.adjustment import adjustment_of
+from survey.report.checkpoints import checkpoint_warnings, stated_of
+from survey.report.facts import ReportFacts, dry_warnings, height_std
+from survey.report.photographs import photograph_warnings, taken_of
 
-# Fields that report.json has of the plan and of the cloud, in its order.
+if TYPE_CHECKING:
+    from survey.compare.figures import Comparison
+
+# By their keys in report.json.
+ReportFigures = dict[str, Any]
+
+# Places of the bed at which baselines are predicted: their mean is then sure to a few per cent of their spread.
+_PLACES = 2000
+_SEED = 20_060_619
+_NOTE = (
+    "Predicted: where the straight rays of all views with a place in their frame meet, in closed form and without "
+    "matching noise, at places of the reference under water; occlusion is not considered. Slanted views count like "
+    "steep ones; matching keeps the views that agree, so that a matched cloud of straight rays errs by less than "
+    "predicted where photographs are slanted, but by a quarter of the depth in the median at the least. Poses and lens "
+    "count as right: adjusted to straight rays they take up a part of the error. Measured: vertical differences of the "
+    "points under water to the reference; at walls a small horizontal offset counts in full, which moves the mean and "
+    "hardly the median. Positive is too shallow."
+)
+# Of the index that handbooks state.
+_SODIUM_NM = 589.3
+# Density is that of the ground that has points, found in cells of this many ground sampling distances.
+_COVERED_CELL_GSD = 5.0
+_UNITS = {"metre": "m", "degree": "°"}
 _OF_PLAN = ("quality", "device", "image_scale", "gsd_m", "height_m", "footprint_m", "decisions")
-_OF_CLOUD = ("points", "points_wet", "points_dry", "extent", "covered_area_m2", "density_per_m2")
 
 
-@dataclass(frozen=True)
-class CrsFigures:
-    """A coordinate reference system."""
+def figures_of(facts: ReportFacts) -> ReportFigures:
+    """All figures of a report, in their order; a gate that was not met is one of its warnings.
 
-    name: str
-    code: str | None  # E.g. "EPSG:25832+5778".
-    # unit, height_unit: "m", "°" or another name, of the horizontal axes and of the height
-    unit: str
-    height_unit: str
-
-
-@dataclass(frozen=True)
-class SurveyFigures:
-    """Place, cameras and photographs of the survey."""
-
-    name: str
-    crs: CrsFigures
-    bounds: tuple[float, float, float, float] | None  # (e0, n0, e1, n1) or None, in crs
-    views_used: int
-    views_left_out: int
-    image_size_px: tuple[int, int]  # (width, height)
-    focal_px: float  # Of the first view, as the size
-    poses: str  # Name of the file, or "structure from motion"
-    shutter: str | None  # How it rolls, as a sentence; None where nothing is said of it
-    local_frame_origin: tuple[float, float, float]  # (easting, northing, height), in crs
-
-
-@dataclass(frozen=True)
-class LightFigures:
-    """The light whose texture is matched, to which the index of the water belongs."""
-
-    # red, green, blue [-]: shares of the channels; they add up to 1
-    red: float
-    green: float
-    blue: float
-    is_measured: bool  # In the photographs; else they are the weights of luma
-    wavelength_nm: float  # [nm]: at which water has the index of this mixture
-    over_sodium: float  # [-]: the index here less that of the sodium line, 589.3 nm, which handbooks state
-    over_sodium_m: float | None  # [m] or None: what that moves at the median depth; None without wet points
-
-
-@dataclass(frozen=True)
-class WaterFigures:
-    """The water plane, and where its values come from."""
-
-    level_m: float  # in crs
-    level_at: tuple[float, float]  # (easting, northing), in crs
-    level_from: str
-    # slope_east, slope_north [-]: rise per metre along the axes of the grid
-    slope_east: float
-    slope_north: float
-    slope_from: str
-    refractive_index: float  # [-]
-    refractive_index_from: str
-    light: LightFigures | None  # None where the photographs were not looked at
-
-
-@dataclass(frozen=True)
-class Spread:
-    """Statistics of values over the points, in their unit."""
-
-    min: float
-    median: float
-    mean: float
-    p95: float
-    max: float
-
-
-@dataclass(frozen=True)
-class Extent:
-    """The lowest and the highest easting, northing and height of points, in crs."""
-
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class CloudFigures:
-    """The points of the bed."""
-
-    # points, points_wet: All, and those under water
-    points: int
-    points_wet: int
-    extent: Extent | None  # None without points
-    covered_area_m2: float  # [m^2]: of the cells, five ground sampling distances wide, that have points
-    # True depth of the points under water [m]; None, as the next three, where no value is finite
-    depth_m: Spread | None
-    # std_m, std_common_m, views_per_point, incidence_deg: Of all points: standard deviation of the height [m] but for
-    # what all points have in common, and by that (water, lens, poses), number of views that agree [-], incidence at the
-    # water or, in a dry survey, angle off nadir [deg]
-    std_m: Spread | None
-    std_common_m: Spread | None
-    views_per_point: Spread | None
-    incidence_deg: Spread | None
-    plan_std_common_m: float = 0.0  # [m]: of all places in plan, by a transformation of datums; 0 where there was none
-
-    @property
-    def points_dry(self) -> int:
-        """Points that are not under water."""
-        return self.points - self.points_wet
-
-    @property
-    def density_per_m2(self) -> float | None:
-        """Points on a square metre of the covered area; None without points."""
-        return self.points / self.covered_area_m2 if self.covered_area_m2 else None
-
-
-@dataclass(frozen=True)
-class BaselineRow:
-    """Vertical errors of one method."""
-
-    name: str
-    kind: str  # "predicted" or "measured"
-    # median_m, nmad_m, mean_m [m]: `nmad_m` is 1.4826 times the median absolute deviation
-    median_m: float
-    nmad_m: float
-    mean_m: float
-
-
-@dataclass(frozen=True)
-class Baselines:
-    """Other methods beside this run."""
-
-    places: int  # Of the bed, at which the others are predicted
-    views_per_place: float  # Median
-    rows: tuple[BaselineRow, ...]
-    note: str  # How the rows of both kinds were computed
-
-
-@dataclass(frozen=True)
-class HeightStd:
-    """Standard deviation of the height of a point; medians over the points [m]."""
-
-    whole: float  # Random and shared
-    shared: float | None  # Common to large parts of the cloud, by water, lens and poses; None where unknown
-    random: float  # Independent for each point
-
-
-@dataclass(frozen=True)
-class ReportFigures:
-    """All figures of a report."""
-
-    verdict: RunVerdict | None  # None where the run was not judged
-    survey: SurveyFigures
-    water: WaterFigures | None  # None for a dry survey
-    plan: Plan
-    cloud: CloudFigures
-    comparison: Figures | None  # survey.compare.figures.Figures or None: None without a reference
-    baselines: Baselines | None  # None without water or reference
-    timings_s: dict[str, float]  # dict: seconds by stage [s], in order
-    versions: dict[str, str]  # dict: of what computed, by name
-    settings: dict  # The effective settings, by section and key, as JSON holds them
-    # assumptions, warnings: Sentences for the reader
-    assumptions: tuple[str, ...]
-    warnings: tuple[str, ...]
-    checkpoints: CheckpointAccuracy | None = None  # None without check points
-    adjustment: AdjustmentFigures | None = None  # None where poses and water were used as they came
-    photographs: tuple[PhotographFigures, ...] = ()  # What of each was left out of matching
-    height_std: HeightStd | None = None
-    taken: TakenFigures | None = None  # None where the headers of the photographs were not read
-    left_out: tuple[str, ...] = ()  # Names of the photographs in the folder that have no pose
-    stated: StatedFigures | None = None  # What the cloud states of its heights; None without points
-    coverage: CoverageFigures | None = None  # What of the water was seen; None for a dry survey
-    waves: WaveFigures | None = None  # None where no solver ran
-
-    @property
-    def total_s(self) -> float:
-        """Seconds of all stages together [s]."""
-        return sum(self.timings_s.values())
-
-
-def json_of(figures: ReportFigures) -> dict:
-    """The figures as dicts, lists, numbers and texts, the units in their names; None where there is none."""
-    comparison = None if figures.comparison is None else numbers_of(figures.comparison)
-    return plain({
-        "verdict": _some(figures.verdict, "passed", "gates"),
-        "survey": figures.survey,
-        "taken": figures.taken,
-        "water": figures.water,
-        "plan": _some(figures.plan, *_OF_PLAN),
-        "cloud": _cloud(figures.cloud),
-        "comparison": comparison,
-        "iho_s44": None if comparison is None else comparison.get("iho_s44"),
-        "checkpoints": figures.checkpoints,
-        "height_std_m": figures.height_std,
-        "stated": figures.stated,
-        "coverage": figures.coverage,
-        "waves": figures.waves,
-        "adjustment": None if figures.adjustment is None else _adjustment(figures.adjustment),
-        "baselines": figures.baselines,
-        "photographs": figures.photographs,
-        "photographs_left_out": figures.left_out,
-        "timings_s": {**figures.timings_s, "total": figures.total_s},
-        "versions": figures.versions,
-        "settings": figures.settings,
-        "assumptions": figures.assumptions,
-        "warnings": figures.warnings,
-    })  # fmt: skip
-
-
-def _adjustment(found: AdjustmentFigures) -> dict:
-    values = asdict(found)
-    del values["common"]
-    return values | {"height_std_common_m": _some(found.common, "mean", "typical")}
-
-
-def _cloud(cloud: CloudFigures) -> dict:
+    Verdict, plan, comparison and what `facts` has as figures already are as they come; `json_of` makes them plain.
+    """
+    survey, config, bed = facts.survey, facts.survey.config, facts.bed
+    used = {view.name for view in survey.views}
+    images = list_images(survey.folder / config.images.local_dir, deep=config.images.dir != ".")
+    left_out = [name for name in images if name not in used]
+    depth = ComputedColumn(lambda depth, wet: np.where(wet, depth, np.nan), bed.depth, bed.wet)
     return {
-        **{name: getattr(cloud, name) for name in _OF_CLOUD},
-        "depth_m": _some(cloud.depth_m, "min", "median", "p95", "max"),
-        "std_m": _some(cloud.std_m, "median", "p95"),
-        "std_common_m": _some(cloud.std_common_m, "median", "p95"),
-        **({"plan_std_common_m": cloud.plan_std_common_m} if cloud.plan_std_common_m else {}),
-        "views_per_point": _some(cloud.views_per_point, "min", "median", "mean", "max"),
-        "incidence_deg": _some(cloud.incidence_deg, "median", "p95", "max"),
+        "verdict": facts.verdict,
+        "survey": _survey(survey, len(left_out)),
+        "taken": taken_of(config.report, facts.headers, datetime.now().astimezone()) if facts.headers else None,
+        "water": _water(facts),
+        "plan": facts.plan,
+        "cloud": _cloud(facts),
+        "comparison": None if facts.comparison is None else facts.comparison.figures,
+        "iho_s44": None,
+        "checkpoints": facts.checkpoints,
+        "height_std_m": height_std(bed.std, facts.std_common) if len(bed) else None,
+        "stated": stated_of(facts.stated, depth),
+        "coverage": facts.coverage,
+        "waves": facts.waves,
+        "adjustment": adjustment_of(survey, facts.adjustment),
+        "baselines": baselines_of(facts),
+        "photographs": facts.photographs,
+        "photographs_left_out": left_out,
+        "timings_s": {**facts.timings, "total": sum(facts.timings.values())},
+        "versions": facts.versions,
+        "settings": plain(facts.settings),
+        "assumptions": survey.findings.assumptions,
+        "warnings": [
+            *([gate.sentence for gate in facts.verdict.gates if not gate.passed] if facts.verdict else []),
+            *dry_warnings(survey, bed),
+            *photograph_warnings(facts.photographs),
+            *checkpoint_warnings(facts.checkpoints),
+            *survey.findings.warnings,
+            *facts.warnings,
+        ],
     }
 
 
-def _some(record: object | None, *names: str) -> dict | None:
-    """Some fields of a record; None without one."""
-    return None if record is None else {name: getattr(record, name) for name in names}
+def json_of(figures: ReportFigures) -> dict:
+    """The figures as dicts, lists, numbers and texts, as report.json holds them; None where there is none."""
+    verdict, plan, comparison = figures["verdict"], figures["plan"], figures["comparison"]
+    numbers = None if comparison is None else numbers_of(comparison)
+    return plain({
+        **figures,
+        "verdict": None if verdict is None else {"passed": verdict.passed, "gates": verdict.gates},
+        "plan": {name: getattr(plan, name) for name in _OF_PLAN},
+        "comparison": numbers,
+        "iho_s44": None if numbers is None else numbers.get("iho_s44"),
+    })  # fmt: skip
+
+
+def _survey(survey: Survey, num_left_out: int) -> dict[str, Any]:
+    config, crs = survey.config, survey.frame.crs
+    camera, units = survey.views[0].camera, [_UNITS.get(axis.unit_name, axis.unit_name) for axis in crs.axis_info]
+    poses = config.cameras.poses or "structure from motion"
+    return {
+        "name": survey.name,
+        "crs": {"name": crs.name, "code": crs_code(crs), "unit": units[0], "height_unit": units[-1]},
+        "bounds": survey.bounds,
+        "views_used": len(survey.views),
+        "views_left_out": num_left_out,
+        "image_size_px": (camera.width, camera.height),
+        "focal_px": camera.fx,
+        "poses": f"{poses}, adjusted" if survey.provenance.is_adjusted else poses,
+        "shutter": shutter_text(config.cameras, survey.observations.velocities, survey.views, survey.water),
+        "local_frame_origin": survey.frame.origin,
+    }
+
+
+def _water(facts: ReportFacts) -> dict[str, Any] | None:
+    """The water plane, and where its values come from; None for a dry survey."""
+    survey, adjustment = facts.survey, facts.adjustment
+    if survey.water is None:
+        return None
+    free = set() if adjustment is None else {row.name for row in adjustment.parameters if row.status == Status.FREE}
+
+    def source(names: set[str], otherwise: str) -> str:
+        return "found by the adjustment" if names & free else otherwise
+
+    water, config = survey.require_water()
+    assumed = [text for text in survey.findings.assumptions if text.startswith("refractive_index")]
+    level = [text for text in survey.findings.assumptions if text.startswith("level_m")]
+    return {
+        "level_m": config.known_level_m,
+        "level_at": config.known_level_at,
+        "level_from": source({"level_m"}, level[-1] if level else "survey.toml, [water] level_m"),
+        "slope_east": config.slope_east,
+        "slope_north": config.slope_north,
+        "slope_from": source({"slope_east", "slope_north"}, "survey.toml; level if not given"),
+        "refractive_index": float(water.n_water),
+        "refractive_index_from": source({"refractive_index"}, f"assumed: {assumed[0]}" if assumed else "survey.toml"),
+        "light": _light(facts, float(water.n_water)),
+    }
+
+
+def _light(facts: ReportFacts, n_water: float) -> dict[str, Any] | None:
+    """The light that is matched; straight down, the depth is the apparent one times the index."""
+    light, bed = facts.light, facts.bed
+    if light is None:
+        return None
+    sodium = float(water_index(_SODIUM_NM, USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU))
+    over = light.index(USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU) - sodium
+    return {
+        **dict(zip(("red", "green", "blue"), light.shares, strict=True)),
+        "is_measured": light.is_measured,
+        "wavelength_nm": light.wavelength_nm,
+        "over_sodium": over,
+        "over_sodium_m": median(bed.depth, bed.wet) * over / n_water if bed.wet.any() else None,
+    }
+
+
+def _cloud(facts: ReportFacts) -> dict[str, Any]:
+    """The points of the bed, wet and dry, and how their values are distributed."""
+    bed, points, wet = facts.bed, len(facts.bed), int(facts.bed.wet.sum())
+    area, extent = 0.0, None
+    if points:
+        west_south, east_north = plan_box(bed.xyz)
+        area = PlanGrid.within(bed.xyz, west_south, east_north, _COVERED_CELL_GSD * facts.plan.gsd_m).covered_m2
+        extent = {"low": facts.points_crs.min(axis=0).tolist(), "high": facts.points_crs.max(axis=0).tolist()}
+    common, shift = facts.std_common, facts.survey.plan_std_m
+    return {
+        "points": points,
+        "points_wet": wet,
+        "points_dry": points - wet,
+        "extent": extent,
+        "covered_area_m2": area,
+        "density_per_m2": points / area if area else None,
+        "depth_m": _spread(finite(bed.depth, bed.wet), "min", "median", "p95", "max"),
+        "std_m": _spread(finite(bed.std), "median", "p95"),
+        "std_common_m": None if common is None else _spread(finite(common), "median", "p95"),
+        # Of all places in plan, by a transformation of datums.
+        **({"plan_std_common_m": shift} if shift else {}),
+        "views_per_point": _spread(finite(bed.num_views), "min", "median", "mean", "max"),
+        "incidence_deg": _spread(np.degrees(finite(bed.incidence)), "median", "p95", "max"),
+    }
+
+
+def _spread(values: np.ndarray, *names: str) -> dict[str, float] | None:
+    """Some statistics of values (N,); None of none."""
+    if not len(values):
+        return None
+    # In float64, as the share in an array is: a number by itself would be rounded to the type of the values.
+    mean, (p95,) = values.mean(dtype=np.float64), np.quantile(values, [0.95])
+    known = {"min": values.min(), "median": np.median(values), "mean": mean, "p95": p95, "max": values.max()}
+    return {name: float(known[name]) for name in names}
+
+
+def baselines_of(facts: ReportFacts) -> dict[str, Any] | None:
+    """Vertical errors of baselines and of this run; None without water, reference or points under water."""
+    comparison, water = facts.comparison, facts.survey.water
+    if comparison is None or water is None or comparison.depth is None:
+        return None
+    bed = _places(facts.survey, water, comparison, comparison.depth)
+    centres, directions, is_seen = _rays(facts.survey, water, bed)
+    apparent = apparent_points(centres, directions, is_seen)
+    known = np.isfinite(apparent).all(axis=1)
+    if not known.any():
+        return None
+    centres, is_seen, apparent = centres[known], is_seen[known], apparent[known]
+    true, seen = np.asarray(water.depth(bed[known])), np.asarray(water.depth(apparent))
+    to_camera = centres - apparent[:, None]
+    cos = (to_camera @ np.array(water.up)) / np.linalg.norm(to_camera, axis=-1)
+    n = float(water.n_water)
+    predicted = {
+        "straight rays": seen,
+        "straight rays, depth times n": times_index(seen, n),
+        "per-camera correction (Dietrich)": per_camera(seen, np.arccos(np.clip(cos, -1.0, 1.0)), is_seen, n),
+    }
+    # The sweep, whose heights are not refined to the end, and the solver; one row where that is off.
+    measured = {"this run: sweep alone": comparison.figures.wet}
+    if (swept := facts.sweep_comparison) is not None:
+        measured = {"sweep before the solver": swept.figures.wet, "this run: sweep and solver": comparison.figures.wet}
+    rows = [_row(name, "predicted", distance_statistics(true - depth)) for name, depth in predicted.items()]
+    rows += [_row(name, "measured", part) for name, part in measured.items() if part]
+    return {
+        "places": int(known.sum()),
+        "views_per_place": float(np.median(is_seen.sum(axis=1))),
+        "rows": rows,
+        "note": _NOTE,
+    }
+
+
+def _row(name: str, kind: str, of: DistanceStatistics) -> dict[str, Any]:
+    return {"name": name, "kind": kind, "median_m": of.median_m, "nmad_m": of.nmad_m, "mean_m": of.mean_m}
+
+
+def _places(survey: Survey, water: FlatWater, comparison: Comparison, depth: np.ndarray) -> np.ndarray:
+    """Some places (K, 3) of the reference under water, its depth (N,) above zero, in the local frame of the survey."""
+    wet = np.flatnonzero((depth > 0.0) & np.isfinite(comparison.nearest).all(axis=1))
+    some = np.random.default_rng(_SEED).permutation(wet)[:_PLACES]
+    in_crs = comparison.inputs.frame.crs_from_local(comparison.nearest[some])
+    places = survey.frame.local_from_crs(in_crs)
+    return places[np.asarray(water.depth(places)) > 0.0]
+
+
+def _rays(survey: Survey, water: FlatWater, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centres and directions in air (K, V, 3) of the views, and which of them have each place in their frame."""
+    centres, directions, is_seen = [], [], []
+    for view in survey.views:
+        camera, down = view.camera, np.array([0.0, 0.0, -view.camera.tide])
+        towards = crossing_point(places + down, camera.centre + down, water) - (camera.centre + down)
+        centres.append(np.broadcast_to(camera.centre, places.shape))
+        directions.append(towards / np.linalg.norm(towards, axis=1, keepdims=True))
+        is_seen.append(camera.sees(camera.project(places, water)))
+    return np.stack(centres, axis=1), np.stack(directions, axis=1), np.stack(is_seen, axis=1)

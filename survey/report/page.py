@@ -2,21 +2,36 @@
 
 from __future__ import annotations
 
-import base64
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 import jinja2
 
-from survey.compare.tables import comparison as comparison_blocks
-from survey.compare.tables import iho_s44
+from evaluation import IhoS44
+from survey.compare import tables as of_comparison
+from survey.compare.figures import Figures
 from survey.display import palette
-from survey.display.blocks import Block, Rows, Section, Sentences
-from survey.display.quantities import LengthUnit, typeset
-from survey.report import adjustment_tables, checkpoints, photographs, tables
+from survey.display.blocks import Block, Rows, Section, Sentences, Text, png_data
+from survey.display.canvas import Picture
+from survey.display.quantities import (
+    NO_BREAK,
+    LengthUnit,
+    area,
+    count,
+    density,
+    distance,
+    height,
+    length,
+    share,
+    typeset,
+    volume,
+)
+from survey.report import checkpoints, photographs, tables
+from survey.report.adjustment import adjustment
+from survey.report.checkpoints import LE95
+from survey.report.facts import Gate, RunVerdict
 from survey.report.figures import ReportFigures
-from survey.report.headline import cards, coverage, headline, limitations, method
-from survey.report.raster import Picture
 from survey.settings.config import settings_text
 from survey.words import Quality
 
@@ -31,26 +46,28 @@ _GROUPS = (
 )
 # These show several things side by side and take the whole width.
 _WIDE = ("view", "profile", "error_bands")
+# Smaller things than so many ground sampling distances are smoothed away by the windows that are matched.
+_SMALLEST_GSD = 5.0
 
 
-def render_page(figures: ReportFigures, pictures: list[Picture]) -> str:
+def render_page(figures: ReportFigures, pictures: Sequence[Picture]) -> str:
     """The page, with the files of the pictures in it: HTML without scripts and without anything to load."""
     unit = LengthUnit.of_heights()
     kept = "tolerances, bands of depth and limits of S-44 are in metres, as they say"
     units = [] if unit.name == "m" else [("lengths", f"in feet of {1.0 / unit.per_metre:.10g} m; {kept}")]
-    draft_command = figures.settings.get("command") if figures.plan.quality == Quality.draft else None
+    draft_command = figures["settings"].get("command") if figures["plan"].quality == Quality.draft else None
     return _template().render(
         palette=palette,
-        survey=figures.survey,
-        head=Rows([*photographs.taken_rows(figures.taken), *units]),
-        verdict=headline(figures.verdict, figures.warnings, draft_command),
+        survey=figures["survey"],
+        head=Rows([*photographs.taken_rows(figures["taken"]), *units]),
+        verdict=headline(figures["verdict"], figures["warnings"], draft_command),
         cards=list(cards(figures)),
-        num_warnings=len(figures.warnings),
-        first_sections=[Section("Method", method(figures)), Section("Limitations", limitations(figures))],
+        num_warnings=len(figures["warnings"]),
+        first_sections=[Section("Method", _method(figures)), Section("Limitations", _limitations(figures))],
         groups=_grouped(pictures),
         sections=[section for section in _sections(figures) if section.blocks],
-        settings=settings_text(figures.settings),
-        version=figures.versions.get("bathynerf", ""),
+        settings=settings_text(figures["settings"]),
+        version=figures["versions"].get("bathynerf", ""),
     )
 
 
@@ -69,54 +86,207 @@ def _template() -> jinja2.Template:
 
 def _sections(figures: ReportFigures) -> list[Section]:
     """The parts of the page after the pictures, in their order; some may be empty."""
-    comparison, survey = figures.comparison, figures.survey
+    comparison: Figures | None = figures["comparison"]
     uncertainty = None if comparison is None else comparison.uncertainty
     return [
-        Section("Coverage of the water", coverage(figures)),
-        Section("Comparison with the reference", comparison_blocks(comparison)),
-        Section("Waves", tables.waves(figures.waves)),
-        Section("Check points", tables.checkpoints(figures.checkpoints)),
-        Section("Vertical uncertainty (IHO S-44)", iho_s44(uncertainty)),
-        Section("Stated uncertainty of the cloud", checkpoints.table(figures.stated)),
-        Section("Adjustment", adjustment_tables.adjustment(figures.adjustment)),
-        Section("Baselines: refraction ignored or approximated", tables.baselines(figures.baselines)),
-        Section("Point cloud", tables.cloud(figures.cloud, survey.crs)),
-        Section("Survey and water", tables.survey(survey, figures.water, figures.plan)),
-        Section("Photographs", photographs.table(figures.photographs, figures.left_out)),
-        Section("Processing decisions", tables.decisions(figures.plan.decisions)),
-        Section("Assumptions", _listed(figures.assumptions)),
-        Section("Warnings", _listed(figures.warnings)),
-        Section("Run time", tables.timings(figures.timings_s, figures.total_s)),
-        Section("Software versions", [Rows(list(figures.versions.items()))] if figures.versions else []),
+        Section("Coverage of the water", _coverage(figures)),
+        Section("Comparison with the reference", of_comparison.comparison(comparison)),
+        Section("Waves", tables.waves(figures["waves"])),
+        Section("Check points", tables.checkpoints(figures["checkpoints"])),
+        Section("Vertical uncertainty (IHO S-44)", of_comparison.iho_s44(uncertainty)),
+        Section("Stated uncertainty of the cloud", checkpoints.table(figures["stated"])),
+        Section("Adjustment", adjustment(figures["adjustment"])),
+        Section("Baselines: refraction ignored or approximated", tables.baselines(figures["baselines"])),
+        Section("Point cloud", tables.cloud(figures["cloud"], figures["survey"]["crs"])),
+        Section("Survey and water", tables.survey(figures["survey"], figures["water"], figures["plan"])),
+        Section("Photographs", photographs.table(figures["photographs"], figures["photographs_left_out"])),
+        Section("Processing decisions", tables.decisions(figures["plan"].decisions)),
+        *(
+            Section(name.capitalize(), [Sentences(figures[name])] if figures[name] else [])
+            for name in ("assumptions", "warnings")
+        ),
+        Section("Run time", tables.timings(figures["timings_s"])),
+        Section("Software versions", [Rows(list(figures["versions"].items()))] if figures["versions"] else []),
     ]
 
 
-def _listed(sentences: tuple[str, ...]) -> list[Block]:
-    return [Sentences(sentences)] if sentences else []
-
-
-def _grouped(pictures: list[Picture]) -> list[tuple[str, list[dict]]]:
+def _grouped(pictures: Sequence[Picture]) -> list[tuple[str, list[dict]]]:
     """Headings with their pictures, each with its file as text."""
-    by_name = {picture.path.stem: picture for picture in pictures}
-    unknown = sorted(by_name.keys() - {name for _, names in _GROUPS for name in names})
-    if unknown:
+    shown = {
+        picture.path.stem: {
+            "title": picture.title,
+            "caption": picture.caption,
+            "data": png_data(picture.path),
+            "is_wide": picture.path.stem in _WIDE,
+        }
+        for picture in pictures
+    }
+    if unknown := sorted(shown.keys() - {name for _, names in _GROUPS for name in names}):
         raise ValueError(f"the pictures {', '.join(unknown)} have no place in the report")
-    groups = []
-    for heading, names in _GROUPS:
-        shown = [
-            {
-                "title": by_name[name].title,
-                "caption": by_name[name].caption,
-                "data": _base64(by_name[name].path),
-                "is_wide": name in _WIDE,
-            }
-            for name in names
-            if name in by_name
+    groups = [(heading, [shown[name] for name in names if name in shown]) for heading, names in _GROUPS]
+    return [group for group in groups if group[1]]
+
+
+@dataclass(frozen=True)
+class Headline:
+    """A verdict in words."""
+
+    colour: str  # "passed", "doubtful", "failed" or "unjudged"
+    word: str
+    sentence: str
+    gates: tuple[Gate, ...] = ()
+
+
+def headline(verdict: RunVerdict | None, warnings: Sequence[str], draft_command: str | None = None) -> Headline:
+    """Green where all gates are met without a warning, amber with one, red where a gate failed.
+
+    A draft, of which the command is given, is not judged by the gates of a cloud for use: it is amber.
+    """
+    if verdict is None:
+        return Headline("unjudged", "Not judged", "No quality gates were applied to this run.")
+    gates = verdict.gates
+    if num_failed := sum(not gate.passed for gate in gates):
+        message = f"{num_failed} of {len(gates)} quality gates {'is' if num_failed == 1 else 'are'} not met."
+        if draft_command is None:
+            return Headline("failed", "Failed", f"{message} Do not use the cloud without checking it.", gates)
+        sentence = (
+            "A first look: it shows where a bed is found, and whether settings and flight are right. Of a cloud "
+            f"for use {message} {draft_command.replace('--quality draft', '--quality standard')} makes one."
+        )
+        return Headline("doubtful", "Draft", sentence, gates)
+    if warnings:
+        them = "the warning" if len(warnings) == 1 else f"the {len(warnings)} warnings"
+        sentence = f"All quality gates are met; read {them} below before use."
+        return Headline("doubtful", "Passed with warnings", sentence, gates)
+    return Headline("passed", "Passed", "All quality gates are met, and there are no warnings.", gates)
+
+
+@dataclass(frozen=True)
+class Card:
+    """A number with its name, and a line of detail."""
+
+    label: str
+    value: str
+    detail: str = ""
+
+
+def cards(figures: ReportFigures) -> Iterator[Card]:
+    """The few numbers that matter most: heights, cloud, flight, check points, distance to a reference."""
+    survey, cloud, comparison = figures["survey"], figures["cloud"], figures["comparison"]
+    if (std := figures["height_std_m"]) is not None:
+        shared = "" if std.shared is None else f"{length(std.shared)} shared by all, "
+        detail = f"{shared}{length(std.random)} random; {length(LE95 * std.whole)} at 95{NO_BREAK}%"
+        yield Card("Height, one sigma, all included", length(std.whole), detail)
+        stated = figures["stated"]
+        if comparison is None and stated is not None and stated.orders:
+            order = stated.strictest
+            detail = "strictest order for 95 % of the points, by what the cloud states"
+            yield Card("IHO S-44, vertical, stated", "none" if order is None else order.name, detail)
+    over = (
+        f"{density(cloud['density_per_m2'])} over {area(cloud['covered_area_m2'])}" if cloud["density_per_m2"] else ""
+    )
+    yield Card("Points of the bed", count(cloud["points"]), over)
+    if (depth := cloud["depth_m"]) is not None:
+        yield Card("Median depth", height(depth["median"]), f"{height(depth['min'])} to {height(depth['max'])}")
+    left_out = f"{survey['views_left_out']} left out" if survey["views_left_out"] else "all used"
+    yield Card("Photographs", count(survey["views_used"]), left_out)
+    yield Card("Ground resolution", length(figures["plan"].gsd_m), f"from {distance(figures['plan'].height_m)} above")
+    if (accuracy := figures["checkpoints"]) is not None and accuracy.groups:
+        group = accuracy.groups[0]
+        detail = f"RMS at {group.num} of {len(accuracy.rows)}, mean {length(group.mean_m)}"
+        yield Card("Check points", length(group.rms_m), detail)
+    if comparison is not None:
+        yield from _cards_of_comparison(comparison)
+
+
+def _cards_of_comparison(comparison: Figures) -> Iterator[Card]:
+    mean_m, std_m = comparison.distances.mean_inner90_m, comparison.distances.std_inner90_m
+    unit = LengthUnit.of([std_m, mean_m])
+    surface, detail = comparison.reference_surface, "mean ± std, inner 90 %"
+    if surface is not None:
+        detail += f"; the reference itself ± {length(surface.std_median_m)} between its points"
+    yield Card("From the reference", f"{unit.number(mean_m)}{NO_BREAK}±{NO_BREAK}{unit.text(std_m)}", detail)
+    if comparison.uncertainty is not None:
+        yield _card_of_orders(comparison.uncertainty.iho)
+
+
+def _card_of_orders(iho: IhoS44) -> Card:
+    """The strictest order that all points and every depth meet; where all points alone meet a stricter one, why not."""
+    strictest = iho.strictest
+    pooled = next((order for order in iho.orders if order.meets_tvu), None)
+    detail = "strictest order whose TVU is met at every depth"
+    if pooled is not None and pooled is not strictest:
+        worst = min(pooled.failing + pooled.undecided, key=lambda band: band.share_within)
+        depth = of_comparison.limits_label(worst.low_m, worst.high_m, "m")
+        detail += f"; at {depth} only {share(worst.share_within)} are within {pooled.name}"
+    doubtful = next((order for order in iho.orders if order.is_undecided), None)
+    if doubtful is not None:
+        detail += f"; {doubtful.name} is undecided, as heights between the points of the reference are too uncertain"
+    worth = "none" if doubtful is None else "undecided"
+    return Card("IHO S-44, vertical only", worth if strictest is None else strictest.name, detail)
+
+
+def _coverage(figures: ReportFigures) -> list[Block]:
+    """Coverage of the water in words, and reasons for gaps; nothing for a dry survey."""
+    found = figures["coverage"]
+    water_m2 = 0.0 if found is None else found.wet_m2 + found.two_views_m2 + found.one_view_m2
+    if not water_m2:
+        return []
+
+    def part(value_m2: float) -> str:
+        return f"{area(value_m2)}, {share(value_m2 / water_m2)} of the water that was looked at"
+
+    std = "" if found.water_std_m3 is None else f" ± {volume(found.water_std_m3)} (one sigma)"
+    gaps = (
+        ("no bed, two photographs or more", found.two_views_m2,
+         "turbid or too deep, glint, moving plants, or a bed without texture"),
+        ("no bed, one photograph only", found.one_view_m2, "no second ray to intersect"),
+    )  # fmt: skip
+    rows = [
+        ("bed found", part(found.wet_m2)),
+        ("water over it", f"{volume(found.water_m3)}{std}"),
+        *((label, f"{part(gap_m2)}: {why}") for label, gap_m2, why in gaps if gap_m2),
+    ]
+    if left_out := figures["photographs_left_out"]:
+        rows.append(("photographs without a pose", f"{len(left_out)}: what they alone show is missing"))
+    return [Rows(rows)]
+
+
+def _method(figures: ReportFigures) -> list[Block]:
+    """How the cloud was made, for whoever did not make it."""
+    made = f"{count(figures['survey']['views_used'])} photographs, their poses from {figures['survey']['poses']}."
+    if (water := figures["water"]) is not None:
+        made += (
+            f" Every ray was bent by Snell's law where it meets the water (level {height(water['level_m'])}, index "
+            f"{water['refractive_index']:.4f}) before photographs were matched: no factor on depths, no shift, no fit "
+            "to a reference."
+        )
+    refined = " and refined by least squares over all of them" if figures["plan"].solves else ""
+    made += f" Heights were searched by matching them{refined}; each point was found at one height by two or more."
+    return [Text(made)]
+
+
+def _limitations(figures: ReportFigures) -> list[Block]:
+    """Fitness of the cloud for purposes, in sentences with this run's figures."""
+    parts, std = [], figures["height_std_m"]
+    if std is not None:
+        message = f"A typical height is within {length(LE95 * std.whole)} of the truth in 95 of 100 cases"
+        if std.shared:
+            shared = length(LE95 * std.shared)
+            message += f"; of that, {shared} are a common shift of all heights, which averaging does not reduce"
+        parts.append(f"{message}, if level, index and positions are as accurate as stated.")
+    parts.append(
+        f"Things smaller than about {length(_SMALLEST_GSD * figures['plan'].gsd_m)} are smoothed away or missing; what "
+        "stands on a wall or under an overhang may be missing too."
+    )
+    if figures["water"] is not None:
+        parts += [
+            "The water was taken as at rest: waves add noise, and where they do not average out, a bias. What moves, "
+            "as plants and fish, is wrong or missing.",
+            "The top of plants counts as bed where they hide it. No statement is made on the ground below them, nor on "
+            "what lies where no bed was found.",
+            "Not a nautical survey: search for obstructions and full coverage were not tested.",
         ]
-        if shown:
-            groups.append((heading, shown))
-    return groups
-
-
-def _base64(file: Path) -> str:
-    return base64.b64encode(file.read_bytes()).decode()
+    if figures["checkpoints"] is None and figures["comparison"] is None:
+        parts.append("Nothing independent was measured with it: no check points, no reference.")
+    return [Sentences(parts)]

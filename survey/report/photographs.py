@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from typing import Any
 
 import numpy as np
 
@@ -45,40 +46,36 @@ def photographs_of(
     saturated: Mapping[str, float], sightings: Mapping[str, list[int]], consistency: Mapping[str, Consistency]
 ) -> tuple[PhotographFigures, ...]:
     """Figures of the photographs, from the counts of sweep and solver by their names."""
-    found, useless = [], _useless(consistency)
-    for name, white in saturated.items():
-        seen, outlying = sightings.get(name, (0, 0))
-        found.append(PhotographFigures(name, white, outlying / seen if seen else None, useless.get(name, "")))
-    return tuple(found)
+    useless, counts = _useless(consistency), {name: sightings.get(name, (0, 0)) for name in saturated}
+    return tuple(
+        PhotographFigures(name, white, counts[name][1] / counts[name][0] if counts[name][0] else None,
+                          useless.get(name, ""))
+        for name, white in saturated.items()
+    )  # fmt: skip
 
 
 def _useless(consistency: Mapping[str, Consistency]) -> dict[str, str]:
     """Reasons why photographs contribute nothing to the cloud, by their names."""
-    known = [each for each in consistency.values() if each.correlation is not None]
+    known = [(each.correlation, each.contrast) for each in consistency.values() if each.correlation is not None]
     if not known:
         return {}
-    usual = float(np.median([each.correlation for each in known if each.correlation is not None]))
-    contrast = float(np.median([each.contrast for each in known]))
-    found = {}
+    usual, contrast = np.median(known, axis=0)
+    reasons = {}
     for name, each in consistency.items():
         if each.num_points == 0:
-            found[name] = "its frame holds none of the bed: pose wrong, or outside"
+            reasons[name] = "its frame holds none of the bed: pose wrong, or outside"
         elif each.num_points >= _FEWEST_POINTS and (each.correlation or 0.0) < _LEAST_OF_MEDIAN * usual:
             blurred = each.contrast < _BLURRED * contrast
-            found[name] = "blurred, or without texture" if blurred else "shows something else there: pose wrong"
-    return found
+            reasons[name] = "blurred, or without texture" if blurred else "shows something else there: pose wrong"
+    return reasons
 
 
 def photograph_warnings(photographs: tuple[PhotographFigures, ...]) -> list[str]:
     """Warnings that name the photographs that show little of the bed, or nothing."""
     white = [each.name for each in photographs if each.saturated > MOSTLY_WHITE]
     useless = [f"{each.name} ({each.useless})" for each in photographs if each.useless]
-    return [
-        *named(
-            white, "photograph", "more than half white by glint of the sun or exposure, with little of the bed left"
-        ),
-        *named(useless, "photograph", "with nothing for the cloud"),
-    ]
+    glint = "more than half white by glint of the sun or exposure, with little of the bed left"
+    return [*named(white, "photograph", glint), *named(useless, "photograph", "with nothing for the cloud")]
 
 
 def left_out_shares(photographs: tuple[PhotographFigures, ...]) -> list[tuple[str, str]]:
@@ -117,72 +114,52 @@ def _use(each: PhotographFigures) -> str:
     return "little of it: more than half white" if each.saturated > MOSTLY_WHITE else _WHOLE
 
 
-@dataclass(frozen=True)
-class CameraFigures:
-    """Figures of a kind of camera."""
-
-    name: str  # Maker and model; empty where EXIF has none
-    serials: tuple[str, ...]
-    num: int  # Its photographs
-
-
-@dataclass(frozen=True)
-class TakenFigures:
-    """Operator, time and cameras of a survey."""
-
-    project: str | None
-    operator: str | None
-    processed: str  # When the report was written, ISO 8601
-    # first, last: When photographs were taken, ISO 8601; None where none has a time
-    first: str | None
-    last: str | None
-    clock: str | None  # "UTC", "camera" or None: whose time that is
-    cameras: tuple[CameraFigures, ...]
-
-
-def taken_of(config: ReportConfig, headers: Mapping[str, Exif], now: datetime) -> TakenFigures:
-    """The figures of photographs by the headers of their files."""
+def taken_of(config: ReportConfig, headers: Mapping[str, Exif], now: datetime) -> dict[str, Any]:
+    """Operator, time and cameras of a survey by the headers of its files; times are ISO 8601, None where unknown."""
     utc = [header.taken for header in headers.values() if header.taken is not None]
     own = [header.clock for header in headers.values() if header.clock is not None]
     times, clock = (utc, "UTC") if utc else (own, "camera")
-    count = Counter(header.camera for header in headers.values())
-    cameras = tuple(
-        CameraFigures(name, tuple(sorted({h.serial for h in headers.values() if h.camera == name and h.serial})), num)
-        for name, num in count.most_common()
+    first, last = (
+        moment(times).replace(tzinfo=None).isoformat(timespec="seconds") if times else None for moment in (min, max)
     )
-    first, last = (min(times), max(times)) if times else (None, None)
-    return TakenFigures(
-        config.project,
-        config.operator,
-        now.isoformat(timespec="minutes"),
-        None if first is None else first.replace(tzinfo=None).isoformat(timespec="seconds"),
-        None if last is None else last.replace(tzinfo=None).isoformat(timespec="seconds"),
-        clock if times else None,
-        cameras,
-    )
+    serials: dict[str, set[str]] = {}
+    for header in headers.values():
+        serials.setdefault(header.camera, set()).update({header.serial} - {""})
+    return {
+        "project": config.project,
+        "operator": config.operator,
+        "processed": now.isoformat(timespec="minutes"),
+        "first": first,
+        "last": last,
+        "clock": clock if times else None,
+        "cameras": [
+            {"name": name, "serials": sorted(serials[name]), "num": num}
+            for name, num in Counter(header.camera for header in headers.values()).most_common()
+        ],
+    }
 
 
-def flight_time(found: TakenFigures) -> str | None:
+def flight_time(taken: dict[str, Any]) -> str | None:
     """Date and time of the flight as text; None where no photograph has one."""
-    if found.first is None or found.last is None:
+    if taken["first"] is None:
         return None
-    whose = "UTC" if found.clock == "UTC" else "by the clock of the camera"
-    (day, start), (other_day, end) = found.first.split("T"), found.last.split("T")
-    start, end = start[:5], end[:5]
+    whose = "UTC" if taken["clock"] == "UTC" else "by the clock of the camera"
+    (day, start), (other_day, end) = (taken[moment][:16].split("T") for moment in ("first", "last"))
     if day != other_day:
         return f"{day} {start} to {other_day} {end} {whose}"
     return f"{day} {start} {whose}" if start == end else f"{day} {start} to {end} {whose}"
 
 
-def taken_rows(found: TakenFigures | None) -> list[tuple[str, str]]:
+def taken_rows(taken: dict[str, Any] | None) -> list[tuple[str, str]]:
     """Rows under the title of the page on authors, times and cameras."""
-    if found is None:
+    if taken is None:
         return []
-    rows = [("project", found.project), ("operator", found.operator), ("flown", flight_time(found))]
-    rows.append(("processed", found.processed.replace("T", " ")))
-    for camera in found.cameras:
-        serials = ", ".join(camera.serials) if len(camera.serials) <= _FEW_SERIALS else f"{len(camera.serials)} of them"
+    rows = [("project", taken["project"]), ("operator", taken["operator"]), ("flown", flight_time(taken))]
+    rows.append(("processed", taken["processed"].replace("T", " ")))
+    for camera in taken["cameras"]:
+        num, known = camera["num"], camera["serials"]
+        serials = ", ".join(known) if len(known) <= _FEW_SERIALS else f"{len(known)} of them"
         serial = f", serial number {serials}" if serials else ""
-        number = f"{camera.num} photograph{'' if camera.num == 1 else 's'}"
-        rows.append(("camera", f"{camera.name or 'without a name in EXIF'}{serial}: {number}"))
+        name = camera["name"] or "without a name in EXIF"
+        rows.append(("camera", f"{name}{serial}: {num} photograph{'' if num == 1 else 's'}"))
     return [(label, text) for label, text in rows if text]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,19 +15,16 @@ from matplotlib.ticker import MaxNLocator
 
 from geo.crs import height_unit_m
 from survey.adjust.result.std_of_block import part_numbers
-from survey.compare import pictures as compare_report
-from survey.compare.canvas import canvas, nice_limit, plain_log_ticks, save
-from survey.display.column import finite, median
+from survey.compare import pictures as compared
+from survey.display.canvas import Picture, canvas, finished, nice_limit, plain_log_ticks, save
 from survey.display.palette import BLUE, INK, RED, SERIES, SOFT
-from survey.display.plan_grid import PlanGrid
+from survey.display.plan_grid import PlanGrid, finite, median
 from survey.display.quantities import NO_BREAK, LengthUnit, number
-from survey.report import adjustment_pictures, flight, maps, profile
-from survey.report.adjustment_figures import correlations
+from survey.report import flight_pictures, maps, profile
+from survey.report.adjustment import correlations
 from survey.report.facts import ReportFacts
-from survey.report.raster import Picture, finished
 
 if TYPE_CHECKING:
-    from survey.adjust.result.adjustment import Adjustment
     from survey.compare.figures import Comparison
 
 # Cells of a map along the longer side, at most: a picture has some 800 pixels for them.
@@ -43,89 +39,58 @@ def draw_pictures(folder: Path, facts: ReportFacts) -> Iterator[Picture]:
 
     Each is drawn when it is asked for, and written whole or not at all.
     """
-    return (draw(folder / f"{name}.png") for name, draw in drawings_of(facts).items())
+    return (draw(folder / f"{name}.png") for name, draw in _drawings(facts))
 
 
-def drawings_of(facts: ReportFacts) -> dict[str, Callable[[Path], Picture]]:
-    """Functions that draw the pictures which the facts allow, by name, in the order of the report."""
-    drawings: dict[str, Callable[[Path], Picture]] = {}
-    if len(facts.bed):
+def _drawings(facts: ReportFacts) -> Iterator[tuple[str, Callable[[Path], Picture]]]:
+    """Names of the pictures which the facts allow, and functions that draw them."""
+    survey, comparison, has_points = facts.survey, facts.comparison, len(facts.bed) > 0
+    if has_points:
         cell_m = _CELL_GSD * facts.plan.gsd_m
-        grid = PlanGrid.over(facts.points_crs, facts.survey.frame.crs, cell_m=cell_m, max_cells=_MAP_CELLS)
+        grid = PlanGrid.over(facts.points_crs, survey.frame.crs, cell_m=cell_m, max_cells=_MAP_CELLS)
         line = profile.choose_cut(facts)
         cut = line if profile.has_profile(facts, line) else None
-        drawings["depth"] = partial(maps.draw_surface, facts=facts, grid=grid, cut=cut)
-        drawings["orthophoto"] = partial(maps.draw_orthophoto, facts=facts, grid=grid)
+        yield "depth", lambda path: maps.draw_surface(path, facts, grid, cut)
+        yield "orthophoto", lambda path: maps.draw_orthophoto(path, facts, grid)
         if cut is not None:
-            drawings["profile"] = partial(profile.draw_profile, facts=facts, cut=cut)
-    if facts.comparison is not None:
-        drawings |= _of_comparison(facts, facts.comparison)
+            yield "profile", lambda path: profile.draw_profile(path, facts, cut)
+    if comparison is not None:
+        yield from _of_comparison(facts, comparison)
     if facts.height_maps:
-        drawings["view"] = partial(maps.draw_view, facts=facts, height_maps=facts.height_maps)
-    if len(facts.bed):
-        drawings["unseen"] = partial(maps.draw_unseen, facts=facts)
-        drawings["views"] = partial(maps.draw_num_views, facts=facts, grid=grid)
-        drawings["std"] = partial(maps.draw_std, facts=facts, grid=grid)
-        drawings["histograms"] = partial(draw_histograms, facts=facts)
-    if facts.adjustment is not None:
-        drawings |= _of_adjustment(facts, facts.adjustment)
-    residuals = adjustment_pictures.residuals_of(facts.survey, facts.adjustment, facts.checkpoints)
-    if residuals:
-        drawings["control"] = partial(adjustment_pictures.draw_residuals, survey=facts.survey, residuals=residuals)
-    if facts.surfaces is not None and len(facts.bed):
-        drawings["waves"] = partial(maps.draw_waves, facts=facts, surfaces=facts.surfaces)
-    drawings["plan"] = partial(flight.draw_plan, facts=facts)
-    return drawings
+        yield "view", lambda path: maps.draw_view(path, facts, facts.height_maps or ())
+    if has_points:
+        yield "unseen", lambda path: maps.draw_unseen(path, facts)
+        yield "views", lambda path: maps.draw_num_views(path, facts, grid)
+        yield "std", lambda path: maps.draw_std(path, facts, grid)
+        yield "histograms", lambda path: draw_histograms(path, facts)
+    if (found := facts.adjustment) is not None:
+        if part_numbers(found).max() > 0:
+            yield "parts", lambda path: flight_pictures.draw_parts(path, survey, found)
+        yield "residuals_ground", lambda path: flight_pictures.draw_ground_residuals(path, survey, found)
+        yield "residuals_image", lambda path: flight_pictures.draw_image_residuals(path, found)
+        # Two parameters of water and lenses at least were estimated.
+        if len(correlations(found)[0]) > 1:
+            yield "correlation", lambda path: flight_pictures.draw_correlation(path, found)
+    if residuals := flight_pictures.residuals_of(survey, facts.adjustment, facts.checkpoints):
+        yield "control", lambda path: flight_pictures.draw_residuals(path, survey, residuals)
+    if (surfaces := facts.surfaces) is not None and has_points:
+        yield "waves", lambda path: maps.draw_waves(path, facts, surfaces)
+    yield "plan", lambda path: flight_pictures.draw_plan(path, facts)
 
 
-def _of_adjustment(facts: ReportFacts, found: Adjustment) -> dict[str, Callable[[Path], Picture]]:
-    drawings: dict[str, Callable[[Path], Picture]] = {}
-    if part_numbers(found).max() > 0:
-        drawings["parts"] = partial(adjustment_pictures.draw_parts, survey=facts.survey, found=found)
-    drawings |= {
-        "residuals_ground": partial(adjustment_pictures.draw_ground_residuals, survey=facts.survey, found=found),
-        "residuals_image": partial(adjustment_pictures.draw_image_residuals, found=found),
-    }
-    # Two parameters of water and lenses at least were estimated.
-    if len(correlations(found)[0]) > 1:
-        drawings["correlation"] = partial(adjustment_pictures.draw_correlation, found=found)
-    return drawings
-
-
-def _of_comparison(facts: ReportFacts, comparison: Comparison) -> dict[str, Callable[[Path], Picture]]:
-    crs = facts.survey.frame.crs
-    tolerance_m = comparison.figures.tolerances[0].tolerance_m
-
-    def error_map(path: Path) -> Picture:
-        compare_report.error_map(comparison.points, comparison.distances, path, crs=crs)
-        return Picture(path, "Distance to the reference", "Red lies above the reference, blue below it.")
-
-    def histogram(path: Path) -> Picture:
-        compare_report.histogram(comparison.distances, path, tolerance_m=tolerance_m)
-        words = "Nothing was aligned or shifted before."
-        return Picture(path, "Distribution of the distance to the reference", words)
-
-    def completeness(path: Path) -> Picture:
-        compare_report.completeness_map(comparison.targets, comparison.is_reached, path, crs=crs)
-        words = f"Red: no point of the cloud within {tolerance_m:g} m."
-        return Picture(path, "What the cloud does not reach", words)
-
-    def bands(path: Path) -> Picture:
-        compare_report.draw_bands(comparison.figures.parts, path)
-        words = "Mean and spread of the distances in each band, with the number of its points above it."
-        return Picture(path, "Bias and spread by depth, incidence and number of views", words)
-
-    drawings: dict[str, Callable[[Path], Picture]] = {
-        "error": error_map,
-        "error_histogram": histogram,
-        "completeness": completeness,
-    }
-    distances = comparison.distances_of_cloud
+def _of_comparison(facts: ReportFacts, found: Comparison) -> Iterator[tuple[str, Callable[[Path], Picture]]]:
+    crs, tolerance_m = facts.survey.frame.crs, found.figures.tolerances[0].tolerance_m
+    yield "error", lambda path: compared.error_map(found.points, found.distances, path, crs=crs)
+    yield "error_histogram", lambda path: compared.histogram(found.distances, path, tolerance_m=tolerance_m)
+    yield (
+        "completeness",
+        lambda path: compared.completeness_map(found.targets, found.is_reached, path, crs=crs, tolerance_m=tolerance_m),
+    )
+    distances = found.distances_of_cloud
     if np.isfinite(distances).any():
-        drawings["error_depth"] = partial(draw_error_over_depth, facts=facts, distances=distances)
-    if compare_report.has_bands(comparison.figures.parts):
-        drawings["error_bands"] = bands
-    return drawings
+        yield "error_depth", lambda path: draw_error_over_depth(path, facts, distances)
+    if compared.has_bands(found.figures.parts):
+        yield "error_bands", lambda path: compared.draw_bands(found.figures.parts, path)
 
 
 def draw_histograms(path: Path, facts: ReportFacts) -> Picture:
@@ -184,8 +149,7 @@ def _histogram(axes: Axes, values: np.ndarray, scale: float, colour: str, *, is_
 
 def draw_error_over_depth(path: Path, facts: ReportFacts, distances: np.ndarray) -> Picture:
     """Median and inner 68 % of the distances (N,) [m] to a reference, in bands of depth or of height."""
-    is_dry = facts.survey.water is None
-    shown = LengthUnit.of_heights()
+    is_dry, shown = facts.survey.water is None, LengthUnit.of_heights()
     up = height_unit_m(facts.survey.frame.crs)
     along = np.asarray(facts.points_crs[:, 2] * up if is_dry else facts.bed.depth, dtype=np.float64) * shown.per_metre
     use = np.isfinite(distances) & np.isfinite(along)
@@ -194,15 +158,11 @@ def draw_error_over_depth(path: Path, facts: ReportFacts, distances: np.ndarray)
     unit = LengthUnit.of([limit])
     _, axes = canvas(7.2, 3.4)
     if along.size:
-        low, high = np.quantile(along, [0.002, 0.998])
-        edges = np.linspace(low, high, _BANDS + 1)
-        band = np.digitize(along, edges)
-        parts = [(i, distances[band == i]) for i in range(1, len(edges))]
-        rows = [
-            (0.5 * (edges[i - 1] + edges[i]), *np.quantile(part, [0.16, 0.5, 0.84]))
-            for i, part in parts
-            if len(part) >= _FEWEST
-        ]
+        first, last = np.quantile(along, [0.002, 0.998])
+        edges = np.linspace(first, last, _BANDS + 1)
+        band = np.digitize(along, edges) - 1
+        parts = [(middle, distances[band == i]) for i, middle in enumerate(0.5 * (edges[:-1] + edges[1:]))]
+        rows = [(middle, *np.quantile(part, [0.16, 0.5, 0.84])) for middle, part in parts if len(part) >= _FEWEST]
         if rows:
             middle, low, median, high = np.array(rows).T * [[1.0], *[[unit.per_metre]] * 3]
             axes.fill_between(middle, low, high, color=BLUE, alpha=0.25, lw=0, label="inner 68 %")

@@ -10,8 +10,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from geo.grid import Grid
-from survey.display.column import median
-from survey.display.plan_grid import PlanGrid
+from survey.display.plan_grid import PlanGrid, median
 from survey.plan.area import local_area
 from survey.water.surface import plane_under
 

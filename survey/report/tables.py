@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from survey.display.blocks import Block, Rows, Table, Text
 from survey.display.quantities import (
@@ -20,97 +21,95 @@ from survey.plan.plan import Decision, Plan
 from survey.progress import clock
 from survey.report.checkpoints import CheckpointAccuracy
 from survey.report.facts import WaveFigures
-from survey.report.figures import Baselines, CloudFigures, CrsFigures, Extent, LightFigures, SurveyFigures, WaterFigures
 
 # Digits of coordinates by their unit: to the centimetre in metres, to about as much in degrees.
 _DECIMALS = {"m": 2, "°": 7}
 _AXES = ("easting", "northing", "height")
 
 
-def cloud(found: CloudFigures, crs: CrsFigures) -> list[Block]:
+def cloud(found: dict[str, Any], crs: dict[str, Any]) -> list[Block]:
     """Number of points, density, extent, and how depth, spread, views and incidence are distributed."""
-    rows = [("points", f"{count(found.points)}: {count(found.points_wet)} wet, {count(found.points_dry)} dry")]
-    if found.density_per_m2:
-        rows.append(("density", f"{density(found.density_per_m2)} over {area(found.covered_area_m2)}"))
-    return [Rows(rows), *_distributions(found), *_extent(found.extent, crs)]
+    rows = [("points", f"{count(found['points'])}: {count(found['points_wet'])} wet, {count(found['points_dry'])} dry")]
+    if found["density_per_m2"]:
+        rows.append(("density", f"{density(found['density_per_m2'])} over {area(found['covered_area_m2'])}"))
+    return [Rows(rows), *_distributions(found), *_extent(found["extent"], crs)]
 
 
-def _distributions(found: CloudFigures) -> list[Table]:
+def _distributions(found: dict[str, Any]) -> list[Table]:
     """A row for each quantity that is known; a statistic without it is left empty."""
-    rows = []
-    if (depth := found.depth_m) is not None:
-        values = (depth.min, depth.median, depth.p95, depth.max)
-        unit = LengthUnit.of_heights()
-        rows.append((f"true depth [{unit.name}]", *(unit.number(value) for value in values)))
-    if (std := found.std_m) is not None:
-        unit = LengthUnit.of([std.median, std.p95])
-        rows.append((f"standard deviation [{unit.name}]", "", unit.number(std.median), unit.number(std.p95), ""))
-    if (std := found.std_common_m) is not None:
-        unit = LengthUnit.of([std.median, std.p95])
-        name = f"common standard deviation: water, lens, poses [{unit.name}]"
-        rows.append((name, "", unit.number(std.median), unit.number(std.p95), ""))
-    if found.plan_std_common_m:
-        unit = LengthUnit.of_heights()
-        shift = unit.number(found.plan_std_common_m)
-        rows.append((f"common shift in plan: datum transformation [{unit.name}]", "", shift, shift, ""))
-    if (views := found.views_per_point) is not None:
-        rows.append(("views per point", number(views.min, 0), number(views.median, 0), "", number(views.max, 0)))
-    if (angle := found.incidence_deg) is not None:
-        rows.append(("incidence [°]", "", *(number(value, 1) for value in (angle.median, angle.p95, angle.max))))
+    shift, rows = found.get("plan_std_common_m"), []
+    for name, values, is_small in (
+        ("true depth", found["depth_m"], False),
+        ("standard deviation", found["std_m"], True),
+        ("common standard deviation: water, lens, poses", found["std_common_m"], True),
+        ("common shift in plan: datum transformation", shift and {"median": shift, "p95": shift}, False),
+        ("views per point", found["views_per_point"], False),
+        ("incidence", found["incidence_deg"], False),
+    ):
+        if not values:
+            continue
+        shown = [values.get(statistic) for statistic in ("min", "median", "p95", "max")]
+        unit = LengthUnit.of(shown) if is_small else LengthUnit.of_heights()
+        if name == "views per point":
+            label, texts = name, [number(value, 0) for value in shown]
+        elif name == "incidence":
+            label, texts = f"{name} [°]", [number(value, 1) for value in shown]
+        else:
+            label, texts = f"{name} [{unit.name}]", [unit.number(value) for value in shown]
+        rows.append((label, *("" if value is None else text for value, text in zip(shown, texts, strict=True))))
     return [Table(("over all points", "lowest", "median", "95 % below", "highest"), rows)] if rows else []
 
 
-def _extent(extent: Extent | None, crs: CrsFigures) -> list[Table]:
+def _extent(extent: dict[str, Any] | None, crs: dict[str, Any]) -> list[Table]:
     if extent is None:
         return []
-    units = (crs.unit, crs.unit, crs.height_unit)
-    rows = []
-    for name, unit, low, high in zip(_AXES, units, extent.low, extent.high, strict=True):
+    units, rows = (crs["unit"], crs["unit"], crs["height_unit"]), []
+    for name, unit, low, high in zip(_AXES, units, extent["low"], extent["high"], strict=True):
         digits = _DECIMALS.get(unit, 2)
         rows.append((f"{name} [{unit}]", number(low, digits), number(high, digits), number(high - low, digits)))
     return [Table(("extent", "from", "to", "size"), rows)]
 
 
-def survey(taken: SurveyFigures, water: WaterFigures | None, plan: Plan) -> list[Block]:
+def survey(taken: dict[str, Any], water: dict[str, Any] | None, plan: Plan) -> list[Block]:
     """Section of the survey: place, cameras, flying height and water."""
-    crs, decimals = taken.crs, _DECIMALS.get(taken.crs.unit, 2)
-    columns, lines = taken.image_size_px
+    crs, decimals = taken["crs"], _DECIMALS.get(taken["crs"]["unit"], 2)
+    columns, lines = taken["image_size_px"]
     size = " x ".join(distance(side) for side in plan.footprint_m)
     rows = [
-        ("coordinate reference system", crs.name + (f", {crs.code}" if crs.code else "")),
-        ("photographs", f"{taken.views_used} used, {taken.views_left_out} left out"),
-        ("images", f"{columns} x {lines} px, focal length {taken.focal_px:.1f} px"),
-        ("poses", taken.poses),
+        ("coordinate reference system", crs["name"] + (f", {crs['code']}" if crs["code"] else "")),
+        ("photographs", f"{taken['views_used']} used, {taken['views_left_out']} left out"),
+        ("images", f"{columns} x {lines} px, focal length {taken['focal_px']:.1f} px"),
+        ("poses", taken["poses"]),
         ("flying height", f"{distance(plan.height_m)}, one image covers {size}"),
         ("ground sampling distance", length(plan.gsd_m)),
     ]
-    if taken.shutter is not None:
-        rows.append(("shutter", taken.shutter))
-    if taken.bounds is not None:
-        e0, n0, e1, n1 = (number(v, decimals) for v in taken.bounds)
+    if taken["shutter"] is not None:
+        rows.append(("shutter", taken["shutter"]))
+    if taken["bounds"] is not None:
+        e0, n0, e1, n1 = (number(v, decimals) for v in taken["bounds"])
         rows.append(("bounds", f"{e0} to {e1} east, {n0} to {n1} north"))
     if water is None:
         return [Rows([*rows, ("water", "none: a dry survey")])]
-    at = ", ".join(number(v, decimals) for v in water.level_at)
-    slope = f"{water.slope_east:g} to the east, {water.slope_north:g} to the north"
+    at = ", ".join(number(v, decimals) for v in water["level_at"])
+    slope = f"{water['slope_east']:g} to the east, {water['slope_north']:g} to the north"
     rows += [
-        ("water level", f"{height(water.level_m)} at {at} ({water.level_from})"),
-        ("slope of the water", f"{slope} ({water.slope_from})"),
-        ("refractive index", f"{water.refractive_index:.4f} ({water.refractive_index_from})"),
+        ("water level", f"{height(water['level_m'])} at {at} ({water['level_from']})"),
+        ("slope of the water", f"{slope} ({water['slope_from']})"),
+        ("refractive index", f"{water['refractive_index']:.4f} ({water['refractive_index_from']})"),
     ]
-    if water.light is not None:
-        rows.append(("light that is matched", _light(water.light)))
+    if water["light"] is not None:
+        rows.append(("light that is matched", _light(water["light"])))
     return [Rows(rows)]
 
 
-def _light(light: LightFigures) -> str:
+def _light(light: dict[str, Any]) -> str:
     """Wavelength that the index belongs to, and the change of depth by another convention."""
-    shares = ", ".join(
-        f"{name} {share(value)}" for name, value in (("red", light.red), ("green", light.green), ("blue", light.blue))
+    shares = ", ".join(f"{name} {share(light[name])}" for name in ("red", "green", "blue"))
+    message = f"{light['wavelength_nm']:.0f} nm: {shares} {'of the texture' if light['is_measured'] else 'by luma'}"
+    moved = "" if light["over_sodium_m"] is None else f", or {length(light['over_sodium_m'])} at the median depth"
+    return (
+        f"{message}; the index belongs to it. At 589 nm, as in handbooks, it is {light['over_sodium']:.4f} less{moved}"
     )
-    message = f"{light.wavelength_nm:.0f} nm: {shares} {'of the texture' if light.is_measured else 'by luma'}"
-    moved = "" if light.over_sodium_m is None else f", or {length(light.over_sodium_m)} at the median depth"
-    return f"{message}; the index belongs to it. At 589 nm, as in handbooks, it is {light.over_sodium:.4f} less{moved}"
 
 
 def decisions(taken: tuple[Decision, ...]) -> list[Block]:
@@ -119,9 +118,9 @@ def decisions(taken: tuple[Decision, ...]) -> list[Block]:
     return [Table(("decision", "choice", "reason"), rows, num_texts=3)]
 
 
-def timings(seconds: dict[str, float], total_s: float) -> list[Block]:
+def timings(seconds: dict[str, float]) -> list[Block]:
     """Duration of each stage when it was computed, and all together."""
-    rows = [(name.replace("_", " "), clock(value)) for name, value in (*seconds.items(), ("total", total_s))]
+    rows = [(name.replace("_", " "), clock(value)) for name, value in seconds.items()]
     return [Table(("stage", "time"), rows)]
 
 
@@ -162,19 +161,17 @@ def checkpoints(found: CheckpointAccuracy | None) -> list[Block]:
     return [*blocks, Table(titles, rows, heading="Each check point")]
 
 
-def baselines(found: Baselines | None) -> list[Block]:
+def baselines(found: dict[str, Any] | None) -> list[Block]:
     """Vertical errors of other methods beside those of this run; nothing without water or reference."""
     if found is None:
         return []
+    keys = ("median_m", "nmad_m", "mean_m")
     # In the digits of what was measured, of which the predictions have too few.
-    measured = [row for row in found.rows if row.kind == "measured"] or found.rows
-    unit = LengthUnit.of([value for row in measured for value in (row.median_m, row.nmad_m, row.mean_m)])
-    rows = [
-        (row.name, row.kind, *(unit.number(value) for value in (row.median_m, row.nmad_m, row.mean_m)))
-        for row in found.rows
-    ]
+    measured = [row for row in found["rows"] if row["kind"] == "measured"] or found["rows"]
+    unit = LengthUnit.of([row[key] for row in measured for key in keys])
+    rows = [(row["name"], row["kind"], *(unit.number(row[key]) for key in keys)) for row in found["rows"]]
     titles = ("method", "kind", *(f"{name} [{unit.name}]" for name in ("median", "spread (NMAD)", "mean")))
-    return [Table(titles, rows, num_texts=2), Text(found.note, is_soft=True)]
+    return [Table(titles, rows, num_texts=2), Text(found["note"], is_soft=True)]
 
 
 def waves(found: WaveFigures | None) -> list[Block]:

@@ -17,12 +17,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from survey.display.column import median
+from survey.display.plan_grid import median
 from survey.display.quantities import NO_BREAK, length, share
 from survey.plan.choices import STD_QUANTILE, Choices
 from survey.plan.recipe import MAX_STD_GSD, max_height_std
-from survey.report.collect import height_std
-from survey.report.facts import Gate, RunVerdict
+from survey.report.facts import Gate, RunVerdict, height_std
 from survey.report.seen_cells import SeenCells, cells_of
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from geo.shapes import ComputedColumn
 from survey.adjust.applied import CAMERAS, MODEL_FOLDER
 from survey.adjust.result.adjustment import ARRAYS, JSON, Adjustment, read_adjustment
 from survey.compare.figures import Comparison
-from survey.display.column import median
+from survey.display.plan_grid import median
 from survey.display.quantities import foot_m, length, lengths_in_feet
 from survey.files.json_values import read_json_object, write_json
 from survey.files.toml_table import table_of
@@ -184,9 +184,9 @@ def _write_report(finished: FinishedRun, stored: StoredBed) -> RunVerdict:
     progress.detail(*(f"{label}: {share}" for label, share in left_out_shares(facts.photographs)))
     with progress.stage("Report", NUM_STEPS) as stage:
         figures = write_report(folder, facts, stage.advance)
-    for text in checkpoint_warnings(figures.checkpoints):
+    for text in checkpoint_warnings(facts.checkpoints):
         progress.warn(text)
-    if (std := figures.height_std) is not None:
+    if (std := figures["height_std_m"]) is not None:
         shared = "" if std.shared is None else f", of which {length(std.shared)} are shared by large parts of the cloud"
         progress.note(f"height, one sigma, all included: {length(std.whole)} (median){shared}")
     return verdict

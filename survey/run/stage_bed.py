@@ -29,7 +29,7 @@ from geo.shapes import portions
 from refract import FlatWater, PinholeCamera, kernels
 from refract.curved import BicubicWater
 from survey.adjust.result.std_common import BASIS_ADJUSTED, BASIS_STATED, std_common
-from survey.display.column import median
+from survey.display.plan_grid import median
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object

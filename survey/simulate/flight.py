@@ -12,7 +12,7 @@ import numpy as np
 
 from refract import FlatWater, PinholeCamera
 from refract.lens import Lens
-from survey.compare.canvas import canvas, save, write_title
+from survey.display.canvas import canvas, save, write_title
 from survey.display.palette import BLUE, INK, OBLIQUE, SOFT
 from survey.errors import ConfigError, SurveyError
 from survey.files.toml_table import key, require_valid

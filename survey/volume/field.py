@@ -14,10 +14,10 @@ from fields.image_based import heights_over
 from fields.volume.surface import Surface
 from geo import read_reference
 from geo.las import write_cloud
-from survey.compare.canvas import canvas, save
 from survey.compare.comparison import compare_files
 from survey.compare.figures import numbers_of
 from survey.compare.options import CompareOptions
+from survey.display.canvas import canvas, save
 from survey.display.quantities import length
 from survey.export.loaded import LoadedRun, flight_of
 from survey.export.render import Target, targets_of, write_views

@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -224,3 +225,19 @@ def save(figure: Figure, path: Path) -> None:
     figure.savefig(buffer, format="png", dpi=_DPI, pil_kwargs={"compress_level": _COMPRESSION})
     with write_whole(path) as stream:
         stream.write(buffer.getvalue())
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture of a report: its file, and the words about it."""
+
+    path: Path
+    title: str
+    caption: str
+
+
+def finished(axes: Axes, path: Path, title: str, subtitle: str, caption: str) -> Picture:
+    """Write a title over axes and their figure as PNG; raises UnwritableFile."""
+    write_title(axes, title, subtitle)
+    save(figure_of(axes), path)
+    return Picture(path, title, caption)

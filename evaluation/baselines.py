@@ -15,20 +15,9 @@ _PARALLEL = 1e-9
 
 
 def apparent_points(centres: np.ndarray, directions: np.ndarray, is_seen: np.ndarray) -> np.ndarray:
-    """Least-squares intersections of straight rays.
+    """Least-squares intersections (N, 3) [m] of straight rays; NaN of fewer than two views, or parallel rays.
 
-    Parameters
-    ----------
-    centres : (N, V, 3) [m]
-        Projection centres, or any other points on the rays.
-    directions : (N, V, 3)
-        In air, unit vectors.
-    is_seen : (N, V) bool
-
-    Returns
-    -------
-    (N, 3) [m]
-        NaN where fewer than two views see the point, or their rays are parallel.
+    ``centres`` (N, V, 3) [m] are points on the rays, ``directions`` (N, V, 3) unit vectors in air.
     """
     across = np.eye(3) - directions[..., :, None] * directions[..., None, :]
     across = np.where(is_seen[..., None, None], across, 0.0)
@@ -49,21 +38,11 @@ def times_index(apparent_depth: np.ndarray, n_water: float) -> np.ndarray:
     return n_water * apparent_depth
 
 
-def per_camera(
-    apparent_depth: np.ndarray,
-    incidence: np.ndarray,
-    is_seen: np.ndarray,
-    n_water: float,
-) -> np.ndarray:
+def per_camera(apparent_depth: np.ndarray, incidence: np.ndarray, is_seen: np.ndarray, n_water: float) -> np.ndarray:
     """Depth (N,) [m] of points, each corrected for refraction per camera and averaged.
 
-    Parameters
-    ----------
-    apparent_depth : (N,) [m]
-        Positive below the water.
-    incidence : (N, V) [rad]
-        Angle in air between the normal of the water and the line from the apparent point to the camera.
-    is_seen : (N, V) bool
+    ``incidence`` (N, V) [rad] is the angle in air between the normal of the water and the line from the apparent point
+    to the camera; ``apparent_depth`` (N,) [m] is positive below the water.
 
     Notes
     -----

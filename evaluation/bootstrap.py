@@ -30,14 +30,7 @@ _SIGNIFICANT = 3.0
 
 
 def cell_numbers(at: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Cell (N,) int64 of each point, row by row; -1 beyond the raster and for NaN.
-
-    Parameters
-    ----------
-    at : (N, 2) [cells]
-        Column and row, from the outer corner of the first cell.
-    shape : (rows, columns)
-    """
+    """Cell (N,) int64, row by row, of points at a column and row (N, 2) [cells]; -1 beyond the raster and for NaN."""
     floor = np.floor(at)
     inside = ((floor >= 0) & (floor < np.array(shape[::-1]))).all(axis=1)
     column, row = np.where(inside[:, None], floor, 0.0).astype(np.int64).T
@@ -74,14 +67,9 @@ class Blocks:
 
 
 def spatial_blocks(plan: np.ndarray, errors: np.ndarray) -> Blocks:
-    """Blocks whose edge is ten correlation lengths of the errors, if the extent has room for 30 of them.
+    """Blocks whose edge is ten correlation lengths of the errors (N,) [m], if the extent has room for 30 of them.
 
-    Parameters
-    ----------
-    plan : (N, 2) [m]
-        Horizontal coordinates in a Cartesian frame.
-    errors : (N,) [m]
-        NaN is left out.
+    ``plan`` (N, 2) [m] are horizontal coordinates in a Cartesian frame; errors that are NaN are left out.
 
     Notes
     -----

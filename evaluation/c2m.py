@@ -27,15 +27,10 @@ INSIDE = 0
 
 
 def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same triangles with vertices of exactly equal coordinates merged.
+    """The same triangles with vertices of exactly equal coordinates merged: vertices (W, 3), faces (F, 3).
 
-    Triangles that each have their own vertices have no known neighbours otherwise. Call it on
-    coordinates as they were read: equal ones need not stay equal to the last bit in another frame.
-
-    Returns
-    -------
-    vertices (W, 3), faces (F, 3)
-        W is at most V; vertices keep their order of first appearance, faces keep theirs.
+    Triangles that each have their own vertices have no known neighbours otherwise. Call it on coordinates as they were
+    read: equal ones need not stay equal to the last bit in another frame. Orders of vertices and faces stay.
     """
     vertices = np.asarray(vertices, dtype=np.float64)
     first, number = distinct(vertices)
@@ -43,14 +38,7 @@ def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First occurrences of the distinct points among (N, 3), and the index of the one that each point equals.
-
-    Returns
-    -------
-    first (W,), number (N,) : int64
-        ``points[first]`` holds every distinct point once, in order of appearance, and
-        ``points[first][number]`` is ``points``.
-    """
+    """First occurrences (W,) of the distinct points among (N, 3), in order, and which of them each one (N,) equals."""
     if len(points) == 0:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
     order = np.lexsort(points.T)
@@ -92,24 +80,10 @@ def has_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def closest_on_triangles(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The point of each triangle that is nearest to the point of the same row.
+    """The point (N, 3) of each triangle (N, 3, 3) [m] that is nearest to the point (N, 3) of the same row.
 
-    Parameters
-    ----------
-    points : (N, 3) [m]
-    corners : (N, 3, 3) [m]
-        Corners a, b, c of triangles that have an area.
-
-    Returns
-    -------
-    nearest : (N, 3) [m]
-    feature : (N,) int
-        Where on the triangle it lies, a row of `FEATURE_CORNERS`: 0 inside, 1 to 3 an edge, 4 to 6 a vertex.
-
-    Notes
-    -----
-    The Voronoi regions of the triangle in its plane, after C. Ericson, Real-Time Collision Detection (2005),
-    section 5.1.5.
+    The second result (N,) says where on the triangle it lies, a row of `FEATURE_CORNERS`. The Voronoi regions of the
+    triangle in its plane, after C. Ericson, Real-Time Collision Detection (2005), section 5.1.5.
     """
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     ab, ac = b - a, c - a
@@ -278,11 +252,7 @@ class _Surface:
         return zip(np.split(tied, cuts), np.split(counts, cuts), strict=True) if len(tied) else ()
 
     def _is_above(self, direction: np.ndarray, hit: np.ndarray, feature: np.ndarray, counts: np.ndarray) -> np.ndarray:
-        """Whether points (N,) whose nearest point is on an edge or vertex lie above the surface.
-
-        ``direction`` are unit vectors from there to the points, ``counts`` the sizes of the stars of the first
-        vertex.
-        """
+        """Whether points (N,) in a direction from their nearest point, on an edge or vertex, lie above the surface."""
         corners = self._faces[hit[:, None], FEATURE_CORNERS[feature]]
         starts = np.cumsum(counts) - counts
         point = np.repeat(np.arange(len(hit)), counts)
@@ -298,10 +268,7 @@ class _Surface:
 
 
 def _morton_order(points: np.ndarray) -> np.ndarray:
-    """Order (N,) of points along a Morton curve in plan.
-
-    The tree then finds its boxes in the cache: six times faster than in random order.
-    """
+    """Order (N,) of points along a Morton curve in plan: the tree finds its boxes in the cache, six times faster."""
     if len(points) == 0:
         return np.empty(0, dtype=np.int64)
     plan = points[:, :2]

@@ -18,18 +18,9 @@ _MARGIN = 1e-9
 def sample_mesh(
     vertices: np.ndarray, faces: np.ndarray, num_samples: int = NUM_SAMPLES, *, seed: int = SEED
 ) -> np.ndarray:
-    """Points spread independently and uniformly by area over a mesh.
+    """Points (num_samples, 3) [m] spread independently and uniformly by area over a mesh, in the order of its faces.
 
-    Parameters
-    ----------
-    vertices : (V, 3) [m], a Cartesian frame
-        In a map grid areas would be distorted.
-    faces : (F, 3) int
-
-    Returns
-    -------
-    (num_samples, 3) float64 [m], same frame
-        In the order of the faces, so that neighbours are mostly close together.
+    Vertices (V, 3) [m] are in a Cartesian frame: in a map grid areas would be distorted.
     """
     areas = np.linalg.norm(area_vectors(vertices, faces), axis=1)
     cumulative = np.cumsum(areas)
@@ -85,21 +76,11 @@ def f_score(accuracy_share: float, completeness: float) -> float:
 
 
 def is_outlier(points: np.ndarray, *, neighbours: int, num_std: float) -> np.ndarray:
-    """Statistical outliers (N,): points whose mean distance to their neighbours is far above the average.
+    """Statistical outliers (N,) of points (N, 3) [m]: far above the average from so many nearest neighbours.
 
-    Parameters
-    ----------
-    points : (N, 3) [m]
-    neighbours : int
-        Number of nearest neighbours.
-    num_std : float
-        A point is an outlier where its mean distance exceeds the mean of all mean distances by more than this many
-        of their standard deviations (of a population), as the filter "SOR" of CloudCompare has it.
-
-    Notes
-    -----
-    R. B. Rusu et al., Towards 3D point cloud based object maps for household environments, Robotics and Autonomous
-    Systems 56 (2008), section 4.1.
+    A point is one where its mean distance to them exceeds the mean of all by more than ``num_std`` of their standard
+    deviations (of a population), as the filter "SOR" of CloudCompare has it (R. B. Rusu et al., Towards 3D point cloud
+    based object maps for household environments, Robotics and Autonomous Systems 56, 2008, section 4.1).
     """
     if len(points) < 2:
         return np.zeros(len(points), dtype=bool)

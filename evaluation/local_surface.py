@@ -44,15 +44,9 @@ class LocalSurface:
 def local_surface(
     cloud: np.ndarray, places: np.ndarray, *, advance: Callable[[int], object] | None = None
 ) -> LocalSurface:
-    """Heights of a cloud at places in plan, by local regression.
+    """Heights of a cloud (M, 3) [m], z up, at places (N, 2) [m] in plan, by local regression.
 
-    Parameters
-    ----------
-    cloud : (M, 3) [m]
-        Cartesian frame, z up; points that are not finite are left out.
-    places : (N, 2) [m]
-    advance : callable, optional
-        Called with the number of places that were finished since the last call.
+    ``advance`` is called with the number of places that were finished since the last call.
 
     Notes
     -----

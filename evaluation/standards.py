@@ -13,29 +13,15 @@ import numpy as np
 from evaluation.summary import DEPTH_EDGES_M
 
 # IHO S-44 Ed. 6.1.0 (2022), table 1: total vertical uncertainty at 95 %, sqrt(a^2 + (b depth)^2), a in metres.
-TVU = (
-    ("Exclusive", 0.15, 0.0075),
-    ("Special", 0.25, 0.0075),
-    ("1a and 1b", 0.5, 0.013),
-    ("2", 1.0, 0.023),
-)
+TVU = (("Exclusive", 0.15, 0.0075), ("Special", 0.25, 0.0075), ("1a and 1b", 0.5, 0.013), ("2", 1.0, 0.023))
 # Total horizontal uncertainty at 95 %, a + b depth, a in metres.
-THU = (
-    ("Exclusive", 1.0, 0.0),
-    ("Special", 2.0, 0.0),
-    ("1a and 1b", 5.0, 0.05),
-    ("2", 20.0, 0.1),
-)
+THU = (("Exclusive", 1.0, 0.0), ("Special", 2.0, 0.0), ("1a and 1b", 5.0, 0.05), ("2", 20.0, 0.1))
 # A band of depth with fewer points is not judged: the share of so many independent points within the limit scatters by
 # 0.7 %, and by more where neighbouring points share errors.
 MIN_BAND_POINTS = 1000
 # Factors from a standard deviation to 95 %, for a normal error in one and in two equal dimensions.
 TO_95, TO_95_IN_PLAN = 1.959964, 2.447747
 _TVU_SHARE = 0.95
-_TVU_NOTE = (
-    "Vertical uncertainty only: an order of IHO S-44 (Ed. 6.1.0) also asks for horizontal uncertainty, coverage and "
-    "feature detection, which are not judged here."
-)
 # ASPRS, Edition 2 (2023, version 2 of 2024): fewer check points than this are not a test.
 MIN_CHECKPOINTS = 30
 
@@ -44,12 +30,10 @@ MIN_CHECKPOINTS = 30
 class TvuBand:
     """Points in a band of depth."""
 
-    # low_m, high_m [m]: the lower limit belongs to the band; the upper one may be infinite
-    low_m: float
-    high_m: float
+    low_m: float  # [m]: belongs to the band
+    high_m: float  # [m]: may be infinite
     n_points: int
-    # [-]: share of them whose error is at most the uncertainty that the order allows at their own depth
-    share_within: float
+    share_within: float  # [-]: of them, with an error of at most the uncertainty that the order allows at their depth
     share_possible: float  # [-]: the same with the uncertainty of the reference added to what is allowed; not smaller
 
 
@@ -97,7 +81,11 @@ class IhoS44:
     n_points: int  # Points under water with a known error
     error_95_m: float  # [m]: 95 % of the errors are smaller
     orders: tuple[TvuOrder, ...]  # The strictest first
-    note: str = _TVU_NOTE  # What is not judged
+    # What is not judged
+    note: str = (
+        "Vertical uncertainty only: an order of IHO S-44 (Ed. 6.1.0) also asks for horizontal uncertainty, coverage "
+        "and feature detection, which are not judged here."
+    )
 
     @property
     def strictest(self) -> TvuOrder | None:
@@ -109,17 +97,15 @@ class IhoS44:
 class AsprsAccuracy:
     """Vertical accuracy by check points; all but the counts are NaN where the product covers none."""
 
-    # n_checkpoints, n_not_covered: Check points that the product covers, and others
-    n_checkpoints: int
+    n_checkpoints: int  # That the product covers
     n_not_covered: int
     is_enough: bool  # Whether they are 30 or more
-    # mean_m, std_m, min_m, max_m [m]: of the residuals; the standard deviation is that of a sample
+    # [m]: of the residuals; the standard deviation is that of a sample
     mean_m: float = math.nan
     std_m: float = math.nan
     min_m: float = math.nan
     max_m: float = math.nan
-    # rmse_fit_m, rmse_checkpoints_m, rmse_v_m [m]: root mean square of the residuals, of the check points' own errors,
-    # and the root of the sum of their squares
+    # [m]: root mean square of the residuals, of the check points' own errors, and the root of the sum of their squares
     rmse_fit_m: float = math.nan
     rmse_checkpoints_m: float = math.nan
     rmse_v_m: float = math.nan
@@ -148,12 +134,9 @@ def iho_s44(errors: np.ndarray, depth_m: np.ndarray, reference_std_m: np.ndarray
 
 
 def order_by_tvu(std_m: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
-    """Strictest order of `TVU` that heights of these standard deviations [m] meet at these depths [m], both (...).
+    """Strictest order (...) of `TVU` that heights of standard deviations (...) [m] meet at depths (...) [m].
 
-    Returns
-    -------
-    (...) uint8
-        1 for the first of the table, 5 for none, 0 where a value is NaN or the depth is not positive.
+    uint8: 1 for the first of the table, 5 for none, 0 where a value is NaN or the depth is not positive.
     """
     return _strictest([TO_95 * std_m <= np.hypot(a, b * depth_m) for _, a, b in TVU], std_m, depth_m)
 

@@ -24,25 +24,21 @@ SHORELINE_MARGIN_M = 0.05
 class DistanceStatistics:
     """Counts and moments of distances; all but the counts are NaN where there is no distance."""
 
-    # n_points, n_nan: Finite distances, and others, which are left out
-    n_points: int
-    n_nan: int
-    # mean_m, median_m, std_m, rms_m [m]: the standard deviation is that of a population
+    n_points: int  # Finite distances
+    n_nan: int  # Others, which are left out
+    # [m]: the standard deviation is that of a population
     mean_m: float = math.nan
     median_m: float = math.nan
     std_m: float = math.nan
     rms_m: float = math.nan
-    # mean_inner90_m, std_inner90_m [m]: of the distances d whose |d| is at most the 0.9 quantile of |d| (linear between
-    # points)
+    # [m]: of the distances d whose |d| is at most the 0.9 quantile of |d| (linear between points)
     mean_inner90_m: float = math.nan
     std_inner90_m: float = math.nan
     nmad_m: float = math.nan  # [m]: 1.4826 times the median absolute deviation from the median
     p95_abs_m: float = math.nan  # [m]: 0.95 quantile of |d|
-    # min_m, max_m: [m]
     min_m: float = math.nan
     max_m: float = math.nan
-    # mean_ci95_m, mean_inner90_ci95_m (low, high) [m] or None: 95 % confidence intervals of the two means; None
-    # where no blocks were given
+    # (low, high) [m]: 95 % confidence intervals of the two means; None where no blocks were given
     mean_ci95_m: tuple[float, float] | None = None
     mean_inner90_ci95_m: tuple[float, float] | None = None
 
@@ -66,17 +62,10 @@ def scores(
     is_reached: np.ndarray,
     is_reached_visible: np.ndarray | None = None,
 ) -> Scores:
-    """Accuracy and completeness at one tolerance.
+    """Accuracy and completeness at one tolerance, of distances (N,) [m], without NaN.
 
-    Parameters
-    ----------
-    distances : (N,) [m]
-        NaN is left out.
-    tolerance_m : [m]
-    is_reached : (M,) bool
-        Which samples of the reference lie closer than the tolerance to the cloud.
-    is_reached_visible : (K,) bool, optional
-        The same for points of the reference that cameras see.
+    ``is_reached`` (M,) bool says which samples of the reference lie closer than the tolerance to the cloud,
+    ``is_reached_visible`` (K,) the same of points of the reference that cameras see.
     """
     finite = distances[np.isfinite(distances)]
     accuracy_share, completeness = _mean(np.abs(finite) < tolerance_m), _mean(is_reached)
@@ -90,13 +79,7 @@ def scores(
 
 
 def distance_statistics(distances: np.ndarray, blocks: Blocks | None = None) -> DistanceStatistics:
-    """Counts and moments of distances.
-
-    Parameters
-    ----------
-    distances : (N,) [m]
-    blocks : Blocks of the N points, optional
-        From `evaluation.spatial_blocks`; with them the means get 95 % confidence intervals.
+    """Counts and moments of distances (N,) [m]; with blocks (`evaluation.spatial_blocks`) the means have intervals.
 
     Examples
     --------
@@ -141,9 +124,8 @@ def _mean(is_true: np.ndarray) -> float:
 class Band:
     """Points whose depth, incidence or number of views lies between two limits, in the unit of those."""
 
-    # low, high: The lower limit belongs to the band; the upper one may be infinite
-    low: float
-    high: float
+    low: float  # Belongs to the band
+    high: float  # May be infinite
     distances: DistanceStatistics  # Of its points
 
 
@@ -151,9 +133,8 @@ class Band:
 class ReachedBand:
     """Completeness where the slope of the reference lies between two limits [deg]."""
 
-    # low, high [deg]: the lower limit belongs to the band; the upper one may be infinite
-    low: float
-    high: float
+    low: float  # [deg]: belongs to the band
+    high: float  # [deg]: may be infinite
     n_samples: int  # Of the reference, in the band
     completeness: tuple[float, ...]  # [-]: share of them that is reached, at each tolerance
 
@@ -162,22 +143,15 @@ class ReachedBand:
 class DepthParts:
     """A cloud split at the water."""
 
-    # wet, dry: Statistics of the points more than 5 cm below and above the water; None without any
-    wet: DistanceStatistics | None
-    dry: DistanceStatistics | None
+    wet: DistanceStatistics | None  # Of the points more than 5 cm below the water; None without any
+    dry: DistanceStatistics | None  # Of those as far above it
     bands: tuple[Band, ...]  # Of the wet points, by depth [m]; empty bands are left out
 
 
 def by_depth(distances: np.ndarray, depth_m: np.ndarray, blocks: Blocks | None = None) -> DepthParts:
-    """Statistics of the wet and the dry part, and of bands of depth.
+    """Statistics of distances (N,) [m] of the wet and the dry part, and of bands of depth.
 
-    Parameters
-    ----------
-    distances : (N,) [m]
-    depth_m : (N,) [m]
-        Of the bed, positive below the water; points with NaN are in no part.
-    blocks : Blocks of the N points, optional
-        As `distance_statistics`.
+    ``depth_m`` (N,) [m] is that of the bed, positive below the water; points with NaN are in no part.
     """
     wet, dry = (
         _statistics(distances, part, blocks) if part.any() else None
@@ -189,29 +163,14 @@ def by_depth(distances: np.ndarray, depth_m: np.ndarray, blocks: Blocks | None =
 def by_band(
     distances: np.ndarray, values: np.ndarray, edges: tuple[float, ...], blocks: Blocks | None = None
 ) -> tuple[Band, ...]:
-    """Statistics of distances in bands of another value; bands without a point are left out.
-
-    Parameters
-    ----------
-    distances : (N,) [m]
-    values : (N,)
-        Points with NaN are in no band.
-    edges : ascending
-    blocks : Blocks of the N points, optional
-        As `distance_statistics`.
-    """
+    """Statistics of distances (N,) [m] in bands of values (N,) between ascending edges; empty bands are left out."""
     return tuple(Band(low, high, _statistics(distances, part, blocks)) for low, high, part in _parts(values, edges))
 
 
 def reached_by_slope(slope_deg: np.ndarray, is_reached: Sequence[np.ndarray]) -> tuple[ReachedBand, ...]:
-    """Completeness in bands of slope; bands without a sample are left out.
+    """Completeness in bands of the slope (M,) [deg] of the reference at its samples; empty bands are left out.
 
-    Parameters
-    ----------
-    slope_deg : (M,) [deg]
-        Of the reference at its samples.
-    is_reached : sequence of (M,) bool
-        Which of them are reached, at each tolerance.
+    ``is_reached`` holds for each tolerance which of the samples (M,) are reached.
     """
     return tuple(
         ReachedBand(low, high, int(part.sum()), tuple(float(np.mean(reached[part])) for reached in is_reached))

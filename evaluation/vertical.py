@@ -38,21 +38,11 @@ def vertical_difference(
     *,
     advance: Callable[[int], object] | None = None,
 ) -> np.ndarray:
-    """Height of points over the surface of a mesh straight above or below them.
+    """Height (N,) [m] of points over the surface of a mesh straight above or below them, positive above.
 
-    Parameters
-    ----------
-    points : (N, 3) [m]
-    vertices : (V, 3) [m], same Cartesian frame, z up
-    faces : (F, 3) int
-    advance : callable, optional
-        Called with the number of points that were finished since the last call.
-
-    Returns
-    -------
-    (N,) [m]
-        Positive above. NaN where no triangle lies above or below the point (beyond the rim, in a hole) and for
-        points that are not finite. Where several do (an overhang, a hull), the one nearest in height counts.
+    NaN where no triangle lies above or below the point (beyond the rim, in a hole) and for points that are not finite.
+    Where several do (an overhang, a hull), the one nearest in height counts. Points (N, 3) [m] and vertices (V, 3) [m]
+    are in one Cartesian frame, z up; ``advance`` is called with the number of points finished since the last call.
     """
     points = np.asarray(points, dtype=np.float64)
     vertices = np.asarray(vertices, dtype=np.float64)
@@ -157,21 +147,10 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def height_at(cloud: np.ndarray, places: np.ndarray, *, within_m: float = 1.0) -> np.ndarray:
-    """Height of a cloud at places in plan.
+    """Height (K,) [m] of a cloud (N, 3) [m], z up, at places (K, 2) [m] in plan.
 
-    Parameters
-    ----------
-    cloud : (N, 3) [m]
-        Cartesian frame, z up; points that are not finite are left out.
-    places : (K, 2) [m]
-    within_m : float [m]
-        Points farther off in plan do not count.
-
-    Returns
-    -------
-    (K,) [m]
-        Height at the place of the least-squares plane through its twelve nearest points in plan; NaN where there are
-        fewer than four, they lie on a line, or all to one side.
+    That of the least-squares plane through its twelve nearest points in plan, at most ``within_m`` off; NaN where there
+    are fewer than four, they lie on a line, or all to one side.
     """
     heights = np.full(len(places), np.nan)
     cloud = cloud[np.isfinite(cloud).all(axis=1)]

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geo.errors import GeoError
 from refract import PinholeCamera
 from survey.display.quantities import count
 from survey.errors import SurveyError
@@ -16,12 +15,13 @@ from survey.escaping import markdown
 from survey.export.export import cloud_of
 from survey.run.edits import CLASSES, Edits
 from survey.viewer.shown import MARKED, Shown
-from survey.viewer.sightings import row_under
+from survey.viewer.sightings import row_under, telling
 from survey.viewer.tree import camera_in_browser, seen_nodes
 
 if TYPE_CHECKING:
     import viser
 
+_NOTHING = np.empty(0, dtype=np.int64)
 _HELP = "**Shift and drag** marks the points in a box. **Shift and click** sets corners of a polygon on the bed."
 
 
@@ -31,7 +31,7 @@ def rows_in_box(shown: Shown, camera: PinholeCamera, low: np.ndarray, high: np.n
     Those behind others are among them.
     """
     size = np.array([camera.width, camera.height])
-    found = [np.empty(0, dtype=np.int64)]
+    found = [_NOTHING]
     for node in np.flatnonzero(seen_nodes(shown.tree, camera)).tolist():
         rows = shown.rows(node)
         pixels = camera.project(shown.tree.points[rows], None)
@@ -63,7 +63,7 @@ class Editing:
             save = gui.add_button("save as LAS", color="gray", hint="with all dimensions, into the run folder")
         for button, work in (
             (polygon, self.mark_polygon),
-            (nothing, self.mark_nothing),
+            (nothing, lambda: self._mark(_NOTHING)),
             (classify, lambda: self._change(lambda rows: edits.classify(rows, int(self._class.value.split()[0])))),
             (delete, lambda: self._change(edits.delete)),
             (undo, self._undo),
@@ -81,20 +81,12 @@ class Editing:
         corners = self._shown.new_frame().crs_from_local(np.array(self._corners))[:, :2]
         self._mark(self._edits.inside(corners))
 
-    def mark_nothing(self) -> None:
-        """Mark no point, and forget the corners."""
-        self._mark(np.empty(0, dtype=np.int64))
-
     def _answering(self, work: Callable[[], None]) -> Callable[[viser.GuiEvent], None]:
         """The answer to a button; what cannot be done is said in the browser."""
 
         def answer(event: viser.GuiEvent) -> None:
-            try:
-                with self._lock:
-                    work()
-            except (SurveyError, GeoError) as error:
-                if event.client is not None:
-                    event.client.add_notification("edit", str(error), color="red")
+            with self._lock, telling([event.client], "edit"):
+                work()
 
         return answer
 
@@ -123,7 +115,7 @@ class Editing:
         rows = np.flatnonzero(self._shown.is_marked)
         change(rows)
         self._shown.follow_edits(rows)
-        self._mark(np.empty(0, dtype=np.int64))
+        self._mark(_NOTHING)
         self._redraw(True)
 
     def _undo(self) -> None:
@@ -134,14 +126,9 @@ class Editing:
     def _save(self, event: viser.GuiEvent) -> None:
         if event.client is None:
             return
-        notification = event.client.add_notification("save as LAS", "is being written", loading=True)
-        try:
+        with telling([event.client], "save as LAS", "is being written"):
             path = cloud_of(self._shown.folder)
             event.client.add_notification("save as LAS", f"the points with all edits are in {path}")
-        except (SurveyError, GeoError) as error:
-            event.client.add_notification("save as LAS", str(error), color="red")
-        finally:
-            notification.remove()
 
     def _say(self) -> None:
         marked = count(int(np.count_nonzero(self._shown.is_marked)))

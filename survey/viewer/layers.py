@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geo.errors import GeoError
 from survey.display.quantities import count
 from survey.errors import SurveyError
 from survey.escaping import markdown, printable
 from survey.photos.cameras import View
 from survey.progress import current
 from survey.viewer.shown import CLASS, SCALES, LocalReference, Shown, Style, TrainedField
-from survey.viewer.sightings import thumbnail
+from survey.viewer.sightings import telling, thumbnail
 from survey.viewer.tree import camera_in_browser
 
 if TYPE_CHECKING:
@@ -25,18 +24,18 @@ if TYPE_CHECKING:
 
 
 _WATER, _OPACITY = (79, 148, 173), 0.3
-_CAMERA = (34, 48, 60)
+_CAMERA, _REFERENCE = (34, 48, 60), (195, 20, 13)
 # Size of a camera relative to its distance from the bed.
 _CAMERA_SHARE = 0.04
 # Initial viewpoint, relative to the middle of the cloud, in units of its extent.
 _FROM = np.array([0.0, -0.55, 0.6])
-# Most cells of a terrain model along the extent of the cloud: triangles that browsers can draw.
-_MOST_CELLS = 500
-# A cell has this many ground sampling distances at least: some points, so that few are empty.
-_CELL_GSD = 2.0
+# Of a terrain model: most cells along the cloud, which browsers can draw, and the smallest, of which few are empty.
+_MOST_CELLS, _CELL_GSD = 500, 2.0
 # Of a reference that is a cloud, so many points are shown.
 _MOST_POINTS = 300_000
-_REFERENCE = (195, 20, 13)
+PHOTOGRAPHED = "colour of the photographs"
+_BAR_PX = (256, 14)
+_MOST_SIZE = 4.0
 
 
 def set_initial_view(server: viser.ViserServer, shown: Shown) -> None:
@@ -57,13 +56,6 @@ def add_water(server: viser.ViserServer, shown: Shown) -> viser.MeshHandle | Non
     )
 
 
-def wxyz_of(rotation: np.ndarray) -> np.ndarray:
-    """The quaternion (4,) w, x, y, z of a rotation (3, 3)."""
-    from viser.transforms import SO3
-
-    return SO3.from_matrix(rotation).wxyz
-
-
 def add_cameras(server: viser.ViserServer, shown: Shown) -> tuple[viser.FrameHandle, Thumbnails | None]:
     """The cameras, below one node, and the thread that adds their photographs, where the files exist.
 
@@ -76,6 +68,8 @@ def add_cameras(server: viser.ViserServer, shown: Shown) -> tuple[viser.FrameHan
 
 
 def _add_camera(server: viser.ViserServer, view: View, size: float) -> viser.CameraFrustumHandle:
+    from viser.transforms import SO3
+
     camera = view.camera
     handle = server.scene.add_camera_frustum(
         f"/cameras/{printable(view.name)}",
@@ -84,7 +78,7 @@ def _add_camera(server: viser.ViserServer, view: View, size: float) -> viser.Cam
         scale=size,
         color=_CAMERA,
         thickness=0.01 * size,
-        wxyz=wxyz_of(camera.cam_from_local.T),
+        wxyz=SO3.from_matrix(camera.cam_from_local.T).wxyz,
         position=camera.centre,
         cast_shadow=False,
         receive_shadow=False,
@@ -106,13 +100,9 @@ class Thumbnails:
         self._thread = Thread(target=self._fill, daemon=True)
         self._thread.start()
 
-    def wait(self) -> None:
-        """Until all photographs are there."""
-        self._thread.join()
-
-    def close(self) -> None:
-        """End the thread: a server that has stopped takes no picture."""
-        self._is_closed = True
+    def close(self, *, at_once: bool = True) -> None:
+        """End the thread, or wait until all photographs are there: a server that has stopped takes no picture."""
+        self._is_closed = at_once
         self._thread.join()
 
     def _fill(self) -> None:
@@ -175,19 +165,8 @@ class OnDemand:
     def show(self, on: bool) -> None:
         """Show or hide it; what cannot be computed is told in the browsers, and tried again the next time."""
         if on and self._node is None:
-            clients = self._server.get_clients().values()
-            parts = [
-                client.add_notification(self._label, "is being computed", loading=True, with_close_button=False)
-                for client in clients
-            ]
-            try:
+            with telling(self._server.get_clients().values(), self._label, "is being computed"):
                 self._node = self._make()
-            except (GeoError, SurveyError) as error:
-                for client in clients:
-                    client.add_notification(self._label, str(error), color="red")
-            finally:
-                for each in parts:
-                    each.remove()
         if self._node is not None:
             self._node.visible = on
 
@@ -196,11 +175,6 @@ class OnDemand:
         if self._node is not None:
             self._node.remove()
             self._node = None
-
-
-PHOTOGRAPHED = "colour of the photographs"
-_BAR_PX = (256, 14)
-_MOST_SIZE = 4.0
 
 
 class Panel:
@@ -282,13 +256,7 @@ def add_field(server: viser.ViserServer, field: TrainedField, show: Callable[[np
     def render(event: viser.GuiEvent) -> None:
         if event.client is None:
             return
-        notification = event.client.add_notification("trained field", "is being rendered", loading=True)
-        try:
+        with telling([event.client], "trained field", "is being rendered"):
             show(field.picture(camera_in_browser(event.client.camera), dry=not wet.value))
             for note in field.notes:
                 event.client.add_notification("trained field", note)
-        # Torch raises RuntimeError where a device has too little memory.
-        except (SurveyError, RuntimeError) as error:
-            event.client.add_notification("trained field", str(error), color="red")
-        finally:
-            notification.remove()

@@ -31,7 +31,6 @@ from survey.viewer.tree import CloudTree, camera_in_browser, pick
 if TYPE_CHECKING:
     import viser
 
-_SKY, _SUN = 2.0, 1.4
 # Points of a page: some 20 MB.
 MOST_POINTS = 1_000_000
 _SUFFIX, _MARK, _TITLE = ".html", b"Viser client", "<title>Viser</title>"
@@ -61,7 +60,11 @@ def open_server(host: str, port: int, title: str, overlay: Overlay | None = None
         server.stop()
         raise RuntimeError(f"viser {viser.__version__} does not serve by websockets.serve: origins cannot be checked")
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
-    light(server)
+    # Light from the north-west and ambient light, so that surfaces keep their colours and show relief.
+    server.scene.configure_environment_map(None)
+    server.scene.configure_default_lights(False)
+    server.scene.add_light_ambient("/light/sky", intensity=2.0)
+    server.scene.add_light_directional("/light/sun", intensity=1.4, position=(-1.0, 1.0, 1.2))
     # A page in the browser could ask for a public address of the run.
     server.__dict__["request_share_url"] = lambda *_, **__: None
     return server
@@ -84,7 +87,8 @@ def _own_pages_only(host: str, overlay: Overlay | None) -> Iterator[list[Any]]:
             if not is_own_page(request.headers, host, given, token()):
                 return connection.respond(403, "open the address that bathynerf view printed\n")
             if overlay is not None and path == "here":
-                return connection.respond(200, overlay.answer(query_of(request.path)))
+                asked = (part.partition("=") for part in request.path.partition("?")[2].split("&"))
+                return connection.respond(200, overlay.answer({name: value for name, _, value in asked}))
             if overlay is None or path not in ("", "index.html"):
                 return process_request(connection, replace(request, path=f"/{path}"))
             # Not compressed: the script goes into it.
@@ -106,24 +110,10 @@ def _own_pages_only(host: str, overlay: Overlay | None) -> Iterator[list[Any]]:
         websockets.serve = serve  # type: ignore[misc]
 
 
-def query_of(path: str) -> dict[str, str]:
-    """Names and values after the question mark of an address, as they stand there."""
-    pairs = (part.partition("=") for part in path.partition("?")[2].split("&"))
-    return {name: value for name, _, value in pairs}
-
-
 @cache
 def token() -> str:
     """What the addresses of the servers of this process have in their path."""
     return secrets.token_urlsafe(16)
-
-
-def light(server: viser.ViserServer) -> None:
-    """Light from the north-west and ambient light, so that surfaces keep their colours and show relief."""
-    server.scene.configure_environment_map(None)
-    server.scene.configure_default_lights(False)
-    server.scene.add_light_ambient("/light/sky", intensity=_SKY)
-    server.scene.add_light_directional("/light/sun", intensity=_SUN, position=(-1.0, 1.0, 1.2))
 
 
 async def _listen(host: str) -> None:
@@ -161,7 +151,7 @@ def write_page(path: Path, shown: Shown) -> None:
         rows = thinned(shown.tree, MOST_POINTS)
         _add_points(server, shown, rows[np.isfinite(shown.tree.points[rows, 0])])
         if thumbnails is not None:
-            thumbnails.wait()
+            thumbnails.close(at_once=False)
         page = server.scene.as_html().replace(_TITLE, f"<title>{html.escape(printable(shown.name))}</title>", 1)
     finally:
         close_server(server)

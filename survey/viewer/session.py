@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
 # Sizes of points that differ by less are not sent again.
 _SAME_SIZE = 0.05
-NODE = "/cloud/{}"
 HOST, PORT = "localhost", 8080
 
 
@@ -90,7 +89,7 @@ class CloudInBrowser:
         nodes = nodes[self._shown.num_shown[nodes] > 0]
         self._make_room(nodes)
         for node in nodes.tolist():
-            wanted = int(self._shown.revision[node]), style.colouring
+            wanted = int(self._shown.revision[node]), (style.kind, style.limits)
             if self._drawn.get(node) == wanted:
                 continue
             if node in self._nodes and self._drawn[node][0] == wanted[0]:
@@ -109,22 +108,18 @@ class CloudInBrowser:
 
     def _add(self, node: int, style: Style) -> None:
         middle, points, colours = node_arrays(self._shown, node, style)
+        size = style.size * self._shown.gsd_m
         self._nodes[node] = self._client.scene.add_point_cloud(
-            NODE.format(node),
-            points,
-            colours,
-            position=middle,
-            point_size=style.size * self._shown.gsd_m,
-            point_shape="circle",
+            f"/cloud/{node}", points, colours, position=middle, point_size=size, point_shape="circle",
             point_shading="flat",
-        )
+        )  # fmt: skip
 
     def _make_room(self, nodes: np.ndarray) -> None:
         """Remove nodes that are not wanted from the browser, as far as it would draw too many points."""
         counts, needed = self._shown.tree.counts, set(nodes.tolist())
         total = int(counts[nodes].sum()) + sum(int(counts[node]) for node in self._nodes if node not in needed)
         for node in [node for node in self._nodes if node not in needed]:
-            drawn = int(self._shown.revision[node]), self._style.colouring
+            drawn = int(self._shown.revision[node]), (self._style.kind, self._style.limits)
             if self._style.is_shown and total <= self._most_points and self._drawn[node] == drawn:
                 continue
             self._nodes.pop(node).remove()
@@ -182,7 +177,7 @@ class ViewSession:
             self.panel.add_layer("reference", is_on=False, show=node.show)
 
     def _compare(self) -> None:
-        """Errors of all points, which take a while; then the panel offers them."""
+        """Offer the errors of all points, which take a while."""
         self.shown.measure_errors()
         self.panel.offer_kinds()
 
@@ -200,10 +195,12 @@ class ViewSession:
             cloud.close()
 
     def _restyle(self, style: Style) -> None:
-        with self._lock:
-            clouds = list(self._clouds.values())
-        for cloud in clouds:
+        for cloud in self._all_clouds():
             cloud.redraw(style)
+
+    def _all_clouds(self) -> list[CloudInBrowser]:
+        with self._lock:
+            return list(self._clouds.values())
 
     def _redraw(self, is_edited: bool) -> None:
         """Draw what is marked or edited now; the terrain model of the cloud before is taken away."""
@@ -214,9 +211,7 @@ class ViewSession:
 
     def close(self) -> None:
         """End the threads of the browsers."""
-        with self._lock:
-            clouds = list(self._clouds.values())
-        for cloud in clouds:
+        for cloud in self._all_clouds():
             cloud.close()
         if self._thumbnails is not None:
             self._thumbnails.close()

@@ -31,11 +31,10 @@ if TYPE_CHECKING:
     from fields.image_based import NovelView
 
 # Rows of a rendered picture, which then takes a second or two of one core.
-_ROWS = 200
-_PAPER = 255
+_ROWS, _PAPER = 200, 255
 # Renders a field for a camera, with the water or (True) without it.
 Render = Callable[[PinholeCamera, bool], "NovelView"]
-# Points that suffice to find the extent of a cloud.
+# Points that suffice to find the extent of a cloud, or the range of its values.
 _SOME = 200_000
 _FIELD = "field"
 _COLUMNS = ("xyz", "rgb", "std", "std_common", "num_views", "depth")
@@ -46,8 +45,6 @@ MARKED, CLASS = (255, 0, 200), "class"
 _CLASS_COLOURS = {2: (166, 118, 72), 7: (230, 40, 40), 40: (40, 110, 190), 41: (90, 210, 230)}
 # Quantiles of the values at the two ends of the colours, and of the absolute distances to a reference.
 _SHARES, _OF_ERRORS = (0.02, 0.98), 0.9
-# Points by which a range is found.
-_SOME_VALUES = 200_000
 
 
 class TrainedField:
@@ -130,11 +127,6 @@ class Style:
     size: float = 1.0  # [-]: factor of the sizes that leave no gap
     is_shown: bool = True
 
-    @property
-    def colouring(self) -> tuple:
-        """Settings that determine the colours."""
-        return self.kind, self.limits
-
 
 @dataclass(frozen=True)
 class Scale:
@@ -147,7 +139,7 @@ class Scale:
 
     def limits(self, values: np.ndarray) -> tuple[float, float]:
         """Values (low, high) of the first and the last colour, by the values (N,) of the cloud."""
-        some = values[:: len(values) // _SOME_VALUES + 1]
+        some = values[:: len(values) // _SOME + 1]
         some = some[np.isfinite(some)]
         if not len(some):
             return 0.0, 1.0
@@ -184,7 +176,7 @@ def _colormap(name: str) -> Colormap:
     return colormap.with_extremes(bad=UNKNOWN)
 
 
-# By the name of the column in `survey.viewer.shown.Shown`, in the order in which they are offered.
+# By the name of the column, in the order in which they are offered.
 SCALES = {
     "height": Scale("height", "m", "HEIGHTS"),
     "depth": Scale("true depth", "m", "DEPTHS"),
@@ -203,7 +195,7 @@ class Shown:
     name: str  # Of the survey
     tree: CloudTree
     rgb: np.ndarray  # (N, 3) uint8
-    # dict: values (N,) by the names of `survey.viewer.shown.SCALES`; one that is not known of the cloud is not there
+    # Values (N,) by the names of `SCALES`; one that is not known of the cloud is not there
     columns: dict[str, np.ndarray]
     flight: Flight
     has_photographs: bool  # Whether the files of the photographs are where the run found them
@@ -213,10 +205,10 @@ class Shown:
     fields: list[TrainedField] = field(default_factory=list)
     edits: Edits | None = None  # None where the points are not those of a run
     is_marked: np.ndarray = field(init=False)  # (N,) bool: drawn as `MARKED`
-    # num_shown, revision (M,) int: of the nodes, their points that are not deleted, and how often these have changed
+    # (M,) int: of the nodes, their points that are not deleted, and how often these have changed
     num_shown: np.ndarray = field(init=False)
     revision: np.ndarray = field(init=False)
-    # low, high (3,) [m], local: corners of a box about all points but strays
+    # (3,) [m], local: corners of a box about all points but strays
     low: np.ndarray = field(init=False)
     high: np.ndarray = field(init=False)
 
@@ -263,14 +255,11 @@ class Shown:
         rows = self.tree.rows(node)
         return rows[np.isfinite(self.tree.points[rows, 0])]
 
-    def mark(self, rows: np.ndarray) -> np.ndarray:
-        """Mark these points and no others; the rows whose mark has changed."""
-        wanted = np.zeros_like(self.is_marked)
-        wanted[rows] = True
-        changed = np.flatnonzero(wanted != self.is_marked)
-        self.is_marked = wanted
-        self._note_changed(changed)
-        return changed
+    def mark(self, rows: np.ndarray) -> None:
+        """Mark these points and no others."""
+        before, self.is_marked = self.is_marked, np.zeros_like(self.is_marked)
+        self.is_marked[rows] = True
+        self._note_changed(np.flatnonzero(before != self.is_marked))
 
     def follow_edits(self, rows: np.ndarray) -> None:
         """Take over what edits say of these points by now; deleted ones have no place, so that nothing meets them."""
@@ -319,26 +308,16 @@ class Shown:
 
 
 def load_shown(run: LoadedRun, survey: str | None, reference: Path | None = None, volume: Path | None = None) -> Shown:
-    """Data of a run for the viewer, beside a reference and with the field in a folder of `bathynerf field`.
-
-    ``survey`` is the folder of the survey, if it was moved since.
-    """
+    """Data of a run, whose survey may have moved, beside a reference and with the field of a `bathynerf field`."""
     arrays = run.columns(*_COLUMNS)
     points, rgb = arrays.pop("xyz"), arrays.pop("rgb")
     if not len(points):
         raise SurveyError(f"the cloud of the run {run.folder.path} has no points; its report says why")
     flight, has_photographs = _flight(run, survey)
     columns = {name: values for name, values in arrays.items() if np.isfinite(values).any()}
+    path, header = run.folder.path, run.bed_header
     shown = Shown(
-        run.folder.path,
-        run.bed_header.name,
-        build_tree(points),
-        rgb,
-        columns,
-        flight,
-        has_photographs,
-        run.bed_header.gsd_m,
-        edits=Edits(run.folder.path),
+        path, header.name, build_tree(points), rgb, columns, flight, has_photographs, header.gsd_m, edits=Edits(path)
     )
     if _FIELD in run.stages:
         shown.fields.append(field_of_run(run.folder.load_stage(_FIELD), flight.water))

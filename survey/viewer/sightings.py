@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from threading import Lock
+from threading import RLock
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -32,6 +33,23 @@ from survey.viewer.tree import CloudTree, camera_in_browser, is_blocked, pick
 if TYPE_CHECKING:
     import viser
     from matplotlib.figure import Figure
+
+
+@contextmanager
+def telling(clients: Iterable[viser.ClientHandle | None], label: str, doing: str = "") -> Iterator[None]:
+    """Context in which browsers are told that something is being done, and why it cannot be."""
+    told = [client for client in clients if client is not None]
+    notes = [client.add_notification(label, doing, loading=True) for client in told if doing]
+    try:
+        yield
+    # Torch raises RuntimeError where a device has too little memory.
+    except (SurveyError, GeoError, RuntimeError) as error:
+        for client in told:
+            client.add_notification(label, str(error), color="red")
+    finally:
+        for note in notes:
+            note.remove()
+
 
 # Two points (3,) [m], local.
 Ends = tuple[np.ndarray, np.ndarray]
@@ -57,10 +75,8 @@ def profile_of(shown: Shown, lines: Sequence[Ends]) -> Profile:
     return Bed(shown.folder, reference).along(Line(str(len(lines)), corners))
 
 
-# Longer side of a thumbnail in its camera [px].
-THUMBNAIL_PX = 160
-# Side of a window of a photograph, its enlargement, and windows per row.
-WINDOW_PX, ENLARGED, _BESIDE = 48, 3, 3
+# Longer side of a thumbnail in its camera [px]; side of a window of a photograph, its enlargement, windows per row.
+THUMBNAIL_PX, WINDOW_PX, ENLARGED, _BESIDE = 160, 48, 3, 3
 # Bytes of decoded photographs that are kept for the next click.
 _MOST_BYTES = 500_000_000
 _LINE, _CROSS = 16, 6
@@ -84,8 +100,7 @@ class PointSighting:
 
     view: View
     pixel: np.ndarray  # (2,) [px]
-    # camera, crossing, point (3,) [m], local: corners of the ray; the crossing of the water is the point itself where
-    # the ray is straight
+    # (3,) [m], local: corners of the ray; the crossing of the water is the point itself where the ray is straight
     camera: np.ndarray
     crossing: np.ndarray
     point: np.ndarray
@@ -111,9 +126,8 @@ def unhidden(seen: Sequence[PointSighting], tree: CloudTree, gsd_m: float) -> li
     width, free = _BLOCKS_GSD * gsd_m, _FREE_GSD * gsd_m
 
     def is_free(sighting: PointSighting) -> bool:
-        legs = [(sighting.point, sighting.crossing, free), (sighting.crossing, sighting.camera, 0.0)]
-        if not sighting.is_bent:
-            legs = [(sighting.point, sighting.camera, free)]
+        legs = [(sighting.point, sighting.crossing, free)] if sighting.is_bent else []
+        legs.append((sighting.crossing, sighting.camera, 0.0 if sighting.is_bent else free))
         return not any(is_blocked(tree, start, end, width_m=width, free_m=gap) for start, end, gap in legs)
 
     return [sighting for sighting in seen if is_free(sighting)]
@@ -242,7 +256,7 @@ class Clicks:
         self._photographs = PhotographCache(shown.views)
         self._nodes: list[Any] = []
         self._first: np.ndarray | None = None
-        self._lock = Lock()
+        self._lock = RLock()
         self._lines: list[tuple[np.ndarray, np.ndarray]] = []
         with panel.add_tab("click on a point"):
             self._does = server.gui.add_dropdown("action", (RAYS, DISTANCE))
@@ -258,14 +272,11 @@ class Clicks:
     def clear(self) -> None:
         """Remove all answers to clicks."""
         with self._lock:
-            self._clear()
-
-    def _clear(self) -> None:
-        for node in self._nodes:
-            node.remove()
-        self._nodes, self._first = [], None
-        self._text.content = ""
-        self._picture.visible = False
+            for node in self._nodes:
+                node.remove()
+            self._nodes, self._first = [], None
+            self._text.content = ""
+            self._picture.visible = False
 
     def _clicked(self, event: viser.SceneClickEvent) -> None:
         row = row_under(self._shown, event)
@@ -274,7 +285,7 @@ class Clicks:
                 (self._show_rays if self._does.value == RAYS else self._measure)(row)
 
     def _show_rays(self, row: int) -> None:
-        self._clear()
+        self.clear()
         point = self._shown.tree.points[row]
         framed = sightings_of(self._shown.views, point, self._shown.water)
         seen = unhidden(framed, self._shown.tree, self._shown.gsd_m)
@@ -297,7 +308,7 @@ class Clicks:
         """Mark the first of two points, or measure from it to the second and draw the line between them."""
         point = self._shown.tree.points[row]
         if self._first is None:
-            self._clear()
+            self.clear()
             self._first = point
             self._mark(point)
             self._text.content = table([*facts_of(self._shown, row), ("then", "click a second point")])
@@ -313,20 +324,20 @@ class Clicks:
         """Send the browser all measured lines, or the profile of the last one as a table; or draw that profile."""
         if event.client is None:
             return
-        try:
-            with TemporaryDirectory(prefix="bathynerf-view-") as folder:
-                path = Path(folder) / ("lines.geojson" if self._save.value == LINES else "profile.csv")
-                if self._save.value == LINES:
-                    write_lines(path, self._shown, self._lines)
-                else:
-                    profile = profile_of(self._shown, self._lines)
-                    if self._save.value == PICTURE:
-                        self.show(pixels_of(figure_of([profile])))
-                        return
-                    write_csv(path, [profile])
-                event.client.send_file_download(path.name, path.read_bytes(), save_immediately=True)
-        except (SurveyError, GeoError) as error:
-            event.client.add_notification("profile", str(error), color="red")
+        with (
+            telling([event.client], "line", "is being computed"),
+            TemporaryDirectory(prefix="bathynerf-view-") as folder,
+        ):
+            path = Path(folder) / ("lines.geojson" if self._save.value == LINES else "profile.csv")
+            if self._save.value == LINES:
+                write_lines(path, self._shown, self._lines)
+            else:
+                profile = profile_of(self._shown, self._lines)
+                if self._save.value == PICTURE:
+                    self.show(pixels_of(figure_of([profile])))
+                    return
+                write_csv(path, [profile])
+            event.client.send_file_download(path.name, path.read_bytes(), save_immediately=True)
 
     def _mark(self, point: np.ndarray) -> None:
         name = f"/click/point {len(self._nodes)}"

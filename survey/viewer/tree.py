@@ -66,12 +66,6 @@ class CloudTree:
         is_one[rows] = True
         return np.unique(np.searchsorted(self.starts, np.flatnonzero(is_one[self.order]), side="right") - 1)
 
-    def is_leaf(self) -> np.ndarray:
-        """Whether a node has no children (M,) bool."""
-        leaf = np.ones(len(self), dtype=bool)
-        leaf[self.parent[1:]] = False
-        return leaf
-
 
 def build_tree(points: np.ndarray) -> CloudTree:
     """The octree over points (N, 3) [m], N at least 1."""
@@ -97,11 +91,11 @@ def _parents(levels: np.ndarray, cells: np.ndarray) -> np.ndarray:
 def pick(tree: CloudTree, origin: np.ndarray, direction: np.ndarray, *, angle: float, least_m: float) -> int | None:
     """Row of the first point that a ray from an origin in a direction (3,) [m], local, hits; None where it hits none.
 
-    The ray widens by an angle [rad], a few pixels, and is at least `least_m` [m] wide, half the spacing of the points,
+    The ray widens by an angle [rad], a few pixels, and is at least ``least_m`` wide, half the spacing of the points,
     or it would pass between them.
     """
     along = direction / np.linalg.norm(direction)
-    found_t, found_off, found_rows = [], [], []
+    met: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     first = np.inf
     for node, entry in _nodes_on(tree, origin, along, angle, least_m):
         if entry > first + _SAME_SURFACE * (least_m + angle * first):
@@ -111,12 +105,10 @@ def pick(tree: CloudTree, origin: np.ndarray, direction: np.ndarray, *, angle: f
         hit = (t > 0.0) & (off <= least_m + angle * t)
         if hit.any():
             first = min(first, float(t[hit].min()))
-            found_t.append(t[hit])
-            found_off.append(off[hit])
-            found_rows.append(rows[hit])
-    if not found_rows:
+            met.append((t[hit], off[hit], rows[hit]))
+    if not met:
         return None
-    t, off, rows = np.concatenate(found_t), np.concatenate(found_off), np.concatenate(found_rows)
+    t, off, rows = (np.concatenate(parts) for parts in zip(*met, strict=True))
     near = t <= first + _SAME_SURFACE * (least_m + angle * first)
     return int(rows[near][np.argmin(off[near])])
 
@@ -219,7 +211,8 @@ def point_sizes(tree: CloudTree, nodes: np.ndarray, camera: PinholeCamera, fines
     """
     drawn = np.zeros(len(tree), dtype=bool)
     drawn[nodes] = True
-    size = np.where(tree.is_leaf(), finest_m, np.maximum(tree.spacing, finest_m))
+    size = np.maximum(tree.spacing, finest_m)
+    size[np.setdiff1d(np.arange(len(tree)), tree.parent)] = finest_m
     misses = np.zeros(len(tree), dtype=bool)
     seen = seen_nodes(tree, camera)
     children = np.flatnonzero(tree.parent >= 0)

@@ -17,7 +17,7 @@ from refract.lens import MODELS, Lens, LensError
 from survey.errors import PosesError
 from survey.folder.survey import load_survey
 from survey.photos.rotations import CAM_FROM_OPK_CAM, grid_from_opk
-from survey.pose_files import colmap, find_poses, find_unread, opk_csv, pose_files, read_poses, read_ties
+from survey.pose_files import colmap, find_poses, find_unread, pose_files, read_poses, read_ties, tables
 
 # cameras.csv of the drawn surveys is written to 1e-5 m and 1e-8 degrees, the COLMAP model to 1e-12.
 CENTRE_TOLERANCE_M = 1e-3
@@ -35,7 +35,7 @@ def project(pose, point, *, focal=100.0, centre=(32.0, 24.0)):
 def read_one(tmp_path, omega, phi, kappa):
     path = tmp_path / "cameras.csv"
     path.write_text(f"{HEADER}\na.jpg,10.0,46.0,100.0,{omega},{phi},{kappa}\n")
-    (pose,) = opk_csv.read_opk_csv(path).poses
+    (pose,) = tables.read_table(path).poses
     return pose
 
 
@@ -339,4 +339,4 @@ def test_a_table_of_poses_in_two_units_in_plan_is_refused(tmp_path, header):
     path = tmp_path / "cameras.csv"
     path.write_text(f"image,{header},z,omega,phi,kappa\na.jpg,1,2,3,0,0,0\n")
     with pytest.raises(PosesError, match="expected one unit: convert one, or name it in both"):
-        opk_csv.read_opk_csv(path)
+        tables.read_table(path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 
 import pytest
 from drawn_shore import SHORE
@@ -51,36 +52,35 @@ def test_a_finished_folder_is_left_alone_until_told_and_keeps_what_is_not_of_it(
     assert [p.name for p in tmp_path.iterdir()] == ["survey"]
 
 
-@pytest.mark.parametrize("renamed", [1, 2])
-def test_files_of_the_user_come_back_after_a_run_was_killed_while_it_replaced_a_survey(tmp_path, renamed):
-    path, old = tmp_path / "survey", tmp_path / ".survey.part" / "old"
+@pytest.mark.parametrize("moved", [("images",), ("images", "survey.toml", "truth")])
+def test_a_survey_that_was_killed_while_it_was_moved_is_finished_and_keeps_what_is_not_of_it(tmp_path, moved):
+    path, work = tmp_path / "survey", tmp_path / ".survey.part"
     draw_survey(path, FEW)
     (path / "bathynerf").mkdir()
     (path / "bathynerf" / "cloud.las").write_text("a run")
-    old.parent.mkdir()
-    path.rename(old)
-    if renamed == 2:
-        draw_survey(tmp_path / "new", FEW)
-        (tmp_path / "new").rename(path)
-    draw_survey(path, FEW if renamed == 2 else dataclasses.replace(FEW, seed=5))
+    work.mkdir()
+    (path / writing.MARKER).rename(work / writing.MARKER)
+    draw_survey(work / "new", FEW)
+    for name in moved:
+        shutil.rmtree(path / name, ignore_errors=True)
+    draw_survey(path, FEW)
     assert (path / "bathynerf" / "cloud.las").read_text() == "a run"
-    assert not old.exists()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["survey"]
+    assert len(list((path / "images").iterdir())) == len(list((path / "truth" / "depth").iterdir())) == 3
 
 
 def test_a_change_of_any_file_of_the_simulator_draws_the_survey_anew(tmp_path, monkeypatch):
     code = tmp_path / "simulate"
-    for place in (".", "drawn", "render"):
-        (code / place).mkdir(exist_ok=True)
-        (code / place / "module.py").write_text("", encoding="utf-8")
+    code.mkdir()
+    (code / "module.py").write_text("", encoding="utf-8")
     assert (writing.CODE / "path_tracer.py").is_file()
     monkeypatch.setattr(writing, "CODE", code)
     draw_survey(tmp_path / "survey", FEW)
     marker = tmp_path / "survey" / writing.MARKER
-    for place in (".", "drawn", "render"):
-        before = marker.read_text(encoding="utf-8")
-        (code / place / "module.py").write_text("changed = True", encoding="utf-8")
-        draw_survey(tmp_path / "survey", FEW)
-        assert marker.read_text(encoding="utf-8") != before
+    before = marker.read_text(encoding="utf-8")
+    (code / "module.py").write_text("changed = True", encoding="utf-8")
+    draw_survey(tmp_path / "survey", FEW)
+    assert marker.read_text(encoding="utf-8") != before
 
 
 def test_what_fails_leaves_no_survey_and_the_next_try_takes_no_photograph_twice(tmp_path, monkeypatch):

@@ -12,7 +12,7 @@ from pathlib import Path
 from survey.errors import PosesError
 from survey.files.foreign import instead_of
 from survey.photos.poses import DuplicatePose, FileTies, PoseFile
-from survey.pose_files import colmap, exterior_text, metashape, nerfstudio, opensfm, opk_csv, pix4d
+from survey.pose_files import colmap, metashape, nerfstudio, opensfm, pix4d, tables
 from survey.pose_files.format import Format
 
 # Files of other programs that have no poses that can be read, and what to do instead.
@@ -37,8 +37,7 @@ _NOT_READ = {
 PLUGINS = "bathynerf.pose_formats"
 # Asked in this order which of them a path is of, after those of other packages.
 FORMATS = (
-    pix4d.FORMAT, exterior_text.FORMAT, opk_csv.FORMAT, colmap.FORMAT, opensfm.FORMAT, metashape.FORMAT,
-    nerfstudio.FORMAT,
+    pix4d.FORMAT, tables.LINES, tables.TABLE, colmap.FORMAT, opensfm.FORMAT, metashape.FORMAT, nerfstudio.FORMAT,
 )  # fmt: skip
 
 

@@ -97,7 +97,8 @@ def read_metashape(path: Path) -> PoseFile:
     for camera in chunk.iter("camera"):
         if camera in of_frames:
             continue
-        name, matrix = _name(camera), camera.find("transform")
+        photo, matrix = camera.find("photo"), camera.find("transform")
+        name = (camera.get("label") or "").strip() or ("" if photo is None else photo.get("path", "").strip())
         if not name:
             nameless.append(f"id {camera.get('id', 'missing')}")
             continue
@@ -109,11 +110,15 @@ def read_metashape(path: Path) -> PoseFile:
             unplaced.append(name)
             continue
         where = f'{path}, camera "{name}"'
-        sensor = camera.get("sensor_id", "")
-        if sensor not in lenses:
-            lenses[sensor] = _lens(sensors.get(sensor), where)
-        given = _given(camera, sensors[sensor], where, crs)
-        poses.append(_pose(name, matrix, transforms[component], lenses[sensor], given, where))
+        number = camera.get("sensor_id", "")
+        if (sensor := sensors.get(number)) is None:
+            raise PosesError(f"{where}: its sensor is not in the file; {_EXPORT}")
+        try:
+            lens = lenses.setdefault(number, lenses.get(number) or read_lens(sensor))
+        except LensError as error:
+            raise PosesError(f'{where}, sensor "{sensor.get("label", "")}": {error}') from error
+        given = _given(camera, sensor, where, crs)
+        poses.append(_pose(name, matrix, transforms[component], lens, given, where))
         components.add(component)
     if not poses:
         if nameless:
@@ -128,7 +133,6 @@ def read_metashape(path: Path) -> PoseFile:
         *named(nameless, "camera", f"without a label in {path.name}, left out"),
         *_warnings(chunk, path, num_components=len(components)),
     )
-    # The world is geocentric, else local.
     nearest_m = min(float(np.linalg.norm(pose.centre)) for pose in poses)
     is_earth = nearest_m > _UNDERGROUND_M
     if crs is not None and not is_earth:
@@ -138,13 +142,6 @@ def read_metashape(path: Path) -> PoseFile:
         )
     frame = PoseFrame.GEOCENTRIC if is_earth else PoseFrame.LOCAL
     return PoseFile(tuple(poses), frame, crs, "Metashape", warnings=warnings)
-
-
-def _name(camera: Element) -> str:
-    """The label of a camera, else the name of its file where that is there; empty where neither is."""
-    photo = camera.find("photo")
-    path = "" if photo is None else photo.get("path", "")
-    return (camera.get("label") or "").strip() or path.strip()
 
 
 def _warnings(chunk: Element, path: Path, *, num_components: int) -> Iterator[str]:
@@ -168,40 +165,34 @@ def _warnings(chunk: Element, path: Path, *, num_components: int) -> Iterator[st
 
 def _transforms(chunk: Element, path: Path) -> dict[str, np.ndarray]:
     """World from chunk (4, 4) of each component by its id; that of the chunk itself as "", where it has one."""
-    found = {}
-    for key, element in [("", chunk), *((part.get("id", ""), part) for part in chunk.iterfind("components/component"))]:
-        transform = element.find("transform")
-        if transform is not None:
-            found[key] = _similarity(
-                transform, f"{path}, the transform of {'component ' + key if key else 'the chunk'}"
-            )
-    return found
+    parts = {"": chunk} | {part.get("id", ""): part for part in chunk.iterfind("components/component")}
+    return {
+        key: _similarity(transform, f"{path}, the transform of {'component ' + key if key else 'the chunk'}")
+        for key, part in parts.items()
+        if (transform := part.find("transform")) is not None
+    }
 
 
 def _component_of(camera: Element, transforms: dict[str, np.ndarray]) -> str | None:
     """The key of the transform of a camera; files of old versions have that of the chunk only."""
     own = camera.get("component_id")
-    if own is not None:
-        # A component without a transform of its own has that of the chunk, if there is one.
-        return own if own in transforms else ""
-    if "" in transforms or len(transforms) != 1:
-        return ""
-    return next(iter(transforms))
+    if own is None and "" not in transforms and len(transforms) == 1:
+        return next(iter(transforms))
+    # A component without a transform of its own has that of the chunk, if there is one.
+    return own if own in transforms else ""
 
 
 def _similarity(transform: Element, where: str) -> np.ndarray:
-    if transform.find("rotation") is None:
+    rotation, translation, scale = (transform.find(key) for key in ("rotation", "translation", "scale"))
+    if rotation is None:
         return _numbers(transform, 16, where).reshape(4, 4)
-    found = np.eye(4)
-    rotation, translation = transform.find("rotation"), transform.find("translation")
-    scale = transform.find("scale")
-    size = 1.0 if scale is None else float(_numbers(scale, 1, where)[0])
+    matrix, size = np.eye(4), 1.0 if scale is None else float(_numbers(scale, 1, where)[0])
     # What overflows is infinite, and refused as no rotation with a scale.
     with np.errstate(over="ignore"):
-        found[:3, :3] = size * _numbers(rotation, 9, where).reshape(3, 3)
+        matrix[:3, :3] = size * _numbers(rotation, 9, where).reshape(3, 3)
     if translation is not None:
-        found[:3, 3] = _numbers(translation, 3, where)
-    return found
+        matrix[:3, 3] = _numbers(translation, 3, where)
+    return matrix
 
 
 def _pose(
@@ -217,28 +208,18 @@ def _pose(
     return Pose(name, world_from_cam[:3, 3], nearest_rotation(turn).T, lens, given, where)
 
 
-def _lens(sensor: Element | None, where: str) -> Lens:
-    if sensor is None:
-        raise PosesError(f"{where}: its sensor is not in the file; {_EXPORT}")
-    try:
-        return read_lens(sensor)
-    except LensError as error:
-        raise PosesError(f'{where}, sensor "{sensor.get("label", "")}": {error}') from error
-
-
 def _given(camera: Element, sensor: Element, where: str, crs: CRS | None) -> GivenPosition | None:
     """The position and its accuracy in the reference of a camera, where both are there and not of an antenna."""
-    reference = camera.find("reference")
+    reference, antenna = camera.find("reference"), sensor.find("antenna")
     if crs is None or reference is None or not _is_true(reference.get("enabled")) or reference.get("x") is None:
         return None
-    antenna = sensor.find("antenna")
-    if antenna is not None and any(
-        math.isfinite(n) and n != 0.0 for tag in antenna for n in map(number_of, _texts(tag))
-    ):
-        return None
-    both = [reference.get("sxyz")] * 3
-    stds = [reference.get(key) or same for key, same in zip(("sx", "sy", "sz"), both, strict=True)]
-    if any(std is None for std in stds):
+    offsets = [
+        number_of(text)
+        for tag in (() if antenna is None else antenna)
+        for text in (tag.text or "").replace(",", " ").split()
+    ]
+    stds = [reference.get(key) or reference.get("sxyz") for key in ("sx", "sy", "sz")]
+    if None in stds or any(math.isfinite(offset) and offset != 0.0 for offset in offsets):
         return None
     values = numbers_in([*(reference.get(key, "") for key in "xyz"), *filter(None, stds)], 6, where, _EXPORT)
     if min(values[3:]) <= 0.0:
@@ -246,12 +227,8 @@ def _given(camera: Element, sensor: Element, where: str, crs: CRS | None) -> Giv
     return GivenPosition(np.array(values[:3]), np.array(values[3:]))
 
 
-def _numbers(element: Element | None, count: int, where: str) -> np.ndarray:
-    return np.array(numbers_in([] if element is None else _texts(element), count, where, _EXPORT))
-
-
-def _texts(element: Element) -> list[str]:
-    return (element.text or "").replace(",", " ").split()
+def _numbers(element: Element, count: int, where: str) -> np.ndarray:
+    return np.array(numbers_in((element.text or "").replace(",", " ").split(), count, where, _EXPORT))
 
 
 def _is_true(text: str | None, default: str = "true") -> bool:

@@ -38,7 +38,14 @@ def read_nerfstudio(path: Path) -> PoseFile:
     frames = data.get("frames") if isinstance(data, dict) else None
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
         raise PosesError(f"{path} has no list of frames, expected that of nerfstudio; {_EXPORT}")
-    applied, scale = _applied(path, data)
+    # What the converter did: saved = scale * (rotation @ original + shift).
+    given = data.get("applied_transform", [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]])
+    applied, scale = _matrix(given, 3), finite_number(data.get("applied_scale", 1.0))
+    if applied is None or not is_rotation(applied[:, :3], _ROUNDED):
+        raise PosesError(f"{path}: applied_transform is not a 3 x 4 matrix of a rotation and a shift; {_EXPORT}")
+    if scale is None or scale <= 0.0:
+        raise PosesError(f"{path}: applied_scale is {scale}, expected a number above 0; {_EXPORT}")
+    turn, shift = applied[:, :3], applied[:, 3]
     poses: list[Pose] = []
     for frame in frames:
         name = frame.get("file_path")
@@ -51,35 +58,18 @@ def read_nerfstudio(path: Path) -> PoseFile:
             lens = _lens({**{key: value for key, value in data.items() if key not in own}, **frame})
         except LensError as error:
             raise PosesError(f"{where}: {error}") from error
-        poses.append(_pose(name, frame, lens, applied, scale, where))
+        saved_from_cam = _matrix(frame.get("transform_matrix"), 4)
+        if saved_from_cam is None or not np.array_equal(saved_from_cam[3], [0.0, 0.0, 0.0, 1.0]):
+            raise PosesError(f"{where}: its transform_matrix is not a 4 x 4 matrix of a pose; {_EXPORT}")
+        rotation, centre = saved_from_cam[:3, :3], turn.T @ (saved_from_cam[:3, 3] / scale - shift)
+        if not is_rotation(rotation, _ROUNDED):
+            raise PosesError(f"{where}: its transform_matrix is not a rotation and a position; {_EXPORT}")
+        poses.append(Pose(name, centre, _CAM_FROM_GRAPHICS @ (turn.T @ nearest_rotation(rotation)).T, lens))
     notes = () if "applied_transform" in data else (
         f"{path.name} has no applied_transform: its axes are taken as those of [local]",
     )  # fmt: skip
     tool = "the program behind nerfstudio"
     return PoseFile(tuple(poses), PoseFrame.LOCAL, None, tool, _masks(path, frames), notes)
-
-
-def _pose(name: str, frame: dict, lens: Lens, applied: np.ndarray, scale: float, where: str) -> Pose:
-    saved_from_cam = _matrix(frame.get("transform_matrix"), 4)
-    if saved_from_cam is None or not np.array_equal(saved_from_cam[3], [0.0, 0.0, 0.0, 1.0]):
-        raise PosesError(f"{where}: its transform_matrix is not a 4 x 4 matrix of a pose; {_EXPORT}")
-    rotation = saved_from_cam[:3, :3]
-    if not is_rotation(rotation, _ROUNDED):
-        raise PosesError(f"{where}: its transform_matrix is not a rotation and a position; {_EXPORT}")
-    turn = applied[:, :3]
-    centre = turn.T @ (saved_from_cam[:3, 3] / scale - applied[:, 3])
-    return Pose(name, centre, _CAM_FROM_GRAPHICS @ (turn.T @ nearest_rotation(rotation)).T, lens)
-
-
-def _applied(path: Path, data: dict) -> tuple[np.ndarray, float]:
-    """Transform of the converter: saved = scale * (rotation @ original + shift); a matrix (3, 4), and the scale."""
-    given = data.get("applied_transform", [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]])
-    applied, scale = _matrix(given, 3), finite_number(data.get("applied_scale", 1.0))
-    if applied is None or not is_rotation(applied[:, :3], _ROUNDED):
-        raise PosesError(f"{path}: applied_transform is not a 3 x 4 matrix of a rotation and a shift; {_EXPORT}")
-    if scale is None or scale <= 0.0:
-        raise PosesError(f"{path}: applied_scale is {scale}, expected a number above 0; {_EXPORT}")
-    return applied, scale
 
 
 def _matrix(value, num_rows: int) -> np.ndarray | None:
@@ -104,19 +94,18 @@ def _lens(values: dict) -> Lens:
     if model not in _SUPPORTED:
         raise LensError(f"camera model {model} is not supported, expected one of {', '.join(_SUPPORTED)}")
     size = width, height = lens_size(values, "w", "h")
-    fx = lens_number(values, "fl_x", _by_angle(values, "camera_angle_x", width))
-    fy = lens_number(values, "fl_y", _by_angle(values, "camera_angle_y", height) or fx)
+    angles = [finite_number(values.get(key)) or 0.0 for key in ("camera_angle_x", "camera_angle_y")]
+    by_angle = [
+        0.5 * side / math.tan(0.5 * angle) if 0.0 < angle < math.pi else None
+        for side, angle in zip(size, angles, strict=True)
+    ]
+    fx = lens_number(values, "fl_x", by_angle[0])
+    fy = lens_number(values, "fl_y", by_angle[1] or fx)
     cx, cy = lens_number(values, "cx", 0.5 * width), lens_number(values, "cy", 0.5 * height)
     k1, k2, k3, k4, p1, p2 = (lens_number(values, key, 0.0) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
     if model == "OPENCV_FISHEYE":
         return Lens(model, (fx, fy, cx, cy, k1, k2, k3, k4), *size)
     return brown_lens((fx, fy, cx, cy, k1, k2, p1, p2), size, k3=k3, k4=k4)
-
-
-def _by_angle(values: dict, key: str, side: float) -> float | None:
-    """A focal length [px] by the field of view [rad] across a side; None where it is not given."""
-    angle = finite_number(values.get(key))
-    return None if angle is None or not 0.0 < angle < math.pi else 0.5 * side / math.tan(0.5 * angle)
 
 
 def _masks(path: Path, frames: list[dict]) -> Path | None:

@@ -94,10 +94,12 @@ def survey_toml(scene: StagedScene) -> str:
     """The text of survey.toml: the inputs of a reconstruction, without poses."""
     lens, level = scene.lens, scene.level
     fx, fy = lens.focal
-    lines = [
+    coefficients = [lens[name] for name in coefficients_of(lens.model)]
+    bounds = ", ".join(f"{v:.3f}" for v in scene.bounds)
+    lines: list[str | None] = [
         f"name = {json.dumps(scene.name, ensure_ascii=False)}",
         f'crs = "{scene.crs}"    # of cameras.csv, of truth/ and of every height here',
-        *(["dry = true    # no ground is under water"] if level is None else []),
+        "dry = true    # no ground is under water" if level is None else None,
         "",
         "[cameras]",
         'poses = "cameras.csv"    # easting, northing, height [m]; angles [deg] about the grid axes',
@@ -105,12 +107,12 @@ def survey_toml(scene: StagedScene) -> str:
         f"size_px = [{lens.width}, {lens.height}]",
         f"focal_px = {fx if fx == fy else [fx, fy]}",
         f"principal_point_px = [{lens['cx']}, {lens['cy']}]    # the centre of the first pixel is at 0.5, 0.5",
+        f"rolling_shutter_s = {scene.readout_s}    # from the first to the last row" if scene.readout_s > 0.0 else None,
+        f"distortion = {coefficients}" if coefficients else None,
+        "",
     ]
-    if scene.readout_s > 0.0:
-        lines.append(f"rolling_shutter_s = {scene.readout_s}    # from the first to the last row")
-    coefficients = [lens[name] for name in coefficients_of(lens.model)]
-    lines += [f"distortion = {coefficients}", ""] if coefficients else [""]
     if level is not None:
+        nm = scene.index_wavelength_nm
         lines += [
             "[water]",
             f"level_m = {level.level_m}    # height of the water surface, at the point below"
@@ -120,17 +122,11 @@ def survey_toml(scene: StagedScene) -> str:
             f"slope_east = {level.slope_east}",
             f"slope_north = {level.slope_north}",
             f"refractive_index = {level.refractive_index}",
+            None if nm is None else f"index_wavelength_nm = {nm}    # of the light that the index is of",
+            "",
         ]
-        if scene.index_wavelength_nm is not None:
-            lines.append(f"index_wavelength_nm = {scene.index_wavelength_nm}    # of the light that the index is of")
-        lines.append("")
-    bounds = ", ".join(f"{v:.3f}" for v in scene.bounds)
-    lines += [
-        "[area]",
-        f"bounds = [{bounds}]    # easting and northing, low then high: what is evaluated",
-        "",
-    ]
-    return "\n".join(lines)
+    lines += ["[area]", f"bounds = [{bounds}]    # easting and northing, low then high: what is evaluated", ""]
+    return "\n".join(line for line in lines if line is not None)
 
 
 def cameras_csv(names: Sequence[str], cameras: Sequence[PinholeCamera], frame: LocalFrame) -> str:
@@ -150,22 +146,21 @@ def exif_of_views(scene: StagedScene) -> list[Image.Exif]:
     rng = np.random.default_rng([scene.seed, 5])
     centres = np.array([camera.centre for camera in scene.cameras])
     noise = scene.position_std_m * rng.standard_normal(centres.shape)
-    e, n, heights = scene.frame.crs_from_local(centres + noise).T
-    lon, lat = lon_lat(scene.frame.crs, np.column_stack([e, n])).T
+    places = scene.frame.crs_from_local(centres + noise)
+    lon_lat_height = np.column_stack([lon_lat(scene.frame.crs, places[:, :2]), places[:, 2]]).tolist()
     film_mm = 36.0 * max(scene.lens.focal) / max(scene.lens.width, scene.lens.height)
     exifs = []
-    seconds = np.linspace(0.0, scene.duration_s, len(scene.cameras)).tolist()
-    for after, *values in zip(seconds, lon, lat, heights, strict=True):
+    for after, place in zip(np.linspace(0.0, scene.duration_s, len(places)).tolist(), lon_lat_height, strict=True):
         exif = Image.Exif()
         exif[ExifTags.Base.Make], exif[ExifTags.Base.Model] = "Simulated", f"{film_mm:.1f} mm"
         exif[ExifTags.IFD.Exif] = {ExifTags.Base.FocalLengthIn35mmFilm: round(film_mm)}
-        lines = gps_exif(*(float(v) for v in values))
+        gps = gps_exif(*place)
         if scene.duration_s > 0.0:
             time = _START + timedelta(seconds=after)
             second = IFDRational(1_000_000 * time.second + time.microsecond, 1_000_000)
             clock = (IFDRational(time.hour, 1), IFDRational(time.minute, 1), second)
-            lines |= {ExifTags.GPS.GPSDateStamp: time.strftime("%Y:%m:%d"), ExifTags.GPS.GPSTimeStamp: clock}
-        exif[ExifTags.IFD.GPSInfo] = lines
+            gps |= {ExifTags.GPS.GPSDateStamp: time.strftime("%Y:%m:%d"), ExifTags.GPS.GPSTimeStamp: clock}
+        exif[ExifTags.IFD.GPSInfo] = gps
         exifs.append(exif)
     return exifs
 
@@ -184,14 +179,12 @@ def xmp_of_views(scene: StagedScene) -> list[str]:
     """XMP of all images with their speed, as DJI writes it: north, east, down, to 0.1 m/s; empty for a still scene."""
     if scene.velocities is None:
         return [""] * len(scene.cameras)
-    head = '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
-    speeds = [
-        f'drone-dji:FlightXSpeed="{north:+.1f}" drone-dji:FlightYSpeed="{east:+.1f}" '
-        f'drone-dji:FlightZSpeed="{-up:+.1f}"'
-        for east, north, up in scene.velocities.tolist()
-    ]
-    space = 'xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/"'
-    return [f"{head}<rdf:Description {space} {speed}/></rdf:RDF></x:xmpmeta>" for speed in speeds]
+    form = (
+        '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+        '<rdf:Description xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/" drone-dji:FlightXSpeed="{:+.1f}" '
+        'drone-dji:FlightYSpeed="{:+.1f}" drone-dji:FlightZSpeed="{:+.1f}"/></rdf:RDF></x:xmpmeta>'
+    )
+    return [form.format(north, east, -up) for east, north, up in scene.velocities.tolist()]
 
 
 def gps_exif(lon: float, lat: float, height: float) -> dict:

@@ -1,7 +1,7 @@
 """The folder of a simulated survey: survey.toml, cameras.csv and images, and the truth beside them in truth/.
 
-Images are written to a hidden folder beside the survey, which is renamed at the end; a run that was stopped
-continues with the images that are there.
+All is written to a hidden folder beside the survey, and moved at the end; a run that was stopped continues with the
+images that are there.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from PIL import Image
 
 from evaluation import sample_mesh
 from evaluation.c2m import area_vectors
-from geo import write_ply, write_whole
+from geo import write_ply
 from refract import PinholeCamera
 from refract.lens import Lens, distorted, normalised
 from survey.errors import SurveyError
@@ -42,8 +42,7 @@ _POINTS_PER_M2 = 1000
 # A point is seen if the ray through its pixel ends this close to it [m]: far more than the error of projection
 # (1e-9 m, more along faces that are seen edge on), far less than the distance to anything in front of it.
 _SAME_POINT_M = 1e-4
-# Rays flatter than this fall [-] count as seeing any distance.
-_LEAST_FALL = 0.05
+
 MARKER = "simulated.json"
 # Number of cameras that have to see a point for it to count as visible.
 _MIN_VIEWS = 3
@@ -74,10 +73,8 @@ def seen_by(renderer: DirectRenderer, camera: PinholeCamera, lens: Lens, points:
 
     `refract` only proposes the pixel; the ray that the renderer sends through it has to end at the point.
     """
-    near = np.flatnonzero(_in_reach(camera, lens, points))
-    pixels = np.full((len(points), 2), np.nan)
-    pixels[near] = camera.project(points[near], renderer.water)
-    near = near[np.isfinite(pixels[near]).all(axis=1)]
+    pixels = camera.project(points, renderer.water)
+    near = np.flatnonzero(np.isfinite(pixels).all(axis=1))
     on_image = distorted(lens, pixels[near])
     near = near[((on_image > 0.0) & (on_image < (lens.width, lens.height))).all(axis=1)]
     ends = renderer.trace(camera, pixels[near]).points
@@ -85,24 +82,6 @@ def seen_by(renderer: DirectRenderer, camera: PinholeCamera, lens: Lens, points:
     # A ray that meets nothing ends at NaN, which is near nothing.
     seen[near] = np.linalg.norm(ends - points[near], axis=1) < _SAME_POINT_M
     return seen
-
-
-def _in_reach(camera: PinholeCamera, lens: Lens, points: np.ndarray) -> np.ndarray:
-    """Whether points (N, 3) lie in the rectangle that a camera can see of, from above: (N,) bool.
-
-    Straight rays down to the lowest point reach further than those that water bends; a margin covers waves.
-    """
-    plane, _ = normalised(lens)
-    (u0, v0), (u1, v1) = plane.min(axis=0), plane.max(axis=0)
-    rays = np.array([(u, v, 1.0) for u in (u0, u1) for v in (v0, v1)]) @ camera.cam_from_local
-    cos_nadir = -rays[:, 2] / np.linalg.norm(rays, axis=1)
-    if not len(points) or cos_nadir.min() < _LEAST_FALL:
-        return np.ones(len(points), dtype=bool)
-    t = (camera.centre[2] - points[:, 2].min()) / -rays[:, 2]
-    ends = np.concatenate([camera.centre[None, :2], camera.centre[:2] + t[:, None] * rays[:, :2]])
-    low, high = ends.min(axis=0), ends.max(axis=0)
-    margin = 0.1 * (high - low) + 0.5
-    return ((points[:, :2] >= low - margin) & (points[:, :2] <= high + margin)).all(axis=1)
 
 
 def depth_map(renderer: DirectRenderer, camera: PinholeCamera, lens: Lens) -> tuple[np.ndarray, np.ndarray]:
@@ -129,7 +108,7 @@ def write_survey(
     again: bool = False,
     progress: Progress | None = None,
 ) -> None:
-    """Photograph a scene into a folder, whole or not at all; the same settings give the same bytes.
+    """Photograph a scene into a folder; the same settings give the same bytes.
 
     It becomes a survey folder with ``truth/reference.ply`` (the true surface in the bounds, crs, double precision),
     ``truth/visible.ply`` (points of it that at least three cameras see), ``truth/depth/`` (TIFF [m], below the water of
@@ -138,73 +117,42 @@ def write_survey(
     other files, such as a run folder, are kept. `settings` are all inputs of the scene, as values for JSON;
     `stage_scene` is called only if something is left to do.
     """
-    folder, mark = Path(folder), _mark(settings)
-    work = folder.absolute().parent / f".{folder.absolute().name}.part"
-    _put_back(folder, work)
-    marker = folder / MARKER
-    if marker.is_file():
-        if not again and marker.read_text(encoding="utf-8") == mark:
-            return
-    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise SurveyError(
-            f"{folder} is not empty and was not simulated here (no {MARKER} in it); give another folder or empty it"
-        )
-    started = work / MARKER
-    if again or not started.is_file() or started.read_text(encoding="utf-8") != mark:
-        shutil.rmtree(work, ignore_errors=True)
-        (work / "new").mkdir(parents=True)
-        started.write_text(mark, encoding="utf-8")
-    _write(work / "new", stage_scene(), progress or Progress(verbosity=-1))
-    (work / "new" / MARKER).write_text(mark, encoding="utf-8")
-    # If this fails, the earlier files are still in the folder or beside it.
-    _replace(folder, work)
-    shutil.rmtree(work, ignore_errors=True)
-
-
-def _mark(settings: dict) -> str:
-    """The text of the marker: the inputs of the scene, and a hash of them and of the simulator's code."""
+    folder = Path(folder)
     code = hashlib.sha256(json.dumps(settings).encode())
     for path in sorted(CODE.rglob("*.py")):
         code.update(path.read_bytes())
-    return json.dumps({"scene": settings, "sha256": code.hexdigest()}, indent=1) + "\n"
-
-
-def _replace(folder: Path, work: Path) -> None:
-    """Replace `folder` by work/new, and move files that were not simulated back into it."""
-    new, old = work / "new", work / "old"
-    if folder.exists():
-        folder.rename(old)
-    try:
-        new.rename(folder)
-    except OSError:
-        if old.exists():
-            old.rename(folder)
-        raise
-    _put_back(folder, work)
-
-
-def _put_back(folder: Path, work: Path) -> None:
-    """Move files out of work/old into `folder`: now, or after a run that was killed before it could."""
-    old = work / "old"
-    if not old.exists():
-        return
-    if not folder.exists():
-        old.rename(folder)
-        return
-    for entry in list(old.iterdir()):
-        if not (folder / entry.name).exists():
-            entry.rename(folder / entry.name)
-    # The rest are the simulated files that were replaced.
-    shutil.rmtree(old)
+    mark = json.dumps({"scene": settings, "sha256": code.hexdigest()}, indent=1) + "\n"
+    work = folder.absolute().parent / f".{folder.absolute().name}.part"
+    marker, started = folder / MARKER, work / MARKER
+    if marker.is_file():
+        if not again and marker.read_text(encoding="utf-8") == mark:
+            return
+    # A survey without its marker, and a hidden folder beside it, is one that was stopped while it was moved.
+    elif folder.exists() and not started.is_file() and (not folder.is_dir() or any(folder.iterdir())):
+        raise SurveyError(
+            f"{folder} is not empty and was not simulated here (no {MARKER} in it); give another folder or empty it"
+        )
+    if again or not started.is_file() or started.read_text(encoding="utf-8") != mark:
+        shutil.rmtree(work / "new", ignore_errors=True)
+        (work / "new").mkdir(parents=True)
+        started.write_text(mark, encoding="utf-8")
+    _write(work / "new", stage_scene(), progress or Progress(verbosity=-1))
+    folder.mkdir(exist_ok=True)
+    marker.unlink(missing_ok=True)
+    for part in (work / "new").iterdir():
+        if (folder / part.name).is_dir():
+            shutil.rmtree(folder / part.name)
+        part.replace(folder / part.name)
+    marker.write_text(mark, encoding="utf-8")
+    shutil.rmtree(work)
 
 
 def _write(folder: Path, scene: StagedScene, progress: Progress) -> None:
     for name in ("images", "truth/depth", "truth/wet"):
         (folder / name).mkdir(parents=True, exist_ok=True)
-    (folder / "survey.toml").write_text(survey_toml(scene), encoding="utf-8")
-    (folder / "cameras.csv").write_text(cameras_csv(scene.names, scene.cameras, scene.frame), encoding="utf-8")
-    if scene.duration_s > 0.0:
-        (folder / GAUGE).write_text(gauge_csv(scene), encoding="utf-8")
+    texts = {"survey.toml": survey_toml(scene), "cameras.csv": cameras_csv(scene.names, scene.cameras, scene.frame)}
+    for name, text in (texts | ({GAUGE: gauge_csv(scene)} if scene.duration_s > 0.0 else {})).items():
+        (folder / name).write_text(text, encoding="utf-8")
     # Positions first: PROJ's transformations are not for several threads.
     exifs, xmps = exif_of_views(scene), xmp_of_views(scene)
 
@@ -213,11 +161,13 @@ def _write(folder: Path, scene: StagedScene, progress: Progress) -> None:
         if not path.exists():
             write_image(path, scene.photograph(index), exifs[index], xmps[index])
 
-    count = len(scene.cameras)
-    with progress.stage("Photographs", count) as step, ThreadPoolExecutor(_threads(scene)) as pool:
+    # Each view takes about 0.2 GB while it is evaluated; a custom renderer runs its own threads.
+    count, threads = len(scene.cameras), min(num_cores(), 8)
+    own = threads if scene.radiance_of is None else 1
+    with progress.stage("Photographs", count) as step, ThreadPoolExecutor(own) as pool:
         for _ in pool.map(take, range(count)):
             step.advance()
-    with progress.stage("Ground truth", count) as step, ThreadPoolExecutor(_threads()) as pool:
+    with progress.stage("Ground truth", count) as step, ThreadPoolExecutor(threads) as pool:
         _write_truth(folder / "truth", scene, pool, step)
 
 
@@ -239,8 +189,8 @@ def _write_truth(folder: Path, scene: StagedScene, pool: ThreadPoolExecutor, ste
     def visible_in(index: int) -> np.ndarray:
         (renderer, camera), stem = scene.at(index), Path(scene.names[index]).stem
         depth, wet = depth_map(renderer, camera, scene.lens)
-        _write_picture(folder / "depth" / f"{stem}.tif", Image.fromarray(depth), compression="tiff_deflate")
-        _write_picture(folder / "wet" / f"{stem}.png", Image.fromarray(wet))
+        Image.fromarray(depth).save(folder / "depth" / f"{stem}.tif", compression="tiff_deflate")
+        Image.fromarray(wet).save(folder / "wet" / f"{stem}.png")
         return seen_by(renderer, camera, scene.lens, points)
 
     num_views = np.zeros(len(points), dtype=int)
@@ -248,15 +198,3 @@ def _write_truth(folder: Path, scene: StagedScene, pool: ThreadPoolExecutor, ste
         num_views += seen
         step.advance()
     write_ply(folder / "visible.ply", points_crs[num_views >= _MIN_VIEWS])
-
-
-def _write_picture(path: Path, picture: Image.Image, **options) -> None:
-    with write_whole(path) as stream:
-        picture.save(stream, {".tif": "TIFF", ".png": "PNG"}[path.suffix], **options)
-
-
-def _threads(scene: StagedScene | None = None) -> int:
-    """Each view takes about 0.2 GB while it is evaluated; a custom renderer runs its own threads."""
-    if scene is not None and scene.radiance_of is not None:
-        return 1
-    return min(num_cores(), 8)

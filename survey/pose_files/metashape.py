@@ -219,7 +219,7 @@ def _given(camera: Element, sensor: Element, where: str, crs: CRS | None) -> Giv
         for text in (tag.text or "").replace(",", " ").split()
     ]
     stds = [reference.get(key) or reference.get("sxyz") for key in ("sx", "sy", "sz")]
-    if None in stds or any(math.isfinite(offset) and offset != 0.0 for offset in offsets):
+    if None in stds or any(math.isfinite(offset) and offset != 0.0 for offset in map(number_of, texts)):
         return None
     values = numbers_in([*(reference.get(key, "") for key in "xyz"), *filter(None, stds)], 6, where, _EXPORT)
     if min(values[3:]) <= 0.0:

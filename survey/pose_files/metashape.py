@@ -213,11 +213,7 @@ def _given(camera: Element, sensor: Element, where: str, crs: CRS | None) -> Giv
     reference, antenna = camera.find("reference"), sensor.find("antenna")
     if crs is None or reference is None or not _is_true(reference.get("enabled")) or reference.get("x") is None:
         return None
-    offsets = [
-        number_of(text)
-        for tag in (() if antenna is None else antenna)
-        for text in (tag.text or "").replace(",", " ").split()
-    ]
+    texts = [] if antenna is None else [text for tag in antenna for text in (tag.text or "").replace(",", " ").split()]
     stds = [reference.get(key) or reference.get("sxyz") for key in ("sx", "sy", "sz")]
     if None in stds or any(math.isfinite(offset) and offset != 0.0 for offset in map(number_of, texts)):
         return None

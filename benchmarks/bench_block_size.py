@@ -33,7 +33,7 @@ from survey.adjust.block.observed import CELLS, MATCH, PER_CELL, observed, sizes
 from survey.adjust.block.priors import prior_of
 from survey.adjust.refine import adjust_survey
 from survey.folder.survey import Survey
-from survey.plan.recipe import gsd_m
+from survey.plan.choices import gsd_m
 from tests.block_survey import pose_errors, survey_of
 from tests.drawn_block import draw_block
 

@@ -34,8 +34,7 @@ from geo.raster import RasterBand, RasterForm, write_cog
 from refract import FlatWater
 from survey.folder.survey import Survey, load_survey
 from survey.plan.choices import Choices
-from survey.plan.tile_choice import plan_run
-from survey.plan.tiling import ground_of, ray_skew_px
+from survey.plan.tiling import ground_of, plan_run, ray_skew_px
 from survey.simulate.simulate import simulate
 from survey.water.surface import Departure
 

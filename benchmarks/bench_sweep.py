@@ -34,9 +34,8 @@ from fields.sweep.view_pass import SweepSettings
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.folder.survey import load_survey
 from survey.plan.area import limits, local_area
-from survey.plan.choices import Choices
+from survey.plan.choices import RECIPES, Choices
 from survey.plan.plan import make_plan
-from survey.plan.recipe import RECIPES
 from survey.progress import current
 from survey.run import points
 from survey.run.job import Job

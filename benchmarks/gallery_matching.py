@@ -13,7 +13,7 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from refract import FlatWater, PinholeCamera, crossing_point, trace, water_index
-from survey.plan.glitter import glitters
+from survey.plan.light import glitters
 
 # 35 mm and pixels of 20 um: 59 by 46 degrees of view.
 FOCAL_PX, WIDTH_PX, HEIGHT_PX = 1750.0, 2000, 1500

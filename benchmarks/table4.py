@@ -29,7 +29,7 @@ from evaluation import distance_statistics, distance_to_mesh, is_reached, sample
 from fields.models import MODELS
 from geo import read_cloud, read_reference
 from survey.folder.survey import Survey, load_survey
-from survey.plan.recipe import RECIPES
+from survey.plan.choices import RECIPES
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("BATHYNERF_DATA", ROOT.parent / "shared" / "data"))

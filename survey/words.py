@@ -22,7 +22,7 @@ GCP_LIST = "gcp_list.txt"
 
 
 class Quality(StrEnum):
-    """Qualities, by run time; `survey.plan.recipe` defines them."""
+    """Qualities, by run time; `survey.plan.choices` defines them."""
 
     draft = "draft"
     standard = "standard"

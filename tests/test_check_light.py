@@ -16,8 +16,18 @@ from refract import PinholeCamera
 from survey.photos.exif import read_exif
 from survey.photos.texture import detail_of, image_detail, relative_sharpness
 from survey.plan.check import require_processable
-from survey.plan.check_light import LEAST_SHARP, glitter_text, light_section, motion_text, sharpness_text, times_of
-from survey.plan.glitter import GlitterOfFlight, glitters, largest_facet_slope, slope_variance
+from survey.plan.light import (
+    LEAST_SHARP,
+    GlitterOfFlight,
+    glitter_text,
+    glitters,
+    largest_facet_slope,
+    light_section,
+    motion_text,
+    sharpness_text,
+    slope_variance,
+    times_of,
+)
 
 UP = np.array([0.0, 0.0, 1.0])
 DOWN = np.diag([1.0, -1.0, -1.0])

@@ -32,10 +32,9 @@ from survey.folder.survey import load_survey
 from survey.photos.poses import PoseFrame
 from survey.photos.rotations import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.plan.check import check_survey, require_processable
-from survey.plan.choices import Choices
+from survey.plan.choices import RECIPES, Choices
 from survey.plan.heights import dry_ground
 from survey.plan.plan import make_plan, pose_choice, require_placeable
-from survey.plan.recipe import RECIPES
 from survey.pose_files import read_poses
 from survey.words import Quality
 from tests.changed_survey import changed

@@ -13,8 +13,7 @@ from small_survey import LEVEL, rows_of, small_survey, unposed
 from survey.folder.found import find_survey
 from survey.folder.survey import load_survey
 from survey.photos.xmp import Motion
-from survey.plan.check import check_survey, require_processable
-from survey.plan.check_inputs import DOWN_DEG, level_warning
+from survey.plan.check import DOWN_DEG, check_survey, level_warning, require_processable
 from survey.plan.choices import Choices
 from survey.settings.config import WaterConfig
 from survey.settings.water import LevelSources

@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from survey import machine
 from survey.display.quantities import bytes_of, room, size
 from survey.errors import SurveyError
-from survey.plan import tile_choice
 from survey.plan.area import Tiling, inside
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
-from survey.plan.tile_choice import choose_tiles, window_pixels
-from survey.plan.tiling import ground_of, ray_skew_px, tile_warnings
+from survey.plan.tiling import choose_tiles, ground_of, ray_skew_px, tile_warnings, window_pixels
 from survey.plan.workload import amounts_of_run, workload_of
 from survey.water.surface import Departure
 from tests.changed_survey import changed
@@ -67,7 +66,7 @@ def tiles_for(survey, plan, chosen, workload, **options):
 
 
 def test_one_piece_where_memory_suffices_and_the_plan_says_why(planned, monkeypatch):
-    monkeypatch.setattr(tile_choice.machine, "free_memory_bytes", lambda: 10_000_000_000)
+    monkeypatch.setattr(machine, "free_memory_bytes", lambda: 10_000_000_000)
     found = tiles_for(*planned[:2], Choices(), planned[2])
     assert (found.tiling, found.decisions[0].choice, found.memory_bytes) == (None, "1", planned[2].memory_bytes)
     assert found.decisions[0].reason.endswith("of memory, which is free")
@@ -150,7 +149,7 @@ def test_workers_of_a_scheduler_have_memory_of_their_own(planned):
 
 
 def test_processes_are_chosen_only_where_the_caller_may_start_them(planned, monkeypatch):
-    monkeypatch.setattr(tile_choice.machine, "num_cores", lambda: 8)
+    monkeypatch.setattr(machine, "num_cores", lambda: 8)
     chosen = Choices(tiles=3, memory="64GB")
     assert tiles_for(*planned[:2], chosen, planned[2]).workers == 1
     assert tiles_for(*planned[:2], chosen, planned[2], chooses_workers=True).workers == 2

@@ -12,7 +12,7 @@ from fields.sweep.bed import BedPoints
 from refract import FlatWater, PinholeCamera
 from refract.distortion import BROWN, Distortion
 from survey.folder.survey import Survey, load_survey
-from survey.plan.recipe import MAX_STD_GSD, STRICTEST_ORDER_M, max_height_std
+from survey.plan.choices import MAX_STD_GSD, STRICTEST_ORDER_M, max_height_std
 from survey.report.seen_cells import CELL_GSD, cells_of
 from survey.run.gate import verdict_of
 from survey.run.stored import StoredBed

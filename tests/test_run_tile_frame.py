@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from survey.plan.area import Tiling, flattened, limits
-from survey.plan.choices import USUAL
+from survey.plan.choices import RECIPES, USUAL, required_views
 from survey.plan.plan import make_plan
-from survey.plan.recipe import RECIPES, required_views
 from survey.progress import Progress
 from survey.run import stage_range
 from survey.run.job import Job

@@ -44,7 +44,7 @@ from survey.adjust.rounds import RobustSolution, adjust
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
-from survey.plan.recipe import max_height_std
+from survey.plan.choices import max_height_std
 from survey.sfm.gps_fit import ROLL_REMEDY
 
 # Fewest tie points under water. The covariance is estimated from the scatter of N points, to one part in sqrt(2 N): an

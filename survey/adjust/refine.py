@@ -31,8 +31,8 @@ from survey.adjust.unnamed_water import unnamed_water_warning
 from survey.errors import GivenValueTest, SurveyError
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
-from survey.plan.check_inputs import DOWN_DEG, GIVE_LEVEL, tilts_deg
-from survey.plan.recipe import gsd_m
+from survey.plan.check import DOWN_DEG, GIVE_LEVEL, tilts_deg
+from survey.plan.choices import gsd_m
 
 # Of the time of an adjustment, about: of matches, of windows, and of all.
 _SHARES = (0.3, 0.4, 0.3)

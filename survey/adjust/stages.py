@@ -26,7 +26,7 @@ from survey.errors import GivenValueTest
 from survey.folder.pose_priors import GPS_STD_M
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
-from survey.plan.recipe import gsd_m
+from survey.plan.choices import gsd_m
 
 # Of the shift onto the ground before the adjustment.
 _START_STD_M = 0.1

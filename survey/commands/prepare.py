@@ -116,8 +116,8 @@ def _of_survey(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> I
     from survey.adjust.result.foreseen import foreseen_section
     from survey.init.draft import draft
     from survey.plan.check import CheckSection, check_survey, require_processable
-    from survey.plan.check_light import light_section
     from survey.plan.choices import choices_of
+    from survey.plan.light import light_section
     from survey.run.aim import AimedPlan, plan_for_aim
     from survey.settings.config import SurveyConfig, parse_config, settings_of
 

@@ -24,10 +24,9 @@ from survey.display.quantities import room, size
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.plan.area import AREA_MARGIN_M, flattened, grown, local_area
-from survey.plan.choices import Choices
+from survey.plan.choices import RECIPES, Choices, image_scale
 from survey.plan.heights import dry_ground
 from survey.plan.plan import Plan
-from survey.plan.recipe import RECIPES, image_scale
 from survey.plan.sweep_block import camera_of
 from survey.progress import rough
 from survey.sfm.settings import FEATURES_PX, pairs_about

@@ -17,9 +17,8 @@ from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.plan.area import ASSUMED_DEPTH_M
-from survey.plan.choices import STD_QUANTILE, Choices
+from survey.plan.choices import STD_QUANTILE, Choices, gsd_m, image_scale_of
 from survey.plan.plan import Decision, make_plan
-from survey.plan.recipe import gsd_m, image_scale_of
 from survey.plan.workload import workload_of
 from survey.progress import rough
 from survey.words import SCALES, Quality

@@ -19,8 +19,7 @@ import numpy as np
 
 from survey.display.plan_grid import median
 from survey.display.quantities import NO_BREAK, length, share
-from survey.plan.choices import STD_QUANTILE, Choices
-from survey.plan.recipe import MAX_STD_GSD, max_height_std
+from survey.plan.choices import MAX_STD_GSD, STD_QUANTILE, Choices, max_height_std
 from survey.report.facts import Gate, RunVerdict, height_std
 from survey.report.seen_cells import SeenCells, cells_of
 

@@ -24,7 +24,7 @@ from survey.folder.survey import Survey, load_survey
 from survey.plan.check import Checked, require_processable
 from survey.plan.choices import Choices, choices_of
 from survey.plan.plan import Plan
-from survey.plan.tile_choice import SHARED, plan_run
+from survey.plan.tiling import SHARED, plan_run
 from survey.plan.workload import Workload, room_warnings, workload_of_images
 from survey.progress import Progress, opened
 from survey.run.aim import plan_for_aim

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object, write_json
 from survey.plan.area import local_area
-from survey.plan.recipe import required_views
-from survey.plan.tile_choice import SHARED
+from survey.plan.choices import required_views
+from survey.plan.tiling import SHARED
 from survey.run.tile_job import TileJob
 from survey.run.windows import BedSearch, has_own_ranges
 

@@ -24,7 +24,7 @@ from fields.models import IN_LAYER
 from refract import FlatWater
 from survey.display.quantities import length
 from survey.files.json_values import read_json_object
-from survey.plan.tile_choice import SHARED
+from survey.plan.tiling import SHARED
 from survey.run.folder import Key, RunDir
 from survey.run.job import PARTS, Job, colour_of
 from survey.run.remote_run import RemoteRun

@@ -14,7 +14,7 @@ from typing import Any
 
 from geo.files import reporting_disk_errors
 from survey.errors import SurveyError
-from survey.plan.tile_choice import NO_DASK, has_dask
+from survey.plan.tiling import NO_DASK, has_dask
 from survey.run.worker_task import ANOTHER_VERSION, require_reachable
 from survey.run.workers import ALLOWED_FAILURES, GPU, WORKER_TIMEOUT_S, Workers
 from survey.stage_key import code_hash

@@ -19,13 +19,10 @@ from survey.folder.survey import Survey
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
 from survey.plan.area import ASSUMED_DEPTH_M, in_the_middle
-from survey.plan.check import CheckSection
-from survey.plan.check_inputs import Verdict, verdict_by_limits, verdict_text
-from survey.plan.check_light import LOST_GOOD, glitter_text, lost_share, motion_text, sun_text
-from survey.plan.choices import USUAL, Choices
-from survey.plan.glitter import GlitterOfFlight
+from survey.plan.check import CheckSection, Verdict, verdict_by_limits, verdict_text
+from survey.plan.choices import USUAL, Choices, gsd_m
+from survey.plan.light import LOST_GOOD, GlitterOfFlight, glitter_text, lost_share, motion_text, sun_text
 from survey.plan.plan import make_plan
-from survey.plan.recipe import gsd_m
 from survey.plan.workload import room_warnings, workload_of
 from survey.progress import rough
 from survey.settings.config import AreaConfig, SurveyConfig

@@ -25,8 +25,7 @@ from survey.adjust.result.std_common import std_common
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
 from survey.plan.area import ASSUMED_DEPTH_M, in_the_middle, places_of
-from survey.plan.check import CheckSection
-from survey.plan.check_inputs import Verdict, verdict_by_limits, verdict_text
+from survey.plan.check import CheckSection, Verdict, verdict_by_limits, verdict_text
 from survey.plan.choices import USUAL, Choices
 from survey.plan.plan import Plan, make_plan
 from survey.water.index import ASSUMED_INDEX_STD

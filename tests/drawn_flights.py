@@ -27,7 +27,7 @@ from survey.photos.cameras import View
 from survey.settings.config import CamerasConfig, SurveyConfig, WaterConfig
 from survey.sfm import block as sfm_block
 from survey.sfm.absolute_orientation import place_by_gps
-from survey.sfm.block import CameraBody
+from survey.sfm.features import CameraBody
 from survey.sfm.gps import GpsPositions
 from survey.sfm.poses import SfmResult
 from survey.sfm.settings import solver

@@ -14,7 +14,7 @@ from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
 from survey.sfm import block as sfm_block
 from survey.sfm.absolute_orientation import place_by_gps
-from survey.sfm.block import CameraBody
+from survey.sfm.features import CameraBody
 from survey.sfm.gps import GpsPositions
 from survey.sfm.pairs import Place, image_pairs
 from survey.sfm.settings import SEED

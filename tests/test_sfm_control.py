@@ -16,9 +16,8 @@ from survey.control.points import ControlPoint, Mark
 from survey.errors import ControlError
 from survey.sfm import block as sfm_block
 from survey.sfm.absolute_orientation import place_by_control, views_of_block
-from survey.sfm.block import CameraBody
-from survey.sfm.control_fit import fit_control
-from survey.sfm.mark_rays import BlockControl, intersect_marks
+from survey.sfm.control_fit import BlockControl, fit_control, intersect_marks
+from survey.sfm.features import CameraBody
 from survey.sfm.solve import FreeBlocks
 
 FRAME = LocalFrame(parse_crs("EPSG:25832+5778"), (500000.0, 5200000.0, 100.0))

@@ -19,8 +19,8 @@ from survey.folder.survey import Survey, load_survey
 from survey.sfm import block as sfm_block
 from survey.sfm import poses as sfm_poses
 from survey.sfm import solve as sfm_solve
-from survey.sfm.block import MatchedPhotographs, reconstruct
-from survey.sfm.incremental import map_directly, pipeline_options
+from survey.sfm.block import map_directly, pipeline_options, reconstruct
+from survey.sfm.features import MatchedPhotographs
 from survey.sfm.settings import mapper_of
 from survey.sfm.solve import Photographs
 from survey.simulate.drawn import DrawnScene, draw_survey
@@ -118,7 +118,7 @@ def test_a_mapper_that_does_not_tell_its_progress_is_said_not_to(monkeypatch, tm
     def fail(*_):
         raise PosesError("too few features match")
 
-    monkeypatch.setattr(sfm_solve.sfm_block, "match_photographs", lambda *_: None)
+    monkeypatch.setattr(sfm_solve, "match_photographs", lambda *_: None)
     monkeypatch.setattr(sfm_solve, "reconstruct", fail)
     with pytest.raises(PosesError, match="too few features match"):
         sfm_solve.solve(photographs, tmp_path, told.append)

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from survey.photos.exif import Exif
-from survey.sfm.block import _similar_pairs
+from survey.sfm.features import _similar_pairs
 from survey.sfm.pairs import LEAST_HEIGHT_M, VOTING, Place, image_pairs, similar_images
 from survey.sfm.settings import NEIGHBOURS, pairs_about
 from survey.sfm.solve import Photographs

@@ -14,9 +14,9 @@ from geo.frames import Similarity
 from survey.errors import PosesError
 from survey.sfm import block as sfm_block
 from survey.sfm.absolute_orientation import place_by_control, place_by_gps, views_of_block
-from survey.sfm.block import CameraBody
+from survey.sfm.control_fit import BlockControl
+from survey.sfm.features import CameraBody
 from survey.sfm.gps import GpsPositions
-from survey.sfm.mark_rays import BlockControl
 from survey.sfm.solve import FreeBlocks, without_shared_images
 
 APART = (200.0, -30.0)

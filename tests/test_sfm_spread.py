@@ -11,9 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from survey.sfm import block
-from survey.sfm.block import CameraBody, match_photographs
-from survey.sfm.distributed import computing_on
+from survey.sfm import features
+from survey.sfm.features import CameraBody, computing_on, match_photographs
 
 SIZE = (320, 240)
 
@@ -50,7 +49,7 @@ def rows(database: Path) -> dict[str, list[tuple]]:
 
 def test_workers_leave_the_rows_of_one_process(photographs, tmp_path, monkeypatch):
     # In parts of four pairs.
-    monkeypatch.setattr(block, "_PAIRS_AT_ONCE", 4)
+    monkeypatch.setattr(features, "_PAIRS_AT_ONCE", 4)
     sensors = [CameraBody(tuple(sorted(path.name for path in photographs.iterdir())), SIZE, 400.0)]
     workers, found = Pickling(), {}
     for name in ("here", "there"):

@@ -25,7 +25,7 @@ from survey.adjust.result.adjustment import MOST_SIGMAS, MOST_STD_LEVEL_M, Adjus
 from survey.adjust.result.std_common import common_error
 from survey.adjust.rounds import RobustSolution
 from survey.folder.local_frame import over_points
-from survey.sfm.datum import WELL_KNOWN_M
+from survey.sfm.gps import WELL_KNOWN_M
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey

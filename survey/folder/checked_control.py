@@ -24,15 +24,15 @@ from survey.photos.poses import connected_parts, least_track
 from survey.pose_files import find_unread
 from survey.sfm.control_fit import (
     MIN_POINTS,
-    coordinates,
+    BlockControl,
     fit_majority,
+    intersect_marks,
     line_of_control,
     require_consistent_marks,
     spread_of,
 )
 from survey.sfm.gps import frame_about, is_whole, what_is_missing
 from survey.sfm.gps_fit import ROLL_REMEDY
-from survey.sfm.mark_rays import BlockControl, intersect_marks
 from survey.words import GEO_TXT
 
 # On straight rays the bed seems higher than it is by about a quarter of its depth.
@@ -181,7 +181,7 @@ def _checked(
     fit = None
     if len(seen.points) >= MIN_POINTS:
         # On one line points determine no similarity by themselves.
-        _, across, least = spread_of(*coordinates(seen))
+        _, across, least = spread_of(seen.local, seen.std)
         fit = fit_majority(seen, posed) if across >= least else None
     wrong = {} if fit is None else fit.wrong
     warnings = named(

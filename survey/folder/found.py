@@ -24,8 +24,7 @@ from survey.photos.images import fetch_images, list_images, photographs_below, s
 from survey.photos.names import ImageNames
 from survey.pose_files import find_poses, find_unread, pose_files, read_poses
 from survey.settings.config import ImagesConfig, SurveyConfig, settings_of
-from survey.sfm.datum import EXACT, DatumStd, plan_std, smallest
-from survey.sfm.gps import PositionTransform, datum_warnings, transforms_into_crs
+from survey.sfm.gps import EXACT, DatumStd, PositionTransform, datum_warnings, plan_std, smallest, transforms_into_crs
 from survey.water.level import with_level
 from survey.water.level_observation import LevelObservation, water_place_warnings
 from survey.water.tides import Tide

@@ -39,7 +39,7 @@ from survey.photos.poses import DuplicatePose, Pose, PoseFile, least_track
 from survey.pose_files import find_poses, read_poses, read_ties
 from survey.settings.config import CamerasConfig
 from survey.settings.tables import per_axis
-from survey.sfm.datum import EXACT, DatumStd, plan_std, require_accurate
+from survey.sfm.gps import EXACT, DatumStd, plan_std, require_accurate
 from survey.water.level import with_level_of_clicks
 
 

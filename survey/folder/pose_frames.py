@@ -29,7 +29,7 @@ from survey.files.csv_table import same_unit
 from survey.files.point_table import Units
 from survey.photos.cameras import View
 from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame
-from survey.sfm.datum import area_at, height_transformer
+from survey.sfm.gps import area_at, height_transformer
 
 _WGS84 = CRS("EPSG:4979")
 _HEIGHTS = "the heights of the poses"

@@ -14,8 +14,7 @@ from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.settings.config import CamerasConfig
 from survey.settings.tables import per_axis
-from survey.sfm.datum import EXACT, WELL_KNOWN_M, DatumStd
-from survey.sfm.gps import datum_stds, positions_in_crs
+from survey.sfm.gps import EXACT, WELL_KNOWN_M, DatumStd, datum_stds, positions_in_crs
 from survey.sfm.gps_fit import attitudes_of
 
 if TYPE_CHECKING:

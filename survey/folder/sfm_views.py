@@ -40,11 +40,9 @@ from survey.photos.images import require_all_complete
 from survey.photos.pixels import HEIC_SUFFIXES
 from survey.photos.poses import least_track
 from survey.settings.config import SurveyConfig
-from survey.sfm.control_fit import line_of_control
-from survey.sfm.datum import require_accurate
-from survey.sfm.gps import gps_positions, is_whole, positions_in_crs, transforms_into_crs
+from survey.sfm.control_fit import BlockControl, line_of_control
+from survey.sfm.gps import gps_positions, is_whole, positions_in_crs, require_accurate, transforms_into_crs
 from survey.sfm.gps_fit import FOCAL_SHARE, MIN_STD_M, ROLL_REMEDY, is_contradicted, line_of
-from survey.sfm.mark_rays import BlockControl
 from survey.sfm.settings import one_focal, require_size, require_solver
 from survey.words import RUN_FOLDER, SFM_FOLDER
 

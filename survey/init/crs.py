@@ -39,7 +39,7 @@ from survey.photos.exif import Exif, middle_of, position_sources, utm_code_of
 from survey.photos.names import ImageNames
 from survey.photos.poses import PoseFile, PoseFrame
 from survey.photos.xmp import ELLIPSOIDAL
-from survey.sfm.datum import area_at, height_transformer
+from survey.sfm.gps import area_at, height_transformer
 from survey.words import GEO_TXT
 
 _WGS84_3D = 4979

@@ -29,7 +29,7 @@ from survey.plan.plan import Decision, Plan, device_decision, make_plan, require
 from survey.plan.tiling import plan_run, require_dask
 from survey.plan.workload import Workload, room_warnings, workload_of_images
 from survey.settings.config import SurveyConfig, WaterConfig
-from survey.sfm.datum import WELL_KNOWN_M
+from survey.sfm.gps import WELL_KNOWN_M
 from survey.sfm.settings import mapper_of
 from survey.water.level import STAFF_STD_M
 from survey.water.level_observation import LevelObservation

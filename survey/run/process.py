@@ -36,7 +36,7 @@ from survey.run.stages import run_stages
 from survey.run.start_workers import WorkerNeeds, workers_for
 from survey.settings.config import SurveyConfig, settings_of
 from survey.settings.tables import ProcessConfig
-from survey.sfm.distributed import computing_on
+from survey.sfm.features import computing_on
 from survey.words import Quality
 
 QUALITY_GATE_FAILED = 3

@@ -19,8 +19,8 @@ from survey.display.quantities import listed
 from survey.errors import ControlError, PosesError, SurveyError
 from survey.photos.poses import least_track
 from survey.sfm import block as sfm_block
-from survey.sfm.block import CameraBody
-from survey.sfm.control_fit import ControlFit, fit_control
+from survey.sfm.control_fit import BlockControl, ControlFit, Intersections, fit_control, intersect_marks
+from survey.sfm.features import CameraBody
 from survey.sfm.gps import GpsPositions
 from survey.sfm.gps_fit import (
     LineAxes,
@@ -31,7 +31,6 @@ from survey.sfm.gps_fit import (
     roll_by_control,
     roll_by_ground,
 )
-from survey.sfm.mark_rays import BlockControl, Intersections, intersect_marks
 from survey.sfm.solve import GIVE_POSES, FreeBlocks
 
 if TYPE_CHECKING:
@@ -60,18 +59,15 @@ def place_by_gps(
 ) -> PlacedBlocks:
     """Place blocks by the GPS positions of their cameras; the blocks are changed.
 
-    Parameters
-    ----------
-    spare : BlockControl, optional
-        For the blocks that positions cannot place, and for the roll of those on one line.
-    attitudes : mapping of name to (3, 3), optional
-        Cam from local, as XMP has them.
+    ``spare`` control is for the blocks that positions cannot place, and for the roll of those on one line; attitudes
+    (3, 3) are cam from local, as XMP has them.
     """
     nearby = None if spare is None else spare.in_frame(gps.frame)
 
     def by_positions(block: pycolmap.Reconstruction) -> str:
         trusted = _to_positions(block, gps.local)
-        std = gps_std(_residuals(block, trusted))
+        poses = sfm_block.poses_of(block)
+        std = gps_std([poses[name][0] - position for name, position in trusted.items()])
         message = (
             f"{len(trusted)} GPS positions differ from it by about {std[0]:.2f} m east and north and {std[2]:.2f} m "
             "up, before the adjustment"
@@ -136,10 +132,7 @@ def _onto_control(block: pycolmap.Reconstruction, fit: ControlFit) -> str:
 
 
 def _place(
-    free: FreeBlocks,
-    placements: Sequence[Placement],
-    frame: LocalFrame,
-    sensors: list[CameraBody],
+    free: FreeBlocks, placements: Sequence[Placement], frame: LocalFrame, sensors: list[CameraBody]
 ) -> PlacedBlocks:
     """Place each block by the first method that can; where no block can be placed, raise for the largest."""
     notes, placed, found = list(free.notes), [], []
@@ -226,21 +219,16 @@ def _roll(
     if with_attitude:
         ours = np.array([poses[name][1] for name in with_attitude])
         angle = roll_by_attitudes(across, ours, np.array([attitudes[name] for name in with_attitude]))
-        sfm_block.transform(block, across.rolled(angle))
-        return f"the initial roll is that of the attitudes of {len(with_attitude)} photographs in XMP"
-    if intersections is not None and intersections.points:
-        angle = roll_by_control(across, intersections.places, np.array([point.local for point in intersections.points]))
-        sfm_block.transform(block, across.rolled(angle))
-        return f"the initial roll is that by control ({listed([p.name for p in intersections.points])})"
-    rotations = np.array([rotation for _, rotation in poses.values()])
-    angle = roll_by_ground(across, rotations, sfm_block.points_of(block))
+        by = f"the initial roll is that of the attitudes of {len(with_attitude)} photographs in XMP"
+    elif intersections is not None and intersections.points:
+        angle = roll_by_control(across, intersections.places, intersections.local)
+        by = f"the initial roll is that by control ({listed([point.name for point in intersections.points])})"
+    else:
+        rotations = np.array([rotation for _, rotation in poses.values()])
+        angle = roll_by_ground(across, rotations, sfm_block.points_of(block))
+        by = "at the initial roll photographs look straight down across it"
     sfm_block.transform(block, across.rolled(angle))
-    return "at the initial roll photographs look straight down across it"
-
-
-def _residuals(block: pycolmap.Reconstruction, positions: Mapping[str, np.ndarray]) -> np.ndarray:
-    poses = sfm_block.poses_of(block)
-    return np.array([poses[name][0] - position for name, position in positions.items()])
+    return by
 
 
 def _lowered(frame: LocalFrame, blocks: Sequence[pycolmap.Reconstruction]) -> LocalFrame:

@@ -1,16 +1,14 @@
-"""Blocks of photographs by pycolmap: a database of features and verified matches, and what mapping makes of them.
+"""Blocks of photographs by pycolmap: poses and points that mapping makes of verified matches.
 
-Pixels are those of the stored image, whatever its EXIF orientation, and the centre of the first pixel is at (0.5, 0.5).
+COLMAP's pipeline solves bundle adjustments of more than 1,000 images by conjugate gradients, and has no setting for
+another solver: of 2,080 images it did not end in 27 minutes (docs/decisions.md). Larger blocks are therefore built
+here from the steps of its mapper (J. Schoenberger and J.-M. Frahm, Structure-from-motion revisited, 2016), with sparse
+Cholesky factors at every size.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
-from dataclasses import dataclass
-from functools import partial
-from itertools import chain
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,139 +16,25 @@ import numpy as np
 
 from geo.frames import Similarity
 from refract.lens import Lens
-from survey import machine
 from survey.photos.poses import TiePoints, least_track
 from survey.progress import current
-from survey.sfm.distributed import Workers, workers
-from survey.sfm.features import ImageFeatures, PairsToMatch, features_of
-from survey.sfm.incremental import DIRECT_UP_TO, map_directly, pipeline_options
-from survey.sfm.pairs import VOTING, Place, image_pairs, similar_images
-from survey.sfm.settings import ALL_PAIRS_UP_TO, MIN_IMAGES, SEED, THREADS, solver
+from survey.sfm.features import MatchedPhotographs
+from survey.sfm.settings import MIN_IMAGES, SEED, THREADS, solver
 from survey.words import Mapper
 
 if TYPE_CHECKING:
     import pycolmap
 
-# f, cx, cy, k1, k2. With one coefficient a real block is bent by decimetres; more than two gain nothing (see tests).
-MODEL = "RADIAL"
-# Most features of an image. The adjustment uses a few hundred of them (`survey.adjust.block.observed`), and twice
-# as many take four times as long to match.
-_MOST_FEATURES = 2048
-# Pairs of a part, whose features are in memory together: some 100 images, of 0.3 MB each.
-_PAIRS_AT_ONCE = 100
-# Of a photograph while its features are looked for.
-_BYTES_OF_FEATURES = 2.0e9
-
-
-@dataclass(frozen=True)
-class CameraBody:
-    """A camera body with one lens at one zoom, and its photographs."""
-
-    names: tuple[str, ...]  # of its images in the folder; without spaces
-    size_px: tuple[int, int]  # (width, height)
-    focal_px: float | None  # To start from; None where nothing is known
-
-
-def match_photographs(
-    folder: Path, sensors: Sequence[CameraBody], places: Mapping[str, Place], work: Path, report: Callable[[str], None]
-) -> MatchedPhotographs:
-    """Features and verified matches of images.
-
-    Parameters
-    ----------
-    folder : Path
-        In which the images lie.
-    sensors : of all images
-    places : mapping of name to Place
-        Of images whose position is known; they select the pairs to match.
-    work : Path
-        An empty folder for the database of features.
-    report : callable
-        Called with a sentence on the progress.
-    """
-    colmap = solver()
-    database, names = work / "database.db", sorted(name for sensor in sensors for name in sensor.names)
-    colmap.set_random_seed(SEED)
-    colmap.Database.open(database).close()
-    for sensor in sensors:
-        # Before the features, so that images have the same numbers however threads take turns.
-        colmap.import_images(database, folder, colmap.CameraMode.SINGLE, list(sensor.names), _reader(sensor))
-    with workers() or nullcontext() as pool:
-        on = "" if pool is None else ", on workers"
-        report(f"structure from motion: features of {len(names)} images{on}")
-        _extract(database, folder, names, pool)
-        pairs = image_pairs(names, places)
-        lost = [name for name in names if name not in places]
-        if lost and len(names) > ALL_PAIRS_UP_TO:
-            report(f"structure from motion: {len(lost)} images without a position are matched by likeness")
-            pairs = sorted({*pairs, *_similar_pairs(database, names, lost)})
-        report(f"structure from motion: matches of {len(pairs)} pairs{on}")
-        _match_all(database, pairs, pool)
-    return MatchedPhotographs(database, folder, work, len(names))
-
-
-def _extract(database: Path, folder: Path, names: Sequence[str], pool: Workers | None) -> None:
-    colmap = solver()
-    at_once = min(machine.num_cores(), int(machine.free_memory_bytes() / _BYTES_OF_FEATURES))
-    find = partial(features_of, most=_MOST_FEATURES)
-    with (
-        colmap.Database.open(database) as opened,
-        current().stage("Features", len(names)) as step,
-        ThreadPoolExecutor(max(at_once, 1)) as threads,
-    ):
-        # Workers may not see the folder, which holds links; they see the photographs by the paths of the survey.
-        paths = [folder / name for name in names]
-        paths = [path.readlink() if path.is_symlink() else path for path in paths]
-        found = (threads if pool is None else pool).map(find, paths)
-        for name, (keypoints, descriptors) in zip(names, found, strict=True):
-            number = opened.read_image_with_name(name).image_id
-            opened.write_keypoints(number, keypoints)
-            opened.write_descriptors(number, colmap.FeatureDescriptors(colmap.FeatureExtractorType.SIFT, descriptors))
-            step.advance()
-
-
-def _reader(sensor: CameraBody) -> pycolmap.ImageReaderOptions:
-    options = solver().ImageReaderOptions()
-    options.camera_model = MODEL
-    if sensor.focal_px is not None:
-        width, height = sensor.size_px
-        options.camera_params = f"{sensor.focal_px!r},{0.5 * width!r},{0.5 * height!r},0,0"
-    return options
-
-
-def _similar_pairs(database: Path, names: Sequence[str], lost: Sequence[str]) -> list[tuple[str, str]]:
-    """Pairs of images without a position with those that look like them, and with the next in order of names."""
-    at = {name: k for k, name in enumerate(names)}
-    of = [at[name] for name in lost]
-    with solver().Database.open(database) as opened:
-        numbers = (opened.read_image_with_name(name).image_id for name in names)
-        descriptors = (opened.read_descriptors(number).data[:VOTING] for number in numbers)
-        found = [*similar_images(descriptors, len(names), of), *((k, k + step) for k in of for step in (-2, -1, 1, 2))]
-    return [(names[min(i, j)], names[max(i, j)]) for i, j in found if min(i, j) >= 0 and max(i, j) < len(names)]
-
-
-def _match_all(database: Path, pairs: Sequence[tuple[str, str]], pool: Workers | None) -> None:
-    """Verified matches of pairs, part by part."""
-    parts = [pairs[first : first + _PAIRS_AT_ONCE] for first in range(0, len(pairs), _PAIRS_AT_ONCE)]
-    with solver().Database.open(database) as opened, current().stage("Matches", len(pairs)) as step:
-        images = {image.name: image for image in opened.read_all_images()}
-        to_match = (
-            PairsToMatch(part, {name: _features_in(opened, images[name]) for name in sorted(set(chain(*part)))})
-            for part in parts
-        )
-        match = partial(PairsToMatch.matched, threads=machine.num_cores() if pool is None else 1)
-        for part, found in zip(parts, map(match, to_match) if pool is None else pool.map(match, to_match), strict=True):
-            for (one, other), (matches, geometry) in zip(part, found, strict=True):
-                numbers = images[one].image_id, images[other].image_id
-                opened.write_matches(*numbers, matches)
-                opened.write_two_view_geometry(*numbers, geometry)
-            step.advance(len(part))
-
-
-def _features_in(opened: pycolmap.Database, image: pycolmap.Image) -> ImageFeatures:
-    """Features of an image in a database."""
-    keypoints, descriptors = opened.read_keypoints(image.image_id), opened.read_descriptors(image.image_id)
-    return ImageFeatures(opened.read_camera(image.camera_id), keypoints[:, :2], descriptors.data)
+# Up to so many images COLMAP's pipeline has direct solvers.
+DIRECT_UP_TO = 1000
+# All images are adjusted whenever their number, or that of the points, has grown by this factor.
+_GROWN = 1.3
+# Of two photographs: the least angle [deg] at which their rays meet, and the least number of matches, to start from.
+_PAIR_ANGLE_DEG, _PAIR_MATCHES = 1.0, 30
+# Factors on the least number of matches and on the least angle of the initial pair, tried in turn, as by COLMAP.
+_INITIAL_PAIR_FACTORS = ((1.0, 1.0), (0.5, 1.0), (0.5, 0.5), (0.25, 0.5), (0.25, 0.25))
+# Images that are tried as the third before other two are.
+_TRIED_AS_THIRD = 30
 
 
 def camera_of(block: pycolmap.Reconstruction, name: str) -> pycolmap.Camera:
@@ -192,31 +76,21 @@ def points_of(block: pycolmap.Reconstruction) -> np.ndarray:
 
 def tracks_of(block: pycolmap.Reconstruction, names: Sequence[str]) -> TiePoints:
     """Points that three photographs or more see, of two both, and where; views are numbered as in `names`."""
-    least = least_track(len(names))
-    at = {name: k for k, name in enumerate(names)}
+    least, at = least_track(len(names)), {name: k for k, name in enumerate(names)}
     number = {image.image_id: at[image.name] for image in block.images.values() if image.has_pose}
     start: list[np.ndarray] = []
-    pixel: list[np.ndarray] = []
-    point: list[int] = []
-    view: list[int] = []
+    rows: list[tuple[int, int, np.ndarray]] = []
     for key in sorted(block.points3D):
-        found = block.points3D[key]
+        point = block.points3D[key]
         # A photograph may show a point twice, where two of its features were taken for one.
-        seen = {number[e.image_id]: block.images[e.image_id].points2D[e.point2D_idx].xy for e in found.track.elements}
-        if len(seen) < least:
-            continue
-        for placed, xy in sorted(seen.items()):
-            point.append(len(start))
-            view.append(placed)
-            pixel.append(xy)
-        start.append(found.xyz)
-    return TiePoints(
-        np.array(start, dtype=np.float64).reshape(-1, 3),
-        np.array(point, dtype=np.int64),
-        np.array(view, dtype=np.int64),
-        np.array(pixel, dtype=np.float64).reshape(-1, 2),
-        least,
-    )
+        seen = {number[e.image_id]: block.images[e.image_id].points2D[e.point2D_idx].xy for e in point.track.elements}
+        if len(seen) >= least:
+            rows += [(len(start), view, xy) for view, xy in sorted(seen.items())]
+            start.append(point.xyz)
+    numbers = np.array([row[:2] for row in rows], dtype=np.int64).reshape(-1, 2)
+    pixel = np.array([row[2] for row in rows], dtype=np.float64).reshape(-1, 2)
+    numbered, view = numbers.T
+    return TiePoints(np.array(start, dtype=np.float64).reshape(-1, 3), numbered, view, pixel, least)
 
 
 def poses_of(block: pycolmap.Reconstruction) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -225,37 +99,144 @@ def poses_of(block: pycolmap.Reconstruction) -> dict[str, tuple[np.ndarray, np.n
     return {image.name: (image.projection_center(), image.cam_from_world().rotation.matrix()) for image in images}
 
 
-@dataclass(frozen=True)
-class MatchedPhotographs:
-    """Photographs with verified matches."""
-
-    database: Path
-    folder: Path  # In which the images lie
-    work: Path  # For files of the mapper
-    num: int  # Of images
-
-
 def reconstruct(matched: MatchedPhotographs, mapper: str) -> list[pycolmap.Reconstruction]:
     """Reconstructions of poses and points, each in a frame of its own; the largest first."""
-    run = _global if mapper == Mapper.global_ else _incremental
+    folders = matched.database, matched.folder, matched.work
     with current().stage("Structure from motion", matched.num) as step:
-        blocks = run(matched, step.advance)
-    return sorted(blocks.values(), key=lambda block: (-block.num_reg_images(), -block.num_points3D()))
+        if mapper == Mapper.global_:
+            blocks = solver().global_mapping(*folders, _global_options()).values()
+        else:
+            options = pipeline_options(matched.num)
+            # The first two come together.
+            step.advance(2.0)
+            if matched.num > DIRECT_UP_TO:
+                blocks = map_directly(matched.database, options, step.advance)
+            else:
+                blocks = solver().incremental_mapping(*folders, options, next_image_callback=step.advance).values()
+    return sorted(blocks, key=lambda block: (-block.num_reg_images(), -block.num_points3D()))
 
 
-def _incremental(matched: MatchedPhotographs, advance: Callable[..., None]) -> dict[int, pycolmap.Reconstruction]:
-    options = pipeline_options(matched.num)
-    # The first two come together.
-    advance(2.0)
-    if matched.num > DIRECT_UP_TO:
-        return dict(enumerate(map_directly(matched.database, options, advance)))
-    return solver().incremental_mapping(
-        matched.database, matched.folder, matched.work, options, next_image_callback=advance
-    )
-
-
-def _global(matched: MatchedPhotographs, _advance: Callable[..., None]) -> dict[int, pycolmap.Reconstruction]:
+def _global_options() -> pycolmap.GlobalPipelineOptions:
     options = solver().GlobalPipelineOptions()
     options.num_threads, options.random_seed, options.min_model_size = THREADS, SEED, MIN_IMAGES
     options.mapper.global_positioning.use_gpu = options.mapper.bundle_adjustment.ceres.use_gpu = False
-    return solver().global_mapping(matched.database, matched.folder, matched.work, options)
+    return options
+
+
+def pipeline_options(num: int) -> pycolmap.IncrementalPipelineOptions:
+    """Options of COLMAP's pipeline for a number of images."""
+    options = solver().IncrementalPipelineOptions()
+    options.num_threads, options.random_seed, options.min_model_size = THREADS, SEED, MIN_IMAGES
+    options.ba_global_frames_ratio = options.ba_global_points_ratio = _GROWN
+    options.mapper.ba_global_ignore_redundant_points3D = True
+    options.extract_colors = False
+    if num == 2:
+        # Over flat ground two do not determine their focal length, which is held.
+        options.min_model_size = 2
+        options.ba_refine_focal_length = False
+        options.mapper.init_min_tri_angle = options.mapper.filter_min_tri_angle = _PAIR_ANGLE_DEG
+        options.mapper.init_min_num_inliers = _PAIR_MATCHES
+        options.triangulation.min_angle = _PAIR_ANGLE_DEG
+        options.triangulation.ignore_two_view_tracks = False
+    return options
+
+
+def map_directly(
+    database: Path, options: pycolmap.IncrementalPipelineOptions, advance: Callable[[], None]
+) -> list[pycolmap.Reconstruction]:
+    """Blocks by incremental mapping whose bundle adjustments have direct solvers.
+
+    ``advance`` is called whenever an image is added.
+    """
+    colmap, cache_options = solver(), solver().DatabaseCacheOptions()
+    cache_options.min_num_matches = options.min_num_matches
+    with colmap.Database.open(database) as opened:
+        cache = colmap.DatabaseCache.create(opened, cache_options)
+    reconstruction = _IncrementalReconstruction(cache, options, advance)
+    settings = options.get_mapper()
+    matches, angle = settings.init_min_num_inliers, settings.init_min_tri_angle
+    for of_matches, of_angle in _INITIAL_PAIR_FACTORS:
+        settings.init_min_num_inliers, settings.init_min_tri_angle = int(of_matches * matches), of_angle * angle
+        reconstruction.mapper.reset_initialization_stats()
+        blocks = list(reconstruction.blocks(settings))
+        if blocks:
+            return blocks
+    return []
+
+
+class _IncrementalReconstruction:
+    """Reconstruction of blocks, image by image."""
+
+    def __init__(
+        self,
+        cache: pycolmap.DatabaseCache,
+        options: pycolmap.IncrementalPipelineOptions,
+        advance: Callable[[], None],
+    ):
+        self.mapper = solver().IncrementalMapper(cache)
+        self._pipeline = solver().IncrementalPipeline(options, cache, solver().ReconstructionManager())
+        self._options, self._advance, self._num_images = options, advance, cache.num_images()
+        self._triangulation = options.get_triangulation()
+
+    def blocks(self, settings: pycolmap.IncrementalMapperOptions) -> Iterator[pycolmap.Reconstruction]:
+        """Blocks until all images are in one, or no two images are left to start from."""
+        status, mapper = solver().IncrementalPipelineStatus, self.mapper
+        for _ in range(self._options.max_num_models):
+            block = solver().Reconstruction()
+            mapper.begin_reconstruction(block)
+            begun = self._pipeline.initialize_reconstruction(mapper, settings, block)
+            if begun == status.NO_INITIAL_PAIR:
+                mapper.end_reconstruction(True)
+                return
+            if begun != status.BAD_INITIAL_PAIR:
+                self._grow(block, settings)
+            is_block = block.num_reg_images() >= self._options.min_model_size
+            mapper.end_reconstruction(not is_block)
+            if is_block:
+                yield block
+            if mapper.num_total_reg_images() >= self._num_images - 1:
+                return
+
+    def _grow(self, block: pycolmap.Reconstruction, settings: pycolmap.IncrementalMapperOptions) -> None:
+        """Add images while any can be added to a block, or could before all were adjusted."""
+        options, mapper = self._options, self.mapper
+        sizes = block.num_reg_images(), block.num_points3D()
+        is_added = was_added = True
+        while is_added or was_added:
+            was_added, image = is_added, self._add(block, settings)
+            is_added = image is not None
+            if image is not None:
+                mapper.triangulate_image(self._triangulation, image)
+                mapper.iterative_local_refinement(
+                    options.ba_local_max_refinements, options.ba_local_max_refinement_change, settings,
+                    options.get_local_bundle_adjustment(), self._triangulation, image,
+                )  # fmt: skip
+                self._advance()
+            if mapper.num_shared_reg_images() >= options.max_model_overlap:
+                break
+            if self._pipeline.check_run_global_refinement(block, *sizes) or (was_added and not is_added):
+                self._adjust(settings)
+                sizes = block.num_reg_images(), block.num_points3D()
+        if block.num_reg_images() != sizes[0]:
+            self._adjust(settings)
+
+    def _add(self, block: pycolmap.Reconstruction, settings: pycolmap.IncrementalMapperOptions) -> int | None:
+        """Number of an image that was added to the block, by its points or else by other images; None if none was."""
+        mapper = self.mapper
+        registrations = (mapper.register_next_image, mapper.register_next_structure_less_image)
+        for without_points, register in enumerate(registrations):
+            for trial, image in enumerate(mapper.find_next_images(settings, bool(without_points))):
+                if register(settings, image):
+                    return image
+                if trial >= _TRIED_AS_THIRD and block.num_reg_images() < self._options.min_model_size:
+                    break
+        return None
+
+    def _adjust(self, settings: pycolmap.IncrementalMapperOptions) -> None:
+        """Bundle adjustment of all images, with a direct solver at every size, and tracks completed and filtered."""
+        adjustment = self._options.get_global_bundle_adjustment()
+        adjustment.ceres.max_num_images_direct_sparse_cpu_solver = max(self._num_images, DIRECT_UP_TO)
+        self.mapper.iterative_global_refinement(
+            self._options.ba_global_max_refinements, self._options.ba_global_max_refinement_change, settings,
+            adjustment, self._triangulation,
+        )  # fmt: skip

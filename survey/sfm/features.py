@@ -6,22 +6,38 @@ image, whatever its EXIF orientation, and the centre of the first pixel is at (0
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextvars import ContextVar
 from dataclasses import dataclass
+from functools import partial
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import cv2
 import numpy as np
 
+from survey import machine
 from survey.photos.images import eight_bits
 from survey.photos.pixels import read_rgb
-from survey.sfm.settings import FEATURES_PX, SEED, solver
+from survey.progress import current
+from survey.sfm.pairs import VOTING, Place, image_pairs, similar_images
+from survey.sfm.settings import ALL_PAIRS_UP_TO, FEATURES_PX, SEED, solver
 
 if TYPE_CHECKING:
     import pycolmap
 
+# f, cx, cy, k1, k2. With one coefficient a real block is bent by decimetres; more than two gain nothing (see tests).
+MODEL = "RADIAL"
+# Most features of an image. The adjustment uses a few hundred of them (`survey.adjust.block.observed`), and twice
+# as many take four times as long to match.
+_MOST_FEATURES = 2048
+# Pairs of a part, whose features are in memory together: some 100 images, of 0.3 MB each.
+_PAIRS_AT_ONCE = 100
+# Of a photograph while its features are looked for.
+_BYTES_OF_FEATURES = 2.0e9
 # Extrema of less contrast are noise; the limit is that of pycolmap.
 _CONTRAST = 0.02
 # A descriptor's numbers are shares of its whole, of which a byte has so many steps.
@@ -30,15 +46,149 @@ _STEPS = 512.0
 _MOST_ANGLE, _MOST_RATIO = 0.7, 0.8
 
 
-def features_of(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Features of a photograph, those of the largest scale first.
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
-    Parameters
-    ----------
-    path : Path
-        EXIF orientation is not applied.
-    most : int
-        No more than these are kept.
+
+class Workers(Protocol):
+    """Workers that compute a function of many items."""
+
+    def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+        """Results in the order of the items."""
+
+
+_WORKERS: ContextVar[Callable[[], AbstractContextManager[Workers]] | None] = ContextVar("workers", default=None)
+
+
+@contextmanager
+def computing_on(start: Callable[[], AbstractContextManager[Workers]]) -> Iterator[None]:
+    """Within it, features and matches are computed on workers, which ``start`` gives when they are needed."""
+    token = _WORKERS.set(start)
+    try:
+        yield
+    finally:
+        _WORKERS.reset(token)
+
+
+def workers() -> AbstractContextManager[Workers] | None:
+    """The workers to compute on; None where this process computes all itself."""
+    start = _WORKERS.get()
+    return None if start is None else start()
+
+
+@dataclass(frozen=True)
+class CameraBody:
+    """A camera body with one lens at one zoom, and its photographs."""
+
+    names: tuple[str, ...]  # of its images in the folder; without spaces
+    size_px: tuple[int, int]  # (width, height)
+    focal_px: float | None  # To start from; None where nothing is known
+
+
+@dataclass(frozen=True)
+class MatchedPhotographs:
+    """Photographs with verified matches."""
+
+    database: Path
+    folder: Path  # In which the images lie
+    work: Path  # For files of the mapper
+    num: int  # Of images
+
+
+def match_photographs(
+    folder: Path, sensors: Sequence[CameraBody], places: Mapping[str, Place], work: Path, report: Callable[[str], None]
+) -> MatchedPhotographs:
+    """Features and verified matches of the images in a folder, in a database in an empty folder ``work``.
+
+    ``places`` of images whose position is known select the pairs to match.
+    """
+    colmap = solver()
+    database, names = work / "database.db", sorted(name for sensor in sensors for name in sensor.names)
+    colmap.set_random_seed(SEED)
+    colmap.Database.open(database).close()
+    for sensor in sensors:
+        # Before the features, so that images have the same numbers however threads take turns.
+        colmap.import_images(database, folder, colmap.CameraMode.SINGLE, list(sensor.names), _reader(sensor))
+    with workers() or nullcontext() as pool:
+        on = "" if pool is None else ", on workers"
+        report(f"structure from motion: features of {len(names)} images{on}")
+        _extract(database, folder, names, pool)
+        pairs = image_pairs(names, places)
+        lost = [name for name in names if name not in places]
+        if lost and len(names) > ALL_PAIRS_UP_TO:
+            report(f"structure from motion: {len(lost)} images without a position are matched by likeness")
+            pairs = sorted({*pairs, *_similar_pairs(database, names, lost)})
+        report(f"structure from motion: matches of {len(pairs)} pairs{on}")
+        _match_all(database, pairs, pool)
+    return MatchedPhotographs(database, folder, work, len(names))
+
+
+def _extract(database: Path, folder: Path, names: Sequence[str], pool: Workers | None) -> None:
+    colmap = solver()
+    at_once = min(machine.num_cores(), int(machine.free_memory_bytes() / _BYTES_OF_FEATURES))
+    find = partial(features_of, most=_MOST_FEATURES)
+    with (
+        colmap.Database.open(database) as opened,
+        current().stage("Features", len(names)) as step,
+        ThreadPoolExecutor(max(at_once, 1)) as threads,
+    ):
+        # Workers may not see the folder, which holds links; they see the photographs by the paths of the survey.
+        paths = [folder / name for name in names]
+        paths = [path.readlink() if path.is_symlink() else path for path in paths]
+        found = (threads if pool is None else pool).map(find, paths)
+        for name, (keypoints, descriptors) in zip(names, found, strict=True):
+            number = opened.read_image_with_name(name).image_id
+            opened.write_keypoints(number, keypoints)
+            opened.write_descriptors(number, colmap.FeatureDescriptors(colmap.FeatureExtractorType.SIFT, descriptors))
+            step.advance()
+
+
+def _reader(sensor: CameraBody) -> pycolmap.ImageReaderOptions:
+    options = solver().ImageReaderOptions()
+    options.camera_model = MODEL
+    if sensor.focal_px is not None:
+        width, height = sensor.size_px
+        options.camera_params = f"{sensor.focal_px!r},{0.5 * width!r},{0.5 * height!r},0,0"
+    return options
+
+
+def _similar_pairs(database: Path, names: Sequence[str], lost: Sequence[str]) -> list[tuple[str, str]]:
+    """Pairs of images without a position with those that look like them, and with the next in order of names."""
+    at = {name: k for k, name in enumerate(names)}
+    of = [at[name] for name in lost]
+    with solver().Database.open(database) as opened:
+        numbers = (opened.read_image_with_name(name).image_id for name in names)
+        descriptors = (opened.read_descriptors(number).data[:VOTING] for number in numbers)
+        found = [*similar_images(descriptors, len(names), of), *((k, k + step) for k in of for step in (-2, -1, 1, 2))]
+    return [(names[min(i, j)], names[max(i, j)]) for i, j in found if min(i, j) >= 0 and max(i, j) < len(names)]
+
+
+def _match_all(database: Path, pairs: Sequence[tuple[str, str]], pool: Workers | None) -> None:
+    """Verified matches of pairs, part by part."""
+    parts = [pairs[first : first + _PAIRS_AT_ONCE] for first in range(0, len(pairs), _PAIRS_AT_ONCE)]
+    with solver().Database.open(database) as opened, current().stage("Matches", len(pairs)) as step:
+        images = {image.name: image for image in opened.read_all_images()}
+        to_match = (
+            PairsToMatch(part, {name: _features_in(opened, images[name]) for name in sorted(set(chain(*part)))})
+            for part in parts
+        )
+        match = partial(PairsToMatch.matched, threads=machine.num_cores() if pool is None else 1)
+        for part, found in zip(parts, map(match, to_match) if pool is None else pool.map(match, to_match), strict=True):
+            for (one, other), (matches, geometry) in zip(part, found, strict=True):
+                numbers = images[one].image_id, images[other].image_id
+                opened.write_matches(*numbers, matches)
+                opened.write_two_view_geometry(*numbers, geometry)
+            step.advance(len(part))
+
+
+def _features_in(opened: pycolmap.Database, image: pycolmap.Image) -> ImageFeatures:
+    """Features of an image in a database."""
+    keypoints, descriptors = opened.read_keypoints(image.image_id), opened.read_descriptors(image.image_id)
+    return ImageFeatures(opened.read_camera(image.camera_id), keypoints[:, :2], descriptors.data)
+
+
+def features_of(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """Features of a photograph, those of the largest scale first, and no more than ``most``.
 
     Returns
     -------

@@ -1,24 +1,142 @@
-"""GPS positions of photographs, from EXIF or a table beside them into the local frame."""
+"""GPS positions of photographs, from EXIF or a table beside them into the local frame, and transformations of datums.
+
+An error of a transformation of datums, as PROJ states it, is the same at all places of a survey. Where control holds
+the block it widens the positions, and counts for nothing; else the whole block is shifted by it. A transformation that
+is worse than the positions, for want of a grid, or because PROJ knows none, is refused where nothing else places the
+block.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from pyproj import CRS
+from pyproj import CRS, Transformer
+from pyproj.crs import CompoundCRS, CoordinateOperation
+from pyproj.exceptions import ProjError
+from pyproj.transformer import AreaOfInterest
 
-from geo.crs import has_height, is_geographic, parse_crs, vertical_crs
+from geo.crs import has_height, horizontal_crs, is_geographic, middle_lon_lat, parse_crs, vertical_crs
 from geo.frames import LocalFrame
-from geo.transformation import WGS84, Transformation, height_scale, lon_lat
+from geo.transformation import WGS84, Transformation, area_about, height_scale, lon_lat, operations
 from survey.errors import FILE_NAME, ConfigError, PosesError
 from survey.photos.exif import Exif
 from survey.photos.poses import least_track
-from survey.sfm.datum import WELL_KNOWN_M, DatumStd, area_at, height_transformer, plan_std
 from survey.words import GEO_TXT
+
+# Positions that are better than this are those of a receiver with corrections, or of an adjusted block.
+WELL_KNOWN_M = 0.1
+# So many control points place a block.
+_PLACING = 3
+_GEOID_STEP = re.compile(r"\+proj=vgridshift\s+\+grids=(\S+)")
+
+
+@dataclass(frozen=True)
+class DatumStd:
+    """Standard deviations [m] that a transformation of datums adds, alike at all places: in plan and in height."""
+
+    plan: float = 0.0
+    up: float = 0.0
+
+    def onto(self, std: np.ndarray) -> np.ndarray:
+        """Standard deviations (3,) [m] of a place after the transformation."""
+        return np.hypot(std, [self.plan, self.plan, self.up])
+
+
+EXACT = DatumStd()
+
+
+def plan_std(transformation: Transformation) -> float:
+    """Standard deviation [m] of places in plan by a transformation; 0 where PROJ does not know it."""
+    return transformation.accuracy_m or 0.0
+
+
+def require_accurate(transformation: Transformation, plan_std_m: float, positions: str, num_control: int) -> None:
+    """Raise where a grid is missing, and the best transformation without it is worse than the positions, or not known.
+
+    ``plan_std_m`` is that of the positions before, ``num_control`` counts what places the block all the same.
+    """
+    if plan_std_m > WELL_KNOWN_M or num_control >= _PLACING:
+        return
+    transformation.require_known(
+        positions, f"or give {_PLACING} control points or more in crs, which then place the block"
+    )
+    if not transformation.missing_grids:
+        return
+    if transformation.accuracy_m is not None and transformation.accuracy_m <= plan_std_m:
+        return
+    known = "an unknown accuracy" if transformation.accuracy_m is None else f"{transformation.accuracy_m:.2g} m"
+    as_good = "taken as exact" if plan_std_m == 0.0 else f"good to {plan_std_m:.2g} m"
+    transformation.require_best(
+        f"{positions} are {as_good}, and the best transformation without a grid has {known}",
+        f"or put it into the folder geoid of the survey; or give {_PLACING} control points or more in crs, which then "
+        f"place the block, or position_std_m of {transformation.accuracy_m or 10.0:.2g} and more in [cameras] in "
+        f"{FILE_NAME}: the survey may then be shifted by as much",
+    )
+
+
+def smallest(stds: Collection[DatumStd]) -> DatumStd:
+    """Smallest of several values; nothing of none."""
+    return DatumStd(*(min((getattr(each, name) for each in stds), default=0.0) for name in ("plan", "up")))
+
+
+def area_at(lon: np.ndarray, lat: np.ndarray) -> AreaOfInterest:
+    """Area of a survey, by longitudes and latitudes [deg], for PROJ to choose among regional transformations."""
+    return area_about(*middle_lon_lat(np.column_stack([lon, lat])).tolist())
+
+
+def height_transformer(crs: CRS, area: AreaOfInterest) -> Transformer:
+    """Transformer from longitude, latitude [deg] and height above the WGS 84 ellipsoid [m] to the height in crs.
+
+    Only heights are transformed: its horizontal part is WGS 84, so that no grid of horizontal datums is needed.
+    """
+    vertical = vertical_crs(crs)
+    target = "EPSG:4979" if vertical is None else CompoundCRS(f"WGS 84 + {vertical.name}", ["EPSG:4326", vertical])
+    message = f'gps_height = "ellipsoidal" needs a transformation of heights from the ellipsoid to {crs.name}'
+    instead = f'or give heights in crs and gps_height = "crs" in {FILE_NAME}'
+    try:
+        group = operations("EPSG:4979", target, area)
+    except ProjError as error:
+        raise ConfigError(f"{message}, which PROJ does not know ({error}); {instead}") from error
+    if group.transformers:
+        return group.transformers[0]
+    geodetic = horizontal_crs(crs).geodetic_crs
+    grids = [] if geodetic is None else _geoid_grids(group.unavailable_operations, geodetic.name)
+    if not grids:
+        raise ConfigError(f"{message}, which PROJ does not have here; correct the vertical part of crs, {instead}")
+    missing = f"the grid {grids[0]} is" if len(grids) == 1 else f"the grids {' and '.join(grids)} are"
+    get = " and ".join(f"pyproj sync --file {name}" for name in grids)
+    raise ConfigError(
+        f"{message}, and {missing} not installed; install with {get}, put it into the folder geoid of the "
+        f"survey, {instead}"
+    )
+
+
+def _geoid_grids(operations: list[CoordinateOperation], datum: str) -> list[str]:
+    """Grids of the geoid that the best operation needs, among those that need no grid of horizontal datums.
+
+    The best one belongs to the horizontal datum of the survey. A shift between horizontal datums by seven parameters
+    belongs to older realisations than the one without.
+    """
+    ranked = []
+    for operation in operations:
+        steps = operation.to_proj4()
+        grids, needed = _GEOID_STEP.findall(steps), list(operation.grids)
+        if grids and len(grids) == len(needed):
+            rank = (
+                not all(grid.direct_download for grid in needed),
+                datum not in operation.name,
+                "+proj=helmert" in steps,
+                operation.accuracy if operation.accuracy >= 0.0 else math.inf,
+            )
+            ranked.append((rank, grids))
+    return min(ranked)[1] if ranked else []
+
 
 _EXIF, _WGS84_3D = "EXIF", CRS("EPSG:4979")
 _GIVE_POSES = f"name a file of poses in [cameras] poses in {FILE_NAME}"
@@ -37,14 +155,8 @@ class GpsPositions:
 def gps_positions(headers: Mapping[str, Exif], crs: CRS, gps_height: str) -> GpsPositions:
     """Positions of photographs, in a local frame of their own.
 
-    Parameters
-    ----------
-    headers : mapping of name to Exif
-    crs : pyproj.CRS
-        With a vertical part.
-    gps_height : "crs" or "ellipsoidal"
-        What the heights in EXIF are: heights in crs, taken as they are, or heights above the WGS 84 ellipsoid,
-        for which the grid of the geoid under crs has to be installed.
+    With ``gps_height`` "crs" heights in EXIF are taken as heights in crs, with "ellipsoidal" as heights above the WGS
+    84 ellipsoid, for which the grid of the geoid under crs has to be installed.
     """
     num = sum(header.lat_lon_height is not None for header in headers.values())
     num_with_height = sum(is_whole(header.lat_lon_height) for header in headers.values())
@@ -85,15 +197,7 @@ def what_is_missing(headers: Mapping[str, Exif]) -> str:
 
 
 def positions_in_crs(headers: Mapping[str, Exif], crs: CRS, gps_height: str) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Positions (3,) in crs of photographs that have one with a height, by name, and what heights are taken for.
-
-    There may be none.
-
-    Parameters
-    ----------
-    headers, crs, gps_height
-        As for `gps_positions`.
-    """
+    """Positions (3,) in crs of photographs that have one with a height, by name, and what heights are taken for."""
     whole = {name: header for name, header in headers.items() if is_whole(header.lat_lon_height)}
     found: dict[str, np.ndarray] = {}
     notes: list[str] = []
@@ -144,10 +248,9 @@ def _geoid_std(crs: CRS, source: _Source, places: np.ndarray) -> float:
 
 def datum_stds(headers: Mapping[str, Exif], crs: CRS, gps_height: str) -> dict[str, DatumStd]:
     """Std that the transformation into crs adds to GPS positions, by photograph."""
-    transforms = transforms_into_crs(headers, crs, gps_height)
     return {
         name: DatumStd(plan_std(transform.plan), transform.up_std_m)
-        for transform in transforms
+        for transform in transforms_into_crs(headers, crs, gps_height)
         for name in transform.names
     }
 

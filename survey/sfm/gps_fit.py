@@ -81,11 +81,8 @@ def line_of(positions, std_m: float) -> PositionLine | None:
     centre = kept.mean(axis=0)
     _, lengths, axes = np.linalg.svd(kept - centre, full_matrices=False)
     along, across = (float(length) for length in lengths[:2] / math.sqrt(len(kept)))
-    return (
-        PositionLine(centre, axes[0], along, across, std_m)
-        if across < max(_LINE_STD * std_m, _LINE_SHARE * along)
-        else None
-    )
+    is_line = across < max(_LINE_STD * std_m, _LINE_SHARE * along)
+    return PositionLine(centre, axes[0], along, across, std_m) if is_line else None
 
 
 def is_contradicted(residuals) -> np.ndarray:
@@ -150,13 +147,7 @@ def attitudes_of(headers: Mapping[str, Exif]) -> dict[str, np.ndarray]:
 
 
 def roll_by_attitudes(across: LineAxes, rotations: np.ndarray, attitudes: np.ndarray) -> float:
-    """Roll [rad] about the line that makes a block agree with the attitudes of its cameras.
-
-    Parameters
-    ----------
-    rotations, attitudes : (V, 3, 3)
-        Cam from local, as the block has them and as attitudes have them.
-    """
+    """Roll [rad] about the line that turns rotations (V, 3, 3), cam from local, to the attitudes of the cameras."""
     turns = Rotation.from_matrix(attitudes.transpose(0, 2, 1) @ rotations).as_quat()
     # The twist about the line; what is left of a turn, errors of the heading above all, leaves it as it is.
     angles = 2.0 * np.arctan2(turns[:, :3] @ across.along, turns[:, 3])
@@ -165,15 +156,7 @@ def roll_by_attitudes(across: LineAxes, rotations: np.ndarray, attitudes: np.nda
 
 
 def roll_by_ground(across: LineAxes, rotations: np.ndarray, points: np.ndarray) -> float:
-    """Roll [rad] after which cameras look straight down across the line, or else the ground is level there.
-
-    Parameters
-    ----------
-    rotations : (V, 3, 3)
-        Cam from local.
-    points : (N, 3) [m], local
-        Of the ground.
-    """
+    """Roll [rad] after which cameras look straight down across the line, or else the ground (N, 3) is level there."""
     lateral, up = rotations[:, 2].sum(axis=0) @ np.stack([across.lateral, across.up], axis=1)
     angle = -0.5 * math.pi - math.atan2(up, lateral)
     steep = _slope(across.flat(across.rolled(angle)(points)))
@@ -181,13 +164,9 @@ def roll_by_ground(across: LineAxes, rotations: np.ndarray, points: np.ndarray) 
 
 
 def roll_by_control(across: LineAxes, places: np.ndarray, control: np.ndarray) -> float:
-    """Roll [rad] that rotates points of a block onto their control points, by their offsets across the line.
+    """Roll [rad] that rotates places (K, 3) of a block onto their control (K, 3), by their offsets across the line.
 
     Heights of positions and of control may have different datums, so that heights do not count.
-
-    Parameters
-    ----------
-    places, control : (K, 3) [m], local
     """
     places_across, control_across = across.flat(places), across.flat(control)
     reach = np.linalg.norm(places_across, axis=1)

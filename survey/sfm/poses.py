@@ -31,9 +31,9 @@ from survey.photos.poses import TiePoints
 from survey.settings.config import CamerasConfig
 from survey.sfm import block as sfm_block
 from survey.sfm.absolute_orientation import PlacedBlocks, place_by_control, place_by_gps
+from survey.sfm.control_fit import BlockControl
 from survey.sfm.gps import gps_positions, positions_in_crs
 from survey.sfm.gps_fit import attitudes_of
-from survey.sfm.mark_rays import BlockControl
 from survey.sfm.pairs import image_pairs
 from survey.sfm.settings import mapper_of, one_focal, solver
 from survey.sfm.solve import FreeBlocks, Photographs, sensors_of, solve
@@ -71,27 +71,18 @@ def solve_poses(
 ) -> SfmResult:
     """Poses, lenses and points of photographs with GPS positions, or with control points.
 
+    The same images on the same kind of computer give the same poses: seeds and threads are fixed.
+
     Parameters
     ----------
-    images, headers : mapping of name to Path, to Exif
     cameras : CamerasConfig
         A focal length that it has is kept; without it, the one in EXIF is where the search starts.
-    crs : pyproj.CRS
-        With a vertical part.
     workspace : Path
         Keeps the solved block, which is used again while images and settings are the same.
     level_m : float, optional
         Of the water or the ground, about, in the heights of crs; it tells footprints.
-    control : BlockControl, optional
-        Places blocks instead of GPS positions.
-    spare_control : BlockControl, optional
-        Places the blocks that GPS positions cannot.
-    report : callable, optional
-        Called with a sentence on the progress.
-
-    Notes
-    -----
-    The same images on the same kind of computer give the same poses: seeds and threads are fixed.
+    control, spare_control : BlockControl, optional
+        Places blocks instead of GPS positions; places the blocks that GPS positions cannot.
     """
     note = report or (lambda _text: None)
     images = dict(sorted(images.items()))
@@ -139,20 +130,7 @@ def blocks_of(
 ) -> list[FreeViews]:
     """Poses and points of photographs, not placed anywhere, of each block that they make; the largest first.
 
-    Parameters
-    ----------
-    images : mapping of name to Path
-        In order of names.
-    positions : mapping of name to (3,) [m]
-        Of the cameras, about, in any one frame; they select the pairs to match.
-    focal_px : float or None
-        To start from; None for the one in EXIF.
-    workspace : Path
-        As for `solve_poses`.
-    report : callable
-        Called with a sentence on the progress.
-    mapper : str
-        One of `survey.words.Mapper`.
+    Images are in order of names. Positions (3,) [m] of the cameras, about, in any one frame, select the pairs to match.
     """
     headers = {name: read_exif(path) for name, path in images.items()}
     mapper, why = mapper_of(len(images), mapper)

@@ -18,7 +18,8 @@ from survey.errors import FILE_NAME, PosesError
 from survey.photos.exif import Exif
 from survey.photos.poses import least_track
 from survey.sfm import block as sfm_block
-from survey.sfm.block import CameraBody, reconstruct
+from survey.sfm.block import reconstruct
+from survey.sfm.features import CameraBody, match_photographs
 from survey.sfm.gps_fit import attitudes_of
 from survey.sfm.pairs import LEAST_HEIGHT_M, Place
 from survey.words import Mapper
@@ -98,16 +99,7 @@ class FreeBlocks:
 
 
 def solve(photographs: Photographs, work: Path, report: Callable[[str], None]) -> FreeBlocks:
-    """Solve for the poses of photographs.
-
-    Parameters
-    ----------
-    photographs : Photographs
-    work : Path
-        An empty folder.
-    report : callable
-        Called with a sentence on the progress.
-    """
+    """Solve for the poses of photographs; ``work`` is an empty folder."""
     separate = without_shared_images(_blocks(photographs, work, report))
     sensors = sensors_of(photographs.headers, photographs.focal_px)
     nominal = {name: sensor.focal_px for sensor in sensors for name in sensor.names}
@@ -118,18 +110,9 @@ def solve(photographs: Photographs, work: Path, report: Callable[[str], None]) -
 def reset_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | None]) -> list[str]:
     """Reset focal lengths that the block does not determine to those in EXIF, and adjust it with them; notes.
 
-    Parameters
-    ----------
-    block : pycolmap.Reconstruction
-        Changed in place.
-    nominal : mapping of name to float or None
-        Focal lengths [px] in EXIF, by name in the block.
-
-    Notes
-    -----
-    Where all axes are parallel over flat ground, a longer focal length and a higher flight give the same images; small
-    errors of the lens model, and the bend of rays at the water, then determine the result, and heights and depths scale
-    with it.
+    The block is changed in place; ``nominal`` are focal lengths [px] in EXIF, by name in the block. Where all axes are
+    parallel over flat ground, a longer focal length and a higher flight give the same images; small errors of the lens
+    model, and the bend of rays at the water, then determine the result, and heights and depths scale with it.
     """
     poses = sfm_block.poses_of(block)
     axes = np.array([rotation[2] for _, rotation in poses.values()])
@@ -181,7 +164,7 @@ def _blocks(photographs: Photographs, work: Path, report: Callable[[str], None])
         replace(sensor, names=tuple(alias_of[name] for name in sensor.names))
         for sensor in sensors_of(photographs.headers, photographs.focal_px)
     ]
-    of_pairs = sfm_block.match_photographs(folder, sensors, places, work, report)
+    of_pairs = match_photographs(folder, sensors, places, work, report)
     unknown = "; its progress is not known until it ends" if photographs.mapper == Mapper.global_ else ""
     report(f"structure from motion: poses, by {photographs.mapper} mapping{unknown}")
     blocks = reconstruct(of_pairs, photographs.mapper)

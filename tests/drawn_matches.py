@@ -14,7 +14,7 @@ from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
 from survey.sfm import block as sfm_block
 from survey.sfm.absolute_orientation import place_by_gps
-from survey.sfm.features import CameraBody
+from survey.sfm.features import MODEL, CameraBody
 from survey.sfm.gps import GpsPositions
 from survey.sfm.pairs import Place, image_pairs
 from survey.sfm.settings import SEED
@@ -70,7 +70,7 @@ def survey_of_mapped(block: DrawnBlock, blocks: list[pycolmap.Reconstruction]) -
 def _write(database: pycolmap.Database, block: DrawnBlock, pairs: list[tuple[str, str]]) -> None:
     rng, lens = np.random.default_rng([block.seed, 39]), block.stated_lens
     params = [lens.focal[0], 0.5 * lens.width, 0.5 * lens.height, 0.0, 0.0]
-    body = pycolmap.Camera(model=sfm_block.MODEL, width=lens.width, height=lens.height, params=params)
+    body = pycolmap.Camera(model=MODEL, width=lens.width, height=lens.height, params=params)
     body.has_prior_focal_length = True
     camera = database.write_camera(body)
     rig = pycolmap.Rig()

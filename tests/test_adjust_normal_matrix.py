@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array, diags_array
 
-from survey.adjust.block.normal_equations import system_at
+from survey.adjust.block.normal_equations import huber_system
 from survey.adjust.block.normal_matrix import _ROWS, BlockFactor, DenseFactor, NormalMatrix, elimination_order
 from survey.adjust.block.prediction import design_matrix, linearise
 from survey.adjust.block.priors import PriorKnowledge, prior_of, priors_for
@@ -203,7 +203,7 @@ def test_normal_equations_are_those_of_dense_products(num_lenses, finds_focals):
     # Without outliers all observations have the same weight.
     ties = replace(ties, pixel=linear.pixels + 0.1)
     problem = replace(problem, ties=ties)
-    system = system_at(problem, state, std_px)
+    system = huber_system(problem, state, std_px)
     design = design_matrix(prior.layout, ties.view, linear.by_parameters).toarray() / PIXEL_STD
     by_points = np.zeros((len(ties.view), 2, len(ties), 3))
     by_points[np.arange(len(ties.view)), :, ties.point] = linear.by_point / PIXEL_STD

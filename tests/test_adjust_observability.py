@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from survey.adjust.block.lens_priors import FOCAL_SHARE
+from survey.adjust.block.priors import FOCAL_SHARE
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Status
 from survey.errors import SurveyError

@@ -9,10 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from survey.adjust.block.on_ground import shift_onto, ties_on_ground
+from survey.adjust.block.on_ground import GroundFit, shift_onto, ties_on_ground
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import read_adjustment, write_adjustment
-from survey.adjust.result.ground_fit import GroundFit
 from survey.control.points import StableGround
 from survey.errors import ControlError
 from tests.block_survey import height_error, pose_errors

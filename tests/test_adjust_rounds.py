@@ -9,7 +9,7 @@ import pytest
 
 from survey.adjust import rounds
 from survey.adjust.block.bundle import Solution
-from survey.adjust.block.normal_equations import system_at
+from survey.adjust.block.normal_equations import huber_system
 from survey.adjust.block.prediction import apparent_rise_design
 from survey.adjust.block.problem import Priors, Problem
 from survey.adjust.block.state import NUM_POSE, NUM_RELIEF, with_parameters
@@ -164,7 +164,7 @@ def solved_at(level: float, **settings) -> tuple[Problem, Solution]:
     kind, std_px = np.zeros(len(ties.view), dtype=np.int64), np.array([PIXEL_STD])
     priors = Priors(state, std, np.full(ties.start.shape, np.inf))
     problem = Problem(layout, ties, kind, priors, std_px, apparent_rise_design(state, ties))
-    system = system_at(problem, state, std_px)
+    system = huber_system(problem, state, std_px)
     weights = np.full(len(kind), PIXEL_STD**-2.0)
     return problem, Solution(state, system.normal.inverse, problem.residuals(state), weights, std_px, system)
 

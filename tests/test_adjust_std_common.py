@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from survey.adjust.block.lens_priors import parameters_of
 from survey.adjust.block.prediction import linearise, predict
+from survey.adjust.block.priors import parameters_of
 from survey.adjust.block.state import Layout, State
 from survey.adjust.result.adjustment import Residuals
 from survey.adjust.result.std_common import _places_of_mean, common_error, place_jacobian, shift_std, std_common

@@ -60,11 +60,11 @@ def survey(tmp_path_factory) -> Survey:
     return load_survey(folder)
 
 
-def blocks_by(matched: MatchedPhotographs, mapper: str, work: Path) -> list[pycolmap.Reconstruction]:
+def blocks_by(matched: MatchedPhotographs, mapper: str, work: Path, **options: int) -> list[pycolmap.Reconstruction]:
     """Blocks by a mapper, from a copy of the matches."""
     work.mkdir(exist_ok=True)
     shutil.copy(matched.database, work / "database.db")
-    return reconstruct(MatchedPhotographs(work / "database.db", work, work, matched.num), mapper)
+    return reconstruct(MatchedPhotographs(work / "database.db", work, work, matched.num), mapper, **options)
 
 
 def centres_of(blocks: list[pycolmap.Reconstruction]) -> np.ndarray:
@@ -92,12 +92,11 @@ def test_poses_one_by_one_are_the_same_again(matched, one_by_one, tmp_path):
     assert np.abs(fit_similarity(centres, before)(centres) - before).max() < 1e-2 * np.ptp(before)
 
 
-def test_blocks_of_direct_solvers_are_those_of_the_pipeline(matched, one_by_one, tmp_path, monkeypatch):
-    monkeypatch.setattr(sfm_block, "DIRECT_UP_TO", 0)
-    directly = blocks_by(matched, Mapper.incremental, tmp_path / "first")
+def test_blocks_of_direct_solvers_are_those_of_the_pipeline(matched, one_by_one, tmp_path):
+    directly = blocks_by(matched, Mapper.incremental, tmp_path / "first", direct_up_to=0)
     if sum(len(sfm_block.poses_of(block)) for block in directly) < _NUM:
         # Where threads take turns otherwise, a block may fall apart.
-        directly = blocks_by(matched, Mapper.incremental, tmp_path / "second")
+        directly = blocks_by(matched, Mapper.incremental, tmp_path / "second", direct_up_to=0)
     centres, before = centres_of(directly), centres_of(one_by_one)
     assert len(centres) == len(before) == _NUM
     # As above: a track more or less is kept.

@@ -8,9 +8,9 @@ import numpy as np
 
 from refract.lens import Lens, is_affine
 from survey.adjust.block.control_check import control_warnings
+from survey.adjust.block.normal_matrix import propagated_variance
 from survey.adjust.block.observed import KINDS, MARK, Observed
 from survey.adjust.block.priors import PriorKnowledge
-from survey.adjust.block.propagation import propagated_variance
 from survey.adjust.block.state import (
     FOCAL_NAME,
     LENS_NAMES,

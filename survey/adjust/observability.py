@@ -23,10 +23,10 @@ import numpy as np
 
 from survey.adjust.block.bundle import NotConvergedError, Solution, levenberg_marquardt
 from survey.adjust.block.normal_equations import system_with
+from survey.adjust.block.normal_matrix import propagated, propagated_variance
 from survey.adjust.block.observed import Observed
 from survey.adjust.block.priors import FREE_WATER, PriorKnowledge
 from survey.adjust.block.problem import huber_weights
-from survey.adjust.block.propagation import propagated, propagated_variance
 from survey.adjust.block.roll import Roll, spans_area
 from survey.adjust.block.state import (
     HELD_SHARE,

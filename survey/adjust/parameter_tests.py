@@ -26,7 +26,7 @@ import numpy as np
 
 from evaluation.summary import std_by_median
 from survey.adjust.block.bundle import NotConvergedError, Solution, solve
-from survey.adjust.block.normal_equations import system_at
+from survey.adjust.block.normal_equations import huber_system
 from survey.adjust.block.observed import Observed, sizes_of
 from survey.adjust.block.priors import PriorKnowledge, prior_of, priors_for
 from survey.adjust.block.problem import Problem, std_of_kinds
@@ -120,7 +120,7 @@ def check_given_values(
     given, std[tested] = std.copy(), np.maximum(std[tested], _LEAST_STD)
     problem = replace(problem, priors=replace(priors_for(prior, problem.ties), state=state, std=std))
     std_px, sizes = std_of_kinds(problem, problem.residuals(state), 0.0), sizes_of(survey)
-    system = system_at(problem, state, std_px)
+    system = huber_system(problem, state, std_px)
     factor = system.normal.factor()
     joint_step, joint_variance = factor.solve(system.right_side), factor.inverse_diagonal()
     tests = []

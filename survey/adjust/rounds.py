@@ -10,7 +10,7 @@ from survey.adjust.block.bundle import NotConvergedError, Solution, solve
 from survey.adjust.block.control_check import checked_points, stated_points
 from survey.adjust.block.normal_equations import System, system_with
 from survey.adjust.block.observed import KINDS, MARK, Observed, Sizes
-from survey.adjust.block.on_ground import GroundAlignment, GroundTies, ground_alignment, ties_on_ground
+from survey.adjust.block.on_ground import GroundTies, ties_on_ground
 from survey.adjust.block.pose_std import agreeing_positions, positions_left_out, reestimate_pose_std, with_positions
 from survey.adjust.block.priors import PriorKnowledge
 from survey.adjust.block.problem import Problem
@@ -82,7 +82,7 @@ class RobustSolution:
     problem: Problem
     variance_factor: np.ndarray  # (N,): for what neighbouring observations and neighbouring ground share
     blunders: np.ndarray  # (V, 2) bool: positions and rotations that the block contradicts and that were left out
-    alignment: GroundAlignment | None = None  # On the ground of an earlier survey
+    on_ground: GroundTies | None = None  # The ground of an earlier survey under its tie points
 
 
 def adjust(prior: PriorKnowledge, seen: Observed) -> RobustSolution:
@@ -140,10 +140,9 @@ def adjust(prior: PriorKnowledge, seen: Observed) -> RobustSolution:
         del problem, solution, on_ground
     if prior.common_up_std > 0.0:
         solution = replace(solution, covariance=covariance_over_shore(problem, solution))
-    placed = None if on_ground is None else ground_alignment(on_ground, problem, solution)
     solution = replace(solution, std_px=np.sqrt(mean_by_kind(found[kind] ** 2, seen.kind)))
     problem = replace(problem, given_std_px=found)
-    return RobustSolution(prior, seen, solution, problem, factors[kind], blunders, placed)
+    return RobustSolution(prior, seen, solution, problem, factors[kind], blunders, on_ground)
 
 
 def _solve_once(

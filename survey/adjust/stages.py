@@ -11,7 +11,7 @@ from survey.adjust.assembling import assemble_result
 from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.control_check import contradicted_points, contradiction_warning, has_unchecked_control
 from survey.adjust.block.observed import CELLS, PER_CELL, Observed, observed, sizes_of, thinned
-from survey.adjust.block.on_ground import moved_by, shift_onto
+from survey.adjust.block.on_ground import ground_fit, shift_onto
 from survey.adjust.block.priors import PriorKnowledge, SharedShift, prior_of
 from survey.adjust.block.state import NUM_POSE, NUM_WATER, WATER_PARAMETERS
 from survey.adjust.common_height import apply_level_datum, drop_common_height, water_start, with_common
@@ -19,7 +19,6 @@ from survey.adjust.focal_lengths import FocalDrift, with_focal_std, with_focals
 from survey.adjust.observability import Unobservable, adjust_free, adjusted_with
 from survey.adjust.parameter_tests import LEVEL, check_dry_block, dry_bed_error, release, worst_contradiction
 from survey.adjust.result.adjustment import MOST_SIGMAS, Adjustment
-from survey.adjust.result.ground_fit import GroundFit
 from survey.adjust.rounds import RobustSolution, adjust
 from survey.control.points import StableGround
 from survey.errors import GivenValueTest
@@ -205,14 +204,14 @@ class StagedAdjustment:
 
     def _on_ground(self, found: Adjustment, done: RobustSolution) -> Adjustment:
         """The result with how the block lies on the ground of an earlier survey, where there is one."""
-        if done.alignment is None:
+        if done.on_ground is None:
             return found
-        planes = done.problem.priors.planes
-        assert planes is not None
-        fit = GroundFit(
-            **vars(done.alignment),
-            reference=str(self.survey.config.control.reference),
-            moved=moved_by(self.survey.views, done.solution, planes),
+        fit = ground_fit(
+            done.on_ground,
+            done.problem,
+            done.solution,
+            self.survey.views,
+            str(self.survey.config.control.reference),
             is_against_positions=self._is_against_positions,
         )
         return replace(found, ground=fit, notes=(*found.notes, *fit.notes), warnings=(*found.warnings, *fit.warnings))

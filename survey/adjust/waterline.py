@@ -11,7 +11,7 @@ import numpy as np
 
 from geo.files import write_text
 from survey.adjust.block.bundle import NotConvergedError
-from survey.adjust.block.propagation import propagated
+from survey.adjust.block.normal_matrix import propagated
 from survey.adjust.block.state import NUM_WATER, WATER_PARAMETERS, settings_by_local, settings_of
 from survey.adjust.observability import none_observable
 from survey.adjust.refine import adjust_survey

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from survey.adjust.block.on_ground import NAMES
+from survey.adjust.block.on_ground import NAMES, GroundFit
 from survey.adjust.block.state import NUM_RELIEF
 from survey.adjust.result.adjustment import Adjustment, ControlResidual, Parameter
-from survey.adjust.result.ground_fit import GroundFit
 from survey.adjust.result.std_common import common_error
 from survey.adjust.result.std_of_block import Part, parts_of_adjustment
 from survey.display.blocks import Block, Rows, Sentences, Table, Text

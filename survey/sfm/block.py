@@ -99,7 +99,9 @@ def poses_of(block: pycolmap.Reconstruction) -> dict[str, tuple[np.ndarray, np.n
     return {image.name: (image.projection_center(), image.cam_from_world().rotation.matrix()) for image in images}
 
 
-def reconstruct(matched: MatchedPhotographs, mapper: str) -> list[pycolmap.Reconstruction]:
+def reconstruct(
+    matched: MatchedPhotographs, mapper: str, *, direct_up_to: int = DIRECT_UP_TO
+) -> list[pycolmap.Reconstruction]:
     """Reconstructions of poses and points, each in a frame of its own; the largest first."""
     folders = matched.database, matched.folder, matched.work
     with current().stage("Structure from motion", matched.num) as step:
@@ -109,7 +111,7 @@ def reconstruct(matched: MatchedPhotographs, mapper: str) -> list[pycolmap.Recon
             options = pipeline_options(matched.num)
             # The first two come together.
             step.advance(2.0)
-            if matched.num > DIRECT_UP_TO:
+            if matched.num > direct_up_to:
                 blocks = map_directly(matched.database, options, step.advance)
             else:
                 blocks = solver().incremental_mapping(*folders, options, next_image_callback=step.advance).values()

@@ -25,11 +25,11 @@ import numpy as np
 from scipy.special import chdtrc
 
 from survey.adjust.block.bundle import Solution
+from survey.adjust.block.normal_matrix import propagated, propagated_variance
 from survey.adjust.block.observed import MARK, Observed, original_rows
 from survey.adjust.block.prediction import design_matrix, linearise
 from survey.adjust.block.priors import PriorKnowledge
 from survey.adjust.block.problem import Problem
-from survey.adjust.block.propagation import propagated, propagated_variance
 from survey.adjust.block.state import NUM_POSE, NUM_RELIEF, State
 from survey.control.points import Control
 from survey.display.quantities import named

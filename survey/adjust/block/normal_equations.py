@@ -11,7 +11,6 @@ w      weight of an observation (N,) [1/px^2]
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,49 +95,70 @@ class System:
         return np.einsum("mij,mi->mj", self.point_root, left)
 
 
-def system_at(problem: Problem, state: State, std_px: np.ndarray) -> System:
-    """The normal equations at a state, for standard deviations (kinds,) [px] of the observations."""
-    return huber_system(problem, state, std_px, np.ones(len(problem.kind)))
+def huber_system(
+    problem: Problem,
+    state: State,
+    std_px: np.ndarray,
+    variance_factor: np.ndarray | float = 1.0,
+    *,
+    reduces_curvature: bool = False,
+) -> System:
+    """The normal equations at a state with Huber weights, for standard deviations (kinds,) [px] of the observations.
+
+    ``reduces_curvature`` takes outliers with a share of the curvature that their weights have along the residual.
+    """
+    linear = LinearisedObservations.at(problem, state)
+    weights = huber_weights(problem, linear.residuals, std_px) / variance_factor
+    if reduces_curvature:
+        linear.reduce_curvature(np.linalg.norm(linear.residuals, axis=1) > HUBER * std_px[problem.kind])
+    return _system(problem, state, linear.weighted(weights))
 
 
 def system_with(problem: Problem, state: State, weights: np.ndarray) -> System:
     """The normal equations at a state, for weights (N,) [1/px^2] of the observations."""
-    return _weighted_system(problem, state, lambda _residuals: weights)
+    return _system(problem, state, LinearisedObservations.at(problem, state).weighted(weights))
 
 
-def huber_system(
-    problem: Problem, state: State, std_px: np.ndarray, variance_factor: np.ndarray, *, reduces_curvature: bool = False
-) -> System:
-    """The normal equations with Huber weights.
+@dataclass
+class LinearisedObservations:
+    """Observations linearised at a state."""
 
-    ``reduces_curvature`` takes outliers with a share of the curvature that their weights have along the residual.
-    """
+    residuals: np.ndarray  # (N, 2)
+    by_point: np.ndarray  # (N, 2, 3): X
+    design: np.ndarray | None  # (N, 2, K): B, see `Prediction.by_parameters`; None where the parameters are held
 
-    def weights_of(residuals: np.ndarray) -> np.ndarray:
-        return huber_weights(problem, residuals, std_px) / variance_factor
+    @classmethod
+    def at(cls, problem: Problem, state: State) -> LinearisedObservations:
+        of_block = problem.layout, state, problem.ties, problem.rise_design, problem.rows
+        if problem.holds_parameters:
+            pixels, by_point = linearise_by_points(*of_block)
+            return cls(problem.ties.pixel - pixels, by_point, None)
+        linear = linearise(*of_block)
+        return cls(problem.ties.pixel - linear.pixels, linear.by_point, linear.by_parameters)
 
-    def outliers(residuals: np.ndarray) -> np.ndarray:
-        return np.linalg.norm(residuals, axis=1) > HUBER * std_px[problem.kind]
+    def reduce_curvature(self, outliers: np.ndarray) -> None:
+        """Take outliers (N,) bool with a share of the curvature along their residual; the gradient stays as it is."""
+        rows = np.flatnonzero(outliers)
+        along = self.residuals[rows] / np.maximum(np.linalg.norm(self.residuals[rows], axis=1, keepdims=True), 1e-300)
+        reduced = np.eye(2) - (1.0 - _CURVATURE) * along[:, :, None] * along[:, None, :]
+        self.residuals[rows] /= _CURVATURE
+        self.by_point[rows] = reduced @ self.by_point[rows]
+        if self.design is not None:
+            self.design[rows] = reduced @ self.design[rows]
 
-    return _weighted_system(problem, state, weights_of, outliers if reduces_curvature else None)
+    def weighted(self, weights: np.ndarray) -> LinearisedObservations:
+        """Times the roots of their weights; those of weight 0 are zero, and ``by_point`` is (2, 3, N)."""
+        unusable, roots = np.flatnonzero(weights == 0.0), np.sqrt(weights)
+        self.residuals[unusable], self.by_point[unusable] = 0.0, 0.0
+        if self.design is not None:
+            self.design[unusable] = 0.0
+            self.design *= roots[:, None, None]
+        by_point = np.moveaxis(self.by_point, 0, -1) * roots
+        return LinearisedObservations(self.residuals * roots[:, None], by_point, self.design)
 
 
-def _weighted_system(
-    problem: Problem,
-    state: State,
-    weights_of: Callable[[np.ndarray], np.ndarray],
-    outliers: Callable[[np.ndarray], np.ndarray] | None = None,
-) -> System:
-    """The normal equations.
-
-    Parameters
-    ----------
-    weights_of : callable
-        Takes residuals (N, 2) [px] to weights (N,) [1/px^2].
-    outliers : callable, optional
-        Takes them to those whose curvature along the residual is reduced, (N,) bool.
-    """
-    linear, priors = _linearised(problem, state, weights_of, outliers), problem.priors
+def _system(problem: Problem, state: State, linear: LinearisedObservations) -> System:
+    priors = problem.priors
     planes = None if priors.planes is None else priors.planes.of_points(state.points, state.shift)
     own, right = _of_points(problem, state, linear, planes)
     point_root = np.linalg.inv(np.linalg.cholesky(_damped(own)))
@@ -146,13 +166,8 @@ def _weighted_system(
     precision = np.where(np.isfinite(priors.std), priors.std, np.inf) ** -2.0
     if linear.design is None:
         fixed = Coupling(csr_array((point_right_side.size, len(precision))), bsr_array((point_right_side.size, 0)))
-        return System(
-            NormalMatrix.of(csr_array(diags_array(precision))),
-            np.zeros(len(precision)),
-            point_root,
-            point_right_side,
-            fixed,
-        )
+        normal, none = NormalMatrix.of(csr_array(diags_array(precision))), np.zeros(len(precision))
+        return System(normal, none, point_root, point_right_side, fixed)
     coupling = _coupling(problem, linear, point_root, planes)
     by_view, gradients = _of_parameters(problem, linear)
     deviation = priors.deviation(problem.layout, state)
@@ -163,57 +178,12 @@ def _weighted_system(
         shift, (on_plane, to_plane) = problem.layout.shift, planes
         of_shift[shift, shift] = on_plane.sum(axis=0)
         gradient[shift] -= to_plane.sum(axis=0)
-    normal = _reduced(problem.layout, by_view, of_shift, coupling, is_dense=problem.order is None)
-    found = NormalMatrix.of(normal, problem.order).with_precision(precision)
+    matrix = _reduced(problem.layout, by_view, of_shift, coupling, is_dense=problem.order is None)
+    normal = NormalMatrix.of(matrix, problem.order).with_precision(precision)
     if priors.rows is not None and priors.signs is not None:
-        found = found.with_rows(priors.rows, priors.signs)
+        normal = normal.with_rows(priors.rows, priors.signs)
         gradient -= priors.rows.T @ (priors.signs * (priors.rows @ deviation))
-    return System(found, gradient, point_root, point_right_side, coupling)
-
-
-@dataclass(frozen=True)
-class LinearisedObservations:
-    """Observations linearised at a state, times the roots of their weights; those of weight 0 are zero."""
-
-    residuals: np.ndarray  # (N, 2)
-    by_point: np.ndarray  # (2, 3, N): X
-    design: np.ndarray | None  # (N, 2, K): B, see `Prediction.by_parameters`; None where the parameters are held
-
-
-def _linearised(
-    problem: Problem,
-    state: State,
-    weights_of: Callable[[np.ndarray], np.ndarray],
-    outliers: Callable[[np.ndarray], np.ndarray] | None,
-) -> LinearisedObservations:
-    """The observations at a state."""
-    of_block = problem.layout, state, problem.ties, problem.rise_design, problem.rows
-    design = None
-    if problem.holds_parameters:
-        pixels, by_point = linearise_by_points(*of_block)
-    else:
-        linear = linearise(*of_block)
-        pixels, by_point, design = linear.pixels, linear.by_point, linear.by_parameters
-    residuals = problem.ties.pixel - pixels
-    weights = weights_of(residuals)
-    unusable = np.flatnonzero(weights == 0.0)
-    if len(unusable):
-        residuals[unusable], by_point[unusable] = 0.0, 0.0
-        if design is not None:
-            design[unusable] = 0.0
-    if outliers is not None:
-        found = np.flatnonzero(outliers(residuals))
-        along = residuals[found] / np.maximum(np.linalg.norm(residuals[found], axis=1, keepdims=True), 1e-300)
-        reduced = np.eye(2) - (1.0 - _CURVATURE) * along[:, :, None] * along[:, None, :]
-        # The gradient stays as it is.
-        residuals[found] /= _CURVATURE
-        by_point[found] = reduced @ by_point[found]
-        if design is not None:
-            design[found] = reduced @ design[found]
-    roots = np.sqrt(weights)
-    if design is not None:
-        design *= roots[:, None, None]
-    return LinearisedObservations(residuals * roots[:, None], np.moveaxis(by_point, 0, -1) * roots, design)
+    return System(normal, gradient, point_root, point_right_side, coupling)
 
 
 def _of_points(
@@ -277,15 +247,10 @@ def _coupling(
     columns = np.broadcast_to(alike.columns[:, None], data.shape)
     shared = coo_array((data.ravel(), (rows.ravel(), columns.ravel())), shape=(num, layout.first_pose))
     if planes is not None:
-        shared = shared + _in_columns(-(point_root @ planes[0]).reshape(-1, NUM_SHIFT), layout.shift, shared.shape)
+        by_shift, first = -(point_root @ planes[0]).reshape(-1, NUM_SHIFT), layout.shift.start
+        where = first + np.tile(np.arange(NUM_SHIFT), num)
+        shared = shared + csr_array((by_shift.ravel(), where, NUM_SHIFT * np.arange(num + 1)), shape=shared.shape)
     return Coupling(shared.toarray() if layout.first_pose <= _FEW else csr_array(shared), poses)
-
-
-def _in_columns(values: np.ndarray, columns: slice, shape: tuple[int, int]) -> csr_array:
-    """Values (rows, K) in K of the columns of a sparse matrix of zeros."""
-    rows, count = values.shape
-    where = np.tile(np.arange(columns.start, columns.stop), rows)
-    return csr_array((values.ravel(), where, count * np.arange(rows + 1)), shape=shape)
 
 
 def _sum(ties: TiePoints, values: np.ndarray) -> np.ndarray:

@@ -348,3 +348,13 @@ def _scale_rows(matrix: np.ndarray, scale: np.ndarray) -> None:
     for first in range(0, len(matrix), _ROWS):
         columns = slice(first, first + _ROWS)
         matrix[:, columns] *= np.outer(scale, scale[columns])
+
+
+def propagated(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Covariance (..., K, K) of functions whose derivatives (..., K, P) are by unknowns of a covariance (P, P)."""
+    return jacobian @ covariance @ jacobian.swapaxes(-1, -2)
+
+
+def propagated_variance(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Variances (..., K) alone, as `propagated`; rounding leaves none below zero."""
+    return np.maximum(np.sum((jacobian @ covariance) * jacobian, axis=-1), 0.0)

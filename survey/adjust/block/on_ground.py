@@ -15,8 +15,9 @@ weights. Positions are known to some metres in plan.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import minimum_filter
@@ -26,9 +27,10 @@ from evaluation.local_surface import local_surface
 from evaluation.summary import std_by_median
 from survey.adjust.block.bundle import Solution
 from survey.adjust.block.normal_equations import System, system_with
+from survey.adjust.block.normal_matrix import propagated_variance
 from survey.adjust.block.problem import Planes, Problem
-from survey.adjust.block.propagation import propagated_variance
 from survey.control.points import StableGround
+from survey.display.quantities import length
 from survey.errors import ControlError
 from survey.photos.cameras import View
 
@@ -50,6 +52,13 @@ _STARTS_M = np.arange(-5.0, 5.1, 0.5)
 _MOST_STARTS, _STEPS = 10, 12
 _MOST_NODES = 20_000
 _STEADY_M = 1e-3
+_AXES = ("east", "north", "up")
+# The ground determines a part of the transformation whose std it lowers to this share.
+_DETERMINED_SHARE = 0.7
+# On ground that did not change, less of it does, and tie points scatter by less.
+_MOST_CHANGED, _MOST_SCATTER = 0.5, 3.0
+# In standard deviations of what was said of the reference.
+_MOST_OFF = 3.0
 
 
 @dataclass(frozen=True)
@@ -178,9 +187,7 @@ def _cost(planes: _PlanesOnGrid, points: np.ndarray, shift: np.ndarray) -> float
     normal, height = planes.at(points[:, :2] + shift)
     off = np.einsum("mi,mi->m", normal, points + np.array([*shift, 0.0])) - height
     off = off[np.isfinite(off)]
-    if len(off) < LEAST_GROUND_POINTS:
-        return np.inf
-    return _cost_of(off - np.median(off), len(points), shift)
+    return np.inf if len(off) < LEAST_GROUND_POINTS else _cost_of(off - np.median(off), len(points), shift)
 
 
 def _cost_of(off: np.ndarray, count: int, shift: np.ndarray) -> float:
@@ -220,8 +227,8 @@ def _descend(planes: _PlanesOnGrid, points: np.ndarray, start: np.ndarray) -> tu
 
 
 @dataclass(frozen=True, kw_only=True)
-class GroundAlignment:
-    """Alignment of an adjusted block to the ground."""
+class GroundFit:
+    """Fit of an adjusted block to the dry ground of an earlier survey."""
 
     # num_points, num_over, num_changed: Tie points that hold the block, one of each square of ground; all over the
     # ground; those where it changed
@@ -237,15 +244,90 @@ class GroundAlignment:
     off_m: tuple[float, ...]
     off_std_m: tuple[float, ...]
     off_prior_m: tuple[float, ...]
+    reference: str  # File of the earlier survey
+    moved: tuple[float, ...]  # Of each of `NAMES`: by how much, from where poses and positions had it
+    is_against_positions: bool  # Whether it contradicts positions of a stated accuracy
+
+    @classmethod
+    def of_record(cls, record: Mapping[str, Any] | None) -> GroundFit | None:
+        """The fit of a stored record."""
+        if record is None:
+            return None
+        values: dict[str, Any] = {name: tuple(v) if isinstance(v, list | tuple) else v for name, v in record.items()}
+        return cls(**values)
+
+    @property
+    def is_determined_by_ground(self) -> tuple[bool, ...]:
+        """Parts of the transformation that the ground determines."""
+        without = (math.inf,) * len(self.std) if self.std_without is None else self.std_without
+        return tuple(std <= _DETERMINED_SHARE * before for std, before in zip(self.std, without, strict=True))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The placement in a sentence."""
+        axes = _along_axes(self.moved, self.std)
+        undetermined = [
+            name.rsplit("_", 1)[0].replace("_", " about ")
+            for name, is_determined in zip(NAMES, self.is_determined_by_ground, strict=True)
+            if not is_determined
+        ]
+        remarks = f"; it does not determine {', '.join(undetermined)}" if undetermined else ""
+        determined = np.array(self.off_std_m) <= _DETERMINED_SHARE * np.array(self.off_prior_m)
+        if determined.any():
+            off = np.array(_along_axes(self.off_m, self.off_std_m))[determined]
+            remarks += f"; all of {self.reference} is off by {', '.join(off)}, as control and positions show"
+        return (
+            f"placed on {self.num_points} points of the dry ground of {self.reference}, to {length(self.rms_m)} rms: "
+            f"moved by {', '.join(axes)}{remarks}",
+        )
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings about ground that changed, or contradicts the positions."""
+        share = self.num_changed / max(self.num_over, 1)
+        parts = [
+            f"{self.reference} lies {length(value)} (± {length(std)}) further {axis} than control and positions place "
+            f"it, and [control] reference_std_m says {length(prior)}: check its datum and theirs, or give a larger "
+            "reference_std_m"
+            for value, std, prior, axis in zip(self.off_m, self.off_std_m, self.off_prior_m, _AXES, strict=True)
+            if abs(value) > _MOST_OFF * prior
+        ]
+        if share > _MOST_CHANGED:
+            parts.append(
+                f"{100.0 * share:.0f} % of the tie points over the ground of {self.reference} do not fit it: it has "
+                "changed, or is another place; give polygons of stable ground in [control] stable"
+            )
+        if self.scatter > _MOST_SCATTER:
+            parts.append(
+                f"tie points over the ground of {self.reference} scatter about it {self.scatter:.1f} times as much as "
+                "its own points: it may be another place or time; look at the bank in the cloud, give positions good "
+                "to a few metres, or polygons of stable ground in [control] stable"
+            )
+        if self.is_against_positions:
+            moved = " / ".join(length(value) for value in self.moved[:3])
+            parts.append(
+                f"{self.reference} places the block {moved} (east / north / up) from where the positions place it, "
+                "more than their stated accuracies allow; the reference is used: check its datum, and those of the "
+                "positions and crs"
+            )
+        return tuple(parts)
 
 
-def in_units(values: np.ndarray) -> tuple[float, ...]:
-    """Shift [m], turn [rad] and scale less one (7,) in the units of `NAMES`."""
-    return tuple((values * _UNITS).tolist())
+def _along_axes(values: tuple[float, ...], stds: tuple[float, ...]) -> list[str]:
+    """East, north and up with their standard deviations, in words."""
+    return [f"{length(v)} {axis} (± {length(std)})" for v, std, axis in zip(values, stds, _AXES, strict=False)]
 
 
-def ground_alignment(on_ground: GroundTies, problem: Problem, solution: Solution) -> GroundAlignment:
-    """Shift, turn and scale of a block against the ground, with their standard deviations."""
+def ground_fit(
+    on_ground: GroundTies,
+    problem: Problem,
+    solution: Solution,
+    before: Sequence[View],
+    reference: str,
+    *,
+    is_against_positions: bool,
+) -> GroundFit:
+    """Shift, turn and scale of a block against the ground; ``before`` has the poses that it came with."""
     of_shift, covariance = problem.layout.shift, solution.covariance
     planes, points = on_ground.planes, solution.state.points
     used = planes.precision > 0.0
@@ -253,21 +335,29 @@ def ground_alignment(on_ground: GroundTies, problem: Problem, solution: Solution
     alone = replace(problem, priors=replace(problem.priors, planes=None))
     system = system_with(alone, solution.state, solution.weights)
     try:
-        without = in_units(_std_of_block(system, points, middle, system.normal.inverse))
+        without = _in_units(_std_of_block(system, points, middle, system.normal.inverse))
     except np.linalg.LinAlgError:
         without = None
-    return GroundAlignment(
+    return GroundFit(
         num_points=int(used.sum()),
         num_over=int(on_ground.over.sum()),
         num_changed=int(on_ground.changed.sum()),
         rms_m=float(np.sqrt(np.mean(planes.distances(points, solution.state.shift)[used] ** 2))),
         scatter=on_ground.scatter,
-        std=in_units(_std_of_block(solution.system, points, middle, covariance)),
+        std=_in_units(_std_of_block(solution.system, points, middle, covariance)),
         std_without=without,
         off_m=tuple((-solution.state.shift).tolist()),
         off_std_m=tuple(np.sqrt(np.diag(covariance)[of_shift]).tolist()),
         off_prior_m=tuple(problem.priors.std[of_shift].tolist()),
+        reference=reference,
+        moved=_moved_by(before, solution, middle),
+        is_against_positions=is_against_positions,
     )
+
+
+def _in_units(values: np.ndarray) -> tuple[float, ...]:
+    """Shift [m], turn [rad] and scale less one (7,) in the units of `NAMES`."""
+    return tuple((values * _UNITS).tolist())
 
 
 def _std_of_block(system: System, points: np.ndarray, middle: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -288,9 +378,9 @@ def _std_of_block(system: System, points: np.ndarray, middle: np.ndarray, covari
     return np.sqrt(propagated_variance(follow, covariance))
 
 
-def moved_by(before: Sequence[View], solution: Solution, planes: Planes) -> tuple[float, ...]:
-    """Motion of a block, as `NAMES`: its shift is that at the middle of the points that hold it."""
-    state, middle = solution.state, solution.state.points[planes.precision > 0.0].mean(axis=0)
+def _moved_by(before: Sequence[View], solution: Solution, middle: np.ndarray) -> tuple[float, ...]:
+    """Motion of a block, as `NAMES`: its shift is that at the middle (3,) of the points that hold it."""
+    state = solution.state
     centres = np.array([view.camera.centre for view in before])
     rotations = np.array([view.camera.cam_from_local for view in before])
     turns = Rotation.from_matrix(state.rotations.transpose(0, 2, 1) @ rotations)
@@ -299,4 +389,4 @@ def moved_by(before: Sequence[View], solution: Solution, planes: Planes) -> tupl
     turned = turn.apply(was)
     scale = float(np.sum(turned * now) / max(float(np.sum(turned * turned)), 1e-12))
     middle_before = centres.mean(axis=0) + turn.inv().apply(middle - state.centres.mean(axis=0)) / scale
-    return in_units(np.array([*(middle - middle_before), *turn.as_rotvec(), scale - 1.0]))
+    return _in_units(np.array([*(middle - middle_before), *turn.as_rotvec(), scale - 1.0]))

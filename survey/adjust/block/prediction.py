@@ -105,33 +105,28 @@ def predict(
 ) -> np.ndarray:
     """Predicted pixels (N, 2); NaN where a point lies behind its camera.
 
-    Parameters
-    ----------
-    rise_design : (N, 3)
-        As `apparent_rise_design` gives them.
-    rows : (N,) [px], optional
-        Of the photographs as they were taken, for rolling shutters; default those of the tie points.
+    ``rise_design`` (N, 3) is as of `apparent_rise_design`; ``rows`` (N,) [px] are those of the photographs as they were
+    taken, for rolling shutters, by default those of the tie points.
     """
-    lens = _LensOfRays.of(layout, state, ties)
-    line = lines_of_sight(*_ends(layout, state, ties, rise_design, rows), state.water).T
-    in_cam = np.einsum("ijn,jn->in", _rotations(state, ties), line)
-    return lens.pixels(distorted(_at_unit_depth(in_cam)[0], lens.distortion)).T
+    rays = _Rays(layout, state, ties, rise_design, rows)
+    return rays.pixels(distorted(rays.xy, rays.distortion))
 
 
 def linearise_by_points(
     layout: Layout, state: State, ties: TiePoints, rise_design: np.ndarray, rows: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Predicted pixels (N, 2) and their derivatives by the points alone, (N, 2, 3); see `predict`."""
-    seen = _Seen.of(layout, state, ties, rise_design, rows)
-    return seen.pixels.T, np.moveaxis(seen.by_point(), -1, 0)
+    seen = _Derivatives(_Rays(layout, state, ties, rise_design, rows), state.water)
+    return seen.rays.pixels(seen.distorted_xy), np.moveaxis(seen.by_point(), -1, 0)
 
 
 def linearise(
     layout: Layout, state: State, ties: TiePoints, rise_design: np.ndarray, rows: np.ndarray | None = None
 ) -> Prediction:
     """Predicted pixels with their derivatives; see `predict`."""
-    seen = _Seen.of(layout, state, ties, rise_design, rows)
-    by_point, by_centre, by_water = seen.by_point(), seen.by_centre(), seen.by_water(state)
+    rays = _Rays(layout, state, ties, rise_design, rows)
+    seen = _Derivatives(rays, state.water)
+    by_point, by_centre, by_water = seen.by_point(), seen.by_centre(), seen.by_water(state.water)
     by_lens, by_readout = seen.by_lens(), np.zeros((2, 0, len(ties.view)))
     if layout.velocity_per_row is not None:
         late, readouts = _rows_after_pose(layout, state, ties, rows)
@@ -142,14 +137,14 @@ def linearise(
             by_readout = (late * by_velocity)[:, None]
     # A tide raises the water of its photograph as a higher level does.
     by_rate = by_water[:, :0] if layout.hours is None else by_water[:, :1] * layout.hours[ties.view]
-    by_focal = by_lens[:, :1] * (seen.lens.of_lens / seen.lens.enlarged) if layout.finds_focals else by_lens[:, :0]
-    x, y, z = seen.in_cam
+    by_focal = by_lens[:, :1] * (rays.of_lens / rays.enlarged) if layout.finds_focals else by_lens[:, :0]
+    x, y, z = rays.in_cam
     by_x, by_y, by_z = np.moveaxis(seen.by_cam, 1, 0)
     by_turn = np.stack([by_z * y - by_y * z, by_x * z - by_z * x, by_y * x - by_x * y], axis=1)
     parts = by_water, by_point[:, 2:] * rise_design.T, by_lens, by_readout, by_rate, by_focal, by_centre, by_turn
     by_parameters = np.empty((len(ties.view), 2, sum(part.shape[1] for part in parts)))
     np.concatenate([part.transpose(2, 0, 1) for part in parts], axis=2, out=by_parameters)
-    return Prediction(seen.pixels.T, np.moveaxis(by_point, -1, 0), by_parameters)
+    return Prediction(rays.pixels(seen.distorted_xy), np.moveaxis(by_point, -1, 0), by_parameters)
 
 
 def design_matrix(layout: Layout, view: np.ndarray, by_parameters: np.ndarray) -> csr_array:
@@ -174,11 +169,81 @@ def apparent_rise_design(state: State, ties: TiePoints) -> np.ndarray:
     return np.column_stack([np.sum(tangent**2, axis=1), tangent])
 
 
+class _Rays:
+    """Lines of sight of N observations, in cam, with the lenses that see them."""
+
+    def __init__(self, layout: Layout, state: State, ties: TiePoints, rise_design: np.ndarray, rows: np.ndarray | None):
+        number = layout.lens_of[ties.view]
+        self.of_lens, *others = np.take(state.lenses.T, number, axis=1)  # (N,) [px]: focal length of the lens along x
+        self.middle, self.distortion = np.split(np.array(others), [2])  # (2, N) [px], (5, N)
+        one = np.ones(len(number))
+        # (N,): focal length of the photograph over that of the lens; (2, N): that along x and y over that along x
+        self.enlarged = one + state.focals[ties.view] if len(state.focals) else one
+        self.aspect = np.stack([one, layout.aspect[number]])
+        self.focal = self.aspect * (self.of_lens * self.enlarged)  # (2, N) [px]
+        self.ends = _ends(layout, state, ties, rise_design, rows)
+        self.line = np.ascontiguousarray(lines_of_sight(*self.ends, state.water).T)  # (3, N) [m], local
+        rotations = np.ascontiguousarray(np.moveaxis(state.rotations, 0, -1))
+        self.rotations = np.take(rotations, ties.view, axis=-1)  # (3, 3, N)
+        self.in_cam = np.einsum("ijn,jn->in", self.rotations, self.line)
+        # Where they meet the plane at depth 1; NaN behind the camera.
+        self.depth = np.where(self.in_cam[2] > 0.0, self.in_cam[2], np.nan)
+        self.xy = self.in_cam[:2] / self.depth
+
+    def pixels(self, distorted_xy: np.ndarray) -> np.ndarray:
+        """Pixels (N, 2) of distorted coordinates (2, N)."""
+        return (distorted_xy * self.focal + self.middle).T
+
+
+class _Derivatives:
+    """Derivatives of the pixels of rays, (2, K, N) by K unknowns."""
+
+    def __init__(self, rays: _Rays, water: FlatWater | None):
+        self.rays, self.num = rays, rays.line.shape[1]
+        self.distorted_xy, by_xy, self.by_coefficients = distort(rays.xy, rays.distortion)
+        by_plane = rays.focal[:, None] * by_xy / rays.depth
+        # By the lines of sight, in cam and in local.
+        self.by_cam = np.concatenate([by_plane, -np.einsum("ain,in->an", by_plane, rays.xy)[:, None]], axis=1)
+        self.by_line = _product(self.by_cam, rays.rotations)
+        self.wet, self.crossing = np.zeros(0, dtype=np.int64), None
+        if water is not None:
+            over, under = (water.depth(end) for end in rays.ends)
+            self.wet = np.flatnonzero((under > 0.0) & (over < 0.0))
+            line, centres, points = (np.take(a, self.wet, axis=-1) for a in (rays.line, rays.ends[0].T, rays.ends[1].T))
+            self.crossing = Crossing.of(line, centres, points, water)
+
+    def _through(self, found: np.ndarray, by_unknown: np.ndarray) -> np.ndarray:
+        """Derivatives of straight rays, with those of bent ones by what moves their line of sight, (3, K, W)."""
+        found[..., self.wet] = _product(np.take(self.by_line, self.wet, axis=-1), by_unknown)
+        return found
+
+    def by_point(self) -> np.ndarray:
+        straight = self.by_line.copy()
+        return straight if self.crossing is None else self._through(straight, self.crossing.by_point())
+
+    def by_centre(self) -> np.ndarray:
+        straight = -self.by_line
+        return straight if self.crossing is None else self._through(straight, self.crossing.by_centre())
+
+    def by_water(self, water: FlatWater | None) -> np.ndarray:
+        dry = np.zeros((2, NUM_WATER, self.num))
+        return dry if self.crossing is None or water is None else self._through(dry, self.crossing.by_water(water))
+
+    def by_lens(self) -> np.ndarray:
+        by_focal = self.distorted_xy * self.rays.aspect * self.rays.enlarged
+        by_middle = np.broadcast_to(np.eye(2)[:, :, None], (2, 2, self.num))
+        return np.concatenate([by_focal[:, None], by_middle, self.rays.focal[:, None] * self.by_coefficients], axis=1)
+
+
 def _ends(
     layout: Layout, state: State, ties: TiePoints, rise_design: np.ndarray, rows: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Cameras and points (N, 3) each, lowered by the tide and by the departure of the water from its plane there."""
-    centres, points = _centres(layout, state, ties, rows), _points_of_observations(state, ties, rise_design)
+    centres, points = state.centres[ties.view], state.points[ties.point]
+    points[:, 2] += rise_design @ state.relief
+    if layout.velocity_per_row is not None:
+        late, readouts = _rows_after_pose(layout, state, ties, rows)
+        centres = centres + (readouts * late)[:, None] * layout.velocity_per_row[ties.view]
     tides = state.tides(layout)
     if (tides is None and layout.departure is None) or state.water is None:
         return centres, points
@@ -197,15 +262,6 @@ def _near_crossing(centres: np.ndarray, points: np.ndarray, water: FlatWater) ->
     return points[:, :2] + share[:, None] * (centres - points)[:, :2]
 
 
-def _centres(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray | None) -> np.ndarray:
-    """Camera centres (N, 3) at the exposure of the observed rows; a pose is that at the row `cy`."""
-    centres = state.centres[ties.view]
-    if layout.velocity_per_row is None:
-        return centres
-    late, readouts = _rows_after_pose(layout, state, ties, rows)
-    return centres + (readouts * late)[:, None] * layout.velocity_per_row[ties.view]
-
-
 def _rows_after_pose(
     layout: Layout, state: State, ties: TiePoints, rows: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -213,118 +269,3 @@ def _rows_after_pose(
     number = layout.lens_of[ties.view]
     rows = ties.pixel[:, 1] if rows is None else rows
     return rows - state.lenses[number, 2], state.readouts[number]
-
-
-def _points_of_observations(state: State, ties: TiePoints, rise_design: np.ndarray) -> np.ndarray:
-    """Points (N, 3) of the observations."""
-    points = state.points[ties.point]
-    points[:, 2] += rise_design @ state.relief
-    return points
-
-
-def _rotations(state: State, ties: TiePoints) -> np.ndarray:
-    """Rotations (3, 3, N) from local to cam."""
-    return np.take(np.ascontiguousarray(np.moveaxis(state.rotations, 0, -1)), ties.view, axis=-1)
-
-
-def _at_unit_depth(in_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates (2, N) where lines of sight meet the plane at depth 1, and their depths (N,); NaN behind."""
-    z = np.where(in_cam[2] > 0.0, in_cam[2], np.nan)
-    return in_cam[:2] / z, z
-
-
-@dataclass(frozen=True)
-class _LensOfRays:
-    """Lenses of N observations."""
-
-    of_lens: np.ndarray  # (N,) [px]: focal length of the lens along x
-    enlarged: np.ndarray  # (N,): that of the photograph over it
-    aspect: np.ndarray  # (2, N): focal lengths along x and y over that along x
-    middle: np.ndarray  # (2, N) [px]
-    distortion: np.ndarray  # (5, N)
-
-    @classmethod
-    def of(cls, layout: Layout, state: State, ties: TiePoints) -> _LensOfRays:
-        number = layout.lens_of[ties.view]
-        focal, *middle_and_distortion = np.take(state.lenses.T, number, axis=1)
-        one = np.ones(len(number))
-        enlarged = one + state.focals[ties.view] if len(state.focals) else one
-        middle, distortion = np.split(np.array(middle_and_distortion), [2])
-        return cls(focal, enlarged, np.stack([one, layout.aspect[number]]), middle, distortion)
-
-    @property
-    def focal(self) -> np.ndarray:
-        """Focal lengths (2, N) [px] of the photographs."""
-        return self.aspect * (self.of_lens * self.enlarged)
-
-    def pixels(self, distorted_xy: np.ndarray) -> np.ndarray:
-        """Pixels (2, N) of distorted coordinates (2, N)."""
-        return distorted_xy * self.focal + self.middle
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """Observations with what their derivatives are made of."""
-
-    lens: _LensOfRays
-    pixels: np.ndarray  # (2, N) [px]
-    in_cam: np.ndarray  # (3, N) [m]: the lines of sight in cam
-    by_cam: np.ndarray  # (2, 3, N): derivatives by them
-    by_line: np.ndarray  # (2, 3, N): by them in local
-    distorted_xy: np.ndarray  # (2, N)
-    by_coefficients: np.ndarray  # (2, 5, N): derivatives of distorted_xy by the coefficients of distortion
-    wet: np.ndarray  # (K,) int64: observations through water
-    crossing: Crossing | None  # Of these
-
-    @classmethod
-    def of(
-        cls, layout: Layout, state: State, ties: TiePoints, rise_design: np.ndarray, rows: np.ndarray | None
-    ) -> _Seen:
-        lens, ends = _LensOfRays.of(layout, state, ties), _ends(layout, state, ties, rise_design, rows)
-        line = np.ascontiguousarray(lines_of_sight(*ends, state.water).T)
-        wet, crossing = np.zeros(0, dtype=np.int64), None
-        if state.water is not None:
-            over, under = (state.water.depth(each) for each in ends)
-            wet = np.flatnonzero((under > 0.0) & (over < 0.0))
-            bent, centres, points = (np.take(each, wet, axis=-1) for each in (line, ends[0].T, ends[1].T))
-            crossing = Crossing.of(bent, centres, points, state.water)
-        rotations = _rotations(state, ties)
-        in_cam = np.einsum("ijn,jn->in", rotations, line)
-        xy, z = _at_unit_depth(in_cam)
-        distorted_xy, by_xy, by_coefficients = distort(xy, lens.distortion)
-        by_plane = lens.focal[:, None] * by_xy / z
-        by_cam = np.concatenate([by_plane, -np.einsum("ain,in->an", by_plane, xy)[:, None]], axis=1)
-        by_line = _product(by_cam, rotations)
-        return cls(
-            lens, lens.pixels(distorted_xy), in_cam, by_cam, by_line, distorted_xy, by_coefficients, wet, crossing
-        )
-
-    def by_point(self) -> np.ndarray:
-        """Derivatives (2, 3, N) by the points."""
-        found = self.by_line.copy()
-        if self.crossing is not None:
-            found[..., self.wet] = _product(np.take(self.by_line, self.wet, axis=-1), self.crossing.by_point())
-        return found
-
-    def by_centre(self) -> np.ndarray:
-        """Derivatives (2, 3, N) by the centres of the cameras."""
-        found = -self.by_line
-        if self.crossing is not None:
-            found[..., self.wet] = _product(np.take(self.by_line, self.wet, axis=-1), self.crossing.by_centre())
-        return found
-
-    def by_water(self, state: State) -> np.ndarray:
-        """Derivatives (2, 4, N) by the water."""
-        found = np.zeros((2, NUM_WATER, self.in_cam.shape[1]))
-        if self.crossing is not None and state.water is not None:
-            found[..., self.wet] = _product(
-                np.take(self.by_line, self.wet, axis=-1), self.crossing.by_water(state.water)
-            )
-        return found
-
-    def by_lens(self) -> np.ndarray:
-        """Derivatives (2, 8, N) by the lenses."""
-        by_focal = self.distorted_xy * self.lens.aspect * self.lens.enlarged
-        by_middle = np.broadcast_to(np.eye(2)[:, :, None], (2, 2, self.in_cam.shape[1]))
-        by_distortion = self.lens.focal[:, None] * self.by_coefficients
-        return np.concatenate([by_focal[:, None], by_middle, by_distortion], axis=1)

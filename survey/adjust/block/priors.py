@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from refract.lens import Lens
-from survey.adjust.block.lens_priors import data_sheet, focals_std, lenses_std, parameters_of
+from survey.adjust.block.priors import data_sheet, focals_std, lenses_std, parameters_of
 from survey.adjust.block.problem import Priors
 from survey.adjust.block.roll import Roll, roll_priors, rolled_by_attitudes, rolls_of
 from survey.adjust.block.state import (

@@ -13,8 +13,8 @@ import numpy as np
 
 from geo.files import write_whole
 from refract.lens import Lens
+from survey.adjust.block.on_ground import GroundFit
 from survey.adjust.block.state import LENS_NAMES, READOUT_NAME, WATER_PARAMETERS, Layout, State
-from survey.adjust.result.ground_fit import GroundFit
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object, write_json
 from survey.files.toml_table import parse_values, table_of

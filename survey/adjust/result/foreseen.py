@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from evaluation.standards import TO_95, TVU
-from survey.adjust.block.normal_equations import system_at
+from survey.adjust.block.normal_equations import huber_system
 from survey.adjust.block.observed import CELLS, KINDS, PER_CELL, WINDOW
 from survey.adjust.block.prediction import Prediction, apparent_rise_design, design_matrix, linearise, predict
 from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, INDEX_STD, LEVEL_STD_M, prior_of, priors_for
@@ -160,7 +160,7 @@ def _covariance(survey: Survey, gsd: float, ties: TiePoints, *, free: bool) -> t
     kind = np.full(len(ties.view), WINDOW)
     problem = Problem(prior.layout, ties, kind, priors_for(prior, ties), std_px, rise_design)
     linear = linearise(prior.layout, state, ties, rise_design)
-    return system_at(problem, state, std_px).normal.inverse, prior.layout, linear
+    return huber_system(problem, state, std_px).normal.inverse, prior.layout, linear
 
 
 def _heights(

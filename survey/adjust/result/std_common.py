@@ -29,11 +29,10 @@ from scipy.spatial import cKDTree
 
 from geo.shapes import portions
 from refract import FlatWater
-from survey.adjust.block.lens_priors import parameters_of
+from survey.adjust.block.normal_matrix import propagated_variance
 from survey.adjust.block.observed import original_rows
 from survey.adjust.block.prediction import design_matrix, linearise
-from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, prior_of
-from survey.adjust.block.propagation import propagated_variance
+from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, parameters_of, prior_of
 from survey.adjust.block.state import NUM_RELIEF, NUM_WATER, Layout, State
 from survey.adjust.result.adjustment import Adjustment
 from survey.photos.poses import TiePoints, least_track

@@ -23,7 +23,7 @@ from scipy import ndimage
 
 from geo.shapes import portions
 from refract import FlatWater
-from survey.adjust.block.propagation import propagated
+from survey.adjust.block.normal_matrix import propagated
 from survey.adjust.result.adjustment import Adjustment, Residuals
 from survey.adjust.result.std_common import (
     PORTION,

@@ -13,8 +13,7 @@ from scipy.ndimage import gaussian_filter
 
 from refract.lens import Lens
 from survey.adjust import refine
-from survey.adjust.block.matching import RADIUS, match, prepare_image, window
-from survey.adjust.block.windows import measure_windows
+from survey.adjust.block.windows import RADIUS, match, measure_windows, prepare_image, window
 from survey.adjust.waterline import WaterEstimate, calibrate_water
 from survey.folder.survey import Survey, load_survey
 from survey.photos.poses import TiePoints

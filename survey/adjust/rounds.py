@@ -110,8 +110,8 @@ def adjust(prior: PriorKnowledge, seen: Observed) -> RobustSolution:
         problem, solution, on_ground = _solve_once(prior, seen, state, kind, given, factors[kind])
         found = solution.std_px
         before, factors = factors, _factors(problem, solution, seen.sizes, factors)
-        poses, known_blunders = reestimate_pose_std(prior, solution, blunders), blunders
-        prior, blunders = poses.prior, poses.blunders
+        known_prior, known_blunders = prior, blunders
+        prior, blunders = reestimate_pose_std(prior, solution, blunders)
         checked = checked_points(problem, solution, seen, coordinates)
         control_changed = checked is not seen
         # Wrong points are found one by one.
@@ -125,7 +125,7 @@ def adjust(prior: PriorKnowledge, seen: Observed) -> RobustSolution:
         # A few matches do no harm at their Huber weights; a mark is one of few, and has a name.
         few = (~keep).mean() < _FEW and keep[seen.kind == MARK].all()
         converged = (
-            few and not poses.is_changed and not control_changed and (np.abs(factors / before - 1.0) < 0.2).all()
+            few and prior is known_prior and not control_changed and (np.abs(factors / before - 1.0) < 0.2).all()
         )
         # What is returned as used is what the solution was found from.
         if converged or not remaining:

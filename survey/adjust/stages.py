@@ -9,7 +9,7 @@ import numpy as np
 
 from survey.adjust.assembling import assemble_result
 from survey.adjust.block.bundle import NotConvergedError
-from survey.adjust.block.control_check import contradicted_points, contradiction_warning, has_unchecked_control
+from survey.adjust.block.control_check import control_contradiction, has_unchecked_control
 from survey.adjust.block.observed import CELLS, PER_CELL, Observed, observed, sizes_of, thinned
 from survey.adjust.block.on_ground import ground_fit, shift_onto
 from survey.adjust.block.priors import PriorKnowledge, SharedShift, prior_of
@@ -184,8 +184,8 @@ class StagedAdjustment:
             free = apply_level_datum(StagedAdjustment(alone, prior, free_water=False).first_ties(kind, ties))[0]
         except NotConvergedError:
             return []
-        contradictions = contradicted_points(control, self.survey.views, free.prior, free.solution)
-        return [contradiction_warning(contradictions)] if contradictions else []
+        warning = control_contradiction(control, self.survey.views, free.prior, free.solution)
+        return [] if warning is None else [warning]
 
     def result(self, done: RobustSolution, contradictions: Sequence[GivenValueTest]) -> Adjustment:
         """The adjustment in the terms of the survey."""

@@ -9,7 +9,8 @@ with S that of the coordinates, s the standard deviation of the marks and C the 
 point itself determines the block, C contains it too, and the sum is too large. The residual of the adjusted place is
 the sharper test then; its covariance is S less that of the place.
 
-One or two control points are held against a block placed without them, by positions and water (`contradicted_points`).
+One or two control points are held against a block placed without them, by positions and water
+(`control_contradiction`).
 Three points or more check each other; of fewer, each pulls the whole block after it, and its own residual stays small.
 So the block is adjusted without control; marks less those that the coordinates predict have the covariance
 ``X S X' + s^2 + B C B'``, which a test of chi-square takes.
@@ -18,7 +19,7 @@ So the block is adjusted without control; marks less those that the coordinates 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ from survey.adjust.block.observed import MARK, Observed, original_rows
 from survey.adjust.block.prediction import design_matrix, linearise
 from survey.adjust.block.priors import PriorKnowledge
 from survey.adjust.block.problem import Problem
-from survey.adjust.block.state import NUM_POSE, NUM_RELIEF, State
+from survey.adjust.block.state import NUM_POSE, NUM_RELIEF, Layout, State
 from survey.control.points import Control
 from survey.display.quantities import named
 from survey.photos.cameras import View
@@ -75,12 +76,8 @@ def stated_points(seen: Observed) -> dict[str, StatedPoint]:
 def checked_points(problem: Problem, solution: Solution, seen: Observed, stated: Mapping[str, StatedPoint]) -> Observed:
     """Observations with wrong control freed and optimistic standard deviations widened; the same where none is.
 
-    Only the worst point is freed: it pulls the block away from others, which are judged without it.
-
-    Parameters
-    ----------
-    stated : name to StatedPoint
-        Of control points, before any was freed or widened.
+    Only the worst point is freed: it pulls the block away from others, which are judged without it. ``stated`` are the
+    control points by name, before any was freed or widened.
     """
     first = len(seen.ties) - len(seen.control)
     std = seen.point_std.copy()
@@ -124,36 +121,42 @@ def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int, gi
     marks = np.flatnonzero(seen.ties.point == point)
     if len(marks) < 2:
         return np.inf
-    moved = solution.state.points[point] - given.place
-    linear = linearise(
-        problem.layout,
-        replace(solution.state, points=solution.state.points[[point]]),
-        TiePoints(seen.ties.start[[point]], np.zeros_like(marks), seen.ties.view[marks], seen.ties.pixel[marks]),
-        problem.rise_design[marks],
-        None if problem.rows is None else problem.rows[marks],
-    )
-    residuals = seen.ties.pixel[marks] - linear.pixels
-    by_parameters = design_matrix(problem.layout, seen.ties.view[marks], linear.by_parameters).toarray()
-    by_parameters = by_parameters.reshape(len(marks), 2, -1)
-    std_px = float(solution.std_px[problem.kind[marks[0]]])
-
-    def normalised(chosen: np.ndarray) -> float:
-        by_point = linear.by_point[chosen].reshape(-1, 3)
-        inverse = np.linalg.pinv(by_point)
-        step = inverse @ residuals[chosen].ravel()
-        follow = inverse @ by_parameters[chosen].reshape(len(by_point), -1)
-        variance = given.std**2 + std_px**2 * np.sum(inverse**2, axis=1)
-        variance += propagated_variance(follow, solution.covariance)
-        return float(np.max(np.abs(moved + step) / np.sqrt(variance)))
-
+    place = solution.state.points[point]
+    rows = None if problem.rows is None else problem.rows[marks]
+    at = seen.ties.view[marks], seen.ties.pixel[marks], problem.rise_design[marks], rows
+    residuals, by_point, by_parameters = _linearised_marks(problem.layout, solution.state, place, *at)
     if not np.isfinite(residuals).all():
         return np.inf
-    every = np.arange(len(marks))
+    std_px, moved = float(solution.std_px[problem.kind[marks[0]]]), place - given.place
+
+    def normalised(chosen: np.ndarray) -> float:
+        inverse = np.linalg.pinv(by_point[chosen])
+        variance = given.std**2 + std_px**2 * np.sum(inverse**2, axis=1)
+        variance += propagated_variance(inverse @ by_parameters[chosen], solution.covariance)
+        return float(np.max(np.abs(moved + inverse @ residuals[chosen]) / np.sqrt(variance)))
+
+    every = np.arange(len(residuals))
     # A single wrong mark is not a wrong point: what counts is what the point is off without it.
-    parts = [np.delete(every, k) for k in every] if len(marks) > 2 else [every]
+    parts = [np.delete(every, [k, k + 1]) for k in every[::2]] if len(marks) > 2 else [every]
     residual = min(normalised(part) for part in parts)
     is_used = bool(np.isfinite(seen.point_std[point]).all())
     return max(residual, _normalised_residual(solution, point, moved, given.std)) if is_used else residual
+
+
+def _linearised_marks(
+    layout: Layout,
+    state: State,
+    place: np.ndarray,
+    view: np.ndarray,
+    pixel: np.ndarray,
+    rise_design: np.ndarray,
+    rows: np.ndarray | None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Residuals (2 N,) of marks of a point at a place (3,), derivatives by it (2 N, 3) and by parameters (2 N, P)."""
+    ties = TiePoints(place[None], np.zeros(len(view), dtype=np.int64), view, pixel)
+    linear = linearise(layout, replace(state, points=place[None]), ties, rise_design, rows)
+    design = design_matrix(layout, view, linear.by_parameters).toarray()
+    return (pixel - linear.pixels).ravel(), linear.by_point.reshape(-1, 3), design
 
 
 def _normalised_residual(solution: Solution, point: int, moved: np.ndarray, stated: np.ndarray) -> float:
@@ -162,34 +165,32 @@ def _normalised_residual(solution: Solution, point: int, moved: np.ndarray, stat
     root, mixed = system.point_root[point], system.coupling.of_point(point)
     covariance = root.T @ (np.eye(3) + propagated(mixed, solution.covariance)) @ root
     redundancy = 1.0 - np.diag(covariance) / stated**2
-    is_redundant = redundancy > _LEAST_REDUNDANCY
-    if not is_redundant.any():
-        return 0.0
-    return float(np.max(np.abs(moved[is_redundant]) / (stated[is_redundant] * np.sqrt(redundancy[is_redundant]))))
+    used = redundancy > _LEAST_REDUNDANCY
+    return float(np.max(np.abs(moved[used]) / (stated[used] * np.sqrt(redundancy[used])), initial=0.0))
 
 
 def control_warnings(control: Control | None, views: Sequence[View], used: Observed, state: State) -> list[str]:
     """Warnings that name the control that was left out or widened."""
     if control is None:
         return []
+    marks = used.kind == MARK
     first = len(used.ties) - len(used.control)
-    number = {name: k for k, name in enumerate(used.control, start=first)}
     shown = {
         (used.control[point - first], views[view].name)
-        for point, view in zip(used.ties.point[used.kind == MARK], used.ties.view[used.kind == MARK], strict=True)
+        for point, view in zip(used.ties.point[marks], used.ties.view[marks], strict=True)
     }
     lost = [mark for mark in control.marks if (mark.point, mark.view) not in shown]
     by_name = {point.name: point for point in control.points}
     freed, widened = [], []
-    for name, k in number.items():
+    for k, name in enumerate(used.control, start=first):
         point = by_name[name]
         if point.is_check:
             continue
-        if not np.isfinite(used.point_std[k]).all():
+        if np.isfinite(used.point_std[k]).all():
+            widened.append(float(np.max(used.point_std[k] / point.std)))
+        else:
             off = state.points[k] - point.local
             freed.append(f"{name} (off by {off[0]:.3f} m east, {off[1]:.3f} m north, {off[2]:.3f} m up)")
-        else:
-            widened.append(float(np.max(used.point_std[k] / point.std)))
     warnings = named(
         [f"{mark.point} in {mark.view}" for mark in lost], "mark", "of control that the block contradicts, left out"
     )
@@ -202,17 +203,6 @@ def control_warnings(control: Control | None, views: Sequence[View], used: Obser
     return warnings
 
 
-@dataclass(frozen=True)
-class ControlContradiction:
-    """A control point that a block without control contradicts."""
-
-    name: str
-    # east_north, std (2,) [m]: where the block has it, at its height, less its coordinates; and the standard deviations
-    # of that
-    east_north: np.ndarray
-    std: np.ndarray
-
-
 def has_unchecked_control(survey: Survey) -> bool:
     """Whether a survey has control that cannot check itself, and positions that place the block without it."""
     control = survey.observations.control
@@ -222,56 +212,36 @@ def has_unchecked_control(survey: Survey) -> bool:
     return 0 < num < PLACE_A_BLOCK and placed >= _FEWEST_POSITIONS
 
 
-def contradicted_points(
+def control_contradiction(
     control: Control, views: Sequence[View], prior: PriorKnowledge, solution: Solution
-) -> list[ControlContradiction]:
-    """The control points that a block without control contradicts.
-
-    Parameters
-    ----------
-    views : sequence of View
-        That the marks are in.
-    prior, solution
-        Of the block without control.
-    """
+) -> str | None:
+    """Warning of control points that a block without control, of this prior and solution, contradicts."""
     number = {view.name: k for k, view in enumerate(views)}
-    layout, state, covariance = prior.layout, solution.state, solution.covariance
     against = []
     for point in control.points:
         marks = [mark for mark in control.marks if mark.point == point.name and mark.view in number]
         if point.is_check or not marks:
             continue
-        shown_by = np.array([number[mark.view] for mark in marks])
-        place = np.asarray(point.local, dtype=np.float64)[None]
-        ties = TiePoints(
-            place, np.zeros(len(marks), dtype=np.int64), shown_by, np.array([mark.pixel for mark in marks])
-        )
-        rows = original_rows(ties, prior.lenses, layout.lens_of)
-        linear = linearise(layout, replace(state, points=place), ties, np.zeros((len(marks), NUM_RELIEF)), rows)
-        residual = (ties.pixel - linear.pixels).ravel()
+        place, view = np.asarray(point.local, dtype=np.float64), np.array([number[mark.view] for mark in marks])
+        ties = TiePoints(place[None], np.zeros_like(view), view, np.array([mark.pixel for mark in marks]))
+        rows = original_rows(ties, prior.lenses, prior.layout.lens_of)
+        at = view, ties.pixel, np.zeros((len(marks), NUM_RELIEF)), rows
+        residual, by_point, by_parameters = _linearised_marks(prior.layout, solution.state, place, *at)
         if not np.isfinite(residual).all():
             continue
-        by_point = linear.by_point.reshape(-1, 3)
-        by_parameters = design_matrix(layout, ties.view, linear.by_parameters).toarray()
         variance = (by_point * np.asarray(point.std) ** 2) @ by_point.T
-        variance += propagated(by_parameters, covariance) + control.marks_std_px**2 * np.eye(len(residual))
-        square = float(residual @ np.linalg.solve(variance, residual))
-        if chdtrc(len(residual), square) < _LEAST_PROBABILITY:
+        variance += propagated(by_parameters, solution.covariance) + control.marks_std_px**2 * np.eye(len(residual))
+        if chdtrc(len(residual), float(residual @ np.linalg.solve(variance, residual))) < _LEAST_PROBABILITY:
+            # Where the block has it, at its height, less its coordinates.
             level = np.linalg.pinv(by_point[:, :2])
-            std = np.sqrt(propagated_variance(level, variance))
-            against.append(ControlContradiction(point.name, level @ residual, std))
-    return against
-
-
-def contradiction_warning(against: list[ControlContradiction]) -> str:
-    """Warning that lists the contradicted points."""
-    listed = " and ".join(
-        f"{each.name} by {each.east_north[0]:.2f} m east and {each.east_north[1]:.2f} m north "
-        f"(+- {each.std[0]:.2g} and {each.std[1]:.2g} m)"
-        for each in against
-    )
+            (east, north), std = level @ residual, np.sqrt(propagated_variance(level, variance))
+            against.append(
+                f"{point.name} by {east:.2f} m east and {north:.2f} m north (+- {std[0]:.2g} and {std[1]:.2g} m)"
+            )
+    if not against:
+        return None
     return (
-        f"control points contradict the block as positions and water place it: {listed}. Control is used. Either the "
-        "positions have a common error, of metres where they have no corrections, or the coordinates, the name or a "
-        "mark of the point are wrong; a third control point would show which"
+        f"control points contradict the block as positions and water place it: {' and '.join(against)}. Control is "
+        "used. Either the positions have a common error, of metres where they have no corrections, or the coordinates, "
+        "the name or a mark of the point are wrong; a third control point would show which"
     )

@@ -12,7 +12,7 @@ follows Student's distribution of n degrees of freedom, whose variance is about 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -43,30 +43,22 @@ _LEAST = 1e-6
 _CHANGED = 0.1
 
 
-@dataclass(frozen=True)
-class ReestimatedPriors:
-    """Accuracy of given poses, estimated from the block."""
-
-    prior: PriorKnowledge  # With their standard deviations; infinite of positions that are contradicted
-    blunders: np.ndarray  # (V, 2) bool: positions and rotations that the block contradicts
-    is_changed: bool  # Whether the block is to be adjusted again
-
-
-def reestimate_pose_std(prior: PriorKnowledge, solution: Solution, blunders: np.ndarray) -> ReestimatedPriors:
+def reestimate_pose_std(
+    prior: PriorKnowledge, solution: Solution, blunders: np.ndarray
+) -> tuple[PriorKnowledge, np.ndarray]:
     """Estimate standard deviations of poses, where the block determines them, and find blunders.
 
-    Parameters
-    ----------
-    solution : Solution
-        Of the block with these.
-    blunders : (V, 2) bool
-        Found before.
+    The prior is the same object where nothing changed; else the block is to be adjusted again. Blunders (V, 2) bool are
+    the positions and rotations that the block contradicts, with those found before; positions count for nothing then.
     """
     std = _of_poses(prior, prior.std)
     used = np.isfinite(std[:, :3]).all(axis=1)
     if used.sum() < _FEWEST:
-        return ReestimatedPriors(prior, blunders, is_changed=False)
-    estimated = _estimated(prior, used, blunders)
+        return prior, blunders
+    positions = prior.unknown_positions & used
+    positions &= positions.sum() >= _FEWEST
+    # (V, 6): the coordinates whose standard deviation is estimated.
+    estimated = np.column_stack([*[positions] * 3, *[prior.unknown_rotations & ~blunders[:, 1]] * 3])
     found, scaled = _components(prior, solution, estimated)
     scale = _scale(scaled[used])
     bad = np.column_stack(
@@ -86,10 +78,10 @@ def reestimate_pose_std(prior: PriorKnowledge, solution: Solution, blunders: np.
             changed[stated, :3] = std[stated, :3] * np.maximum(factor, 1.0)
     with np.errstate(invalid="ignore"):
         if not bad.any() and not (np.abs(changed / std - 1.0) > _CHANGED).any():
-            return ReestimatedPriors(prior, blunders, is_changed=False)
+            return prior, blunders
     all_std = prior.std.copy()
     all_std[prior.layout.first_pose :] = changed.ravel()
-    return ReestimatedPriors(replace(prior, std=all_std), blunders | bad, is_changed=True)
+    return replace(prior, std=all_std), blunders | bad
 
 
 def positions_left_out(prior: PriorKnowledge) -> np.ndarray:
@@ -130,14 +122,6 @@ def _own_std(prior: PriorKnowledge) -> np.ndarray:
     alike = np.isfinite(std).all(axis=1) & prior.unknown_positions
     found = np.median(std[alike], axis=0) if alike.any() else prior.given_std
     return np.where(prior.unknown_positions[:, None], found, prior.given_std)
-
-
-def _estimated(prior: PriorKnowledge, used: np.ndarray, blunders: np.ndarray) -> np.ndarray:
-    """Mask (V, 6) of the pose coordinates whose standard deviation is estimated."""
-    positions = prior.unknown_positions & used
-    positions &= positions.sum() >= _FEWEST
-    rotations = prior.unknown_rotations & ~blunders[:, 1]
-    return np.column_stack([*[positions] * 3, *[rotations] * 3])
 
 
 def _components(prior: PriorKnowledge, solution: Solution, estimated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,17 +9,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from refract.lens import Lens
-from survey.adjust.block.priors import data_sheet, focals_std, lenses_std, parameters_of
+from refract.lens import MODELS, Lens
 from survey.adjust.block.problem import Priors
 from survey.adjust.block.roll import Roll, roll_priors, rolled_by_attitudes, rolls_of
 from survey.adjust.block.state import (
+    BROWN,
     HELD_SHARE,
+    LENS_NAMES,
+    NUM_LENS,
     NUM_POSE,
     NUM_RELIEF,
     NUM_SHIFT,
     Layout,
     State,
+    is_held,
     lenses_of,
 )
 from survey.folder.motion import rows_between
@@ -44,6 +47,14 @@ FREE_WATER = (5.0, 0.05, 0.05, 0.1)
 _RELIEF_GSD = 0.1
 # A ray of 63 degrees off nadir crosses the water two flying heights away.
 _SEEN_WATER = 2.0
+# A lens by its data sheet: focal lengths are within 2 % of it, the principal point within 1 % of the longer side. At
+# the corner of the image each term of distortion moves a pixel by some of these shares of its distance from the middle
+# (docs/adjustment.md).
+FOCAL_SHARE, _MIDDLE_SHARE, _RADIAL_SHARES, _DECENTRED_SHARE = 0.02, 0.01, (0.06, 0.04, 0.02), 0.004
+# By how much smaller than a data sheet's the errors of the lens of an adjusted block are.
+_CALIBRATED = 0.02
+# The same of a lens whose distortion survey.toml has, of two photographs: they do not calibrate it.
+_GIVEN_LENS = 0.05
 
 
 @dataclass(frozen=True)
@@ -83,19 +94,26 @@ class PriorKnowledge:
 
 
 def prior_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKnowledge:
-    """Start values and priors of the parameters, by a survey.
+    """Start values and priors of the parameters, by a survey and its ground sampling distance [m].
 
-    Parameters
-    ----------
-    gsd : [m]
-        Ground sampling distance.
-    free_water : bool
-        Know nothing of the water beforehand. Poses without a stated standard deviation, and their lens, then count as
-        those of an adjusted block; so they do where photographs bear them out and contradict the water, or the lens,
-        which then counts as that of a data sheet.
+    With ``free_water`` nothing is known of the water beforehand. Poses without a stated standard deviation, and their
+    lens, then count as those of an adjusted block; so they do where photographs bear them out and contradict the water,
+    or the lens, which then counts as that of a data sheet.
     """
     lenses, lens_of, focals = lenses_of(survey.views)
-    layout = _layout(survey, lenses, lens_of, finds_focals=len(focals) > 0)
+    velocity_per_row, tides = _velocity_per_row(survey), np.array([view.camera.tide for view in survey.views])
+    readout_std = survey.config.cameras.rolling_shutter_std_s
+    layout = Layout(
+        lens_of,
+        np.array([lens.focal[1] / lens.focal[0] for lens in lenses]),
+        velocity_per_row,
+        finds_readouts=velocity_per_row is not None and readout_std is not None,
+        tides=tides if tides.any() else None,
+        hours=_hours(survey),
+        departure=_departure(survey),
+        has_ground=survey.observations.ground is not None,
+        finds_focals=len(focals) > 0,
+    )
     state = _start(survey, layout, lenses, focals)
     contradiction = survey.provenance.contradiction
     exact = (free_water or contradiction is not None) and survey.observations.ties is None
@@ -115,45 +133,28 @@ def prior_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKn
     rolls = rolls_of(survey)
     mean = replace(
         state,
-        lenses=np.array([data_sheet(survey, lens) for lens in lenses]),
+        lenses=np.array([_data_sheet(survey, lens) for lens in lenses]),
         centres=positions,
         rotations=rolled_by_attitudes(state.rotations, rolls),
         focals=np.zeros(len(focals)),
     )
     of_water = _water_std(survey, free=free_water)
     of_water[0] = math.hypot(of_water[0], common_up)
-    readout_std = survey.config.cameras.rolling_shutter_std_s
     std = np.concatenate(
         [
             of_water,
             np.full(NUM_RELIEF, _RELIEF_GSD * gsd),
             _shift_std(survey),
-            lenses_std(survey, lenses, calibrated=calibrated),
+            _lenses_std(survey, lenses, calibrated=calibrated),
             np.full(layout.first_rate - layout.first_readout, readout_std, dtype=np.float64),
             np.full(layout.first_focal - layout.first_rate, _rate_std(survey), dtype=np.float64),
-            focals_std(lens_of, focals, calibrated=calibrated),
+            _focals_std(lens_of, focals, calibrated=calibrated),
             np.concatenate([position_std, rotation_std], axis=1).ravel(),
         ]
     )
     shifts = _shifts(survey, lens_of, unknown) if np.isfinite(given_std[~unknown]).any() else ()
     return PriorKnowledge(
         layout, lenses, state, mean, std, unknown, given_std, unknown_rotations, common_up, rolls, shifts
-    )
-
-
-def _layout(survey: Survey, lenses: tuple[Lens, ...], lens_of: np.ndarray, *, finds_focals: bool) -> Layout:
-    """The unknowns of a survey."""
-    velocity_per_row, tides = _velocity_per_row(survey), np.array([view.camera.tide for view in survey.views])
-    return Layout(
-        lens_of,
-        np.array([lens.focal[1] / lens.focal[0] for lens in lenses]),
-        velocity_per_row,
-        finds_readouts=velocity_per_row is not None and survey.config.cameras.rolling_shutter_std_s is not None,
-        tides=tides if tides.any() else None,
-        hours=_hours(survey),
-        departure=_departure(survey),
-        has_ground=survey.observations.ground is not None,
-        finds_focals=finds_focals,
     )
 
 
@@ -265,9 +266,8 @@ def _water_std(survey: Survey, *, free: bool) -> np.ndarray:
     if free:
         return np.array(FREE_WATER)
     given = survey.require_water()[1]
-    level = LEVEL_STD_M if given.level_std_m is None else given.level_std_m
-    slope = SLOPE_STD if given.slope_std is None else given.slope_std
-    index = INDEX_STD if given.index_std is None else given.index_std
+    stated = (given.level_std_m, LEVEL_STD_M), (given.slope_std, SLOPE_STD), (given.index_std, INDEX_STD)
+    level, slope, index = (default if std is None else std for std, default in stated)
     return np.maximum([level, slope, slope, index], HELD_SHARE)
 
 
@@ -318,3 +318,58 @@ def _rotations(survey: Survey, *, exact: bool):
         else:
             unknown[number] = not exact and prior.source == BY_POSES and survey.provenance.tool is None
     return std, unknown
+
+
+def parameters_of(lens: Lens) -> np.ndarray:
+    """A lens as parameters (8,) of the adjustment."""
+    if is_held(lens):
+        # Its tie points are straightened: what is left is its pinhole.
+        return np.array([lens.focal[0], lens["cx"], lens["cy"], *np.zeros(NUM_LENS - 3)])
+    return np.array([lens.focal[0], *(lens[name] for name in LENS_NAMES[1:])])
+
+
+def _data_sheet(survey: Survey, lens: Lens) -> np.ndarray:
+    """The lens before any photograph was taken with it.
+
+    Straight rays take some of the bend at the water into the focal length: of photographs without poses that in EXIF
+    counts, not that of structure from motion.
+    """
+    given = parameters_of(lens)
+    cameras = survey.config.cameras
+    if survey.observations.ties is None or is_held(lens) or cameras.poses is not None:
+        return given
+    focal = cameras.focal_px[0] if isinstance(cameras.focal_px, tuple) else cameras.focal_px
+    if focal is None:
+        in_exif = survey.observations.exif_focals
+        focal = next((in_exif[view.name] for view in survey.views if view.lens == lens and view.name in in_exif), None)
+    middle = cameras.principal_point_px or (0.5 * lens.width, 0.5 * lens.height)
+    names = MODELS[cameras.model][1] if cameras.model in BROWN else ()
+    given_by_name = dict(zip([name for name in names if name[0] in "kp"], cameras.distortion or (), strict=False))
+    coefficients = [given_by_name.get(name, 0.0) for name in LENS_NAMES[3:]]
+    return np.array([given[0] if focal is None else focal, *middle, *coefficients])
+
+
+def _lenses_std(survey: Survey, lenses: tuple[Lens, ...], *, calibrated: bool) -> np.ndarray:
+    """Std of the parameters of all lenses (8 L,), by a data sheet, a calibration or the settings."""
+    is_given = len(survey.views) == 2 and survey.config.cameras.distortion is not None
+    share = _CALIBRATED if calibrated else _GIVEN_LENS if is_given else 1.0
+    return np.concatenate([share * _lens_std(lens) for lens in lenses])
+
+
+def _lens_std(lens: Lens) -> np.ndarray:
+    focal, side = lens.focal[0], max(lens.width, lens.height)
+    corner = 0.5 * math.hypot(lens.width, lens.height) / focal
+    radial = np.array(_RADIAL_SHARES) / corner ** np.array([2, 4, 6])
+    decentred = _DECENTRED_SHARE / corner
+    middle = _MIDDLE_SHARE * side
+    std = np.array([FOCAL_SHARE * focal, middle, middle, *radial, decentred, decentred])
+    return HELD_SHARE * std if is_held(lens) else std
+
+
+def _focals_std(lens_of: np.ndarray, focals: np.ndarray, *, calibrated: bool) -> np.ndarray:
+    """Std of the focal lengths of photographs (V,): their scatter about that of their lens; held where it has none."""
+    if not len(focals):
+        return focals
+    scatter = np.sqrt(np.bincount(lens_of, focals**2) / np.bincount(lens_of))
+    std = np.where(scatter > 0.0, _CALIBRATED * FOCAL_SHARE, 0.0) if calibrated else scatter
+    return np.maximum(std, HELD_SHARE * FOCAL_SHARE)[lens_of]

@@ -3,6 +3,10 @@
 A coarse sweep gives approximate heights of the bed. At well textured places a window of one photograph is projected
 over a level piece of bed, through the water, into the others, where least-squares matching refines its position. The
 heights of the sweep are approximate values only; what is measured is the position of the window in each photograph.
+
+Matching is the inverse compositional form (S. Baker and I. Matthews, IJCV 56(3), 2004, section 3.2), of a shift alone,
+with brightness and contrast free: steps are solved in the template, (S, S) samples at whole pixels of the window in its
+own photograph, whose slopes stay as they are.
 """
 
 from __future__ import annotations
@@ -14,6 +18,7 @@ from functools import partial
 
 import cv2
 import numpy as np
+from scipy.ndimage import distance_transform_edt, map_coordinates, spline_filter
 
 from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap, trusted
@@ -22,7 +27,6 @@ from fields.sweep.sweep import sweep
 from fields.sweep.view_pass import SweepSettings
 from fields.sweep.views import cells_of, overlaps
 from refract import FlatWater, PinholeCamera
-from survey.adjust.block.matching import RADIUS, match, prepare_image, window
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints, least_track
@@ -44,6 +48,17 @@ _WIDEST_DEG = 40.0
 _NARROWEST_DEG = 3.0
 # A window is left out where the relief under it has more than this many pixels of parallax.
 _RELIEF_PX = 2.0
+# Half the side of a window [px]: 13 x 13 hold texture enough, and little relief.
+RADIUS = 6
+# Most steps, and how far [px] a window may end from where it was expected.
+_STEPS, _FARTHEST_PX = 12, 4.0
+# A step shorter than this [px] is below the noise of a photograph.
+_DONE_PX = 0.005
+# With a lower correlation (NCC) a window shows another surface.
+_ALIKE = 0.85
+# A window keeps this far [px] from masked pixels. The cubic spline carries their fill over to its neighbours, less by a
+# factor of 0.27 from pixel to pixel: after five, a thousandth is left, less than a grey level.
+_CLEAR_PX = 5
 
 Area = tuple[float, float, float, float]
 
@@ -80,9 +95,7 @@ def measure_tie_points(
     advance: Callable[[float], None],
     density: Density = DENSE,
 ) -> TiePoints:
-    """Tie points of a block, in pixels of its images.
-
-    Needs three photographs per window, or two where the block has only two; windows of fewer are left out.
+    """Tie points of a block, in pixels of its images, of three photographs or more, of two both.
 
     Parameters
     ----------
@@ -92,12 +105,6 @@ def measure_tie_points(
         Range of heights searched for the bed; `fields.sweep.height_range.find_range` gives it.
     area : (x0, y0, x1, y1) [m], local, or None
         Where windows are chosen, to one pixel of the sweep.
-    advance : callable
-        Called with the increment; increments sum to 1.
-
-    Returns
-    -------
-    TiePoints, in the pixels of the block's images
     """
     block.set_overlap_height(0.5 * (bound[0] + bound[1]))
     chosen, shares = block.cover(*_TIMES_SEEN, area), [0.0]
@@ -196,13 +203,8 @@ def _warp(camera, other_camera, corners, height, water: FlatWater | None) -> np.
     ends = camera.paths(corners[:, None] + nodes, water).at_height(height[:, None], water)
     ends = other_camera.project(ends, water)
     ends = ends - ends[:, 4:5]
-    return np.einsum("sn,kna->kas", _parabola(nodes), ends)
-
-
-def _parabola(nodes: np.ndarray) -> np.ndarray:
-    """Values at the samples of a window per value at its nodes (S*S, 9), by a polynomial of degree 2 in x and y."""
-    x, y = window()
-    return _powers(x, y) @ np.linalg.inv(_powers(*nodes.T))
+    parabola = _powers(*window()) @ np.linalg.inv(_powers(*nodes.T))
+    return np.einsum("sn,kna->kas", parabola, ends)
 
 
 def _powers(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -232,9 +234,7 @@ def _concatenate(windows: list[_Windows], parts, least: int) -> TiePoints:
     if not windows:
         return TiePoints(np.zeros((0, 3)), np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 2)))
     first = np.cumsum([0, *(len(w.points) for w in windows)])
-    rows = [
-        (shift + index, view, pixels) for shift, part in zip(first, parts, strict=False) for index, view, pixels in part
-    ]
+    rows = [(shift + index, view, px) for shift, part in zip(first, parts, strict=False) for index, view, px in part]
     point = np.concatenate([index for index, _, _ in rows])
     view = np.concatenate([np.full(len(index), view) for index, view, _ in rows])
     pixel = np.concatenate([pixels for _, _, pixels in rows])
@@ -279,3 +279,84 @@ def measure_loaded_windows(
     full = [(view.camera, camera_of(view, plan)) for view in survey.views]
     enlarge = np.array([(camera.fx / used.fx, camera.fy / used.fy) for camera, used in full])
     return replace(ties, pixel=ties.pixel * enlarge[ties.view])
+
+
+@dataclass(frozen=True)
+class PreparedImage:
+    """A photograph prepared for matching."""
+
+    spline: np.ndarray  # (height, width) float32: coefficients of its cubic spline
+    clear: np.ndarray  # (height, width) bool: where samples of a window may lie, away from masked pixels
+
+
+def prepare_image(image: np.ndarray) -> PreparedImage:
+    """Prepare a photograph (height, width) for matching; masked pixels are NaN."""
+    masked = ~np.isfinite(image)
+    if masked.all():
+        return PreparedImage(np.zeros_like(image), ~masked)
+    if masked.any():
+        # A single NaN would make the whole spline NaN. The value of the nearest pixel causes no ringing at the edge.
+        lines, columns = distance_transform_edt(masked, return_distances=False, return_indices=True)
+        image = image[lines, columns]
+    near = cv2.dilate(masked.astype(np.uint8), np.ones((2 * _CLEAR_PX + 1, 2 * _CLEAR_PX + 1), np.uint8))
+    return PreparedImage(spline_filter(image, order=3, output=np.float32), near == 0)
+
+
+def window() -> tuple[np.ndarray, np.ndarray]:
+    """Places x and y of the samples of a window from its middle, (S*S,) each [px]."""
+    y, x = np.mgrid[-RADIUS : RADIUS + 1, -RADIUS : RADIUS + 1]
+    return x.ravel(), y.ravel()
+
+
+def match(image: PreparedImage, templates, slopes, expected, offsets) -> tuple[np.ndarray, np.ndarray]:
+    """Least-squares matching of K windows in another photograph: positions (K, 2) [px], and which of them match, (K,).
+
+    Parameters
+    ----------
+    templates, slopes : (K, S*S), (K, S*S, 2)
+        The windows and their gradients per pixel along x and y.
+    expected : (K, 2) [px]
+        Approximate positions of the middle of each window.
+    offsets : (K, 2, S*S) [px]
+        Positions of the samples of each window relative to its middle.
+    """
+    x, y = window()
+    affine = np.einsum("kas,bs->kab", offsets, np.stack([x / (x @ x), y / (y @ y)]))
+    centred = templates - templates.mean(axis=1, keepdims=True)
+    norm = np.maximum(np.linalg.norm(centred, axis=1, keepdims=True), 1e-9)
+    unit = centred / norm
+    free = slopes - slopes.mean(axis=1, keepdims=True)
+    free = free - unit[..., None] * np.einsum("ks,ksa->ka", unit, free)[:, None]
+    hessian = np.einsum("ksa,ksb->kab", free, free)
+    inverse = np.linalg.inv(hessian + 1e-6 * np.eye(2))
+    at = expected.copy()
+    height, width = image.spline.shape
+    reach = np.abs(offsets).max(axis=2) + 2.0
+    moved = np.full(len(at), np.inf)
+    alike = np.full(len(at), -1.0)
+    usable = np.isfinite(at).all(axis=1)
+    for _ in range(_STEPS):
+        inside = (at > reach).all(axis=1) & (at < np.array([width, height]) - reach).all(axis=1)
+        usable &= inside & (np.linalg.norm(at - expected, axis=1) < _FARTHEST_PX)
+        active = np.nonzero(usable & (moved > _DONE_PX))[0]
+        if not len(active):
+            break
+        # Pixel centres are at 0.5; array indices count from the centre of the first one.
+        places = at[active, :, None] - 0.5 + offsets[active]
+        values = map_coordinates(image.spline, places[:, ::-1].transpose(1, 0, 2), order=3, prefilter=False)
+        values = values.astype(np.float64)
+        values = values - values.mean(axis=1, keepdims=True)
+        length = np.maximum(np.linalg.norm(values, axis=1), 1e-9)
+        alike[active] = np.einsum("ks,ks->k", values, unit[active]) / length
+        gain = np.einsum("ks,ks->k", values, unit[active]) / norm[active, 0]
+        gain = np.where(np.abs(gain) > 1e-3, gain, 1e-3)
+        difference = values / gain[:, None] - centred[active]
+        step = np.einsum("kab,ksb,ks->ka", inverse[active], free[active], difference)
+        step = np.einsum("kab,kb->ka", affine[active], step)
+        at[active] -= step
+        moved[active] = np.linalg.norm(step, axis=1)
+    found = usable & (moved <= _DONE_PX) & (alike > _ALIKE)
+    # All samples of a window, which lie inside the photograph, are to be clear of masked pixels.
+    columns, lines = np.floor(at[found][:, :, None] + offsets[found]).astype(int).transpose(1, 0, 2)
+    found[found] = image.clear[lines, columns].all(axis=1)
+    return at, found

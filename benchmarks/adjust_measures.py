@@ -20,7 +20,7 @@ from evaluation.summary import MAD_TO_STD
 from geo import LocalFrame, parse_crs, read_cloud, read_reference
 from refract.lens import Lens, undistorted
 from survey.compare.measure import read_checkpoints
-from survey.photos.rotations import CAM_FROM_OPK_CAM
+from survey.photos.poses import CAM_FROM_OPK_CAM
 
 # Of a normal distribution, within so many standard deviations.
 WITHIN_95 = 1.96

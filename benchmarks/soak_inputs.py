@@ -37,8 +37,8 @@ from geo.reading import read_reference
 from survey.control.reading import read_control
 from survey.errors import SurveyError
 from survey.folder.geo_txt import with_positions
-from survey.photos.complete import require_complete
 from survey.photos.exif import Exif, read_exif
+from survey.photos.pixels import require_complete
 from survey.pose_files import find_poses, read_poses, read_ties
 from survey.settings.config import parse_config
 from survey.simulate.sidecars import gps_exif

@@ -10,8 +10,7 @@ import pytest
 from refract import FlatWater, PinholeCamera
 from refract.lens import Lens
 from survey.marking.geometry import by_gain, crossing, epipolar_curve, seen_at
-from survey.photos.cameras import View
-from survey.photos.intersection import intersect
+from survey.photos.cameras import View, intersect
 
 HEIGHT, FOCAL, INDEX = 30.0, 1000.0, 1.34
 LENS = Lens("SIMPLE_PINHOLE", (FOCAL, 600.0, 400.0), 1200, 800)

@@ -11,7 +11,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from survey.errors import ImageError
-from survey.photos.complete import require_complete
+from survey.photos.pixels import require_complete
 
 SIZE = (400, 304)
 JPEGS = {

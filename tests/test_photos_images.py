@@ -14,9 +14,9 @@ from refract.lens import Lens
 from survey import machine
 from survey.errors import ImageError
 from survey.photos.cameras import View
-from survey.photos.complete import require_complete
 from survey.photos.exif import read_exif
 from survey.photos.images import list_images, load_image, load_mask, same_files
+from survey.photos.pixels import require_complete
 
 BARREL = Lens("OPENCV", (100.0, 101.0, 32.0, 24.0, -0.15, 0.05, 0.001, -0.002), 64, 48)
 

@@ -29,8 +29,7 @@ from survey.errors import ConfigError, ImageError, PosesError, SurveyError
 from survey.folder.faults import angle_warnings
 from survey.folder.plausible import ground_below
 from survey.folder.survey import load_survey
-from survey.photos.poses import PoseFrame
-from survey.photos.rotations import CAM_FROM_OPK_CAM, grid_from_opk
+from survey.photos.poses import CAM_FROM_OPK_CAM, PoseFrame, grid_from_opk
 from survey.plan.check import check_survey, require_processable
 from survey.plan.choices import RECIPES, Choices
 from survey.plan.heights import dry_ground

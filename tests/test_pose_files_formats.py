@@ -16,7 +16,7 @@ from geo.frames import LocalFrame
 from refract.lens import MODELS, Lens, LensError
 from survey.errors import PosesError
 from survey.folder.survey import load_survey
-from survey.photos.rotations import CAM_FROM_OPK_CAM, grid_from_opk
+from survey.photos.poses import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.pose_files import colmap, find_poses, find_unread, pose_files, read_poses, read_ties, tables
 
 # cameras.csv of the drawn surveys is written to 1e-5 m and 1e-8 degrees, the COLMAP model to 1e-12.

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from survey.errors import PosesError
 from survey.folder.pose_priors import BY_FILE
-from survey.photos.rotations import enu_from_yaw_pitch_roll
+from survey.photos.poses import enu_from_yaw_pitch_roll
 from survey.pose_files import find_poses, read_poses
 
 

@@ -24,7 +24,7 @@ from geo.frames import fit_similarity, robust_similarity
 from refract import PinholeCamera
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
 from survey.photos.exif import Exif, read_exif
-from survey.photos.rotations import CAM_FROM_OPK_CAM, grid_from_opk
+from survey.photos.poses import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.settings.config import CamerasConfig
 from survey.sfm import block as sfm_block
 from survey.sfm import solve as sfm_solve

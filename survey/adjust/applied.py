@@ -20,11 +20,9 @@ from survey.adjust.result.adjustment import Adjustment
 from survey.folder.local_frame import water_plane
 from survey.folder.motion import rows_between
 from survey.folder.survey import Survey
-from survey.photos.cameras import View
+from survey.photos.cameras import View, equations_of_lines
 from survey.photos.colmap_model import FILES, write_model
-from survey.photos.intersection import equations_of_lines
-from survey.photos.poses import TiePoints, least_track
-from survey.photos.rotations import CAM_FROM_OPK_CAM
+from survey.photos.poses import CAM_FROM_OPK_CAM, TiePoints, least_track
 from survey.water.tides import with_shift
 
 # Decimals of coordinates in metres and in degrees: to a tenth of a micrometre, so that nothing is lost.

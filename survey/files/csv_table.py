@@ -13,7 +13,6 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import dropwhile
 from pathlib import Path
 
 from geo.crs import unit_named
@@ -21,6 +20,8 @@ from survey.errors import SurveyError
 from survey.files.limits import LARGEST
 
 _SPACE = " "
+# Lines of these alone are empty.
+_EMPTY = " \t,;"
 # What the csv module of Python takes as one value.
 _LONGEST_LINE = 100_000
 _QUOTED = re.compile(r'"[^"]*"')
@@ -110,17 +111,26 @@ class Table:
         for numbered in text_lines(path, error):
             if _is_comment(numbered[1]):
                 title = numbered[1].lstrip().lstrip("#/").lstrip()
-            elif not _is_empty(numbered[1]):
+            elif numbered[1].strip(_EMPTY):
                 break
         else:
             return cls(path, (), (), 1, ",", error)
         number, line = numbered
-        delimiter = _delimiter(line)
+        bare = _QUOTED.sub("", line)
+        delimiter = next((mark for mark in "\t;," if mark in bare), _SPACE if len(bare.split()) > 1 else ",")
+
+        def columns_of(cells: Iterable[str]) -> tuple[tuple[Column, ...], bool]:
+            """Columns, and whether two or more of them are known."""
+            known = [(cell.casefold(), meaning(cell.casefold(), words)) for cell in cells]
+            columns = tuple(Column(cell, *(means or (cell, None))) for cell, means in known)
+            return columns, sum(means is not None for _, means in known) > 1
+
         cells = _cells(f"{path}, line {number}", line, delimiter, error)
-        columns = _columns(cells, words)
-        if any(math.isfinite(number_of(cell, ",")) for cell in cells) and _num_known(columns, words) < 2:
-            columns, number = _columns(_cells(str(path), title, delimiter, error), words), number - 1
-            if not (len(columns) >= len(cells) > 1 and _num_known(columns, words) > 1):
+        columns, are_known = columns_of(cells)
+        if any(math.isfinite(number_of(cell, ",")) for cell in cells) and not are_known:
+            number -= 1
+            columns, are_known = columns_of(_cells(str(path), title, delimiter, error))
+            if not (len(columns) >= len(cells) > 1 and are_known):
                 columns = ()
         return cls(path, columns, tuple(cells), number + 1, delimiter, error)
 
@@ -164,8 +174,8 @@ class Table:
             )
         place = {name: names.index(name) for name in (*columns, *optional) if name in names}
         needed, rows = 1 + max(place[name] for name in columns), []
-        for number, line in dropwhile(lambda each: each[0] < self.start, text_lines(self.path, self.error)):
-            if _is_comment(line) or _is_empty(line):
+        for number, line in text_lines(self.path, self.error):
+            if number < self.start or _is_comment(line) or not line.strip(_EMPTY):
                 continue
             where = f"{self.path}, line {number}"
             cells = _cells(where, line, self.delimiter, self.error)
@@ -230,7 +240,11 @@ def meaning(cell: str, words: Mapping[str, str]) -> tuple[str, float | None] | N
     """
     if cell in words:
         return words[cell], None
-    for bare, unit in _parts(cell):
+    # A name and what may be its unit: in brackets, or behind an underscore or blank.
+    parts = [(cell[:i], cell[i + 1 :]) for i in range(1, len(cell) - 1) if cell[i] in "_ "]
+    if (bracket := _IN_BRACKETS.fullmatch(cell)) is not None:
+        parts.insert(0, (bracket[1], bracket[2]))
+    for bare, unit in parts:
         if bare in words and unit in _DEGREES:
             return words[bare], None
         metres = unit_named(unit) if bare in words else None
@@ -239,36 +253,8 @@ def meaning(cell: str, words: Mapping[str, str]) -> tuple[str, float | None] | N
     return None
 
 
-def _parts(cell: str) -> Iterator[tuple[str, str]]:
-    """A name and what may be its unit: in brackets, or behind an underscore or blank."""
-    if (found := _IN_BRACKETS.fullmatch(cell)) is not None:
-        yield found[1], found[2]
-    for i, letter in enumerate(cell):
-        if letter in "_ " and 0 < i < len(cell) - 1:
-            yield cell[:i], cell[i + 1 :]
-
-
-def _columns(cells: Iterable[str], words: Mapping[str, str]) -> tuple[Column, ...]:
-    lower = [cell.casefold() for cell in cells]
-    return tuple(Column(cell, *(meaning(cell, words) or (cell, None))) for cell in lower)
-
-
-def _num_known(columns: tuple[Column, ...], words: Mapping[str, str]) -> int:
-    return sum(meaning(column.cell, words) is not None for column in columns)
-
-
 def _is_comment(line: str) -> bool:
     return line.lstrip().startswith(("#", "//"))
-
-
-def _is_empty(line: str) -> bool:
-    return not line.strip(" \t,;")
-
-
-def _delimiter(line: str) -> str:
-    bare = _QUOTED.sub("", line)
-    found = next((mark for mark in "\t;," if mark in bare), None)
-    return found or (_SPACE if len(bare.split()) > 1 else ",")
 
 
 def _cells(where: str, line: str, delimiter: str, error: type[SurveyError]) -> list[str]:

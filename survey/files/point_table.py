@@ -141,32 +141,44 @@ def read_points(
     have one meaning, eastings are in another unit, or a height stands for no data.
     """
     path, error = table.path, table.error
+    heights: tuple[str, ...] = ("height",)
     if by_place and not table.columns and table.first:
-        return [_with_data(row, "height") for row in _by_place(table).rows(PLACE, ("std",))]
-    names, stated = table.names, stated_units(table)
-    _require_one_column(table)
-    stated = stated if units is None else stated.meant(units)
-    if units is not None and (fault := stated.plan_fault(units)) is not None:
-        raise error(f"{path}: {fault}; convert them")
-    heights = ("depth", *(["level"] if "level" in names else [])) if has_depths(table) else ("height",)
-    if heights == ("depth",) and level is None:
-        remedy = f"{give_level}, or subtract" if give_level else "subtract"
-        raise error(
-            f"{path} has depths, expected heights in crs: {remedy} them from the level of the water they count "
-            "from, and call the column height"
-        )
-    if missing := [name for name in (*PLACE[:2], *heights) if name not in names]:
-        found = ", ".join(names or table.first) or "nothing"
-        raise error(
-            f"{path}: the first line has no column {', '.join(missing)}; expected easting, northing, height (or E, N, "
-            f"Z; X, Y, Z; longitude, latitude, altitude), in any order, found {found}"
-        )
-    rows = table.rows((*PLACE[:2], *heights), optional)
-    for name in heights:
-        rows = [_with_data(row, name) for row in rows]
-    factors = dict.fromkeys(heights, 1.0 if units is None else stated.height_factor(units))
-    factors |= {name: unit for name, unit in table.units.items() if name in _ALL_STDS}
-    rows = [_of_metres(row.multiplied(factors)) for row in rows]
+        factors, rows = dict[str, float](), _by_place(table).rows(PLACE, ("std",))
+    else:
+        names, stated = table.names, stated_units(table)
+        _require_one_column(table)
+        stated = stated if units is None else stated.meant(units)
+        if units is not None and (fault := stated.plan_fault(units)) is not None:
+            raise error(f"{path}: {fault}; convert them")
+        if has_depths(table):
+            heights = ("depth", *(["level"] if "level" in names else []))
+        if heights == ("depth",) and level is None:
+            remedy = f"{give_level}, or subtract" if give_level else "subtract"
+            raise error(
+                f"{path} has depths, expected heights in crs: {remedy} them from the level of the water they count "
+                "from, and call the column height"
+            )
+        if missing := [name for name in (*PLACE[:2], *heights) if name not in names]:
+            raise error(
+                f"{path}: the first line has no column {', '.join(missing)}; expected easting, northing, height (or E, "
+                f"N, Z; X, Y, Z; longitude, latitude, altitude), in any order, found "
+                f"{', '.join(names or table.first) or 'nothing'}"
+            )
+        rows = table.rows((*PLACE[:2], *heights), optional)
+        factors = dict.fromkeys(heights, 1.0 if units is None else stated.height_factor(units))
+        factors |= {name: unit for name, unit in table.units.items() if name in _ALL_STDS}
+    for row in rows:
+        for name in (*PLACE[:2], *heights):
+            if is_no_data_value(row.number(name)) and name in heights:
+                raise error(f"{row.where}: the {name} is {row.cells[name]}, a no-data value; remove the line")
+    rows = [row.multiplied(factors) for row in rows]
+    for row in rows:
+        for name in _ALL_STDS:
+            if factors and row.cells.get(name) and row.number(name) > _MOST_STD_M:
+                raise error(
+                    f"{row.where}: {name} is {row.number(name):g} m, expected at most {_MOST_STD_M:g} m; name its unit "
+                    f"in the first line, e.g. {name}_mm, or correct it"
+                )
     return rows if heights == ("height",) else _above(rows, level, table)
 
 
@@ -241,25 +253,6 @@ def _by_place(table: Table) -> Table:
         )
     columns = (Column(name, name, None) for name in (*PLACE, "std")[: len(numbers)])
     return replace(table, columns=tuple(columns))
-
-
-def _with_data(row: Row, name: str) -> Row:
-    """The row; raises where a height, or a depth, is what programs write that have none."""
-    places = [row.number(each) for each in (*PLACE[:2], name)]
-    if is_no_data_value(places[2]):
-        raise row.error(f"{row.where}: the {name} is {row.cells[name]}, a no-data value; remove the line")
-    return row
-
-
-def _of_metres(row: Row) -> Row:
-    """The row; raises where a standard deviation is no number of metres."""
-    for name in _ALL_STDS:
-        if row.cells.get(name) and row.number(name) > _MOST_STD_M:
-            raise row.error(
-                f"{row.where}: {name} is {row.number(name):g} m, expected at most {_MOST_STD_M:g} m; name its unit "
-                f"in the first line, e.g. {name}_mm, or correct it"
-            )
-    return row
 
 
 def _above(rows: Sequence[Row], level: float | None, table: Table) -> list[Row]:

@@ -22,8 +22,7 @@ from survey.display.quantities import named
 from survey.errors import ConfigError, PosesError
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
-from survey.photos.poses import Pose, PoseFrame
-from survey.photos.rotations import CAM_FROM_OPK_CAM, grid_from_opk
+from survey.photos.poses import CAM_FROM_OPK_CAM, Pose, PoseFrame, grid_from_opk
 from survey.photos.xmp import ELLIPSOIDAL
 
 # Diagonal field of view [degrees] of a pinhole of the same focal length: a fisheye lens of 180 degrees has 115, the
@@ -133,7 +132,7 @@ def angle_warnings(poses: list[Pose], frame: PoseFrame) -> list[str]:
     """
     if frame is not PoseFrame.GRID:
         return []
-    # Of intrinsic turns about x, y and z, the inverse of `survey.photos.rotations.grid_from_opk`.
+    # Of intrinsic turns about x, y and z, the inverse of `survey.photos.poses.grid_from_opk`.
     grid_from_opk_cam = np.array([pose.cam_from_world.T for pose in poses]) @ CAM_FROM_OPK_CAM
     angles = Rotation.from_matrix(grid_from_opk_cam).as_euler("XYZ", degrees=True)
     tilts = float(np.median(np.abs(angles[:, 1])))

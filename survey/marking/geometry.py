@@ -18,8 +18,7 @@ from survey.folder.local_frame import water_plane
 from survey.folder.motion import velocities_of, with_motion
 from survey.folder.pairing import read_file_poses
 from survey.init.draft import settings_or_draft
-from survey.photos.cameras import View
-from survey.photos.intersection import projection_and_jacobian
+from survey.photos.cameras import View, projection_and_jacobian
 from survey.run.flight import FLIGHT, load_flight
 from survey.settings.config import SurveyConfig
 from survey.settings.tables import ControlConfig

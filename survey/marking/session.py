@@ -14,8 +14,7 @@ from survey.control.points import GivenPoint
 from survey.errors import SurveyError
 from survey.marking.geometry import by_gain, crossing, epipolar_curve, poses_to_mark, seen_at, survey_to_mark
 from survey.marking.mark_store import GROUND, WATER, MarkStore, Pixel, PointKey
-from survey.photos.cameras import View
-from survey.photos.intersection import Intersection, intersect
+from survey.photos.cameras import Intersection, View, intersect
 from survey.settings.tables import DEFAULT_MARKS_STD_PX
 from survey.water.level_observation import CLICK_STD_PX
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from geo.files import write_text
-from refract.lens import MODELS, Lens
+from refract.lens import MODELS
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
 from survey.progress import current
@@ -29,17 +29,23 @@ def write_model(folder: Path, views: Sequence[View], *, head: str, points: str, 
     its camera models, is written as text alone. ``head`` are the comment lines of cameras.txt, ``points`` is
     points3D.txt, or its comment lines before ``ties``, which have the places that straight rays give them.
     """
-    lenses = tuple(dict.fromkeys(view.lens for view in views))
-    cameras = head + "".join(_lens_line(number, lens) for number, lens in enumerate(lenses, start=1))
-    seen = [""] * len(views)
-    if ties is not None:
-        points, seen = points + _point_lines(views, ties), _observation_lines(len(views), ties)
-    for name, text in zip(FILES, (cameras, "".join(_pose_lines(views, lenses, seen)), points), strict=True):
+    number_of = {lens: number for number, lens in enumerate(dict.fromkeys(view.lens for view in views), start=1)}
+    cameras, images = head, ""
+    for lens, number in number_of.items():
+        params = " ".join(repr(float(p)) for p in lens.params)
+        cameras += f"{number} {lens.model} {lens.width} {lens.height} {params}\n"
+    lines, seen = ("", [""] * len(views)) if ties is None else _point_lines(views, ties)
+    for number, view in enumerate(views, start=1):
+        x, y, z, w = Rotation.from_matrix(view.camera.cam_from_local).as_quat()
+        shift = -view.camera.cam_from_local @ view.camera.centre
+        numbers = " ".join(repr(float(v)) for v in (w, x, y, z, *shift))
+        images += f"{number} {numbers} {number_of[view.lens]} {view.name}\n{seen[number - 1]}\n"
+    for name, text in zip(FILES, (cameras, images, points + lines), strict=True):
         write_text(folder / name, text)
     for name in _BINARY:
         (folder / name).unlink(missing_ok=True)
     is_cut = any(len(view.name.split()) != 1 for view in views)
-    if is_cut and all(MODELS[lens.model][0] is not None for lens in lenses):
+    if is_cut and all(MODELS[lens.model][0] is not None for lens in number_of):
         _write_binary(folder, views)
 
 
@@ -58,42 +64,23 @@ def _write_binary(folder: Path, views: Sequence[View]) -> None:
     model.write_binary(folder)
 
 
-def _lens_line(number: int, lens: Lens) -> str:
-    return f"{number} {lens.model} {lens.width} {lens.height} {' '.join(repr(float(p)) for p in lens.params)}\n"
+def _point_lines(views: Sequence[View], ties: TiePoints) -> tuple[str, list[str]]:
+    """A line of each point, with place, a colour that is not known, error [px] and track; and one of each photograph.
 
-
-def _pose_lines(views: Sequence[View], lenses: tuple[Lens, ...], seen: Sequence[str]) -> list[str]:
-    """Two lines for each photograph; the second has its points."""
-    lines = []
-    for number, view in enumerate(views, start=1):
-        x, y, z, w = Rotation.from_matrix(view.camera.cam_from_local).as_quat()
-        shift = -view.camera.cam_from_local @ view.camera.centre
-        numbers = " ".join(repr(float(v)) for v in (w, x, y, z, *shift))
-        lines.append(f"{number} {numbers} {lenses.index(view.lens) + 1} {view.name}\n{seen[number - 1]}\n")
-    return lines
-
-
-def _observation_lines(num_views: int, ties: TiePoints) -> list[str]:
-    """Lines of each photograph: x, y and the number of the point of all observations in it, in their order."""
-    return [
-        " ".join(
-            f"{x:.3f} {y:.3f} {point + 1}" for (x, y), point in zip(ties.pixel[rows], ties.point[rows], strict=True)
-        )
-        for rows in (np.flatnonzero(ties.view == number) for number in range(num_views))
-    ]
-
-
-def _point_lines(views: Sequence[View], ties: TiePoints) -> str:
-    """Number, place, a colour that is not known, error [px] and track of each point."""
+    That has x, y and the number of the point of all observations in it, in their order.
+    """
     residual, place = np.empty(len(ties.view)), np.empty(len(ties.view), dtype=np.int64)
+    seen = []
     for number, view in enumerate(views):
         observed = np.flatnonzero(ties.view == number)
-        misfit = view.camera.project(ties.start[ties.point[observed]], None) - ties.pixel[observed]
+        pixel, point = ties.pixel[observed], ties.point[observed]
+        misfit = view.camera.project(ties.start[point], None) - pixel
         residual[observed], place[observed] = np.linalg.norm(misfit, axis=1), np.arange(len(observed))
+        seen.append(" ".join(f"{x:.3f} {y:.3f} {at + 1}" for (x, y), at in zip(pixel, point, strict=True)))
     first = np.searchsorted(ties.point, np.arange(len(ties) + 1))
     lines = []
     for number, (x, y, z) in enumerate(ties.start):
         rows = slice(first[number], first[number + 1])
         track = " ".join(f"{view + 1} {at}" for view, at in zip(ties.view[rows], place[rows], strict=True))
         lines.append(f"{number + 1} {x:.4f} {y:.4f} {z:.4f} {_GREY} {residual[rows].mean():.3f} {track}\n")
-    return "".join(lines)
+    return "".join(lines), seen

@@ -18,6 +18,7 @@ from pyproj import CRS
 from geo.crs import middle_lon_lat, utm_code
 from survey.photos.exif_position import (
     altitude_reference,
+    first,
     focal_px,
     focal_warning,
     other_datum,
@@ -193,27 +194,27 @@ def _offsets(details: dict, local: str, changed: Any) -> list[str]:
     Offsets of DateTimeDigitized and DateTime are used only if these equal the time of exposure: programs that change a
     file write their own.
     """
-    digitized = plain(details.get(ExifTags.Base.DateTimeDigitized))
-    found = [plain(details.get(ExifTags.Base.OffsetTimeOriginal))]
-    found += [plain(details.get(ExifTags.Base.OffsetTimeDigitized))] if digitized in ("", local) else []
-    found += [plain(details.get(ExifTags.Base.OffsetTime))] if plain(changed) in ("", local) else []
+    base = ExifTags.Base
+    times = {
+        base.OffsetTimeOriginal: "", base.OffsetTimeDigitized: plain(details.get(base.DateTimeDigitized)),
+        base.OffsetTime: plain(changed),
+    }  # fmt: skip
+    offsets = [plain(details.get(tag)) for tag, time in times.items() if time in ("", local)]
     # Of TIFF/EP, before EXIF had a tag: whole hours, those of the exposure first.
-    hours = details.get(ExifTags.Base.TimeZoneOffset)
-    hours = hours[0] if isinstance(hours, tuple | list) and hours else hours
+    hours = first(details.get(base.TimeZoneOffset))
     if isinstance(hours, int) and abs(hours) <= _MOST_OFFSET_H:
-        found.append(f"{hours:+03d}:00")
-    return [offset.replace(" ", "") for offset in found]
+        offsets.append(f"{hours:+03d}:00")
+    return [offset.replace(" ", "") for offset in offsets]
 
 
 def _clock(details: dict) -> datetime | None:
-    text = str(details.get(ExifTags.Base.DateTimeOriginal, "")).strip("\0 ")
     # Digits behind the decimal point, as many as the camera counts.
-    digits = str(details.get(ExifTags.Base.SubsecTimeOriginal, "")).strip("\0 ")
+    digits = plain(details.get(ExifTags.Base.SubsecTimeOriginal))
     fraction = float(f"0.{digits}") if digits.isascii() and digits.isdigit() else 0.0
-    try:
+    with suppress(ValueError):
+        text = plain(details.get(ExifTags.Base.DateTimeOriginal))
         return datetime.strptime(text, "%Y:%m:%d %H:%M:%S") + timedelta(seconds=fraction)
-    except ValueError:
-        return None
+    return None
 
 
 def position_sources(headers: Mapping[str, Exif]) -> str:

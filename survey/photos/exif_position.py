@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from PIL import ExifTags
@@ -35,17 +36,14 @@ _OFF_CENTRE = 0.1
 
 def position_of(gps: dict, xmp: str) -> tuple[tuple[float, float, float] | None, str]:
     """The position by EXIF, or by XMP if it has more digits or EXIF has none; and what EXIF lacks for a position."""
-    by_exif, fault = position_of_gps(gps)
-    by_xmp = xmp_place(xmp)
+    (by_exif, fault), by_xmp = position_of_gps(gps), xmp_place(xmp)
     if by_xmp is None:
         return by_exif, fault
+    latitude, longitude, height = by_xmp.latitude, by_xmp.longitude, by_xmp.height
     if by_exif is None:
-        height = math.nan if by_xmp.height is None else by_xmp.height
-        return (by_xmp.latitude, by_xmp.longitude, height), ""
-    difference_deg = max(abs(by_exif[0] - by_xmp.latitude), abs(by_exif[1] - by_xmp.longitude))
-    if by_xmp.step_deg < _step_deg(gps) and difference_deg < _SAME_PLACE_DEG:
-        return (by_xmp.latitude, by_xmp.longitude, by_exif[2]), ""
-    return by_exif, fault
+        return (latitude, longitude, math.nan if height is None else height), ""
+    is_near = max(abs(by_exif[0] - latitude), abs(by_exif[1] - longitude)) < _SAME_PLACE_DEG
+    return ((latitude, longitude, by_exif[2]) if is_near and by_xmp.step_deg < _step_deg(gps) else by_exif), ""
 
 
 def position_of_gps(gps: dict) -> tuple[tuple[float, float, float] | None, str]:
@@ -112,23 +110,18 @@ def altitude_reference(gps: dict) -> int | None:
 
 def _step_deg(gps: dict) -> float:
     """Step [deg] of the coarser coordinate, by the denominators of degrees, minutes and seconds."""
-    steps = [1.0 / 3600.0]
+    steps = []
     for tag in (ExifTags.GPS.GPSLatitude, ExifTags.GPS.GPSLongitude):
-        try:
+        with suppress(KeyError, TypeError, ValueError):
             parts = list(gps[tag])[:3]
             steps.append(min(60.0**-i / max(getattr(part, "denominator", 1), 1) for i, part in enumerate(parts)))
-        except (KeyError, TypeError, ValueError):
-            continue
-    return max(steps[1:], default=steps[0])
+    return max(steps, default=1.0 / 3600.0)
 
 
-def _degrees(parts) -> float:
-    if isinstance(parts, bytes | str):
-        return number(plain(parts))
-    try:
-        values = [number(part) for part in parts[:3]]
-    except TypeError:
-        return number(parts)
+def _degrees(parts: Any) -> float:
+    if isinstance(parts, bytes | str) or not hasattr(parts, "__getitem__"):
+        return number(plain(parts) if isinstance(parts, bytes | str) else parts)
+    values = [number(part) for part in parts[:3]]
     size = sum(abs(value) / 60.0**i for i, value in enumerate(values)) if values else math.nan
     return -size if any(value < 0.0 for value in values) else size
 
@@ -171,20 +164,16 @@ def focal_px(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> flo
 
 def focal_warning(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> str:
     """Reason why the focal length may not apply to the stored image size; empty where there is none."""
-    zoom = number(details.get(ExifTags.Base.DigitalZoomRatio))
-    # Cameras differ in whether the 35 mm equivalent has it.
-    message = f"a digital zoom of {zoom:g} by EXIF, which its focal length may leave out" if zoom > 1.0 else ""
-    return " and ".join(filter(None, (message, _resized_warning(size, details, xmp))))
-
-
-def _resized_warning(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> str:
-    """Reason where calibration and 35 mm equivalent belong to images of different sizes; empty otherwise."""
-    calibrated, used = xmp_number(xmp, "CalibratedFocalLength"), focal_px(size, details, xmp)
-    if not calibrated or calibrated <= 0.0:
-        return ""
-    if used == calibrated:
+    reasons, zoom = [], number(details.get(ExifTags.Base.DigitalZoomRatio))
+    if zoom > 1.0:
+        # Cameras differ in whether the 35 mm equivalent has it.
+        reasons.append(f"a digital zoom of {zoom:g} by EXIF, which its focal length may leave out")
+    calibrated, used = xmp_number(xmp, "CalibratedFocalLength") or 0.0, focal_px(size, details, xmp)
+    if calibrated > 0.0 and used != calibrated:
+        other = "nothing else tells" if used is None else f"the 35 mm equivalent gives {used:.0f} px, which is used"
+        reasons.append(f"a calibrated focal length of {calibrated:.0f} px in XMP that belongs to another size; {other}")
+    elif calibrated > 0.0:
         film = number(details.get(ExifTags.Base.FocalLengthIn35mmFilm))
-        is_told = film > 0.0 or xmp_number(xmp, "CalibratedOpticalCenterX") is not None
-        return "" if is_told else f"a calibrated focal length of {calibrated:.0f} px, of the size that the camera made"
-    other = "nothing else tells" if used is None else f"the 35 mm equivalent gives {used:.0f} px, which is used"
-    return f"a calibrated focal length of {calibrated:.0f} px in XMP that belongs to another size; {other}"
+        if not film > 0.0 and xmp_number(xmp, "CalibratedOpticalCenterX") is None:
+            reasons.append(f"a calibrated focal length of {calibrated:.0f} px, of the size that the camera made")
+    return " and ".join(reasons)

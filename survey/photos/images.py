@@ -19,10 +19,9 @@ from survey.errors import ImageError, NotReached
 from survey.files.json_values import read_json_object, write_json
 from survey.files.remote import Remote
 from survey.photos.cameras import View
-from survey.photos.complete import require_complete
 from survey.photos.exif import SUFFIXES
 from survey.photos.names import MASK_ENDING
-from survey.photos.pixels import read_grey, read_opaque, read_rgb, require_pixels
+from survey.photos.pixels import read_grey, read_opaque, read_rgb, require_complete, require_pixels
 from survey.progress import current
 from survey.stage_key import content_hash
 from survey.words import RUN_FOLDER

@@ -10,6 +10,7 @@ of the memory while it is decoded.
 
 from __future__ import annotations
 
+import re
 import struct
 import threading
 import warnings
@@ -20,6 +21,7 @@ from typing import BinaryIO
 
 import cv2
 import numpy as np
+import simplejpeg
 from PIL import Image, UnidentifiedImageError
 
 from geo.files import library_for
@@ -33,17 +35,8 @@ _SHARE_OF_MEMORY = 0.5
 _FITS_PX = 10_000_000
 # Errors of Pillow and OpenCV about files whose content contradicts their header.
 _DAMAGE = (
-    OSError,
-    SyntaxError,
-    ValueError,
-    TypeError,
-    KeyError,
-    IndexError,
-    OverflowError,
-    EOFError,
-    struct.error,
-    cv2.error,
-)
+    OSError, SyntaxError, ValueError, TypeError, KeyError, IndexError, OverflowError, EOFError, struct.error, cv2.error,
+)  # fmt: skip
 _GLOBALS_LOCK = threading.RLock()
 # Formats of Pillow that a file may be taken for, whatever its suffix: others start programs (EPS) or are of no camera.
 _FORMATS = ("JPEG", "PNG", "TIFF", "WEBP")
@@ -56,6 +49,12 @@ _EXTRA_SAMPLES, _ALPHA = 338, ((1,), (2,))
 # Transparency is 0 or full except at edges; a band with more intermediate pixels than this share is a picture.
 _MOST_BETWEEN = 0.5
 _ALPHA_MODES = ("RGBA", "LA", "PA")
+_JPEG_BEGIN, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
+# libjpeg makes no grey levels of these. An eighth of the size takes the least time; every block is read all the same.
+_FOUR_COMPONENTS, _EIGHTH = ("CMYK", "YCCK"), 8
+# libjpeg's warnings about compressed pixels; others are about headers. Cameras fill up the last word of the pixels.
+_LOST_PIXELS = re.compile(r"Corrupt JPEG data|Premature end|Inconsistent progression")
+_FILL_BYTES = re.compile(r"Corrupt JPEG data: \d extraneous bytes before marker 0xd9")
 # From pixels that were turned for the eye back to those of the file, by the value of the tag.
 _STORED: dict[int, Callable[[np.ndarray], np.ndarray]] = {
     2: np.fliplr,
@@ -80,8 +79,16 @@ def open_image(path: Path) -> Iterator[Image.Image]:
     with path.open("rb") as file:
         with damage_named(f"{path} is not an image that can be read"):
             image = open_stream(file, *formats)
+        (width, height), pixels = image.size, image.size[0] * image.size[1]
+        most = np.inf if pixels <= _FITS_PX else _SHARE_OF_MEMORY * machine.memory_bytes() / _BYTES_PER_PIXEL
         with image:
-            _require_fit(path, *image.size)
+            if pixels > most:
+                raise ImageError(
+                    f"{path} has {width} x {height} pixels ({pixels / 1e6:.0f} Mpx), expected at most {most / 1e6:.0f} "
+                    f"Mpx on this machine ({_BYTES_PER_PIXEL} bytes a pixel in half of "
+                    f"{machine.memory_bytes() / 1e9:.1f} GB); use smaller images with poses made from them, or more "
+                    "memory"
+                )
             yield image
 
 
@@ -123,19 +130,6 @@ def without_complaints() -> Iterator[None]:
         yield
 
 
-def _require_fit(path: Path, width: int, height: int) -> None:
-    if width * height <= _FITS_PX:
-        return
-    most = _SHARE_OF_MEMORY * machine.memory_bytes() / _BYTES_PER_PIXEL
-    message = f"{path} has {width} x {height} pixels ({width * height / 1e6:.0f} Mpx)"
-    if width * height > most:
-        raise ImageError(
-            f"{message}, expected at most {most / 1e6:.0f} Mpx on this machine ({_BYTES_PER_PIXEL} bytes a pixel in "
-            f"half of {machine.memory_bytes() / 1e9:.1f} GB); use smaller images with poses made from them, or more "
-            "memory"
-        )
-
-
 def stored_size(image: Image.Image) -> tuple[int, int]:
     """Width and height of the pixels in the file, before any turn by the tag of the orientation."""
     tags = getattr(image, "tag_v2", {})
@@ -167,20 +161,16 @@ def channel_bits(image: Image.Image) -> int:
 
 def read_rgb(path: Path) -> np.ndarray:
     """Pixels (height, width, 3), RGB, as stored: uint8, or uint16 where a channel has more than 8 bits."""
-    return _decoded(
-        path, lambda image, bits: _decode_16_bits(path, image, bits) if bits > 8 else _decode_8_bits(image, "RGB")
-    )
+    return _decoded(path, lambda image, bits: _16_bits(path, image, bits) if bits > 8 else _8_bits(image, "RGB"))
 
 
 def read_grey(path: Path) -> np.ndarray:
     """Grey levels (height, width) uint8 of a mask, as stored; of more than 8 bits 255 where it is not black."""
 
     def grey(image: Image.Image, bits: int) -> np.ndarray:
-        return (
-            _decode_16_bits(path, image, bits).max(axis=2).astype(bool) * np.uint8(255)
-            if bits > 8
-            else _decode_8_bits(image, "L")
-        )
+        if bits <= 8:
+            return _8_bits(image, "L")
+        return np.where(_16_bits(path, image, bits).any(axis=2), np.uint8(255), np.uint8(0))
 
     return _decoded(path, grey)
 
@@ -199,7 +189,7 @@ def read_opaque(path: Path) -> np.ndarray | None:
             has_alpha = True
         if not has_alpha:
             return None
-    alpha = _decoded(path, lambda image, _: _decode_8_bits(image.convert("RGBA").getchannel("A"), "L", image))
+    alpha = _decoded(path, lambda image, _: _8_bits(image.convert("RGBA").getchannel("A"), "L", image))
     # Some programs call every band beyond the colours transparency.
     is_between = (alpha > 0) & (alpha < alpha.max())
     return None if is_between.mean() > _MOST_BETWEEN else alpha > 0
@@ -213,14 +203,14 @@ def _decoded(path: Path, decode: Callable[[Image.Image, int], np.ndarray]) -> np
         return decode(image, bits)
 
 
-def _decode_8_bits(image: Image.Image, mode: str, of: Image.Image | None = None) -> np.ndarray:
+def _8_bits(image: Image.Image, mode: str, of: Image.Image | None = None) -> np.ndarray:
     """8 bits, by Pillow, which turns what it reads from a TIFF."""
     of = image if of is None else of
     turn = getattr(of, "tag_v2", {}).get(_ORIENTATION, 1) if of.format == "TIFF" else 1
-    return _as_stored(np.asarray(image.convert(mode)), turn)
+    return _STORED.get(turn, np.asarray)(np.asarray(image.convert(mode)))
 
 
-def _decode_16_bits(path: Path, image: Image.Image, bits: int) -> np.ndarray:
+def _16_bits(path: Path, image: Image.Image, bits: int) -> np.ndarray:
     """More than 8 bits as (height, width, 3) uint16."""
     if path.suffix.lower() in HEIC_SUFFIXES:
         heif = library_for(path, "pillow_heif", "heic")
@@ -232,8 +222,33 @@ def _decode_16_bits(path: Path, image: Image.Image, bits: int) -> np.ndarray:
     if pixels is None or pixels.dtype != np.uint16:
         raise ImageError(f"{message} in a form that cannot be read; convert it to PNG or TIFF of 16 bits")
     pixels = pixels[:, :, None].repeat(3, axis=2) if pixels.ndim == 2 else pixels[:, :, 2::-1]
-    return np.ascontiguousarray(_as_stored(pixels, tags.get(_ORIENTATION, 1)))
+    return np.ascontiguousarray(_STORED.get(tags.get(_ORIENTATION, 1), np.asarray)(pixels))
 
 
-def _as_stored(pixels: np.ndarray, orientation: int) -> np.ndarray:
-    return _STORED[orientation](pixels) if orientation in _STORED else pixels
+def require_complete(path: Path) -> None:
+    """Raise ImageError where an image is cut off, damaged, or no image.
+
+    Decoders fill what is missing with grey and say nothing. Of a JPEG libjpeg's warnings tell it, of a PNG its
+    checksums; other files are decoded.
+    """
+    with path.open("rb") as file:
+        data = file.read(len(_JPEG_BEGIN))
+        data = data + file.read() if data == _JPEG_BEGIN else b""
+    if not data:
+        with open_image(path) as image, damage_named(f"{path} is damaged or cut off"):
+            if image.format == "PNG":
+                image.verify()
+                return
+        read_rgb(path)
+        return
+    try:
+        _, _, colours, _ = simplejpeg.decode_jpeg_header(data, strict=False)
+        target = "CMYK" if colours in _FOUR_COMPONENTS else "GRAY"
+        # Some cameras leave out the end marker, and some add bytes behind it.
+        simplejpeg.decode_jpeg(data + _JPEG_END, target, strict=True, min_height=1, min_width=1, min_factor=_EIGHTH)
+    except (ValueError, KeyError) as error:  # KeyError: of a header without colours
+        warning = " ".join(str(error).split())[:100]
+        if _LOST_PIXELS.match(warning) and not _FILL_BYTES.fullmatch(warning):
+            raise ImageError(f"{path} is damaged or cut off ({warning}); copy it again or remove it") from error
+        # Of a kind that libjpeg-turbo's interface does not know, or of another structure.
+        read_rgb(path)

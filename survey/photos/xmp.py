@@ -14,16 +14,14 @@ from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 _DJI, _AUTEL, _PARROT, _PIX4D, _SKYDIO, _EXIF = "drone-dji", "drone", "drone-parrot", "Camera", "drone-skydio", "exif"
 # Namespaces by a part of their address, whatever prefix a program uses.
 _ADDRESSES = {
-    "drone-dji": _DJI,
-    "autel": _AUTEL,
-    "drone-parrot": _PARROT,
-    "pix4d.com/camera": _PIX4D,
-    "skydio": _SKYDIO,
-}
+    "drone-dji": _DJI, "autel": _AUTEL, "drone-parrot": _PARROT, "pix4d.com/camera": _PIX4D, "skydio": _SKYDIO,
+}  # fmt: skip
+_AXES = ("Yaw", "Pitch", "Roll")
 # The address must end here: that of lenses continues (aux/).
 _ADOBE_EXIF = "ns.adobe.com/exif/1.0/"
 _PREFIX = re.compile(r"xmlns:([\w-]{1,40})\s*=\s*[\"']([^\"'<>]{1,200})[\"']")
@@ -77,8 +75,7 @@ class Motion:
 
 def rtk_of(xmp: str) -> Rtk | None:
     """The accuracy of the position, where DJI's XMP has a flag and three standard deviations."""
-    flag = xmp_number(xmp, "RtkFlag")
-    std = _three(xmp, _DJI, "RtkStdLon", "RtkStdLat", "RtkStdHgt")
+    flag, std = xmp_number(xmp, "RtkFlag"), _three(xmp, _DJI, "RtkStdLon", "RtkStdLat", "RtkStdHgt")
     if flag is None or not abs(flag) < 1000.0 or std is None or not all(0.0 < s <= _MOST_STD_M for s in std):
         return None
     return Rtk(int(flag), std)
@@ -97,12 +94,9 @@ def height_datum(xmp: str) -> str | None:
 
     DJI's receivers with corrections give heights above the ellipsoid (AltitudeType RtkAlt).
     """
-    if _text_in(xmp, _DJI, "AltitudeType") == "RtkAlt":
-        return ELLIPSOIDAL
+    is_rtk = _text_in(xmp, _DJI, "AltitudeType") == "RtkAlt"
     datum = _text_in(xmp, "CRSInfo", "VERTCRS") or _text_in(xmp, _PIX4D, "VertCS")
-    if datum is None:
-        return None
-    return ELLIPSOIDAL if datum.upper().startswith(_ELLIPSOIDS) else datum
+    return ELLIPSOIDAL if is_rtk or (datum and datum.upper().startswith(_ELLIPSOIDS)) else datum
 
 
 def horizontal_datum(xmp: str) -> str:
@@ -113,9 +107,8 @@ def horizontal_datum(xmp: str) -> str:
 def with_known_prefixes(xmp: str) -> str:
     """XMP with the prefixes that namespaces have here, where a program gave them others."""
     for prefix, address in _PREFIX.findall(xmp):
-        known = next((name for part, name in _ADDRESSES.items() if part in address.lower()), prefix)
-        if address.lower().endswith(_ADOBE_EXIF):
-            known = _EXIF
+        named = next((name for part, name in _ADDRESSES.items() if part in address.lower()), prefix)
+        known = _EXIF if address.lower().endswith(_ADOBE_EXIF) else named
         if known != prefix:
             xmp = re.sub(rf"(?<![\w-]){re.escape(prefix)}:(?=\w)", f"{known}:", xmp)
     return xmp
@@ -124,46 +117,37 @@ def with_known_prefixes(xmp: str) -> str:
 def xmp_place(xmp: str) -> XmpPlace | None:
     """The position in XMP, by a drone or as programs rewrite it; None where it has none.
 
-    Older firmware of DJI spells the longitude GpsLongtitude.
+    Older firmware of DJI spells the longitude GpsLongtitude. A receiver without a fix writes 0, 0.
     """
-    texts = [
-        next((text for space, name in names if (text := _text_in(xmp, space, name))), None)
+    latitude, longitude = (
+        next((text for space, name in names if (text := _text_in(xmp, space, name))), "")
         for names in (
             ((_DJI, "GpsLatitude"), (_AUTEL, "GpsLatitude"), (_SKYDIO, "Latitude")),
             ((_DJI, "GpsLongitude"), (_DJI, "GpsLongtitude"), (_AUTEL, "GpsLongitude"), (_SKYDIO, "Longitude")),
         )
-    ]
-    if any(text is None or not _NUMBER.fullmatch(text) for text in texts):
-        return _rewritten_place(xmp)
-    latitude, longitude = (number(text) for text in texts)
-    height = xmp_number(xmp, "AbsoluteAltitude")
-    height = _number_in(xmp, _SKYDIO, "AbsoluteAltitude") if height is None else height
-    digits = min(len(str(text).partition(".")[2]) for text in texts)
-    return _on_earth(XmpPlace(latitude, longitude, height, 10.0**-digits))
-
-
-def _rewritten_place(xmp: str) -> XmpPlace | None:
-    """The position in the namespace of EXIF: "47,52.1234N", with the height as a fraction."""
-    found = [_ANGLE.fullmatch(_text_in(xmp, _EXIF, f"GPS{name}") or "") for name in ("Latitude", "Longitude")]
-    if found[0] is None or found[1] is None or found[0][4] not in "NSns" or found[1][4] not in "EWew":
-        return None
-    latitude, longitude = (
-        (-1.0 if each[4] in "SsWw" else 1.0) * (float(each[1]) + float(each[2]) / 60.0 + float(each[3] or 0.0) / 3600.0)
-        for each in found
-        if each is not None
     )
-    steps = [(60.0 if each[3] is None else 3600.0, each[3] or each[2]) for each in found if each is not None]
-    step = max(10.0 ** -len(text.partition(".")[2]) / parts for parts, text in steps)
-    height = _number_in(xmp, _EXIF, "GPSAltitude")
-    if height is not None and _text_in(xmp, _EXIF, "GPSAltitudeRef") in ("1", "3"):
-        height = -abs(height)
-    return _on_earth(XmpPlace(latitude, longitude, height, step))
-
-
-def _on_earth(place: XmpPlace) -> XmpPlace | None:
-    """The place, unless it is none, or that of a receiver without a fix."""
+    if _NUMBER.fullmatch(latitude) and _NUMBER.fullmatch(longitude):
+        height = xmp_number(xmp, "AbsoluteAltitude")
+        height = _number_in(xmp, _SKYDIO, "AbsoluteAltitude") if height is None else height
+        digits = min(len(text.partition(".")[2]) for text in (latitude, longitude))
+        place = XmpPlace(number(latitude), number(longitude), height, 10.0**-digits)
+    else:
+        north, east = (_ANGLE.fullmatch(_text_in(xmp, _EXIF, f"GPS{name}") or "") for name in ("Latitude", "Longitude"))
+        if north is None or east is None or north[4] not in "NSns" or east[4] not in "EWew":
+            return None
+        height = _number_in(xmp, _EXIF, "GPSAltitude")
+        if height is not None and _text_in(xmp, _EXIF, "GPSAltitudeRef") in ("1", "3"):
+            height = -abs(height)
+        steps = [10.0 ** -len((a[3] or a[2]).partition(".")[2]) / (3600.0 if a[3] else 60.0) for a in (north, east)]
+        place = XmpPlace(_degrees(north), _degrees(east), height, max(steps))
     is_fix = place.latitude != 0.0 or place.longitude != 0.0
     return place if is_fix and abs(place.latitude) <= 90.0 and abs(place.longitude) <= 180.0 else None
+
+
+def _degrees(angle: re.Match[str]) -> float:
+    """Degrees of a position in the namespace of EXIF: "47,52.1234N"."""
+    size = float(angle[1]) + float(angle[2]) / 60.0 + float(angle[3] or 0.0) / 3600.0
+    return -size if angle[4] in "SsWw" else size
 
 
 def exposure_time(xmp: str) -> datetime | None:
@@ -178,27 +162,16 @@ def exposure_time(xmp: str) -> datetime | None:
 
 
 def motion_of(xmp: str) -> Motion:
-    """Attitude, speed and shutter, as far as XMP has them."""
-    speed = _three(xmp, _DJI, "FlightYSpeed", "FlightXSpeed", "FlightZSpeed")
+    """Attitude, speed and shutter, as far as XMP has them, whichever maker has written them."""
+    spaces = ((_DJI, "Gimbal"), (_AUTEL, "Gimbal"), (_PARROT, "Camera"))
+    sets = (_three(xmp, space, *(f"{name}{axis}Degree" for axis in _AXES)) for space, name in spaces)
+    gimbal = next((each for each in sets if each is not None), None)
+    frame, speed = _three(xmp, _PIX4D, *_AXES), _three(xmp, _DJI, "FlightYSpeed", "FlightXSpeed", "FlightZSpeed")
     return Motion(
-        gimbal_deg=_camera_angles(xmp),
+        gimbal_deg=gimbal_from_pix4d(*frame) if gimbal is None and frame is not None else gimbal,
         velocity=None if speed is None else (speed[0], speed[1], 0.0 - speed[2]),
         is_mechanical=_MECHANICAL.search(xmp) is not None,
     )
-
-
-def _camera_angles(xmp: str) -> tuple[float, float, float] | None:
-    """Yaw, pitch, roll of the camera from north, east, down, whichever maker has written them."""
-    of_gimbal = _angles(xmp, "Gimbal{}Degree", _DJI, _AUTEL) or _angles(xmp, "Camera{}Degree", _PARROT)
-    if of_gimbal is not None:
-        return of_gimbal
-    of_frame = _angles(xmp, "{}", _PIX4D)
-    return None if of_frame is None else gimbal_from_pix4d(*of_frame)
-
-
-def _angles(xmp: str, name: str, *namespaces: str) -> tuple[float, float, float] | None:
-    names = [name.format(axis) for axis in ("Yaw", "Pitch", "Roll")]
-    return next((found for space in namespaces if (found := _three(xmp, space, *names)) is not None), None)
 
 
 def gimbal_from_pix4d(yaw: float, pitch: float, roll: float) -> tuple[float, float, float]:
@@ -207,20 +180,14 @@ def gimbal_from_pix4d(yaw: float, pitch: float, roll: float) -> tuple[float, flo
     Pix4D turns a frame whose camera looks down with the top of the image forward, a gimbal one whose camera looks
     forward: all zero here is a pitch of -90 there.
     """
-    y, p, r = np.radians([yaw, pitch, roll])
-    about_z = np.array([[np.cos(y), -np.sin(y), 0.0], [np.sin(y), np.cos(y), 0.0], [0.0, 0.0, 1.0]])
-    about_y = np.array([[np.cos(p), 0.0, np.sin(p)], [0.0, 1.0, 0.0], [-np.sin(p), 0.0, np.cos(p)]])
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(r), -np.sin(r)], [0.0, np.sin(r), np.cos(r)]])
-    down = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
-    turned = about_z @ about_y @ about_x @ down
+    down = Rotation.from_matrix([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    turned = (Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True) * down).as_matrix()
     sine = float(np.clip(-turned[2, 0], -1.0, 1.0))
     if abs(sine) > _VERTICAL:
         return math.degrees(math.atan2(-turned[0, 1], turned[1, 1])), math.copysign(90.0, sine), 0.0
-    return (
-        math.degrees(math.atan2(turned[1, 0], turned[0, 0])),
-        math.degrees(math.asin(sine)),
-        math.degrees(math.atan2(turned[2, 1], turned[2, 2])),
-    )
+    angles = ((turned[1, 0], turned[0, 0]), (sine, math.sqrt(1.0 - sine**2)), (turned[2, 1], turned[2, 2]))
+    y, p, r = (math.degrees(math.atan2(*pair)) for pair in angles)
+    return y, p, r
 
 
 def xmp_number(xmp: str, name: str) -> float | None:
@@ -242,11 +209,9 @@ def _three(xmp: str, namespace: str, *names: str) -> tuple[float, float, float] 
 
 def _number_in(xmp: str, namespace: str, name: str) -> float | None:
     """A finite number, as an attribute or an element; a fraction, as Parrot writes them, is divided."""
-    text = _text_in(xmp, namespace, name)
-    if text is None:
-        return None
-    parts = [number(part) if _NUMBER.fullmatch(part) else math.nan for part in text.split("/")]
-    value = parts[0] if len(parts) == 1 else parts[0] / parts[1] if len(parts) == 2 and parts[1] else math.nan
+    parts = (_text_in(xmp, namespace, name) or "").split("/")
+    values = [number(part) if _NUMBER.fullmatch(part) else math.nan for part in parts]
+    value = values[0] if len(values) == 1 else values[0] / values[1] if len(values) == 2 and values[1] else math.nan
     return value if math.isfinite(value) else None
 
 

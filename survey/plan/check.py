@@ -22,7 +22,7 @@ from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors, commo
 from survey.folder.sfm_views import placing_control, require_solvable
 from survey.folder.survey import Survey, load_survey
 from survey.photos.exif import position_sources
-from survey.photos.rotations import enu_from_yaw_pitch_roll
+from survey.photos.poses import enu_from_yaw_pitch_roll
 from survey.plan.area import require_seen
 from survey.plan.choices import USUAL, Choices
 from survey.plan.plan import Decision, Plan, device_decision, make_plan, require_placeable

@@ -25,7 +25,7 @@ from survey.folder.found import Found
 from survey.folder.motion import velocities_of
 from survey.folder.survey import Survey
 from survey.photos.exif import Exif, middle_of
-from survey.photos.rotations import enu_from_yaw_pitch_roll
+from survey.photos.poses import enu_from_yaw_pitch_roll
 from survey.photos.texture import MOSTLY_WHITE, bytes_per_pixel, image_detail, relative_sharpness
 from survey.plan.area import ASSUMED_DEPTH_M, Places, in_the_middle, places_of
 from survey.plan.check import Checked, CheckSection, Verdict, verdict_by_limits, verdict_text

@@ -21,8 +21,7 @@ from survey.display.quantities import distance_text, named
 from survey.errors import PosesError
 from survey.files.csv_table import number_of
 from survey.files.xml_tree import crs_of_chunk, read_chunk
-from survey.photos.poses import GivenPosition, Pose, PoseFile, PoseFrame
-from survey.photos.rotations import is_rotation, nearest_rotation
+from survey.photos.poses import GivenPosition, Pose, PoseFile, PoseFrame, is_rotation, nearest_rotation
 from survey.pose_files.format import Format, brown_lens, numbers_in, require_understood
 
 # What is read of a calibration, and when it was made.

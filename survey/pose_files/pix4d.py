@@ -19,8 +19,15 @@ from refract.lens import Lens, LensError
 from survey.errors import PosesError
 from survey.files.crs_lines import crs_of_text
 from survey.files.csv_table import text_lines
-from survey.photos.poses import Pose, PoseFile, PoseFrame
-from survey.photos.rotations import CAM_FROM_OPK_CAM, grid_from_opk, is_rotation, nearest_rotation
+from survey.photos.poses import (
+    CAM_FROM_OPK_CAM,
+    Pose,
+    PoseFile,
+    PoseFrame,
+    grid_from_opk,
+    is_rotation,
+    nearest_rotation,
+)
 from survey.pose_files.format import Format, brown_lens, numbers_in
 
 _EXTERNAL, _CAMERAS = "_calibrated_external_camera_parameters.txt", "_calibrated_camera_parameters.txt"

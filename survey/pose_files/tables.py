@@ -20,8 +20,15 @@ from pyproj import CRS
 from survey.errors import PosesError
 from survey.files.crs_lines import crs_of_comment
 from survey.files.csv_table import Row, Table, column_names, number_of, text_lines, words_of
-from survey.photos.poses import GivenPosition, Pose, PoseFile, PoseFrame
-from survey.photos.rotations import CAM_FROM_OPK_CAM, enu_from_yaw_pitch_roll, grid_from_opk
+from survey.photos.poses import (
+    CAM_FROM_OPK_CAM,
+    GivenPosition,
+    Pose,
+    PoseFile,
+    PoseFrame,
+    enu_from_yaw_pitch_roll,
+    grid_from_opk,
+)
 from survey.pose_files.format import Format, is_lens_key
 from survey.words import GEO_TXT
 

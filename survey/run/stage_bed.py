@@ -33,7 +33,7 @@ from survey.display.plan_grid import median
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object
-from survey.photos.intersection import equations_of_lines
+from survey.photos.cameras import equations_of_lines
 from survey.plan.area import inside
 from survey.progress import shares
 from survey.run.job import colour_of

@@ -19,7 +19,7 @@ from refract import PinholeCamera
 from survey.control.points import ControlPoint, Mark
 from survey.display.quantities import listed
 from survey.errors import ControlError
-from survey.photos.intersection import equations_of_lines
+from survey.photos.cameras import equations_of_lines
 from survey.sfm.gps_fit import PositionLine
 
 MIN_POINTS = 3

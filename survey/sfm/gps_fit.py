@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from geo.frames import Similarity, gross_error_limit
 from survey.photos.exif import Exif
-from survey.photos.rotations import enu_from_yaw_pitch_roll
+from survey.photos.poses import enu_from_yaw_pitch_roll
 
 # Accuracy of a receiver with carrier-phase corrections: the smallest standard deviation that is assumed.
 MIN_STD_M = 0.02

@@ -20,7 +20,7 @@ from geo.transformation import lon_lat
 from refract import FlatWater, PinholeCamera
 from refract.lens import Lens, coefficients_of
 from refract.surfaces import WaterSurface
-from survey.photos.rotations import CAM_FROM_OPK_CAM
+from survey.photos.poses import CAM_FROM_OPK_CAM
 from survey.settings.config import WaterConfig
 from survey.simulate.direct import DirectRenderer, SunOnWaves
 from survey.simulate.sensor import RadianceFunction, Sensor

@@ -14,7 +14,7 @@ import numpy as np
 
 from geo.copc import CELLS, build_octree
 from refract import PinholeCamera
-from survey.photos.rotations import rotation_from_quaternion
+from survey.photos.poses import rotation_from_quaternion
 
 if TYPE_CHECKING:
     import viser

@@ -19,10 +19,9 @@ from geo.crs import parse_crs
 from geo.errors import GeoError
 from survey.errors import ConfigError, ImageError, SurveyError
 from survey.folder.survey import load_survey
-from survey.photos.complete import require_complete
 from survey.photos.exif import read_exif
 from survey.photos.images import read_mask
-from survey.photos.pixels import read_rgb
+from survey.photos.pixels import read_rgb, require_complete
 from survey.photos.xmp import height_datum, motion_of, rtk_of, stated_std, xmp_number
 from survey.water.gauge_files import read_series
 from survey.water.level_observation import points_of_surface

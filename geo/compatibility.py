@@ -44,17 +44,15 @@ _TOLERANCE_M = 0.001
 # Bounds this many times as elongated as the same four numbers in the other order are taken to be in that order.
 _SIDE_RATIO = 10.0
 # Places of easting low, northing low, easting high and northing high among four numbers: of PDAL, and northing first.
-_EASTINGS_FIRST = (0, 2, 1, 3)
-_NORTHING_FIRST = (1, 0, 3, 2)
-_ORDERS_OF_BOUNDS = (_EASTINGS_FIRST, _NORTHING_FIRST, (2, 0, 3, 1))
+_EASTINGS_FIRST, _NORTHING_FIRST, _NORTHINGS_FIRST = (0, 2, 1, 3), (1, 0, 3, 2), (2, 0, 3, 1)
 _SAMPLES_M = np.array([-2e5, 0.0, 3e5])
 
 
 def crs_difference(a: CRS, b: CRS) -> str | None:
     """Difference of two CRSs in words for a message; None if there is none, as far as is known.
 
-    A part that one of them leaves out (a vertical datum, the name of a datum) counts as equal. The order of axes that
-    the authority prefers is ignored: coordinates are always easting, northing, height here.
+    A part that one of them leaves out (a vertical datum, the name of a datum) counts as equal; the order of axes does
+    not count.
     """
     if a.equals(b, ignore_axis_order=True):
         return None
@@ -107,17 +105,12 @@ def require_same_place(a: np.ndarray, b: np.ndarray, a_name: str, b_name: str) -
 def bounds_in_other_order(bounds: tuple[float, ...], places: np.ndarray) -> tuple[float, ...] | None:
     """Bounds as (E0, N0, E1, N1) where they were given in another order that programs have; else None.
 
-    Parameters
-    ----------
-    bounds : four numbers, in crs
-    places : (N, 2 or more), in crs
-        Places that the bounds should contain. Another order is taken if some lie within the bounds in it, and the
-        numbers as given contain none of them and are no rectangle, one `_SIDE_RATIO` times as elongated, or a northing
-        first.
+    Another order is taken if some of the places (N, 2 or more) that they should contain lie within them in it, and the
+    numbers as given contain none and are no rectangle, one `_SIDE_RATIO` times as elongated, or a northing first.
     """
     stands, box = np.array(bounds).reshape(2, 2), plan_box(places)
     is_rectangle = bool((stands[0] < stands[1]).all())
-    for order in _ORDERS_OF_BOUNDS:
+    for order in (_EASTINGS_FIRST, _NORTHING_FIRST, _NORTHINGS_FIRST):
         meant = tuple(bounds[i] for i in order)
         other = np.array(meant).reshape(2, 2)
         if not (other[0] < other[1]).all() or not _overlap(other, box):
@@ -154,20 +147,12 @@ def _horizontal_differs(a: CRS, b: CRS) -> bool:
 
 def _frame_numbers(crs: CRS) -> list[float]:
     """Semi-axes [m], prime meridian [m on the equator] and unit (of 1000 m, or of a turn)."""
-    axes = ellipsoid(crs)
-    return [
-        axes.semi_major_metre,
-        axes.semi_minor_metre,
-        prime_meridian_rad(crs) * axes.semi_major_metre,
-        1000.0 * horizontal_unit(crs),
-    ]
+    a, b = ellipsoid(crs).semi_major_metre, ellipsoid(crs).semi_minor_metre
+    return [a, b, prime_meridian_rad(crs) * a, 1000.0 * horizontal_unit(crs)]
 
 
 def _grids_differ(a: CRS, b: CRS) -> bool:
-    """Whether places around the origin of the grid of a have other coordinates in b.
-
-    Compared as numbers, because one projection has several notations (EPSG, GDAL, ESRI).
-    """
+    """Whether places around the origin of the grid of a have other coordinates in b, whatever their notations."""
     unit, projection = horizontal_unit(a), a.coordinate_operation
     if projection is None:
         raise UnsupportedCRS(f"{a.name} has no map projection; expected a projected CRS.")
@@ -205,10 +190,7 @@ _WORLDWIDE_DEG = 350.0
 
 
 def require_in_area(crs: CRS, points: np.ndarray, subject: str, where: str = "crs") -> None:
-    """Raise PlaceMismatch where the middle of points (N, 2 or 3) lies far outside the area of use of their CRS.
-
-    The error names ``subject`` as what lies outside, and ``where`` as what to correct.
-    """
+    """Raise PlaceMismatch, which names ``where``, if the middle of points (N, 2 or 3) lies far outside the area."""
     middle = middle_of(horizontal_crs(crs), np.asarray(points, dtype=np.float64))
     if middle is not None:
         _require_in_area(crs, np.radians(middle), subject, where)
@@ -238,8 +220,7 @@ def height_systems_at(lat_deg: float, lon_deg: float) -> tuple[CRS, ...]:
     """National vertical CRSs in metres at a place, the smallest area of use first.
 
     Only those whose geoid PROJ knows (its grid need not be installed), and of each area the newest (the highest EPSG
-    code): systems that were replaced keep their areas. PROJ has areas as rectangles, so near a border those of the
-    neighbours are among them, and only a single one is certain.
+    code). PROJ has areas as rectangles: near a border those of the neighbours are among them.
     """
     area: Any = area_about(lon_deg, lat_deg)  # The stubs of pyproj have two types for one class
     newest: dict[tuple[float, ...], tuple[float, int]] = {}
@@ -254,10 +235,7 @@ def height_systems_at(lat_deg: float, lon_deg: float) -> tuple[CRS, ...]:
 
 
 def likely_crs(points: np.ndarray, lon_lat_deg: tuple[float, float], within_m: float, like: CRS) -> list[CRS]:
-    """Projected CRSs in use at a place in which points (N, 2 or 3) lie about it: the datum of ``like`` first.
-
-    Codes that EPSG withdrew are left out; the median of the distances to the place is at most ``within_m``.
-    """
+    """Projected CRSs in which points (N, 2 or 3) lie about a place, by the median: the datum of ``like`` first."""
     lon, lat = lon_lat_deg
     found, area = [], cast("Any", area_about(lon, lat))
     for info in query_crs_info("EPSG", PJType.PROJECTED_CRS, area, contains=True):
@@ -299,11 +277,7 @@ _GEOID, _STEP_DEG = "undulation.npy", 5.0
 
 
 def approximate_undulation_m(lat_deg: float, lon_deg: float) -> float:
-    """Approximate height of the geoid over the WGS 84 ellipsoid at a place [m]; negative where it lies below.
-
-    Examples
-    --------
-    In Denmark about 40 m, and south of India, where it is lowest, -106 m.
+    """Approximate height of the geoid over the WGS 84 ellipsoid at a place [m]: in Denmark, and south of India.
 
     >>> round(approximate_undulation_m(55.0, 10.0)), round(approximate_undulation_m(5.0, 80.0))
     (40, -106)

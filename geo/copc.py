@@ -44,23 +44,15 @@ Records = Callable[[slice | np.ndarray], laspy.LasData]
 class Octree:
     """Node of each point."""
 
-    corner: np.ndarray  # (3,) int64: lowest corner of the cube, in steps: the lowest coordinates
-    side: int  # Of the cube, in steps: the largest extent
+    corner: np.ndarray  # (3,) int64: lowest corner of the cube, in steps
+    side: int  # Of the cube, in steps
     order: np.ndarray  # (N,) uint32, or int64 where there are more than those count: the points, node after node
     keys: np.ndarray  # (M, 4) int32: Level, x, y, z of the nodes; a node comes after its parent
     counts: np.ndarray  # (M,) int64: points of each node, one at least
 
 
 def build_octree(columns: Sequence[np.ndarray], per_unit: Sequence[int] = (1, 1, 1)) -> Octree:
-    """The octree over points.
-
-    Parameters
-    ----------
-    columns : three of (N,) int, N at least 1
-        x, y and z. They are copied one after the other.
-    per_unit : three of int
-        Steps of one unit of each; steps are equal along all axes.
-    """
+    """The octree over points of columns x, y, z (N,) int, N at least 1, with so many equal steps in a unit of each."""
     axes = tuple(zip(columns, (int(number) for number in per_unit), strict=True))
     corner = [int(column.min()) * number for column, number in axes]
     side = max(*(int(column.max()) * number - low for (column, number), low in zip(axes, corner, strict=True)), 1)
@@ -139,20 +131,10 @@ def _gather(codes: np.ndarray) -> np.ndarray:
 def write_copc(
     header: laspy.LasHeader, records: Records, count: int, stream: BinaryIO, portion: int = _PORTION
 ) -> None:
-    """Write points of format 6, 7 or 8 as COPC; the stream can be read and sought in.
+    """Write ``count`` points, one at least, of format 6, 7 or 8 as COPC; the stream can be read and sought in.
 
-    Records are made a portion at a time, once for the places of the points and once, node by node, to be written.
-
-    Parameters
-    ----------
-    header : laspy.LasHeader
-        Of the records.
-    records : callable
-        Records of some rows: a slice, or indices (n,).
-    count : int
-        Number of points, one at least.
-    portion : int
-        Points that are made into records at a time, where they are not those of nodes.
+    ``records`` makes records of some rows (a slice, or indices) under the header, ``portion`` at a time for the places
+    of the points, and node by node to be written.
     """
     # laspy adds the points of each portion of records to the counts in their header.
     header = deepcopy(header)

@@ -11,10 +11,11 @@ from __future__ import annotations
 import math
 from functools import cache, lru_cache
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from pyproj import CRS
-from pyproj.crs import Ellipsoid
+from pyproj.crs import Ellipsoid, PrimeMeridian
 from pyproj.database import get_units_map
 from pyproj.exceptions import CRSError, ProjError
 
@@ -31,14 +32,9 @@ _EXAMPLE = "EPSG:25832+5778"
 
 
 def parse_crs(text: str | CRS, *, where: str = "crs") -> CRS:
-    """A CRS from its EPSG code, WKT or PROJ string, fit for a survey.
+    """A CRS from its EPSG code (``"EPSG:25832+5778"``, ``"EPSG:4979"``), WKT or PROJ string, fit for a survey.
 
-    Parameters
-    ----------
-    text : str or pyproj.CRS
-        For example ``"EPSG:25832+5778"`` (horizontal + vertical) or ``"EPSG:4979"`` (3D).
-    where : str
-        What the error names, for example ``"crs in survey.toml"``.
+    Errors name ``where``, for example ``"crs in survey.toml"``.
     """
     try:
         crs = crs_of(text)
@@ -107,8 +103,7 @@ def _short(text: object) -> str:
 
 def _unbound(crs: CRS) -> CRS:
     """The CRS without a transformation to WGS 84 that its text attaches (TOWGS84, nadgrids)."""
-    source = crs.source_crs if crs.is_bound else None
-    return crs if source is None else _unbound(source)
+    return _unbound(crs.source_crs) if crs.is_bound and crs.source_crs is not None else crs
 
 
 def horizontal_crs(crs: CRS) -> CRS:
@@ -118,7 +113,7 @@ def horizontal_crs(crs: CRS) -> CRS:
 
 @lru_cache(maxsize=256)
 def _horizontal_part(srs: str) -> CRS:
-    """Horizontal part of a CRS given by its text; cached, since PROJ takes 1 ms to make it."""
+    # Cached, since PROJ takes 1 ms to make it.
     part = _unbound(crs_of(srs))
     if part.is_compound:
         part = _unbound(part.sub_crs_list[0])
@@ -186,19 +181,14 @@ def geodetic_crs(crs: CRS) -> CRS:
 
 
 def ellipsoid(crs: CRS) -> Ellipsoid:
-    """The ellipsoid under a CRS; UnsupportedCRS as `geodetic_crs`."""
-    found = geodetic_crs(crs).ellipsoid
-    if found is None:
-        raise UnsupportedCRS(f"{crs.name} has no ellipsoid; expected a projected or geographic CRS.")
-    return found
+    """The ellipsoid under a CRS."""
+    return cast("Ellipsoid", geodetic_crs(crs).ellipsoid)
 
 
 def prime_meridian_rad(crs: CRS) -> float:
-    """Longitude of the prime meridian of a CRS, from Greenwich; UnsupportedCRS as `geodetic_crs`."""
-    found = geodetic_crs(crs).prime_meridian
-    if found is None:
-        raise UnsupportedCRS(f"{crs.name} has no prime meridian; expected a projected or geographic CRS.")
-    return found.longitude * float(found.unit_conversion_factor)  # a number, though pyproj's stubs say str
+    """Longitude of the prime meridian of a CRS, from Greenwich."""
+    meridian = cast("PrimeMeridian", geodetic_crs(crs).prime_meridian)
+    return meridian.longitude * float(meridian.unit_conversion_factor)  # a number, though pyproj's stubs say str
 
 
 def crs_code(crs: CRS) -> str | None:
@@ -206,26 +196,22 @@ def crs_code(crs: CRS) -> str | None:
     codes = crs.to_authority(min_confidence=100)
     if codes is not None:
         return ":".join(codes)
-    parts = [
-        part.to_authority(min_confidence=100) for part in (horizontal_crs(crs), vertical_crs(crs)) if part is not None
-    ]
-    if len(parts) != 2 or None in parts:
+    vertical = vertical_crs(crs)
+    plan, height = (part and part.to_authority(min_confidence=100) for part in (horizontal_crs(crs), vertical))
+    if not plan or not height:
         return None
-    (authority, first), (other, second) = parts
-    return f"{authority}:{first}+" + (second if authority == other else f"{other}:{second}")
+    return f"{':'.join(plan)}+" + (height[1] if plan[0] == height[0] else ":".join(height))
 
 
 def degrees_outside_area(crs: CRS, lon: float, lat: float) -> float:
-    """Distance [deg] of a longitude and latitude [rad] from the area of use of a CRS.
+    """Distance [deg] of a longitude (from the CRS's own prime meridian) and latitude [rad] from its area of use.
 
-    Zero inside it, and where the area is not known. The longitude counts from the CRS's own prime meridian.
+    Zero where the area is not known.
     """
-    horizontal = horizontal_crs(crs)
-    area = horizontal.area_of_use
+    area = horizontal_crs(crs).area_of_use
     if area is None:
         return 0.0
-    east = math.degrees(lon + prime_meridian_rad(crs))
-    north = math.degrees(lat)
+    east, north = math.degrees(lon + prime_meridian_rad(crs)), math.degrees(lat)
     width = (area.east - area.west) % 360.0 or 360.0
     beyond = (east - area.west) % 360.0
     outside_lon = 0.0 if beyond <= width else min(beyond - width, 360.0 - beyond)
@@ -235,8 +221,8 @@ def degrees_outside_area(crs: CRS, lon: float, lat: float) -> float:
 def wkt1(crs: CRS) -> str:
     """The CRS as OGC WKT 1 (2001), the only dialect that LAS 1.4 admits.
 
-    A compound CRS becomes COMPD_CS. WKT 1 has no 3D systems, so ellipsoidal heights are written as a compound
-    with VERT_CS "Ellipsoid (metre)", as GDAL does, which PROJ reads back as 3D.
+    It has no 3D systems: ellipsoidal heights are a compound with VERT_CS "Ellipsoid (metre)", as GDAL writes them and
+    PROJ reads them back.
     """
     try:
         if has_height(crs) and not _unbound(crs).is_compound:
@@ -338,10 +324,7 @@ def crs_named(text: str, path: Path) -> tuple[CRS | None, tuple[str, ...]]:
 
 
 def checked_height_unit(crs: CRS | None, stated: float | None, path: Path, where: str) -> float | None:
-    """Metres of a unit of height that a file states besides its CRS; None where the CRS has one, or none is stated.
-
-    A message names the path, and where in it the unit stands.
-    """
+    """Metres of a unit of height that a file states besides its CRS; None where the CRS has one, or none is stated."""
     if stated is None or crs is None or not has_height(crs):
         return stated
     own = height_unit_m(crs)

@@ -16,7 +16,7 @@ from geo.errors import EmptyCloud, UnreadableFile, UnwritableFile
 from geo.files import existing_file, library_for, write_whole_at
 from geo.shapes import Cloud
 
-# GPS time began on 6 January 1980, and has been 18 s ahead of UTC since 2017.
+# E57 counts GPS time, which began on 6 January 1980, and has been 18 s ahead of UTC since 2017.
 _GPS_EPOCH_S, _LEAP_S = 315_964_800.0, 18.0
 
 
@@ -52,18 +52,10 @@ def require_metres(path: str | Path, crs: CRS) -> None:
 
 
 def write_e57(path: str | Path, points_crs: np.ndarray, crs: CRS, *, rgb: np.ndarray) -> None:
-    """Write a cloud as one scan of an E57 file, whole or not at all.
+    """Write a cloud (N, 3), N at least 1, in crs, with colours (N, 3) uint8 as one scan of an E57 file.
 
-    pye57 writes coordinates in single precision. They are therefore stored relative to the middle of the cloud, which
-    becomes the pose of the scan; `read_e57` and other readers add it again. Within 1 km of it, coordinates have steps
-    of 0.06 mm. pye57 writes no fields beyond colour; the CRS is the coordinateMetadata of the file. E57 is in metres.
-
-    Parameters
-    ----------
-    points_crs : (N, 3) float64, in crs, N at least 1
-    crs : pyproj.CRS
-        Written as WKT 1.
-    rgb : (N, 3) uint8
+    pye57 writes coordinates in single precision: they are stored relative to the middle of the cloud, which becomes the
+    pose of the scan, and have steps of 0.06 mm within 1 km. The CRS is the coordinateMetadata of the file, as WKT 1.
     """
     require_metres(path, crs)
     pye57 = library_for(path, "pye57", "e57", to_write=True)
@@ -84,7 +76,6 @@ def write_e57(path: str | Path, points_crs: np.ndarray, crs: CRS, *, rgb: np.nda
 
 
 def _gps_seconds() -> float:
-    """Now, as E57 counts time: GPS time, in seconds since 1980."""
     return time.time() - _GPS_EPOCH_S + _LEAP_S
 
 

@@ -32,7 +32,7 @@ GEOJSON = (".geojson", ".json")
 _MARKUP = (".kml", ".gpx")
 SUFFIXES = (*GEOJSON, ".gpkg", ".shp", ".dxf", *_MARKUP)
 
-# A file that exists in a path with the name of a layer behind it.
+# A file, and the name of a layer behind it.
 _WITH_LAYER = re.compile(r"(.+\.[A-Za-z]{3,4})(?:\|layername=|:)([^/\\]+)")
 # GDAL goes by content, and some of its formats (VRT, services of maps) name other files and addresses, which it reads.
 # How files of vectors begin: pyogrio offers no choice of drivers. A DXF begins with a group of its first section, or
@@ -92,13 +92,11 @@ class Features:
 def layer_of(path: str | Path) -> tuple[Path, str | None]:
     """A file and the layer in it that ``FILE|layername=LAYER``, as QGIS writes it, or ``FILE:LAYER`` names.
 
-    Examples
-    --------
     >>> layer_of("plan.gpkg|layername=dredged")[1], layer_of("plan.gpkg:dredged")[1], layer_of("plan.gpkg")[1]
     ('dredged', 'dredged', None)
     """
-    found = _WITH_LAYER.fullmatch(str(path))
-    return (Path(path), None) if found is None or Path(path).exists() else (Path(found[1]), found[2])
+    named = _WITH_LAYER.fullmatch(str(path))
+    return (Path(path), None) if named is None or Path(path).exists() else (Path(named[1]), named[2])
 
 
 def layers_of(path: Path) -> list[str | None]:
@@ -113,10 +111,7 @@ def layers_of(path: Path) -> list[str | None]:
 
 
 def read_features(path: str | Path, kind: str, layer: str | None = None) -> Features:
-    """All features of a vector file, of one layer, which the path may name, too (`layer_of`).
-
-    ``kind`` is what an error names as expected, e.g. "polygons".
-    """
+    """All features of a vector file, of one layer, which the path may name, too; errors name the expected ``kind``."""
     path, named = layer_of(path)
     path, layer = existing_file(path), layer or named
     suffix = path.suffix.lower()
@@ -125,17 +120,17 @@ def read_features(path: str | Path, kind: str, layer: str | None = None) -> Feat
         raise UnreadableFile(f'{path} has the suffix "{path.suffix}", expected {kind} as one of {GEOJSON[0]}{known}.')
     try:
         if suffix in _MARKUP:
-            found = Features(tuple(_of_markup(path)), WGS84)
+            content = Features(tuple(_of_markup(path)), WGS84)
         else:
-            found = _of_geojson(path) if suffix in GEOJSON else _by_gdal(path, layer)
-        if not all(np.isfinite(shapely.get_coordinates(each.geometry)).all() for each in found.features):
+            content = _of_geojson(path) if suffix in GEOJSON else _by_gdal(path, layer)
+        if not all(np.isfinite(shapely.get_coordinates(feature.geometry)).all() for feature in content.features):
             raise ValueError("coordinates that are not finite")
     except UnreadableFile:
         raise
     except _FAULTS as error:
         reason = f"without the member {error}" if isinstance(error, KeyError) else " ".join(str(error).split())[:80]
         raise UnreadableFile(f"{path} has no {kind} that can be read ({reason}); export it again.") from error
-    return found
+    return content
 
 
 def in_horizontal_crs(geometry: BaseGeometry, source: CRS, target: CRS, path: Path | str) -> BaseGeometry:
@@ -277,7 +272,6 @@ def _layer(pyogrio: ModuleType, path: Path, layer: str | None) -> str:
 _Shape = TypeVar("_Shape")
 # Attributes that name a line, in any case; a DXF has layers.
 _NAMES = ("name", "id", "line", "profile", "layer")
-_WGS84_OF_GEOJSON = "GeoJSON without a crs, is taken as longitude and latitude of WGS 84"
 # Places of a ring, the first again as the last, that enclose nothing.
 _FEWEST_OF_RING = 3
 
@@ -291,26 +285,20 @@ class Line:
 
 
 def read_lines(path: str | Path, crs: CRS, around: np.ndarray) -> list[Line]:
-    """All lines of a file, in the horizontal part of crs.
+    """All lines of a file, or of a layer in it (`layer_of`), in the horizontal part of crs.
 
     GeoJSON has longitude and latitude of WGS 84, or the CRS that an older file names; a GeoPackage and a shapefile
     state their own; a DXF states none, and is taken to be in crs, as is a shapefile without .prj. A DXF in another unit
-    than crs is converted where its coordinates lie around the cloud only then: templates state units that nobody meant.
-
-    Parameters
-    ----------
-    path : Path
-        May name a layer, see `geo.features.layer_of`.
-    around : (2, 2), in crs
-        Lowest and highest corner of the cloud that the lines are for.
+    than crs is converted where its coordinates lie around the cloud, of corners ``around`` (2, 2) in crs, only then:
+    templates state units that nobody meant.
     """
-    found = [
+    lines = [
         (_named(properties), np.array(line.coords))
         for line, properties in _in_crs(path, "lines", LineString, crs, around)
     ]
-    if not found:
+    if not lines:
         raise UnreadableFile(f"{path} has no line of two corners or more; draw the profile as a line.")
-    return [Line(name, corners) for name, corners in _numbered(found)]
+    return [Line(name, corners) for name, corners in _numbered(lines)]
 
 
 def assumed_crs(path: str | Path) -> list[str]:
@@ -320,20 +308,17 @@ def assumed_crs(path: str | Path) -> list[str]:
 
 
 def read_polygons(path: str | Path, crs: CRS, around: np.ndarray) -> dict[str, Polygon]:
-    """All polygons of a file by name, in the horizontal part of crs, easting or longitude first; else as `read_lines`.
-
-    Closed lines are polygons: a drawing has no others.
-    """
-    found = [
+    """All polygons of a file by name, and closed lines, a drawing's polygons; in crs as `read_lines` has them."""
+    polygons = [
         (_named(properties), part if isinstance(part, Polygon) else Polygon(part))
         for part, properties in _in_crs(path, "polygons", (Polygon, LineString), crs, around)
         if isinstance(part, Polygon) or (part.is_closed and len(part.coords) > _FEWEST_OF_RING)
     ]
-    if not found:
+    if not polygons:
         raise UnreadableFile(
             f"{path} has no polygon and no closed line, expected one at least; draw the area as a polygon."
         )
-    return dict(_numbered(found))
+    return dict(_numbered(polygons))
 
 
 def cells_inside(polygons: Iterable[Polygon], grid: Grid) -> np.ndarray:
@@ -352,11 +337,11 @@ def points_inside(polygons: Iterable[Polygon], points: np.ndarray) -> np.ndarray
 def _in_crs(
     path: str | Path, plural: str, kinds: type | tuple[type, ...], crs: CRS, around: np.ndarray
 ) -> list[tuple[Any, dict[str, Any]]]:
-    """Parts of some kinds of the geometries of a file, in the horizontal part of crs, with their attributes."""
     content, path, target = read_features(path, plural), layer_of(path)[0], horizontal_crs(crs)
     unstated = WGS84 if path.suffix.lower() in GEOJSON else target
     source = unstated if content.crs is None else horizontal_crs(content.crs)
-    named = f"{path}, {_WGS84_OF_GEOJSON}," if content.crs is None and unstated is WGS84 else str(path)
+    is_assumed = content.crs is None and unstated is WGS84
+    named = f"{path}, GeoJSON without a crs, is taken as longitude and latitude of WGS 84," if is_assumed else str(path)
     found = [
         (in_horizontal_crs(part, source, target, named), feature.properties)
         for feature in content.features

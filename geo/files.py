@@ -34,8 +34,6 @@ _REMEDIES = {
     errno.EROFS: "the disk is read-only; write elsewhere",
     errno.ELOOP: "its links lead in a circle; correct them",
     errno.ENAMETOOLONG: "the name is too long; shorten it",
-    errno.ENOLCK: "its disk cannot lock files; choose a folder on another disk",
-    errno.ENOTSUP: "its disk does not support this; choose a folder on another disk",
     errno.EMFILE: "too many files are open; raise the limit (ulimit -n)",
     errno.EIO: "the disk reports a fault (input/output error); check it or write elsewhere",
 }
@@ -66,26 +64,12 @@ _BESIDE = {
     ".laz": ("*.lax",),
     ".csv": ("*.csvt", "*.prj"),
 }
-# Journals of SQLite with changes that are not yet in the file.
-_JOURNALS = ("-wal", "-journal")
-# What people have written about a file in QGIS.
-_DESCRIPTION = ".qmd"
 
 
 def disk_error_text(error: OSError, path: str | Path, *, verb: str = "write") -> str | None:
-    """An error of the operating system as one sentence with the path and a remedy.
+    """An error of the operating system as one sentence with the path and a remedy; None if it is not about a disk.
 
-    Parameters
-    ----------
-    path : str or Path
-        What was being written or used.
-    verb : "write" or "use"
-        "use" where it is not known whether the path was to be read or written.
-
-    Returns
-    -------
-    str or None
-        None for an error that says nothing about a disk, e.g. an invalid argument.
+    The verb is "use" where it is not known whether the path was to be read or written.
     """
     number = error.errno
     if number is None and _is_full(Path(path)):
@@ -99,10 +83,7 @@ def disk_error_text(error: OSError, path: str | Path, *, verb: str = "write") ->
 
 @contextmanager
 def reporting_disk_errors(path: str | Path) -> Iterator[None]:
-    """Turn every OSError in the block into an UnwritableFile with the text of `disk_error_text`.
-
-    It names the path where the error does not say which file it is about.
-    """
+    """Turn every OSError in the block into an UnwritableFile, which names the path if the error names none."""
     try:
         yield
     except OSError as error:
@@ -113,9 +94,8 @@ def reporting_disk_errors(path: str | Path) -> Iterator[None]:
 def write_whole(path: str | Path) -> Iterator[BinaryIO]:
     """A binary stream, to write and to read back, that becomes the file ``path`` when the block ends well.
 
-    Written under a temporary name in the same folder and renamed at the end; after any error the temporary file is
-    gone and an older file of that name is untouched. A symbolic link is followed, as by `cp`; into a device or a pipe,
-    e.g. /dev/stdout, the bytes go at once, and cannot be read back.
+    After an error an older file of that name is untouched. A symbolic link is followed, as by `cp`; into a device or a
+    pipe, e.g. /dev/stdout, the bytes go at once, and cannot be read back.
     """
     path = Path(path)
     try:
@@ -141,7 +121,7 @@ def write_text(path: str | Path, text: str) -> None:
 def write_whole_at(path: str | Path) -> Iterator[Path]:
     """Path of a temporary file for libraries that write by path; otherwise as `write_whole`.
 
-    Files beside the one that is replaced that state what it held, e.g. NAME.aux.xml, go with it.
+    Files beside the replaced one that state what it held, e.g. NAME.aux.xml, go with it.
     """
     path = Path(path)
     target = Path(os.path.realpath(path))
@@ -162,34 +142,33 @@ def write_whole_at(path: str | Path) -> Iterator[Path]:
 def _stale(path: Path) -> list[Path]:
     """Places beside a file, whether they exist or not, of what other programs read with it."""
     endings = _BESIDE.get(path.suffix.lower(), ())
-    found = [path.with_suffix(end[1:]) if end[0] == "*" else path.with_name(path.name + end) for end in endings]
+    places = [path.with_suffix(end[1:]) if end[0] == "*" else path.with_name(path.name + end) for end in endings]
     # These may belong to another file of that stem, as NAME.prj to NAME.shp.
-    own = {path.name, f"{path.stem}.qml", *(place.name for place in found)}
-    same_stem = (each for each in path.parent.glob(f"{glob.escape(path.stem)}.*") if each.stem == path.stem)
-    others = any(each.name not in own for each in same_stem)
-    return [place for end, place in zip(endings, found, strict=True) if not (others and end in _SHARED)]
+    own = {path.name, f"{path.stem}.qml", *(place.name for place in places)}
+    same_stem = (file.name for file in path.parent.glob(f"{glob.escape(path.stem)}.*") if file.stem == path.stem)
+    others = not own.issuperset(same_stem)
+    return [place for end, place in zip(endings, places, strict=True) if not (others and end in _SHARED)]
 
 
 def beside_that_keeps(path: Path) -> str | None:
     """Why a file must not be replaced for what lies beside it, as the end of a sentence; None where it may be."""
-    for ending in _JOURNALS:
+    # Journals of SQLite with changes that are not yet in the file.
+    for ending in ("-wal", "-journal"):
         journal = path.with_name(path.name + ending)
         if path.exists() and journal.is_file() and journal.stat().st_size:
             return (
                 f"but {journal.name} holds changes that another program has not written into it yet; close that "
                 "program, or remove it"
             )
-    described = path.with_suffix(_DESCRIPTION)
+    # What people have written about a file in QGIS.
+    described = path.with_suffix(".qmd")
     if path.exists() and described.is_file():
         return f"which {described.name} describes; remove or rename that file"
     return None
 
 
 def scratch_array(path: Path, dtype: str, shape: tuple[int, ...]) -> np.ndarray:
-    """An array of zeros in a memory-mapped scratch file, whose disk space is reserved before it is mapped.
-
-    A mapped file that meets a full disk when one of its pages is written ends the process (SIGBUS).
-    """
+    """An array of zeros in a memory-mapped scratch file, whose disk space is reserved: a full disk ends the process."""
     size = int(np.prod(shape, dtype=np.int64)) * np.dtype(dtype).itemsize
     try:
         with path.open("wb") as stream:

@@ -54,10 +54,8 @@ class Similarity:
 def fit_similarity(a, b) -> Similarity:
     """The similarity that takes points a (N, 3) to b (N, 3) with the least sum of squared distances.
 
-    Notes
-    -----
-    Umeyama 1991, "Least-squares estimation of transformation parameters between two point patterns",
-    equations 34 to 43; never a reflection.
+    Umeyama 1991, "Least-squares estimation of transformation parameters between two point patterns", equations 34 to
+    43; never a reflection.
     """
     a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     mean_a, mean_b = a.mean(axis=0), b.mean(axis=0)
@@ -70,17 +68,8 @@ def fit_similarity(a, b) -> Similarity:
 
 
 def robust_similarity(a, b) -> tuple[Similarity, np.ndarray]:
-    """Fit a similarity robustly: up to half of the points may be wrong.
+    """The similarity fitted to all points that agree, and which (N,) do; up to half of them may be wrong.
 
-    Returns
-    -------
-    Similarity
-        Fitted to all points that agree.
-    (N,) bool
-        The points that agree.
-
-    Notes
-    -----
     Least median of squares over seeded samples of three points (Rousseeuw 1984, "Least median of squares
     regression"), which needs no threshold; then fits to the points within `gross_error_limit`, while these change.
     """
@@ -109,11 +98,10 @@ def robust_similarity(a, b) -> tuple[Similarity, np.ndarray]:
 
 
 def gross_error_limit(median: float, num: int) -> float:
-    """Distance [m] beyond which a point is a gross error of a similarity fitted to consistent points, three at least.
+    """Distance [m] beyond which a point is a gross error of a similarity fitted to ``num`` consistent points.
 
     By the median of the distances of all points [m]: six times the standard deviation that it gives, at least the limit
-    by Student's distribution with the degrees of freedom that remain (three points leave two of nine, and may fit well
-    by chance), and never below 0.6 m.
+    by Student's distribution with the degrees of freedom that remain, and never below 0.6 m.
     """
     free = 3 * num - _PARAMETERS
     spread = median / _MEDIAN_LENGTH * math.sqrt(3 * num / free)
@@ -158,19 +146,16 @@ class LocalFrame:
         keep("_local_from_geocentric", enu_from_geocentric(lon, lat))
 
     def local_from_crs(self, points) -> np.ndarray:
-        """Points (..., 3) in crs as (..., 3) float64 [m], local.
-
-        NaN where a point is not finite or not on the map.
-        """
+        """Points (..., 3) in crs as float64 [m], local; NaN where a point is not finite or not on the map."""
         lon, lat, height = self._map.geodetic_from_crs(_as_points(points))
         xyz = geocentric_from_geodetic(lon, lat, height, a=self._map.a, b=self._map.b)
         return (xyz - self._origin_geocentric) @ self._local_from_geocentric.T
 
     def crs_from_local(self, points) -> np.ndarray:
-        """Points (..., 3) [m], local, as (..., 3) float64 in crs; NaN where a point is not finite.
+        """Points (..., 3) [m], local, as float64 in crs; NaN where a point is not finite.
 
-        The inverse of `local_from_crs` to 2e-8 m. Longitudes stay within half a turn of the origin, so that a
-        survey across the antimeridian stays in one piece.
+        The inverse of `local_from_crs` to 2e-8 m. Longitudes stay within half a turn of the origin: a survey across the
+        antimeridian stays in one piece.
         """
         xyz = nan_unless_finite(_as_points(points)) @ self._local_from_geocentric + self._origin_geocentric
         lon, lat, height = geodetic_from_geocentric(xyz, a=self._map.a, b=self._map.b)
@@ -178,10 +163,7 @@ class LocalFrame:
         return self._map.crs_from_geodetic(lon - 2.0 * math.pi * half_turns, lat, height)
 
     def from_frame(self, other: LocalFrame) -> Similarity:
-        """Rigid transform of points [m] in another local frame of the same CRS into this one, to rounding (1e-9 m).
-
-        Raises ValueError if the CRS differ.
-        """
+        """Rigid transform of points [m] in another local frame of the same CRS into this one, to rounding (1e-9 m)."""
         if other.crs != self.crs:
             raise ValueError(f"expected a local frame of {self.crs.name}, got one of {other.crs.name}")
         rotation = self._local_from_geocentric @ other._local_from_geocentric.T
@@ -189,34 +171,23 @@ class LocalFrame:
         return Similarity(1.0, rotation, self._local_from_geocentric @ between)
 
     def local_from_grid(self, point_crs) -> np.ndarray:
-        """Rotation (..., 3, 3) that turns the grid axes at points (..., 3) in crs into local axes.
+        """Rotation (..., 3, 3) that turns the grid axes at points (..., 3) in crs into local axes; NaN off the map.
 
-        Grid axes are the directions in which easting (longitude), northing (latitude) and height grow there;
-        the angles of photogrammetry are rotations about them. The rotation includes the meridian convergence and
-        the curvature of the Earth between the point and the origin. NaN where a point is not on the map.
-
-        Notes
-        -----
-        Central differences of `local_from_crs` along the three coordinates, each scaled to unit length, replaced by
-        the nearest rotation (polar decomposition by the singular values).
+        Grid axes are the directions in which easting (longitude), northing (latitude) and height grow there; the
+        angles of photogrammetry are rotations about them. Central differences of `local_from_crs`, each of unit length,
+        replaced by the nearest rotation.
         """
         points = _as_points(point_crs)
         steps = self._steps(points)
-        columns = np.swapaxes(
-            self.local_from_crs(points[..., None, :] + steps) - self.local_from_crs(points[..., None, :] - steps),
-            -1,
-            -2,
-        )
+        ends = [self.local_from_crs(points[..., None, :] + step) for step in (steps, -steps)]
+        columns = np.swapaxes(ends[0] - ends[1], -1, -2)
         columns = columns / np.linalg.norm(columns, axis=-2, keepdims=True)
         finite = np.isfinite(columns).all(axis=(-1, -2))[..., None, None]
         u, _, vt = np.linalg.svd(np.where(finite, columns, np.eye(3)))
         return np.where(finite, u @ vt, np.nan)
 
     def local_from_enu(self, point_crs) -> np.ndarray:
-        """Rotation (..., 3, 3) that turns true east, true north and up at points (..., 3) in crs into local axes.
-
-        NaN where a point is not on the map.
-        """
+        """Rotation (..., 3, 3) that turns true east, true north and up at points (..., 3) in crs into local axes."""
         lon, lat, _ = self._map.geodetic_from_crs(_as_points(point_crs))
         return self._local_from_geocentric @ np.swapaxes(enu_from_geocentric(lon, lat), -1, -2)
 

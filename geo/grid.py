@@ -45,10 +45,10 @@ class Window:
 
     def within(self, larger: Window) -> tuple[slice, slice]:
         """Slices of this window in an array of a larger one."""
-        return (
-            slice(self.top - larger.top, self.bottom - larger.top),
-            slice(self.left - larger.left, self.right - larger.left),
+        moved = Window(
+            self.top - larger.top, self.bottom - larger.top, self.left - larger.left, self.right - larger.left
         )
+        return moved.slices
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,7 @@ class Grid:
 
     @staticmethod
     def southward_aligned(points: np.ndarray, crs: CRS, side_m: float) -> Grid:
-        """Cells of a side [m] that cover points (N, 2 or more), their edges at multiples of it; rows run south.
-
-        Rasters of one resolution fit together.
-        """
+        """Cells of a side [m] that cover points (N, 2 or more), their edges at multiples of it; rows run south."""
         low, high = plan_box(points)
         side = side_m / ground_units_m(crs, 0.5 * (low + high))
         first, last = np.floor(low / side + _ON_EDGE), np.ceil(high / side - _ON_EDGE)

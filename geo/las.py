@@ -54,39 +54,30 @@ def write_cloud(
     user_data: np.ndarray | None = None,
     total_uncertainty_m: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> None:
-    """Write a cloud as LAS 1.4, point format 7, whole or not at all; compressed if the suffix is .laz.
-
-    Where the name ends in .copc.laz, it becomes COPC, see `geo.copc`.
+    """Write a cloud as LAS 1.4, point format 7, whole or not at all: .las, .laz, or .copc.laz (`geo.copc`).
 
     Coordinates are rounded to 0.001 of the unit of crs (1e-8 for longitude and latitude); offsets are whole units. An
-    empty cloud is written as a valid file without points, except as COPC. Raises GeoError if the suffix is neither, the
-    cloud is too wide for the format, or the file cannot be written; ValueError if shapes differ or coordinates are not
-    finite.
+    empty cloud is written as a valid file without points, except as COPC. Values that are NaN (no water, a single view)
+    are written as the declared "no data" value, which `read_cloud` turns back into NaN. The CRS is written as WKT 1.
 
     Parameters
     ----------
-    path : .las, .laz or .copc.laz
     points_crs : (N, 3) float64, in crs
         Finite: the caller leaves points without coordinates out and counts them.
-    crs : pyproj.CRS
-        Written as WKT 1, see `geo.crs.wkt1`.
-    rgb : (N, 3) uint8
     depth_m, std_m : (N,) [m]
-        True depth below the water surface (negative above it) and standard deviation. NaN (no water, a single
-        view) is written as the declared "no data" value, which `read_cloud` turns back into NaN. Points whose
-        standard deviation is over `WITHHELD_STD_M` are flagged as withheld.
-    num_views : (N,) int
+        True depth below the water surface (negative above it) and standard deviation. Points whose standard deviation
+        is over `WITHHELD_STD_M` are flagged as withheld.
     incidence_deg : (N,) [deg]
-        Angle between ray and surface normal in air; NaN as above.
+        Angle between ray and surface normal in air.
     is_wet : (N,) bool
         Class 40 (bathymetric) where true, else 2 (ground).
     std_common_m : (N,) [m], optional
         Standard deviation of the height from errors that all points share (water, lens, poses), which ``std_m`` does
-        not include; "no data" where not given.
+        not include.
     classification : (N,) uint8, optional
         Classes to write instead of those by ``is_wet``, e.g. with 45 (no bottom found) among them.
     user_data : (N,) uint8, optional
-        How each point was found, written to the field "user data"; 0 where not given.
+        How each point was found, written to the field "user data".
     total_uncertainty_m : vertical and horizontal (N,) [m], optional
         At 95 %, as "total_tvu" and "total_thu".
     """
@@ -138,7 +129,6 @@ def classes_of(is_wet: np.ndarray) -> np.ndarray:
 
 
 def _write(records: copc.Records, count: int, header: laspy.LasHeader, path: Path) -> None:
-    """Write records a portion at a time, and open what was written once more, except COPC."""
     with write_whole(path) as stream:
         try:
             if path.name.lower().endswith(copc.SUFFIX):
@@ -200,12 +190,10 @@ def _header(points: np.ndarray, crs: CRS, path: Path) -> laspy.LasHeader:
 
 
 def read_cloud(path: str | Path) -> Cloud:
-    """Read LAS or LAZ, version 1.0 to 1.4, any point format.
+    """Read LAS or LAZ, version 1.0 to 1.4, any point format; colours come as 8 bits.
 
-    Colours come as 8 bits, whether the file stores 8 or 16. The CRS and the unit of heights are taken from WKT, else
-    from GeoTIFF keys; where there is none, or none that is understood, it is None and `Cloud.notes` says so. Raises
-    EmptyCloud if the file has no points; UnreadableFile if it does not exist, is cut short, is not LAS, or has
-    coordinates that are not finite.
+    The CRS and the unit of heights are taken from WKT, else from GeoTIFF keys; where there is none, or none that is
+    understood, it is None and `Cloud.notes` says so.
     """
     path = existing_file(path)
     fault = length_fault(path)

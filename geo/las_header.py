@@ -17,7 +17,6 @@ from geo.shapes import ComputedColumn, portions
 
 # Keys of GeoTIFF 1.1 (OGC 19-008r4).
 _MODEL, _GEOGRAPHIC, _PROJECTED, _LINEAR_UNIT, _VERTICAL, _VERTICAL_UNIT = 1024, 2048, 3072, 3076, 4096, 4099
-_MODEL_PROJECTED = 1
 _EPSG_RANGE = range(1024, 32767)
 # The vertical codes 5001 to 5033 of GeoTIFF 1.0 are ellipsoids, not EPSG vertical systems.
 _OLD_VERTICAL = range(5001, 5034)
@@ -48,10 +47,7 @@ _DESCRIPTOR = "<2xBB32s4x8s16x8s16x8s16x48x32s"
 
 
 def length_fault(path: Path) -> str | None:
-    """Contradiction between a LAS header and the length of its file; None where there is none.
-
-    Checked before laspy reads: a damaged count of records would keep it busy for hours.
-    """
+    """Contradiction between a LAS header and the length of its file: damaged counts would keep laspy busy for hours."""
     size = path.stat().st_size
     with path.open("rb") as stream:
         head = stream.read(_HEADER_1_4)
@@ -72,10 +68,7 @@ def length_fault(path: Path) -> str | None:
 
 
 def _fault_of_chunks(path: Path, start: int, count: int, size: int) -> str | None:
-    """Contradiction between the chunk table of a LAZ file and its length; None where there is none.
-
-    The decoder allocates memory for as many chunks as the table says, and ends the process if that fails.
-    """
+    # The decoder allocates memory for as many chunks as the table says, and ends the process if that fails.
     with path.open("rb") as stream:
         stream.seek(start)
         table = struct.unpack("<q", stream.read(8).ljust(8, b"\0"))[0]
@@ -95,8 +88,7 @@ def _fault_of_chunks(path: Path, start: int, count: int, size: int) -> str | Non
 def crs_of_header(header: laspy.LasHeader, path: Path) -> tuple[CRS | None, float | None, tuple[str, ...]]:
     """The CRS of a LAS file, the unit of heights [m] that its keys state separately, and notes on what is missing.
 
-    Taken from OGC WKT, else from GeoTIFF keys; (None, None, why) if the file has none. A CRS without a vertical part is
-    returned as it is, with a note, and with the unit of heights of the keys.
+    Taken from OGC WKT, else from GeoTIFF keys.
     """
     records = [*header.vlrs, *(header.evlrs or [])]
     texts = [r.string for r in records if isinstance(r, WktCoordinateSystemVlr) and r.string.strip()]
@@ -108,14 +100,11 @@ def crs_of_header(header: laspy.LasHeader, path: Path) -> tuple[CRS | None, floa
         # Of a damaged compound CRS PROJ reads the parts only here.
         if not all(axis.unit_conversion_factor > 0.0 for axis in crs.axis_info):
             raise CRSError("a unit of its axes is not a length")
-        knows_heights = has_height(crs)
+        notes = () if has_height(crs) else (f"{path} states the CRS {crs.name} without a vertical part.",)
     except CRSError as error:
         return None, None, (f"{path} states a CRS that is not understood ({str(error)[:120]}).",)
     stated = unit_of_code(_keys_of(tables[0]).get(_VERTICAL_UNIT, 0)) if tables else None
-    unit = checked_height_unit(crs, stated, path, "the unit of height of its GeoTIFF keys")
-    if not knows_heights:
-        return crs, unit, (f"{path} states the CRS {crs.name} without a vertical part.",)
-    return crs, unit, ()
+    return crs, checked_height_unit(crs, stated, path, "the unit of height of its GeoTIFF keys"), notes
 
 
 def _keys_of(table: GeoKeyDirectoryVlr) -> dict[int, int]:
@@ -125,7 +114,7 @@ def _keys_of(table: GeoKeyDirectoryVlr) -> dict[int, int]:
 def _crs_of_keys(table: GeoKeyDirectoryVlr) -> CRS:
     """The CRS of GeoTIFF keys; laspy's own reader takes user-defined projections for geographic coordinates."""
     keys = _keys_of(table)
-    projected = keys.get(_MODEL, _MODEL_PROJECTED if _PROJECTED in keys else 0) == _MODEL_PROJECTED
+    projected = keys.get(_MODEL, int(_PROJECTED in keys)) == 1
     code = keys.get(_PROJECTED if projected else _GEOGRAPHIC, 0)
     if code not in _EPSG_RANGE:
         raise CRSError(f"GeoTIFF keys with code {code}, which is user-defined")
@@ -148,10 +137,8 @@ def _crs_of_keys(table: GeoKeyDirectoryVlr) -> CRS:
 def add_extra_bytes(header: laspy.LasHeader, values: dict[str, np.ndarray | ComputedColumn]) -> None:
     """Declare those of `EXTRA_BYTES` that have values (N,), by name, in a header.
 
-    Notes
-    -----
-    laspy 2.7 derives the minimum and maximum in the descriptors from the first point alone, so they are made
-    here and stored as a plain record, which laspy does not change.
+    laspy 2.7 derives the minimum and maximum in the descriptors from the first point alone: they are made here and
+    stored as a plain record, which laspy does not change.
     """
     descriptors = []
     for name, dtype, description in (each for each in EXTRA_BYTES if each[0] in values):
@@ -173,15 +160,12 @@ def _range(values: np.ndarray | ComputedColumn, dtype: np.dtype) -> np.ndarray:
 
 def stored_extra(values: dict[str, np.ndarray | ComputedColumn], part: slice | np.ndarray) -> dict[str, np.ndarray]:
     """A part of values (N,), by name, as they are to be stored."""
-    found = {}
-    for name, dtype, _ in (each for each in EXTRA_BYTES if each[0] in values):
-        raw = np.asarray(values[name][part])
-        found[name] = np.where(np.isfinite(raw), raw, NO_DATA).astype(dtype)
-    return found
+    dtypes = {name: dtype for name, dtype, _ in EXTRA_BYTES if name in values}
+    raw = {name: np.asarray(values[name][part]) for name in dtypes}
+    return {name: np.where(np.isfinite(raw[name]), raw[name], NO_DATA).astype(dtypes[name]) for name in dtypes}
 
 
 def _descriptor(name: str, dtype: np.dtype, description: str, known: np.ndarray) -> bytes:
-    """Descriptor of 192 bytes of an extra byte; ``known`` holds the lowest and highest value that is not "no data"."""
     is_float = dtype.kind == "f"
     code, slot, number = (9, "<d", float) if is_float else (3, "<Q", int)
     low, high = (number(known.min()), number(known.max())) if len(known) else (number(0), number(0))

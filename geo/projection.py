@@ -50,12 +50,8 @@ def geocentric_from_geodetic(lon, lat, height, *, a: float, b: float) -> np.ndar
 
 
 def geodetic_from_geocentric(xyz, *, a: float, b: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Longitude, latitude [rad] and ellipsoidal height [m] of geocentric points (..., 3) [m].
+    """Longitude, latitude [rad] and ellipsoidal height [m] of geocentric points (..., 3) [m], to 1e-9 m.
 
-    Exact to the rounding of the geocentric coordinates (1e-9 m) from the bottom of the sea to aircraft.
-
-    Notes
-    -----
     Bowring 1976, "Transformation from spatial to geographical coordinates", Survey Review 181. The height is
     ``p cos φ + z sin φ - a² / N``, which keeps its digits at the poles, where ``p / cos φ - N`` does not.
     """
@@ -84,8 +80,7 @@ class MapProjection:
     """The map projection of a CRS with heights, in float64."""
 
     crs: CRS  # As `geo.crs.parse_crs` returns it
-    # a, b [m]: Semi-axes of the ellipsoid
-    a: float = field(init=False)
+    a: float = field(init=False)  # [m]: semi-axes of the ellipsoid
     b: float = field(init=False)
     horizontal_unit: float = field(init=False)  # [m] or [rad]: one unit of easting or of longitude
     height_unit_m: float = field(init=False)  # [m]: one unit of height
@@ -119,13 +114,10 @@ class MapProjection:
             object.__setattr__(self, name, value)
 
     def geodetic_from_crs(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Longitude, latitude [rad] and height [m], each (...), of points (..., 3) in crs.
+        """Longitude (from the CRS's own prime meridian), latitude [rad] and height [m], each (...), of points (..., 3).
 
-        NaN where a point is not finite or not on the map. Longitudes count from the CRS's own prime meridian.
-
-        Notes
-        -----
-        PROJ inverts some projections (EPSG:3035, equal area) by a series that ends at 0.3 mm. One step of
+        NaN where a point is not finite or not on the map. PROJ inverts some projections (EPSG:3035, equal area) by a
+        series that ends at 0.3 mm. One step of
         ``x + (x - forward(inverse(x)))`` brings all of them to the last digits of the forward projection.
         """
         x, y, height = np.moveaxis(nan_unless_finite(points), -1, 0)
@@ -145,10 +137,9 @@ class MapProjection:
 
 
 def metres_per_unit(crs: CRS, places: np.ndarray) -> np.ndarray:
-    """Metres of ground (2,) in one unit of easting and of northing, or of longitude and latitude.
+    """Metres of ground (2,) in one unit of easting and of northing, or of longitude and latitude, on the ellipsoid.
 
-    Includes the unit and the map scale, at the middle of places (N, 2 or 3) in a CRS with heights; on the ellipsoid.
-    NaN where there are none on the map.
+    At the middle of places (N, 2 or 3) in a CRS with heights; NaN where there are none on the map.
     """
     middle = np.full(2, np.nan) if not len(places) else np.median(np.asarray(places, dtype=np.float64)[:, :2], axis=0)
     own = MapProjection(crs)
@@ -164,10 +155,9 @@ def metres_per_unit(crs: CRS, places: np.ndarray) -> np.ndarray:
 def ground_units_m(crs: CRS, place: np.ndarray) -> np.ndarray:
     """Metres per unit near a place (east, north, ...), of a cell, a map, a product.
 
-    Grids for surveying (UTM, Gauss-Krüger, the Lambert grids of countries) keep within a hundredth of true lengths: one
-    of their units is one unit on the ground. Degrees are shorter along parallels, and other projections stretch the
-    ground: Web Mercator by 1.49 at 48 degrees. Places are rounded to a hundredth of a degree, or a kilometre, so that
-    neighbours agree.
+    Grids for surveying (UTM, the Lambert grids of countries) keep within a hundredth of true lengths: one of their
+    units is one unit on the ground. Degrees are shorter along parallels, and Web Mercator stretches the ground by 1.49
+    at 48 degrees. Places are rounded to a hundredth of a degree, or a kilometre, so that neighbours agree.
     """
     unit = horizontal_unit(crs)
     rounded = np.radians(0.01) / unit if horizontal_crs(crs).is_geographic else 1000.0 / unit

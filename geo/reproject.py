@@ -18,7 +18,7 @@ from shapely import LineString, Polygon
 from shapely.ops import split
 
 from geo.compatibility import require_in_area
-from geo.crs import crs_of, has_height, horizontal_crs, is_geographic, parse_crs, vertical_crs
+from geo.crs import crs_of, has_height, height_unit_m, horizontal_crs, is_geographic, parse_crs, vertical_crs
 from geo.errors import UnknownCRS, UnsupportedCRS
 from geo.projection import nan_unless_finite
 from geo.transformation import Transformation, best_operation
@@ -81,14 +81,7 @@ class Reprojection:
     ) -> Reprojection:
         """Transformation from a CRS with heights to one with heights, or to a horizontal one, which keeps the heights.
 
-        Parameters
-        ----------
-        target : str or pyproj.CRS
-            EPSG code, WKT or PROJ string, e.g. "EPSG:32632" or "EPSG:4326+5773".
-        where : str
-            What errors name.
-        places : (N, 2 or 3), optional
-            In the source, of the survey: they decide between regional operations.
+        Errors name ``where``; places (N, 2 or 3) of the survey, in the source, decide between regional operations.
         """
         target_crs = _with_height(source, target, where)
         keeps_height = has_same_heights(source, target_crs)
@@ -142,15 +135,11 @@ def _with_height(source: CRS, target: str | CRS, where: str) -> CRS:
             f'{where} is "{str(target)[:80]}", which is not a known coordinate reference system; give an EPSG code '
             'such as "EPSG:32632", WKT or a PROJ string.'
         ) from error
-    if has_height(target_crs) or not (target_crs.is_projected or target_crs.is_geographic):
-        return parse_crs(target_crs, where=where)
-    vertical = vertical_crs(source)
-    with_height = (
-        target_crs.to_3d()
-        if vertical is None
-        else CompoundCRS(f"{target_crs.name} + {vertical.name}", [target_crs, vertical])
-    )
-    return parse_crs(with_height, where=where)
+    if not has_height(target_crs) and (target_crs.is_projected or target_crs.is_geographic):
+        vertical = vertical_crs(source)
+        compound = vertical and CompoundCRS(f"{target_crs.name} + {vertical.name}", [target_crs, vertical])
+        target_crs = compound or target_crs.to_3d()
+    return parse_crs(target_crs, where=where)
 
 
 def has_same_heights(source: CRS, target: CRS) -> bool:
@@ -158,6 +147,5 @@ def has_same_heights(source: CRS, target: CRS) -> bool:
     before, after = vertical_crs(source), vertical_crs(target)
     if before is None or after is None:
         same_ellipsoid = horizontal_crs(source).geodetic_crs == horizontal_crs(target).geodetic_crs
-        same_unit = source.axis_info[2].unit_conversion_factor == target.axis_info[2].unit_conversion_factor
-        return before is after is None and same_ellipsoid and same_unit
+        return before is after is None and same_ellipsoid and height_unit_m(source) == height_unit_m(target)
     return before.equals(after)

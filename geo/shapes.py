@@ -18,8 +18,7 @@ class Cloud:
 
     points: np.ndarray  # (N, 3) float64, in crs: Easting or longitude, northing or latitude, height
     rgb: np.ndarray | None = None  # (N, 3) uint8
-    # None if the file does not state it, or states one that is not understood; `notes` says which
-    crs: CRS | None = None
+    crs: CRS | None = None  # None if the file states none, or one that is not understood; `notes` says which
     classification: np.ndarray | None = None  # (N,) uint8: Classes of LAS
     # (N,) or (N, k): further values by name; NaN where the file declares "no data"
     extra: dict[str, np.ndarray] = field(default_factory=dict)
@@ -45,31 +44,15 @@ class Mesh:
 _Shape = TypeVar("_Shape", bound=Mesh | Cloud)
 # Classes of LAS 1.4 and its topo-bathy profile that are left out: noise, water, and places where no bottom was found.
 NOT_GROUND = {
-    7: "low noise",
-    9: "water",
-    18: "high noise",
-    41: "water surface",
-    42: "derived water surface",
+    7: "low noise", 9: "water", 18: "high noise", 41: "water surface", 42: "derived water surface",
     45: "no bottom found",
-}
-
-
+}  # fmt: skip
 # Not ground by LAS 1.4, but a survey may be of such points: a wreck, a quay. They are used, counted and reported.
 _USED_AS_GROUND = {
-    3: "low vegetation",
-    4: "medium vegetation",
-    5: "high vegetation",
-    6: "building",
-    12: "overlap of flight lines, in formats 0 to 5",
-    13: "wire guard",
-    14: "wire conductor",
-    15: "transmission tower",
-    16: "wire connector",
-    17: "bridge deck",
-    19: "overhead structure",
-    20: "ignored ground",
-    22: "temporal exclusion",
-}
+    3: "low vegetation", 4: "medium vegetation", 5: "high vegetation", 6: "building",
+    12: "overlap of flight lines, in formats 0 to 5", 13: "wire guard", 14: "wire conductor", 15: "transmission tower",
+    16: "wire connector", 17: "bridge deck", 19: "overhead structure", 20: "ignored ground", 22: "temporal exclusion",
+}  # fmt: skip
 
 
 def as_classes(values: np.ndarray | None) -> np.ndarray | None:
@@ -95,10 +78,7 @@ def excluded_points(cloud: Cloud) -> tuple[np.ndarray, str]:
 
 
 def used_as_ground(cloud: Cloud) -> str:
-    """Counts, in words, of points that are used although their class or flag says otherwise; "" where none.
-
-    Points that LAS flags as synthetic are used without a word: those of photogrammetry are.
-    """
+    """Counts, in words, of points that are used although their class or flag (but synthetic) says otherwise."""
     classes = cloud.classification if cloud.classification is not None else np.zeros(0, dtype=np.uint8)
     count = np.bincount(classes, minlength=256)
     parts = [f"{count[code]} of class {code} ({name})" for code, name in _USED_AS_GROUND.items() if count[code]]
@@ -108,10 +88,7 @@ def used_as_ground(cloud: Cloud) -> str:
 
 
 def ground_of(cloud: Cloud, path: object) -> tuple[Cloud, tuple[str, ...]]:
-    """The points of a file that are ground by their classes and flags, and a note that counts the others.
-
-    Raises UnreadableFile where it holds others alone.
-    """
+    """The points of a file that are ground by their classes and flags, and a note that counts the others."""
     out, kinds = excluded_points(cloud)
     if out.all():
         raise UnreadableFile(f"no point of {path} is of the ground: it holds {kinds}; give the points of the bed.")
@@ -124,15 +101,9 @@ def masked_cloud(cloud: Cloud, keep: np.ndarray) -> Cloud:
     def kept(values: np.ndarray | None) -> np.ndarray | None:
         return None if values is None else values[keep]
 
-    return replace(
-        cloud,
-        points=cloud.points[keep],
-        rgb=kept(cloud.rgb),
-        classification=kept(cloud.classification),
-        withheld=kept(cloud.withheld),
-        overlap=kept(cloud.overlap),
-        extra={name: values[keep] for name, values in cloud.extra.items()},
-    )
+    names = ("points", "rgb", "classification", "withheld", "overlap")
+    columns: dict = {name: kept(getattr(cloud, name)) for name in names}
+    return replace(cloud, **columns, extra={name: values[keep] for name, values in cloud.extra.items()})
 
 
 def vertices_of(shape: Mesh | Cloud) -> np.ndarray:
@@ -149,14 +120,9 @@ def in_height_unit(shape: _Shape, unit_m: float) -> _Shape:
 
 
 def triangulated(counts: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Triangles (F, 3) int64 of polygons, each cut into a fan around its first corner, in their order.
+    """Triangles (F, 3) int64 of polygons with so many corners (P,), cut into fans around their first, in order.
 
-    Parameters
-    ----------
-    counts : (P,) int
-        Corners of each polygon; those with fewer than three have no area and give no triangle.
-    corners : (sum of counts,) int
-        Vertex numbers, polygon after polygon.
+    ``corners`` are their vertex numbers, polygon after polygon; those of fewer than three give no triangle.
     """
     counts = np.asarray(counts, dtype=np.int64)
     corners = np.asarray(corners, dtype=np.int64)
@@ -179,14 +145,7 @@ def portions(count: int, at_once: int | None = None) -> Iterator[slice]:
 
 
 class ComputedColumn:
-    """A column (N,) that is a function of others, computed for the rows that are asked for.
-
-    Parameters
-    ----------
-    function : callable
-        Of the same rows of all columns.
-    columns : (N, ...), one at least
-    """
+    """A column (N,) that is a function of the same rows of others (N, ...), computed for those that are asked for."""
 
     def __init__(self, function: Callable[..., np.ndarray], *columns: np.ndarray):
         self._function, self._columns = function, columns

@@ -27,17 +27,8 @@ class Sun:
 
 
 def sun_at(time: datetime, latitude_deg: float, longitude_deg: float) -> Sun:
-    """The sun at a time, seen from a place.
+    """The sun at a time, with its time zone, seen from a place, north and east positive.
 
-    Parameters
-    ----------
-    time : datetime
-        With its time zone.
-    latitude_deg, longitude_deg : [deg]
-        North and east positive.
-
-    Notes
-    -----
     The low-precision formulas of the Astronomical Almanac as J. J. Michalsky gives them (Solar Energy 40, 1988,
     227-235): good to 0.01 degrees from 1950 to 2050.
     """

@@ -34,20 +34,13 @@ from geo.crs import (
 )
 from geo.errors import CRSMismatch, MissingGrid, UnknownUnit, UnsupportedCRS
 
-# Around the middle of a survey, for PROJ to choose among regional operations [deg].
-_AREA_DEG = 0.01
-_SUFFIXES = (".tif", ".gtx")
-
 
 def operations(source: CRS | str, target: CRS | str, area: AreaOfInterest | None) -> TransformerGroup:
     """All operations that PROJ knows between two CRSs, with or without heights, at a place; the best first."""
     # Cached, since a search takes PROJ some 10 ms: anew where a folder of grids was added, and for each thread, since
     # threads must not share transformers.
-    return _operations(_text(source), _text(target), area, datadir.get_data_dir(), get_ident())
-
-
-def _text(crs: CRS | str) -> str:
-    return crs if isinstance(crs, str) else crs.srs
+    first, second = (crs if isinstance(crs, str) else crs.srs for crs in (source, target))
+    return _operations(first, second, area, datadir.get_data_dir(), get_ident())
 
 
 @lru_cache(maxsize=64)
@@ -58,7 +51,7 @@ def _operations(source: str, target: str, area: AreaOfInterest | None, _folders:
         return TransformerGroup(source, target, always_xy=True, allow_ballpark=False, area_of_interest=area)
 
 
-def area_about(lon_deg: float, lat_deg: float, margin_deg: float = _AREA_DEG) -> AreaOfInterest:
+def area_about(lon_deg: float, lat_deg: float, margin_deg: float = 0.01) -> AreaOfInterest:
     """Area of interest about a survey, for PROJ to choose among regional operations."""
     south, north = max(lat_deg - margin_deg, -90.0), min(lat_deg + margin_deg, 90.0)
     return AreaOfInterest(lon_deg - margin_deg, south, lon_deg + margin_deg, north)
@@ -71,7 +64,7 @@ def use_grids(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         return []
-    grids = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES)
+    grids = sorted(path for path in folder.iterdir() if path.suffix.lower() in (".tif", ".gtx"))
     known = datadir.get_data_dir().split(os.pathsep)
     if grids and str(folder.resolve()) not in known:
         datadir.append_data_dir(str(folder.resolve()))
@@ -93,12 +86,10 @@ _SAME_ELLIPSOID_M = 0.001
 class Transformation:
     """The operation between the horizontal parts of two CRSs that PROJ chooses for a place."""
 
-    # source, target: Two-dimensional; easting or longitude first
-    source: CRS
+    source: CRS  # Two-dimensional; easting or longitude first
     target: CRS
-    # As PROJ states it; 0 where the datum stays the same, or longitudes and latitudes pass unchanged; outside the areas
-    # of all operations, the largest difference between them; None where it is not known (a CRS without a known datum,
-    # or a single operation outside its area)
+    # As PROJ states it; 0 where the datum, or longitudes and latitudes, stay the same; outside the areas of all
+    # operations, the largest difference between them; None where it is not known
     accuracy_m: float | None
     # Names of the grids that the best operation needs and PROJ does not have; the operation is then a worse one
     missing_grids: tuple[str, ...]
@@ -175,20 +166,16 @@ def transformed(source: CRS, target: CRS, points: np.ndarray, subject: str, reme
 
 
 def height_scale(source: CRS, target: CRS, subject: str, *, unit_m: float | None = None) -> float:
-    """Factor that converts heights of the source to the unit of heights of the target.
+    """Factor that converts heights of the source to the unit of heights of the target, which has heights.
 
-    Parameters
-    ----------
-    source, target : pyproj.CRS
-        The second with heights. A source without heights of its own has those of the target.
-    subject : str
-        What errors name, e.g. "the heights of control points in gcp_list.txt".
-    unit_m : float, optional
-        Unit of the heights [m] where the source does not state it but the program that wrote it defines it.
+    A source without heights of its own has those of the target, in ``unit_m`` [m] where the program that wrote them
+    defines it. Errors name the subject, e.g. "the heights of control points in gcp_list.txt".
     """
     if has_height(source):
-        names = _height_names(source, target)
-        if names is not None:
+        first, second = vertical_crs(source), vertical_crs(target)
+        is_one = first is not None and second is not None and (first.equals(second) or first.datum == second.datum)
+        if not is_one and not first is second is None:
+            names = [part.name if part is not None else "the ellipsoid" for part in (first, second)]
             raise CRSMismatch(
                 f"{subject} are above {names[0]}, expected above {names[1]}; convert them, or correct the vertical "
                 "part of the CRS"
@@ -212,8 +199,7 @@ def height_scale(source: CRS, target: CRS, subject: str, *, unit_m: float | None
 def best_operation(source: CRS, target: CRS, where: str, remedy: str, places: np.ndarray | None = None) -> Transformer:
     """PROJ's best operation between two CRSs with or without heights, if all grids that it needs are there.
 
-    Errors name ``where`` and end with ``remedy``, what else would help; ``places`` (N, 2 or 3) in the source decide
-    between regional operations.
+    Errors name ``where`` and end with ``remedy``; places (N, 2 or 3) in the source decide between regional operations.
     """
     subject = f"{where}: the transformation from {crs_name(source)} to {crs_name(target)}"
     middle = None if places is None else middle_of(horizontal_crs(source), np.asarray(places, dtype=np.float64))
@@ -234,52 +220,31 @@ def best_operation(source: CRS, target: CRS, where: str, remedy: str, places: np
 
 
 def lon_lat(crs: CRS, points: np.ndarray) -> np.ndarray:
-    """Longitude and latitude (N, 2) of WGS 84 [deg] of points (N, 2 or 3), to some metres: for display only.
-
-    Not finite off the map.
-    """
+    """Longitude and latitude (N, 2) of WGS 84 [deg] of points (N, 2 or 3), to some metres; not finite off the map."""
     points = np.asarray(points, dtype=np.float64)
     return np.column_stack(Transformation.between(crs, WGS84, points)(points[:, 0], points[:, 1]))
 
 
 def _with_own_operation(crs: CRS) -> CRS:
-    """The horizontal part of a CRS, with the transformation to WGS 84 in its text (TOWGS84) where PROJ knows no other.
-
-    For a datum that PROJ knows, PROJ's operations are better.
-    """
+    """The horizontal part of a CRS, with the transformation to WGS 84 in its text where PROJ knows no other."""
     part = crs.sub_crs_list[0] if crs.is_compound else crs
-    return part.to_2d() if part.is_bound and not _is_known(geodetic_crs(part)) else horizontal_crs(crs)
-
-
-def _is_known(geographic: CRS) -> bool:
-    """Whether PROJ has an operation to WGS 84 for a datum, even if the grid of it is missing."""
+    if not part.is_bound:
+        return horizontal_crs(crs)
     try:
-        group = operations(geographic, WGS84, None)
+        group = operations(geodetic_crs(part), WGS84, None)
+        # Even if the grid of one is missing.
+        is_known = bool(group.transformers or group.unavailable_operations)
     except ProjError:
-        return False
-    return bool(group.transformers or group.unavailable_operations)
-
-
-def _known_operations(source: CRS, target: CRS) -> list[Transformer]:
-    """All operations between two CRSs, at any place."""
-    try:
-        return operations(source, target, None).transformers
-    except ProjError:
-        return []
-
-
-def _is_nameless(crs: CRS) -> bool:
-    datum = geodetic_crs(crs).datum
-    return datum is None or datum.name.lower().startswith(("unknown", "unnamed"))
+        is_known = False
+    return horizontal_crs(crs) if is_known else part.to_2d()
 
 
 def _may_be_one_datum(a: CRS, b: CRS) -> bool:
     """Whether two CRSs may share a datum: one datum has no name, and the ellipsoids are alike."""
-    first, second = ellipsoid(a), ellipsoid(b)
-    apart_m = max(
-        abs(first.semi_major_metre - second.semi_major_metre), abs(first.semi_minor_metre - second.semi_minor_metre)
-    )
-    return (_is_nameless(a) or _is_nameless(b)) and apart_m < _SAME_ELLIPSOID_M
+    datums, axes = [geodetic_crs(crs).datum for crs in (a, b)], [ellipsoid(crs) for crs in (a, b)]
+    is_nameless = any(datum is None or datum.name.lower().startswith(("unknown", "unnamed")) for datum in datums)
+    apart_m = np.ptp([[axis.semi_major_metre, axis.semi_minor_metre] for axis in axes], axis=0)
+    return is_nameless and bool((apart_m < _SAME_ELLIPSOID_M).all())
 
 
 def middle_of(source: CRS, places: np.ndarray) -> np.ndarray | None:
@@ -298,7 +263,6 @@ def middle_of(source: CRS, places: np.ndarray) -> np.ndarray | None:
 
 @lru_cache(maxsize=64)
 def _projection(source: str, target: str) -> Transformer:
-    """Transformer between the grid of a CRS and its own longitudes and latitudes, by their texts."""
     return Transformer.from_crs(source, target, always_xy=True)
 
 
@@ -316,7 +280,7 @@ def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> Transformation:
         if group.transformers:
             best = group.transformers[0]
             return chosen(best, best.accuracy if best.accuracy >= 0.0 else None)
-        elsewhere = [] if missing else _known_operations(source, target)
+        elsewhere = [] if missing else operations(source, target, None).transformers
         if elsewhere:
             return replace(chosen(elsewhere[0], _spread_m(elsewhere, source, target, middle)), is_outside=True)
         # An unknown datum is taken to be that of the other CRS.
@@ -334,15 +298,10 @@ def _spread_m(candidates: list[Transformer], source: CRS, target: CRS, middle: n
 
     At least the accuracy that is stated for the first in its own area.
     """
-    rated = [each for each in candidates if 0.0 <= each.accuracy <= _MOST_STATED_M]
+    rated = [candidate for candidate in candidates if 0.0 <= candidate.accuracy <= _MOST_STATED_M]
     if len(rated) < 2 or candidates[0] not in rated:
         return None
-    x, y = middle
-    if not source.is_geographic:
-        x, y = _projection(geodetic_crs(source).srs, source.srs).transform(x, y)
-    places = np.array([each.transform(x, y) for each in rated])
-    if not target.is_geographic:
-        places = np.column_stack(_projection(target.srs, geodetic_crs(target).srs).transform(*places.T))
+    places = np.array([_degrees_by(candidate, source, target, middle) for candidate in rated])
     unit = geodetic_crs(target).axis_info[0].unit_conversion_factor
     offsets = (places - places[rated.index(candidates[0])]) * unit * EARTH_RADIUS_M
     offsets[:, 0] *= np.cos(places[:, 1] * unit)
@@ -355,21 +314,15 @@ def _keeps_degrees(source: CRS, target: CRS, transformer: Transformer, middle: n
     ends = (geodetic_crs(source), geodetic_crs(target))
     if any(abs(np.degrees(end.axis_info[0].unit_conversion_factor) - 1.0) > _SAME_UNIT for end in ends):
         return False
+    return bool(np.abs(_degrees_by(transformer, source, target, middle) - middle).max() < _UNCHANGED_DEG)
+
+
+def _degrees_by(transformer: Transformer, source: CRS, target: CRS, middle: np.ndarray) -> np.ndarray:
+    """Longitude and latitude (2,) of a place in the target by an operation, from those in the source."""
     x, y = middle
     if not source.is_geographic:
-        x, y = _projection(ends[0].srs, source.srs).transform(x, y)
+        x, y = _projection(geodetic_crs(source).srs, source.srs).transform(x, y)
     x, y = transformer.transform(x, y)
     if not target.is_geographic:
-        x, y = _projection(target.srs, ends[1].srs).transform(x, y)
-    return bool(np.abs(np.array([x, y]) - middle).max() < _UNCHANGED_DEG)
-
-
-def _height_names(source: CRS, target: CRS) -> tuple[str, str] | None:
-    """Vertical datums of two CRSs in words; None where they are the same."""
-    first, second = vertical_crs(source), vertical_crs(target)
-    if first is second is None:
-        return None
-    if first is not None and second is not None and (first.equals(second) or first.datum == second.datum):
-        return None
-    a, b = (part.name if part is not None else "the ellipsoid" for part in (first, second))
-    return a, b
+        x, y = _projection(target.srs, geodetic_crs(target).srs).transform(x, y)
+    return np.array([x, y])

@@ -26,7 +26,7 @@ from tables import publish
 
 from evaluation import vertical_difference
 from survey.compare.comparison import CompareOptions, compare_surfaces
-from survey.compare.frame import to_local
+from survey.compare.inputs import to_local
 from survey.errors import FILE_NAME
 from survey.simulate.writing import write_survey
 

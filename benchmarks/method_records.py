@@ -21,7 +21,7 @@ from geo.files import write_text
 from refract import FlatWater, PinholeCamera
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.compare.figures import Comparison
-from survey.compare.frame import to_local
+from survey.compare.inputs import to_local
 from survey.errors import SurveyError
 from survey.files.json_values import plain, read_foreign_json
 from survey.folder.found import find_survey

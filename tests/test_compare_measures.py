@@ -270,7 +270,7 @@ def test_m3c2_is_measured_where_py4dgeo_is_there_and_asked_for_by_name_where_not
         with pytest.raises(CompareError, match=r"--m3c2 needs py4dgeo, .* pip install 'bathynerf\[m3c2\]'"):
             compared(cloud, plane, m3c2_radius_m=0.5)
     pytest.importorskip("py4dgeo", reason="py4dgeo is not installed: pip install 'bathynerf[m3c2]'")
-    monkeypatch.setattr("survey.compare.comparison._CORE_POINTS", 300)
+    monkeypatch.setattr("survey.compare.measure._CORE_POINTS", 300)
     numbers = compared(cloud, plane, m3c2_radius_m=0.5)["m3c2"]
     assert numbers["mean_m"] == pytest.approx(0.1, abs=LAS_M / 5)
     assert numbers["significant_share"] == 1.0

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
 from evaluation import AsprsAccuracy, Band, DepthParts, DistanceStatistics, IhoS44, ReachedBand, Scores
-from evaluation.bootstrap import LEVEL, NUM_DRAWS, SEED
-from evaluation.c2m import Sign
 from evaluation.standards import TvuOrder
 from survey.compare.inputs import Inputs
-from survey.compare.options import Bounds
 from survey.files.json_values import plain
 
 
@@ -36,15 +34,6 @@ class Parts:
             ("slope", "slope of the reference", "deg", self.slope),
         )
         return [kind for kind in kinds if kind[-1]]
-
-
-@dataclass(frozen=True)
-class Vertical:
-    """Vertical differences to a mesh."""
-
-    # Points with no surface straight above or below them have no difference: they are in ``n_nan``
-    distances: DistanceStatistics
-    depth: DepthParts | None
 
 
 @dataclass(frozen=True)
@@ -76,14 +65,6 @@ class CheckpointFigures:
 
 
 @dataclass(frozen=True)
-class CloudToCloud:
-    """Distances without sign from the cloud to the samples of the reference, and from those to the cloud."""
-
-    to_reference: DistanceStatistics
-    to_cloud: DistanceStatistics
-
-
-@dataclass(frozen=True)
 class M3C2:
     """M3C2 distances at some places of the reference."""
 
@@ -91,29 +72,6 @@ class M3C2:
     radius_m: float  # [m]: of the cylinders
     detection_median_m: float  # [m]: median level of detection at 95 %
     significant_share: float  # [-]: share of the distances beyond their level of detection
-
-
-@dataclass(frozen=True)
-class Circumstances:
-    """Circumstances of the figures: files, CRS, bounds, options."""
-
-    outliers: str | None  # The filter, as the option
-    # block_m, correlation_length_m, widening [m], [m], [-]: of the block bootstrap, see `evaluation.Blocks`
-    block_m: float
-    correlation_length_m: float
-    widening: float
-    water_level: float | None  # in crs
-    method: str
-    sign: Sign  # {"up", "winding"}
-    crs: str | None  # Name of the coordinate reference system
-    bounds: Bounds | None  # (E0, N0, E1, N1) or None, in crs
-    # cloud, reference: Paths
-    cloud: str
-    reference: str
-    visible: str | None  # Path
-    n_samples: int  # Of the reference
-    seed: int | None  # Of the samples; None where the reference is a cloud
-    notes: tuple[str, ...] = ()  # Sentences for the reader
 
 
 @dataclass(frozen=True)
@@ -126,18 +84,23 @@ class Figures:
     parts: Parts
     # Completeness by the slope of the reference, of what cameras see where that is known; empty where it is a cloud
     reached: tuple[ReachedBand, ...]
-    circumstances: Circumstances
-    vertical: Vertical | None = None  # Where the reference is a mesh
+    # Files, CRS, bounds, options, block bootstrap (`evaluation.Blocks`), and "notes", sentences for the reader
+    circumstances: dict[str, Any]
+    # vertical, vertical_depth: Vertical differences to a mesh; points with no surface straight above or below them are
+    # in ``n_nan``
+    vertical: DistanceStatistics | None = None
+    vertical_depth: DepthParts | None = None
     uncertainty: VerticalUncertainty | None = None  # Where depths are known
     checkpoints: CheckpointFigures | None = None
-    c2c: CloudToCloud | None = None
+    # "to_reference", "to_cloud": distances without sign to the samples of the reference, and from those to the cloud
+    c2c: dict[str, DistanceStatistics] | None = None
     m3c2: M3C2 | None = None
     reference_surface: ReferenceSurface | None = None  # Where the reference is a cloud
 
     @property
     def wet(self) -> DistanceStatistics | None:
         """Vertical differences of the points under water."""
-        depth = self.parts.depth if self.vertical is None else self.vertical.depth
+        depth = self.parts.depth if self.vertical is None else self.vertical_depth
         return None if depth is None else depth.wet
 
 
@@ -180,9 +143,8 @@ def numbers_of(figures: Figures) -> dict:
     """
     statistics = _known(figures.distances)
     numbers = {"n_points": statistics.pop("n_points"), "n_cropped": figures.n_cropped} | statistics
-    numbers |= _known(figures.tolerances[0]) | {"tolerances": [_known(s) for s in figures.tolerances]}
-    if figures.parts.depth is not None:
-        numbers |= _depth_parts(figures.parts.depth)
+    numbers |= _known(figures.tolerances[0]) | {"tolerances": [_known(scores) for scores in figures.tolerances]}
+    numbers |= _depth_parts(figures.parts.depth)
     numbers |= {f"{key}_bands": _bands(bands, unit) for key, _, unit, bands in figures.parts.banded}
     if figures.reached:
         numbers["completeness_by_slope"] = [
@@ -190,28 +152,29 @@ def numbers_of(figures: Figures) -> dict:
             for band in figures.reached
         ]
     if (vertical := figures.vertical) is not None:
-        own = _known(vertical.distances) | {"n_holes": vertical.distances.n_nan}
-        numbers["vertical"] = own if vertical.depth is None else own | _depth_parts(vertical.depth)
+        numbers["vertical"] = {**_known(vertical), "n_holes": vertical.n_nan, **_depth_parts(figures.vertical_depth)}
     if figures.uncertainty is not None:
-        iho, error = figures.uncertainty.iho, figures.uncertainty.error
+        iho = figures.uncertainty.iho
         numbers["iho_s44"] = {
             "points": iho.n_points,
             "error_95_m": iho.error_95_m,
             "orders": [_order(order) for order in iho.orders],
             "note": iho.note,
-            "error": error,
+            "error": figures.uncertainty.error,
         }
     if figures.reference_surface is not None:
         numbers["reference_surface"] = asdict(figures.reference_surface)
-    if figures.checkpoints is not None:
-        numbers["asprs"] = _asprs(figures.checkpoints)
+    if (checkpoints := figures.checkpoints) is not None:
+        rows = np.column_stack([checkpoints.places, checkpoints.residuals]).tolist()
+        names = ("easting", "northing", "height", "residual_m")
+        residuals = [dict(zip(names, row, strict=True)) for row in rows]
+        numbers["asprs"] = asdict(checkpoints.accuracy) | {"residuals": residuals}
     if figures.c2c is not None:
-        both = {"to_reference": figures.c2c.to_reference, "to_cloud": figures.c2c.to_cloud}
-        numbers["c2c"] = {name: _known(distances) for name, distances in both.items()}
+        numbers["c2c"] = {name: _known(distances) for name, distances in figures.c2c.items()}
     if figures.m3c2 is not None:
-        others = {name: value for name, value in asdict(figures.m3c2).items() if name != "distances"}
-        numbers["m3c2"] = _known(figures.m3c2.distances) | others
-    return plain(numbers | _circumstances(figures.circumstances))
+        numbers["m3c2"] = _known(figures.m3c2.distances) | asdict(figures.m3c2)
+        del numbers["m3c2"]["distances"]
+    return plain(numbers | figures.circumstances)
 
 
 def _known(record: DistanceStatistics | Scores) -> dict:
@@ -219,7 +182,9 @@ def _known(record: DistanceStatistics | Scores) -> dict:
     return {name: value for name, value in asdict(record).items() if value is not None}
 
 
-def _depth_parts(parts: DepthParts) -> dict:
+def _depth_parts(parts: DepthParts | None) -> dict:
+    if parts is None:
+        return {}
     split = {"wet": parts.wet, "dry": parts.dry}
     numbers = {name: _known(part) for name, part in split.items() if part is not None}
     return numbers | {"depth_bands": _bands(parts.bands, "m")}
@@ -234,10 +199,6 @@ def _limits(low: float, high: float, unit: str) -> dict:
 
 
 def _order(order: TvuOrder) -> dict:
-    bands = [
-        _limits(band.low_m, band.high_m, "m") | {"n_points": band.n_points, "share_within": band.share_within}
-        for band in order.bands
-    ]
     return {
         "order": order.name,
         "tvu_at_median_depth_m": order.tvu_at_median_depth_m,
@@ -245,20 +206,8 @@ def _order(order: TvuOrder) -> dict:
         "meets_tvu": order.meets_tvu,
         "meets_tvu_at_all_depths": order.meets_tvu_at_all_depths,
         "undecided": order.is_undecided,
-        "depth_bands": bands,
+        "depth_bands": [
+            _limits(band.low_m, band.high_m, "m") | {"n_points": band.n_points, "share_within": band.share_within}
+            for band in order.bands
+        ],
     }
-
-
-def _asprs(checkpoints: CheckpointFigures) -> dict:
-    rows = [
-        {"easting": e, "northing": n, "height": h, "residual_m": residual}
-        for (e, n, h), residual in zip(checkpoints.places.tolist(), checkpoints.residuals.tolist(), strict=True)
-    ]
-    return asdict(checkpoints.accuracy) | {"residuals": rows}
-
-
-def _circumstances(circumstances: Circumstances) -> dict:
-    numbers = asdict(circumstances)
-    blocks = {name: numbers.pop(name) for name in ("block_m", "correlation_length_m", "widening")}
-    confidence = {"level": LEVEL, "method": "block bootstrap", **blocks, "draws": NUM_DRAWS, "seed": SEED}
-    return numbers | {"confidence": confidence}

@@ -1,4 +1,4 @@
-"""Inputs of a comparison: files and tables of points read, checked against each other, in one local frame."""
+"""Inputs of a comparison: files and tables of points read, checked against each other, and their local frame."""
 
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ from geo.shapes import (
     used_as_ground,
     vertices_of,
 )
-from survey.compare.frame import ShiftedFrame, within
 from survey.compare.options import Bounds, CompareError, as_text
 from survey.files.crs_lines import crs_of_comment
 from survey.files.csv_table import Row
@@ -115,6 +114,21 @@ def level_of_cloud(shape: Mesh | Cloud) -> float | None:
 
 
 @dataclass(frozen=True)
+class ShiftedFrame:
+    """Substitute for a `LocalFrame` if no file has a CRS: coordinates in metres, shifted near zero."""
+
+    origin: tuple[float, float, float]
+
+    def local_from_crs(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 3) as given, minus the origin [m]."""
+        return np.asarray(points, dtype=np.float64) - self.origin
+
+    def crs_from_local(self, points: np.ndarray) -> np.ndarray:
+        """The inverse."""
+        return np.asarray(points, dtype=np.float64) + self.origin
+
+
+@dataclass(frozen=True)
 class InputPaths:
     """The files of a comparison; ``visible`` is None where it is not known what cameras see."""
 
@@ -145,36 +159,30 @@ def load_inputs(paths: InputPaths, bounds: Bounds | None, water_level: float | N
     Depths in tables count from ``water_level``, in the CRS of the cloud, else from the water that the cloud has.
     """
     compared, given = _read_shapes(paths, water_level)
+    shapes = {paths.cloud: compared} | given
     notes = [note for shape in (compared, *given.values()) for note in shape.notes]
-    crs, of_crs = common_crs({path: shape.crs for path, shape in ({paths.cloud: compared} | given).items()})
+    crs, of_crs = common_crs({path: shape.crs for path, shape in shapes.items()})
     notes += of_crs
-    for path, shape in ({paths.cloud: compared} | given).items():
+    for path, shape in shapes.items():
         if shape.crs is None and crs is not None and is_geographic(crs):
             # Check the rounding again as degrees, in which a tenth of a metre is six decimals.
             notes += rounded_coordinates(vertices_of(shape), crs, path)
-    compared, of_unit = _in_common_unit(compared, paths.cloud, crs)
-    notes += of_unit
-    if isinstance(compared, Cloud):
-        cloud = compared
-    else:
-        cloud = Cloud(points=compared.vertices, crs=compared.crs)
+    cloud = _in_common_unit(compared, paths.cloud, crs, notes)
+    if isinstance(cloud, Mesh):
+        cloud = Cloud(points=cloud.vertices, crs=cloud.crs)
         notes.append(f"{paths.cloud.name} is a mesh: its vertices are compared")
     others: dict[Path, Mesh | Cloud] = {}
-    for path, shape in given.items():
-        shape, of_unit = _in_common_unit(shape, path, crs)
-        notes += of_unit
+    for path, given_shape in given.items():
+        shape = _in_common_unit(given_shape, path, crs, notes)
         if isinstance(shape, Cloud):
-            ground, of_ground = _is_ground(shape, path)
-            others[path] = masked_cloud(shape, ground)
-            notes += of_ground
+            others[path] = masked_cloud(shape, _is_ground(shape, path, notes))
         else:
             others[path] = _welded(shape, path)
-    reference, visible = others[paths.reference], None if paths.visible is None else others[paths.visible]
-    for path, other in others.items():
-        require_same_place(cloud.points, vertices_of(other), str(paths.cloud), str(path))
+        require_same_place(cloud.points, vertices_of(others[path]), str(paths.cloud), str(path))
+    reference = others[paths.reference]
     cropped = _cropped(cloud, bounds, paths.cloud)
-    ground, of_ground = _is_ground(cloud, paths.cloud)
-    inside = ~cropped & ground
+    of_cloud: list[str] = []
+    inside = ~cropped & _is_ground(cloud, paths.cloud, of_cloud)
     kept = cloud.points[inside]
     if not len(kept):
         raise CompareError(f"no point of {paths.cloud} within the bounds is of the ground, by its class or flag")
@@ -182,7 +190,8 @@ def load_inputs(paths: InputPaths, bounds: Bounds | None, water_level: float | N
     east, north, height = (float(v) for v in 0.5 * (kept.min(axis=0) + kept.max(axis=0)))
     origin = (east, north, height)
     frame = ShiftedFrame(origin) if crs is None else LocalFrame(crs, origin)
-    notes += of_ground + _height_warnings(kept, vertices_of(reference), paths, frame)
+    notes += of_cloud + _height_warnings(kept, vertices_of(reference), paths, frame)
+    visible = None if paths.visible is None else others[paths.visible]
     return Inputs(paths, cloud, inside, int(cropped.sum()), reference, visible, crs, frame, tuple(notes))
 
 
@@ -220,26 +229,29 @@ def _cropped(cloud: Cloud, bounds: Bounds | None, path: Path) -> np.ndarray:
     return cropped
 
 
-def _in_common_unit(shape: Mesh | Cloud, path: Path, crs: CRS | None) -> tuple[Mesh | Cloud, list[str]]:
+def _in_common_unit(shape: Mesh | Cloud, path: Path, crs: CRS | None, notes: list[str]) -> Mesh | Cloud:
     """A shape with heights in the unit of the common CRS, where its file gives a unit beside its own CRS."""
-    unit_m, notes = 1.0 if crs is None else height_unit_m(crs), []
+    unit_m = 1.0 if crs is None else height_unit_m(crs)
     if shape.height_unit_m is not None and abs(shape.height_unit_m - unit_m) > 1e-9:
         notes.append(
             f"{path.name} gives its heights in units of {shape.height_unit_m:.10g} m: converted to units of "
             f"{unit_m:.10g} m"
         )
-    return in_height_unit(shape, unit_m), notes
+    return in_height_unit(shape, unit_m)
 
 
-def _is_ground(cloud: Cloud, path: Path) -> tuple[np.ndarray, list[str]]:
-    """Mask (N,) of the points that are compared, by the classes and flags of their file; a note counts the others."""
+def _is_ground(cloud: Cloud, path: Path, notes: list[str]) -> np.ndarray:
+    """Mask (N,) of the points that are compared, by the classes and flags of their file; notes count the others."""
     out, kinds = excluded_points(cloud)
     if out.all():
         raise CompareError(f"no point of {path} is of the ground: it holds {kinds}; give it with the points of the bed")
-    notes = [f"{int(out.sum())} of {len(out)} points of {path.name} are not of the ground and left out: {kinds}"]
-    doubtful = used_as_ground(cloud)
-    doubt = f"{path.name} counts as ground with {doubtful}: leave them out of the file where they are none"
-    return ~out, [*(notes if kinds else []), *([doubt] if doubtful else [])]
+    if kinds:
+        notes.append(
+            f"{int(out.sum())} of {len(out)} points of {path.name} are not of the ground and left out: {kinds}"
+        )
+    if doubtful := used_as_ground(cloud):
+        notes.append(f"{path.name} counts as ground with {doubtful}: leave them out of the file where they are none")
+    return ~out
 
 
 def _welded(shape: Mesh, path: Path) -> Mesh:
@@ -291,3 +303,39 @@ def _height_warnings(
     if gap > _FARTHEST_HEIGHT * size_m:
         raise CompareError(f"{message}; {remedy}, and in the same unit")
     return [f"{message}: {remedy}"]
+
+
+def within(points: np.ndarray, bounds: Bounds | None, margins: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    """Whether points (N, 3) lie in bounds (edges included) that grow by margins in easting and northing."""
+    if bounds is None:
+        return np.ones(len(points), dtype=bool)
+    e0, n0, e1, n1 = bounds
+    east, north = points[:, 0], points[:, 1]
+    return (
+        (east >= e0 - margins[0]) & (east <= e1 + margins[0]) & (north >= n0 - margins[1]) & (north <= n1 + margins[1])
+    )
+
+
+def to_local(frame: LocalFrame | ShiftedFrame, points: np.ndarray, name: Path) -> np.ndarray:
+    """Points (N, 3) in the local frame [m]."""
+    local = frame.local_from_crs(points)
+    if isinstance(frame, ShiftedFrame):
+        return local
+    bad = int((~np.isfinite(local).all(axis=1)).sum())
+    if bad:
+        raise CompareError(
+            f"{bad} of {len(points)} points of {name} lie where {frame.crs.name} is not defined; remove them or "
+            "correct the CRS of the file"
+        )
+    return local
+
+
+def metres_in_crs(frame: LocalFrame | ShiftedFrame, length_m: float) -> tuple[float, float]:
+    """A length [m] near the origin in units of easting and of northing (degrees in a geographic CRS)."""
+    e, n, h = frame.origin
+    step = 1e-6 * max(abs(e), abs(n), 1.0)
+    ends = np.array([[e + step, n, h], [e - step, n, h], [e, n + step, h], [e, n - step, h]])
+    local = frame.local_from_crs(ends)
+    east = float(np.linalg.norm(local[0] - local[1])) / (2.0 * step)
+    north = float(np.linalg.norm(local[2] - local[3])) / (2.0 * step)
+    return length_m / east, length_m / north

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from pyproj import CRS
 from evaluation import (
     Blocks,
     DepthParts,
+    DistanceStatistics,
     LocalSurface,
     ReachedBand,
     Scores,
@@ -18,18 +20,20 @@ from evaluation import (
     by_band,
     by_depth,
     distance_statistics,
+    distance_to_cloud,
     distance_to_mesh,
     height_at,
     iho_s44,
     is_reached,
     local_surface,
+    m3c2_distances,
     reached_by_slope,
     sample_mesh,
     scores,
     vertical_difference,
 )
 from evaluation.c2m import Sign, num_inconsistent_edges
-from evaluation.completeness import NUM_SAMPLES
+from evaluation.completeness import NUM_SAMPLES, SEED
 from evaluation.standards import MIN_CHECKPOINTS
 from evaluation.summary import INCIDENCE_EDGES_DEG, SLOPE_EDGES_DEG, VIEWS_EDGES
 from geo import Cloud, Mesh
@@ -37,9 +41,8 @@ from geo.compatibility import require_same_crs, require_same_place
 from geo.crs import height_unit_m
 from geo.files import existing_file
 from geo.shapes import excluded_points, vertices_of
-from survey.compare.figures import CheckpointFigures, Parts, ReferenceSurface, Vertical, VerticalUncertainty
-from survey.compare.frame import metres_in_crs, to_local, within
-from survey.compare.inputs import DEPTH_NAMES, GIVE_LEVEL, Inputs
+from survey.compare.figures import M3C2, CheckpointFigures, Parts, ReferenceSurface, VerticalUncertainty
+from survey.compare.inputs import DEPTH_NAMES, GIVE_LEVEL, Inputs, metres_in_crs, to_local, within
 from survey.compare.options import Bounds, CompareError
 from survey.display.quantities import named
 from survey.files.crs_lines import crs_of_comment
@@ -49,6 +52,10 @@ from survey.progress import current
 # Extra bytes of a cloud: the depth below the water in metres, angle at the water in degrees, views that agree.
 _INCIDENCE_NAMES = ("incidence", "incidence_deg")
 _VIEWS_NAMES = ("num_views",)
+# M3C2 is measured at this many places of the reference: enough for any statistics.
+_CORE_POINTS = 20_000
+# Half the length of its cylinders in radii.
+_REACH = 10.0
 
 
 @dataclass(frozen=True)
@@ -125,18 +132,19 @@ class Reach:
         return scores(distances, tolerance_m=self.tolerance_m, is_reached=self.samples, is_reached_visible=self.visible)
 
 
-def distances_of(scene: ComparedScene, sign: Sign) -> tuple[Distances, ReferenceSurface | None, list[str]]:
-    """Distances of the compared points, what the surface through a reference of points is like, and notes on both."""
+def distances_of(scene: ComparedScene, sign: Sign, notes: list[str]) -> tuple[Distances, ReferenceSurface | None]:
+    """Distances of the compared points, and what the surface through a reference of points is like; adds notes."""
     reference = scene.inputs.reference
     if not isinstance(reference, Mesh):
         with current().stage("Distances", len(scene.points)) as stage:
-            return _over_surface(scene, local_surface(scene.reference, scene.points[:, :2], advance=stage.advance))
+            return _over_surface(
+                scene, local_surface(scene.reference, scene.points[:, :2], advance=stage.advance), notes
+            )
     # Together: the tree of a mesh takes as long as its search.
     num, places = len(scene.points), np.concatenate([scene.points, scene.targets])
     with current().stage("Distances", len(places)) as stage:
         result = distance_to_mesh(places, scene.reference, reference.faces, sign=sign, advance=stage.advance)
     num_edges = num_inconsistent_edges(reference.faces) if sign == "winding" else 0
-    notes = []
     if num_edges:
         notes.append(
             f"triangles of {scene.inputs.paths.reference.name} have opposite winding along {num_edges} edges, where "
@@ -144,10 +152,10 @@ def distances_of(scene: ComparedScene, sign: Sign) -> tuple[Distances, Reference
         )
     if result.num_degenerate:
         notes.append(f"{result.num_degenerate} triangles of the reference have no area and were left out")
-    return Distances(result.signed[:num], result.nearest[:num], *np.split(result.slope_deg, [num])), None, notes
+    return Distances(result.signed[:num], result.nearest[:num], *np.split(result.slope_deg, [num])), None
 
 
-def _over_surface(scene: ComparedScene, surface: LocalSurface) -> tuple[Distances, ReferenceSurface, list[str]]:
+def _over_surface(scene: ComparedScene, surface: LocalSurface, notes: list[str]) -> tuple[Distances, ReferenceSurface]:
     name, known = scene.inputs.paths.reference.name, np.isfinite(surface.height)
     if not known.any():
         raise CompareError(
@@ -155,19 +163,19 @@ def _over_surface(scene: ComparedScene, surface: LocalSurface) -> tuple[Distance
             "height between them needs four of them around it; give a denser reference, or --checkpoints for single "
             "points"
         )
-    std = surface.std[known]
-    found = ReferenceSurface(surface.spacing_m, float(np.median(std)), float(np.quantile(std, 0.95)))
-    notes = [
-        f"{name} is a cloud, its points about {found.spacing_m:.2g} m apart: distances are heights over the plane "
+    std_median, std_95 = np.quantile(surface.std[known], [0.5, 0.95]).tolist()
+    notes.append(
+        f"{name} is a cloud, its points about {surface.spacing_m:.2g} m apart: distances are heights over the plane "
         f"through its twelve nearest points in plan, positive above; such a height is known to ± "
-        f"{1e3 * found.std_median_m:.2g} mm (median, one sigma) by the scatter of the points about the plane"
-    ]
+        f"{1e3 * std_median:.2g} mm (median, one sigma) by the scatter of the points about the plane"
+    )
     if not known.all():
         notes.append(
             f"{int((~known).sum())} of {len(known)} points are not compared: points of {name} do not surround them"
         )
     nearest = np.column_stack([scene.points[:, :2], surface.height])
-    return Distances(scene.points[:, 2] - surface.height, nearest, None, None, surface.std), found, notes
+    distances = Distances(scene.points[:, 2] - surface.height, nearest, None, None, surface.std)
+    return distances, ReferenceSurface(surface.spacing_m, std_median, std_95)
 
 
 def reached_at(scene: ComparedScene, tolerance_m: float) -> Reach:
@@ -207,7 +215,12 @@ def parts(scene: ComparedScene, distances: Distances, depth: np.ndarray | None, 
             (distances.slope_deg, SLOPE_EDGES_DEG),
         )
     )
-    return Parts(_by_depth(distances.signed, depth, blocks), incidence, views, slope)
+    return Parts(depth_parts(distances.signed, depth, blocks), incidence, views, slope)
+
+
+def depth_parts(distances: np.ndarray, depth: np.ndarray | None, blocks: Blocks) -> DepthParts | None:
+    """Statistics of distances (N,) [m] by depth (N,) [m]; None where no depth is known."""
+    return None if depth is None or not np.isfinite(depth).any() else by_depth(distances, depth, blocks)
 
 
 def reached_by_slope_of(distances: Distances, reaches: list[Reach]) -> tuple[ReachedBand, ...]:
@@ -216,16 +229,13 @@ def reached_by_slope_of(distances: Distances, reaches: list[Reach]) -> tuple[Rea
     return () if slope_deg is None else reached_by_slope(slope_deg, [reach.targets for reach in reaches])
 
 
-def vertical(
-    scene: ComparedScene, depth: np.ndarray | None, blocks: Blocks
-) -> tuple[Vertical | None, np.ndarray | None]:
-    """Vertical differences to a mesh: their statistics, and the differences (N,) [m]; None and None to a cloud."""
+def vertical_errors(scene: ComparedScene) -> np.ndarray | None:
+    """Vertical differences (N,) [m] to a mesh; None to a cloud."""
     if not isinstance(scene.inputs.reference, Mesh):
-        return None, None
-    faces = scene.inputs.reference.faces
+        return None
     with current().stage("Vertical differences", len(scene.points)) as stage:
-        errors = vertical_difference(scene.points, scene.reference, faces, advance=stage.advance)
-    return Vertical(distance_statistics(errors, blocks), _by_depth(errors, depth, blocks)), errors
+        faces = scene.inputs.reference.faces
+        return vertical_difference(scene.points, scene.reference, faces, advance=stage.advance)
 
 
 def uncertainty(
@@ -242,8 +252,29 @@ def uncertainty(
     return None if iho is None else VerticalUncertainty(iho, message)
 
 
-def _by_depth(distances: np.ndarray, depth: np.ndarray | None, blocks: Blocks) -> DepthParts | None:
-    return None if depth is None or not np.isfinite(depth).any() else by_depth(distances, depth, blocks)
+def cloud_to_cloud(scene: ComparedScene) -> dict[str, DistanceStatistics]:
+    """Distances without sign to the samples of the reference, and from them to the cloud."""
+    with current().stage("Cloud to cloud"):
+        to_reference, _ = distance_to_cloud(scene.points, scene.samples)
+        to_cloud, _ = distance_to_cloud(scene.samples, scene.points)
+    return {"to_reference": distance_statistics(to_reference), "to_cloud": distance_statistics(to_cloud)}
+
+
+def m3c2(scene: ComparedScene, radius_m: float) -> M3C2:
+    """M3C2 at some of the targets around the cloud: statistics, radius and share that is significant."""
+    low, high = scene.points[:, :2].min(axis=0) - radius_m, scene.points[:, :2].max(axis=0) + radius_m
+    near, core = (
+        part[((part[:, :2] >= low) & (part[:, :2] <= high)).all(axis=1)] for part in (scene.samples, scene.targets)
+    )
+    core = core[np.random.default_rng(SEED).permutation(len(core))[:_CORE_POINTS]]
+    with current().stage("M3C2"):
+        found = m3c2_distances(near, scene.points, core, radius_m=radius_m, reach_m=_REACH * radius_m)
+    known = np.isfinite(found.signed) & np.isfinite(found.detection_m)
+    detection, statistics = found.detection_m[known], distance_statistics(found.signed)
+    if not len(detection):
+        return M3C2(statistics, radius_m, math.nan, math.nan)
+    significant = float((np.abs(found.signed[known]) > detection).mean())
+    return M3C2(statistics, radius_m, float(np.median(detection)), significant)
 
 
 def read_checkpoints(
@@ -268,18 +299,17 @@ def read_checkpoints(
     return table
 
 
-def checkpoint_accuracy(scene: ComparedScene, table: np.ndarray, path: Path) -> tuple[CheckpointFigures, list[str]]:
-    """Vertical accuracy of the compared cloud at check points (K, 4), and its shortcomings as a test."""
+def checkpoint_accuracy(scene: ComparedScene, table: np.ndarray, path: Path, notes: list[str]) -> CheckpointFigures:
+    """Vertical accuracy of the compared cloud at check points (K, 4); adds notes on their shortcomings as a test."""
     places = to_local(scene.inputs.frame, table[:, :3], path)
     residuals = height_at(scene.points, places[:, :2]) - places[:, 2]
     if not np.isfinite(residuals).any():
         require_same_place(scene.points, places, "the cloud", path.name)
         raise CompareError(f"none of the {len(places)} check points of {path.name} has points of the cloud around it")
     accuracy = asprs_vertical(residuals, table[:, 3])
-    lines = [f"point {i}" for i in range(1, len(table) + 1)]
-    crs = scene.inputs.crs
+    lines, crs = [f"point {i}" for i in range(1, len(table) + 1)], scene.inputs.crs
     several = several_heights(lines, table, 1.0 if crs is None else height_unit_m(crs))
-    notes = named(several, "place", f"of {path.name} with several heights, of which one is true at most")
+    notes += named(several, "place", f"of {path.name} with several heights, of which one is true at most")
     if not accuracy.is_enough:
         notes.append(
             f"{accuracy.n_checkpoints} check points of {path.name} lie on the cloud: ASPRS (Edition 2) requires "
@@ -287,4 +317,4 @@ def checkpoint_accuracy(scene: ComparedScene, table: np.ndarray, path: Path) -> 
         )
     if not table[:, 3].any():
         notes.append(f"{path.name} gives no standard deviations: its check points are taken as free of error")
-    return CheckpointFigures(accuracy, table[:, :3], residuals), notes
+    return CheckpointFigures(accuracy, table[:, :3], residuals)

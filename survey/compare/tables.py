@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from evaluation import DistanceStatistics, Scores
 from evaluation.standards import TvuOrder
-from survey.compare.figures import CheckpointFigures, Circumstances, Figures, VerticalUncertainty
+from survey.compare.figures import CheckpointFigures, Figures, VerticalUncertainty
 from survey.display.blocks import Block, Rows, Section, Sentences, Table, Text
 from survey.display.quantities import NO_BREAK, LengthUnit, count, is_known, length, share
 
@@ -22,18 +23,12 @@ def sections_of(figures: Figures) -> list[Section]:
     return [section for section in sections if section.blocks]
 
 
-def _inputs(circumstances: Circumstances) -> list[tuple[str, str]]:
-    level = circumstances.water_level
-    rows = (
-        ("cloud", circumstances.cloud),
-        ("reference", circumstances.reference),
-        ("visible", circumstances.visible),
-        ("CRS", circumstances.crs),
-        ("sign", circumstances.sign),
-        ("outliers", circumstances.outliers),
-        ("water level", None if level is None else f"{level:.10g}"),
-    )
-    return [(label, text) for label, text in rows if text is not None]
+def _inputs(circumstances: dict[str, Any]) -> list[tuple[str, str]]:
+    labels = {"crs": "CRS", "water_level": "water level"}
+    rows = [(key, circumstances[key]) for key in ("cloud", "reference", "visible", "crs", "sign", "outliers")]
+    if (level := circumstances["water_level"]) is not None:
+        rows.append(("water_level", f"{level:.10g}"))
+    return [(labels.get(key, key), text) for key, text in rows if text is not None]
 
 
 def comparison(found: Figures | None) -> list[Block]:
@@ -44,7 +39,7 @@ def comparison(found: Figures | None) -> list[Block]:
     cropped = f", {count(num_cropped)} outside the bounds left out" if num_cropped else ""
     beside = f", {count(distances.n_nan)} not among the points of the reference" if distances.n_nan else ""
     rows = [
-        ("method", f"{circumstances.method}, nothing aligned or shifted"),
+        ("method", f"{circumstances['method']}, nothing aligned or shifted"),
         ("points compared", count(distances.n_points) + cropped + beside),
     ]
     if (surface := found.reference_surface) is not None:
@@ -57,7 +52,7 @@ def comparison(found: Figures | None) -> list[Block]:
     }  # fmt: skip
     rows += [(label, unit.text(value)) for label, value in values.items()]
     method = Rows(rows)
-    notes = [Sentences(circumstances.notes)] if circumstances.notes else []
+    notes = [Sentences(circumstances["notes"])] if circumstances["notes"] else []
     bias = _bias_and_spread("part", _parts(found), unit, "Bias and spread")
     bands = [
         _bias_and_spread(name, [(limits_label(b.low, b.high, of), b.distances) for b in bands], unit, f"By {name}")
@@ -70,11 +65,10 @@ def _parts(found: Figures) -> list[tuple[str, DistanceStatistics]]:
     depth = found.parts.depth
     parts = {
         "all points": found.distances,
-        "vertical difference": None if found.vertical is None else found.vertical.distances,
+        "vertical difference": found.vertical,
         "wet points": None if depth is None else depth.wet,
         "dry points": None if depth is None else depth.dry,
-        "cloud to cloud, to the reference": None if found.c2c is None else found.c2c.to_reference,
-        "cloud to cloud, to the cloud": None if found.c2c is None else found.c2c.to_cloud,
+        **{f"cloud to cloud, {name.replace('_', ' the ')}": part for name, part in (found.c2c or {}).items()},
     }
     if (m3c2 := found.m3c2) is not None:
         beyond = f"{share(m3c2.significant_share)} beyond the level of detection"
@@ -113,7 +107,7 @@ def _reached(found: Figures) -> list[Table]:
     """Completeness by the slope of the reference, at each tolerance; nothing without a mesh."""
     if not found.reached:
         return []
-    of = "reached" if found.circumstances.visible is None else "of what cameras see"
+    of = "reached" if found.circumstances["visible"] is None else "of what cameras see"
     titles = ("slope of the reference", "samples", *(f"{of}, {s.tolerance_m:g} m [%]" for s in found.tolerances))
     rows = [
         (limits_label(band.low, band.high, "deg"), count(band.n_samples), *(_percent(at) for at in band.completeness))

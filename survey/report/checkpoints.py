@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from evaluation import height_at
 from evaluation.standards import TVU, order_by_tvu
 from geo.shapes import ComputedColumn, portions
-from survey.compare.frame import within
+from survey.compare.inputs import within
 from survey.control.points import Checkpoint, ControlPoint
 from survey.display.blocks import Block, Rows, Text
 from survey.display.plan_grid import median

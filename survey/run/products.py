@@ -284,8 +284,7 @@ def _comparisons(finished: FinishedRun) -> tuple[Comparison | None, Comparison |
     note(f"comparison of the cloud with {reference.name}")
     found = compare_surfaces(folder / "cloud.las", reference, options)
     # The final path, not that of the folder in which the result is written.
-    circumstances = replace(found.figures.circumstances, cloud=str(finished.run.cloud_path))
-    found = replace(found, figures=replace(found.figures, circumstances=circumstances))
+    found.figures.circumstances["cloud"] = str(finished.run.cloud_path)
     if "bed_of_sweep" not in finished.stages:
         return found, None
     cloud = folder / "sweep.las"

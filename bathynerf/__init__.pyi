@@ -19,8 +19,8 @@ from survey.compare.comparison import compare_files as compare
 from survey.compare.options import CompareOptions
 from survey.errors import SurveyError
 from survey.export.export import export
-from survey.export.product import ExportOptions
 from survey.export.profiles import Profile, profiles_along
+from survey.export.registry import ExportOptions
 from survey.export.render import render
 from survey.folder.survey import Survey as LoadedSurvey
 from survey.folder.survey import load_survey

@@ -16,8 +16,7 @@ from survey.commands.console import ConsoleResults
 from survey.compare.options import CompareOptions
 from survey.display.blocks import Rows, Section, Table
 from survey.errors import SurveyError
-from survey.export.product import ExportOptions
-from survey.export.registry import PRODUCTS
+from survey.export.registry import PRODUCTS, ExportOptions
 
 
 def test_check_of_a_good_survey_prints_findings_and_plan_and_ends_with_code_0(tmp_path):

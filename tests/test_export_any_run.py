@@ -18,8 +18,7 @@ from geo.errors import GeoError
 from geo.reading import read_reference
 from survey.errors import SurveyError
 from survey.export.export import export
-from survey.export.product import ExportOptions
-from survey.export.registry import PRODUCTS
+from survey.export.registry import PRODUCTS, ExportOptions
 from survey.folder.survey import load_survey
 from survey.progress import Progress
 from survey.run.flight import save_flight
@@ -160,7 +159,7 @@ def test_all_is_checked_before_anything_is_computed(drawn, tmp_path, monkeypatch
             export(path, dem=tmp_path / "dem.tif", **{option: tmp_path / name})
     monkeypatch.undo()
     # An error that only the computation finds: what was written by then is said.
-    monkeypatch.setattr("survey.export.terrain.write_raster", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr("survey.export.rasters.write_raster", lambda *_, **__: 1 / 0)
     with Progress(verbosity=0), pytest.raises(ZeroDivisionError):
         export(path, las=tmp_path / "a.las", dem=tmp_path / "dem.tif")
     said = " ".join(capsys.readouterr().err.split())

@@ -12,13 +12,11 @@ from stored_run import GSD_M, run_of, stored_points
 
 from geo.grid import Window
 from survey.errors import SurveyError
-from survey.export import bed_cells
 from survey.export import bed_raster as bed_raster_module
-from survey.export.bed_cells import LevelFit, cells_over, round_side
-from survey.export.bed_raster import bed_raster, seen_from_above
+from survey.export.bed_raster import LevelFit, bed_raster, cells_over, round_side, seen_from_above
 from survey.export.cell_fit import LEAST_PX2, CellPoints, correlated_px2, fit_cells
 from survey.export.loaded import LoadedRun
-from survey.export.product import ExportOptions
+from survey.export.registry import ExportOptions
 
 CRS_OF_TEST = CRS("EPSG:25832+5783")
 CORNER = np.array([691000.0, 5334000.0])
@@ -156,37 +154,19 @@ def test_a_badly_known_point_high_above_the_bed_hides_nothing():
     assert is_seen.all()
 
 
-def test_a_raster_does_not_depend_on_its_tiles(tmp_path, monkeypatch):
+def test_a_raster_does_not_depend_on_its_bands(tmp_path, monkeypatch):
     rng = np.random.default_rng(4)
     plan = rng.uniform(0.0, 13.0, (60_000, 2))
     height = 500.0 + 0.1 * np.sin(3.0 * plan[:, 0]) + np.where(plan[:, 1] > 6.0, 0.5, 0.0)
     run, options = made(plan, height, tmp_path)
     with run:
         whole = bed_raster(run, options)
-        monkeypatch.setattr(bed_raster_module, "_POINTS_PER_TILE", 5000)
-        tiled = bed_raster(run, ExportOptions(resolution_m=SIDE, fill_m=0.01))
+        monkeypatch.setattr(bed_raster_module, "_POINTS_OF_BAND", 5000)
+        banded = bed_raster(run, ExportOptions(resolution_m=SIDE, fill_m=0.01))
         assert whole.cells.shape == (130, 130)
-        np.testing.assert_array_equal(tiled.count, whole.count)
-        np.testing.assert_array_equal(tiled.height, whole.height)
-        np.testing.assert_array_equal(tiled.std, whole.std)
-
-
-def test_a_tile_of_large_cells_is_no_larger_than_its_points_ask_for(tmp_path, monkeypatch):
-    plan = np.random.default_rng(4).uniform(0.0, 13.0, (20_000, 2))
-    run, options = made(plan, 500.0 + 0.1 * plan[:, 0], tmp_path, resolution_m=1.0)
-    widths = []
-
-    def seen(plan, *rest):
-        widths.append(np.ptp(plan, axis=0).max())
-        return seen_from_above(plan, *rest)
-
-    with run:
-        whole = bed_raster(run, options)
-        monkeypatch.setattr(bed_raster_module, "_POINTS_PER_TILE", 2000)
-        monkeypatch.setattr(bed_raster_module, "seen_from_above", seen)
-        tiled = bed_raster(run, replace(options, fill_m=0.01))
-        np.testing.assert_array_equal(tiled.height, whole.height)
-    assert max(widths) < 6.0
+        np.testing.assert_array_equal(banded.count, whole.count)
+        np.testing.assert_array_equal(banded.height, whole.height)
+        np.testing.assert_array_equal(banded.std, whole.std)
 
 
 def test_what_all_heights_share_is_not_averaged_away(tmp_path):
@@ -237,7 +217,7 @@ def test_a_gap_is_closed_where_no_square_fits_into_it(width):
     square = np.ones((width + 1, width + 1), dtype=bool)
     around = np.pad(~known, width + 1, constant_values=True)
     fits = ndimage.binary_opening(around, square)[width + 1 : -width - 1, width + 1 : -width - 1]
-    closed = bed_cells._closed(known, width)
+    closed = bed_raster_module._closed(known, width)
     np.testing.assert_array_equal(closed, ~fits)
     assert (closed & ~known).any()
 

@@ -15,8 +15,7 @@ from geo.errors import UnwritableFile
 from survey.errors import OutputError, SurveyError
 from survey.export import export as export_room
 from survey.export.export import export
-from survey.export.product import ExportOptions
-from survey.export.registry import PRODUCTS
+from survey.export.registry import PRODUCTS, ExportOptions
 from survey.progress import Progress
 from survey.run.folder import RunDir
 from survey.run.stored import load_bed, save_bed

@@ -16,7 +16,7 @@ from stored_run import run_of, stored_points
 from evaluation.standards import THU, TVU, order_by_thu, order_by_tvu
 from survey.errors import SurveyError
 from survey.export.export import export
-from survey.export.product import ExportOptions
+from survey.export.registry import ExportOptions
 from survey.run.folder import RunDir
 from survey.settings.config import CamerasConfig, SurveyConfig, WaterConfig, dump_config
 

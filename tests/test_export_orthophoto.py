@@ -30,8 +30,8 @@ from refract import FlatWater
 from survey.errors import SurveyError
 from survey.export.export import export
 from survey.export.loaded import Pixels
-from survey.export.occlusion import BedWindows, CellProjection, HeightBuffer, Mosaic, common_exposure
-from survey.export.product import ExportOptions
+from survey.export.orthophoto import BedWindows, CellProjection, HeightBuffer, Mosaic, common_exposure
+from survey.export.registry import ExportOptions
 from survey.folder.survey import Survey
 from survey.run.flight import Flight
 from survey.settings.water import WaterColour

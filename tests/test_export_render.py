@@ -22,8 +22,7 @@ from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera
 from refract.lens import Lens
 from survey.errors import OutputError, SurveyError
-from survey.export.render import render
-from survey.export.video import flown
+from survey.export.render import flown, render
 from survey.photos.cameras import View
 from survey.progress import Progress
 from survey.run.flight import save_flight

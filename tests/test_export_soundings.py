@@ -18,7 +18,7 @@ from survey.errors import OutputError, SurveyError
 from survey.export.bed_raster import bed_raster
 from survey.export.export import export
 from survey.export.loaded import LoadedRun
-from survey.export.product import ExportOptions
+from survey.export.registry import ExportOptions
 from survey.progress import Progress
 
 LEVEL_M = 101.5

@@ -13,8 +13,7 @@ from stored_run import run_of, stored_points
 from evaluation.standards import TVU
 from geo import write_cloud
 from survey.export.export import export
-from survey.export.product import ExportOptions
-from survey.export.registry import PRODUCTS
+from survey.export.registry import PRODUCTS, ExportOptions
 from survey.export.styles import of_clouds
 from survey.settings.config import dump_config, parse_config
 

@@ -20,7 +20,7 @@ from geo.errors import UnwritableFile
 from geo.raster import RasterBand, RasterForm, write_cog
 from survey.errors import SurveyError
 from survey.export.export import export
-from survey.export.product import ExportOptions
+from survey.export.registry import ExportOptions
 from survey.progress import Progress
 
 SIDE = 0.5

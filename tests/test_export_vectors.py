@@ -22,8 +22,8 @@ from geo.vectors import DxfLine, Layer, write_dxf, write_geojson, write_geopacka
 from survey.errors import SurveyError
 from survey.export.export import export
 from survey.export.loaded import LoadedRun
-from survey.export.product import ExportOptions
-from survey.export.unseen import ONE_VIEW, TWO_VIEWS, unseen_of
+from survey.export.registry import ExportOptions
+from survey.export.vectors import ONE_VIEW, TWO_VIEWS, unseen_of
 from survey.folder.survey import load_survey
 from survey.progress import Progress
 from survey.run.flight import load_flight, save_flight

@@ -15,7 +15,7 @@ from geo.errors import MissingGrid, MissingVerticalDatum, PlaceMismatch, Unknown
 from geo.projection import ground_units_m, is_to_scale
 from geo.reproject import Reprojection
 from survey.export.export import export
-from survey.export.product import ExportOptions
+from survey.export.registry import ExportOptions
 
 SOURCE = parse_crs("EPSG:25832+5783")
 POINTS = np.array([[691000.0, 5334000.0, 500.0], [691010.0, 5334020.0, 498.5], [np.nan, 5334020.0, 498.5]])

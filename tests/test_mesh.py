@@ -14,7 +14,7 @@ from geo.reading import read_reference
 from survey.errors import SurveyError
 from survey.export.export import export
 from survey.export.meshes import bed_surface, oriented_normals
-from survey.export.product import ExportOptions
+from survey.export.registry import ExportOptions
 from survey.folder.survey import load_survey
 from survey.run.flight import save_flight
 

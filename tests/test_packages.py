@@ -92,7 +92,7 @@ GIVEN_PATHS = {"Path", "RunDir"}
 # These read what is installed on the machine: libLLVM, foreign packages, the list of public names.
 SEARCHES = {"fields/device.py", "bathynerf/_packages.py", "bathynerf/__init__.py"}
 # The files that import a module by a name that they put together, which no other test here can follow.
-IMPORT_BY_NAME_FILES = {"bathynerf/__init__.py", "fields/models.py", "geo/files.py", "survey/export/product.py"}
+IMPORT_BY_NAME_FILES = {"bathynerf/__init__.py", "fields/models.py", "geo/files.py", "survey/export/registry.py"}
 IMPORT_BY_NAME = {"import_module", ".import_module", "__import__"}
 NETWORK = {"socket", "urllib", "http", "requests", "ftplib", "fsspec"}
 # Where a user names a URL.

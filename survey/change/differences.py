@@ -40,7 +40,7 @@ from geo.shapes import ground_of, in_height_unit
 from survey.change.options import ChangeOptions
 from survey.compare.inputs import common_crs
 from survey.errors import SurveyError
-from survey.export.bed_cells import cells_over, round_side
+from survey.export.bed_raster import cells_over, round_side
 from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells
 from survey.files.json_values import read_json_object
 from survey.progress import current

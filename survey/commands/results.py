@@ -15,8 +15,7 @@ from survey.change.options import ChangeOptions
 from survey.commands.console import DeviceOption, Quiet, RunFolder, Verbose, command, verb
 from survey.compare.options import CompareOptions
 from survey.errors import SurveyError
-from survey.export.product import ExportOptions
-from survey.export.registry import FAMILIES, PRODUCTS
+from survey.export.registry import FAMILIES, PRODUCTS, ExportOptions
 from survey.words import FILES, Device
 
 _served = partial(typer.Option, rich_help_panel="Where it is served")

@@ -18,7 +18,7 @@ from geo.files import reporting_disk_errors, write_text
 from refract.lens import Lens
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
-from survey.export.product import ExportOptions
+from survey.export.registry import ExportOptions
 from survey.photos.colmap_model import write_model
 from survey.run.flight import Flight
 

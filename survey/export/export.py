@@ -15,8 +15,7 @@ from pathlib import Path
 from geo.errors import UnwritableFile
 from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun
-from survey.export.product import ExportOptions, Product, require_makeable
-from survey.export.registry import PRODUCTS
+from survey.export.registry import PRODUCTS, ExportOptions, Product, require_makeable
 from survey.export.styles import write_style
 from survey.files.json_values import read_json_object, write_json
 from survey.files.outputs import ReadFiles, require_file, require_folder

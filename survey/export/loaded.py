@@ -126,7 +126,7 @@ class LoadedRun:
         """Transformation from the CRS of the survey to another one; see `geo.reproject.Reprojection`."""
         # One place of the survey restricts the choice of the operation to those that hold there.
         return self.once(
-            ("crs", crs), lambda: Reprojection.between(self.bed_header.crs, crs, where="--crs", places=self.some_place)
+            ("crs", crs), lambda: Reprojection.between(self.bed_header.crs, crs, where="--crs", places=self._some_place)
         )
 
     def bed_in(self, crs: str | None, *, certain: bool = False) -> StoredBed:
@@ -147,9 +147,17 @@ class LoadedRun:
         return self.bed_header.crs if crs is None else self.transformation_to(crs).crs
 
     @property
-    def some_place(self) -> np.ndarray:
-        """A point (1, 3) of the bed, in the CRS of the survey."""
+    def _some_place(self) -> np.ndarray:
         return np.asarray(self.columns("points_crs")["points_crs"][:1])
+
+    def some_place_in(self, crs: str | None) -> np.ndarray:
+        """A point (1, 3) of the bed, in a CRS, or in that of the survey."""
+        return self._some_place if crs is None else self.transformation_to(crs)(self._some_place)
+
+    @property
+    def is_dry(self) -> bool:
+        """Whether no point has a depth."""
+        return not np.isfinite(self.columns("depth")["depth"]).any()
 
     def once(self, key: Hashable, make: Callable[[], _Made]) -> _Made:
         """Result of ``make``, computed once for a key, for several products of one command."""

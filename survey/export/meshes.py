@@ -23,7 +23,7 @@ from geo.shapes import Mesh
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
 from survey.export.plan_triangles import most_certain, triangles
-from survey.export.product import ExportOptions
+from survey.export.registry import ExportOptions
 
 _NEIGHBOURS = 12
 _CHUNK = 50_000

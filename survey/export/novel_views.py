@@ -15,7 +15,7 @@ from fields.sweep.maps import HeightMap, trusted
 from refract import PinholeCamera
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun, flight_of
-from survey.export.occlusion import exposure_gains
+from survey.export.orthophoto import exposure_gains
 from survey.files.json_values import read_json_object
 from survey.photos.images import load_image, load_mask
 from survey.run.flight import Flight

@@ -12,7 +12,7 @@ from pathlib import Path
 from geo.errors import UnwritableFile
 from geo.files import write_whole
 from survey.export.loaded import LoadedRun
-from survey.export.product import ExportOptions
+from survey.export.registry import ExportOptions
 
 BROWSERS = (
     "chromium-headless-shell", "chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome",

@@ -32,7 +32,7 @@ from survey.display.canvas import save, write_title
 from survey.display.palette import BLUE, INK, LAND, RED, WATER, WATER_LINE
 from survey.display.quantities import length, named, share
 from survey.errors import SurveyError
-from survey.export.bed_cells import LevelFit, round_side
+from survey.export.bed_raster import LevelFit, round_side
 from survey.export.export import cloud_of
 from survey.files.outputs import ReadFiles, is_png, require_file
 from survey.progress import current

@@ -1,16 +1,20 @@
-"""`bathynerf render`: views of the bed of a run from other cameras."""
+"""`bathynerf render`: views of the bed of a run from other cameras, and videos of flights along them."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
+import cv2
 import numpy as np
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
+from scipy.interpolate import PchipInterpolator
+from scipy.spatial.transform import Rotation, RotationSpline
 
 from fields.image_based import NovelView
 from geo.files import reporting_disk_errors, write_whole
@@ -20,7 +24,6 @@ from refract.lens import Lens
 from survey.errors import FILE_NAME, ConfigError, OutputError, SurveyError
 from survey.export.loaded import LoadedRun, colours_without_water
 from survey.export.novel_views import image_based_field
-from survey.export.video import flown, write_video
 from survey.files.outputs import ReadFiles, require_file, require_folder
 from survey.folder.found import poses_inputs, survey_inputs
 from survey.folder.pairing import lens_from_config
@@ -34,7 +37,7 @@ from survey.run.stored_field import load_layer_field
 from survey.settings.config import CamerasConfig, SurveyConfig, read_config
 
 FIELD_STAGE = "field"
-VIDEO = "flight.mp4"
+VIDEO, FRAMES_PER_S = "flight.mp4", 25
 # In the order of the layers that `write_view` makes.
 _ENDINGS = (".png", "_normal.png", "_height.tif", "_distance.tif")
 _BANDS = {"_height.tif": "height of the bed over the plane of the water", "_distance.tif": "distance along the ray"}
@@ -259,3 +262,42 @@ def write_view(stem: Path, view: NovelView) -> Path:
             else:
                 Image.fromarray(pixels).save(stream, "TIFF", software=_SOFTWARE, tiffinfo=_band(path.name))
     return paths[0]
+
+
+def flown(keys: Sequence[PinholeCamera], seconds: float) -> list[PinholeCamera]:
+    """Cameras of a flight of so many seconds along key cameras, with equal times from key to key.
+
+    Places lie on a curve through those of the keys that does not overshoot, rotations on a spline without jumps of
+    the angular velocity. All have the lens of the first key. Raises SurveyError for fewer than two keys.
+    """
+    if len(keys) < 2:
+        raise SurveyError(f"a video needs two cameras at least, got {len(keys)}; give more in --cameras")
+    times = np.linspace(0.0, seconds, max(round(seconds * FRAMES_PER_S), 2))
+    of_keys = np.linspace(0.0, seconds, len(keys))
+    centres = PchipInterpolator(of_keys, [key.centre for key in keys])(times)
+    rotations = RotationSpline(of_keys, Rotation.from_matrix([key.cam_from_local for key in keys]))(times).as_matrix()
+    # Codecs halve the resolution of colours: sides are even.
+    first = replace(keys[0], motion=None, width=keys[0].width // 2 * 2, height=keys[0].height // 2 * 2)
+    poses = zip(centres, rotations, strict=True)
+    return [replace(first, centre=centre, cam_from_local=rotation) for centre, rotation in poses]
+
+
+def write_video(path: Path, cameras: Sequence[PinholeCamera], view_of: Callable[[PinholeCamera], NovelView]) -> Path:
+    """Render cameras into an MP4 (MPEG-4 part 2), whole or not at all; black where nothing is seen."""
+    with TemporaryDirectory(prefix="bathynerf-video-") as scratch, current().stage("Render", len(cameras)) as stage:
+        part = Path(scratch) / path.name
+        size = cameras[0].width, cameras[0].height
+        video = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*"mp4v"), FRAMES_PER_S, size)
+        for camera in cameras:
+            view = view_of(camera)
+            video.write(np.where(view.coloured[..., None], view.rgb, 0).astype(np.uint8)[..., ::-1])
+            stage.advance()
+        video.release()
+        # OpenCV says neither that it cannot encode nor that a disk is full.
+        written = cv2.VideoCapture(str(part)).get(cv2.CAP_PROP_FRAME_COUNT)
+        if written != len(cameras):
+            raise OutputError(f"OpenCV put {written:.0f} of {len(cameras)} pictures into {scratch}; free space there")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with write_whole(path) as stream:
+            stream.write(part.read_bytes())
+    return path

@@ -21,9 +21,9 @@ from survey.display.blocks import picture_html, table_html
 from survey.errors import SurveyError
 from survey.export.export import cloud_of, export
 from survey.export.loaded import LoadedRun
-from survey.export.product import ExportOptions
 from survey.export.profiles import Bed, Profile
-from survey.export.terrain import write_dem
+from survey.export.rasters import write_dem
+from survey.export.registry import ExportOptions
 from survey.files.json_values import read_json_object
 from survey.run.folder import RunDir
 

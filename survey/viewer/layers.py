@@ -120,7 +120,7 @@ class Thumbnails:
 
 def terrain(shown: Shown) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The terrain model as vertices (V, 3), local, faces (F, 3) and colours (V, 3) by height."""
-    from survey.export.product import ExportOptions
+    from survey.export.registry import ExportOptions
     from survey.handles.run import dem_mesh
 
     cell_m = max(_CELL_GSD * shown.gsd_m, shown.extent_m / _MOST_CELLS)

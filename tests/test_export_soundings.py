@@ -84,7 +84,7 @@ def test_compare_reads_soundings_back(tmp_path, suffix, code):
 def test_compare_reads_a_bag_back(tmp_path):
     _, run = run_with(tmp_path)
     export(run, las=tmp_path / "a.las", bag=tmp_path / "b.bag", options=ExportOptions(resolution_m=0.5))
-    distances = compare_files(tmp_path / "a.las", tmp_path / "b.bag").vertical.distances
+    distances = compare_files(tmp_path / "a.las", tmp_path / "b.bag").vertical
     assert abs(distances.mean_m) < 0.005
     assert distances.std_m == pytest.approx(0.05, rel=0.2)
 

@@ -65,20 +65,13 @@ def align(differences: Differences, stable: np.ndarray, correlation: Correlation
     own = replace(differences, std=scatter * differences.std, common=np.zeros_like(differences.common))
     total = volume_of(own, used, correlation)
     mean, std = total.volume_m3 / total.area_m2, total.std_m3 / total.area_m2
-    found = Alignment(-mean, std, total.area_m2, int(known.sum() - used.sum()))
-    return replace(
-        differences,
-        height=differences.height - mean,
-        common=np.stack([np.hypot(_varying_common_std(differences, used), std), np.zeros(used.shape)]),
-        shared=0.0,
-    ), found
-
-
-def _varying_common_std(differences: Differences, used: np.ndarray) -> np.ndarray:
-    """Standard deviation (rows, columns) [m] of the part of common errors that varies over a survey."""
-    variances = [each**2 - np.nanmin(each[differences.is_known]) ** 2 for each in differences.common]
-    first, second = (np.sqrt(np.maximum(each, 0.0) + max(float(each[used].mean()), 0.0)) for each in variances)
-    return np.sqrt(np.maximum(first**2 + second**2 - 2.0 * differences.shared * first * second, 0.0))
+    # The part of common errors that varies over a survey.
+    variances = [common**2 - np.nanmin(common[differences.is_known]) ** 2 for common in differences.common]
+    first, second = (np.sqrt(np.maximum(v, 0.0) + max(float(v[used].mean()), 0.0)) for v in variances)
+    varying = np.sqrt(np.maximum(first**2 + second**2 - 2.0 * differences.shared * first * second, 0.0))
+    common = np.stack([np.hypot(varying, std), np.zeros(used.shape)])
+    aligned = replace(differences, height=differences.height - mean, common=common, shared=0.0)
+    return aligned, Alignment(-mean, std, total.area_m2, int(known.sum() - used.sum()))
 
 
 @dataclass(frozen=True)
@@ -109,7 +102,13 @@ def change_between(first: str | Path, second: str | Path, options: ChangeOptions
     require_cells(inside, options)
     (change,) = changes_in([inside], differences, cells, options)
     change = replace(change, notes=(*notes, *change.notes))
-    _write(change, first, second, options)
+    if options.json_path is not None:
+        write_json(options.json_path, numbers_of(change, first, second))
+    if options.tif_path is not None:
+        _write_raster(change, first, second, options.tif_path)
+    if options.picture_path is not None:
+        with current().stage("Picture"):
+            _draw(change, options.picture_path)
     return change
 
 
@@ -117,17 +116,35 @@ def changes_in(
     areas: Sequence[np.ndarray], differences: Differences, cells: Grid, options: ChangeOptions
 ) -> list[Change]:
     """Changes in areas (rows, columns) bool of known cells; the correlation of errors is measured in the first."""
-    correlation, notes = _correlation(differences, areas[0], options)
-    alignment = None
+    notes, alignment = [], None
+    if options.correlation_length_m is not None:
+        correlation = Correlation(1.0, options.correlation_length_m)
+    else:
+        try:
+            correlation = measured_correlation(differences, areas[0])
+        except ValueError as error:
+            raise ChangeError(
+                f"how errors of cells are correlated cannot be measured ({error}); give --correlation-length METRES"
+            ) from error
+        if correlation.scatter is not None and correlation.scatter > _NOTABLE_SCATTER:
+            notes.append(
+                f"cells that did not change scatter {correlation.scatter:.1f} times as much as their standard "
+                "deviations say: these are too small, or most of the bed has changed"
+            )
     if options.stable is not None:
-        differences, alignment = _aligned(differences, cells, correlation, options.stable)
-    found = []
+        stable = cells_inside(polygons_for(options.stable, cells).values(), cells)
+        try:
+            differences, alignment = align(differences, stable, correlation)
+        except ValueError as error:
+            message = f"--stable {options.stable}: {error}; draw larger polygons, or correct their CRS"
+            raise ChangeError(message) from error
+    changes = []
     for inside in areas:
         is_beyond = differences.is_significant & inside
         parts = (inside, is_beyond & (differences.height < 0.0), is_beyond & (differences.height > 0.0))
         net, cut, fill = (volume_of(differences, part, correlation) for part in parts)
-        found.append(Change(differences, cells, inside, net, cut, fill, correlation, alignment, tuple(notes)))
-    return found
+        changes.append(Change(differences, cells, inside, net, cut, fill, correlation, alignment, tuple(notes)))
+    return changes
 
 
 def require_cells(inside: np.ndarray, options: ChangeOptions) -> None:
@@ -138,65 +155,61 @@ def require_cells(inside: np.ndarray, options: ChangeOptions) -> None:
 
 def rows_of(change: Change) -> list[tuple[str, str]]:
     """Labels and texts of the result."""
-    known = change.inside
-    d, detection = change.differences.height[known], change.differences.detection[known]
+    known, alignment, correlation = change.inside, change.alignment, change.correlation
+    low, middle, high = np.quantile(change.differences.height[known], [0.0, 0.5, 1.0]).tolist()
+    detection = float(np.median(change.differences.detection[known]))
     beyond = float(change.differences.is_significant[known].mean())
-    scatter = change.correlation.scatter
-    return [
+    source = "stated"
+    if correlation.scatter is not None:
+        source = f"measured; unchanged cells scatter {correlation.scatter:.2f} times as stated"
+    rows = [
         ("area", f"{change.net.area_m2:.6g} m², {int(known.sum())} cells of {change.cells.side_m:g} m"),
-        (
-            "difference",
-            f"median {length(float(np.median(d)))}, from {length(float(d.min()))} to {length(float(d.max()))}",
-        ),
-        (
-            "detection",
-            f"{length(float(np.median(detection)))} (median) at 95 %; {share(beyond)} of the cells are beyond",
-        ),
+        ("difference", f"median {length(middle)}, from {length(low)} to {length(high)}"),
+        ("detection", f"{length(detection)} (median) at 95 %; {share(beyond)} of the cells are beyond"),
         ("fill", f"{volume_text(change.fill)}, of cells beyond detection"),
         ("cut", f"{volume_text(change.cut)}, of cells beyond detection"),
         ("net", f"{volume_text(change.net)}, of all cells"),
         (
             "errors",
-            f"of cells correlated over {length(change.correlation.length_m)} (at short lags "
-            f"{change.correlation.share:.2f}), "
-            + ("stated" if scatter is None else f"measured; unchanged cells scatter {scatter:.2f} times as stated"),
+            f"of cells correlated over {length(correlation.length_m)} (at short lags {correlation.share:.2f}), "
+            f"{source}",
         ),
-        *_row_of(change.alignment),
-        *[("note", note) for note in change.notes],
     ]
-
-
-def _row_of(found: Alignment | None) -> list[tuple[str, str]]:
-    if found is None:
-        return []
-    beyond = f"; without {found.left_out} cells beyond three robust standard deviations" if found.left_out else ""
-    text = f"second survey shifted by {length(found.shift_m)} ± {length(found.std_m)} (one standard deviation)"
-    return [("alignment", f"{text} on {found.area_m2:.4g} m² of stable ground{beyond}")]
+    if alignment is not None:
+        text = (
+            f"second survey shifted by {length(alignment.shift_m)} ± {length(alignment.std_m)} (one standard "
+            f"deviation) on {alignment.area_m2:.4g} m² of stable ground"
+        )
+        if alignment.left_out:
+            text += f"; without {alignment.left_out} cells beyond three robust standard deviations"
+        rows.append(("alignment", text))
+    return [*rows, *(("note", note) for note in change.notes)]
 
 
 def numbers_of(change: Change, first: Path, second: Path) -> dict:
     """The result as ``--json`` holds it."""
-    known = change.inside
-
-    def numbers(volume: Volume) -> dict:
-        low, high = volume.interval95_m3
-        return {"volume_m3": volume.volume_m3, "std_m3": volume.std_m3, "interval95_m3": [low, high],
-                "area_m2": volume.area_m2}  # fmt: skip
-
+    known, differences = change.inside, change.differences
+    volumes = {
+        name: {
+            "volume_m3": volume.volume_m3,
+            "std_m3": volume.std_m3,
+            "interval95_m3": volume.interval95_m3,
+            "area_m2": volume.area_m2,
+        }
+        for name, volume in (("net", change.net), ("cut", change.cut), ("fill", change.fill))
+    }
     return {
         "first": str(first),
         "second": str(second),
         "crs": change.cells.crs.to_string(),
         "cell_m": change.cells.side_m,
         "n_cells": int(known.sum()),
-        "share_significant": float(change.differences.is_significant[known].mean()),
-        "median_m": float(np.median(change.differences.height[known])),
-        "detection_median_m": float(np.median(change.differences.detection[known])),
-        "net": numbers(change.net),
-        "cut": numbers(change.cut),
-        "fill": numbers(change.fill),
+        "share_significant": float(differences.is_significant[known].mean()),
+        "median_m": float(np.median(differences.height[known])),
+        "detection_median_m": float(np.median(differences.detection[known])),
+        **volumes,
         "correlation": change.correlation,
-        "common_correlation": change.differences.shared,
+        "common_correlation": differences.shared,
         "alignment": change.alignment,
         "notes": list(change.notes),
     }
@@ -207,34 +220,6 @@ def volume_text(volume: Volume) -> str:
     half = 0.5 * (volume.interval95_m3[1] - volume.interval95_m3[0])
     text = f"{volume.volume_m3:+.4g}".replace("-", MINUS)
     return f"{text} m³ ± {half:.2g} m³ (95 %) over {volume.area_m2:.4g} m²"
-
-
-def _correlation(differences: Differences, inside: np.ndarray, options: ChangeOptions) -> tuple[Correlation, list[str]]:
-    """The correlation of errors of cells, and a note where these scatter by more than is stated."""
-    if options.correlation_length_m is not None:
-        return Correlation(1.0, options.correlation_length_m), []
-    try:
-        found = measured_correlation(differences, inside)
-    except ValueError as error:
-        raise ChangeError(
-            f"how errors of cells are correlated cannot be measured ({error}); give --correlation-length METRES"
-        ) from error
-    if found.scatter is None or found.scatter <= _NOTABLE_SCATTER:
-        return found, []
-    return found, [
-        f"cells that did not change scatter {found.scatter:.1f} times as much as their standard deviations say: "
-        "these are too small, or most of the bed has changed"
-    ]
-
-
-def _aligned(
-    differences: Differences, cells: Grid, correlation: Correlation, path: Path
-) -> tuple[Differences, Alignment]:
-    stable = cells_inside(polygons_for(path, cells).values(), cells)
-    try:
-        return align(differences, stable, correlation)
-    except ValueError as error:
-        raise ChangeError(f"--stable {path}: {error}; draw larger polygons, or correct their CRS") from error
 
 
 def polygons_for(path: Path, cells: Grid) -> dict[str, Polygon]:
@@ -251,31 +236,19 @@ def require_surveys(paths: Sequence[Path], options: ChangeOptions) -> dict[Path,
     read = ReadFiles.of(*surveys.values(), *(existing_file(layer_of(path)[0]) for path in polygons))
     require_file("--json", options.json_path, read, kind="a JSON file", is_of_kind=is_json)
     require_file("--picture", options.picture_path, read, kind="a PNG", is_of_kind=is_png)
-    tif = options.tif_path
-    if tif is not None and tif.suffix.lower() not in (".tif", ".tiff"):
-        raise ChangeError(f"--tif names {tif}, expected a name that ends in .tif")
-    kind = "a raster that bathynerf wrote"
-    require_file(
-        "--tif", tif, read, kind=kind, is_of_kind=lambda head: not head or (tif is not None and is_our_tiff(tif))
-    )
+    if (tif := options.tif_path) is not None:
+        if tif.suffix.lower() not in (".tif", ".tiff"):
+            raise ChangeError(f"--tif names {tif}, expected a name that ends in .tif")
+        kind = "a raster that bathynerf wrote"
+        require_file("--tif", tif, read, kind=kind, is_of_kind=lambda head: not head or is_our_tiff(tif))
     if len(surveys) < len(paths):
         twice = next(path for path in paths if list(paths).count(path) > 1)
         raise ChangeError(f"{twice} and {twice} hold the same points: give two surveys")
     return surveys
 
 
-def _write(change: Change, first: Path, second: Path, options: ChangeOptions) -> None:
-    if options.json_path is not None:
-        write_json(options.json_path, numbers_of(change, first, second))
-    if options.tif_path is not None:
-        _write_raster(change, first, second, options.tif_path)
-    if options.picture_path is not None:
-        with current().stage("Picture"):
-            _draw(change, options.picture_path)
-
-
 def _write_raster(change: Change, first: Path, second: Path, path: Path) -> None:
-    differences = change.differences
+    differences, cells = change.differences, change.cells
     layers = (differences.height, differences.std, differences.detection, differences.is_significant)
     values = np.stack([np.where(change.inside, layer, np.nan) for layer in layers])
     bands = (
@@ -284,8 +257,7 @@ def _write_raster(change: Change, first: Path, second: Path, path: Path) -> None
         RasterBand("minimum level of detection at 95 %", "metre"),
         RasterBand("beyond it: 1", "code"),
     )
-    tags = {"FIRST": first.name, "SECOND": second.name, "CELL_M": f"{change.cells.side_m:g}"}
-    cells = change.cells
+    tags = {"FIRST": first.name, "SECOND": second.name, "CELL_M": f"{cells.side_m:g}"}
     form = RasterForm(cells.crs, cells.transform, cells.shape, bands, nodata=_NODATA, tags=tags, resampling="NEAREST")
     write_cog(path, form, [(0, 0, np.where(np.isfinite(values), values, _NODATA).astype(np.float32))])
 
@@ -294,23 +266,21 @@ def _draw(change: Change, path: Path) -> None:
     """A map of the differences; those within the level of detection are pale."""
     from matplotlib.colors import Normalize
 
-    from survey.display.canvas import colour_bar, map_canvas, nice_limit, save, show, write_title
+    from survey.display.canvas import colour_bar, finished, map_canvas, nice_limit, show
     from survey.display.palette import DIFFERENCES
     from survey.display.quantities import LengthUnit
 
-    cells, differences = change.cells, change.differences
-    d = np.where(change.inside, differences.height, np.nan)
-    limit = nice_limit(d[np.isfinite(d)])
+    cells = change.cells
+    d = np.where(change.inside, change.differences.height, np.nan)
+    limit = nice_limit(d)
     unit = LengthUnit.of([limit])
-    extent = cells.extent
-    figure, axes = map_canvas(extent, cells.crs)
+    _, axes = map_canvas(cells.extent, cells.crs)
     end = limit * unit.per_metre
     style = {"cmap": DIFFERENCES, "norm": Normalize(-end, end)}
-    show(axes, d * unit.per_metre, extent, alpha=0.3, **style)
-    drawn = show(axes, np.where(differences.is_significant, d, np.nan) * unit.per_metre, extent, **style)
+    show(axes, d * unit.per_metre, cells.extent, alpha=0.3, **style)
+    is_beyond = change.differences.is_significant
+    drawn = show(axes, np.where(is_beyond, d, np.nan) * unit.per_metre, cells.extent, **style)
     colour_bar(axes, drawn, f"second minus first [{unit.name}], pale where not significant")
-    subtitle = (
-        f"fill {change.fill.volume_m3:.4g} m³  ·  cut {change.cut.volume_m3:.4g} m³  ·  net {volume_text(change.net)}"
-    )
-    write_title(axes, "Change of the bed", subtitle.partition(" over")[0])
-    save(figure, path)
+    net = volume_text(change.net).partition(" over")[0]
+    subtitle = f"fill {change.fill.volume_m3:.4g} m³  ·  cut {change.cut.volume_m3:.4g} m³  ·  net {net}"
+    finished(axes, path, "Change of the bed", subtitle, "")

@@ -52,6 +52,8 @@ CHANGED_STDS = 3.0
 _LONGEST_LAG = 0.25
 _FEWEST_CELLS = 100
 _NUM_LENGTHS = 60
+# Side of a cell where none is asked for, in spacings of the points.
+_SPACINGS_PER_CELL = 4.0
 
 
 @dataclass(frozen=True)
@@ -164,19 +166,14 @@ def _autocorrelation(values: np.ndarray, side_m: float) -> tuple[np.ndarray, np.
     return sums, side_m * np.hypot(rows[:, None], columns[None, :])
 
 
-# Side of a cell where none is asked for, in spacings of the points.
-_SPACINGS_PER_CELL = 4.0
-
-
 class ChangeError(SurveyError):
     """Two surveys whose difference cannot be computed, or an option whose value makes no sense."""
 
 
 @dataclass(frozen=True)
-class SurveyPoints:
+class _SurveyPoints:
     """A cloud of the bed with the standard deviations of its heights."""
 
-    path: Path
     points: np.ndarray  # (N, 3), in crs
     # std, common: (N,) [m]
     std: np.ndarray
@@ -201,20 +198,18 @@ def differences_of(
             f"neither {first} nor {others[0]} states its CRS, in which the differences are written; write it into the "
             "files, e.g. by pdal translate --writers.las.a_srs=EPSG:25832+7837"
         )
-    found = []
+    parts: list[_SurveyPoints] = []
     for path in surveys:
         notes += shared_photographs(first, path) if path != first else []
-        each, of_survey = _survey_points(clouds.pop(path), path, crs, options)
-        found.append(each)
-        notes += of_survey
-        require_same_place(found[0].points, each.points, str(first), str(path))
-    low = np.max([each.points[:, :2].min(axis=0) for each in found], axis=0)
-    high = np.min([each.points[:, :2].max(axis=0) for each in found], axis=0)
+        parts.append(_survey_points(clouds.pop(path), path, crs, options, notes))
+        require_same_place(parts[0].points, parts[-1].points, str(first), str(path))
+    low = np.max([part.points[:, :2].min(axis=0) for part in parts], axis=0)
+    high = np.min([part.points[:, :2].max(axis=0) for part in parts], axis=0)
     metres = ground_units_m(crs, 0.5 * (low + high))
-    spacing = max(_spacing_m(each.points, metres) for each in found)
+    spacing = max(_spacing_m(part.points, metres) for part in parts)
     side = options.resolution_m or round_side(_SPACINGS_PER_CELL * spacing)
     cells = cells_over(np.array([low, high]), crs, side)
-    (height, std, common), *later = [_raster_of(each, cells, crs, spacing) for each in found]
+    (height, std, common), *later = [_raster_of(part, cells, crs, spacing) for part in parts]
     differences = [
         Differences(h - height, np.hypot(std, s), np.stack([common, c]), options.shared, side) for h, s, c in later
     ]
@@ -251,41 +246,43 @@ def _cloud(path: Path, file: Path) -> Cloud:
     return cloud
 
 
-def _survey_points(cloud: Cloud, path: Path, crs: CRS, options: ChangeOptions) -> tuple[SurveyPoints, list[str]]:
-    """The points of a survey with their standard deviations, in the common CRS, and notes on them."""
-    own, notes = cloud.crs, []
-    if own is not None and has_height(own) and not same_crs(own, crs):
-        reprojection = Reprojection.between(own, crs, where=f"the CRS of {path}", places=cloud.points)
-        cloud = replace(cloud, points=reprojection(cloud.points))
-        notes.append(f"{path} is in {own.name}: transformed to {crs.name}")
-        notes += [] if reprojection.warning is None else [reprojection.warning]
-    elif own is not None and not same_crs(own, crs):
-        raise ChangeError(
-            f"{path} is in {own.name} without heights, and the other survey in {crs.name}; give both in one"
-        )
-    else:
-        unit_m = height_unit_m(crs)
+def _survey_points(cloud: Cloud, path: Path, crs: CRS, options: ChangeOptions, notes: list[str]) -> _SurveyPoints:
+    """The points of a survey with their standard deviations, in the common CRS; adds notes on them."""
+    own, unit_m = cloud.crs, height_unit_m(crs)
+    if own is None or same_crs(own, crs):
         if own is not None and has_height(own):
             # Equal but for the unit of heights.
             cloud = replace(cloud, points=cloud.points * [1.0, 1.0, height_unit_m(own) / unit_m])
         cloud = in_height_unit(cloud, unit_m)
-    std, of_own = _values(cloud, "std", options.std_m, path, "--std")
-    common, of_common = _values(cloud, "std_common", options.std_common_m, path, "--std-common")
+    elif has_height(own):
+        reprojection = Reprojection.between(own, crs, where=f"the CRS of {path}", places=cloud.points)
+        cloud = replace(cloud, points=reprojection(cloud.points))
+        notes.append(f"{path} is in {own.name}: transformed to {crs.name}")
+        notes += [] if reprojection.warning is None else [reprojection.warning]
+    else:
+        raise ChangeError(
+            f"{path} is in {own.name} without heights, and the other survey in {crs.name}; give both in one"
+        )
+    columns = []
+    for name, stated, option, what in (
+        ("std", options.std_m, "--std", "of its heights"),
+        ("std_common", options.std_common_m, "--std-common", "that its heights have in common (level, datum, poses)"),
+    ):
+        carried = cloud.extra.get(name)
+        if carried is not None and np.isfinite(carried).any():
+            columns.append(np.asarray(carried, dtype=np.float64))
+        elif stated is not None:
+            columns.append(np.full(len(cloud.points), stated))
+            notes.append(f"{path} carries no {name}: taken as {stated:g} m ({option})")
+        else:
+            raise ChangeError(
+                f"{path} carries no {name}, the standard deviation {what}; give it in metres, {option} 0.02"
+            )
+    std, common = columns
     keep = np.isfinite(std) & np.isfinite(common) & np.isfinite(cloud.points).all(axis=1)
     if not keep.any():
         raise ChangeError(f"no point of {path} has a standard deviation; give --std and --std-common")
-    return SurveyPoints(path, cloud.points[keep], std[keep], common[keep]), notes + of_own + of_common
-
-
-def _values(cloud: Cloud, name: str, stated: float | None, path: Path, option: str) -> tuple[np.ndarray, list[str]]:
-    """Standard deviations (N,) that a cloud carries, else the one that is stated, with a note."""
-    carried = cloud.extra.get(name)
-    if carried is not None and np.isfinite(carried).any():
-        return np.asarray(carried, dtype=np.float64), []
-    if stated is None:
-        what = "of its heights" if name == "std" else "that its heights have in common (level, datum, poses)"
-        raise ChangeError(f"{path} carries no {name}, the standard deviation {what}; give it in metres, {option} 0.02")
-    return np.full(len(cloud.points), stated), [f"{path} carries no {name}: taken as {stated:g} m ({option})"]
+    return _SurveyPoints(cloud.points[keep], std[keep], common[keep])
 
 
 def _spacing_m(points: np.ndarray, metres: np.ndarray) -> float:
@@ -295,7 +292,7 @@ def _spacing_m(points: np.ndarray, metres: np.ndarray) -> float:
     return float(np.sqrt(np.prod((high - low) * metres) / max(int(inside.sum()), 1)))
 
 
-def _raster_of(survey: SurveyPoints, cells: Grid, crs: CRS, spacing_m: float) -> tuple[np.ndarray, ...]:
+def _raster_of(survey: _SurveyPoints, cells: Grid, crs: CRS, spacing_m: float) -> tuple[np.ndarray, ...]:
     """Heights, their own and their common standard deviations (rows, columns) [m]; NaN where there are none."""
     at = cells.columns_rows(survey.points)
     number = cell_numbers(at, cells.shape)

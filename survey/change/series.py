@@ -90,7 +90,11 @@ def change_series(
             )
     files = require_surveys(paths, options)
     if folder is not None:
-        _require_writable(folder, ReadFiles.of(*files.values(), options.area, options.stable))
+        read, head = ReadFiles.of(*files.values(), options.area, options.stable), ",".join(COLUMNS).encode()
+        require_folder("-o", folder, read)
+        if folder.is_dir():
+            require_file("-o", folder / TABLE, read, kind="a series", is_of_kind=lambda found: found.startswith(head))
+            require_file("-o", folder / PICTURE, read, kind="a PNG", is_of_kind=is_png)
     with current().stage("Reading"):
         differences, cells, notes = differences_of(files, options)
         known = np.logical_and.reduce([each.is_known for each in differences])
@@ -138,27 +142,18 @@ def rows_of_series(epochs: Sequence[Epoch]) -> list[tuple[str, str]]:
     ]
 
 
-def _require_writable(folder: Path, read: ReadFiles) -> None:
-    require_folder("-o", folder, read)
-    if folder.is_dir():
-        head = ",".join(COLUMNS).encode()
-        require_file("-o", folder / TABLE, read, kind="a series", is_of_kind=lambda found: found.startswith(head))
-        require_file("-o", folder / PICTURE, read, kind="a PNG", is_of_kind=is_png)
-
-
 def _write_table(path: Path, epochs: Sequence[Epoch]) -> None:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
     for epoch in epochs:
         volumes = [
-            f"{value:.6g}"
-            for volume in (epoch.net, epoch.cut, epoch.fill)
-            for value in (volume.volume_m3, volume.std_m3)
+            value for volume in (epoch.net, epoch.cut, epoch.fill) for value in (volume.volume_m3, volume.std_m3)
         ]
         taken = "" if epoch.taken is None else epoch.taken.isoformat()
         means = f"{epoch.mean_m:.5f}", f"{epoch.mean_std_m:.5f}"
-        writer.writerow([epoch.area, epoch.survey, taken, *volumes, *means, f"{epoch.net.area_m2:.6g}"])
+        texts = [f"{value:.6g}" for value in volumes]
+        writer.writerow([epoch.area, epoch.survey, taken, *texts, *means, f"{epoch.net.area_m2:.6g}"])
     write_text(path, text.getvalue())
 
 

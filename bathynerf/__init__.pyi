@@ -8,8 +8,7 @@ from refract.curved.bicubic import BicubicWater
 from refract.curved.wavy import WavyWater
 from refract.distortion import Distortion
 from refract.media import water_index
-from refract.paths import trace
-from refract.projection import project
+from refract.paths import project, trace
 from refract.surfaces import FlatWater, WaterSurface
 from survey.adjust.waterline import estimate_water
 from survey.change.change import change_between as change

@@ -2,19 +2,15 @@
 
 # Part of bathynerf.
 
-from refract._numbers import OutsideFit
+from refract._array import OutsideFit
 from refract.camera import PinholeCamera
 from refract.media import channel_indices, water_index
-from refract.paths import BentPaths, trace
-from refract.projection import Projection, crossing_point, project
+from refract.paths import BentPaths, Projection, crossing_point, project, trace
 from refract.snell import (
-    Regime,
     apparent_depth,
     apparent_depth_tangential,
     bend,
-    bend_regime,
     fresnel_coefficients,
-    regime_counts,
     tangential_shift,
     true_depth,
 )
@@ -26,17 +22,14 @@ __all__ = [
     "OutsideFit",
     "PinholeCamera",
     "Projection",
-    "Regime",
     "WaterSurface",
     "apparent_depth",
     "apparent_depth_tangential",
     "bend",
-    "bend_regime",
     "channel_indices",
     "crossing_point",
     "fresnel_coefficients",
     "project",
-    "regime_counts",
     "tangential_shift",
     "trace",
     "true_depth",

@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import math
 import sys
-from functools import wraps
+import warnings
+from collections.abc import Callable, Mapping
+from functools import cache, wraps
 from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import numpy as np
 
@@ -79,38 +82,49 @@ def namespace(*arrays) -> SimpleNamespace:
         if kind is np.ndarray or kind is float:
             continue
         if kind in _drjit_types:
-            return _library("drjit").NAMESPACE
+            return _drjit()
         torch = sys.modules.get("torch")
         if torch is not None and torch.is_tensor(array):
-            return _library("torch").NAMESPACE
+            return _torch().NAMESPACE
         # torch.compile only traces tensors of torch, and cannot trace into Dr.Jit.
         drjit = None if compiling() else sys.modules.get("drjit")
         if drjit is not None and drjit.is_array_v(array):
             _drjit_types.add(kind)
-            return _library("drjit").NAMESPACE
+            return _drjit()
     return _NUMPY
 
 
-_libraries: dict[str, ModuleType] = {}
+@cache
+def _drjit() -> SimpleNamespace:
+    import drjit
+
+    dr: Any = drjit  # says nothing of its types
+    return SimpleNamespace(
+        name="drjit", sqrt=dr.sqrt, sin=dr.sin, cos=dr.cos, atan=dr.atan, exp=dr.exp, isnan=dr.isnan,
+        where=dr.select, minimum=dr.minimum, maximum=dr.maximum, abs=dr.abs, rsqrt=dr.rsqrt, fma=dr.fma,
+        double=lambda x: dr.float64_array_t(type(x))(x) if dr.is_array_v(x) else x,
+        like=lambda x, other: type(other)(x),
+        eps=lambda x: 2.0 * dr.epsilon(x),
+        same=lambda mask: None,
+        fixed=dr.detach, tracked=lambda *arrays: any(dr.is_array_v(x) and dr.grad_enabled(x) for x in arrays),
+    )  # fmt: skip
 
 
-def _library(name: str) -> ModuleType:
-    """The module of adapters to a library, imported at its first use."""
-    if name not in _libraries:
-        if name == "torch":
-            from refract import _with_torch
+_torch_module: list[ModuleType] = []
 
-            _libraries[name] = _with_torch
-        else:
-            from refract import _with_drjit
 
-            _libraries[name] = _with_drjit
-    return _libraries[name]
+def _torch() -> ModuleType:
+    """The adapters to torch, imported at their first use."""
+    if not _torch_module:
+        from refract import _with_torch
+
+        _torch_module.append(_with_torch)
+    return _torch_module[0]
 
 
 def transformed() -> bool:
     """Whether a transform of torch is tracing: see `refract._with_torch.transformed`."""
-    return "torch" in sys.modules and _library("torch").transformed()
+    return "torch" in sys.modules and _torch().transformed()
 
 
 def as_like(values, like):
@@ -206,3 +220,57 @@ def spread(*arrays) -> tuple:
     shape = np.broadcast_shapes(*(array.shape for array in arrays))
     expand = np.broadcast_to if namespace(*arrays).name == "numpy" else lambda array, shape: array.expand(shape)
     return tuple(array if array.shape == shape else expand(array, shape) for array in arrays)
+
+
+def number(value):
+    """A plain number as float, several as numpy float64; arrays of torch as they are."""
+    if namespace(value).name != "numpy":
+        return value
+    array = np.asarray(value, dtype=np.float64)
+    return array if array.ndim else float(array)
+
+
+def hold(condition: Callable[[np.ndarray], np.ndarray], *numbers) -> bool:
+    """Whether a condition holds for all values; True while a transform of torch hides the values of tensors."""
+    if transformed():
+        return True
+    return all(bool(condition(as_numpy(value)).all()) for value in numbers)
+
+
+def require_index(index) -> None:
+    """ValueError unless all values of an index of water relative to air are 1 to 2."""
+    if not hold(lambda n: (n >= 1.0) & (n <= 2.0), index):
+        raise ValueError(f"expected an index of water relative to air of 1 to 2 (fresh: 1.333), got {index}")
+
+
+def in_library(value, like):
+    """Several numbers of numpy in the library of the array `like`, in float64; all else as it is."""
+    xp = namespace(like)
+    if not isinstance(value, np.ndarray) or xp.name == "numpy":
+        return value
+    return as_like(value, xp.double(like))
+
+
+class OutsideFit(UserWarning):
+    """A formula is used outside the range of values that it was fitted to."""
+
+
+def require(name: str, values, holds, expected: str) -> None:
+    """Raise where `values`, but for NaN, are not what ``holds(values)`` says.
+
+    Raises ValueError: with the first of the wrong values, and what was `expected`.
+    """
+    values = as_numpy(values)
+    wrong = values[~(holds(values) | np.isnan(values))]
+    if wrong.size:
+        raise ValueError(f"{name} is {wrong[0]:g}, expected {expected}; check its unit and its sign")
+
+
+def warn_outside(model: str, ranges: Mapping[str, tuple[float, float]], *, stacklevel: int, **given) -> None:
+    """Warn `OutsideFit`, naming the range of `model`, for each of the `given` values that lies outside it."""
+    for name, (low, high) in ranges.items():
+        values = as_numpy(given[name])
+        outside = values[(values < low) | (values > high)]
+        if outside.size:
+            message = f"{name} is {outside[0]:g}, outside the range {low:g} to {high:g} of {model}"
+            warnings.warn(message, OutsideFit, stacklevel=stacklevel)

@@ -8,8 +8,7 @@ from typing import final
 import numpy as np
 
 from refract.distortion import Distortion
-from refract.paths import BentPaths, trace
-from refract.projection import EXACT_STEPS, crossing_point
+from refract.paths import EXACT_STEPS, BentPaths, crossing_point, trace
 from refract.surfaces import WaterSurface
 
 # Poses in files carry six to nine digits; a matrix with a larger deviation is a mistake, not a rotation.

@@ -17,8 +17,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from refract._array import alike, as_numpy
-from refract._numbers import require, warn_outside
+from refract._array import alike, as_numpy, require, warn_outside
 
 # Effective wavelengths of red, green and blue of a camera in daylight. Sensors differ by some 10 nm, which changes the
 # index by 3e-4 in the red and 6e-4 in the blue: 0.02 and 0.04 % of the depth.

@@ -1,4 +1,4 @@
-"""Rays bent at the water surface: from the camera down to the bed."""
+"""Rays bent at the water surface: from the camera down to the bed, and from points of the bed up to it."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, final
 
 from refract import kernels
-from refract._array import common, components, namespace, quiet, spread, stack
-from refract._numbers import in_library
-from refract.snell import Regime, regime_counts
+from refract._array import common, components, in_library, namespace, quiet, spread, stack
 from refract.surfaces import FlatWater, WaterSurface, derivable, height_over, require_surface
 
 
@@ -26,22 +24,7 @@ class BentPaths:
     # where the camera is below the surface
     water_direction: Any
     wet: Any  # (...) bool: the ray enters the water if nothing dry stops it first
-    parallel: Any  # (...) bool: the ray never meets the water because it runs along the surface
     tide: float = 0.0  # [m]: how high the surface that bent the rays stands over the one that heights count from
-
-    @property
-    def regime(self):
-        """`Regime` of each ray, (...) int."""
-        xp = namespace(self.air_length)
-        code = xp.where(self.wet, int(Regime.BENT), int(Regime.STRAIGHT))
-        code = xp.where(self.parallel, int(Regime.PARALLEL), code)
-        code = xp.where(self.air_length == 0.0, int(Regime.UNDER_WATER), code)
-        code = xp.where(self.wet & xp.isnan(components(self.water_direction)[0]), int(Regime.REFLECTED), code)
-        return xp.where(xp.isnan(self.air_length), int(Regime.INVALID), code)
-
-    def regime_counts(self) -> dict[str, int]:
-        """Number of rays of each `Regime`, by its name in lower case."""
-        return regime_counts(self.regime)
 
     def raised(self, by: float) -> BentPaths:
         """The same paths with all places ``by`` [m] higher; heights keep their zero (numpy only).
@@ -109,19 +92,19 @@ def trace(origin, direction, surface: WaterSurface | None) -> BentPaths:
         A ray that never meets the water (it looks up, or runs along the surface) is straight and not wet, and
         only its crossing is NaN. A camera on or below the surface looks straight through the water; it counts
         as wet, with a crossing at the camera. A direction whose length is not one (by more than 5e-6) is invalid. A
-        single bad ray never raises; `BentPaths.regime_counts` reports it.
+        single bad ray never raises.
     """
     require_surface(surface)
     origin, direction = common(origin=origin, direction=direction)
     given = components(origin), components(direction)
-    (o, d), xp = given, namespace(*given[0])
+    o, d = given
     valid = kernels.is_unit(d) & kernels.in_reach(o)
     if derivable(surface, *o, *d):
         # Through zeros, a ray that is not a number leaves the gradients of the others alone.
         o, d = kernels.chosen(valid, o, 0.0), kernels.chosen(valid, d, 0.0)
     straight = kernels.chosen(valid, given[1], math.nan)
     at, bent, reach = o, straight, o[0] * 0.0
-    wet = parallel = valid & False
+    wet = valid & False
     if surface is not None:
         t = surface.intersect(o, d)
         below = valid & (height_over(surface, o) <= kernels.CONTACT)
@@ -134,18 +117,138 @@ def trace(origin, direction, surface: WaterSurface | None) -> BentPaths:
         zero = reach * 0.0
         facing = normal if isinstance(surface, FlatWater) else kernels.chosen(meets, normal, (zero, zero, zero + 1.0))
         bent = kernels.chosen(meets, kernels.bend(d, facing, 1.0, n_water), straight)
-        parallel = valid & ~wet & (xp.abs(kernels.dot(d, normal)) <= kernels.GRAZING)
     crossing = kernels.chosen(wet, at, math.nan)
     air_length = kernels.selector(valid)(kernels.selector(wet)(reach, math.inf), math.nan)
-    return _paths(origin, direction, (crossing, air_length, bent), wet, parallel)
+    return _paths(origin, direction, (crossing, air_length, bent), wet)
 
 
-def _paths(origin, direction, refracted, wet, parallel) -> BentPaths:
+def _paths(origin, direction, refracted, wet) -> BentPaths:
     """Paths in the precision of the rays and in one shape; ``refracted`` is crossing, length in air, direction."""
     crossing, air_length, bent = refracted
     xp, like = namespace(air_length), components(direction)[0]
     air_length = xp.like(air_length, like)
     crossing, bent = (stack(*(xp.like(v, like) for v in c)) for c in (crossing, bent))
-    air_length, wet, parallel = spread(air_length, wet, parallel, bent[..., 0])[:3]
+    air_length, wet = spread(air_length, wet, bent[..., 0])[:2]
     origin, direction, crossing, bent = spread(origin, direction, crossing, bent)
-    return BentPaths(origin, direction, crossing, air_length, bent, wet, parallel)
+    return BentPaths(origin, direction, crossing, air_length, bent, wet)
+
+
+# Steps of a solver: more than any surface needs for full float64; a plane takes four at most (docs/optics.md).
+EXACT_STEPS = 16
+
+# Squared length below which a leg counts as zero [m^2]: derivatives of the length of a shorter one overflow.
+_NO_LEG = 1e-200
+
+
+@final
+@dataclass(frozen=True)
+class Projection:
+    """Projection of points through the water; arrays of the library and precision of the points, local frame."""
+
+    direction: Any  # (..., 3) unit: from the camera toward where the point appears; NaN where it cannot be seen
+    # (...) [m]: of the point below the surface, along the normal of a plane, vertical for a curved surface; zero
+    # without water
+    depth: Any
+    wet: Any  # (...) bool: the point is below the surface
+    crossing: Any  # (..., 3) [m]: where the ray meets the surface; the point itself where the ray is straight
+    # (...) [m]: of the two legs; a straight ray is all air, or, from a camera under water to a wet point, all water
+    air_length: Any
+    water_length: Any
+
+
+def _measured(leg):
+    """Length of a leg, zero without gradient where there is none, one over it, or one, and whether there is one."""
+    xp = namespace(*leg)
+    squared = kernels.dot(leg, leg)
+    is_leg = ~(squared < _NO_LEG)
+    inverse = xp.rsqrt(xp.where(is_leg, squared, 1.0))
+    return xp.where(is_leg, squared * inverse, 0.0), inverse, is_leg
+
+
+def _stacked(keep, triple, like):
+    """Vectors in the precision of `like`, NaN where they are not to be kept."""
+    xp = namespace(keep)
+    return stack(*kernels.chosen(keep, tuple(xp.like(v, like) for v in triple), math.nan))
+
+
+@quiet
+def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_STEPS) -> Projection:
+    """Projection of points of the bed into a camera: the least optical path (Fermat) through the surface.
+
+    Points and camera in float32 are computed in float64 where digits would be lost, and rounded once at the end. Raises
+    ValueError if the last axis of `points` or `camera` is not 3, or their shapes do not broadcast; TypeError if the
+    surface is none.
+
+    Parameters
+    ----------
+    points : (..., 3) [m], local; numpy or torch
+    camera : (3,) or (..., 3) [m], local
+        Camera centre.
+    surface : WaterSurface or None
+        None: there is no water, and every ray is straight.
+    steps : int
+        Steps that the solver of the surface may take; fewer are faster (docs/optics.md).
+
+    Returns
+    -------
+    Projection
+        Rays to points above the water or beside it, from a camera on or below it, and without water are straight. A
+        point that is NaN, farther out than 1e15 m, or in the camera, has a direction of NaN, and a single bad ray never
+        raises.
+    """
+    require_surface(surface)
+    points, camera = common(points=points, camera=camera)
+    point, centre = components(points), components(camera)
+    valid, point, centre = _ends(point, centre, surface)
+    legs, depth, below = _legs(point, centre, surface, steps)
+    xp = namespace(depth)
+    wet, below = valid & (depth > 0.0), valid & below
+    (air, inverse, is_leg), (water, _, _) = map(_measured, legs)
+    direction = _stacked(valid & is_leg, tuple(c * inverse for c in legs[0]), point[0])
+    crossing = _stacked(valid, kernels.minus(kernels.double(point), legs[1]), point[0])
+    sunk = wet & below
+    numbers = depth, xp.where(sunk, 0.0, air), xp.where(sunk, air, water)
+    depth, air, water = (xp.where(valid, xp.like(v, point[0]), math.nan) for v in numbers)
+    depth, wet, air, water, _ = spread(depth, wet, air, water, direction[..., 0])
+    return Projection(direction, depth, wet, crossing, air, water)
+
+
+def _ends(point, centre, surface):
+    """Mask of valid ends, and the ends, with zeros elsewhere if gradients or the surface require it."""
+    valid = kernels.in_reach(point, centre)
+    if derivable(surface, *point, *centre):
+        point, centre = kernels.chosen(valid, point, 0.0), kernels.chosen(valid, centre, 0.0)
+    return valid, point, centre
+
+
+def _legs(point, centre, surface, steps: int) -> tuple:
+    """Legs to the crossing and on, depth, and where the camera is below the surface."""
+    p, c = kernels.double(point), kernels.double(centre)
+    if surface is None:
+        none = (p[2] - c[2]) * 0.0
+        return (kernels.minus(p, c), (none, none, none)), none, none > 0.0
+    below = height_over(surface, centre) <= kernels.CONTACT
+    if isinstance(surface, FlatWater):
+        *legs, depth = surface.legs(centre, point, steps)
+        return legs, depth, below
+    seen, depth = surface.crossing(centre, point, steps)
+    seen, xp = kernels.double(seen), namespace(*p)
+    # Where the surface has no height there is no water.
+    depth = xp.where(xp.isnan(depth), 0.0, depth)
+    found = ~xp.isnan(seen[0])
+    legs = tuple(kernels.chosen(found, leg, math.nan) for leg in (kernels.minus(seen, c), kernels.minus(p, seen)))
+    return legs, depth, below
+
+
+@quiet
+def crossing_point(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_STEPS):
+    """Point of the water surface (..., 3) [m], local, through which the camera sees a point of the bed.
+
+    The point itself where the ray to it is straight; better than 1e-9 m in float64. Arguments and errors as for
+    `project`, of which this is the crossing and costs less.
+    """
+    require_surface(surface)
+    points, camera = common(points=points, camera=camera)
+    valid, point, centre = _ends(components(points), components(camera), surface)
+    crossing = point if surface is None else surface.crossing(centre, point, steps)[0]
+    return _stacked(valid, crossing, point[0])

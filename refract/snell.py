@@ -14,41 +14,10 @@
 from __future__ import annotations
 
 import math
-from enum import IntEnum
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from refract import kernels
-from refract._array import alike, as_numpy, common, components, namespace, quiet, stack
-from refract._numbers import hold
-
-
-class Regime(IntEnum):
-    """Regime of a ray at the water, as in `BentPaths.regime`, `Projection.regime` and `bend_regime`."""
-
-    BENT = 0
-    """It passes through the surface."""
-    STRAIGHT = 1
-    """It never meets the water, or comes from a point that is not below it."""
-    PARALLEL = 2
-    """It never meets the water because it runs along the surface."""
-    UNDER_WATER = 3
-    """The camera is on or below the surface: straight."""
-    REFLECTED = 4
-    """Totally reflected, or on the wrong side of the surface: NaN."""
-    CRITICAL = 5
-    """It passes, but so near the critical angle that its gradient is set to zero."""
-    UNSEEN = 6
-    """No path leads from the point to the camera: NaN."""
-    INVALID = 7
-    """A coordinate is NaN or beyond 1e15 m (`kernels.REACH`), or camera and point coincide: NaN."""
-
-
-def regime_counts(regime) -> dict[str, int]:
-    """Number of rays of each `Regime`, by its name in lower case; `regime` is an array of any library."""
-    found = np.bincount(as_numpy(regime).ravel().astype(np.int64), minlength=len(Regime))
-    return {kind.name.lower(): int(found[kind]) for kind in Regime}
+from refract._array import alike, common, components, hold, namespace, quiet, stack
 
 
 @quiet
@@ -72,9 +41,8 @@ def bend(ray, normal, *, n_from, n_to):
     (..., 3) unit, same frame
         NaN where the ray is totally reflected (only possible if ``n_from > n_to``), runs along the surface or
         comes from the other side, and where the length of ray or normal is not one (by more than 5e-6); gradients of
-        such rays are zero, not NaN. So are those of rays that come out
-        within 0.007 degrees of the surface (float64; 1.1 degrees in float32), where the derivative diverges;
-        `bend_regime` distinguishes them.
+        such rays are zero, not NaN. So are those of rays that come out within 0.007 degrees of the surface (float64;
+        1.1 degrees in float32), where the derivative diverges.
 
     Examples
     --------
@@ -86,31 +54,11 @@ def bend(ray, normal, *, n_from, n_to):
     [0.3751, 0.0, -0.927]
     """
     ray, normal = common(ray=ray, normal=normal)
-    _require_positive(n_from, n_to)
+    if not hold(lambda n: (n > 0.0) & (n < math.inf), n_from, n_to):
+        raise ValueError(f"expected finite refractive indices above zero, got n_from {n_from} and n_to {n_to}")
     ray, normal = components(ray), components(normal)
     unit = kernels.is_unit(ray) & kernels.is_unit(normal)
     return stack(*kernels.chosen(unit, kernels.bend(ray, normal, n_from, n_to), math.nan))
-
-
-def _require_positive(n_from, n_to) -> None:
-    if not hold(lambda n: (n > 0.0) & (n < math.inf), n_from, n_to):
-        raise ValueError(f"expected finite refractive indices above zero, got n_from {n_from} and n_to {n_to}")
-
-
-@quiet
-def bend_regime(ray, normal, *, n_from, n_to):
-    """Regime of each ray in `bend`: an array (...) of codes, for `regime_counts`. Arguments as for `bend`."""
-    ray, normal = common(ray=ray, normal=normal)
-    _require_positive(n_from, n_to)
-    ray, normal = components(ray), components(normal)
-    xp = namespace(*ray)
-    unit = kernels.is_unit(ray) & kernels.is_unit(normal)
-    bent = kernels.bend(ray, normal, n_from, n_to)[0]
-    cos_from = -kernels.dot(ray, normal)
-    code = xp.where(kernels.near_critical(ray, normal, n_from, n_to), int(Regime.CRITICAL), int(Regime.BENT))
-    code = xp.where(xp.isnan(bent), int(Regime.REFLECTED), code)
-    code = xp.where(cos_from == 0.0, int(Regime.PARALLEL), code)
-    return xp.where(unit, code, int(Regime.INVALID))
 
 
 def apparent_depth(depth, angle, *, n_water: float):

@@ -13,8 +13,7 @@ from typing import Any, Protocol, final
 import numpy as np
 
 from refract import kernels
-from refract._array import components, namespace, root
-from refract._numbers import hold, in_library, number, require_index
+from refract._array import components, hold, in_library, namespace, number, require_index, root
 from refract.kernels import GRAZING
 
 # Steps of `kernels.air_share` that reach the last bits for all heights, depths and distances (docs/optics.md).

@@ -11,7 +11,7 @@ import torch
 from fifty_digits import exact_derivatives, worst
 from torch.func import hessian, jacfwd, jacrev, jvp, vmap
 
-from refract import FlatWater, Regime, bend, bend_regime, project, trace
+from refract import FlatWater, bend, project, trace
 
 # A derivative is reached through some twenty roundings; the closed forms cost as many. Measured worst: 6e-13.
 RELATIVE = 1e-12
@@ -117,16 +117,16 @@ def test_float32_has_the_gradients_of_float64(rng):
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-def test_near_the_critical_angle_the_gradient_is_zero_and_counted(dtype):
+def test_near_the_critical_angle_the_gradient_is_zero(dtype):
     # Within cos^2 = sqrt(eps) of leaving along the surface, half of the digits of the derivative are gone.
     limit = torch.finfo(dtype).eps ** 0.25
     cosines = torch.tensor([4.0, 1.1, 0.9, 0.1], dtype=torch.float64) * limit
     sines = torch.sqrt(1.0 - cosines**2) / 1.34
     rays = torch.stack([sines, 0.0 * sines, torch.sqrt(1.0 - sines**2)], -1).to(dtype).requires_grad_()
     down = torch.tensor([0.0, 0.0, -1.0], dtype=dtype)
-    regime = bend_regime(rays, down, n_from=1.34, n_to=1.0)
-    assert regime.tolist() == [Regime.BENT, Regime.BENT, Regime.CRITICAL, Regime.CRITICAL]
-    bend(rays, down, n_from=1.34, n_to=1.0).sum().backward()
+    bent = bend(rays, down, n_from=1.34, n_to=1.0)
+    assert torch.isfinite(bent).all()
+    bent.sum().backward()
     assert (rays.grad[2:] == 0.0).all()
     assert (rays.grad[:2, 2].abs() > 0.2 / limit).tolist() == [True, True]
 

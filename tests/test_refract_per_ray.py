@@ -56,7 +56,7 @@ def test_an_index_per_channel_is_one_more_axis(rng):
     water = FlatWater((0.0, 0.0, 0.5), n_water=indices)
     path, seen = trace(CENTRE, rays[:, None], water), project(points[:, None], CENTRE, water)
     assert path.water_direction.shape == path.crossing.shape == path.origin.shape == (COUNT, 3, 3)
-    assert path.air_length.shape == path.regime.shape == seen.depth.shape == (COUNT, 3)
+    assert path.air_length.shape == path.wet.shape == seen.depth.shape == (COUNT, 3)
     for channel, index in enumerate(indices):
         single = FlatWater((0.0, 0.0, 0.5), n_water=index)
         one = trace(CENTRE, rays, single)

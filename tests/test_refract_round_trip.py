@@ -47,7 +47,7 @@ def there_and_back(kind, n):
     centres, water = array_of(kind, np.stack([0.0 * H, 0.0 * H, H], axis=-1)), FlatWater((0.0, 0.0, 0.0), n_water=n)
     points = trace(centres, rays, water).at_height(array_of(kind, -h), water)
     seen = project(points, centres, water)
-    assert seen.regime_counts()["bent"] + seen.regime_counts()["straight"] == H.size
+    assert np.isfinite(as_double(seen.direction)).all()
     return as_double(rays), as_double(points), as_double(centres), as_double(seen.direction)
 
 

@@ -10,8 +10,7 @@ from typing import Any, final
 
 import numpy as np
 
-from refract._array import as_like, as_numpy, namespace, transformed
-from refract._numbers import hold, number, require_index
+from refract._array import as_like, as_numpy, hold, namespace, number, require_index, transformed
 from refract.curved.curved_water import CurvedWater
 
 # No piece is higher or lower than its sixteen nodes by more than this part of their range: along one axis the weights

@@ -8,8 +8,7 @@ from typing import Any, final
 
 import numpy as np
 
-from refract._array import namespace
-from refract._numbers import hold, number, require_index
+from refract._array import hold, namespace, number, require_index
 from refract.curved.curved_water import CurvedWater
 
 

@@ -36,8 +36,8 @@ def over_water(water, none, numbers, one):
     """What `trace` and `project` say, of no rays from one camera, of no rays from no cameras and so on."""
     for camera, vectors in ((one, none), (none, none), (none, one)):
         path, seen = trace(camera, vectors, water), project(vectors, camera, water)
-        yield path, path.regime, path.regime_counts(), path.at(numbers), path.at(2.0)
-        yield seen, seen.crossing, seen.air_length, seen.water_length, seen.regime, seen.regime_counts()
+        yield path, path.at(numbers), path.at(2.0)
+        yield seen, seen.crossing, seen.air_length, seen.water_length
         yield crossing_point(vectors, camera, water)
         if water is None or isinstance(water, FlatWater):
             yield path.at_height(numbers, water), path.at_height(-2.0, water)

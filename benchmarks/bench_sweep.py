@@ -26,10 +26,9 @@ from fields.sweep import maps as maps_module
 from fields.sweep import views
 from fields.sweep.bed import BedPoints, unique_pixels
 from fields.sweep.fusion import remove_free_space_violations
-from fields.sweep.height_range import find_range
 from fields.sweep.maps import HeightMap, trusted
 from fields.sweep.passes import PASSES, Pass
-from fields.sweep.sweep import sweep
+from fields.sweep.sweep import find_range, sweep
 from fields.sweep.view_pass import SweepSettings
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.folder.survey import load_survey

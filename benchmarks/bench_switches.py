@@ -23,14 +23,14 @@ from switch_scene import BOX, WATER, Backdrop, SwitchScene, build
 from torch import nn
 
 from fields.device import choose_device
-from fields.volume.appearance import appearance_vectors, match_appearance
+from fields.models import Losses
+from fields.volume.fitted import appearance_vectors, match_appearance
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.shell import Shell
 from fields.volume.tensor import TensorSettings, TensorVolume
 from fields.volume.train import Training, train_volume
-from fields.volume.weights import Losses
 
 SETTINGS = TensorSettings(scales=3, n_min=16, n_max=64, degree=0)
 TRAINING = Training(steps=400, rays=768, samples=24, cells=48)

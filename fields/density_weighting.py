@@ -15,7 +15,7 @@ import drjit as dr
 import torch
 from torch import Tensor
 
-from fields.lookup import PACKET, as_torch, flat_on
+from fields.factors import PACKET, as_torch, flat_on
 
 # Lanes of the backward kernel per scale: few sums to add up at the end, yet enough packets for the processors.
 LANES = {"llvm": 256, "cuda": 8192}

@@ -8,8 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from fields.training import Rates
-from fields.volume.model import VolumeModel
+from fields.volume.model import Rates, VolumeModel
 from fields.volume.paths import Box, Paths, paths_of
 from refract import FlatWater, PinholeCamera
 

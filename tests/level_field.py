@@ -5,8 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from fields.training import Rates
-from fields.volume.model import Setup, VolumeModel
+from fields.volume.model import Rates, Setup, VolumeModel
 
 NAME = "level_field:LevelField"
 

@@ -11,10 +11,9 @@ import numpy as np
 
 from fields.device import Device
 from fields.sweep.block import Block
-from fields.sweep.kernels.arrays import floats, host
-from fields.sweep.kernels.backend import kernels, run_job
+from fields.sweep.kernels.arrays import floats, host, run_job
 from fields.sweep.kernels.stack import Hypotheses, ViewStack
-from fields.sweep.matching import Reference, match_view
+from fields.sweep.matching import Reference, kernels, match_view
 from refract import FlatWater, PinholeCamera
 
 FOCAL, SIZE = 800.0, (96, 72)

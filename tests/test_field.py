@@ -16,10 +16,9 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from fields.device import choose_device
-from fields.models import MODELS, Rule
+from fields.models import MODELS, Losses, Rule
 from fields.volume.model import Setup, build_model
 from fields.volume.paths import Box
-from fields.volume.weights import Losses
 from geo import read_cloud
 from refract import PinholeCamera
 from survey.errors import ConfigError, OutputError, SurveyError
@@ -28,8 +27,7 @@ from survey.run.products import write_bed_ply
 from survey.settings.config import parse_config
 from survey.settings.tables import FieldConfig
 from survey.volume.field import train_field
-from survey.volume.monocular import monocular_priors
-from survey.volume.options import MONOCULAR, VolumeOptions, field_config, volume_options
+from survey.volume.options import MONOCULAR, VolumeOptions, field_config, monocular_priors, volume_options
 
 SHORT = VolumeOptions(model=NAME, steps=4, rays=32, samples=8, cells=32, held_every=4, image_scale=0.5)
 

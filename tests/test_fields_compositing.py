@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy.stats import laplace
 
-from fields.compositing import (
+from fields.volume.sampling import (
     MIN_COLOUR_WEIGHT,
     composite,
     log_transmittance,

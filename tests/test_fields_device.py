@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from fields.device import Device, choose_device
-from fields.sweep.kernels.backend import kernels
+from fields.sweep.matching import kernels
 
 ROOT = Path(__file__).resolve().parent.parent
 

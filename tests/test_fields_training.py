@@ -7,7 +7,8 @@ import pytest
 import torch
 from torch import nn
 
-from fields.training import Rates, adam, descend, has_converged, psnr_db, set_rates
+from fields.volume.model import Rates, has_converged
+from fields.volume.train import adam, descend, psnr_db, set_rates
 from fields.water_column import WaterColumn
 
 

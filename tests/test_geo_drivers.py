@@ -150,5 +150,5 @@ def test_every_raster_and_vector_of_others_comes_by_the_one_door():
         ("geo/features.py", "pyogrio.raw.read"),
         ("geo/features.py", "pyogrio.list_layers"),
         ("survey/photos/pixels.py", "Image.open"),
-        ("survey/volume/monocular.py", "cv2.imread"),
+        ("survey/volume/options.py", "cv2.imread"),
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fields.median import median
+from fields.sweep.images import median
 
 
 @pytest.mark.parametrize("shape", [(1,), (2,), (7, 9), (8, 9)])

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from fields.sweep import fusion
 from fields.sweep.block import Block
-from fields.sweep.kernels.backend import run_job
+from fields.sweep.kernels.arrays import run_job
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import HeightMap
 from fields.sweep.photo_consistency import photo_consistency

@@ -11,7 +11,7 @@ from plane_survey import PlaneBed, look, ring, texture
 
 from fields.sweep import matching
 from fields.sweep.discontinuities import search_discontinuities
-from fields.sweep.kernels.backend import run_job
+from fields.sweep.kernels.arrays import run_job
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.matching import Reference
 from fields.sweep.passes import DiscontinuitySearch

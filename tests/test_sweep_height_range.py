@@ -7,7 +7,7 @@ import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
 from fields.sweep.block import Block
-from fields.sweep.height_range import find_range, without_chance_matches
+from fields.sweep.sweep import find_range, without_chance_matches
 from refract import FlatWater
 
 LIMITS = (-4.0, 0.0)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
-from fields.sweep.kernels.arrays import floats
-from fields.sweep.kernels.backend import Launch, run_job, run_jobs
+from fields.sweep.kernels.arrays import Launch, floats, run_job, run_jobs
 from fields.sweep.passes import DiscontinuitySearch, Pass
 from fields.sweep.view_pass import SweepSettings, match_pass, view_passes
 

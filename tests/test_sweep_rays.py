@@ -17,8 +17,7 @@ from fields.sweep.kernels.rays import (
     segments,
     straddling_pixels,
 )
-from fields.sweep.kernels.stack import CameraTerms, ViewStack, camera_table
-from fields.sweep.kernels.water import kernel_water
+from fields.sweep.kernels.stack import CameraTerms, ViewStack, camera_table, kernel_water
 from refract import FlatWater, PinholeCamera
 from refract.curved import WavyWater
 

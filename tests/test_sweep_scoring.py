@@ -10,7 +10,7 @@ from plane_survey import buffers_of, held_in, windows_of
 
 from fields.sweep.kernels import drjit_scoring
 from fields.sweep.kernels.arrays import ALIGNED_BYTES, Buffer, floats, host
-from fields.sweep.kernels.backend import kernels
+from fields.sweep.matching import kernels
 
 EPS32 = np.finfo(np.float32).eps
 # Sums of up to 49 products of grey levels in float32, less the product of their means; measured 2.5e-7.

@@ -9,7 +9,7 @@ from plane_survey import SIZE, TILTED, PlaneBed, ring
 from fields.sweep.bed import unique_pixels
 from fields.sweep.block import Block
 from fields.sweep.fusion import agreement
-from fields.sweep.kernels.backend import run_job
+from fields.sweep.kernels.arrays import run_job
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import HeightMap, trusted
 from fields.sweep.passes import Pass, before_solver

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, match, ring
 
-from fields.sweep.corner_rays import CornerRays, side_of_squares
+from fields.sweep.tiles import CornerRays, side_of_squares
 from fields.sweep.view_pass import columns_over_area, columns_seeing_area
 
 AREA, BOUND = (-0.35, -0.25, 0.2, 0.3), (-2.3, -1.9)

@@ -12,7 +12,7 @@ from plane_survey import TILTED, PlaneBed, ring
 from rippled_pair import SIZE, rippled_pair
 
 from fields.sweep.bed import is_supported
-from fields.sweep.kernels.backend import run_job
+from fields.sweep.kernels.arrays import run_job
 from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.maps import HeightMap, OrderedMaps, height_std, trusted
 from fields.sweep.matching import RADII, Reference, match_view, match_with_adaptive_windows, radius_for

@@ -9,7 +9,7 @@ from analytic_volume import BOX, floor_at, looking_down, seen_by
 
 from fields.device import choose_device
 from fields.image_store import GAMMA
-from fields.volume.appearance import appearance_vectors, match_appearance
+from fields.volume.fitted import appearance_vectors, match_appearance
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells

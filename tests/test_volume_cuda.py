@@ -9,8 +9,8 @@ from volume_models import APPEARANCE, Kept, directions, positions
 from volume_scenes import BOX, bed_photographs
 
 from fields.device import choose_device
-from fields.models import MODELS
-from fields.volume.appearance import appearance_vectors, match_appearance
+from fields.models import MODELS, Losses
+from fields.volume.fitted import appearance_vectors, match_appearance
 from fields.volume.model import Setup, VolumeModel, build_model
 from fields.volume.nerfacto import HashVolume
 from fields.volume.renderer import VolumeRenderer, render_volume
@@ -18,7 +18,6 @@ from fields.volume.sampling import Cells
 from fields.volume.surface import surface_of
 from fields.volume.tensor import TensorVolume
 from fields.volume.train import Training, train_volume
-from fields.volume.weights import Losses
 from fields.water_column import WaterColumn
 
 pytestmark = pytest.mark.gpu

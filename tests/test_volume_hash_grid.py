@@ -12,8 +12,7 @@ from volume_models import check_interface, check_learning, positions
 from volume_scenes import BOX
 
 from fields.factors import geometric_scales
-from fields.volume.hash_grid import HashGrid
-from fields.volume.nerfacto import HashSettings, HashVolume
+from fields.volume.nerfacto import HashGrid, HashSettings, HashVolume
 from fields.volume.paths import Box
 
 SMALL = HashSettings(levels=5, log2_table=10, n_min=6, n_max=48, hidden=16, geometry=7)

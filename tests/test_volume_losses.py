@@ -10,6 +10,7 @@ import torch
 from analytic_volume import BOX, AnalyticVolume, floor_at, looking_down, seen_by
 from volume_scenes import Backdrop
 
+from fields.models import PATCH_PX, Losses
 from fields.volume.losses import (
     LIMIT,
     NODES,
@@ -27,7 +28,6 @@ from fields.volume.losses import (
 from fields.volume.photographs import COLUMNS
 from fields.volume.renderer import Rendered, VolumeRenderer
 from fields.volume.sampling import Cells, Samples
-from fields.volume.weights import PATCH_PX, Losses
 
 LENGTH = 0.1
 

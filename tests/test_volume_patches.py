@@ -9,8 +9,7 @@ import pytest
 import torch
 from analytic_volume import BOX, WATER, floor_at, looking_down, seen_by
 
-from fields.volume.photographs import Photographs
-from fields.volume.prior_losses import (
+from fields.volume.losses import (
     C1,
     C2,
     NOISE,
@@ -22,6 +21,7 @@ from fields.volume.prior_losses import (
     virtual_patch_loss,
     virtual_view,
 )
+from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
 

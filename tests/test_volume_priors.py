@@ -9,13 +9,13 @@ import pytest
 import torch
 from analytic_volume import BOX, WATER, floor_at, looking_down, seen_by
 
-from fields.volume.paths import Paths
-from fields.volume.photographs import COLUMNS, Photographs, PriorImages, prior_columns
-from fields.volume.prior_losses import (
+from fields.volume.losses import (
     fit_views,
     normal_prior_loss,
     relative_depth_loss,
 )
+from fields.volume.paths import Paths
+from fields.volume.photographs import COLUMNS, Photographs, PriorImages, prior_columns
 from fields.volume.renderer import Rendered, VolumeRenderer
 from fields.volume.sampling import Cells, Samples
 from refract import PinholeCamera

@@ -13,9 +13,19 @@ from volume_scenes import BOX
 
 from fields.device import choose_device
 from fields.volume.model import Setup
-from fields.volume.nerfacto import HashSettings, HashVolume, hash_grid, nerfacto
+from fields.volume.nerfacto import (
+    EVEN_SHARE,
+    HashSettings,
+    HashVolume,
+    Histogram,
+    Proposal,
+    ProposalSettings,
+    bound_of,
+    hash_grid,
+    interlevel_loss,
+    nerfacto,
+)
 from fields.volume.paths import Paths, paths_of
-from fields.volume.proposal import EVEN_SHARE, Histogram, Proposal, ProposalSettings, bound_of, interlevel_loss
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import samples_by_mass
 from fields.water_column import WaterColumn

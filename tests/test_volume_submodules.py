@@ -13,7 +13,7 @@ from torch import nn
 from volume_scenes import WATER, Backdrop, Slab, looking_down
 
 from fields.image_store import as_stored
-from fields.volume.appearance import appearance_vectors
+from fields.volume.fitted import appearance_vectors
 from fields.volume.paths import Box
 from fields.volume.photographs import pixels_over
 from fields.volume.renderer import VolumeImage, VolumeRenderer, render_volume

@@ -13,9 +13,8 @@ from volume_scenes import BOX
 
 from fields.device import choose_device
 from fields.factors import Grid
-from fields.volume.layer_model import dw, m, mdw, vm
 from fields.volume.paths import Box
-from fields.volume.tensor import TensorSettings, TensorVolume, grid_of
+from fields.volume.tensor import TensorSettings, TensorVolume, dw, grid_of, m, mdw, vm
 
 KINDS = {name: make.keywords["settings"] for name, make in (("vm", vm), ("dw", dw), ("m", m), ("mdw", mdw))}
 SMALL = {"n_min": 8, "n_max": 32}

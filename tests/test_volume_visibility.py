@@ -10,10 +10,10 @@ import torch
 from analytic_volume import BOX, AnalyticVolume, floor_at, looking_down, seen_by
 from volume_scenes import Slab
 
+from fields.volume.fitted import Visibility, coarse_paths, train_visibility, transmittance
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
-from fields.volume.visibility import Visibility, coarse_paths, train_visibility, transmittance
 
 CELLS = Cells.everywhere(BOX, 16)
 

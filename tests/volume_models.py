@@ -11,7 +11,7 @@ import torch
 from volume_scenes import BOX, bed_photographs
 
 from fields.volume.model import VolumeModel
-from fields.volume.proposal import Proposal
+from fields.volume.nerfacto import Proposal
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
 from fields.volume.train import Training, train_volume

@@ -7,8 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from fields.image_store import GAMMA
-from fields.training import Rates
-from fields.volume.model import VolumeModel
+from fields.volume.model import Rates, VolumeModel
 from fields.volume.paths import Box, Paths
 from fields.volume.photographs import Photographs
 from refract import FlatWater, PinholeCamera

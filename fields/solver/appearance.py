@@ -9,8 +9,8 @@ import numpy as np
 from scipy import sparse
 
 from evaluation.summary import MAD_TO_STD
-from fields.median import median_reordering
 from fields.solver.tile import SolverTile
+from fields.sweep.images import median_reordering
 
 # The offset of a photograph (veil, reflected sky, vignetting) varies slowly: means over cells of this side, under a
 # Gauss filter of this standard deviation in cells.

@@ -16,8 +16,7 @@ from fields.solver.appearance import Brightness
 from fields.solver.tile import SolverTile
 from fields.sweep.kernels.arrays import constant, floats, host
 from fields.sweep.kernels.rays import point_at, project, refracted_rays
-from fields.sweep.kernels.stack import CameraTerms, camera_table
-from fields.sweep.kernels.water import kernel_water
+from fields.sweep.kernels.stack import CameraTerms, camera_table, kernel_water
 from fields.sweep.maps import HeightMap
 from fields.waves.waves import Waves, interpolated
 from refract import FlatWater, PinholeCamera

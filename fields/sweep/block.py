@@ -12,9 +12,9 @@ from scipy.sparse import csr_array
 from fields.device import Device
 from fields.image_store import GreyImages, LazyImages
 from fields.sweep import views
-from fields.sweep.corner_rays import CornerRays
 from fields.sweep.kernels.arrays import release
 from fields.sweep.kernels.stack import ViewStack, largest
+from fields.sweep.tiles import CornerRays
 from refract import BentPaths, FlatWater, PinholeCamera
 
 # Neighbours that are found at once.

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fields.median import median
-from fields.sweep.images import local_min_max, median_above, tile_extents, tile_gradients
-from fields.sweep.kernels.backend import Job
+from fields.sweep.images import local_min_max, median, median_above, tile_extents, tile_gradients
+from fields.sweep.kernels.arrays import Job
 from fields.sweep.matching import Found, Reference, match_tiles
 from fields.sweep.passes import MATCHED_NCC, DiscontinuitySearch
 from fields.sweep.tiles import ImageTiles

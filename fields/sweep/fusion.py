@@ -11,10 +11,9 @@ import cv2
 import numpy as np
 
 from fields.image_store import LazyImages
-from fields.median import median
 from fields.sweep.block import Block
-from fields.sweep.kernels.arrays import host
-from fields.sweep.kernels.backend import Job, Launch, run_jobs
+from fields.sweep.images import median
+from fields.sweep.kernels.arrays import Job, Launch, host, run_jobs
 from fields.sweep.kernels.lookups import compare_heights, count_seeing_through
 from fields.sweep.kernels.stack import ViewStack, largest
 from fields.sweep.maps import HeightMap, Maps, OrderedMaps, StoreFactory, trusted, views_of

@@ -8,7 +8,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from fields.median import median
 from fields.sweep.tiles import in_tiles
 
 # Side of the box filter of heights before their gradient is taken [px].
@@ -113,3 +112,20 @@ def tile_gradients(height: np.ndarray, wanted: np.ndarray, size: int) -> np.ndar
     smooth = cv2.blur(cv2.medianBlur(height, 3), (_SMOOTH_PX, _SMOOTH_PX))
     rises = [cv2.Sobel(smooth, cv2.CV_32F, *order) for order in ((0, 1), (1, 0))]
     return np.stack([in_tiles(np.where(wanted, each, 0.0), size, 0.0).sum(axis=(1, 3)) for each in rises], axis=-1)
+
+
+def median(values: np.ndarray) -> float:
+    """Median of an array of any shape as numpy's: NaN where any value is NaN. (384, 512): 0.14 instead of 2.3 ms."""
+    return float(median_reordering(values.flatten()))
+
+
+def median_reordering(values: np.ndarray) -> np.floating:
+    """The median of values (N,), which are reordered."""
+    if not len(values):
+        raise ValueError("the median of no values is asked for; expected one or more")
+    half = len(values) // 2
+    values.partition(half)
+    most = values[half:].max()
+    if np.isnan(most):
+        return most
+    return values[half] if len(values) % 2 else (values[:half].max() + values[half]) / values.dtype.type(2.0)

@@ -6,13 +6,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
+from fields.device import Device
 from fields.sweep.images import fill_nearest, median_above, put_strip, strip_indices
-from fields.sweep.kernels.arrays import floats
-from fields.sweep.kernels.backend import Job, Launch, kernels
+from fields.sweep.kernels.arrays import Job, Launch, floats
 from fields.sweep.kernels.lookups import rays_of_pixels, rays_of_rows
 from fields.sweep.kernels.stack import Hypotheses, ViewStack
 from fields.sweep.passes import MATCHED_NCC
@@ -37,6 +38,17 @@ RADII = (1, 2, 3, 4, 6, 8)
 _MOST_OF_SIDE = 0.25
 # Images of which less is known keep their windows: between sun glints wider ones hold less of the bed.
 _WHOLE = 0.9
+
+
+def kernels(device: Device) -> ModuleType:
+    """The kernels of a device, of which only those needed are imported: `torch_kernels`, or `drjit_kernels`."""
+    if device.module is None:
+        from fields.sweep.kernels import torch_kernels
+
+        return torch_kernels
+    from fields.sweep.kernels import drjit_kernels
+
+    return drjit_kernels
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
-
-from fields.image_store import Masks
-from fields.sweep.kernels.stack import ViewStack
-from fields.sweep.map_points import MapPoints, far_from, thin_out
 
 # Heights around a pixel on a wall lie in one plane: residuals (rms) below this share of its slope. A step has 0.47.
 _MOST_BENT = 0.4
@@ -17,11 +11,6 @@ _MOST_BENT = 0.4
 _NEAR_PX = 5
 # Rise from column to column of the plane through 3x3 heights.
 _RISE = np.tile(np.array([-1.0, 0.0, 1.0], dtype=np.float32) / 6.0, (3, 1))
-# A steep pixel is dropped if more maps see through its point than span it. One is added if so many maps span it
-# and at most this share of them see through it.
-_LEAST_FOR, _MOST_AGAINST = 4, 0.25
-# Gaps that are filled have this radius, in ground sampling distances.
-_GAP_GSD = 1.25
 
 
 def steep_and_wall_pixels(height: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
@@ -54,33 +43,6 @@ def gradient_of(height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gradient of that plane along columns and rows, (height, width) float32 [m per pixel] each."""
     across, down = (cv2.filter2D(height, -1, kernel) for kernel in (_RISE, _RISE.T))
     return across, down
-
-
-@dataclass(frozen=True)
-class SteepPixels:
-    """Steep pixels of height maps."""
-
-    steep: Masks
-    addable: Masks  # Those of them that may be added
-    trusted: Masks  # All pixels, steep or not, whose heights count against a point
-
-
-def filter_steep_pixels(stack: ViewStack, found: SteepPixels, kept: Masks, gsd: float) -> None:
-    """Update the ``kept`` pixels: drop steep ones that other maps see through, add others that fill gaps on walls.
-
-    ``stack`` has the height maps. A map spans a point within ``gsd`` [m] of its heights there, and sees through one
-    farther above them.
-    """
-    if not len(kept):
-        return
-    old = MapPoints.of(stack, (keep & steep for keep, steep in zip(kept, found.steep, strict=True)))
-    spanning, through, _ = old.votes(stack, found.trusted, gsd)
-    old[through > spanning].mark(kept, False)
-    new = MapPoints.of(stack, (each & ~keep for each, keep in zip(found.addable, kept, strict=True)))
-    new = new[far_from(stack, kept, new.xyz, _GAP_GSD * gsd)]
-    spanning, through, _ = new.votes(stack, found.trusted, gsd)
-    new = new[(spanning >= _LEAST_FOR) & (through <= _MOST_AGAINST * spanning)]
-    new[thin_out(new.xyz.T, _GAP_GSD * gsd)].mark(kept, True)
 
 
 # Side of the square of heights through which a plane is fitted [px].

@@ -9,17 +9,15 @@ from functools import partial
 import cv2
 import numpy as np
 
-from fields.median import median
 from fields.sweep.block import Block
-from fields.sweep.corner_rays import Area, CornerRays, extremes_of_squares, squares_over_area
 from fields.sweep.discontinuities import search_discontinuities
-from fields.sweep.images import upsample
-from fields.sweep.kernels.backend import Job
+from fields.sweep.images import median, upsample
+from fields.sweep.kernels.arrays import Job
 from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.maps import HeightMap
 from fields.sweep.matching import LEAST_KNOWN, Reference, match_tiles, match_view, match_with_adaptive_windows
 from fields.sweep.passes import MATCHED_NCC, PASSES, Pass
-from fields.sweep.tiles import PART_SIDE_PX, ImageTiles
+from fields.sweep.tiles import PART_SIDE_PX, Area, CornerRays, ImageTiles, extremes_of_squares, squares_over_area
 from refract import FlatWater, PinholeCamera
 
 # Places along each side of the area: between them the outline of what is seen is straight to a fraction of a pixel.

@@ -21,9 +21,8 @@ from torch import Tensor, nn
 from fields.device import Device
 from fields.factors import Factors, geometric_scales
 from fields.heads import perceptron, spherical_harmonics
-from fields.training import Rates
 from fields.volume.mlp import encoded_length, frequency_encoding
-from fields.volume.model import Setup, VolumeModel, density_of
+from fields.volume.model import Rates, Setup, VolumeModel, density_of
 from fields.volume.paths import Box
 from fields.volume.tensor import grid_of
 

@@ -22,8 +22,7 @@ from functools import partial
 import torch
 from torch import Tensor, nn
 
-from fields.training import Rates
-from fields.volume.model import Setup, VolumeModel, density_of
+from fields.volume.model import Rates, Setup, VolumeModel, density_of
 from fields.volume.paths import Box
 
 

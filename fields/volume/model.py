@@ -6,12 +6,12 @@ import math
 from abc import abstractmethod
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from fields.device import Device
 from fields.models import maker
-from fields.training import Rates
 from fields.volume.paths import Box
 
 
@@ -24,6 +24,14 @@ class Setup:
     device: Device  # Dr.Jit for fused lookups of those with planes; "torch" for the reference implementation
     appearance: int = 0  # Length of the vectors of photographs; 0 for none
     steps: int = 2000  # Of the training that follows
+
+
+@dataclass(frozen=True)
+class Rates:
+    """A group of parameters with its learning rate for Adam."""
+
+    parameters: list[nn.Parameter]
+    rate: float
 
 
 class VolumeModel(nn.Module):
@@ -61,7 +69,7 @@ class VolumeModel(nn.Module):
         """Every parameter once, with its learning rate; read again whenever `observe` reports a change of the model."""
 
     def proposal(self, setup: Setup) -> nn.Module | None:
-        """A `fields.volume.proposal.Proposal` that draws the samples in place of the occupied cells; None for those."""
+        """A `fields.volume.nerfacto.Proposal` that draws the samples in place of the occupied cells; None for those."""
         return None
 
     def thickness(self, x: Tensor, direction: Tensor, length: Tensor) -> tuple[Tensor, Tensor]:
@@ -108,3 +116,10 @@ def build_model(name: str, setup: Setup, *, seed: int = 0) -> VolumeModel:
     if not isinstance(model, VolumeModel):
         raise TypeError(f"the model {name} is a {type(model).__name__}, expected a fields.volume.model.VolumeModel")
     return model
+
+
+def has_converged(losses: list[float], window: int, ratio: float) -> bool:
+    """Whether the variance of the last ``window`` losses is below ``ratio`` times that of the first."""
+    if len(losses) < 2 * window:
+        return False
+    return bool(np.var(losses[-window:]) < ratio * np.var(losses[:window]))

@@ -25,8 +25,7 @@ import torch
 from torch import Tensor, nn
 
 from fields.heads import perceptron, seen_radiance
-from fields.training import Rates
-from fields.volume.model import Setup, VolumeModel, density_of
+from fields.volume.model import Rates, Setup, VolumeModel, density_of
 from fields.volume.paths import Box
 
 # Leaves looked at for (5) in a step, points in each node, and pairs of parent and child for (4).

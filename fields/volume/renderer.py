@@ -8,14 +8,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from fields.compositing import composite, quantile_height, render_weights, with_opaque_end
 from fields.device import half_the_threads
 from fields.image_store import as_stored
-from fields.training import Rates
-from fields.volume.model import VolumeModel
+from fields.volume.model import Rates, VolumeModel
+from fields.volume.nerfacto import Proposal, Proposed
 from fields.volume.paths import Paths, paths_of
-from fields.volume.proposal import Proposal, Proposed
-from fields.volume.sampling import Cells, Samples
+from fields.volume.sampling import Cells, Samples, composite, quantile_height, render_weights, with_opaque_end
 from fields.water_column import WaterColumn
 from refract import PinholeCamera, WaterSurface
 

@@ -25,13 +25,12 @@ import numpy as np
 import torch
 from torch import nn
 
-from fields.volume.appearance import SAMPLES, fitted_vectors
+from fields.volume.fitted import ACROSS, SAMPLES, fitted_vectors
 from fields.volume.paths import Box, Paths, Rays
 from fields.volume.photographs import pixels_over
 from fields.volume.renderer import VolumeImage, VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.surface import LEAST_OPACITY
-from fields.volume.visibility import ACROSS
 from refract import PinholeCamera, WaterSurface
 
 # A box reaches beyond its cell by this share of it, so that neighbours share half a cell, as blocks of Block-NeRF do.

@@ -22,8 +22,7 @@ from torch import Tensor, nn
 from fields.device import Device
 from fields.factors import Factors, Grid, geometric_scales
 from fields.heads import perceptron
-from fields.training import Rates
-from fields.volume.model import Setup, VolumeModel, density_of
+from fields.volume.model import Rates, Setup, VolumeModel, density_of
 from fields.volume.paths import Box
 from fields.volume.tensor import grid_of
 

@@ -10,14 +10,13 @@ import numpy as np
 import torch
 
 from fields.device import half_the_threads
-from fields.training import adam, descend, psnr_db, set_rates
+from fields.models import Losses
 from fields.volume.losses import added_loss
-from fields.volume.model import VolumeModel
+from fields.volume.model import Rates, VolumeModel
 from fields.volume.paths import Paths
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
-from fields.volume.weights import Losses
 from refract import WaterSurface
 
 # Paths are drawn for this many steps at once.
@@ -227,3 +226,27 @@ def _batches(
         of_step = patches * patch**2
         for step in range(max(start - first, 0), count):
             yield pool[step * of_step : (step + 1) * of_step]
+
+
+def adam(groups: list[Rates], *, eps: float) -> torch.optim.Adam:
+    """Adam over those of the groups that have parameters."""
+    columns = [{"params": g.parameters, "lr": g.rate, "top": g.rate} for g in groups if g.parameters]
+    return torch.optim.Adam(columns, betas=(0.9, 0.99), eps=eps, fused=True)
+
+
+def set_rates(optimiser: torch.optim.Adam, share: float) -> None:
+    """Set the learning rates to a share of the initial ones."""
+    for group in optimiser.param_groups:
+        group["lr"] = group["top"] * share
+
+
+def descend(optimiser: torch.optim.Adam, loss: torch.Tensor) -> None:
+    """Take a step down the gradient of a loss."""
+    optimiser.zero_grad(set_to_none=True)
+    loss.backward()
+    optimiser.step()
+
+
+def psnr_db(errors: list[float]) -> float:
+    """Peak signal-to-noise ratio [dB] of mean squared errors of colours from 0 to 1."""
+    return float(-10.0 * np.log10(np.mean(errors)))

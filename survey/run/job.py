@@ -181,12 +181,12 @@ class Job:
 
     @cached_property
     def bound(self) -> tuple[float, float]:
-        """Heights [m] over the water plane of the bed, by thumbnails; `fields.sweep.height_range.find_range`."""
+        """Heights [m] over the water plane of the bed, by thumbnails; `fields.sweep.sweep.find_range`."""
         return self.range_within(self.limits) if self.bed_search is None else self.bed_search.bound
 
     def range_within(self, limits: tuple[float, float]) -> tuple[float, float]:
         """Heights [m] over the water plane of the bed within limits, by thumbnails."""
-        from fields.sweep.height_range import find_range
+        from fields.sweep.sweep import find_range
 
         try:
             return find_range(self.block, limits)

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fields.median import median
 from fields.solver.solver import SolvedMap
 from fields.sweep.bed import BedPoints, has_neighbours, is_supported, points_of, std_of_kept, with_slope_std
 from fields.sweep.block import AGREEMENT_PX
 from fields.sweep.fusion import PEERS, num_comparable
+from fields.sweep.images import median
 from fields.sweep.maps import HeightMap, trusted
 from survey.adjust.result.adjustment import Adjustment, read_adjustment
 from survey.adjust.result.std_of_block import std_of_block

@@ -22,8 +22,8 @@ from fields.occluded.holes import KnownBed
 from fields.occluded.occluded import find_occluded
 from fields.solver.solver import SolvedMap
 from fields.sweep.bed import BedPoints
+from fields.sweep.map_points import without_ghosts
 from fields.sweep.maps import HeightMap
-from fields.sweep.overhangs import without_ghosts
 from fields.sweep.views import Footprint
 from geo.shapes import portions
 from refract import FlatWater, PinholeCamera, kernels

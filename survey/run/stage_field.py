@@ -83,8 +83,8 @@ def fit(
 
     ``given`` are absorption and veil of the water, where they are known.
     """
-    from fields.volume.layer_model import COLOUR_FIRST
     from fields.volume.sampling import Cells
+    from fields.volume.tensor import COLOUR_FIRST
     from fields.volume.train import Training, train_volume
     from survey.run.stored_field import RestoredField, VolumeRecipe
 
@@ -100,8 +100,7 @@ def fit(
 
 def reporting(stage: Step, rays: int) -> Callable[[float, list[float]], None]:
     """Progress of a training of so many rays a step in a stage whose total is 1, with its error and pace in words."""
-    from fields.training import psnr_db
-    from fields.volume.train import LAST_STEPS
+    from fields.volume.train import LAST_STEPS, psnr_db
 
     steps = count(1)
 

@@ -18,7 +18,7 @@ import torch
 from fields.device import choose_device, tensor_place
 from fields.image_based import NovelView, heights_over, normals_of
 from fields.models import APPEARANCE
-from fields.volume.appearance import appearance_vectors
+from fields.volume.fitted import appearance_vectors
 from fields.volume.layer import Layer
 from fields.volume.model import Setup, build_model
 from fields.volume.paths import Box
@@ -34,7 +34,7 @@ from survey.files.json_values import read_json_object, write_json
 from survey.run.stored import FIELD_SETTINGS, FIELD_STATE
 
 if TYPE_CHECKING:
-    from fields.volume.proposal import Proposal
+    from fields.volume.nerfacto import Proposal
 
 _DAMAGE = (OSError, RuntimeError, KeyError, TypeError, ValueError, EOFError, pickle.UnpicklingError, zipfile.BadZipFile)
 

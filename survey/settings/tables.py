@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from fields.models import MODELS, Rule
-from fields.volume.weights import Losses
+from fields.models import MODELS, Losses, Rule
 from survey.errors import ConfigError
 from survey.files.limits import LARGEST
 from survey.files.toml_table import key, option, std_key

@@ -28,8 +28,7 @@ from survey.files.outputs import ReadFiles, require_folder
 from survey.run.flight import Flight
 from survey.run.stored import FIELD_SETTINGS, FIELD_STATE
 from survey.run.stored_field import read_state
-from survey.volume.monocular import monocular_priors
-from survey.volume.options import VolumeOptions
+from survey.volume.options import VolumeOptions, monocular_priors
 
 # A box reaches over and under the inner part of the heights by a share of their range and some cells.
 _INNER, _REACH, _REACH_CELLS = (0.1, 99.9), 0.1, 3.0

@@ -19,7 +19,7 @@ from survey.run.stored_field import VolumeRecipe
 from survey.volume.folder import is_field, run_of
 from survey.volume.options import VolumeOptions
 from survey.volume.scene import BedBox
-from survey.volume.submodule_views import SubmoduleViews
+from survey.volume.submodules import SubmoduleViews
 from survey.words import Drop
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import psutil
 
 from fields.image_based import NovelView
-from fields.volume.appearance import match_appearance
+from fields.volume.fitted import match_appearance
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from fields.sweep.kernels.water import PlaneWater
+from fields.sweep.kernels.stack import PlaneWater
 from fields.waves.crossings import LEAST_DEPTH
 from geo.crs import horizontal_crs
 from geo.frames import LocalFrame

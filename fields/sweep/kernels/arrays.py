@@ -1,7 +1,12 @@
-"""Flat arrays of the device of the kernels, in Dr.Jit or torch: what both name differently, transfers, memory.
+"""Flat arrays of the device of the kernels, in Dr.Jit or torch, transfers, memory, and the queue of jobs.
 
 Whole numbers have a sign. Numbers that differ from view to view are made by `scalar`: kernels of Dr.Jit take them as
 arguments and are not compiled again.
+
+One view's kernels run while another view is prepared, in one thread: Dr.Jit launches kernels asynchronously; reading a
+result waits for all that were launched. So a job yields what it would launch and receives the results: between the two
+another job launches its own kernels, and this thread prepares the next ones. Several threads would wait for each other
+at the GIL.
 """
 
 from __future__ import annotations
@@ -9,15 +14,17 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from itertools import count
+from typing import Any, TypeVar
 
 import numpy as np
 
 from fields.device import Device
-from refract import kernels
+from refract.kernels import namespace
 
 
 def _drjit() -> Any:
@@ -29,7 +36,7 @@ def _drjit() -> Any:
 
 def is_torch(array: Any) -> bool:
     """Whether an array is torch's."""
-    return kernels.namespace(array).name == "torch"
+    return namespace(array).name == "torch"
 
 
 def arange(like: Any, count: int) -> Any:
@@ -255,3 +262,68 @@ def trim_heap() -> None:
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
     if trim is not None:
         trim(0)
+
+
+Found = TypeVar("Found")
+
+
+@dataclass(frozen=True)
+class Launch:
+    """Kernels that may still be running."""
+
+    results: list[Any]  # flat arrays of the device
+    # arrays that they read: threads of Dr.Jit that free memory of numpy need the GIL: it must not happen while this
+    # thread holds it
+    inputs: Any = None
+
+
+# Yields what is to be launched, receives the results as flat arrays of the host each time, and returns what it found.
+Job = Generator[Callable[[], Launch], list[np.ndarray], Found]
+
+
+def run_job(device: Device, job: Job[Found]) -> Found:
+    """Result of a single job."""
+    (found,) = run_jobs(device, [job])
+    return found
+
+
+def run_jobs(device: Device, jobs: Iterable[Job[Found]], most: int = 2) -> Iterator[Found]:
+    """Results of jobs in their order; at most ``most`` are under way, one of which has kernels running."""
+    numbered, turn = enumerate(jobs), _Queue({}, deque())
+    running: tuple[int, Job, Launch] | None = None
+    for next_number in count():
+        while next_number not in turn.found:
+            finished = None
+            if running is not None:
+                number, job, launched = running
+                # Waits; no kernel runs until the next launch, and the inputs of the last ones are freed.
+                finished = number, job, [host(device, each) for each in launched.results]
+                running = None
+                del launched
+            if turn.ready:
+                number, job, launch = turn.ready.popleft()
+                running = number, job, launch()
+            if finished is not None:
+                turn.advance(*finished)
+            if len(turn.ready) + (running is not None) < most:
+                following = next(numbered, None)
+                if following is not None:
+                    turn.advance(*following, None)
+                elif not turn.ready and running is None and next_number not in turn.found:
+                    return
+        yield turn.found.pop(next_number)
+
+
+@dataclass(frozen=True)
+class _Queue:
+    """Results by job number, and the jobs that wait, with their next launch."""
+
+    found: dict[int, Any]
+    ready: deque[tuple[int, Job, Callable[[], Launch]]]
+
+    def advance(self, number: int, job: Job, results: list[np.ndarray] | None) -> None:
+        """Send a job its results and queue its next launch, or store what it returns."""
+        try:
+            self.ready.append((number, job, next(job) if results is None else job.send(results)))
+        except StopIteration as end:
+            self.found[number] = end.value

@@ -9,7 +9,7 @@ One call takes a strip of rows of a reference view and the height hypotheses of 
 One kernel projects points into several neighbours, whose cameras are its arguments: all points of the hypotheses, which
 are computed once, or, where the hypotheses lie on one side of the water, three of them, by which another kernel finds
 the others (`fields.sweep.kernels.rays`). `drjit_scoring` scores the agreement of W with the reference. Callers get
-these functions from `fields.sweep.kernels.backend.kernels`; `torch_kernels` has the same without Dr.Jit.
+these functions from `fields.sweep.matching.kernels`; `torch_kernels` has the same without Dr.Jit.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@
 score alone: nothing else goes through memory. Of wide windows, which have up to 289 pixels, sums over rows are written
 first, and then added: the same sums in the same order, for 2 (2 radius + 1) additions in place of their square.
 
-Callers get these functions from `fields.sweep.kernels.backend.kernels`; `torch_kernels` has the same in torch.
+Callers get these functions from `fields.sweep.matching.kernels`; `torch_kernels` has the same in torch.
 """
 
 from __future__ import annotations

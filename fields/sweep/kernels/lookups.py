@@ -1,8 +1,6 @@
 """Rays of pixels, lookups in images and comparisons of height maps: kernels written once for Dr.Jit and torch.
 
-    P pixels of a view, flat; heights are over the plane of the water, in whose frame points are
-
-Callers get these functions from `fields.sweep.kernels.backend.kernels`, with those that each library has its own way.
+P pixels of a view, flat; heights are over the plane of the water, in whose frame points are
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
 """Refracted rays of pixels, and projection of their points into other views: one source for Dr.Jit and torch.
 
-All of it is in the frame of the water (`fields.sweep.kernels.water`): its z is the height over the plane.
+All of it is in the frame of the water (`fields.sweep.kernels.stack`): its z is the height over the plane.
 
     camera  numbers of one camera, a row of `stack.camera_table`: rotation (9), centre (3), fx, fy, cx, cy, width,
             height, and what it has beyond a pinhole
     terms   what cameras have beyond pinholes (`stack.CameraTerms`); the rest is not even traced
     legs    six numbers of a path: x and y of its foot on the water plane, its slope in air (2) and in water (2), both
             in metres per metre of height; at height z the path is at ``foot + z * slope``
-    water   `fields.sweep.kernels.water.KernelWater`: where rays bend, and where points are seen through the surface
+    water   `fields.sweep.kernels.stack.KernelWater`: where rays bend, and where points are seen through the surface
 
 In another photograph a straight ray is a line, along which positions are the ratio of two linear functions of the
 height. A refracted ray deviates from that little, and smoothly on one side of the water. So three points that are
@@ -26,8 +26,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from fields.sweep.kernels.stack import CameraTerms, ViewStack
-from fields.sweep.kernels.water import KernelWater
+from fields.sweep.kernels.stack import CameraTerms, KernelWater, ViewStack
 from refract import kernels
 from refract.distortion import distort, undistort
 

@@ -102,7 +102,7 @@ def measure_tie_points(
     block : Block
         Its water is only the start.
     bound : (low, high) [m] over the water plane
-        Range of heights searched for the bed; `fields.sweep.height_range.find_range` gives it.
+        Range of heights searched for the bed; `fields.sweep.sweep.find_range` gives it.
     area : (x0, y0, x1, y1) [m], local, or None
         Where windows are chosen, to one pixel of the sweep.
     """
@@ -253,7 +253,7 @@ def measure_windows(survey: Survey, *, device: str = "auto", advance: Callable[[
 def load_photographs(survey: Survey, plan: Plan) -> tuple[Block, tuple[float, float]]:
     """The photographs of a survey, and the range of heights over the water plane [m] in which its bed lies."""
     # Starts Dr.Jit, which the adjustment does not need.
-    from fields.sweep.height_range import find_range
+    from fields.sweep.sweep import find_range
 
     block = load_block(survey, plan, lambda _amount: None)
     try:

@@ -28,12 +28,7 @@ def weighted_drjit(
 
     Raises ValueError if F is not a multiple of the kernel's packets.
 
-    Parameters
-    ----------
-    layers : weight and bias of the three maps of the gate
-    fine : (1, L F)
-    shape : (L, D, F)
-    device : Device with a Dr.Jit module
+    ``layers``: weight and bias of the three maps of the gate; ``fine`` (1, L F); ``shape`` (L, D, F).
     """
     if shape[2] % PACKET:
         raise ValueError(

@@ -103,10 +103,7 @@ def choose_device(wanted: str = "auto") -> Device:
 
     Raises ValueError if CUDA is requested but not available, or the word is unknown.
 
-    Parameters
-    ----------
-    wanted : "auto", "cpu", "cuda" or "torch"
-        "auto" takes CUDA, then LLVM, then torch; "cpu" LLVM, then torch.
+    ``wanted``: "auto" takes CUDA, then LLVM, then torch; "cpu" LLVM, then torch.
     """
     if wanted not in ("auto", "cpu", "cuda", "torch"):
         raise ValueError(f"device is {wanted!r}, expected auto, cpu, cuda or torch")

@@ -52,15 +52,9 @@ def geometric_scales(n_min: float, n_max: float, count: int) -> list[float]:
 class Factors(nn.Module):
     """Planes and vectors of all scales and directions in two flat parameters, channels last, by torch's generator.
 
-    Parameters
-    ----------
-    grids : list of Grid, coarse to fine
-    directions : str
-        Which of "x", "y", "z" have a vector; the plane spans the other two axes.
-    channels : int
-        A multiple of 4 for fused lookups.
-    device : Device
-        Dr.Jit device for fused lookups; "torch" for the reference implementation.
+    ``grids``: list of Grid, coarse to fine. ``directions``: which of "x", "y", "z" have a vector; the plane spans the
+    other two axes. ``channels``: a multiple of 4 for fused lookups. ``device``: Dr.Jit device for fused lookups;
+    "torch" for the reference implementation.
     """
 
     def __init__(self, grids: list[Grid], directions: str, channels: int, device: Device):

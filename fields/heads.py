@@ -28,14 +28,9 @@ PART = 8192
 class DensityHead(nn.Module):
     """Coarse density regression, and the density weighting network (DWN) that takes over from it.
 
-    Parameters
-    ----------
-    scales, directions, channels : int
-        L, D and F of the features.
-    reduction : int
-        r of the paper: the gate's hidden width is D F / r.
-    device : Device or None
-        Dr.Jit device for the weighting network's kernel; "torch" or None for its reference implementation.
+    ``scales``, ``directions``, ``channels``: L, D and F of the features. ``reduction``: r of the paper: the gate's
+    hidden width is D F / r. ``device``: Dr.Jit device for the weighting network's kernel; "torch" or None for its
+    reference implementation.
     """
 
     def __init__(
@@ -97,12 +92,8 @@ class DensityHead(nn.Module):
 class ColourHead(nn.Module):
     """Colour weighting per scale and the colour regression network (CRN).
 
-    Parameters
-    ----------
-    degree : int
-        Of the spherical harmonics of the direction in the medium where the sample lies; 0 for a matt bed.
-    extra : int
-        Length of an appearance vector; 0 without.
+    ``degree``: of the spherical harmonics of the direction in the medium where the sample lies; 0 for a matt bed.
+    ``extra``: length of an appearance vector; 0 without.
     """
 
     def __init__(

@@ -25,10 +25,7 @@ DARKEST = 1e-4
 class LruCache(Generic[Key, Value]):
     """Least-recently-used cache of values by key, safe for threads; two may compute the same value.
 
-    Parameters
-    ----------
-    make : the value of a key
-    most : how many are kept, those that were read last
+    ``make``: the value of a key. ``most``: how many are kept, those that were read last.
     """
 
     def __init__(self, make: Callable[[Key], Value], most: int):
@@ -51,12 +48,8 @@ class LruCache(Generic[Key, Value]):
 class LazyImages(Sequence):
     """Images (height, width) float32 of one size, computed when they are read; read-only.
 
-    Parameters
-    ----------
-    make : the image of a number
-    count : number of images
-    shape : (height, width)
-    most : how many are kept, those that were read last; default 100 MB, but two at least
+    ``make``: the image of a number. ``count``: number of images. ``shape`` (height, width). ``most``: how many are
+    kept, those that were read last; default 100 MB, but two at least.
     """
 
     def __init__(self, make: Callable[[int], np.ndarray], count: int, shape: tuple[int, ...], most: int | None = None):
@@ -82,15 +75,10 @@ def num_cached(num_bytes: int, budget: int, fewest: int) -> int:
 class GreyImages(LazyImages):
     """Grey images (height, width) float32, NaN where masked; read-only, one byte a pixel where levels are whole.
 
-    Parameters
-    ----------
-    images : arrays (height, width)
-        Of one size; read once, so that a generator need not hold all of them.
-    store_array : callable, optional
-        Stores an array (height, width) where it takes no memory; what it returns has the shape and gives parts of the
-        array by slices of rows and columns. Default: in memory.
-    of_one_size : bool
-        Whether other sizes are refused.
+    ``images``: arrays (height, width), of one size; read once, so that a generator need not hold all of them.
+    ``store_array``: stores an array (height, width) where it takes no memory; what it returns has the shape and gives
+    parts of the array by slices of rows and columns. Default: in memory. ``of_one_size``: whether other sizes are
+    refused.
     """
 
     def __init__(
@@ -166,10 +154,7 @@ class _GreyImage:
 class Masks(Sequence):
     """Masks (height, width) bool of many images, one bit a pixel.
 
-    Parameters
-    ----------
-    shapes : (height, width) of each
-        They begin as False.
+    ``shapes`` (height, width) of each: they begin as False.
     """
 
     def __init__(self, shapes: list[tuple[int, ...]]):

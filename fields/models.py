@@ -92,10 +92,7 @@ def maker(name: str) -> Callable[[Any], Any]:
 
     Raises ValueError if there is none of that name, or it cannot be imported.
 
-    Parameters
-    ----------
-    name : str
-        A key of `MODELS`, an entry point of `GROUP`, or "package.module:Class".
+    ``name``: a key of `MODELS`, an entry point of `GROUP`, or "package.module:Class".
     """
     place = MODELS[name].made_by if name in MODELS else name
     if ":" not in place:

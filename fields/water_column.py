@@ -19,12 +19,9 @@ class WaterColumn(nn.Module):
     ``w`` is the way in water [m], R the Fresnel reflectance of unpolarised light at the crossing. Linear radiance.
     The veil builds up with the same coefficient as the light is lost, so that endless water shows the veil alone.
 
-    Parameters
-    ----------
-    absorption : (3,) floats [1/m], optional
-        Per channel, of the light's whole way in water, down and up. It is learned where it is not given.
-    veil : (3,) floats, optional
-        Linear radiance of endless water. It is learned where it is not given.
+    ``absorption`` (3,) floats [1/m], optional: per channel, of the light's whole way in water, down and up. It is
+    learned where it is not given. ``veil`` (3,) floats, optional: linear radiance of endless water. It is learned where
+    it is not given.
     """
 
     # Names of the buffers and parameters are those of stored fields. One of each pair is None.

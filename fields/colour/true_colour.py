@@ -62,14 +62,7 @@ def without_water(
 ) -> np.ndarray:
     """Linear radiance (N, 3) of the bed, 1 for white, from the stored values of photographs.
 
-    Parameters
-    ----------
-    rgb : (N, 3)
-        0 to 255.
-    depth : (N,) [m]
-    incidence : (N,) [rad]
-        In air.
-    n_water : [-]
+    ``rgb`` (N, 3): 0 to 255. ``depth`` (N,) [m]. ``incidence`` (N,) [rad]: in air. ``n_water`` [-].
     """
     cos_wet = np.sqrt(1.0 - (np.sin(incidence) / n_water) ** 2)
     mirrored = fresnel_coefficients(np.cos(incidence), n_from=1.0, n_to=n_water).reflectance

@@ -54,18 +54,9 @@ def explained_above(
 
     Only of a ``part`` of the rows and columns.
 
-    Parameters
-    ----------
-    slopes : (K, 2)
-        How far the rays of each photograph move over the ground with the height [m/m].
-    on_layer : Colours
-        At the cells.
-    on_trial : iterable of Colours
-        At the `trial_heights` over the layer.
-    members : (K, rows, columns) bool
-        Photographs that agree on each cell.
-    gsd : [m]
-        Side of a cell.
+    ``slopes`` (K, 2): how far the rays of each photograph move over the ground with the height [m/m]. ``on_layer``: at
+    the cells. ``on_trial``: at the `trial_heights` over the layer. ``members`` (K, rows, columns) bool: photographs
+    that agree on each cell. ``gsd`` [m]: side of a cell.
     """
     row, column = (each[part] for each in np.mgrid[: members.shape[1], : members.shape[2]])
     members = members[:, *part]

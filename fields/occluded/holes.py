@@ -102,10 +102,7 @@ def boxes_about(places: Iterable[np.ndarray], gsd: float) -> list[StepBox]:
 class BedLayer:
     """A smooth surface through the lowest points about a box.
 
-    Attributes
-    ----------
-    roughness : [m]
-        Standard deviation of the bed from it.
+    ``roughness`` [m]: standard deviation of the bed from it.
     """
 
     def __init__(self, box: StepBox, low: np.ndarray, is_bed: np.ndarray):

@@ -54,14 +54,8 @@ def find_occluded(
     smooth layer; where three photographs show the same colours on it, it is seen, and its height over the layer is
     that at which they agree best.
 
-    Parameters
-    ----------
-    maps : sequence of HeightMap
-        With the heights of the solver.
-    photograph : callable
-        RGB (height, width, 3) uint8 of a view by its number.
-    advance : callable
-        Gets the share of the work that is done since the last call.
+    ``maps``: with the heights of the solver. ``photograph``: RGB (height, width, 3) uint8 of a view by its number.
+    ``advance``: gets the share of the work that is done since the last call.
     """
     views = views_of(maps)
     places = (part for m in maps for part in step_places(block.cameras[m.view], block.water, m, known.gsd))

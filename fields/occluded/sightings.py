@@ -69,12 +69,8 @@ def sighting_of(
 ) -> Sighting | None:
     """Sighting of holes and the layer about them in a photograph; None where too little of them is seen.
 
-    Parameters
-    ----------
-    height_map : HeightMap
-        Of the photograph.
-    rgb, known : (height, width, 3) uint8, (height, width) bool
-        The photograph, and its pixels that are not masked.
+    ``height_map``: of the photograph. ``rgb``, ``known`` (height, width, 3) uint8, (height, width) bool: the
+    photograph, and its pixels that are not masked.
     """
     camera, water, reach = block.cameras[height_map.view], block.water, _REACH_GSD * holes.gsd
     points = holes.points.reshape(-1, 3)
@@ -119,12 +115,8 @@ def _visibility(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`Sighting.is_hidden`, `is_shown` and `near_obstacle`, by the height map of the photograph.
 
-    Parameters
-    ----------
-    at : two of (N,) int
-        Row and column of each cell in the height map.
-    inside, over : (N,) bool, (N,) [m]
-        Cells in the photograph, and the height of the map over the layer there.
+    ``at``: two of (N,) int, row and column of each cell in the height map. ``inside``, ``over`` (N,) bool, (N,) [m]:
+    cells in the photograph, and the height of the map over the layer there.
     """
     shape, gsd = holes.shape, holes.gsd
     raised = (inside & (over > _ABOVE_GSD * gsd)).reshape(shape).astype(np.uint8)

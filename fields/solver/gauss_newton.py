@@ -135,14 +135,8 @@ def solve(
 ) -> TileSolution:
     """Heights of a tile by least squares over all photographs that see it.
 
-    Parameters
-    ----------
-    images : (height, width) float32, by view
-        Grey levels; NaN where masked.
-    roughness : [m]
-        Scale of the second differences of the bed.
-    tolerance : [m]
-        The largest change in one step.
+    ``images`` (height, width) float32, by view: grey levels; NaN where masked. ``roughness`` [m]: scale of the second
+    differences of the bed. ``tolerance`` [m]: the largest change in one step.
     """
     differences, height = second_differences_of(tile), start.height
     appearance: Appearance | None = None
@@ -246,15 +240,8 @@ def conjugate_gradients(
 ) -> np.ndarray:
     """Solution x (N,) of A x = b by preconditioned conjugate gradients (Nocedal and Wright 2006, algorithm 5.3).
 
-    Parameters
-    ----------
-    matrix : x -> A x
-    right : (N,)
-        b.
-    diagonal : (N,)
-        Of A: the Jacobi preconditioner.
-    tolerance : float
-        Norm of the preconditioned residual, relative to the start, at which it ends.
+    ``matrix``: x -> A x. ``right`` (N,): b. ``diagonal`` (N,): of A: the Jacobi preconditioner. ``tolerance``: norm of
+    the preconditioned residual, relative to the start, at which it ends.
     """
     x, residual = np.zeros_like(right), right.copy()
     preconditioned = residual / diagonal

@@ -107,13 +107,8 @@ def roughness_of(samples: list[tuple[SolverTile, TileSolution]], gsd: float, poo
     Where that is the best itself, it is the least of a parabola through the best and its neighbours, so that the scale
     does not jump by a step where two of them are as good.
 
-    Parameters
-    ----------
-    samples : tiles that were solved with `START_GSD` times the ground sampling distance
-    gsd : [m]
-        Ground sampling distance.
-    pool : Executor
-        Solves the samples side by side.
+    ``samples``: tiles that were solved with `START_GSD` times the ground sampling distance. ``gsd`` [m]: ground
+    sampling distance. ``pool``: solves the samples side by side.
     """
     split = [(tile, solved, split_halves(solved)) for tile, solved in samples]
     known: dict[int, np.ndarray] = {}
@@ -174,13 +169,8 @@ def _prediction_errors(
 def spectral_slope_of(samples: list[tuple[SolverTile, TileSolution]], roughness: float, response: float) -> float:
     """Spectral slope of the bed: the exponent of its power over frequency in `fields.solver.uncertainty`.
 
-    Parameters
-    ----------
-    samples : solved tiles, with the stiffness of any roughness
-    roughness : [m]
-        With which the survey is solved.
-    response : float
-        Median gradient response, `fields.solver.noise.median_response`.
+    ``samples``: solved tiles, with the stiffness of any roughness. ``roughness`` [m]: with which the survey is solved.
+    ``response``: median gradient response, `fields.solver.noise.median_response`.
     """
     parts = [_smoothing_changes(tile, _with_roughness(solved, roughness), response) for tile, solved in samples]
     log_ratio = np.concatenate([each.log_ratio for each in parts])

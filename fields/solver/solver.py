@@ -119,29 +119,11 @@ def solve_maps(
 ) -> tuple[OrderedMaps, VisibilityCounts, Waves | None]:
     """Solve the kept pixels of all maps, about the heights of the sweep; some keep these (`rejects_update`).
 
-    Parameters
-    ----------
-    block : Block
-        At the scale of the maps.
-    kept : sequence of (height, width) bool
-        As `fields.sweep.bed.unique_pixels` gives.
-    figures : SolverFigures
-        Of the survey; None only where no pixel is kept.
-    gsd : [m]
-        Ground sampling distance.
-    progress : called with the share done, 0 to 1
-    make_store : callable
-        Factory of the store of the solutions; default in memory.
-    waves : Waves
-        Surfaces of the water that were found before.
-
-    Returns
-    -------
-    OrderedMaps of SolvedMap, in the order of `maps`
-    VisibilityCounts
-        Of all points in all photographs.
-    Waves
-        Surfaces of the water; None where it is still.
+    ``block``: at the scale of the maps. ``kept``: sequence of (height, width) bool, as `fields.sweep.bed.unique_pixels`
+    gives. ``figures``: of the survey; None only where no pixel is kept. ``gsd`` [m]: ground sampling distance.
+    ``progress``: called with the share done, 0 to 1. ``make_store``: factory of the store of the solutions; default in
+    memory. ``waves``: surfaces of the water that were found before. Returns OrderedMaps of SolvedMap, in the order of
+    `maps`; VisibilityCounts: of all points in all photographs; Waves: surfaces of the water; None where it is still.
     """
     views, visibility = replace(Views.of(block, maps), waves=waves), VisibilityCounts.none(len(block.images))
     solved, total, done = make_store(), 0, 0

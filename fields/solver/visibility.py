@@ -214,9 +214,7 @@ class Projector:
 
     Dr.Jit is not meant for several threads: only one may use it, the one that made it.
 
-    Parameters
-    ----------
-    cameras : by number
+    ``cameras``: by number.
     """
 
     def __init__(self, device: Device, cameras: Mapping[int, PinholeCamera], water: FlatWater | None):

@@ -104,9 +104,7 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
     drops wrong ones (`fields.sweep.planes`). So are pixels beneath overhangs (`fields.sweep.map_points`), where one
     confirming view is enough.
 
-    Returns
-    -------
-    Masks (height, width), in the order of `maps`
+    Returns Masks (height, width), in the order of `maps`.
     """
     chosen = views_of(maps)
     cameras = [block.cameras[view] for view in chosen]
@@ -149,12 +147,7 @@ def is_supported(height: np.ndarray, confirmed: np.ndarray, tolerance: float) ->
     A check for heights that only one other view can confirm: two photographs, of which a moving surface or a repeating
     texture may give the same wrong height to single windows, but not to a whole neighbourhood.
 
-    Parameters
-    ----------
-    height : (height, width) [m]
-    confirmed : (height, width) bool
-    tolerance : [m]
-        Within which heights agree.
+    ``height`` (height, width) [m]. ``confirmed`` (height, width) bool. ``tolerance`` [m]: within which heights agree.
     """
     radius = _SUPPORT_PX // 2
     known = np.pad(np.where(confirmed, height, np.nan).astype(np.float32), radius, constant_values=np.nan)

@@ -32,12 +32,8 @@ class Overlap:
 
     Raises ValueError if no camera looks down.
 
-    Parameters
-    ----------
-    height : [m]
-        Rough height of the bed over the water plane (over local z = 0 in a dry survey): overlap is judged there.
-    ground : (x0, y0, x1, y1) [m], local, optional
-        Where overlap counts; by default everywhere.
+    ``height`` [m]: rough height of the bed over the water plane (over local z = 0 in a dry survey): overlap is judged
+    there. ``ground`` (x0, y0, x1, y1) [m], local, optional: where overlap counts; by default everywhere.
     """
 
     def __init__(
@@ -123,16 +119,10 @@ class Block(Overlap):
 
     Raises ValueError if fewer than two views are given, or none looks down.
 
-    Parameters
-    ----------
-    cameras : list of PinholeCamera
-        All of the images' size; smaller images are padded with NaN, as are masked and saturated pixels.
-    images : (height, width) float32 each
-        Grey levels about zero; read once and kept as `GreyImages`.
-    water, height, ground :
-        As `Overlap`.
-    saturated : tuple of float
-        Share of each photograph that is masked as saturated; empty where it was not measured.
+    ``cameras``: all of the images' size; smaller images are padded with NaN, as are masked and saturated pixels.
+    ``images`` (height, width) float32 each: grey levels about zero; read once and kept as `GreyImages`. ``water``,
+    ``height``, ``ground``: as `Overlap`. ``saturated``: share of each photograph that is masked as saturated; empty
+    where it was not measured.
     """
 
     def __init__(

@@ -29,15 +29,10 @@ def search_discontinuities(
 ) -> Job[Found]:
     """Height, score and curvature of a pass, with those of the search where heights around differ.
 
-    Parameters
-    ----------
-    reference : Reference
-        Of the pass; the windows are those of the search.
-    found : height [m], score, curvature [1/m^2], (height, width) float32 each
-    parallax : [px/m]
-        At the scale of the stack, per metre of height.
-    matched : (height, width) bool, optional
-        Pixels that are searched: those that were matched, of a view of which parts were not.
+    ``reference``: of the pass; the windows are those of the search. ``found``: height [m], score, curvature [1/m^2],
+    (height, width) float32 each. ``parallax`` [px/m]: at the scale of the stack, per metre of height. ``matched``
+    (height, width) bool, optional: pixels that are searched: those that were matched, of a view of which parts were
+    not.
     """
     stack, height, score = reference.stack, found[0], found[1]
     typical = median(score) if matched is None else median_above(score, -1.0)
@@ -92,21 +87,10 @@ def wall_slopes(
     The foot of the wall is normal to the gradient of the height map, and its face lies along the image of the plumb
     line: both define its plane.
 
-    Parameters
-    ----------
-    gradients : (rows, columns, 2)
-        Direction in which the heights of each tile rise, of any length: `fields.sweep.images.tile_gradients`.
-    extent : (rows, columns) each [m]
-        Lowest and highest height of the tiles.
-    size : [px]
-        Of a tile.
-    width_px : [px]
-        Walls are seen so wide, or left out.
-
-    Returns
-    -------
-    (rows, columns, 2) float [m/px]
-        Of each tile of `fields.sweep.tiles`; NaN where no wall faces the view.
+    ``gradients`` (rows, columns, 2): direction in which the heights of each tile rise, of any length:
+    `fields.sweep.images.tile_gradients`. ``extent`` (rows, columns) each [m]: lowest and highest height of the tiles.
+    ``size`` [px]: of a tile. ``width_px`` [px]: walls are seen so wide, or left out. Returns (rows, columns, 2) float
+    [m/px]: of each tile of `fields.sweep.tiles`; NaN where no wall faces the view.
     """
     length = np.linalg.norm(gradients, axis=-1)
     facing = np.argwhere(np.isfinite(extent[0]) & (length > 0.0))

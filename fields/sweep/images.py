@@ -82,14 +82,9 @@ def put_strip(
 ) -> None:
     """Copy the wanted rows and columns of a strip's results into a flat image of ``width`` columns.
 
-    Parameters
-    ----------
-    part : (rows, columns)
-        The wanted ones, in the image.
-    strip : slice
-        Columns of the image that the strip spans.
-    radius : [px]
-        Of the windows: results begin with the first whole one, so many pixels into the first of the wanted rows.
+    ``part`` (rows, columns): the wanted ones, in the image. ``strip``: columns of the image that the strip spans.
+    ``radius`` [px]: of the windows: results begin with the first whole one, so many pixels into the first of the wanted
+    rows.
     """
     image = np.pad(result, radius).reshape(-1, strip.stop - strip.start)
     columns = part[1]

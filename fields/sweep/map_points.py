@@ -263,13 +263,8 @@ def _number(column: np.ndarray, row: np.ndarray) -> np.ndarray:
 def without_ghosts(block: Block, maps: Sequence[HeightMap], kept: Masks, gsd: float) -> Masks:
     """Pixels ``kept`` of each map less those beneath others that are ghosts.
 
-    Parameters
-    ----------
-    maps : sequence of HeightMap
-        With the heights of the solver: they tell ghosts apart better than those of the sweep.
-    kept : Masks (height, width), in the order of `maps`
-    gsd : [m]
-        Ground sampling distance.
+    ``maps``: with the heights of the solver: they tell ghosts apart better than those of the sweep. ``kept``: masks
+    (height, width), in the order of `maps`. ``gsd`` [m]: ground sampling distance.
     """
     cameras = [block.cameras[view] for view in views_of(maps)]
     shapes = [(camera.height, camera.width) for camera in cameras]
@@ -295,12 +290,8 @@ def are_off_surface(
 ) -> np.ndarray:
     """Points (N, 3) that stand off a flat piece of those about them, which far more maps match: (N,) bool.
 
-    Parameters
-    ----------
-    points, about : (N, 3), (M, 3)
-        In ground sampling distances.
-    matching, matching_about : (N,), (M,)
-        Number of other maps that match them.
+    ``points``, ``about`` (N, 3), (M, 3): in ground sampling distances. ``matching``, ``matching_about`` (N,), (M,):
+    number of other maps that match them.
     """
     is_surface = matching_about >= _WELL_MATCHED
     surface, of_surface = about[is_surface].astype(np.float64), matching_about[is_surface]

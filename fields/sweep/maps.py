@@ -49,9 +49,7 @@ StoreFactory = Callable[[], Maps]
 class MemoryBudget:
     """Memory budget that several stores share.
 
-    Attributes
-    ----------
-    left : bytes that are not taken
+    ``left``: bytes that are not taken.
     """
 
     def __init__(self, num_bytes: int):
@@ -61,9 +59,7 @@ class MemoryBudget:
 class OrderedMaps(Sequence):
     """Sequence of maps in the order of given views, each read when it is asked for.
 
-    Attributes
-    ----------
-    views : list of int
+    ``views``: list of int.
     """
 
     def __init__(self, maps: MutableMapping[int, Any], views: list[int]):
@@ -168,15 +164,9 @@ def height_std(
     of a window, which are its noise and the relief that windows flatten. Noise is in both: the larger one counts. Added
     is the disagreement of views that see another height there: they agree near the pixel, but not with it.
 
-    Parameters
-    ----------
-    height, agreeing, spread : (height, width)
-        As `HeightMap` has them.
-    tolerance : [m]
-        Heights of views that differ by less agree.
-    num_comparable : (height, width), optional
-        Number of views that may see another height there; by default all. A photograph that is masked or white there
-        shows none (`fields.sweep.fusion.num_comparable`).
+    ``height``, ``agreeing``, ``spread`` (height, width): as `HeightMap` has them. ``tolerance`` [m]: heights of views
+    that differ by less agree. ``num_comparable`` (height, width), optional: number of views that may see another height
+    there; by default all. A photograph that is masked or white there shows none (`fields.sweep.fusion.num_comparable`).
     """
     views = agreeing.astype(np.float32) + 1.0
     confirmed = views > 1.0

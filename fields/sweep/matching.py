@@ -65,20 +65,11 @@ class Reference:
 def match_view(reference: Reference, hypotheses: Hypotheses, columns: np.ndarray | None = None) -> Job[Found]:
     """Best height of each pixel of a view among its hypotheses.
 
-    Parameters
-    ----------
-    hypotheses : Hypotheses
-        With a ``start`` of the shape of the image.
-    columns : (height, 2) int, optional
-        First column, and the one after the last, in which each row is wanted; equal ones where none is. The others are
-        as if no window were complete.
-
-    Returns
-    -------
-    height [m], score [-], curvature [1/m^2] : each (height, width) float32
-        Where no window is complete (at the image's edge, by masked pixels, out of sight of the neighbours) the score
-        is -1 and the curvature 0. There, and where there is no texture, the height is that of the nearest matched
-        pixel.
+    ``hypotheses``: with a ``start`` of the shape of the image. ``columns`` (height, 2) int, optional: first column, and
+    the one after the last, in which each row is wanted; equal ones where none is. The others are as if no window were
+    complete. Returns height [m], score [-], curvature [1/m^2] each (height, width) float32: where no window is complete
+    (at the image's edge, by masked pixels, out of sight of the neighbours) the score is -1 and the curvature 0. There,
+    and where there is no texture, the height is that of the nearest matched pixel.
     """
     stack, view, radius, start = reference.stack, reference.view, reference.radius, hypotheses.start
     width, height = stack.width_of(view), stack.height_of(view)

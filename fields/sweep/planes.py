@@ -56,16 +56,9 @@ _ROWS = 64
 def extrapolate_planes(height: np.ndarray, known: np.ndarray, tolerance: float) -> np.ndarray:
     """Heights with unknown ones taken from the plane through the known ones around, where these lie in one.
 
-    Parameters
-    ----------
-    height : (height, width) float32 [m]
-    known : (height, width) bool
-    tolerance : [m]
-        Known heights lie in a plane if they leave it (rms) by less. Beside an edge they do not, and nothing is changed.
-
-    Returns
-    -------
-    (height, width) float32 [m]
+    ``height`` (height, width) float32 [m]. ``known`` (height, width) bool. ``tolerance`` [m]: known heights lie in a
+    plane if they leave it (rms) by less. Beside an edge they do not, and nothing is changed. Returns (height, width)
+    float32 [m].
     """
     found, halo = height.copy(), SIDE_PX // 2
     for first in range(0, len(height), _ROWS):

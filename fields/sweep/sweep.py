@@ -59,17 +59,10 @@ def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]
 
     Raises ValueError if too few pixels match.
 
-    Parameters
-    ----------
-    limits : (low, high) [m]
-        Range of heights searched.
-
-    Returns
-    -------
-    (low, high) [m]
-        The 0.5 and 99.5 % quantiles of the heights that match well and continue around, without those that are no
-        more frequent than chance, widened by a quarter of their distance and one step. The limits themselves, where
-        thumbnails resolve too few heights between them.
+    ``limits`` (low, high) [m]: range of heights searched. Returns (low, high) [m]: the 0.5 and 99.5 % quantiles of the
+    heights that match well and continue around, without those that are no more frequent than chance, widened by a
+    quarter of their distance and one step. The limits themselves, where thumbnails resolve too few heights between
+    them.
     """
     scale = min(1.0, THUMBNAIL_PX / block.cameras[0].width)
     stack = block.stack(scale)
@@ -132,18 +125,10 @@ def sweep(
 ) -> OrderedMaps:
     """Sweep the chosen views, coarse to fine.
 
-    Parameters
-    ----------
-    chosen : indices of the views that get a height map
-    progress : called with the share done, 0 to 1
-        Number of samples (pixels x hypotheses x compared views) of all passes, which take nearly all of the time.
-    make_store : callable
-        Factory of the stores of maps between passes; default in memory.
-
-    Returns
-    -------
-    OrderedMaps of HeightMap at the scale of the last pass, in the order of `chosen`
-        Views that overlap with no other are left out.
+    ``chosen``: indices of the views that get a height map. ``progress``: called with the share done, 0 to 1, number of
+    samples (pixels x hypotheses x compared views) of all passes, which take nearly all of the time. ``make_store``:
+    factory of the stores of maps between passes; default in memory. Returns OrderedMaps of HeightMap at the scale of
+    the last pass, in the order of `chosen`: views that overlap with no other are left out.
     """
     maps = make_store()
     work = [view_passes(block, chosen, p, None if n else settings.bound) for n, p in enumerate(settings.passes)]
@@ -163,15 +148,8 @@ def sweep(
 class _Sweep:
     """State of a sweep from pass to pass: window radii, parts to refine, and the share of samples that is done.
 
-    Parameters
-    ----------
-    work : views that take part in each pass
-    peers : the views that confirm the heights of each view
-
-    Attributes
-    ----------
-    views : of each pass, as sets
-    fused : number of samples that fusion after each pass takes; 0 where there is none
+    ``work``: views that take part in each pass. ``peers``: the views that confirm the heights of each view. ``views``:
+    of each pass, as sets. ``fused``: number of samples that fusion after each pass takes; 0 where there is none.
     """
 
     def __init__(

@@ -190,13 +190,8 @@ def columns_seeing_area(
 ) -> np.ndarray:
     """First column, and the one after the last, in which each row may see the area, (height, 2) int; none: equal ones.
 
-    Parameters
-    ----------
-    area : (x0, y0, x1, y1) [m], local
-    bound : (low, high) [m] over the water plane
-        In which the bed lies.
-    radius : [px]
-        Of the window about a pixel.
+    ``area`` (x0, y0, x1, y1) [m], local. ``bound`` (low, high) [m] over the water plane: in which the bed lies.
+    ``radius`` [px]: of the window about a pixel.
     """
     seen = camera.project(outline_of(area, water, bound), water)
     if not np.isfinite(seen).all():  # a part of the area is behind the camera
@@ -217,14 +212,8 @@ def columns_over_area(
 ) -> np.ndarray:
     """Columns with pixels that see the area at heights (height, width) [m] of a map, or around them.
 
-    Parameters
-    ----------
-    camera : PinholeCamera
-        Of full size.
-    shape : (height, width) [px]
-        Of the image whose columns are wanted; the map may be smaller.
-    rays_of : callable
-        `CornerRays` of the camera for so many rows and columns of squares.
+    ``camera``: of full size. ``shape`` (height, width) [px]: of the image whose columns are wanted; the map may be
+    smaller. ``rays_of``: `CornerRays` of the camera for so many rows and columns of squares.
     """
     low, high, side = extremes_of_squares(camera, height)
     meets = squares_over_area(rays_of(low.shape), area, low, high)

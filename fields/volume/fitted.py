@@ -39,12 +39,7 @@ SAMPLES = 48
 def appearance_vectors(photographs: int, length: int) -> nn.Embedding:
     """Vectors of ``length`` numbers, all zero: every photograph begins with the same appearance.
 
-    Parameters
-    ----------
-    photographs : int
-        How many there are; `Paths.view` counts them from 0.
-    length : int
-        As ``appearance`` of the volume.
+    ``photographs``: how many there are; `Paths.view` counts them from 0. ``length``: as ``appearance`` of the volume.
     """
     vectors = nn.Embedding(photographs, length)
     nn.init.zeros_(vectors.weight)
@@ -65,17 +60,8 @@ def match_appearance(
     Appearance matching of a submodule to its neighbour in the NeRF of tidal flats: about 100 steps, from the mean of
     the volume's own vectors. Raises ValueError if the renderer has no appearance vectors.
 
-    Parameters
-    ----------
-    photographs : Photographs
-        Of the same place, not those that it was trained with.
-    cells : Cells
-        The proxy that training left.
-
-    Returns
-    -------
-    nn.Embedding
-        A vector for each of the photographs; give it to the renderer as its ``appearance`` to see it with them.
+    ``photographs``: of the same place, not those that it was trained with. ``cells``: the proxy that training left.
+    Returns a vector for each of the photographs; give it to the renderer as its ``appearance`` to see it with them.
     """
     rng, count = np.random.default_rng(seed), len(photographs.cameras)
     return fitted_vectors(
@@ -150,10 +136,7 @@ class Visibility(nn.Module):
     def of_view(self, camera: PinholeCamera, water: WaterSurface | None, cells: Cells) -> float:
         """Mean visibility of the volume in the picture of a camera, 0 where its paths miss the box.
 
-        Parameters
-        ----------
-        cells : Cells
-            The proxy of the volume.
+        ``cells``: the proxy of the volume.
         """
         paths = coarse_paths(camera, water, self.box)
         samples = cells.samples(paths, VIEW_SAMPLES, jitter=False)

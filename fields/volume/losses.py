@@ -228,16 +228,8 @@ def normal_prior_loss(paths: Paths, normals: Tensor) -> Tensor:
 def fit_views(terms: Tensor, target: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
     """Least squares of ``target = a terms[0] + b terms[1]`` for each view, by its normal equations in float64.
 
-    Parameters
-    ----------
-    terms, target, view : (N, 2), (N,), (N,) int64
-
-    Returns
-    -------
-    (a, b) : (N, 2)
-        Of the view of each row, dtype of `target`.
-    fitted : (N,) bool
-        The view has enough rows, and they separate scale from shift.
+    ``terms``, ``target``, ``view`` (N, 2), (N,), (N,) int64. Returns ``(a, b)`` (N, 2): of the view of each row, dtype
+    of `target`; ``fitted`` (N,) bool: the view has enough rows, and they separate scale from shift.
     """
     views, index = torch.unique(view, return_inverse=True)
     t, y = terms.double(), target.double()

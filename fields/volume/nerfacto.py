@@ -42,13 +42,8 @@ PER_LEVEL = 2
 class HashGrid(nn.Module):
     """Features (2 a level) of positions in a box, drawn from torch's generator.
 
-    Parameters
-    ----------
-    box : Box
-    levels, log2_table : int
-        L and T.
-    n_min, n_max : int
-        Cells along the longest edge at the coarsest and the finest level.
+    ``levels``, ``log2_table``: L and T. ``n_min``, ``n_max``: cells along the longest edge at the coarsest and the
+    finest level.
     """
 
     cells: Tensor

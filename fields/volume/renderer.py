@@ -47,19 +47,11 @@ class Rendered:
 class VolumeRenderer(nn.Module):
     """A volume with all that its rendering needs: optionally a water column, appearance vectors and a background.
 
-    Parameters
-    ----------
-    model : VolumeModel
-    column : WaterColumn or None
-        What the water does to light; None for a dry one.
-    appearance : nn.Embedding or None
-        A vector for each photograph.
-    background : nn.Module or None
-        Linear radiance (N, 3) of what lies behind the box, from `Paths`; None where every path ends in the box: light
-        that passed all samples but the last came from there. (Over black, density would grow everywhere at first,
-        because that is the quickest way to a bright picture, and stay as a wall before the cameras.)
-    proposal : Proposal or None
-        What draws the samples, in place of the occupied cells.
+    ``column``: what the water does to light; None for a dry one. ``appearance``: a vector for each photograph.
+    ``background``: linear radiance (N, 3) of what lies behind the box, from `Paths`; None where every path ends in the
+    box: light that passed all samples but the last came from there. (Over black, density would grow everywhere at
+    first, because that is the quickest way to a bright picture, and stay as a wall before the cameras.) ``proposal``:
+    what draws the samples, in place of the occupied cells.
     """
 
     RATE = 0.001

@@ -45,15 +45,9 @@ def inverse_cdf(bin_edges: Tensor, mass: Tensor, level: Tensor) -> Tensor:
 def samples_by_mass(bin_edges: Tensor, mass: Tensor, num: int, jitter: bool, *, dense: bool) -> Samples:
     """``num`` samples a path, distributed over the bins by their mass.
 
-    Parameters
-    ----------
-    bin_edges, mass : (N, B + 1) [m], (N, B)
-        A path without mass is sampled evenly.
-    jitter : bool
-        Shift all samples of a path by the same random share of a step.
-    dense : bool
-        Bins without mass are part of the volume (proposal sampling); else they are empty, and a piece counts the length
-        of the bins with mass that it covers.
+    ``bin_edges``, ``mass`` (N, B + 1) [m], (N, B): a path without mass is sampled evenly. ``jitter``: shift all samples
+    of a path by the same random share of a step. ``dense``: bins without mass are part of the volume (proposal
+    sampling); else they are empty, and a piece counts the length of the bins with mass that it covers.
     """
     mass = torch.where(mass.sum(dim=1, keepdim=True) > 0.0, mass, torch.ones_like(mass))
     levels = torch.arange(num + 1, dtype=mass.dtype, device=mass.device) / num
@@ -185,11 +179,8 @@ def composite(weights: Tensor, radiance_of: Callable[[Tensor], Tensor], opacity:
 def quantile_height(weights: Tensor, edges: Tensor, level: float = 0.5) -> Tensor:
     """Height [m] at which the accumulated weight of each ray passes a level of its total; linear inside an interval.
 
-    Parameters
-    ----------
-    weights : (rays, samples)
-    edges : (rays, samples + 1) [m]
-        Heights of the intervals' ends, in the order of travel.
+    ``weights`` (rays, samples). ``edges`` (rays, samples + 1) [m]: heights of the intervals' ends, in the order of
+    travel.
     """
     total = torch.cumsum(weights, dim=1)
     target = level * total[:, -1:]

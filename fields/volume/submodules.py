@@ -134,10 +134,7 @@ def render_submodules(
 ) -> VolumeImage:
     """Image of submodules by a camera, blended by their weights as in equation (1).
 
-    Parameters
-    ----------
-    submodules : iterable of (weight, Submodule)
-        Those that the view has, one of which is rendered at a time.
+    ``submodules``: iterable of (weight, Submodule), those that the view has, one of which is rendered at a time.
     """
     blend = Blend(camera, grid)
     for weight, submodule in submodules:
@@ -243,10 +240,7 @@ def matched_vector(
 
     All else of both is unchanged. Raises ValueError if the submodule has no vectors.
 
-    Parameters
-    ----------
-    source : Submodule
-        One whose renderer has a single vector: the appearance to match.
+    ``source``: one whose renderer has a single vector: the appearance to match.
     """
     rng, place = np.random.default_rng(0), target.renderer.model.place
     source_cells = source.cells.to(place)

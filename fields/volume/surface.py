@@ -41,10 +41,7 @@ def distance_of(rendered: Rendered, rule: Rule, density: float) -> Tensor:
 
     The last sample of a path is opaque where nothing lies behind the box (`with_opaque_end`): it is no surface.
 
-    Parameters
-    ----------
-    density : [1/m]
-        Of ``Rule.density``.
+    ``density`` [1/m]: of ``Rule.density``.
     """
     samples, weights = rendered.samples, rendered.weights
     if rule is Rule.median:
@@ -76,16 +73,8 @@ def surface_of(
 ) -> Surface:
     """The surface of a volume in cells of a side [m], from all pixels of the photographs that show it.
 
-    Parameters
-    ----------
-    cells : Cells
-        The proxy of the volume.
-    samples : int
-        Of each path.
-    side : [m]
-    rule, density : as `distance_of`
-    advance : callable
-        Called after each photograph.
+    ``cells``: the proxy of the volume. ``samples``: of each path. ``side`` [m]. ``rule``, ``density``: as
+    `distance_of`. ``advance``: called after each photograph.
     """
     parts, cells = [], cells.to(renderer.model.place)
 

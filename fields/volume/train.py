@@ -83,22 +83,11 @@ def train_volume(
 ) -> tuple[Cells, VolumeFigures]:
     """Fit a volume and its surroundings to photographs.
 
-    Parameters
-    ----------
-    progress : callable
-        Called after each step with the share done and the errors of all steps.
-    cells : Cells or None
-        Where surfaces may be at first (of the sweep, or of points of structure from motion); None: anywhere in the box.
-    checkpoints : Checkpoints or None
-        A training that goes on from one computes what it would have computed without the interruption.
-    held : Photographs or None
-        Photographs held out, whose prediction is followed.
-
-    Returns
-    -------
-    cells : Cells
-        The proxy, taken from the field itself.
-    figures : VolumeFigures
+    ``progress``: called after each step with the share done and the errors of all steps. ``cells``: where surfaces may
+    be at first (of the sweep, or of points of structure from motion); None: anywhere in the box. ``checkpoints``: a
+    training that goes on from one computes what it would have computed without the interruption. ``held``: photographs
+    held out, whose prediction is followed. Returns ``cells`` Cells: the proxy, taken from the field itself; ``figures``
+    VolumeFigures.
     """
     torch.manual_seed(seed)
     box = renderer.model.box

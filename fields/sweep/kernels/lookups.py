@@ -110,10 +110,8 @@ def compare_heights(
 ) -> tuple[Any, Any, Any]:
     """Height differences to the peers: each pixel of `view`, or some (flat indices), projected at its own height.
 
-    Returns
-    -------
-    count, total, square : (P) each
-        Of the differences [m] (the peer's height there, bilinear, less the own one) that are below `tolerance` [m].
+    Returns count, total, square (P) each: of the differences [m] (the peer's height there, bilinear, less the own one)
+    that are below `tolerance` [m].
     """
     if pixels is None:
         rays, own_height = rays_of_rows(stack, view, 0, stack.height_of(view)), stack.pixels[view]

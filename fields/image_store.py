@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable, Sequence
-from threading import Lock
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,35 +13,10 @@ if TYPE_CHECKING:
 
 # Images in float32 that are kept, in bytes, or so many.
 _KEPT_BYTES, _FEWEST_KEPT = 30_000_000, 2
-Key = TypeVar("Key", bound=Hashable)
-Value = TypeVar("Value")
 # sRGB-like photographs are linear in light to the power of 2.2.
 GAMMA = 2.2
 # Clamp, darker than any photograph resolves: below it the derivative of the gamma curve diverges.
 DARKEST = 1e-4
-
-
-class LruCache(Generic[Key, Value]):
-    """Least-recently-used cache of values by key, safe for threads; two may compute the same value.
-
-    ``make``: the value of a key. ``most``: how many are kept, those that were read last.
-    """
-
-    def __init__(self, make: Callable[[Key], Value], most: int):
-        self._make, self.most, self._lock = make, most, Lock()
-        self._values: OrderedDict[Key, Value] = OrderedDict()
-
-    def __getitem__(self, key: Key) -> Value:
-        with self._lock:
-            if key in self._values:
-                self._values.move_to_end(key)
-                return self._values[key]
-        value = self._make(key)
-        with self._lock:
-            self._values[key] = value
-            while len(self._values) > self.most:
-                self._values.popitem(last=False)
-        return value
 
 
 class LazyImages(Sequence):
@@ -55,7 +29,7 @@ class LazyImages(Sequence):
     def __init__(self, make: Callable[[int], np.ndarray], count: int, shape: tuple[int, ...], most: int | None = None):
         most = num_cached(4 * int(np.prod(shape)), _KEPT_BYTES, _FEWEST_KEPT) if most is None else most
         self.shape, self._count = shape, count
-        self._made: LruCache[int, np.ndarray] = LruCache(make, most)
+        self._made = lru_cache(most)(make)
 
     def __len__(self) -> int:
         return self._count
@@ -64,7 +38,7 @@ class LazyImages(Sequence):
         """The image of a number."""
         if not 0 <= number < self._count:
             raise IndexError(f"there are {self._count} images, got number {number}")
-        return self._made[number]
+        return self._made(number)
 
 
 def num_cached(num_bytes: int, budget: int, fewest: int) -> int:

@@ -381,7 +381,7 @@ def test_nothing_kept_is_nothing_solved():
     assert count_in_squares(block, maps, nothing) == [[]] * 9
     found, visibility, _ = solve_maps(block, maps, nothing, None, GSD, lambda share: None)
     assert [len(each.pixels) for each in found] == [0] * 9
-    assert not visibility.seen.any()
+    assert not visibility.any()
 
 
 def test_a_position_outside_an_image_takes_no_value_from_those_beside_it(rng):
@@ -406,14 +406,14 @@ def test_tiles_seen_together_are_seen_as_each_alone(device):
     """Also where only some of them are in another photograph."""
     cameras = {0: camera(0.0, 0.0), 1: camera(0.4 * SIZE * GSD, 0.0), 2: camera(0.0, 0.3)}
     heights = np.full((SIZE, SIZE), -DEPTH, dtype=np.float32) + np.linspace(0.0, 0.1, SIZE, dtype=np.float32)
-    maps = dict.fromkeys(cameras, Occluder(heights, heights < -1.95))
+    occluder = dict.fromkeys(cameras, Occluder(heights, heights < -1.95)).get
     wanted = np.random.default_rng(4).random((SIZE, SIZE)) < 0.7
     tiles = list(tiles_of(wanted, np.ones_like(wanted), 30))
     projector = Projector(device, cameras, WATER)
-    together = project_tiles(tiles, 0, (1, 2), maps, projector, 0.01)
+    together = project_tiles(tiles, 0, (1, 2), occluder, projector, 0.01)
     assert {tuple(projected.views) for projected in together} == {(0, 2), (0, 1, 2)}
     for tile, projected in zip(tiles, together, strict=True):
-        (alone,) = project_tiles([tile], 0, (1, 2), maps, projector, 0.01)
+        (alone,) = project_tiles([tile], 0, (1, 2), occluder, projector, 0.01)
         assert alone.views == projected.views
         for name in ("position", "rise", "motion", "seen"):
             np.testing.assert_array_equal(getattr(alone, name), getattr(projected, name))

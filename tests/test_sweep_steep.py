@@ -12,9 +12,16 @@ from fields.image_store import Masks
 from fields.sweep.kernels.arrays import floats
 from fields.sweep.kernels.lookups import vote_on_points
 from fields.sweep.kernels.stack import ViewStack
-from fields.sweep.map_points import add_points_beneath, are_off_surface, pixels_beside_steps, without_ghosts
+from fields.sweep.map_points import (
+    SteepPixels,
+    add_points_beneath,
+    are_off_surface,
+    filter_steep_pixels,
+    pixels_beside_steps,
+    thin_out,
+    without_ghosts,
+)
 from fields.sweep.maps import HeightMap
-from fields.sweep.planes import SteepPixels, filter_steep_pixels, thin_out
 
 SHAPE, HEIGHT, GSD = SIZE[::-1], -2.0, 0.02
 PIXEL = SHAPE[0] // 2, SHAPE[1] // 2

@@ -34,7 +34,7 @@ from fields.solver.uncertainty import (
     subpixel_relief,
 )
 from fields.solver.views import WORKERS, TileTask, Views
-from fields.solver.visibility import VisibilityCounts
+from fields.solver.visibility import visibility_counts
 from fields.sweep.block import Block
 from fields.sweep.kernels.arrays import sharing_cores
 from fields.sweep.maps import HeightMap, OrderedMaps, small_sample_factor, views_of
@@ -116,16 +116,16 @@ def solve_maps(
     progress: Callable[[float], None],
     make_store: Callable[[], MutableMapping[int, SolvedMap]] = dict,
     waves: Waves | None = None,
-) -> tuple[OrderedMaps, VisibilityCounts, Waves | None]:
+) -> tuple[OrderedMaps, np.ndarray, Waves | None]:
     """Solve the kept pixels of all maps, about the heights of the sweep; some keep these (`rejects_update`).
 
     ``block``: at the scale of the maps. ``kept``: sequence of (height, width) bool, as `fields.sweep.bed.unique_pixels`
     gives. ``figures``: of the survey; None only where no pixel is kept. ``gsd`` [m]: ground sampling distance.
     ``progress``: called with the share done, 0 to 1. ``make_store``: factory of the store of the solutions; default in
     memory. ``waves``: surfaces of the water that were found before. Returns OrderedMaps of SolvedMap, in the order of
-    `maps`; VisibilityCounts: of all points in all photographs; Waves: surfaces of the water; None where it is still.
+    `maps`; `visibility_counts` of all points; Waves: surfaces of the water; None where it is still.
     """
-    views, visibility = replace(Views.of(block, maps), waves=waves), VisibilityCounts.none(len(block.images))
+    views, visibility = replace(Views.of(block, maps), waves=waves), np.zeros((2, len(block.images)), dtype=np.int64)
     solved, total, done = make_store(), 0, 0
     for index, wanted in enumerate(kept):
         solved[index] = SolvedMap.empty()
@@ -144,9 +144,9 @@ def solve_maps(
             figures = replace(figures, shifts=Shifts(figures.shifts.pose_std_px, 0.0))
         learned = figures
 
-        def part(job: TileTask, each: TileSolution) -> tuple[_PartSolution, VisibilityCounts]:
+        def part(job: TileTask, each: TileSolution) -> tuple[_PartSolution, np.ndarray]:
             piece = _solve_part(job, block.cameras[views.views[job.index]].width, each, learned, views.waves)
-            return piece, VisibilityCounts.of(each.views, each.brightness, len(block.images))
+            return piece, visibility_counts(each.views, each.brightness, len(block.images))
 
         jobs = (job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted))
         for index, each in groupby(views.solved(jobs, figures.roughness_m, pool, part), lambda pair: pair[0].index):

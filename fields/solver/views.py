@@ -7,18 +7,18 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TypeVar
+from functools import cached_property, lru_cache
+from typing import Any, TypeVar
 
 import numpy as np
 
 from fields.device import Device
-from fields.image_store import GreyImages, LruCache, num_cached
+from fields.image_store import GreyImages, num_cached
 from fields.solver.gauss_newton import Start, TileSolution, solve
 from fields.solver.tile import MOST_PX, SolverTile, tiles_of
 from fields.solver.visibility import Occluder, Projector, TileProjection, project_tiles
 from fields.sweep.block import Block
-from fields.sweep.maps import ByView, HeightMap
+from fields.sweep.maps import HeightMap
 from fields.waves.waves import Waves
 from refract import FlatWater, PinholeCamera
 
@@ -42,13 +42,6 @@ class TileTask:
     tile: SolverTile
     others: tuple[int, ...]
     tolerance: float  # [m]: heights of the map that differ by less agree
-
-
-def occluders_of(maps: Sequence[HeightMap], views: list[int]) -> ByView[Occluder]:
-    """Occluders of maps by view; the last few are cached, so that each is read from its map a few times only."""
-    size = maps[0].height.size if len(maps) else 0
-    most = num_cached(_OCCLUDER_BYTES * size, _KEPT_BYTES, MOST_VIEWS + 1)
-    return ByView(LruCache(lambda number: Occluder.of(maps[number]), most), views)
 
 
 @dataclass(frozen=True)
@@ -80,8 +73,17 @@ class Views:
         return Views(cameras, block.images, block.water, block.device, maps, views, others, tolerance)
 
     @cached_property
-    def _occluders(self) -> ByView[Occluder]:
-        return occluders_of(self.maps, self.views)
+    def _occluder(self) -> Callable[[int], Any]:
+        """`Occluder` of a view, None without a map; the last few are kept, so that each is read a few times only."""
+        size = self.maps[0].height.size if len(self.maps) else 0
+        number = {view: number for number, view in enumerate(self.views)}
+
+        @lru_cache(num_cached(_OCCLUDER_BYTES * size, _KEPT_BYTES, MOST_VIEWS + 1))
+        def occluder(view: int) -> Occluder | None:
+            m = self.maps[number[view]] if view in number else None
+            return None if m is None else Occluder(m.height, m.agreeing > 0)
+
+        return occluder
 
     @cached_property
     def projector(self) -> Projector:
@@ -121,7 +123,7 @@ class Views:
         pixels = 0
         for batch in _batches(jobs):
             for job, projected in zip(batch, self._projected(batch), strict=True):
-                start = Start.of(job.tile, self._occluders[self.views[job.index]].height)
+                start = Start.of(job.tile, self._occluder(self.views[job.index]).height)
                 waiting.append((job, pool.submit(one, job, projected, start)))
                 pixels += len(job.tile)
             while pixels > AHEAD_PX:
@@ -135,7 +137,7 @@ class Views:
         """Projections of the tiles of one map."""
         index = batch[0].index
         view, tolerance, tiles = self.views[index], batch[0].tolerance, [job.tile for job in batch]
-        return project_tiles(tiles, view, batch[0].others, self._occluders, self.projector, tolerance, self.waves)
+        return project_tiles(tiles, view, batch[0].others, self._occluder, self.projector, tolerance, self.waves)
 
 
 def _batches(jobs: Iterable[TileTask]) -> Iterator[list[TileTask]]:

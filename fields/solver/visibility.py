@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -17,7 +17,6 @@ from fields.solver.tile import SolverTile
 from fields.sweep.kernels.arrays import constant, floats, host
 from fields.sweep.kernels.rays import point_at, project, refracted_rays
 from fields.sweep.kernels.stack import CameraTerms, camera_table, kernel_water
-from fields.sweep.maps import HeightMap
 from fields.waves.waves import Waves, interpolated
 from refract import FlatWater, PinholeCamera
 
@@ -31,17 +30,11 @@ _RIMS = {cv2.INTER_LINEAR: 0.5, cv2.INTER_CUBIC: 1.5}
 _STEPS = 2
 
 
-@dataclass(frozen=True)
-class Occluder:
+class Occluder(NamedTuple):
     """Height map as an occluder."""
 
     height: np.ndarray  # (height, width) float32 [m] over the water plane
     agreeing_once: np.ndarray  # (height, width) bool: at least one other view agrees
-
-    @staticmethod
-    def of(m: HeightMap) -> Occluder:
-        """Occluder of a height map."""
-        return Occluder(m.height, m.agreeing > 0)
 
 
 @dataclass(frozen=True)
@@ -131,7 +124,7 @@ def project_tiles(
     tiles: Sequence[SolverTile],
     view: int,
     others: Sequence[int],
-    maps: Mapping[int, Occluder],
+    occluder: Callable[[int], Any],
     projector: Projector,
     tolerance: float,
     waves: Waves | None = None,
@@ -140,10 +133,10 @@ def project_tiles(
 
     Small tiles are carried into the other photographs together: a kernel takes as long to start as for 10,000 pixels.
     A point is hidden where the height map of the other photograph, confirmed by a third, is higher by more than
-    ``tolerance`` [m].
+    ``tolerance`` [m]; ``occluder`` gives the `Occluder` of a view, or None.
     """
     pixels = np.concatenate([tile.pixels for tile in tiles])
-    start = np.concatenate([tile.of(maps[view].height) for tile in tiles])
+    start = np.concatenate([tile.of(occluder(view).height) for tile in tiles])
     counts, total = [len(tile) for tile in tiles], len(pixels)
     firsts = np.cumsum([0, *counts[:-1]])
     parts = [slice(first, first + count) for first, count in zip(firsts, counts, strict=True)]
@@ -170,8 +163,8 @@ def project_tiles(
         index = np.flatnonzero(inside)
         change = (raised - at) / np.float32(tolerance)
         shift = _solve_2x2(right - at, down - at, change) * np.float32(_STEP_PX)
-        if other in maps:
-            inside[index] = ~_is_occluded(maps[other], at.take(index, axis=1), start[index] + np.float32(tolerance))
+        if (of_other := occluder(other)) is not None:
+            inside[index] = ~_is_occluded(of_other, at.take(index, axis=1), start[index] + np.float32(tolerance))
         if waves is not None:
             near = ground[index]
             aside = np.zeros_like(at)
@@ -260,27 +253,12 @@ def _compute(device: Device, *arrays) -> None:
         drjit.eval(*arrays)
 
 
-@dataclass(frozen=True)
-class VisibilityCounts:
-    """Number of pixels of the bed that each photograph shows, and of outliers among them."""
+def visibility_counts(views: Sequence[int], brightness: Brightness, photographs: int) -> np.ndarray:
+    """Pixels of a tile that each photograph of a survey shows, and outliers among them, (2, photographs) int64.
 
-    seen: np.ndarray  # (photographs,) int64
-    outlying: (
-        np.ndarray
-    )  # (photographs,) int64: of residuals that lost most of their weight: glint, shadows, what moved
-
-    @staticmethod
-    def none(photographs: int) -> VisibilityCounts:
-        """Zero counts."""
-        return VisibilityCounts(*np.zeros((2, photographs), dtype=np.int64))
-
-    @staticmethod
-    def of(views: Sequence[int], brightness: Brightness, photographs: int) -> VisibilityCounts:
-        """Counts of a tile solved in some views, of a survey of so many photographs."""
-        found, chosen = np.zeros((2, photographs), dtype=np.int64), list(views)
-        found[0, chosen] = np.count_nonzero(brightness.weight > 0.0, axis=1)
-        found[1, chosen] = np.count_nonzero(brightness.outlying, axis=1)
-        return VisibilityCounts(*found)
-
-    def __add__(self, other: VisibilityCounts) -> VisibilityCounts:
-        return VisibilityCounts(self.seen + other.seen, self.outlying + other.outlying)
+    Outliers are residuals that lost most of their weight: glint, shadows, what moved.
+    """
+    counts, chosen = np.zeros((2, photographs), dtype=np.int64), list(views)
+    counts[0, chosen] = np.count_nonzero(brightness.weight > 0.0, axis=1)
+    counts[1, chosen] = np.count_nonzero(brightness.outlying, axis=1)
+    return counts

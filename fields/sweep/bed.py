@@ -9,12 +9,12 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fields.image_store import LazyImages, Masks
+from fields.image_store import Masks
 from fields.sweep.block import Block
 from fields.sweep.images import median
 from fields.sweep.kernels.arrays import free_unused
 from fields.sweep.kernels.lookups import find_duplicates, rays_and_heights
-from fields.sweep.kernels.stack import ViewStack, largest
+from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.map_points import SteepPixels, add_points_beneath, filter_steep_pixels, pixels_beside_steps
 from fields.sweep.maps import HeightMap, height_std, is_confirmed, trusted, views_of
 from fields.sweep.planes import half_range, steep_and_wall_pixels
@@ -120,8 +120,7 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
         steep[index], walls[index] = steep_and_wall_pixels(m.height, tolerance)
         all_trusted[index] = trusted(m)
     order = sorted(range(len(maps)), key=lambda i: cameras[i].cam_from_local[2][2])
-    images = LazyImages(lambda index: maps[index].height, len(chosen), largest(cameras), 1)
-    heights = ViewStack.build(block.device, cameras, images, block.water)
+    heights = ViewStack.lazy(block.device, cameras, lambda index: maps[index].height, block.water)
     for place, index in enumerate(order):
         # A masked pixel of the photograph has a height of its surroundings, but neither colour nor match.
         shown, m = np.isfinite(block.images[chosen[index]]), maps[index]

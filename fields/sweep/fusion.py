@@ -10,12 +10,11 @@ from itertools import repeat
 import cv2
 import numpy as np
 
-from fields.image_store import LazyImages
 from fields.sweep.block import Block
 from fields.sweep.images import median
 from fields.sweep.kernels.arrays import Job, Launch, host, run_jobs
 from fields.sweep.kernels.lookups import compare_heights, count_seeing_through
-from fields.sweep.kernels.stack import ViewStack, largest
+from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import HeightMap, Maps, OrderedMaps, StoreFactory, trusted, views_of
 from fields.sweep.passes import MATCHED_NCC
 from fields.sweep.planes import extrapolate_planes
@@ -79,8 +78,7 @@ def _agreement(
         m = maps[chosen[number]]
         return np.where(m.score > MATCHED_NCC, m.height, np.float32(np.nan))
 
-    images = LazyImages(matched, len(chosen), largest(cameras), 1)
-    heights = ViewStack.build(block.device, cameras, images, block.water)
+    heights = ViewStack.lazy(block.device, cameras, matched, block.water)
 
     def job(view: int) -> Job[tuple[HeightMap, float, _Agreement]]:
         m, others, pixels = maps[view], compared[view].peers, compared[view].pixels
@@ -137,8 +135,7 @@ def num_comparable(block: Block, maps: Sequence[HeightMap]) -> Iterator[np.ndarr
         return np.where(np.isnan(block.images[chosen[number]]), np.float32(np.nan), maps[number].height)
 
     inside, unmasked = (
-        ViewStack.build(block.device, cameras, LazyImages(make, len(chosen), largest(cameras), 1), block.water)
-        for make in (lambda number: maps[number].height, shown)
+        ViewStack.lazy(block.device, cameras, make, block.water) for make in (lambda number: maps[number].height, shown)
     )
     for index, m in enumerate(maps):
         peers = block.neighbours(m.view, PEERS, candidates=chosen)
@@ -170,8 +167,7 @@ def remove_free_space_violations(
         m = maps[number]
         return np.where(trusted(m), m.height, np.float32(np.nan))
 
-    images = LazyImages(heights, len(chosen), largest(cameras), 1)
-    stack = ViewStack.build(block.device, cameras, images, block.water)
+    stack = ViewStack.lazy(block.device, cameras, heights, block.water)
     for index, m in enumerate(maps):
         peers = block.neighbours(m.view, PEERS, candidates=chosen)
         pixels = np.flatnonzero(trusted(m))

@@ -17,12 +17,12 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fields.image_store import LazyImages, Masks
+from fields.image_store import Masks
 from fields.sweep.block import Block
 from fields.sweep.kernels.arrays import floats, host
 from fields.sweep.kernels.lookups import rays_and_heights, rays_of_rows, vote_on_points
 from fields.sweep.kernels.rays import point_at
-from fields.sweep.kernels.stack import ViewStack, largest
+from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import HeightMap, trusted, views_of
 
 # Spatial hash: side of a cell in distances, size of the table, primes of the hash.
@@ -272,8 +272,7 @@ def without_ghosts(block: Block, maps: Sequence[HeightMap], kept: Masks, gsd: fl
     for index, m in enumerate(maps):
         all_trusted[index], left[index] = trusted(m), kept[index]
         near_steps[index] = left[index] & pixels_beside_steps(m.height, gsd)
-    images = LazyImages(lambda index: maps[index].height, len(cameras), largest(cameras), 1)
-    stack = ViewStack.build(block.device, cameras, images, block.water)
+    stack = ViewStack.lazy(block.device, cameras, lambda index: maps[index].height, block.water)
     points = MapPoints.of(stack, near_steps)
     points = points[lie_beneath(stack, kept, points.xyz, gsd, _GHOST_OVER_GSD, around=1)]
     matching = points.votes(stack, all_trusted, gsd)[2]

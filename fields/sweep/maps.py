@@ -6,18 +6,16 @@ disk; only maps in work are read.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Callable, MutableMapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 import cv2
 import numpy as np
 
-from fields.image_store import LruCache
 from refract import FlatWater, PinholeCamera
 
-Kind = TypeVar("Kind")
 # A height confirmed by two other views is trusted; confirmed by one, only where the images also correlate this well.
 CONFIRMED_TWICE = 2
 TRUSTED_NCC = 0.8
@@ -82,26 +80,6 @@ def views_of(maps: Sequence[HeightMap]) -> list[int]:
     """Views of maps in their order; those on the disk are not read where the sequence has a list ``views``."""
     known = getattr(maps, "views", None)
     return [m.view for m in maps] if known is None else list(known)
-
-
-class ByView(Mapping[int, Kind]):
-    """Mapping of views to maps, or to values per map, from a sequence."""
-
-    def __init__(self, maps: Sequence[Kind] | LruCache[int, Kind], views: list[int]):
-        self._maps = maps
-        self._number = {view: number for number, view in enumerate(views)}
-
-    def __getitem__(self, view: int) -> Kind:
-        return self._maps[self._number[view]]
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(self._number)
-
-    def __len__(self) -> int:
-        return len(self._number)
-
-    def __contains__(self, view: object) -> bool:
-        return view in self._number
 
 
 def trusted(height_map: HeightMap) -> np.ndarray:

@@ -72,7 +72,7 @@ def match_view(reference: Reference, hypotheses: Hypotheses, columns: np.ndarray
     and where there is no texture, the height is that of the nearest matched pixel.
     """
     stack, view, radius, start = reference.stack, reference.view, reference.radius, hypotheses.start
-    width, height = stack.width_of(view), stack.height_of(view)
+    width, height = stack.cameras[view].width, stack.cameras[view].height
     per_row = len(reference.neighbours) * hypotheses.count * width
     rows = max(4 * radius + 4, min(height, SAMPLES_PER_LAUNCH // per_row))
     found = [start.flatten(), *(np.full(height * width, value, dtype=np.float32) for value in (-1.0, 0.0))]
@@ -164,9 +164,9 @@ def _span(first: int, last: int, width: int, radius: int) -> tuple[int, int]:
 def _rays_of_strip(stack: ViewStack, view: int, strip: tuple[slice, slice]) -> Any:
     """Rays of a strip of pixels: of whole rows, or of a part of their columns."""
     rows, columns = strip
-    if columns.stop - columns.start == stack.width_of(view):
+    if columns.stop - columns.start == stack.cameras[view].width:
         return rays_of_rows(stack, view, rows.start, rows.stop - rows.start)
-    return rays_of_pixels(stack, view, strip_indices(strip, stack.width_of(view)))
+    return rays_of_pixels(stack, view, strip_indices(strip, stack.cameras[view].width))
 
 
 def match_with_adaptive_windows(

@@ -16,13 +16,12 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from fields.image_store import LazyImages
 from fields.sweep.block import Block
 from fields.sweep.fusion import PEERS, ComparedViews, fuse
 from fields.sweep.images import masked_means, median_above, newly_visible
 from fields.sweep.kernels.arrays import Job, host, run_job, run_jobs
 from fields.sweep.kernels.lookups import compare_heights
-from fields.sweep.kernels.stack import Hypotheses, ViewStack, largest
+from fields.sweep.kernels.stack import Hypotheses, ViewStack
 from fields.sweep.maps import HeightMap, Maps, OrderedMaps, StoreFactory, trusted
 from fields.sweep.matching import Reference, match_with_adaptive_windows
 from fields.sweep.passes import MATCHED_NCC, POINTS_SHARE, Pass
@@ -187,7 +186,9 @@ class _Sweep:
             else match_pass(block, pass_, each, settings, maps.get(each.view), extra_px[each.view])
             for each in work
         )
-        for each, matched in zip(work, run_jobs(block.device, jobs, _views_in_queue(block, pass_)), strict=True):
+        # Two views in the queue where the images that both need stay in the cache.
+        in_queue = 2 if block.stack(pass_.scale).packed.kept >= 2 * (pass_.neighbours + 1) else 1
+        for each, matched in zip(work, run_jobs(block.device, jobs, in_queue), strict=True):
             maps[each.view] = matched.map
             samples = _samples([pass_], [[each]], extra_px)
             if matched.refined_pixels is not None:
@@ -237,11 +238,6 @@ def _samples(passes: Sequence[Pass], work: Sequence[Sequence[ViewPass]], extra_r
     )
 
 
-def _views_in_queue(block: Block, pass_: Pass) -> int:
-    """Number of views in the queue: two where the images that both need stay in the cache."""
-    return 2 if block.stack(pass_.scale).packed.values.most >= 2 * (pass_.neighbours + 1) else 1
-
-
 def predict_selected_pixels(block: Block, maps: Mapping[int, HeightMap]) -> dict[int, np.ndarray]:
     """Parts of each view that will become points, (height, width) bool at a quarter of the size.
 
@@ -261,12 +257,7 @@ def predict_selected_pixels(block: Block, maps: Mapping[int, HeightMap]) -> dict
         for view, camera in zip(order, cameras, strict=True)
         if np.isfinite(known[view]).any()
     }
-    heights = ViewStack.build(
-        block.device,
-        cameras,
-        LazyImages(lambda number: known[order[number]], len(order), largest(cameras), 1),
-        block.water,
-    )
+    heights = ViewStack.lazy(block.device, cameras, lambda number: known[order[number]], block.water)
     selected = {}
     for number, view in enumerate(order):
         against = None

@@ -101,7 +101,7 @@ def match_pass(
     """
     stack, view = block.stack(pass_.scale), of_view.view
     bound, area = settings.bound, settings.area
-    shape = (stack.height_of(view), stack.width_of(view))
+    shape = (stack.cameras[view].height, stack.cameras[view].width)
     middle = 0.5 * (bound[0] + bound[1]) if before is None else median(before.height)
     step = _step(block, pass_, view, of_view.neighbours, middle)
     if before is None:

@@ -109,7 +109,7 @@ def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         save_maps(folder / SOLVED, SolvedMap, solved)
     _save_waves(job, folder, moved_px if figures is None else max(moved_px, figures.moved_px), waves)
     names = [view.name for view in job.survey.views]
-    counts = zip(names, visibility.seen.tolist(), visibility.outlying.tolist(), strict=True)
+    counts = zip(names, *visibility.tolist(), strict=True)
     write_json(folder / SIGHTINGS, {name: pair for name, *pair in counts})
 
 

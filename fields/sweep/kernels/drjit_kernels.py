@@ -44,8 +44,8 @@ def sample_packed(stack: ViewStack, view: int, u, v, inside):
     """Bilinear samples of `ViewStack.packed`: one lookup instead of the four of `sample`."""
     Float, UInt, packed = stack.device.module.Float, stack.device.module.UInt, stack.packed
     corner, fx, fy = corner_of(stack, view, u, v, inside)
-    Word = type(packed.values[view])
-    word = dr.gather(Word, packed.values[view], corner)
+    Word = type(packed.values(view))
+    word = dr.gather(Word, packed.values(view), corner)
     parts = [UInt((word >> (place * packed.bits)) & Word(2**packed.bits - 1)) for place in range(4)]
     value = bilinear([Float(part) for part in parts], fx, fy)
     value = dr.fma(value, constant(stack.device, packed.step), constant(stack.device, packed.low))

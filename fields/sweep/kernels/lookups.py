@@ -44,8 +44,8 @@ def like_of(device: Device) -> Any:
 
 def rays_of_rows(stack: ViewStack, view: int, first_row: int, rows: int) -> list:
     """Rays (`fields.sweep.kernels.rays`) of a strip of pixels of `view`: six floats of P = rows * width, or more."""
-    index = arange(like_of(stack.device), rows * stack.width_of(view))
-    return _refracted_rays(stack, view, index + scalar(index, first_row * stack.width_of(view)))
+    index = arange(like_of(stack.device), rows * stack.cameras[view].width)
+    return _refracted_rays(stack, view, index + scalar(index, first_row * stack.cameras[view].width))
 
 
 def rays_of_pixels(stack: ViewStack, view: int, pixels: np.ndarray) -> list:
@@ -54,7 +54,7 @@ def rays_of_pixels(stack: ViewStack, view: int, pixels: np.ndarray) -> list:
 
 
 def _refracted_rays(stack: ViewStack, view: int, index: Any) -> list:
-    width, cameras = scalar(index, stack.width_of(view)), [stack.cameras[view]]
+    width, cameras = scalar(index, stack.cameras[view].width), [stack.cameras[view]]
     line = index // width
     u, v = to_float(index - line * width) + 0.5, to_float(line) + 0.5
     terms = CameraTerms.of(cameras)
@@ -66,7 +66,7 @@ def _refracted_rays(stack: ViewStack, view: int, index: Any) -> list:
 
 def rays_and_heights(stack: ViewStack, view: int, pixels: np.ndarray) -> tuple[list, Any]:
     """Rays of chosen pixels (flat indices) of a view, and their heights in a stack of height maps."""
-    own_height = gather(stack.pixels[view], indices(stack.device, pixels))
+    own_height = gather(stack.pixels(view), indices(stack.device, pixels))
     evaluate(own_height)
     return rays_of_pixels(stack, view, pixels), own_height
 
@@ -81,7 +81,7 @@ def corner_of(stack: ViewStack, view: int, u: Any, v: Any, inside: Any) -> tuple
     xp = kernels.namespace(u)
     x, y = xp.where(inside, u - 0.5, 0.0), xp.where(inside, v - 0.5, 0.0)
     x0, y0 = integer_part(x), integer_part(y)
-    return y0 * scalar(x0, stack.width_of(view)) + x0, x - to_float(x0), y - to_float(y0)
+    return y0 * scalar(x0, stack.cameras[view].width) + x0, x - to_float(x0), y - to_float(y0)
 
 
 def bilinear(corners: list, fx: Any, fy: Any) -> Any:
@@ -94,14 +94,14 @@ def bilinear(corners: list, fx: Any, fy: Any) -> Any:
 
 def four_about(stack: ViewStack, view: int, corner: Any) -> list:
     """Flat indices of the four pixels of which a corner is the upper left."""
-    width = scalar(corner, stack.width_of(view))
+    width = scalar(corner, stack.cameras[view].width)
     return [corner, corner + 1, corner + width, corner + width + 1]
 
 
 def sample(stack: ViewStack, view: int, u: Any, v: Any, inside: Any) -> Any:
     """Bilinear lookup in image `view` at pixel position (u, v); NaN where not inside."""
     corner, fx, fy = corner_of(stack, view, u, v, inside)
-    corners = [gather(stack.pixels[view], each) for each in four_about(stack, view, corner)]
+    corners = [gather(stack.pixels(view), each) for each in four_about(stack, view, corner)]
     return kernels.namespace(fx).where(inside, bilinear(corners, fx, fy), math.nan)
 
 
@@ -114,7 +114,7 @@ def compare_heights(
     that are below `tolerance` [m].
     """
     if pixels is None:
-        rays, own_height = rays_of_rows(stack, view, 0, stack.height_of(view)), stack.pixels[view]
+        rays, own_height = rays_of_rows(stack, view, 0, stack.cameras[view].height), stack.pixels(view)
     else:
         rays, own_height = rays_and_heights(stack, view, pixels)
     xp, most = kernels.namespace(own_height), scalar(own_height, float(tolerance))
@@ -141,7 +141,7 @@ def count_seeing_through(stack: ViewStack, view: int, peers: list[int], toleranc
         for peer in group:
             u, v, lower = project_rays(stack, rays, own_height, peer)
             for place in four_about(stack, peer, corner_of(stack, peer, u, v, lower)[0]):
-                lower = lower & (gather(stack.pixels[peer], place) < least)
+                lower = lower & (gather(stack.pixels(peer), place) < least)
             count = count + to_float(lower)
         evaluate(count)
     return count
@@ -155,7 +155,7 @@ def find_duplicates(
     The first are the four pixels about the projection of each path, where their height is within `tolerance` [m]; the
     second those of them whose height is within `close_m` of the path's, or of that of the map between the four.
     """
-    heights = stack.pixels[other]
+    heights = stack.pixels(other)
     xp, least, most = kernels.namespace(heights), scalar(heights, float(tolerance)), scalar(heights, float(close_m))
     claimed, close = (constant_array(heights, 0.0, len(heights)) for _ in range(2))
     u, v, inside = project_rays(stack, rays, own_height, other)
@@ -185,7 +185,7 @@ def vote_on_points(
     """
     u, v, inside = project(stack.camera_rows[view], points, stack.kernel_water, stack.terms)
     four = four_about(stack, view, corner_of(stack, view, u, v, inside)[0])
-    heights, known = [gather(stack.pixels[view], place) for place in four], floats(stack.device, trusted)
+    heights, known = [gather(stack.pixels(view), place) for place in four], floats(stack.device, trusted)
     xp, reach = kernels.namespace(u), scalar(u, float(close_m))
     low, high = xp.minimum(heights[0], heights[1]), xp.maximum(heights[0], heights[1])
     for height in heights[2:]:

@@ -7,16 +7,16 @@ of surface is a class with the members of `KernelWater` and a line in `kernel_wa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Protocol
 
 import cv2
 import numpy as np
 
 from fields.device import Device, memory_bytes
-from fields.image_store import LazyImages, LruCache, num_cached
+from fields.image_store import LazyImages, num_cached
 from fields.sweep.kernels.arrays import constant, floats, words
 from refract import FlatWater, PinholeCamera, kernels
 from refract.distortion import ROW as LENS_ROW
@@ -199,6 +199,11 @@ class ViewStack:
             raise ValueError(f"a stack holds images of the sizes of their cameras {expected}; got images of {found}")
         return ViewStack(device, list(cameras), images, water)
 
+    @staticmethod
+    def lazy(device: Device, cameras, make: Callable[[int], np.ndarray], water) -> ViewStack:
+        """Stack of images of the size of the largest camera that ``make`` gives by number, whenever one is read."""
+        return ViewStack.build(device, cameras, LazyImages(make, len(cameras), largest(cameras), 1), water)
+
     @property
     def height(self) -> int:
         return self.cameras[0].height
@@ -206,14 +211,6 @@ class ViewStack:
     @property
     def width(self) -> int:
         return self.cameras[0].width
-
-    def height_of(self, view: int) -> int:
-        """Height of the image of a view [px]."""
-        return self.cameras[view].height
-
-    def width_of(self, view: int) -> int:
-        """Width of the image of a view [px]."""
-        return self.cameras[view].width
 
     @cached_property
     def kernel_water(self) -> KernelWater:
@@ -232,12 +229,12 @@ class ViewStack:
         return [[constant(self.device, c) for c in row] for row in table]
 
     @cached_property
-    def pixels(self) -> LruCache[int, Any]:
-        """Images as flat arrays (height * width) of the device, float32: of height maps, which are compared."""
+    def pixels(self) -> Callable[[int], Any]:
+        """Images by number as flat arrays (height * width) of the device, float32: of height maps, to be compared."""
         most = num_cached(4 * max(c.height * c.width for c in self.cameras), KEPT_BYTES, FEWEST_KEPT)
         # Without the stack itself: a reference cycle would keep the arrays until the next garbage collection.
         device, images = self.device, self.images
-        return LruCache(lambda view: floats(device, images[view]), most)
+        return lru_cache(most)(lambda view: floats(device, images[view]))
 
     @cached_property
     def packed(self) -> PackedImages:
@@ -249,8 +246,8 @@ class ViewStack:
 class PackedImages:
     """Images of one size, packed for one lookup per bilinear sample."""
 
-    # (height * width) words of the device, by the number of the image; the last few are kept
-    values: LruCache[int, Any]
+    values: Callable[[int], Any]  # (height * width) words of the device, by the number of the image
+    kept: int  # Number of them that are kept, those that were read last
     bits: int  # of a level in a word, 8 or 16
     # low, step: of the levels, ``low + step * whole``
     low: float
@@ -273,8 +270,8 @@ class PackedImages:
         step = 1.0 if bits == 8 else 2.0 ** np.ceil(np.log2(max(most - least, LEAST_SPAN) / (MASKED - 2)))
         low = step * np.floor(least / step)
         kept = num_packed(pixels * bits // 2, memory_bytes(device)) if kept is None else kept
-        values: LruCache[int, Any] = LruCache(lambda view: words(device, _packed(images[view], low, step, bits)), kept)
-        return PackedImages(values, bits, float(low), float(step))
+        values = lru_cache(kept)(lambda view: words(device, _packed(images[view], low, step, bits)))
+        return PackedImages(values, kept, bits, float(low), float(step))
 
 
 def _extremes(image: np.ndarray) -> tuple[float, float]:

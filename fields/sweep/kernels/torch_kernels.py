@@ -32,7 +32,7 @@ def sample_packed(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Ten
     """Bilinear samples of `ViewStack.packed`: one lookup instead of the four of `sample`."""
     packed = stack.packed
     corner, fx, fy = corner_of(stack, view, u, v, inside)
-    word = packed.values[view][corner]
+    word = packed.values(view)[corner]
     parts = [(word >> (place * packed.bits)) & (2**packed.bits - 1) for place in range(4)]
     value = bilinear([part.float() for part in parts], fx, fy) * packed.step + packed.low
     return torch.where(inside & (parts[0] != MASKED), value, torch.nan)

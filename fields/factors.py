@@ -128,8 +128,7 @@ def anisotropic_grids(size: np.ndarray, finest_cell: np.ndarray, coarsening: flo
 
 
 _AXES = {"x": (0, 1, 2), "y": (1, 0, 2), "z": (2, 0, 1)}
-# Numbers that a kernel reads and writes at once.
-PACKET = 4
+PACKET = 4  # Numbers that a kernel reads and writes at once
 
 
 def axes_of(direction: str) -> tuple[int, int, int]:

@@ -16,13 +16,11 @@ from torch import Tensor, nn
 
 from fields.device import Device
 
-# GELU(x) = 1 at this x: as the bias of the gate it leaves the features unchanged.
-GATE_OF_ONE = 1.1444507183528787
+GATE_OF_ONE = 1.1444507183528787  # GELU(x) = 1 at this x: as the bias of the gate it leaves the features unchanged
 # The weighting network's kernel keeps a sum for each number of its maps. With this many at most it is 6 times as
 # fast as torch; with 1300 hardly faster, and LLVM takes 15 s to compile it.
 MOST_FUSED = 400
-# Samples whose colours are regressed at once: the activations between the maps stay in a processor's cache.
-PART = 8192
+PART = 8192  # Samples whose colours are regressed at once: the activations between the maps stay in a processor's cache
 
 
 class DensityHead(nn.Module):
@@ -34,13 +32,7 @@ class DensityHead(nn.Module):
     """
 
     def __init__(
-        self,
-        scales: int,
-        directions: int,
-        channels: int,
-        reduction: int = 2,
-        *,
-        device: Device | None = None,
+        self, scales: int, directions: int, channels: int, reduction: int = 2, *, device: Device | None = None
     ):
         super().__init__()
         self.shape, self.device = (scales, directions, channels), device
@@ -97,14 +89,7 @@ class ColourHead(nn.Module):
     """
 
     def __init__(
-        self,
-        scales: int,
-        directions: int,
-        channels: int,
-        *,
-        hidden: int = 32,
-        degree: int = 0,
-        extra: int = 0,
+        self, scales: int, directions: int, channels: int, *, hidden: int = 32, degree: int = 0, extra: int = 0
     ):
         super().__init__()
         width = scales * directions * channels

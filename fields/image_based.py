@@ -23,20 +23,16 @@ from refract.paths import BentPaths
 # Photographs that a place of the target is blended of, and height maps that its height is the mean of: what a tile
 # needs at once.
 SOURCES, MAPS = 12, 8
-# Places of the target with their own choice of photographs, along each side.
-_CELLS = 8
-# What the target sees hides from a photograph without a map what lies behind, in pixels of this size [px].
-_COARSE = 2
+_CELLS = 8  # Places of the target with their own choice of photographs, along each side
+_COARSE = 2  # What the target sees hides from a photograph without a map what lies behind, in pixels of this size [px]
 # At this angle [rad] between the rays a photograph has a quarter of its weight; it fades at its border [px].
 _ANGLE, _BORDER_PX = 0.3, 24.0
 
 # Colours (N, 3), 0 to 255, without the water, of those that a photograph shows, the depths (N,) [m] and the incidence
 # (N,) [rad] of its rays in air.
 WithoutWater = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-# Of the pixels of a map along each side one in so many is splatted: several maps overlap.
-_STRIDE = 2
-# Gaps of the surface up to this wide take the height of the nearest pixel [px].
-_GAP_PX = 8
+_STRIDE = 2  # Of the pixels of a map along each side one in so many is splatted: several maps overlap
+_GAP_PX = 8  # Gaps of the surface up to this wide take the height of the nearest pixel [px]
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,9 @@ import numpy as np
 if TYPE_CHECKING:
     from torch import Tensor
 
-# Images in float32 that are kept, in bytes, or so many.
-_KEPT_BYTES, _FEWEST_KEPT = 30_000_000, 2
-# sRGB-like photographs are linear in light to the power of 2.2.
-GAMMA = 2.2
-# Clamp, darker than any photograph resolves: below it the derivative of the gamma curve diverges.
-DARKEST = 1e-4
+_KEPT_BYTES, _FEWEST_KEPT = 30_000_000, 2  # Images in float32 that are kept, in bytes, or so many
+GAMMA = 2.2  # sRGB-like photographs are linear in light to the power of 2.2
+DARKEST = 1e-4  # Clamp, darker than any photograph resolves: below it the derivative of the gamma curve diverges
 
 
 class LazyImages(Sequence):

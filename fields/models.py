@@ -12,10 +12,8 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any
 
-# Entry points of other packages that name models.
-GROUP = "bathynerf.fields"
-# A vector of this length for each photograph, where appearance is learned.
-APPEARANCE = 16
+GROUP = "bathynerf.fields"  # Entry points of other packages that name models
+APPEARANCE = 16  # A vector of this length for each photograph, where appearance is learned
 
 
 class Rule(StrEnum):
@@ -116,8 +114,7 @@ def table() -> list[str]:
     return ["| `--model` | field | source |", "|---|---|---|", *rows]
 
 
-# Side of patches [px] where none is given.
-PATCH_PX = 8
+PATCH_PX = 8  # Side of patches [px] where none is given
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-# Clear coastal water, red first [1/m]: where the learning of an absorption begins.
-COASTAL = (0.3, 0.07, 0.05)
-# Where the learning of a veil begins, before softplus: a fifth of white.
-RAW_VEIL = -1.5
+COASTAL = (0.3, 0.07, 0.05)  # Clear coastal water, red first [1/m]: where the learning of an absorption begins
+RAW_VEIL = -1.5  # Where the learning of a veil begins, before softplus: a fifth of white
 
 
 class WaterColumn(nn.Module):

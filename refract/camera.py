@@ -14,16 +14,14 @@ from refract.surfaces import WaterSurface
 # Poses in files carry six to nine digits; a matrix with a larger deviation is a mistake, not a rotation.
 _ROTATION_TOLERANCE = 1e-5
 
-# 0.29 of 100 px is 29 px, although the product rounds to 28.999999999999996.
-_WHOLE_PIXEL = 1e-9
+_WHOLE_PIXEL = 1e-9  # 0.29 of 100 px is 29 px, although the product rounds to 28.999999999999996
 
 # Distortion bends a side of the image by a few per cent; divided into this many parts, each by a hundredth of that.
 _PLACES_OF_SIDE = 16
 # Iterations for the row that images a point. Each leaves a twentieth of the error or less: the ratio of the distance
 # flown during readout to the distance of the object.
 _ROLLING_STEPS = 12
-# Tangent of the widest angle to the axis that is considered [-].
-_WIDEST_TANGENT = 4.0
+_WIDEST_TANGENT = 4.0  # Tangent of the widest angle to the axis that is considered [-]
 
 
 def _is_rotation(matrix: np.ndarray) -> bool:

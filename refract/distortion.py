@@ -35,15 +35,12 @@ _PLACES_TRIED, _SIDES_TRIED, _HALVINGS = 1600, 48, 50
 # Newton's method doubles the digits with each step: five or six steps reach float64 in a usual lens; more are needed
 # close to the reach.
 STEPS, _MOST_STEPS = 8, 40
-# A solution is one where the residual is below this many units in the last place of 1.
-_ROUNDINGS = 100.0
-# Newton's method keeps this much inside the reach, where the derivative is not zero yet.
-_JUST_INSIDE = 1.0 - 1e-6
+_ROUNDINGS = 100.0  # A solution is one where the residual is below this many units in the last place of 1
+_JUST_INSIDE = 1.0 - 1e-6  # Newton's method keeps this much inside the reach, where the derivative is not zero yet
 # The square of a distance from the axis below which a fisheye lens does not distort, in float32.
 _ON_AXIS = 1e-14
 _XP = namespace()
-# Rays at a time in numpy: their arrays stay in the cache.
-_BLOCK = 16384
+_BLOCK = 16384  # Rays at a time in numpy: their arrays stay in the cache
 
 
 @final

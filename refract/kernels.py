@@ -31,8 +31,7 @@ UNIT = 5e-6
 # float32, so that no derivative overflows.
 REACH = 1e15
 
-# The smallest positive denominator in a fraction of lengths [m]: 1e-30 times 1e8 is still a float32.
-_NOTHING = 1e-30
+_NOTHING = 1e-30  # The smallest positive denominator in a fraction of lengths [m]: 1e-30 times 1e8 is still a float32
 
 
 def _fused(xp, a, b, c):

@@ -23,23 +23,17 @@ from fields.sweep.maps import HeightMap, Sources, trusted
 from fields.water_column import WaterColumn
 from refract import FlatWater, PinholeCamera, fresnel_coefficients
 
-# Side of a patch, and the approximate number of patches in all.
-SIDE_PX, PATCHES = 16, 2000
-# Shorter paths absorb too little to measure.
-SHALLOWEST_M = 0.1
+SIDE_PX, PATCHES = 16, 2000  # Side of a patch, and the approximate number of patches in all
+SHALLOWEST_M = 0.1  # Shorter paths absorb too little to measure
 # A patch counts if at least this share of it is trusted, and this share of that is seen.
 TRUSTED_SHARE, SEEN_SHARE = 0.9, 0.95
-# Fewer patches that several views see are too few for an estimate.
-FEWEST = 10
-# A view sees a point if its own height there differs by less than this many of its pixels.
-SAME_HEIGHT_PX = 3.0
-# Upper limit of the search [1/m]; pure water absorbs 0.3 of red light, brown water 3 of blue.
-MOST = 5.0
+FEWEST = 10  # Fewer patches that several views see are too few for an estimate
+SAME_HEIGHT_PX = 3.0  # A view sees a point if its own height there differs by less than this many of its pixels
+MOST = 5.0  # Upper limit of the search [1/m]; pure water absorbs 0.3 of red light, brown water 3 of blue
 # Standard deviation [1/m] of a useless estimate: over 3 m down and up it changes the light by a third.
 USELESS_STD = 0.05
 TRIMS, TRIM_STDS = 4, 3.0
-# Step of the derivative by absorption [1/m]: far below the required accuracy, far above rounding.
-STEP = 1e-4
+STEP = 1e-4  # Step of the derivative by absorption [1/m]: far below the required accuracy, far above rounding
 
 
 def true_colours(

@@ -21,8 +21,7 @@ from fields.occluded.sightings import MISFIT_CLIP, WINDOW, Colours, Sighting, co
 _TRIAL_HEIGHTS_GSD = (3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 13.0, 16.0, 20.0, 25.0, 32.0, 40.0, 50.0, 64.0)
 # Largest misfit with which a photograph agrees at a trial height: mean square, in variances of the noise.
 _TRIAL_MISFIT = 1.5
-# Share of the other photographs that agree by chance at one of the trial heights.
-_BY_CHANCE = 0.3
+_BY_CHANCE = 0.3  # Share of the other photographs that agree by chance at one of the trial heights
 # Heights over the layer: steps of the search, how far it goes, and how far the layer may be off, beyond the roughness
 # of the bed (standard deviation): in ground sampling distances.
 _STEP_GSD, _PRIOR_GSD = 1.0, 2.0
@@ -31,15 +30,13 @@ _ROUNDS = 3
 _WINDOW, _INDEPENDENT = 15, 0.012
 # Photographs that are compared: those that may show most. The time grows with the square of their number.
 _MOST_VIEWS = 20
-# Photographs that have to agree on a point, and cells that have to hang together.
-LEAST_VIEWS, _LEAST_CELLS = 3, 6
+LEAST_VIEWS, _LEAST_CELLS = 3, 6  # Photographs that have to agree on a point, and cells that have to hang together
 # Share of the cells on which photographs agree that objects over the layer may explain: beyond it the layer is no bed.
 _MOST_EXPLAINED = 0.4
 # Fewest cells for the gain of a photograph, and photographs for a mean.
 _LEAST_SHOWN, _LEAST_MEAN = 100, 3
 _GAINS = (0.6, 1.6)
-# Quantisation alone has 0.3.
-_LEAST_NOISE = 0.5
+_LEAST_NOISE = 0.5  # Quantisation alone has 0.3
 
 
 def explained_above(

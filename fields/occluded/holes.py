@@ -26,10 +26,8 @@ from refract import FlatWater, PinholeCamera
 SIDE_GSD, MARGIN_GSD, CONTEXT_GSD = 100, 20, 80
 # A step is a rise by more than this, in ground sampling distances, within so many pixels of a height map.
 _STEP_GSD, _REACH_PX = 8.0, 6
-# Pixels beside steps whose rays are bent at a time, of some 500 bytes each.
-_AT_ONCE = 200_000
-# Pixels beside steps that make a box.
-_LEAST_PIXELS = 30
+_AT_ONCE = 200_000  # Pixels beside steps whose rays are bent at a time, of some 500 bytes each
+_LEAST_PIXELS = 30  # Pixels beside steps that make a box
 # Side of the cells of the layer, half the width of what may stand over the bed, and the thickness of the bed in a
 # cell: in ground sampling distances.
 _CELL_GSD, _RADIUS_GSD, _THICK_GSD = 5, 60, 3.0
@@ -38,14 +36,11 @@ _CELL_GSD, _RADIUS_GSD, _THICK_GSD = 5, 60, 3.0
 _OPENED_GSD, _SMOOTH_GSD = 14.0, (8.0, 4.5, 3.0, 3.0)
 # Weight of second differences against heights: while the bed is classified, and for the final surface.
 _STIFF, _SOFT = 10.0, 1.0
-# How far the layer goes beyond the bed, in ground sampling distances.
-_BEYOND_GSD = 30.0
-# Least share of the cells that are bed.
-_LEAST_BED = 0.1
+_BEYOND_GSD = 30.0  # How far the layer goes beyond the bed, in ground sampling distances
+_LEAST_BED = 0.1  # Least share of the cells that are bed
 # A cell has a point of the cloud within so many ground sampling distances in plan, and in height.
 _NEAR_GSD, _LEVEL_GSD = 1.5, 4.0
-# Fewest cells that are worth a look.
-_LEAST_CELLS = 10
+_LEAST_CELLS = 10  # Fewest cells that are worth a look
 
 
 @dataclass(frozen=True)

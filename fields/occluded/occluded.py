@@ -15,15 +15,13 @@ from fields.sweep.bed import BedPoints
 from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap, views_of
 
-# Boxes whose photographs are in memory together, of about 10 MB each, and threads.
-_TOGETHER, _THREADS = 8, 2
+_TOGETHER, _THREADS = 8, 2  # Boxes whose photographs are in memory together, of about 10 MB each, and threads
 # Most boxes, beside one for each map: those with the most holes, so that they take a share of the time of the sweep.
 _MOST_BOXES = 64
 # Boxes of a sample from all over the ground, and the least share of those with holes that have points: where fewer
 # have some, the objects there hide no bed (a closed hull), and those few points are doubtful.
 _SAMPLE, _LEAST_SHARE = 32, 1.0 / 3.0
-# Fewer boxes with holes do not speak for the others.
-_FEWEST = 6
+_FEWEST = 6  # Fewer boxes with holes do not speak for the others
 # The boxes of the sample with the most holes are searched first; where points are found in less than this share of
 # their holes, the others are not searched.
 _LEAST_FOUND = 0.03

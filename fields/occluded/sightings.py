@@ -13,12 +13,9 @@ from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap, trusted
 from refract import FlatWater
 
-# Pixels at the border of a photograph that are not used.
-_RIM_PX = 1.5
-# Least share of the cells that a photograph shows.
-_LEAST_SHARE = 0.05
-# How far over and under the layer colours are asked for, in ground sampling distances.
-_REACH_GSD = 4.0
+_RIM_PX = 1.5  # Pixels at the border of a photograph that are not used
+_LEAST_SHARE = 0.05  # Least share of the cells that a photograph shows
+_REACH_GSD = 4.0  # How far over and under the layer colours are asked for, in ground sampling distances
 # Heights over the layer, in ground sampling distances: what stands on it, and what is the layer itself.
 _ABOVE_GSD, _ON_GSD = 7.0, 3.0
 # A height that so many other photographs and this correlation confirm is not an error of the windows beside an edge.
@@ -26,10 +23,8 @@ _CONFIRMED_BY, _CONFIRMED_NCC = 3, 0.8
 # Other edges are located to so many cells: by the windows of the sweep. What stands over the layer hides it for sure
 # so far inside its edge, and shows it for sure so far outside.
 _HIDDEN_CELLS, _SHOWN_CELLS = 6, 3
-# What is narrower than this on both sides of its middle are strays of the height map.
-_STRAY_CELLS = 2
-# Cells about one whose colours are compared together: a window of 3.
-WINDOW = 3
+_STRAY_CELLS = 2  # What is narrower than this on both sides of its middle are strays of the height map
+WINDOW = 3  # Cells about one whose colours are compared together: a window of 3
 # Largest misfit of two photographs that agree, the mean square of their difference in variances of the noise: beyond it
 # their agreement is zero. One cell counts at most so much.
 PAIR_MISFIT, MISFIT_CLIP = 1.2, 30.0

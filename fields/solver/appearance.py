@@ -15,20 +15,14 @@ from fields.sweep.images import median_reordering
 # The offset of a photograph (veil, reflected sky, vignetting) varies slowly: means over cells of this side, under a
 # Gauss filter of this standard deviation in cells.
 CELL_PX, SMOOTHING_STD_CELLS = 8, 2.5
-# Size of the filter in cells: four standard deviations to each side.
-_KERNEL = (21, 21)
-# A gain beyond these is not gain: the photograph shows something else.
-GAINS = (0.3, 3.0)
-# Fewest pixels for a gain.
-LEAST_PIXELS = 100
-# Quantisation alone has 0.29 grey levels.
-LEAST_NOISE = 0.3
-# Residuals beyond this many times the noise lose their weight.
-OUTLIER = 3.0
+_KERNEL = (21, 21)  # Size of the filter in cells: four standard deviations to each side
+GAINS = (0.3, 3.0)  # A gain beyond these is not gain: the photograph shows something else
+LEAST_PIXELS = 100  # Fewest pixels for a gain
+LEAST_NOISE = 0.3  # Quantisation alone has 0.29 grey levels
+OUTLIER = 3.0  # Residuals beyond this many times the noise lose their weight
 # An outlier has less than this share of its weight left: its residual is beyond `OUTLIER` times the noise.
 _REMAINING_WEIGHT = 0.5
-# A median over this many pixels is good enough, of each photograph.
-_SAMPLE = 10_000
+_SAMPLE = 10_000  # A median over this many pixels is good enough, of each photograph
 
 
 @dataclass(frozen=True)

@@ -20,15 +20,12 @@ from fields.solver.visibility import Ground, TileProjection
 from fields.sweep.planes import slope_of
 
 ITERATIONS = 3
-# Gain and offset are estimated in the first steps.
-APPEARANCE_ITERATIONS = 2
+APPEARANCE_ITERATIONS = 2  # Gain and offset are estimated in the first steps
 # Conjugate gradients: most steps, and the residual relative to the first at which they end, in the last Gauss-Newton
 # step and in those before it, which the next one corrects.
 CG_STEPS, CG_RESIDUAL, CG_RESIDUAL_BEFORE = 300, 3e-3, 3e-2
-# Weight of the start where neither images nor neighbours say anything [1/m^2].
-LEAST_INFORMATION = np.float32(1e-2)
-# Steps beyond so many times their median lead from one feature of the texture to another.
-_LARGE_STEP = 2.0
+LEAST_INFORMATION = np.float32(1e-2)  # Weight of the start where neither images nor neighbours say anything [1/m^2]
+_LARGE_STEP = 2.0  # Steps beyond so many times their median lead from one feature of the texture to another
 # Derivative of fourth order: exact for the wavelengths that a cubic lookup keeps.
 _DERIVATIVE = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]], dtype=np.float32) / 12.0
 

@@ -35,18 +35,12 @@ WINDOW_PX = 4.0
 _LARGEST_PX, _LEAST_ACROSS = 2.0, 1e-3
 # Share of the Gauss window that a photograph has to see; and photographs that determine more than a height.
 _SEEN, _LEAST_VIEWS = 0.5, 3
-# Fewest pixels of a tile.
-_LEAST_SHIFTED_PIXELS = 200
-# Contrasts larger than this many times their standard deviation come from something else than noise.
-_LARGEST = 6.0
-# Fewest pixels.
-_LEAST_PIXELS = 2000
-# Least share of the information in the contrast of a pixel that counts.
-_LEAST_SHARE = 0.05
-# A response beyond these is that of something else than texture.
-_RESPONSES = (0.3, 1.5)
-# Lower bound of the noise shares.
-_LEAST_NOISE = 0.05
+_LEAST_SHIFTED_PIXELS = 200  # Fewest pixels of a tile
+_LARGEST = 6.0  # Contrasts larger than this many times their standard deviation come from something else than noise
+_LEAST_PIXELS = 2000  # Fewest pixels
+_LEAST_SHARE = 0.05  # Least share of the information in the contrast of a pixel that counts
+_RESPONSES = (0.3, 1.5)  # A response beyond these is that of something else than texture
+_LEAST_NOISE = 0.05  # Lower bound of the noise shares
 
 
 @dataclass(frozen=True)

@@ -38,18 +38,13 @@ from fields.solver.uncertainty import (
 
 # The search starts at this share of the ground sampling distance and goes in steps of this factor, this far at most.
 START_GSD, FACTOR, MOST_STEPS = 0.5, np.sqrt(2.0), 6
-# Iterations of the stiffness.
-_ROUNDS = 3
-# Errors within one such block are correlated.
-_BLOCK_PX = 16
-# Share of the blocks left out at either end: steps and edges would decide for all of the bed.
-TRIM = 0.1
+_ROUNDS = 3  # Iterations of the stiffness
+_BLOCK_PX = 16  # Errors within one such block are correlated
+TRIM = 0.1  # Share of the blocks left out at either end: steps and edges would decide for all of the bed
 # Exponents that beds may have, and how far they differ from that of the prior.
 _SPECTRAL_SLOPES, _BEDS_DIFFER = np.linspace(0.5, 1.5, 21), 0.25
-# Null solutions have the noise of changes to this share of it, besides chance.
-_NOISE_KNOWN = 0.03
-# Fewest pixels.
-_LEAST_PIXELS = 2000
+_NOISE_KNOWN = 0.03  # Null solutions have the noise of changes to this share of it, besides chance
+_LEAST_PIXELS = 2000  # Fewest pixels
 
 
 @dataclass(frozen=True)

@@ -49,8 +49,7 @@ _SIGNIFICANT = 6.0
 # Heights of the sweep come from windows of this side. Noise makes the photographs agree on nine heights that follow it
 # better than on the true ones by more than this logarithm in one window of a thousand (chi-square, nine degrees).
 _WINDOW_PX, _REFUTED = 3, 0.5 * 27.9
-# Fewest photographs for a height: its own does not depend on it.
-_FEWEST = 2
+_FEWEST = 2  # Fewest photographs for a height: its own does not depend on it
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ from fields.image_store import GreyImages
 # Most pixels of a tile's window, without its surroundings. Larger ones save no time and are less accurate: gain and
 # noise of a photograph are those of a tile.
 MOST_PX = 50_000
-# How far the surroundings of a tile reach: several times the range over which heights are correlated.
-HALO_PX = 8
+HALO_PX = 8  # How far the surroundings of a tile reach: several times the range over which heights are correlated
 # Heights are solved this far around the pixels that are asked for, where other views confirm the sweep's height.
 AROUND_PX = 3
 

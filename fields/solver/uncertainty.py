@@ -21,19 +21,15 @@ from fields.solver.tile import SolverTile
 _ALIKE_PX = 1.5
 # The relief that the prior smooths away is taken as constant in a Gauss window of this standard deviation [px].
 _NEAR_PX = 4.0
-# Gauss windows end at so many standard deviations.
-_TRUNCATED = 3.0
+_TRUNCATED = 3.0  # Gauss windows end at so many standard deviations
 # About edges, what the tile as a whole says of its relief counts as much as so many independent values: where there is
 # more than chance explains by one (a little) to two (all) standard deviations.
 _WHOLE_AT_EDGES = 2.0
-# Share of a normal distribution below one standard deviation less than its mean.
-_ONE_STD_BELOW = 0.1587
+_ONE_STD_BELOW = 0.1587  # Share of a normal distribution below one standard deviation less than its mean
 # Of a normal distribution, the share within one standard deviation; large values of some do not move the rest.
 ONE_STD = 0.6827
-# Of a normal distribution, this share lies within so many standard deviations.
-QUANTILE_95, SIGMAS_95 = 0.95, 1.96
-# Changes are wanted to a few hundredths: conjugate gradients, relative to the start.
-_CHANGE_RESIDUAL = 0.01
+QUANTILE_95, SIGMAS_95 = 0.95, 1.96  # Of a normal distribution, this share lies within so many standard deviations
+_CHANGE_RESIDUAL = 0.01  # Changes are wanted to a few hundredths: conjugate gradients, relative to the start
 # Spectral slope of the bed, as an exponent of the power that the prior expects.
 PRIOR_SPECTRAL_SLOPE = 1.0
 _FREQUENCIES, _RATIOS = 256, np.logspace(-4.0, 9.0, 66)

@@ -24,10 +24,8 @@ from refract import FlatWater, PinholeCamera
 
 Used = TypeVar("Used")
 
-# Photographs that a tile is compared with.
-MOST_VIEWS = 20
-# Occluders that are kept, in bytes of so many a pixel.
-_KEPT_BYTES, _OCCLUDER_BYTES = 200_000_000, 5
+MOST_VIEWS = 20  # Photographs that a tile is compared with
+_KEPT_BYTES, _OCCLUDER_BYTES = 200_000_000, 5  # Occluders that are kept, in bytes of so many a pixel
 # Tiles that are solved at a time, one on each core that there may be, and pixels of those that wait for it too.
 _CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 WORKERS = min(_CORES, 4)
@@ -96,11 +94,7 @@ class Views:
                 yield TileTask(index, tile, self.others[index], self.tolerance[index])
 
     def solved(
-        self,
-        jobs: Iterable[TileTask],
-        roughness: float,
-        pool: Executor,
-        use: Callable[[TileTask, TileSolution], Used],
+        self, jobs: Iterable[TileTask], roughness: float, pool: Executor, use: Callable[[TileTask, TileSolution], Used]
     ) -> Iterator[tuple[TileTask, Used]]:
         """Solve tiles about the heights of their maps; yields ``use`` of each, in order."""
 
@@ -110,10 +104,7 @@ class Views:
         return self.projected(jobs, pool, one)
 
     def projected(
-        self,
-        jobs: Iterable[TileTask],
-        pool: Executor,
-        one: Callable[[TileTask, TileProjection, Start], Used],
+        self, jobs: Iterable[TileTask], pool: Executor, one: Callable[[TileTask, TileProjection, Start], Used]
     ) -> Iterator[tuple[TileTask, Used]]:
         """Project tiles at the heights of their maps; yields ``one`` of each, several at a time, in order.
 

@@ -20,14 +20,11 @@ from fields.sweep.kernels.stack import CameraTerms, camera_table, kernel_water
 from fields.waves.waves import Waves, interpolated
 from refract import FlatWater, PinholeCamera
 
-# The step of the differences across the image [px]: positions in float32 are good to 3e-4 px.
-_STEP_PX = 1.0
-# Pixels about a position that a cubic lookup needs.
-_RIM_PX = 2.5
+_STEP_PX = 1.0  # The step of the differences across the image [px]: positions in float32 are good to 3e-4 px
+_RIM_PX = 2.5  # Pixels about a position that a cubic lookup needs
 # How far from the border a position has to be so that no pixel beyond it counts.
 _RIMS = {cv2.INTER_LINEAR: 0.5, cv2.INTER_CUBIC: 1.5}
-# Of the search for the crossing; docs/optics.md.
-_STEPS = 2
+_STEPS = 2  # Of the search for the crossing; docs/optics.md
 
 
 class Occluder(NamedTuple):

@@ -82,16 +82,12 @@ LEAST_NEIGHBOURS, NEIGHBOURHOOD_GSD = 4, 4.0
 # A height that no third view checks is compared with the confirmed pixels in a square of this side [px]: least share of
 # pixels that are confirmed, and of these that agree with it. Chance matches are sparse and scatter.
 _SUPPORT_PX, _LEAST_CONFIRMED, _LEAST_AGREEING = 17, 0.4, 0.7
-# Pixels of a batch, of 300 bytes each.
-_POINTS_AT_ONCE = 500_000
-# Points of a batch, in a slab of the ground: their search takes 80 bytes each.
-POINTS_PER_SLAB = 500_000
+_POINTS_AT_ONCE = 500_000  # Pixels of a batch, of 300 bytes each
+POINTS_PER_SLAB = 500_000  # Points of a batch, in a slab of the ground: their search takes 80 bytes each
 # A slab is searched with its surroundings as far as this times the distance of neighbours, which is an upper bound.
 _UPPER_BOUND_FACTOR = 1.001
-# The range of heights, as a multiple of the half of it that `half_range` gives.
-_WHOLE_RANGE = 2.0
-# Least cosine of the incidence of a ray that shows the bed.
-_LEAST_COSINE = 0.01
+_WHOLE_RANGE = 2.0  # The range of heights, as a multiple of the half of it that `half_range` gives
+_LEAST_COSINE = 0.01  # Least cosine of the incidence of a ray that shows the bed
 
 
 def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:

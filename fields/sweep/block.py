@@ -17,14 +17,11 @@ from fields.sweep.kernels.stack import ViewStack, largest
 from fields.sweep.tiles import CornerRays
 from refract import BentPaths, FlatWater, PinholeCamera
 
-# Neighbours that are found at once.
-MOST_NEIGHBOURS = 12
-# Two heights agree when their difference would show as less than this parallax.
-AGREEMENT_PX = 0.7
+MOST_NEIGHBOURS = 12  # Neighbours that are found at once
+AGREEMENT_PX = 0.7  # Two heights agree when their difference would show as less than this parallax
 # Side of the surroundings of a hole [px], and the least known share of them, and of the area of a reduced pixel.
 _AROUND_PX, _KNOWN, _KNOWN_OF_AREA = 5, 0.5, 0.2
-# Standard deviation of the weights of the mean [px].
-_REACH_PX = 1.5
+_REACH_PX = 1.5  # Standard deviation of the weights of the mean [px]
 
 
 class Overlap:

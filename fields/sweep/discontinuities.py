@@ -17,8 +17,7 @@ from fields.sweep.passes import MATCHED_NCC, DiscontinuitySearch
 from fields.sweep.tiles import ImageTiles
 from refract import FlatWater, PinholeCamera
 
-# Of the plumb line on which the image of a wall is found [m].
-_STEP_M = 0.1
+_STEP_M = 0.1  # Of the plumb line on which the image of a wall is found [m]
 # Cosine of the widest angle in the image between the way in which heights rise and the plumb line. Beyond it a wall is
 # seen from its end.
 _LEAST_COSINE = 0.3

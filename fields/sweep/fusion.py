@@ -19,12 +19,9 @@ from fields.sweep.maps import HeightMap, Maps, OrderedMaps, StoreFactory, truste
 from fields.sweep.passes import MATCHED_NCC
 from fields.sweep.planes import extrapolate_planes
 
-# Number of agreeing peers, fused heights and their spread.
-_Agreement = tuple[np.ndarray, np.ndarray, np.ndarray]
-# Number of height maps that each is compared with.
-PEERS = 12
-# A height that no other view confirms is replaced by the median over a square of this side [px].
-_SURROUNDINGS_PX = 5
+_Agreement = tuple[np.ndarray, np.ndarray, np.ndarray]  # Number of agreeing peers, fused heights and their spread
+PEERS = 12  # Number of height maps that each is compared with
+_SURROUNDINGS_PX = 5  # A height that no other view confirms is replaced by the median over a square of this side [px]
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,9 @@ import numpy as np
 
 from fields.sweep.tiles import in_tiles
 
-# Side of the box filter of heights before their gradient is taken [px].
-_SMOOTH_PX = 5
-# Side of the median filter of the heights of a coarser pass [px].
-_SINGLE_PX = 5
-# A pixel and its eight neighbours.
-_NEIGHBOURHOOD = np.ones((3, 3), dtype=np.uint8)
+_SMOOTH_PX = 5  # Side of the box filter of heights before their gradient is taken [px]
+_SINGLE_PX = 5  # Side of the median filter of the heights of a coarser pass [px]
+_NEIGHBOURHOOD = np.ones((3, 3), dtype=np.uint8)  # A pixel and its eight neighbours
 
 
 def median_above(image: np.ndarray, least: float) -> float | None:

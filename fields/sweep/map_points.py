@@ -30,8 +30,7 @@ _CUBE, _TABLE_SIZE, _PRIMES = 4.0, 2**22, (73_856_093, 19_349_663, 83_492_791)
 # A steep pixel is dropped if more maps see through its point than span it. One is added if so many maps span it
 # and at most this share of them see through it.
 _LEAST_FOR, _MOST_AGAINST = 4, 0.25
-# Gaps that are filled have this radius, in ground sampling distances.
-_GAP_GSD = 1.25
+_GAP_GSD = 1.25  # Gaps that are filled have this radius, in ground sampling distances
 
 
 @dataclass(frozen=True)
@@ -190,8 +189,7 @@ _GHOST_OVER_GSD = 6.0
 # A point of a surface is matched by so many other maps. A piece of the surface has so many of them at least, and at
 # most, within so many ground sampling distances.
 _WELL_MATCHED, _LEAST_POINTS, _MOST_POINTS, _REACH_GSD = 4, 8, 30, 6.0
-# Points that are compared with it at a time, of 3 kB each.
-_AT_ONCE = 50_000
+_AT_ONCE = 50_000  # Points that are compared with it at a time, of 3 kB each
 # The piece is flat where its standard deviation from its plane is less than this, and a surface, not a line, where that
 # along its shorter side is more: in ground sampling distances.
 _FLAT_GSD, _WIDE_GSD = 0.8, 0.8

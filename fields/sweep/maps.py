@@ -21,8 +21,7 @@ CONFIRMED_TWICE = 2
 TRUSTED_NCC = 0.8
 # Disagreement and second differences are averaged by a Gauss filter of this standard deviation and width [px].
 _LOCAL_STD_PX, _LOCAL_PX = 2.0, 17
-# Views that agree within this distance of a pixel see it, too [px].
-_NEAR_PX = 5
+_NEAR_PX = 5  # Views that agree within this distance of a pixel see it, too [px]
 # Second differences are those of smoothed heights, over the width of the last windows [px].
 _AVERAGED_PX, _AVERAGE_PX, _WIDTH_PX = 1.0, 9, 2
 
@@ -40,25 +39,18 @@ class HeightMap:
 
 # Store of maps by view: a dict, or one on the disk. A map that was changed has to be stored again.
 Maps = MutableMapping[int, HeightMap]
-# Factory of empty stores.
-StoreFactory = Callable[[], Maps]
+StoreFactory = Callable[[], Maps]  # Factory of empty stores
 
 
 class MemoryBudget:
-    """Memory budget that several stores share.
-
-    ``left``: bytes that are not taken.
-    """
+    """Memory budget that several stores share. ``left``: bytes that are not taken."""
 
     def __init__(self, num_bytes: int):
         self.left = num_bytes
 
 
 class OrderedMaps(Sequence):
-    """Sequence of maps in the order of given views, each read when it is asked for.
-
-    ``views``: list of int.
-    """
+    """Sequence of maps in the order of given views, each read when it is asked for. ``views``: list of int."""
 
     def __init__(self, maps: MutableMapping[int, Any], views: list[int]):
         self._maps, self.views = maps, views

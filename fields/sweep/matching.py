@@ -21,12 +21,9 @@ from fields.sweep.tiles import ImageTiles
 
 # Height [m], score and curvature [1/m^2] of each pixel, (height, width) float32.
 Found = tuple[np.ndarray, np.ndarray, np.ndarray]
-# Lanes of the widest vectors.
-_VECTOR = 16
-# Samples (neighbours x hypotheses x pixels) of one launch: 32 MB an array.
-SAMPLES_PER_LAUNCH = 8_000_000
-# A launch of kernels costs as much as so many samples.
-_LAUNCH_SAMPLES = 600_000
+_VECTOR = 16  # Lanes of the widest vectors
+SAMPLES_PER_LAUNCH = 8_000_000  # Samples (neighbours x hypotheses x pixels) of one launch: 32 MB an array
+_LAUNCH_SAMPLES = 600_000  # A launch of kernels costs as much as so many samples
 # Windows are widened until the score of the right height is so many standard deviations above the best that chance
 # gives among all hypotheses, in half of the pixels of a view.
 _ABOVE_CHANCE = 2.0
@@ -36,8 +33,7 @@ LEAST_KNOWN = 0.5
 RADII = (1, 2, 3, 4, 6, 8)
 # Of the shorter side of an image: beyond it the border without whole windows is a large part of the image.
 _MOST_OF_SIDE = 0.25
-# Images of which less is known keep their windows: between sun glints wider ones hold less of the bed.
-_WHOLE = 0.9
+_WHOLE = 0.9  # Images of which less is known keep their windows: between sun glints wider ones hold less of the bed
 
 
 def kernels(device: Device) -> ModuleType:
@@ -170,9 +166,7 @@ def _rays_of_strip(stack: ViewStack, view: int, strip: tuple[slice, slice]) -> A
 
 
 def match_with_adaptive_windows(
-    reference: Reference,
-    hypotheses: Hypotheses,
-    columns: Callable[[int], np.ndarray | None] = lambda radius: None,
+    reference: Reference, hypotheses: Hypotheses, columns: Callable[[int], np.ndarray | None] = lambda radius: None
 ) -> Job[tuple[Found, int]]:
     """`match_view` with windows of the radius of the reference [px] or as wide as needed, and the radius.
 

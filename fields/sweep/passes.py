@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 # A score below this is meaningless: no window was complete (-1), or the windows have no texture (0, but for rounding).
 MATCHED_NCC = 0.05
-# Hypotheses of a pass that searches nothing.
-REFINING = 3
+REFINING = 3  # Hypotheses of a pass that searches nothing
 
 
 @dataclass(frozen=True)

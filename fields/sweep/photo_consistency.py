@@ -16,12 +16,10 @@ from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap, trusted
 from refract import PinholeCamera
 
-# Wider images are reduced to this: structure of some pixels is compared, not noise.
-_WIDTH_PX = 800
+_WIDTH_PX = 800  # Wider images are reduced to this: structure of some pixels is compared, not noise
 # The band of structure [px, standard deviations of Gauss filters] whose grey levels are compared.
 _FINE_PX, _COARSE_PX = 1.0, 8.0
-# Points of each height map.
-_SAMPLES = 400
+_SAMPLES = 400  # Points of each height map
 
 
 @dataclass(frozen=True)

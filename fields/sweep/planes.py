@@ -45,12 +45,10 @@ def gradient_of(height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return across, down
 
 
-# Side of the square of heights through which a plane is fitted [px].
-SIDE_PX = 13
+SIDE_PX = 13  # Side of the square of heights through which a plane is fitted [px]
 # Of the square, at least such a share has to be known; and known pixels spread by so much [px], or they lie in a line.
 _LEAST_KNOWN, _LEAST_SPREAD_PX = 0.1, 1.0
-# Rows that are worked out together, of 200 bytes a pixel.
-_ROWS = 64
+_ROWS = 64  # Rows that are worked out together, of 200 bytes a pixel
 
 
 def extrapolate_planes(height: np.ndarray, known: np.ndarray, tolerance: float) -> np.ndarray:

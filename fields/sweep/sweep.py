@@ -26,15 +26,7 @@ from fields.sweep.maps import HeightMap, Maps, OrderedMaps, StoreFactory, truste
 from fields.sweep.matching import Reference, match_with_adaptive_windows
 from fields.sweep.passes import MATCHED_NCC, POINTS_SHARE, Pass
 from fields.sweep.tiles import PART_SIDE_PX
-from fields.sweep.view_pass import (
-    MatchedView,
-    SweepSettings,
-    ViewPass,
-    match_pass,
-    pixels_of,
-    refine_part,
-    view_passes,
-)
+from fields.sweep.view_pass import MatchedView, SweepSettings, ViewPass, match_pass, pixels_of, refine_part, view_passes
 from fields.sweep.views import Footprint
 
 THUMBNAIL_PX = 128
@@ -110,8 +102,7 @@ def without_chance_matches(found: np.ndarray, limits: tuple[float, float]) -> np
     return found[bed[np.clip(np.searchsorted(edges, found, side="right") - 1, 0, _PARTS - 1)]]
 
 
-# Size of a part: four pixels a side.
-_SCALE = 0.25
+_SCALE = 0.25  # Size of a part: four pixels a side
 
 
 def sweep(

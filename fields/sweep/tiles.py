@@ -12,8 +12,7 @@ import numpy as np
 
 from refract import BentPaths, FlatWater, PinholeCamera
 
-# The number of hypotheses is a multiple of this and one: other numbers would need other kernels.
-COUNT_STEP = 8
+COUNT_STEP = 8  # The number of hypotheses is a multiple of this and one: other numbers would need other kernels
 # Side of the tiles of a part, with their halo: whole vectors, so that strips and tiles have the same kernels.
 PART_SIDE_PX = 32
 
@@ -138,8 +137,7 @@ Area = tuple[float, float, float, float]
 # Side of the squares at full size [px]: whole pixels of maps at a quarter of the size, of which there are at least so
 # many along a side. And how many squares there are along the longer side of an image at most: more only cost time.
 _QUARTERS, _LEAST_QUARTERS, _MOST_SQUARES = 4, 2, 64
-# Difference of the heights between which the slope of each leg of a ray is taken [m].
-_APART_M = 0.01
+_APART_M = 0.01  # Difference of the heights between which the slope of each leg of a ray is taken [m]
 
 
 @dataclass(frozen=True)

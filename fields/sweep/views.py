@@ -20,16 +20,13 @@ BEST_ANGLE_DEG = 18.0
 ANGLE_WIDTH_DEG = 10.0
 # Least share of a view that a neighbour sees; and weight of a cell for the next neighbour, by each that sees it.
 _LEAST_OVERLAP, _SEEN_AGAIN = 0.05, 0.7
-# A view is steep where its ray is nearer to the vertical than this.
-STEEP_DEG = 25.0
+STEEP_DEG = 25.0  # A view is steep where its ray is nearer to the vertical than this
 # Cells of the ground grid along each axis at least, and so many that a grid is whole; and across the narrow side of a
 # view.
 GRID_CELLS, MOST_CELLS = 48, 400
 CELLS_PER_VIEW = 8
-# Rays nearer to the horizon than this sine meet no ground.
-_LEAST_FALL = 0.05
-# Cameras whose rays are searched for together.
-_AT_ONCE = 64
+_LEAST_FALL = 0.05  # Rays nearer to the horizon than this sine meet no ground
+_AT_ONCE = 64  # Cameras whose rays are searched for together
 # Places along each side of an image, and the share of its extent by which a rectangle is wider than they say.
 _PLACES, _MARGIN = 17, 0.02
 

@@ -40,8 +40,7 @@ _OUTLYING, _ROUNDS = 3.0, 3
 # Error of matching that neighbouring windows share (interpolation, rims on slopes), one standard deviation [reduced
 # px]: 0.01 to 0.035 on drawn pairs with ripples (tests/rippled_pair.py).
 _ALIKE_PX = 0.03
-# Variance of a second difference of three values without correlation, over that of each.
-_SECOND_DIFFERENCE = 6.0
+_SECOND_DIFFERENCE = 6.0  # Variance of a second difference of three values without correlation, over that of each
 
 
 def wet_pairs(block: Block, views: Collection[int]) -> list[int]:
@@ -52,11 +51,7 @@ def wet_pairs(block: Block, views: Collection[int]) -> list[int]:
 
 
 def with_wide_windows(
-    block: Block,
-    maps: OrderedMaps,
-    bound: tuple[float, float],
-    area: Area | None,
-    make_store: StoreFactory = dict,
+    block: Block, maps: OrderedMaps, bound: tuple[float, float], area: Area | None, make_store: StoreFactory = dict
 ) -> OrderedMaps:
     """Maps whose heights under water, where only two photographs show a place, are means of wide windows.
 

@@ -32,8 +32,7 @@ from fields.volume.sampling import Cells
 from fields.volume.shell import HIDDEN, OCTAVES, octaves
 from refract import PinholeCamera, WaterSurface
 
-# Of each path.
-SAMPLES = 48
+SAMPLES = 48  # Of each path
 
 
 def appearance_vectors(photographs: int, length: int) -> nn.Embedding:
@@ -71,13 +70,7 @@ def match_appearance(
 
 @half_the_threads()
 def fitted_vectors(
-    renderer: VolumeRenderer,
-    count: int,
-    cells: Cells,
-    draw: Callable[[], Paths],
-    *,
-    steps: int,
-    seed: int = 0,
+    renderer: VolumeRenderer, count: int, cells: Cells, draw: Callable[[], Paths], *, steps: int, seed: int = 0
 ) -> nn.Embedding:
     """Vectors, so many, with which a trained volume has the colours of paths that are drawn anew in each step.
 
@@ -107,8 +100,7 @@ def fitted_vectors(
     return vectors
 
 
-# Samples of a path of a view, and paths along the longer side of its picture.
-VIEW_SAMPLES, ACROSS = 8, 32
+VIEW_SAMPLES, ACROSS = 8, 32  # Samples of a path of a view, and paths along the longer side of its picture
 # Samples of a path in training.
 TRAINED_SAMPLES = 24
 RATE = 0.005

@@ -26,8 +26,7 @@ from fields.volume.model import Rates, Setup, VolumeModel, density_of
 from fields.volume.paths import Box
 from fields.volume.tensor import grid_of
 
-# Of the steps of the second stage, one in so many renders the branch of planes.
-GRID_EVERY = 4
+GRID_EVERY = 4  # Of the steps of the second stage, one in so many renders the branch of planes
 
 
 @dataclass(frozen=True)

@@ -21,14 +21,10 @@ from fields.volume.paths import Box, Paths
 # Unknown cells with known ones on two sides, each this near, count as known: the field knows them from its coarser
 # scales, and they would be black specks in a view.
 GAP_CELLS = 4
-# Cells that a path passes at once where all of the bed below lies lower.
-STRIDE = 8
-# Descent per metre of path, at least: flatter ones leave the survey before they reach the bed.
-LEAST_FALL = 1e-3
-# Steps from a point near the bed to where the path meets it.
-MEETING_STEPS = 4
-# Steps of the false position inside the cell in which a path meets the bed: to a thousandth of it.
-REFINEMENTS = 3
+STRIDE = 8  # Cells that a path passes at once where all of the bed below lies lower
+LEAST_FALL = 1e-3  # Descent per metre of path, at least: flatter ones leave the survey before they reach the bed
+MEETING_STEPS = 4  # Steps from a point near the bed to where the path meets it
+REFINEMENTS = 3  # Steps of the false position inside the cell in which a path meets the bed: to a thousandth of it
 
 
 @dataclass(frozen=True)

@@ -37,12 +37,9 @@ from fields.volume.renderer import Rendered, VolumeRenderer
 from fields.volume.sampling import Cells, Samples
 from refract import WaterSurface, crossing_point
 
-# Nodes along the longest edge; nodes drawn a step, and points in each.
-NODES, DRAWN, POINTS = 16, 128, 8
-# Pairs of Gaussian neighbours of a point.
-PAIRS = 4
-# Above this exponent, exp is replaced by its tangent.
-LIMIT = 5.0
+NODES, DRAWN, POINTS = 16, 128, 8  # Nodes along the longest edge; nodes drawn a step, and points in each
+PAIRS = 4  # Pairs of Gaussian neighbours of a point
+LIMIT = 5.0  # Above this exponent, exp is replaced by its tangent
 
 
 def added_loss(
@@ -182,21 +179,15 @@ def _single(values: np.ndarray, place: torch.device) -> Tensor:
 
 # Scale and shift of a photograph are fitted to at least this many paths of a batch; to two, any depth fits.
 MIN_FITTED = 8
-# A path meets a surface if its opacity exceeds this.
-MIN_OPACITY = 0.5
-# Below a standard deviation of one grey value of 255 a patch has no structure to correlate.
-NOISE = (1.0 / 255.0) ** 2
+MIN_OPACITY = 0.5  # A path meets a surface if its opacity exceeds this
+NOISE = (1.0 / 255.0) ** 2  # Below a standard deviation of one grey value of 255 a patch has no structure to correlate
 # C1 and C2 of SSIM for colours from 0 to 1 (Wang et al. 2004).
 C1, C2 = 0.01**2, 0.03**2
 WINDOW = 3
-# Distance of virtual cameras from the photograph's, as a share of the mean path length.
-BASELINE = 0.1
-# One in this many paths of a batch gets a virtual view.
-EVERY = 4
-# A point is hidden where the virtual view stops these many cells of the proxy before it.
-HIDDEN_CELLS = 3.0
-# Samples of a virtual path.
-SAMPLES = 48
+BASELINE = 0.1  # Distance of virtual cameras from the photograph's, as a share of the mean path length
+EVERY = 4  # One in this many paths of a batch gets a virtual view
+HIDDEN_CELLS = 3.0  # A point is hidden where the virtual view stops these many cells of the proxy before it
+SAMPLES = 48  # Samples of a virtual path
 
 
 def relative_depth_loss(paths: Paths, rendered: Rendered, edge: float) -> Tensor:
@@ -314,12 +305,7 @@ def virtual_view(
 
 
 def virtual_patch_loss(
-    renderer: VolumeRenderer,
-    paths: Paths,
-    rendered: Rendered,
-    cells: Cells,
-    water: WaterSurface | None,
-    size: int,
+    renderer: VolumeRenderer, paths: Paths, rendered: Rendered, cells: Cells, water: WaterSurface | None, size: int
 ) -> Tensor:
     """``(1 - NCC)^2 + 1 - SSIM`` of patches rendered in virtual views and as photographed, where these show them.
 

@@ -98,8 +98,7 @@ class HashGrid(nn.Module):
 
 # Share of the samples spread evenly whatever the weights, so that space a proposal calls empty is still sampled.
 EVEN_SHARE = 0.1
-# b of the annealing.
-SLOPE = 10.0
+SLOPE = 10.0  # b of the annealing
 
 
 @dataclass(frozen=True)

@@ -145,12 +145,7 @@ class Paths:
 
 
 def paths_of(
-    camera: PinholeCamera,
-    water: WaterSurface | None,
-    pixels: np.ndarray,
-    rgb: np.ndarray,
-    box: Box,
-    view: int = 0,
+    camera: PinholeCamera, water: WaterSurface | None, pixels: np.ndarray, rgb: np.ndarray, box: Box, view: int = 0
 ) -> Paths:
     """Paths through pixel positions (N, 2) [px] with colours (N, 3) uint8, clipped to a box.
 
@@ -160,12 +155,7 @@ def paths_of(
 
 
 def paths_along(
-    origin: np.ndarray,
-    direction: np.ndarray,
-    water: WaterSurface | None,
-    rgb: Tensor,
-    box: Box | None,
-    view: Tensor,
+    origin: np.ndarray, direction: np.ndarray, water: WaterSurface | None, rgb: Tensor, box: Box | None, view: Tensor
 ) -> Paths:
     """Paths from camera centres (N, 3) [m] along unit directions (N, 3) in the air, clipped to a box if there is one.
 

@@ -17,8 +17,7 @@ from fields.volume.paths import Box, Paths, Rays, paths_of
 from refract import PinholeCamera, WaterSurface
 
 COLUMNS = 6
-# Pixels along the longer side of a picture that tell whether a box may be in it.
-COARSE = 128
+COARSE = 128  # Pixels along the longer side of a picture that tell whether a box may be in it
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,7 @@ from refract import PinholeCamera, WaterSurface
 # slower, since it is not filled.
 WORKING_BYTES = {"cpu": 16 << 20, "cuda": 1 << 30}
 BYTES_PER_NUMBER = 4
-# What a pixel has of which nothing is known: colour, distance, opacity, point.
-_UNSEEN = (0.0, np.nan, 0.0, np.nan)
+_UNSEEN = (0.0, np.nan, 0.0, np.nan)  # What a pixel has of which nothing is known: colour, distance, opacity, point
 
 
 @dataclass

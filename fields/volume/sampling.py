@@ -15,8 +15,7 @@ from torch import Tensor, nn
 
 from fields.volume.paths import Box, Paths
 
-# Cells of the proxy are looked up this often along a path.
-BINS = 128
+BINS = 128  # Cells of the proxy are looked up this often along a path
 
 
 @dataclass
@@ -124,8 +123,7 @@ def _even_samples(paths: Paths, num: int, *, jitter: bool) -> Samples:
     return Samples(near + (number[:-1] + shift) * length, length.expand(-1, num), near + number * length)
 
 
-# Colour is looked up only where a sample matters (MDW-NeRF).
-MIN_COLOUR_WEIGHT = 1e-2
+MIN_COLOUR_WEIGHT = 1e-2  # Colour is looked up only where a sample matters (MDW-NeRF)
 
 
 def log_transmittance(distance: Tensor, width: Tensor) -> Tensor:

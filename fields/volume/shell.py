@@ -19,10 +19,8 @@ from torch import Tensor, nn
 from fields.heads import perceptron
 from fields.volume.paths import Box, Paths
 
-# Octaves in which the coordinates enter the network, and its width.
-OCTAVES, HIDDEN = 5, 64
-# Samples of each path between the ellipsoid and infinity, even in u.
-LAYERS = 8
+OCTAVES, HIDDEN = 5, 64  # Octaves in which the coordinates enter the network, and its width
+LAYERS = 8  # Samples of each path between the ellipsoid and infinity, even in u
 
 
 class Shell(nn.Module):

@@ -35,14 +35,10 @@ from refract import PinholeCamera, WaterSurface
 
 # A box reaches beyond its cell by this share of it, so that neighbours share half a cell, as blocks of Block-NeRF do.
 RIM = 0.25
-# p of equation (1).
-POWER = 4.0
-# A submodule is left out of a view that shows it, or its ground, by less than this share.
-LEAST_VISIBLE = 0.01
-# Points of the bed at which visibility is computed and appearance is matched.
-MOST_POINTS = 50_000
-# Cameras whose views match the appearance of two submodules.
-MOST_CAMERAS = 32
+POWER = 4.0  # p of equation (1)
+LEAST_VISIBLE = 0.01  # A submodule is left out of a view that shows it, or its ground, by less than this share
+MOST_POINTS = 50_000  # Points of the bed at which visibility is computed and appearance is matched
+MOST_CAMERAS = 32  # Cameras whose views match the appearance of two submodules
 
 
 @dataclass(frozen=True)
@@ -228,13 +224,7 @@ def _inside(points: np.ndarray, box: Box) -> np.ndarray:
 
 
 def matched_vector(
-    target: Submodule,
-    source: Submodule,
-    shared: Rays,
-    water: WaterSurface | None,
-    *,
-    steps: int = 100,
-    rays: int = 512,
+    target: Submodule, source: Submodule, shared: Rays, water: WaterSurface | None, *, steps: int = 100, rays: int = 512
 ) -> nn.Embedding:
     """The appearance vector with which a submodule matches another along rays to places that both show.
 
@@ -262,10 +252,7 @@ def single_vector(vector: torch.Tensor) -> nn.Embedding:
 
 
 def vectors_of(submodule: Submodule) -> torch.Tensor:
-    """The appearance vectors (photographs, A) of a submodule.
-
-    Raises ValueError if it has none.
-    """
+    """The appearance vectors (photographs, A) of a submodule. Raises ValueError if it has none."""
     own = submodule.renderer.appearance
     if own is None:
         raise ValueError("the submodules have no appearance vectors to match; train them with some")

@@ -17,12 +17,9 @@ from fields.volume.renderer import Rendered, VolumeRenderer, chunk_of
 from fields.volume.sampling import Cells
 from refract import FlatWater
 
-# Less of the light of a path than this meets no surface.
-LEAST_OPACITY = 0.5
-# Photographs that a cell of the surface needs.
-LEAST_VIEWS = 2
-# Paths of which one has to meet a surface before all of them are followed.
-SAMPLE = 4096
+LEAST_OPACITY = 0.5  # Less of the light of a path than this meets no surface
+LEAST_VIEWS = 2  # Photographs that a cell of the surface needs
+SAMPLE = 4096  # Paths of which one has to meet a surface before all of them are followed
 
 
 @dataclass(frozen=True)
@@ -94,11 +91,7 @@ def surface_of(
 
 
 def _of_view(
-    renderer: VolumeRenderer,
-    photographs: Photographs,
-    view: int,
-    chunk: int,
-    distances: Callable[[Paths], Tensor],
+    renderer: VolumeRenderer, photographs: Photographs, view: int, chunk: int, distances: Callable[[Paths], Tensor]
 ) -> np.ndarray:
     """Points of a photograph, rows of x, y, z, red, green, blue, incidence and the number of the photograph.
 

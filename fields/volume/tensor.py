@@ -121,12 +121,10 @@ def grid_of(box: Box, num: float) -> Grid:
     return Grid(*cells.tolist())
 
 
-# Scales, and features of a sample, of the models of several scales and of one.
-SCALES, CHANNELS = 4, 4
+SCALES, CHANNELS = 4, 4  # Scales, and features of a sample, of the models of several scales and of one
 # Cells of the coarsest scale over those of the finest, which are as long as those of the layer's raster.
 COARSENING = 8.0
-# Finest cells in half of the layer.
-CELLS_IN_HALF = 4.0
+CELLS_IN_HALF = 4.0  # Finest cells in half of the layer
 # Learning rate of the factors in a box after the switch to weighted density: with the paper's 0.001, which is for
 # 150,000 steps, they hardly change in some thousands.
 FINE_RATE = 0.02

@@ -27,8 +27,7 @@ from fields.volume.paths import Box
 from fields.volume.tensor import grid_of
 
 DIRECTIONS = "xyz"
-# Standard deviation of untrained planes and vectors.
-_START = 0.1
+_START = 0.1  # Standard deviation of untrained planes and vectors
 
 
 @dataclass(frozen=True)
@@ -184,8 +183,7 @@ def _resized(table: Tensor, size: tuple[int, ...], mode: str) -> Tensor:
     return nn.functional.interpolate(table[None], size, mode=mode, align_corners=False)[0]
 
 
-# Cells at first, of those at last.
-COARSEST = 128 / 300
+COARSEST = 128 / 300  # Cells at first, of those at last
 
 
 def tensorf(of: Setup) -> TensorfVolume:

@@ -19,15 +19,12 @@ from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
 from refract import WaterSurface
 
-# Paths are drawn for this many steps at once.
-POOL_STEPS = 32
-# Number of last steps over which the reported error is taken, at most.
-LAST_STEPS = 100
+POOL_STEPS = 32  # Paths are drawn for this many steps at once
+LAST_STEPS = 100  # Number of last steps over which the reported error is taken, at most
 # Moments of a training at which its error is reported, and paths of photographs held out that are predicted then.
 MOMENTS, HELD_PATHS = 25, 4096
 ADAM_EPS = 1e-15
-# Cells of the proxy whose density is evaluated at once.
-CHUNK = 1 << 18
+CHUNK = 1 << 18  # Cells of the proxy whose density is evaluated at once
 
 
 @dataclass(frozen=True)

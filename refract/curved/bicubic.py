@@ -16,10 +16,8 @@ from refract.curved.curved_water import CurvedWater
 # No piece is higher or lower than its sixteen nodes by more than this part of their range: along one axis the weights
 # below zero sum to -1/8 at most.
 _OVERSHOOT = 9.0 / 32.0
-# A place this far beyond the nodes, as part of their spacing, is on the edge.
-_ON_EDGE = 1e-9
-# Nodes through scattered points at most.
-_MOST_NODES = 250_000
+_ON_EDGE = 1e-9  # A place this far beyond the nodes, as part of their spacing, is on the edge
+_MOST_NODES = 250_000  # Nodes through scattered points at most
 
 
 @final
@@ -176,11 +174,6 @@ _WEIGHTS = (
         ((-1.5 * u + 2.0) * u + 0.5) * u,
         (0.5 * u - 0.5) * u * u,
     ),
-    lambda u: (
-        (-1.5 * u + 2.0) * u - 0.5,
-        (4.5 * u - 5.0) * u,
-        (-4.5 * u + 4.0) * u + 0.5,
-        (1.5 * u - 1.0) * u,
-    ),
+    lambda u: ((-1.5 * u + 2.0) * u - 0.5, (4.5 * u - 5.0) * u, (-4.5 * u + 4.0) * u + 0.5, (1.5 * u - 1.0) * u),
     lambda u: (2.0 - 3.0 * u, 9.0 * u - 5.0, 4.0 - 9.0 * u, 3.0 * u - 1.0),
 )

@@ -26,21 +26,17 @@ _TINY, _ROUNDING = 4 * 2.0**-52, 32 * 2.0**-52
 # Steps along a ray: 4 to 8 are usual, some 40 at 89.9 deg to the vertical over waves of slope 0.3, and 130 at worst. A
 # ray that needs the most runs along the surface.
 _MOST_STEPS = 10_000
-# Steps up: four to six are usual. What has not converged after the most is NaN.
-_MOST_STEPS_UP = 40
-# Steps of either kind where no value can be read to end them (transforms of torch).
-_BLIND_STEPS = 30
+_MOST_STEPS_UP = 40  # Steps up: four to six are usual. What has not converged after the most is NaN
+_BLIND_STEPS = 30  # Steps of either kind where no value can be read to end them (transforms of torch)
 # Newton's last step up, as part of the distance from camera to point: squared, it is far below the rounding.
 _CONVERGED = 1e-11
-# A step up that lengthens the path is divided by this.
-_SHORTER = 4.0
+_SHORTER = 4.0  # A step up that lengthens the path is divided by this
 # Least curvature of the optical length, as part of its largest, that counts as a minimum; and of a path with
 # derivatives: on a caustic the crossing moves infinitely fast. Grazing rays at 89.9 deg have a determinant of 3e-6.
 _LEAST_CURVATURE, _LEAST_DETERMINANT = 1e-9, 1e-9
 # At a saddle of the length its negative curvature is taken as positive, and at least as this part of the largest.
 _SADDLE = 1e-3
-# A ray that approaches the surface by less than this per metre where it meets it gets no gradient.
-_GRAZING = 1e-9
+_GRAZING = 1e-9  # A ray that approaches the surface by less than this per metre where it meets it gets no gradient
 # Second derivatives are differences of gradients this far apart [m].
 _APART = 1e-5
 _PLANE_STEPS = 4

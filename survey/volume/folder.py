@@ -8,8 +8,7 @@ from survey.errors import SurveyError
 from survey.files.json_values import read_json_object
 from survey.run.stored import FIELD_SETTINGS, FIELD_STATE
 
-# Folder of the submodules, where there are some.
-SUBMODULES = "submodules"
+SUBMODULES = "submodules"  # Folder of the submodules, where there are some
 
 
 def is_field(folder: Path) -> bool:

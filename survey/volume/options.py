@@ -26,8 +26,7 @@ from survey.settings.config import SurveyConfig, settings_of
 from survey.settings.tables import FieldConfig
 from survey.stage_key import content_hash
 
-# Weights of depth and of normals (MonoSDF, Yu et al. 2022).
-MONOCULAR = (0.1, 0.05)
+MONOCULAR = (0.1, 0.05)  # Weights of depth and of normals (MonoSDF, Yu et al. 2022)
 
 
 @dataclass(frozen=True)

@@ -32,13 +32,11 @@ from survey.volume.options import VolumeOptions, monocular_priors
 
 # A box reaches over and under the inner part of the heights by a share of their range and some cells.
 _INNER, _REACH, _REACH_CELLS = (0.1, 99.9), 0.1, 3.0
-# Photographs are reduced until a cell of the volume is so many pixels wide.
-_PIXELS_PER_CELL = 2.0
+_PIXELS_PER_CELL = 2.0  # Photographs are reduced until a cell of the volume is so many pixels wide
 # A photograph counts if it shows the box with this share of its pixels.
 _LEAST_SHARE = 0.002
 REPORT = "report.json"
-# Seconds between two states, unless these would take more than a share of the time.
-_EVERY_S, _SHARE = 5.0, 0.05
+_EVERY_S, _SHARE = 5.0, 0.05  # Seconds between two states, unless these would take more than a share of the time
 
 
 @dataclass(frozen=True)
@@ -182,10 +180,7 @@ def _showing(ground: BedBox, flight: Flight, advance: Callable[[], object]) -> I
 
 
 def photographs_of(
-    ground: BedBox,
-    flight: Flight,
-    advance: Callable[[], object],
-    is_needed: Callable[[str], bool] = lambda name: True,
+    ground: BedBox, flight: Flight, advance: Callable[[], object], is_needed: Callable[[str], bool] = lambda name: True
 ) -> list[BoxPhotograph]:
     """The photographs of wanted names that show the box, decoded; ``advance`` is called after each of the flight."""
     found = []

@@ -61,8 +61,7 @@ from survey.words import Drop
 
 # Folder of the submodules in that of their field; file of their matched appearance vectors there; visibility of each.
 VECTORS, VISIBILITY = "looks.json", "visibility.pt"
-# Submodules that are kept in memory: while the next one is read there are two.
-IN_MEMORY = 1
+IN_MEMORY = 1  # Submodules that are kept in memory: while the next one is read there are two
 
 
 class SubmoduleViews:
@@ -155,8 +154,7 @@ class SubmoduleViews:
         return novel_view(seen, self.ground.water, has_background=self.recipe.shell)
 
 
-# Steps of the training of a network of visibility, of those of the field.
-VISIBILITY_STEPS = 0.1
+VISIBILITY_STEPS = 0.1  # Steps of the training of a network of visibility, of those of the field
 # A pixel of the photographs is at most so many cells of a volume wide: finer ones show nothing more.
 MOST_CELLS_PER_PIXEL = 4
 

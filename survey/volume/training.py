@@ -25,8 +25,7 @@ from survey.run.stored_field import RestoredField
 from survey.volume.options import VolumeOptions
 from survey.volume.scene import Scene
 
-# Rays of a step of the matching of appearances, where a step of the training has no fewer.
-MATCHING_RAYS = 2048
+MATCHING_RAYS = 2048  # Rays of a step of the matching of appearances, where a step of the training has no fewer
 
 
 @dataclass(frozen=True)

@@ -36,8 +36,7 @@ from fields.sweep.kernels.stack import MASKED, Hypotheses, ViewStack
 buffers, reference_buffer = scoring.buffers, scoring.reference_buffer
 prepare_windows, ncc = scoring.prepare_windows, scoring.ncc
 best_half, best_height = scoring.best_half, scoring.best_height
-# Share of pixels that straddle the water from which on all points are projected.
-_MANY = 0.3
+_MANY = 0.3  # Share of pixels that straddle the water from which on all points are projected
 
 
 def sample_packed(stack: ViewStack, view: int, u, v, inside):

@@ -24,14 +24,12 @@ from fields.device import Device
 from fields.sweep.kernels.arrays import Buffer, hypothesis_and_pixel
 from fields.sweep.kernels.stack import NOISE_VARIANCE
 
-# Hypotheses of one kernel of `best_height`: hundreds in one kernel take minutes to compile.
-HYPOTHESES_PER_KERNEL = 8
+HYPOTHESES_PER_KERNEL = 8  # Hypotheses of one kernel of `best_height`: hundreds in one kernel take minutes to compile
 # Windows of a larger radius [px] are added up by rows: smaller ones are read faster than their sums are written.
 _WIDEST_AT_ONCE = 2
 # Rows of a window of 5 px whose pixels, and those of the reference, AVX2 keeps in its 16 registers.
 _ROWS_IN_REGISTERS = 2
-# Of windows of which a part is known: see `_known_row`.
-_KNOWN_SUMS = 6
+_KNOWN_SUMS = 6  # Of windows of which a part is known: see `_known_row`
 
 
 @dataclass(frozen=True)

@@ -32,17 +32,13 @@ from refract.distortion import distort, undistort
 
 # One step leaves 0.015 px at worst in drone geometry, from 5 m over 15 m of water, and 4e-4 px rms (docs/optics.md).
 CROSSING_STEPS = 1
-# A ray that descends less than this per metre never reaches the plane.
-LEAST_DESCENT = 1e-3
+LEAST_DESCENT = 1e-3  # A ray that descends less than this per metre never reaches the plane
 # Iterations for the row at which a rolling shutter sees a point. Each leaves a twentieth of the error, or less, of at
 # first some pixels.
 ROLLING_STEPS = 2
-# Numbers of a ray without tides.
-_RAY_NUMBERS = 6
-# Hypotheses, a pixel or less apart, that one curve is good for.
-MOST_HYPOTHESES = 32
-# Chords shorter than this [px] have no direction.
-_SHORTEST_PX = 0.03
+_RAY_NUMBERS = 6  # Numbers of a ray without tides
+MOST_HYPOTHESES = 32  # Hypotheses, a pixel or less apart, that one curve is good for
+_SHORTEST_PX = 0.03  # Chords shorter than this [px] have no direction
 
 
 def refracted_rays(camera, u, v, water: KernelWater, terms: CameraTerms) -> list:

@@ -22,8 +22,7 @@ from refract import FlatWater, PinholeCamera, kernels
 from refract.distortion import ROW as LENS_ROW
 from refract.distortion import kinds_of, row_of
 
-# The water plane in its own frame.
-_POINT, _NORMAL = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+_POINT, _NORMAL = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)  # The water plane in its own frame
 
 Triple = tuple[Any, Any, Any]
 
@@ -87,10 +86,7 @@ class PlaneWater:
 
 
 def kernel_water(water: FlatWater | None) -> KernelWater:
-    """The water of a survey as the kernels take it.
-
-    Raises TypeError if no kernel is written for this surface.
-    """
+    """The water of a survey as the kernels take it. Raises TypeError if no kernel is written for this surface."""
     if water is None or isinstance(water, FlatWater):
         return PlaneWater.of(water)
     raise TypeError(f"sweep and solver take FlatWater or None, got {type(water).__name__}")
@@ -100,14 +96,11 @@ def kernel_water(water: FlatWater | None) -> KernelWater:
 _PINHOLE_ROW, _MOTION_ROW = 18, 3
 # A window flatter than this (grey levels squared, at 8 bits) holds noise, not texture; it lowers NCC there.
 NOISE_VARIANCE = 1.0
-# The first level of a word of 16 bits a level where any of its four pixels is masked.
-MASKED = 2**16 - 1
+MASKED = 2**16 - 1  # The first level of a word of 16 bits a level where any of its four pixels is masked
 # Cache of packed images on a processor, in bytes, and at least so many: the neighbours of two views.
 KEPT_BYTES, FEWEST_KEPT = 200_000_000, 20
-# Share of the memory of a device that packed images take: height maps take half.
-_OF_MEMORY = 0.25
-# Levels that span less are taken to span so much.
-LEAST_SPAN = 1e-3
+_OF_MEMORY = 0.25  # Share of the memory of a device that packed images take: height maps take half
+LEAST_SPAN = 1e-3  # Levels that span less are taken to span so much
 
 
 @dataclass(frozen=True)

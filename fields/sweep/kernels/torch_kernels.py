@@ -24,8 +24,7 @@ from fields.sweep.kernels.rays import (
 )
 from fields.sweep.kernels.stack import MASKED, NOISE_VARIANCE, Hypotheses, ViewStack
 
-# Samples that one operation takes on: 1 MB an array.
-PORTION = 250_000
+PORTION = 250_000  # Samples that one operation takes on: 1 MB an array
 
 
 def sample_packed(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor) -> Tensor:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -96,8 +97,7 @@ class Source:
         return _sampled(self.rgb, uv, cv2.INTER_CUBIC).astype(np.float32)
 
 
-@dataclass(frozen=True)
-class Observation:
+class Observation(NamedTuple):
     """Observation of N points by a photograph."""
 
     uv: np.ndarray  # (N, 2) float32 [px]
@@ -106,13 +106,7 @@ class Observation:
 
     def agrees(self, height: np.ndarray, tolerance: float) -> np.ndarray:
         """Whether (N,) its map has the heights (N,) [m] of the points."""
-        with np.errstate(invalid="ignore"):
-            return np.abs(self.height - height) < tolerance
-
-    def hides(self, height: np.ndarray, tolerance: float) -> np.ndarray:
-        """Whether (N,) its map has a surface in front of the points: along a ray that comes down, a higher one."""
-        with np.errstate(invalid="ignore"):
-            return self.height > height + tolerance
+        return np.abs(self.height - height) < tolerance
 
 
 @dataclass(frozen=True)
@@ -129,10 +123,11 @@ class ImageBasedField:
 
     def sources_of(self, camera: PinholeCamera, *, dry: bool = False) -> list[int]:
         """Numbers of the photographs that show what a camera sees of a level bed: the nearest of each place of it."""
-        return self._around(camera, dry, range(len(self.cameras)), SOURCES)
+        return self._around(camera, self._optics(dry), range(len(self.cameras)), SOURCES)
 
-    def _around(self, camera: PinholeCamera, dry: bool, candidates: Iterable[int], most: int) -> list[int]:
-        optics = self._optics(dry)
+    def _around(
+        self, camera: PinholeCamera, optics: FlatWater | None, candidates: Iterable[int], most: int
+    ) -> list[int]:
         u, v = (np.linspace(0.5, size - 0.5, _CELLS) for size in (camera.width, camera.height))
         pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
         points = camera.paths(pixels, optics).at_height(np.full(len(pixels), self.height), optics)
@@ -145,7 +140,7 @@ class ImageBasedField:
     ) -> NovelView:
         """View of a camera: `dry`, by straight rays; `without_water` takes the water out of the colours."""
         optics, numbers = self._optics(dry), self.sources_of(camera, dry=dry)
-        maps = self._around(camera, dry, sorted(self.mapped), MAPS)
+        maps = self._around(camera, optics, sorted(self.mapped), MAPS)
         shape = (camera.height, camera.width)
         surface = front_surface(camera, optics, (self.load(n).splats(self.water) for n in maps), self.tolerance)
         rgb = np.zeros((*shape, 3), dtype=np.uint8)
@@ -226,8 +221,9 @@ class ImageBasedField:
         seen = [source.observe(points, self.water) for source in sources.values()]
         inside = np.stack([each.inside for each in seen])
         agree = inside & np.stack([each.agrees(height, self.tolerance) for each in seen])
-        # Where no map agrees (in gaps), photographs count in which nothing is in front; else all that look there.
-        open_to = inside & ~np.stack([each.hides(height, self.tolerance) for each in seen])
+        # Where no map agrees (in gaps), photographs count in which nothing is in front (along a ray that comes down, a
+        # higher surface); else all that look there.
+        open_to = inside & ~np.stack([each.height > height + self.tolerance for each in seen])
         usable = np.where(agree.any(axis=0), agree, np.where(open_to.any(axis=0), open_to, inside))
         own = _directions(points, path.origin)
         total, weight = np.zeros((len(points), 3)), np.zeros(len(points))

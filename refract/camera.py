@@ -24,15 +24,6 @@ _ROLLING_STEPS = 12
 _WIDEST_TANGENT = 4.0  # Tangent of the widest angle to the axis that is considered [-]
 
 
-def _is_rotation(matrix: np.ndarray) -> bool:
-    finite = bool(np.isfinite(matrix).all())
-    return (
-        finite
-        and bool(np.abs(matrix @ matrix.T - np.eye(3)).max() < _ROTATION_TOLERANCE)
-        and bool(np.linalg.det(matrix) > 0.0)
-    )
-
-
 @final
 @dataclass(frozen=True)
 class PinholeCamera:
@@ -67,7 +58,8 @@ class PinholeCamera:
         object.__setattr__(self, "cam_from_local", rotation)
         if centre.shape != (3,) or rotation.shape != (3, 3):
             raise ValueError(f"expected a centre (3,) and a rotation (3, 3), got {centre.shape} and {rotation.shape}")
-        if not (np.isfinite(centre).all() and _is_rotation(rotation)):
+        is_rotation = np.abs(rotation @ rotation.T - np.eye(3)).max() < _ROTATION_TOLERANCE
+        if not (np.isfinite(centre).all() and is_rotation and np.linalg.det(rotation) > 0.0):
             raise ValueError(
                 f"expected a finite centre and a right-handed rotation, got {centre} and {rotation.tolist()}"
             )

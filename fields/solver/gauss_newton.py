@@ -6,7 +6,7 @@ The prior keeps beds smooth, with steps and edges.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
@@ -121,6 +121,10 @@ class TileSolution:
     ground: Ground  # As `TileProjection` has it
     views: tuple[int, ...] = ()  # (K,) of int: the photographs, by their number
 
+    def with_roughness(self, roughness: float) -> TileSolution:
+        """The solution with the stiffness of a roughness [m]."""
+        return replace(self, stiffness=stiffness_of(self.differences.matrix @ self.height, roughness))
+
 
 def solve(
     tile: SolverTile,
@@ -201,7 +205,10 @@ def gradients_of(tile: SolverTile, albedo: np.ndarray) -> tuple[np.ndarray, np.n
 def _gradients(tile: SolverTile, image: np.ndarray, albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gradients of an image of the window, in which the tile has an albedo (N,)."""
     image[tile.inside] = albedo
-    across, down = (tile_filter(image, kernel)[tile.inside] for kernel in (_DERIVATIVE, _DERIVATIVE.T))
+    across, down = (
+        cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_REPLICATE)[tile.inside]
+        for kernel in (_DERIVATIVE, _DERIVATIVE.T)
+    )
     return across, down
 
 
@@ -217,11 +224,6 @@ def shift_information(weight: np.ndarray, motion: np.ndarray) -> np.ndarray:
     visible_motion = np.where(seen, motion, np.float32(0.0))
     about = np.where(seen, motion - visible_motion.sum(axis=0) / count, np.float32(0.0))
     return np.maximum(np.einsum("kan,kan->n", about, about), 1e-6)
-
-
-def tile_filter(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:
-    """Correlation of an image with a kernel; replicated border."""
-    return cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_REPLICATE)
 
 
 def normal_matrix(

@@ -13,18 +13,19 @@ albedo, common to many pixels, gives the variance of the shifts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
 
-from fields.solver.gauss_newton import CG_RESIDUAL, TileSolution, gradients_of, shift_information, stiffness_of
+from fields.solver.gauss_newton import CG_RESIDUAL, TileSolution, gradients_of, shift_information
 from fields.solver.tile import SolverTile
 from fields.solver.uncertainty import (
     ONE_STD,
     QUANTILE_95,
     SIGMAS_95,
     expected_variances,
+    residual_step,
     smoothing_change,
     solve_normal_equations,
 )
@@ -158,7 +159,7 @@ def null_solutions_of(
     """Null solutions of samples with the stiffness of a roughness [m]."""
     parts: list[list[np.ndarray]] = []
     for tile, each in samples:
-        solved = replace(each, stiffness=stiffness_of(each.differences.matrix @ each.height, roughness))
+        solved = each.with_roughness(roughness)
         of_height = np.sqrt(solved.information)
         contrast, null_solution, known = null_solution_of(solved, response)
         change, expected = smoothing_change(solved, null_solution, response), expected_variances(tile, solved, response)
@@ -211,9 +212,7 @@ def noise_shares(null_solutions: NullSolutions, response: float, shifts: Shifts,
 
 def _residual_along_height(solved: TileSolution, response: float) -> np.ndarray:
     """Residuals along the solved heights (N,): 1 for independent noise alone where nothing is solved."""
-    gradient = np.einsum("kn,kn,kn->n", solved.brightness.weight, solved.residual_by_height, solved.brightness.residual)
-    right = -gradient - solved.differences.gradient(solved.stiffness, solved.height)
-    step = solve_normal_equations(solved, right, response, CG_RESIDUAL)
+    gradient, step = residual_step(solved, response)
     information = np.maximum(solved.information, 1e-12)
     return (gradient + response * information * step) / np.sqrt(information)
 

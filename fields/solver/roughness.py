@@ -12,7 +12,7 @@ for both alike.
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,8 +31,8 @@ from fields.solver.uncertainty import (
     ONE_STD,
     PRIOR_SPECTRAL_SLOPE,
     effective_information,
+    residual_step,
     smoothing_change,
-    solve_normal_equations,
     spectral_means,
 )
 
@@ -123,30 +123,22 @@ def roughness_of(samples: list[tuple[SolverTile, TileSolution]], gsd: float, poo
     found = best
     while best > -MOST_STEPS:
         difference = cost(best - 1) - cost(found)
-        if _trimmed_mean(difference) > _error(difference):
+        inner = np.clip(difference, *np.quantile(difference, (TRIM, 1.0 - TRIM)))
+        if _trimmed_mean(difference) > inner.std() / ((1.0 - 2.0 * TRIM) * np.sqrt(len(difference))):
             break
         best -= 1
     between = 0.0
     if best == found and abs(found) < MOST_STEPS:
-        between = _parabola_vertex(*(_trimmed_mean(cost(found + direction) - cost(found)) for direction in (-1, 1)))
+        # The vertex of the parabola through zero at the best and the values one step below and above it.
+        below, above = (_trimmed_mean(cost(found + direction) - cost(found)) for direction in (-1, 1))
+        between = 0.5 * (below - above) / (below + above) if below + above > 0.0 else 0.0
     return float(START_GSD * gsd * FACTOR ** (best + between))
-
-
-def _parabola_vertex(below: float, above: float) -> float:
-    """Minimum, in steps, of the parabola through zero at the best and the values one step below and above it."""
-    return 0.5 * (below - above) / (below + above) if below + above > 0.0 else 0.0
 
 
 def _trimmed_mean(values: np.ndarray) -> float:
     """Trimmed mean; scipy.stats has it, and takes half a second to import."""
     out = int(TRIM * len(values))
     return float(np.sort(values)[out : len(values) - out].mean())
-
-
-def _error(values: np.ndarray) -> float:
-    """Standard error of the trimmed mean of values."""
-    inner = np.clip(values, *np.quantile(values, (TRIM, 1.0 - TRIM)))
-    return float(inner.std() / ((1.0 - 2.0 * TRIM) * np.sqrt(len(values))))
 
 
 def _prediction_errors(
@@ -167,15 +159,22 @@ def spectral_slope_of(samples: list[tuple[SolverTile, TileSolution]], roughness:
     ``samples``: solved tiles, with the stiffness of any roughness. ``roughness`` [m]: with which the survey is solved.
     ``response``: median gradient response, `fields.solver.noise.median_response`.
     """
-    parts = [_smoothing_changes(tile, _with_roughness(solved, roughness), response) for tile, solved in samples]
-    log_ratio = np.concatenate([each.log_ratio for each in parts])
+    parts = []
+    for tile, each in samples:
+        solved = each.with_roughness(roughness)
+        _, null_solution, known = null_solution_of(solved, response)
+        use = known & tile.requested
+        squares = []
+        for heights in (solved.height + residual_step(solved, response)[1], null_solution):
+            once = smoothing_change(solved, heights, response)
+            squares.append(np.square([once, smoothing_change(solved, once, response)])[:, use])
+        parts.append((*squares, effective_information(tile, solved, response)[1][use]))
+    # (2, N) [m^2]: squared changes by smoothing once more, and of these by smoothing them in turn.
+    bed, noise, log_ratio = (np.concatenate(each, axis=-1) for each in zip(*parts, strict=True))
     if len(log_ratio) < _LEAST_PIXELS:
         return PRIOR_SPECTRAL_SLOPE
     # Steps and edges do not move the rest.
-    power, by_noise = (
-        np.quantile(np.concatenate(each, axis=-1), ONE_STD, axis=-1)
-        for each in ([part.bed_squared for part in parts], [part.noise_squared for part in parts])
-    )
+    power, by_noise = (np.quantile(each, ONE_STD, axis=-1) for each in (bed, noise))
     middle = float(np.median(log_ratio))
     chance = np.sqrt(2.0 * spectral_means(middle, PRIOR_SPECTRAL_SLOPE).correlated_px / len(log_ratio))
     known = np.hypot(chance * power, np.hypot(chance, _NOISE_KNOWN) * by_noise)
@@ -187,41 +186,3 @@ def spectral_slope_of(samples: list[tuple[SolverTile, TileSolution]], roughness:
         misfit = residual - size * relief
         costs.append(misfit @ misfit + ((spectral_slope - PRIOR_SPECTRAL_SLOPE) / _BEDS_DIFFER) ** 2)
     return float(_SPECTRAL_SLOPES[int(np.argmin(costs))])
-
-
-@dataclass(frozen=True)
-class SmoothingChanges:
-    """Changes of a tile by smoothing once more, and of these changes by smoothing them in turn; N pixels."""
-
-    bed_squared: np.ndarray  # (2, N) [m^2]: squared changes of the heights
-    noise_squared: np.ndarray  # (2, N) [m^2]: of a null solution
-    log_ratio: np.ndarray  # (N,): logarithm of the ratio of stiffness to effective information
-
-
-def _smoothing_changes(tile: SolverTile, solved: TileSolution, response: float) -> SmoothingChanges:
-    _, null_solution, known = null_solution_of(solved, response)
-    use = known & tile.requested
-    bed, noise = (
-        np.square(_changed_twice(solved, each, response))[:, use]
-        for each in (_solved_once_more(solved, response), null_solution)
-    )
-    return SmoothingChanges(bed, noise, effective_information(tile, solved, response)[1][use])
-
-
-def _with_roughness(solved: TileSolution, roughness: float) -> TileSolution:
-    """The solution with the stiffness of a roughness [m]."""
-    return replace(solved, stiffness=stiffness_of(solved.differences.matrix @ solved.height, roughness))
-
-
-def _solved_once_more(solved: TileSolution, response: float) -> np.ndarray:
-    """Heights (N,) [m] after another step with the stiffness of the solution."""
-    brightness = solved.brightness
-    gradient = np.einsum("kn,kn,kn->n", brightness.weight, solved.residual_by_height, brightness.residual)
-    right = -gradient - solved.differences.gradient(solved.stiffness, solved.height)
-    return solved.height + solve_normal_equations(solved, right, response, CG_RESIDUAL)
-
-
-def _changed_twice(solved: TileSolution, heights: np.ndarray, response: float) -> np.ndarray:
-    """Changes (2, N) [m] of heights (N,) by smoothing them once more, and of that change by smoothing it in turn."""
-    once = smoothing_change(solved, heights, response)
-    return np.array([once, smoothing_change(solved, once, response)])

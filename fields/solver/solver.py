@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from fields.solver.displacements import displacements_of, moved
-from fields.solver.gauss_newton import TileSolution, shift_information, stiffness_of
+from fields.solver.gauss_newton import TileSolution, shift_information
 from fields.solver.moving_water import MOVING_PX, with_waves
 from fields.solver.noise import (
     NoiseShares,
@@ -302,7 +302,7 @@ def sweep_slope_noise_ratio(
         moved = np.zeros(tile.inside.shape, dtype=np.float32)
         moved[tile.inside] = each.height - each.start.height
         interior = cv2.erode(tile.inside.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)[tile.inside] > 0
-        solved = replace(each, stiffness=stiffness_of(each.differences.matrix @ each.height, roughness))
+        solved = each.with_roughness(roughness)
         by_noise = noise.height_variance_ratio * expected_variances(tile, solved, noise.response).noise
         found += [np.abs(rise[tile.inside][interior]) / np.sqrt(by_noise[interior]) for rise in gradient_of(moved)]
     together = np.concatenate(found)

@@ -14,7 +14,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-from fields.solver.gauss_newton import LEAST_INFORMATION, TileSolution, conjugate_gradients, normal_matrix
+from fields.solver.gauss_newton import CG_RESIDUAL, LEAST_INFORMATION, TileSolution, conjugate_gradients, normal_matrix
 from fields.solver.tile import SolverTile
 
 # Information and stiffness are taken as constant over about the range in which heights are correlated [px].
@@ -84,6 +84,13 @@ def solve_normal_equations(solved: TileSolution, right: np.ndarray, response: fl
     matrix = normal_matrix(effective, solved.differences, solved.stiffness)
     diagonal = effective + solved.differences.squared @ solved.stiffness + LEAST_INFORMATION
     return conjugate_gradients(matrix, right.astype(np.float32), diagonal, residual)
+
+
+def residual_step(solved: TileSolution, response: float) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient (N,) [1/m] of the residuals at the solved heights, and another step (N,) [m] with the same stiffness."""
+    gradient = np.einsum("kn,kn,kn->n", solved.brightness.weight, solved.residual_by_height, solved.brightness.residual)
+    right = -gradient - solved.differences.gradient(solved.stiffness, solved.height)
+    return gradient, solve_normal_equations(solved, right, response, CG_RESIDUAL)
 
 
 def smoothing_change(solved: TileSolution, heights: np.ndarray, response: float) -> np.ndarray:

@@ -73,12 +73,9 @@ def match_view(reference: Reference, hypotheses: Hypotheses, columns: np.ndarray
     rows = max(4 * radius + 4, min(height, SAMPLES_PER_LAUNCH // per_row))
     found = [start.flatten(), *(np.full(height * width, value, dtype=np.float32) for value in (-1.0, 0.0))]
     columns = np.tile([0, width], (height, 1)) if columns is None else columns
-    rows_to_match = np.flatnonzero(columns[:, 1] > columns[:, 0])
-    rows_to_match = (
-        rows_to_match[(rows_to_match >= radius) & (rows_to_match < height - radius)]
-        if width > 2 * radius
-        else rows_to_match[:0]
-    )
+    wanted = (columns[:, 1] > columns[:, 0]) & (width > 2 * radius)
+    wanted[:radius] = wanted[max(height - radius, 0) :] = False
+    rows_to_match = np.flatnonzero(wanted)
     for first in range(rows_to_match[0], rows_to_match[-1] + 1, rows) if len(rows_to_match) else ():
         last = min(first + rows, rows_to_match[-1] + 1)
         spans = columns[rows_to_match[(rows_to_match >= first) & (rows_to_match < last)]]
@@ -88,7 +85,9 @@ def match_view(reference: Reference, hypotheses: Hypotheses, columns: np.ndarray
         inner = slice(max(int(spans[:, 0].min()), radius), min(int(spans[:, 1].max()), width - radius))
         strip = np.s_[first - radius : last + radius, left:right]
         grey, begin = stack.images[view][strip], start[strip]
-        rays = partial(_rays_of_strip, stack, view, strip)
+        rays = partial(rays_of_rows, stack, view, first - radius, last - first + 2 * radius)
+        if right - left < width:
+            rays = partial(rays_of_pixels, stack, view, strip_indices(strip, width))
         results = yield partial(_launch, reference, rays, grey, replace(hypotheses, start=begin), right - left)
         for target, result in zip(found, results, strict=True):
             put_strip(target, width, result, (slice(first, last), inner), strip[1], radius)
@@ -107,13 +106,8 @@ def match_tiles(
 
     ``starts`` gives the lowest hypotheses [m] of a batch, with the flat indices of its pixels; ``step`` [m] is between
     hypotheses. ``take`` is called with what each batch finds, flat, for those of its pixels around which a whole window
-    may lie:
-
-    own : bool
-        Which pixels are wanted, in their own tile, and have a whole window.
-    pixels : int
-        Flat indices.
-    height [m], score [-], curvature [1/m^2] : list of float32
+    may lie: which are wanted, in their own tile, and have a whole window (bool), their flat indices, and a list of
+    height [m], score and curvature [1/m^2].
     """
     stack, view, side = reference.stack, reference.view, tiles.side
     num = len(reference.neighbours)
@@ -157,14 +151,6 @@ def _span(first: int, last: int, width: int, radius: int) -> tuple[int, int]:
     return left, min(right, width)
 
 
-def _rays_of_strip(stack: ViewStack, view: int, strip: tuple[slice, slice]) -> Any:
-    """Rays of a strip of pixels: of whole rows, or of a part of their columns."""
-    rows, columns = strip
-    if columns.stop - columns.start == stack.cameras[view].width:
-        return rays_of_rows(stack, view, rows.start, rows.stop - rows.start)
-    return rays_of_pixels(stack, view, strip_indices(strip, stack.cameras[view].width))
-
-
 def match_with_adaptive_windows(
     reference: Reference, hypotheses: Hypotheses, columns: Callable[[int], np.ndarray | None] = lambda radius: None
 ) -> Job[tuple[Found, int]]:
@@ -179,16 +165,12 @@ def match_with_adaptive_windows(
     found = yield from match_view(reference, hypotheses, columns(radius))
     if np.isfinite(stack.images[reference.view]).mean() < _WHOLE:
         return found, radius
-    while (asked := _radius_asked_for(found[1], radius, hypotheses.count)) != radius:
+    while (matched := median_above(found[1], -1.0)) is not None:
+        if (asked := radius_for(matched, found[1].shape, radius, hypotheses.count)) == radius:
+            break
         radius = asked
         found = yield from match_view(replace(reference, radius=radius), hypotheses, columns(radius))
     return found, radius
-
-
-def _radius_asked_for(score: np.ndarray, radius: int, count: int) -> int:
-    """`radius_for` the scores (height, width) of a view."""
-    matched = median_above(score, -1.0)
-    return radius if matched is None else radius_for(matched, score.shape, radius, count)
 
 
 def radius_for(score: float, shape: tuple[int, int], radius: int, count: int) -> int:

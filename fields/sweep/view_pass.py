@@ -130,7 +130,9 @@ def match_pass(
         found, radius = yield from match_with_adaptive_windows(reference, hypotheses, columns)
     # The search has windows of its own, narrower than those that were too narrow here.
     if pass_.discontinuities is not None and radius == pass_.radius:
-        matched = _mask_of(columns(radius), shape[1]) if pass_.in_area else None
+        matched, spans = None, columns(radius) if pass_.in_area else None
+        if spans is not None:
+            matched = (np.arange(shape[1]) >= spans[:, :1]) & (np.arange(shape[1]) < spans[:, 1:])
         parallax = pass_.spacing_px / step
         found = yield from search_discontinuities(reference, found, parallax, pass_.discontinuities, matched)
     height, score, _ = found
@@ -222,12 +224,6 @@ def columns_over_area(
         for full_length, length in zip(shape, height.shape, strict=True)
     )
     return _columns_of(meets[np.ix_(of_row, of_column)])
-
-
-def _mask_of(columns: np.ndarray | None, width: int) -> np.ndarray | None:
-    """Mask of the columns of each row."""
-    across = np.arange(width)
-    return None if columns is None else (across >= columns[:, :1]) & (across < columns[:, 1:])
 
 
 def _columns_of(mask: np.ndarray) -> np.ndarray:

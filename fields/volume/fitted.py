@@ -83,21 +83,29 @@ def fitted_vectors(
     vectors = appearance_vectors(count, own.embedding_dim).to(place)
     vectors.weight.data += own.weight.detach().mean(dim=0)
     torch.manual_seed(seed)
-    optimiser = torch.optim.Adam(vectors.parameters(), lr=0.05)
-    falling = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
+
+    def loss() -> Tensor:
+        paths = draw().to(place)
+        rendered = renderer.render(paths, renderer.samples(paths, cells, SAMPLES, jitter=True))
+        return ((rendered.rgb - paths.rgb) ** 2).mean()
+
     renderer.appearance = vectors
     try:
-        for _ in range(steps):
-            paths = draw().to(place)
-            rendered = renderer.render(paths, renderer.samples(paths, cells, SAMPLES, jitter=True))
-            error = ((rendered.rgb - paths.rgb) ** 2).mean()
-            optimiser.zero_grad(set_to_none=True)
-            error.backward(inputs=[vectors.weight])
-            optimiser.step()
-            falling.step()
+        _fit([vectors.weight], 0.05, steps, loss)
     finally:
         renderer.appearance = own
     return vectors
+
+
+def _fit(parameters: list[Tensor], rate: float, steps: int, loss: Callable[[], Tensor]) -> None:
+    """Steps of Adam down a loss, with a rate that falls along a cosine."""
+    optimiser = torch.optim.Adam(parameters, lr=rate)
+    falling = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
+    for _ in range(steps):
+        optimiser.zero_grad(set_to_none=True)
+        loss().backward(inputs=parameters)
+        optimiser.step()
+        falling.step()
 
 
 VIEW_SAMPLES, ACROSS = 8, 32  # Samples of a path of a view, and paths along the longer side of its picture
@@ -161,15 +169,12 @@ def train_visibility(
     torch.manual_seed(seed)
     rng, place = np.random.default_rng(seed), renderer.model.place
     found, cells = Visibility(renderer.model.box).to(place), cells.to(place)
-    optimiser = torch.optim.Adam(found.parameters(), lr=RATE)
-    falling = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
-    for _ in range(steps):
+
+    def loss() -> Tensor:
         paths = photographs.draw(rays, renderer.model.box, rng).to(place)
         with torch.no_grad():
             rendered = renderer.render(paths, renderer.samples(paths, cells, TRAINED_SAMPLES, jitter=True))
-        loss = found.loss(paths, rendered)
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        optimiser.step()
-        falling.step()
+        return found.loss(paths, rendered)
+
+    _fit(list(found.parameters()), RATE, steps, loss)
     return found

@@ -54,7 +54,11 @@ class Layer(Box):
         height = height[tuple(nearest)]
         high = low + cell * np.array([columns, rows])
         corners = np.append(low, height.min() - half), np.append(high, height.max() + half)
-        return Layer(*corners, height, _without_gaps(known), half)
+        # Known cells, and gaps between them up to twice `GAP_CELLS` wide.
+        across = np.arange(-GAP_CELLS, GAP_CELLS + 1)
+        disc = np.add.outer(across**2, across**2) <= GAP_CELLS**2
+        known |= binary_closing(np.pad(known, GAP_CELLS), disc)[(slice(GAP_CELLS, -GAP_CELLS),) * 2]
+        return Layer(*corners, height, known, half)
 
     @property
     def size(self) -> np.ndarray:
@@ -171,13 +175,6 @@ def _along(parts: tuple[Tensor, ...], s: Tensor) -> Tensor:
     origin, air, wet, crossing = parts
     dry = torch.minimum(s, crossing)
     return origin + dry[:, None] * air + (s - dry)[:, None] * wet
-
-
-def _without_gaps(known: np.ndarray) -> np.ndarray:
-    """Known cells (rows, columns), and gaps between them up to twice `GAP_CELLS` wide."""
-    across = np.arange(-GAP_CELLS, GAP_CELLS + 1)
-    disc = np.add.outer(across**2, across**2) <= GAP_CELLS**2
-    return known | binary_closing(np.pad(known, GAP_CELLS), disc)[(slice(GAP_CELLS, -GAP_CELLS),) * 2]
 
 
 def _at_cell(raster: Tensor, u: Tensor) -> Tensor:

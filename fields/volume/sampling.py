@@ -99,7 +99,11 @@ class Cells:
     def samples(self, paths: Paths, num: int, *, jitter: bool) -> Samples:
         """``num`` samples a path, spread evenly over its occupied part, or over the whole path if none is occupied."""
         if self.occupied.all():
-            return _even_samples(paths, num, jitter=jitter)
+            # Equal pieces of each path, shifted as by `samples_by_mass`.
+            near, length = paths.near[:, None], ((paths.far - paths.near) / num)[:, None]
+            number = torch.arange(num + 1, device=near.device)
+            shift = torch.rand(len(paths), 1, device=near.device) if jitter else near.new_full((len(paths), 1), 0.5)
+            return Samples(near + (number[:-1] + shift) * length, length.expand(-1, num), near + number * length)
         share = torch.linspace(0.0, 1.0, BINS + 1, device=paths.near.device)
         edges = paths.near[:, None] + share * (paths.far - paths.near)[:, None]
         inside = self.holds(paths.at(0.5 * (edges[:, 1:] + edges[:, :-1])))
@@ -113,14 +117,6 @@ class Cells:
         index = torch.minimum(index.clamp(min=0), shape - 1)
         flat = (index[..., 0] * shape[1] + index[..., 1]) * shape[2] + index[..., 2]
         return inside & self.occupied.view(-1)[flat]
-
-
-def _even_samples(paths: Paths, num: int, *, jitter: bool) -> Samples:
-    """``num`` samples of equal pieces of each path, shifted as by `samples_by_mass`."""
-    near, length = paths.near[:, None], ((paths.far - paths.near) / num)[:, None]
-    number = torch.arange(num + 1, device=near.device)
-    shift = torch.rand(len(paths), 1, device=near.device) if jitter else near.new_full((len(paths), 1), 0.5)
-    return Samples(near + (number[:-1] + shift) * length, length.expand(-1, num), near + number * length)
 
 
 MIN_COLOUR_WEIGHT = 1e-2  # Colour is looked up only where a sample matters (MDW-NeRF)

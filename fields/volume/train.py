@@ -94,7 +94,10 @@ def train_volume(
         state.restore(saved, renderer)
     refresh = {round(share * training.steps) for share in training.refresh}
     moments = {max(round(training.steps * moment / MOMENTS), 1) for moment in range(1, MOMENTS + 1)}
-    followed = None if held is None else _held_paths(held, renderer)
+    followed = None
+    # With vectors of appearance each photograph would need its own.
+    if held is not None and renderer.appearance is None and any(len(pixels) for pixels in held.pixels):
+        followed = held.draw(HELD_PATHS, box, np.random.default_rng(0)).to(renderer.model.place)
     for paths in _batches(photographs, renderer.model, training, seed, state.step):
         if checkpoints is not None:
             checkpoints.save(lambda: state.saved(renderer), last=False)
@@ -103,7 +106,11 @@ def train_volume(
         _step(renderer, paths, training, state, photographs.water)
         if state.step in moments:
             since = state.history[-1][0] if state.history else 0
-            held_db = None if followed is None else _predicted_db(renderer, followed, state.cells, training.samples)
+            held_db = None
+            if followed is not None:
+                with torch.no_grad():
+                    samples = renderer.samples(followed, state.cells, training.samples, jitter=False)
+                    held_db = psnr_db([float(((renderer.render(followed, samples).rgb - followed.rgb) ** 2).mean())])
             state.history.append((state.step, psnr_db(state.losses[since:]), held_db))
         progress(state.step / training.steps, state.losses)
     if checkpoints is not None:
@@ -172,19 +179,6 @@ def _step(
         state.changed.append(state.step)
         state.optimiser = adam(renderer.rates(), eps=ADAM_EPS)
     state.step += 1
-
-
-def _held_paths(held: Photographs, renderer: VolumeRenderer) -> Paths | None:
-    """Some paths of photographs held out; None where there are none, or where each would need its own appearance."""
-    if renderer.appearance is not None or not any(len(pixels) for pixels in held.pixels):
-        return None
-    return held.draw(HELD_PATHS, renderer.model.box, np.random.default_rng(0)).to(renderer.model.place)
-
-
-@torch.no_grad()
-def _predicted_db(renderer: VolumeRenderer, paths: Paths, cells: Cells, samples: int) -> float:
-    rendered = renderer.render(paths, renderer.samples(paths, cells, samples, jitter=False))
-    return psnr_db([float(((rendered.rgb - paths.rgb) ** 2).mean())])
 
 
 @torch.no_grad()

@@ -34,6 +34,12 @@ def _drjit() -> Any:
     return drjit
 
 
+def _torch() -> Any:
+    import torch
+
+    return torch
+
+
 def is_torch(array: Any) -> bool:
     """Whether an array is torch's."""
     return namespace(array).name == "torch"
@@ -42,11 +48,8 @@ def is_torch(array: Any) -> bool:
 def arange(like: Any, count: int) -> Any:
     """Whole numbers 0 to ``count`` - 1, on the device of an array."""
     if is_torch(like):
-        import torch
-
-        return torch.arange(count, device=like.device)
-    drjit = _drjit()
-    return drjit.arange(drjit.int32_array_t(type(like)), count)
+        return _torch().arange(count, device=like.device)
+    return _drjit().arange(_drjit().int32_array_t(type(like)), count)
 
 
 def scalar(like: Any, value: float) -> Any:
@@ -54,18 +57,17 @@ def scalar(like: Any, value: float) -> Any:
     is_whole = isinstance(value, int | np.integer)
     if is_torch(like):
         return int(value) if is_whole else float(value)
-    drjit = _drjit()
-    kind = type(like)
-    return drjit.opaque(drjit.int32_array_t(kind) if is_whole else drjit.float32_array_t(kind), value)
+    dr, kind = _drjit(), type(like)
+    return dr.opaque(dr.int32_array_t(kind) if is_whole else dr.float32_array_t(kind), value)
 
 
 def to_float(array: Any) -> Any:
     """Whole numbers, or a mask, as float32."""
     if is_torch(array):
         return array.float()
-    drjit = _drjit()
-    kind = drjit.float32_array_t(type(array))
-    return drjit.select(array, kind(1.0), kind(0.0)) if drjit.is_mask_v(array) else kind(array)
+    dr = _drjit()
+    kind = dr.float32_array_t(type(array))
+    return dr.select(array, kind(1.0), kind(0.0)) if dr.is_mask_v(array) else kind(array)
 
 
 def integer_part(values: Any) -> Any:
@@ -73,31 +75,26 @@ def integer_part(values: Any) -> Any:
     return values.long() if is_torch(values) else _drjit().int32_array_t(type(values))(values)
 
 
-def constant_array(like: Any, value: float, count: int) -> Any:
-    """Array of a constant, in memory of its own."""
+def zeros_of(like: Any) -> Any:
+    """Array of zeros of the size of one of float32, in memory of its own."""
     if is_torch(like):
-        import torch
-
-        return torch.full((count,), value, device=like.device)
-    drjit = _drjit()
-    return drjit.opaque(drjit.float32_array_t(type(like)), value, count)
+        return _torch().zeros_like(like)
+    return _drjit().opaque(_drjit().float32_array_t(type(like)), 0.0, len(like))
 
 
 def gather(flat: Any, index: Any) -> Any:
     """Values at indices."""
     if is_torch(flat):
         return flat[index]
-    drjit = _drjit()
-    return drjit.gather(type(flat), flat, drjit.uint32_array_t(type(index))(index))
+    return _drjit().gather(type(flat), flat, _drjit().uint32_array_t(type(index))(index))
 
 
 def scatter(target: Any, index: Any, values: Any, mask: Any) -> None:
     """Set values at indices where a mask is True."""
     if is_torch(target):
         target[index[mask]] = values[mask]
-        return
-    drjit = _drjit()
-    drjit.scatter(target, values, drjit.uint32_array_t(type(index))(index), mask)
+    else:
+        _drjit().scatter(target, values, _drjit().uint32_array_t(type(index))(index), mask)
 
 
 def evaluate(*arrays: Any) -> None:
@@ -122,18 +119,14 @@ def floats(device: Device, array: np.ndarray) -> Any:
     flat = np.ascontiguousarray(array, dtype=np.float32).ravel()
     if device.module is not None:
         return device.module.Float(_aligned(flat))
-    import torch
-
-    return torch.tensor(flat, device=device.place)
+    return _torch().tensor(flat, device=device.place)
 
 
 def indices(device: Device, array: np.ndarray) -> Any:
     """Flat array of indices on the device, copied: uint32 in Dr.Jit, int64 in torch."""
     if device.module is not None:
         return device.module.UInt(_aligned(np.ascontiguousarray(array, dtype=np.uint32).ravel()))
-    import torch
-
-    return torch.tensor(np.asarray(array, dtype=np.int64), device=device.place).reshape(-1)
+    return _torch().tensor(np.asarray(array, dtype=np.int64), device=device.place).reshape(-1)
 
 
 def _aligned(flat: np.ndarray) -> np.ndarray:
@@ -153,20 +146,14 @@ def words(device: Device, array: np.ndarray) -> Any:
     wide = flat.dtype == np.uint64
     if device.module is not None:
         return (device.module.UInt64 if wide else device.module.UInt)(flat)
-    import torch
-
-    return torch.from_numpy(flat.view(np.int64 if wide else np.int32)).to(device.place)
+    return _torch().from_numpy(flat.view(np.int64 if wide else np.int32)).to(device.place)
 
 
 def constant(device: Device, value: float) -> Any:
     """Scalar that kernels of Dr.Jit take as an argument, so that another value compiles no other kernel."""
     if device.module is not None:
-        import drjit
-
-        return drjit.opaque(device.module.Float, float(value))
-    import torch
-
-    return torch.tensor(float(value), device=device.place)
+        return _drjit().opaque(device.module.Float, float(value))
+    return _torch().tensor(float(value), device=device.place)
 
 
 @dataclass(frozen=True)
@@ -184,9 +171,7 @@ class Buffer:
     @staticmethod
     def of(device: Device, size: int) -> Buffer:
         """Uninitialised buffer of a size."""
-        import drjit
-
-        array = drjit.empty(device.module.Float, size + _SPARE)
+        array = _drjit().empty(device.module.Float, size + _SPARE)
         return Buffer(array, size, array.numpy() if device.name == "llvm" else None)
 
 
@@ -195,12 +180,10 @@ def hypothesis_and_pixel(device: Device, count: int, strip: int) -> tuple[Any, A
 
     By a product: processors have no division of vectors of whole numbers.
     """
-    import drjit
-
-    module = device.module
-    index = drjit.arange(module.UInt, count)
-    number = module.UInt((module.Float64(index) + 0.5) * drjit.opaque(module.Float64, 1.0 / strip))
-    return number, index - number * drjit.opaque(module.UInt, strip)
+    dr, module = _drjit(), device.module
+    index = dr.arange(module.UInt, count)
+    number = module.UInt((module.Float64(index) + 0.5) * dr.opaque(module.Float64, 1.0 / strip))
+    return number, index - number * dr.opaque(module.UInt, strip)
 
 
 def host(device: Device, array) -> np.ndarray:
@@ -215,50 +198,29 @@ def sharing_cores(device: Device, workers: int) -> Iterator[None]:
     Threads of Dr.Jit keep a core busy while they wait for the next kernel, so all but one of the workers get the core
     of one. Python hands over its lock every 5 ms unless it is released, longer than most calls of numpy take here.
     """
-    interval = sys.getswitchinterval()
+    interval, count = sys.getswitchinterval(), _drjit().thread_count() if device.name == "llvm" else 0
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    if count:
+        _drjit().set_thread_count(max(count - workers + 1, 1))
     try:
-        with _fewer_threads(device, workers - 1):
-            yield
+        yield
     finally:
+        if count:
+            _drjit().set_thread_count(count)
         sys.setswitchinterval(interval)
-
-
-@contextmanager
-def _fewer_threads(device: Device, fewer: int) -> Iterator[None]:
-    if device.name != "llvm":
-        yield
-        return
-    import drjit
-
-    count = drjit.thread_count()
-    drjit.set_thread_count(max(count - fewer, 1))
-    try:
-        yield
-    finally:
-        drjit.set_thread_count(count)
 
 
 def free_unused(device: Device) -> None:
     """Free the unused memory that the device keeps for arrays of the same size."""
     if device.module is not None:
-        import drjit
-
-        drjit.flush_malloc_cache()
+        _drjit().flush_malloc_cache()
     elif device.place == "cuda":
-        import torch
-
-        torch.cuda.empty_cache()
+        _torch().cuda.empty_cache()
 
 
 def release(device: Device) -> None:
     """Return unused memory of the device and of the C library (glibc) to the system."""
     free_unused(device)
-    trim_heap()
-
-
-def trim_heap() -> None:
-    """Return unused memory of the C library (glibc) to the system."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
     if trim is not None:
         trim(0)

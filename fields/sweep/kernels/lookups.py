@@ -10,10 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from fields.device import Device
 from fields.sweep.kernels.arrays import (
     arange,
-    constant_array,
     evaluate,
     floats,
     gather,
@@ -23,6 +21,7 @@ from fields.sweep.kernels.arrays import (
     scalar,
     scatter,
     to_float,
+    zeros_of,
 )
 from fields.sweep.kernels.rays import point_at, project, refracted_rays
 from fields.sweep.kernels.stack import CameraTerms, ViewStack, camera_table
@@ -37,14 +36,9 @@ def groups(views: list) -> list[list]:
     return [views[first : first + VIEWS_PER_KERNEL] for first in range(0, len(views), VIEWS_PER_KERNEL)]
 
 
-def like_of(device: Device) -> Any:
-    """An array of the device, for functions of `arrays` that take one to know it."""
-    return floats(device, np.zeros(1, dtype=np.float32))
-
-
 def rays_of_rows(stack: ViewStack, view: int, first_row: int, rows: int) -> list:
     """Rays (`fields.sweep.kernels.rays`) of a strip of pixels of `view`: six floats of P = rows * width, or more."""
-    index = arange(like_of(stack.device), rows * stack.cameras[view].width)
+    index = arange(floats(stack.device, np.zeros(1, dtype=np.float32)), rows * stack.cameras[view].width)
     return _refracted_rays(stack, view, index + scalar(index, first_row * stack.cameras[view].width))
 
 
@@ -118,7 +112,7 @@ def compare_heights(
     else:
         rays, own_height = rays_and_heights(stack, view, pixels)
     xp, most = kernels.namespace(own_height), scalar(own_height, float(tolerance))
-    count, total, square = (constant_array(own_height, 0.0, len(own_height)) for _ in range(3))
+    count, total, square = (zeros_of(own_height) for _ in range(3))
     for group in groups(peers):
         for peer in group:
             difference = sample(stack, peer, *project_rays(stack, rays, own_height, peer)) - own_height
@@ -135,7 +129,7 @@ def count_seeing_through(stack: ViewStack, view: int, peers: list[int], toleranc
     All four of the peer's pixels about the point are lower by more than `tolerance` [m]; NaN sees nothing.
     """
     rays, own_height = rays_and_heights(stack, view, pixels)
-    count = constant_array(own_height, 0.0, len(own_height))
+    count = zeros_of(own_height)
     least = own_height - scalar(own_height, float(tolerance))
     for group in groups(peers):
         for peer in group:
@@ -157,7 +151,7 @@ def find_duplicates(
     """
     heights = stack.pixels(other)
     xp, least, most = kernels.namespace(heights), scalar(heights, float(tolerance)), scalar(heights, float(close_m))
-    claimed, close = (constant_array(heights, 0.0, len(heights)) for _ in range(2))
+    claimed, close = (zeros_of(heights) for _ in range(2))
     u, v, inside = project_rays(stack, rays, own_height, other)
     corner, fx, fy = corner_of(stack, other, u, v, inside)
     four = four_about(stack, other, corner)

@@ -117,7 +117,10 @@ def points_of_holes(holes: Holes, sightings: Sequence[Sighting]) -> FoundPoints 
     height, information = np.zeros(holes.shape), np.full(holes.shape, np.inf)
     members = np.zeros((len(sightings), *holes.shape), dtype=bool)
     height[part], information[part], members[:, *part] = found
-    kept = _connected(is_candidate & (members.sum(axis=0) >= LEAST_VIEWS))
+    kept = is_candidate & (members.sum(axis=0) >= LEAST_VIEWS)
+    # Cells that touch enough others: a chance agreement stands alone.
+    _, label, stats, _ = cv2.connectedComponentsWithStats(kept.astype(np.uint8), connectivity=8)
+    kept &= (stats[:, cv2.CC_STAT_AREA] >= _LEAST_CELLS)[label]
     if not kept.any():
         return None
     kept = _unexplained(holes, sightings, radiometry, height, members, kept)
@@ -183,12 +186,6 @@ def _misfit(colours: Colours, members: np.ndarray) -> np.ndarray:
     known = members.sum(axis=0) >= 2
     cells = cv2.blur(known.astype(np.float32), (_WINDOW, _WINDOW), borderType=cv2.BORDER_CONSTANT) * _WINDOW**2
     return windowed(square, known, _WINDOW) * _INDEPENDENT * cells
-
-
-def _connected(cells: np.ndarray) -> np.ndarray:
-    """Cells (rows, columns) bool that touch enough others: a chance agreement stands alone."""
-    _, label, stats, _ = cv2.connectedComponentsWithStats(cells.astype(np.uint8), connectivity=8)
-    return cells & (stats[:, cv2.CC_STAT_AREA] >= _LEAST_CELLS)[label]
 
 
 @dataclass(frozen=True)

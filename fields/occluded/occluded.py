@@ -57,7 +57,10 @@ def find_occluded(
     """
     views = views_of(maps)
     places = (part for m in maps for part in step_places(block.cameras[m.view], block.water, m, known.gsd))
-    sample, others = _split_off_sample(boxes_about(places, known.gsd))
+    boxes = boxes_about(places, known.gsd)
+    # A sample from all over the ground, and the others.
+    chosen = set(np.linspace(0, len(boxes) - 1, min(_SAMPLE, len(boxes))).astype(int).tolist())
+    sample, others = [boxes[k] for k in sorted(chosen)], [each for k, each in enumerate(boxes) if k not in chosen]
     if sample:
         known.prepare_index()
     with ThreadPoolExecutor(_THREADS) as pool:
@@ -124,12 +127,6 @@ def show_bed(found: Sequence[Holes], points: Sequence[FoundPoints]) -> bool:
     """Whether points fill enough of the cells of holes to search more of them."""
     num_cells = sum(int(holes.are_holes.sum()) for holes in found)
     return sum(len(each.xyz) for each in points) >= _LEAST_FOUND * num_cells
-
-
-def _split_off_sample(boxes: list[StepBox]) -> tuple[list[StepBox], list[StepBox]]:
-    """Boxes from all over the ground, and the others."""
-    chosen = set(np.linspace(0, len(boxes) - 1, min(_SAMPLE, len(boxes))).astype(int).tolist())
-    return [boxes[k] for k in sorted(chosen)], [each for k, each in enumerate(boxes) if k not in chosen]
 
 
 def _sightings(

@@ -146,12 +146,17 @@ def brightness_of(albedos: np.ndarray) -> Brightness:
     # The mean takes a share of the residual.
     left = np.sqrt(np.maximum(1.0 - 1.0 / np.maximum(count, 2), 0.5)).astype(np.float32)
     albedo = values.sum(axis=0) / np.maximum(count, 1.0)
-    some = [_some_of(mask) for mask in seen]
+    # A subset is large enough for a median.
+    some = [(index := np.flatnonzero(mask))[:: max(len(index) // _SAMPLE, 1)] for mask in seen]
     weight, residual = np.empty_like(values), np.empty_like(values)
     # In place, as most of the time goes into memory that is asked for again and again.
     for _ in range(2):
         np.subtract(values, albedo, out=residual)
-        noise = np.array([_noise(r[index] / left[index]) for r, index in zip(residual, some, strict=True)])
+        noise = np.ones(len(values), dtype=np.float32)
+        for view, index in enumerate(some):
+            if len(index):
+                middle = float(median_reordering(np.abs(residual[view][index] / left[index])))
+                noise[view] = max(MAD_TO_STD * middle, LEAST_NOISE)
         residual /= (OUTLIER * noise[:, None]) * left
         residual *= residual
         residual += np.float32(1.0)
@@ -161,15 +166,3 @@ def brightness_of(albedos: np.ndarray) -> Brightness:
     np.subtract(values, albedo, out=residual)
     residual *= is_seen
     return Brightness(albedo, residual, weight, noise)
-
-
-def _some_of(mask: np.ndarray) -> np.ndarray:
-    """Indices of a mask (N,), or of a subset large enough for a median."""
-    index = np.flatnonzero(mask)
-    return index[:: max(len(index) // _SAMPLE, 1)]
-
-
-def _noise(residual: np.ndarray) -> np.float32:
-    if len(residual) == 0:
-        return np.float32(1.0)
-    return np.float32(max(MAD_TO_STD * float(median_reordering(np.abs(residual))), LEAST_NOISE))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, MutableMapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import groupby, islice
 
 import cv2
@@ -59,12 +59,6 @@ class SolvedMap:
     pixels: np.ndarray  # (N,) int64: flat indices in the map, rising
     height: np.ndarray  # (N,) float32 [m] over the water plane
     std: np.ndarray  # (N,) float32 [m]: of the height, for cameras and water as they are given
-
-    @staticmethod
-    def empty() -> SolvedMap:
-        """Solution of no pixel."""
-        nothing = np.empty(0, dtype=np.float32)
-        return SolvedMap(np.empty(0, dtype=np.int64), nothing, nothing)
 
     def over(self, height_map: HeightMap) -> tuple[HeightMap, np.ndarray]:
         """The map with the solved heights, and their std (height, width) [m]; NaN where nothing was solved."""
@@ -127,7 +121,7 @@ def solve_maps(
     views, visibility = replace(Views.of(block, maps), waves=waves), np.zeros((2, len(block.images)), dtype=np.int64)
     solved, total, done = make_store(), 0, 0
     for index, wanted in enumerate(kept):
-        solved[index] = SolvedMap.empty()
+        solved[index] = SolvedMap(np.empty(0, dtype=np.int64), *np.empty((2, 0), dtype=np.float32))
         total += int(np.count_nonzero(wanted)) if views.others[index] else 0
     found = OrderedMaps(solved, list(range(len(kept))))
     if figures is None or not total:
@@ -155,7 +149,7 @@ def solve_maps(
                 visibility += seen
                 done += int(np.count_nonzero(job.tile.requested))
                 progress(done / total)
-            solved[index] = _with_std(maps[index], _concatenate(parts), figures, is_wet)
+            solved[index] = _with_std(maps[index], parts, figures, is_wet)
     return found, visibility, views.waves
 
 
@@ -248,14 +242,11 @@ def _solve_part(
     return _PartSolution(pixels[taken], *(each[taken].astype(np.float32) for each in values))
 
 
-def _concatenate(parts: list[_PartSolution]) -> _PartSolution:
-    names = ("pixels", "height", "noise", "relief", "shift", "rise")
-    pixels, *others = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
-    order = np.argsort(pixels)
-    return _PartSolution(pixels[order], *(each[order] for each in others))
-
-
-def _with_std(m: HeightMap, found: _PartSolution, figures: SolverFigures, is_wet: bool) -> SolvedMap:
+def _with_std(m: HeightMap, parts: list[_PartSolution], figures: SolverFigures, is_wet: bool) -> SolvedMap:
+    """The parts of a map in the order of its pixels, with the standard deviations of their heights."""
+    columns = [np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(_PartSolution)]
+    order = np.argsort(columns[0])
+    found = _PartSolution(*(column[order] for column in columns))
     photographs = m.agreeing.flat[found.pixels] + np.float32(1.0)
     # What shifts the photographs shifts the bed in the map that shows it, too.
     shift = figures.shifts.variance(depth_of(found.height, is_wet))

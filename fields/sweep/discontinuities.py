@@ -96,16 +96,12 @@ def wall_slopes(
     at, found = tuple(facing.T), np.full(gradients.shape, np.nan)
     low, high = (each[at] for each in extent)
     uphill = gradients[at] / length[at][:, None]
-    plumb = _plumb_line(camera, water, size * (facing[:, ::-1] + 0.5), 0.5 * (low + high))[:, ::-1]
+    # Image motion of the points seen in the middle of the tiles per metre of height.
+    half = 0.5 * _STEP_M * np.array(water.up if water is not None else (0.0, 0.0, 1.0))
+    point = camera.paths(size * (facing[:, ::-1] + 0.5), water).at_height(0.5 * (low + high), water)
+    plumb = ((camera.project(point + half, water) - camera.project(point - half, water)) / _STEP_M)[:, ::-1]
     # Pixels by which a wall rises in the image for each metre of height, across its foot.
     rise = (uphill * plumb).sum(axis=-1)
     seen = (rise * (high - low) > width_px) & (rise > _LEAST_COSINE * np.linalg.norm(plumb, axis=-1))
     found[tuple(facing[seen].T)] = uphill[seen] / rise[seen][:, None]
     return found
-
-
-def _plumb_line(camera: PinholeCamera, water: FlatWater | None, pixels: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Image motion (N, 2) [px/m] of points seen at pixels (N, 2) per metre of height."""
-    half = 0.5 * _STEP_M * np.array(water.up if water is not None else (0.0, 0.0, 1.0))
-    point = camera.paths(pixels, water).at_height(height, water)
-    return (camera.project(point + half, water) - camera.project(point - half, water)) / _STEP_M

@@ -120,22 +120,16 @@ def _visible_nodes(cameras: list[PinholeCamera], height: float, x: np.ndarray, y
             continue
         ends = camera.centre[:2] + rays[:, :2] * (over / np.maximum(-rays[:, 2], _LEAST_FALL))[:, None]
         ends = np.concatenate([ends, camera.centre[None, :2]])
-        columns, rows = (
-            _nodes_between(axis, low, high)
-            for axis, low, high in zip((x, y), ends.min(axis=0), ends.max(axis=0), strict=True)
-        )
-        found.append((rows[:, None] * len(x) + columns).ravel())
+        spans = []
+        for axis, low, high in zip((x, y), ends.min(axis=0), ends.max(axis=0), strict=True):
+            first, end = np.searchsorted(axis, (low, high))
+            first, end = max(first - 1, 0), min(end + 1, len(axis))
+            every = max(-(-(end - first) // MOST_CELLS), 1)
+            # The same nodes for all cameras that leave out as many.
+            spans.append(np.arange(-(-first // every) * every, end, every))
+        found.append((spans[1][:, None] * len(x) + spans[0]).ravel())
     row, column = np.divmod(np.unique(np.concatenate(found)), len(x))
     return np.column_stack([x[column], y[row]])
-
-
-def _nodes_between(axis: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Numbers of the nodes of an axis between two places, and of one on either side."""
-    first, end = np.searchsorted(axis, (low, high))
-    first, end = max(first - 1, 0), min(end + 1, len(axis))
-    every = max(-(-(end - first) // MOST_CELLS), 1)
-    # The same nodes for all cameras that leave out as many.
-    return np.arange(-(-first // every) * every, end, every)
 
 
 def cover(
@@ -295,16 +289,16 @@ class Footprint:
         count = len(cameras) * len(border) // len(paths)
         places = [[path.at_height(np.full(count, level), water)[:, :2] for level in levels] for path in paths]
         each = np.split(np.concatenate(places, axis=1), len(cameras), axis=1)
-        return [Footprint._about(own.reshape(-1, 2)) for own in each]
-
-    @staticmethod
-    def _about(points: np.ndarray) -> Footprint:
-        """Rectangle about points (N, 2) with a margin; without end where one of them is not finite."""
-        if not np.isfinite(points).all():
-            return Footprint(np.full(2, -np.inf), np.full(2, np.inf))
-        low, high = points.min(axis=0), points.max(axis=0)
-        margin = _MARGIN * (high - low).max()
-        return Footprint(low - margin, high + margin)
+        footprints = []
+        for points in (own.reshape(-1, 2) for own in each):
+            low, high = points.min(axis=0), points.max(axis=0)
+            margin = _MARGIN * (high - low).max()
+            # Without end where one of them is not finite.
+            ends = (
+                (low - margin, high + margin) if np.isfinite(points).all() else np.array([[-np.inf] * 2, [np.inf] * 2])
+            )
+            footprints.append(Footprint(*ends))
+        return footprints
 
     def meets(self, other: Footprint) -> bool:
         """Whether two footprints overlap."""

@@ -128,53 +128,30 @@ def render_submodules(
     samples: int = 48,
     dry: bool = False,
 ) -> VolumeImage:
-    """Image of submodules by a camera, blended by their weights as in equation (1).
-
-    ``submodules``: iterable of (weight, Submodule), those that the view has, one of which is rendered at a time.
-    """
-    blend = Blend(camera, grid)
+    """Image of (weight, submodule), rendered one at a time, by a camera, blended by their weights by equation (1)."""
+    shape = (camera.height, camera.width)
+    rgb, weights, opacity = np.zeros((*shape, 3)), np.zeros(shape), np.zeros(shape, np.float32)
+    distance, points = np.full(shape, np.nan, np.float32), np.full((*shape, 3), np.nan, np.float32)
+    # Of the submodule that gives the place: the one whose ground it is before others, then the weightiest.
+    rank = np.full(shape, -1.0)
     for weight, submodule in submodules:
         shown = None if submodule.renderer.background is not None else pixels_over(camera, submodule.box, water)
         if shown is not None and not len(shown):
             continue
-        seen = render_volume(
-            submodule.renderer, camera, water, submodule.cells, samples=samples, dry=dry, shown=shown
-        )  # fmt: skip
-        blend.add(weight, submodule.number, seen, shown)
-    return blend.view()
-
-
-class Blend:
-    """A picture that submodules are blended into, one after the other."""
-
-    def __init__(self, camera: PinholeCamera, grid: Grid):
-        shape = (camera.height, camera.width)
-        self.grid = grid
-        self._rgb, self._weight = np.zeros((*shape, 3)), np.zeros(shape)
-        # Of the submodule that gives the place: the one whose ground it is before others, then the weightiest.
-        self._rank = np.full(shape, -1.0)
-        self._distance, self._points = np.full(shape, np.nan, np.float32), np.full((*shape, 3), np.nan, np.float32)
-        self._opacity = np.zeros(shape, np.float32)
-
-    def add(self, weight: float, number: int, seen: VolumeImage, shown: np.ndarray | None) -> None:
-        """Add the view of a submodule that has a weight and the number of a cell; None: it shows every pixel."""
-        mask = np.ones(self._weight.shape, bool)
-        if shown is not None:
-            mask[:] = False
-            mask.flat[shown] = True
-        self._rgb[mask] += weight * seen.rgb[mask]
-        self._weight[mask] += weight
+        renderer, cells = submodule.renderer, submodule.cells
+        seen = render_volume(renderer, camera, water, cells, samples=samples, dry=dry, shown=shown)
+        mask = np.zeros(shape, bool)
+        mask.flat[slice(None) if shown is None else shown] = True
+        rgb[mask] += weight * seen.rgb[mask]
+        weights[mask] += weight
         is_hit = mask & np.isfinite(seen.distance) & (seen.opacity > LEAST_OPACITY)
-        rank = np.where(is_hit, weight + (self.grid.owner(seen.points) == number), -1.0)
-        better = rank > self._rank
-        for kept, new in ((self._rank, rank), (self._distance, seen.distance), (self._opacity, seen.opacity)):
-            kept[better] = new[better]
-        self._points[better] = seen.points[better]
-
-    def view(self) -> VolumeImage:
-        """The picture."""
-        rgb = self._rgb / np.where(self._weight > 0.0, self._weight, 1.0)[..., None]
-        return VolumeImage(rgb.astype(np.float32), self._distance, self._opacity, self._points)
+        own = np.where(is_hit, weight + (grid.owner(seen.points) == submodule.number), -1.0)
+        better = own > rank
+        given = ((rank, own), (distance, seen.distance), (opacity, seen.opacity), (points, seen.points))
+        for target, values in given:
+            target[better] = values[better]
+    rgb /= np.where(weights > 0.0, weights, 1.0)[..., None]
+    return VolumeImage(rgb.astype(np.float32), distance, opacity, points)
 
 
 def ground_shares(grid: Grid, bed: np.ndarray, camera: PinholeCamera, water: WaterSurface | None) -> np.ndarray:
@@ -203,47 +180,8 @@ def thinned(points: np.ndarray, most: int = MOST_POINTS) -> np.ndarray:
     return points[:: max(-(-len(points) // most), 1)]
 
 
-def shared_rays(
-    cameras: Iterable[PinholeCamera], bed: np.ndarray, one: Box, other: Box, water: WaterSurface | None
-) -> Rays | None:
-    """Rays of the nearest cameras to points of the bed (N, 3) [m] that lie in two boxes; None where there are none."""
-    points = thinned(bed[_inside(bed, one) & _inside(bed, other)], MOST_POINTS // 10)
-    if not len(points):
-        return None
-    middle, parts = points.mean(axis=0), []
-    for camera in sorted(cameras, key=lambda each: float(np.linalg.norm(each.centre - middle)))[:MOST_CAMERAS]:
-        pixels = camera.project(points, water)
-        pixels = pixels[camera.sees(pixels)]
-        parts.append(Rays.of(camera, pixels, np.zeros((len(pixels), 3), dtype=np.uint8), 0))
-    rays = Rays.concatenate(parts)
-    return rays if len(rays.view) else None
-
-
 def _inside(points: np.ndarray, box: Box) -> np.ndarray:
     return np.logical_and.reduce((points > box.low) & (points < box.high), axis=1)
-
-
-def matched_vector(
-    target: Submodule, source: Submodule, shared: Rays, water: WaterSurface | None, *, steps: int = 100, rays: int = 512
-) -> nn.Embedding:
-    """The appearance vector with which a submodule matches another along rays to places that both show.
-
-    All else of both is unchanged. Raises ValueError if the submodule has no vectors.
-
-    ``source``: one whose renderer has a single vector: the appearance to match.
-    """
-    rng, place = np.random.default_rng(0), target.renderer.model.place
-    source_cells = source.cells.to(place)
-
-    def draw() -> Paths:
-        some = shared[rng.integers(len(shared.view), size=rays)]
-        paths, source_paths = some.paths(water, target.box).to(place), some.paths(water, source.box).to(place)
-        with torch.no_grad():
-            samples = source.renderer.samples(source_paths, source_cells, SAMPLES, jitter=False)
-            paths.rgb = source.renderer.render(source_paths, samples).rgb.clamp(max=1.0)
-        return paths
-
-    return fitted_vectors(target.renderer, 1, target.cells, draw, steps=steps)
 
 
 def single_vector(vector: torch.Tensor) -> nn.Embedding:
@@ -282,10 +220,30 @@ def match_submodule(
     steps: int = 100,
     rays: int = 512,
 ) -> bool:
-    """Match a submodule to another; False: they share no ground, and it gets the mean of its own vectors."""
-    shared = shared_rays(cameras, bed, target.box, source.box, water)
-    if shared is None:
+    """Match a submodule to another, which has a single vector, along rays of the nearest cameras to places in both.
+
+    All else of both is unchanged. False: they share no ground, and it gets the mean of its own vectors.
+    """
+    points, parts = thinned(bed[_inside(bed, target.box) & _inside(bed, source.box)], MOST_POINTS // 10), []
+    middle = points.mean(axis=0) if len(points) else np.zeros(3)
+    for camera in sorted(cameras, key=lambda each: float(np.linalg.norm(each.centre - middle)))[:MOST_CAMERAS]:
+        pixels = camera.project(points, water)
+        pixels = pixels[camera.sees(pixels)]
+        parts.append(Rays.of(camera, pixels, np.zeros((len(pixels), 3), dtype=np.uint8), 0))
+    shared = Rays.concatenate(parts)
+    if not len(shared.view):
         target.renderer.appearance = single_vector(vectors_of(target).mean(dim=0))
-    else:
-        target.renderer.appearance = matched_vector(target, source, shared, water, steps=steps, rays=rays)
-    return shared is not None
+        return False
+    rng, place = np.random.default_rng(0), target.renderer.model.place
+    source_cells = source.cells.to(place)
+
+    def draw() -> Paths:
+        some = shared[rng.integers(len(shared.view), size=rays)]
+        paths, source_paths = some.paths(water, target.box).to(place), some.paths(water, source.box).to(place)
+        with torch.no_grad():
+            samples = source.renderer.samples(source_paths, source_cells, SAMPLES, jitter=False)
+            paths.rgb = source.renderer.render(source_paths, samples).rgb.clamp(max=1.0)
+        return paths
+
+    target.renderer.appearance = fitted_vectors(target.renderer, 1, target.cells, draw, steps=steps)
+    return True

@@ -117,17 +117,13 @@ class CameraTerms:
         moves, tides = any(c.motion is not None for c in cameras), any(c.tide != 0.0 for c in cameras)
         return CameraTerms(kinds_of(c.distortion for c in cameras), moves, tides)
 
-    @property
-    def _tide_at(self) -> int:
-        return _PINHOLE_ROW + (_MOTION_ROW if self.moves else 0)
-
     def motion(self, row):
         """Motion of the camera from one row of the image to the next [m/px]."""
         return row[_PINHOLE_ROW : _PINHOLE_ROW + _MOTION_ROW]
 
     def tide(self, row):
         """Height of the camera's own water level over the plane, along its normal [m]."""
-        return row[self._tide_at]
+        return row[_PINHOLE_ROW + (_MOTION_ROW if self.moves else 0)]
 
     def lens(self, row):
         """Parameters of `refract.distortion`."""
@@ -255,30 +251,19 @@ class PackedImages:
         least, most, are_unmasked, pixels = np.inf, -np.inf, True, 0
         for image in images:
             pixels = max(pixels, image.size)
-            low, high = _extremes(image)
-            least, most = min(least, low), max(most, high)
+            low, high = image.min(), image.max()
+            if np.isnan(low):  # Slower, and infinite where all are masked
+                low, high = np.nanmin(image, initial=np.inf), np.nanmax(image, initial=-np.inf)
+            least, most = min(least, float(low)), max(most, float(high))
             are_unmasked = are_unmasked and np.array_equal(np.rint(image), image)
         least, most = (0.0, 0.0) if most < least else (least, most)
         bits = 8 if most - least < 2**8 and are_unmasked else 16
         step = 1.0 if bits == 8 else 2.0 ** np.ceil(np.log2(max(most - least, LEAST_SPAN) / (MASKED - 2)))
         low = step * np.floor(least / step)
-        kept = num_packed(pixels * bits // 2, memory_bytes(device)) if kept is None else kept
+        budget = max(int(_OF_MEMORY * memory_bytes(device)), KEPT_BYTES)
+        kept = num_cached(pixels * bits // 2, budget, FEWEST_KEPT) if kept is None else kept
         values = lru_cache(kept)(lambda view: words(device, _packed(images[view], low, step, bits)))
         return PackedImages(values, kept, bits, float(low), float(step))
-
-
-def _extremes(image: np.ndarray) -> tuple[float, float]:
-    """Least and largest level of an image; infinite, in the wrong order, where all are masked."""
-    low = float(image.min())
-    if not np.isnan(low):
-        return low, float(image.max())
-    # Slower.
-    return (float(np.nanmin(image)), float(np.nanmax(image))) if not np.isnan(image).all() else (np.inf, -np.inf)
-
-
-def num_packed(image_bytes: int, memory: int) -> int:
-    """Number of packed images that a device of so many bytes of memory keeps."""
-    return num_cached(image_bytes, max(int(_OF_MEMORY * memory), KEPT_BYTES), FEWEST_KEPT)
 
 
 def _packed(image: np.ndarray, low: float, step: float, bits: int) -> np.ndarray:

@@ -75,11 +75,6 @@ class Source:
         """Size in memory."""
         return sum(each.nbytes for each in (self.rgb, self.mask, self.heights) if each is not None)
 
-    def splats(self, water: FlatWater | None) -> Splats:
-        """The points of its height map, of which it has one."""
-        assert self.heights is not None
-        return Splats.of(self.camera.scaled(self.scale), self.heights, water)
-
     def observe(self, points: np.ndarray, water: FlatWater | None) -> Observation:
         """Observation of points (N, 3) [m], local, by the photograph."""
         uv = self.camera.project(points, water).astype(np.float32)
@@ -142,7 +137,9 @@ class ImageBasedField:
         optics, numbers = self._optics(dry), self.sources_of(camera, dry=dry)
         maps = self._around(camera, optics, sorted(self.mapped), MAPS)
         shape = (camera.height, camera.width)
-        surface = front_surface(camera, optics, (self.load(n).splats(self.water) for n in maps), self.tolerance)
+        loaded = (self.load(number) for number in maps)
+        splats = (Splats.of(e.camera.scaled(e.scale), e.heights, self.water) for e in loaded if e.heights is not None)
+        surface = front_surface(camera, optics, splats, self.tolerance)
         rgb = np.zeros((*shape, 3), dtype=np.uint8)
         bed, distance = (np.full(shape, np.nan, dtype=np.float32) for _ in range(2))
         place = np.full((*shape, 3), np.nan)
@@ -152,32 +149,31 @@ class ImageBasedField:
         points = camera.paths(_centres(row, column), optics).at_height(surface[row, column].astype(np.float64), optics)
         nearest = self._nearest(points, camera.centre, numbers, SOURCES)
         nearest_maps = self._nearest(points, camera.centre, maps, MAPS)
-        seen_from = self._seen_from(Splats.of(camera, surface, optics), {n for chosen in nearest for n in chosen})
+        # Of the photographs without a map, heights [m] of the surface of the target in coarse pixels stand for one.
+        target, without_map = (
+            Splats.of(camera, surface, optics),
+            {n for chosen in nearest for n in chosen} - self.mapped,
+        )
+        coarse = {
+            number: front_surface(self.cameras[number].scaled(1.0 / _COARSE), self.water, [target], self.tolerance)
+            for number in without_map
+        }
         for at, chosen, around in zip(tiles, nearest, nearest_maps, strict=True):
             path = camera.paths(_centres(*at), optics)
             height = self._averaged(path, optics, surface[at].astype(np.float64), around)
             points = path.at_height(height, optics)
-            colour, known = self._blended(path, points, height, self._sources(chosen, seen_from), without_water)
+            # No longer than a tile needs them: all of a target may not fit into memory.
+            sources = {number: self.load(number) for number in chosen}
+            for number in without_map.intersection(chosen):
+                sources[number] = replace(sources[number], scale=1.0 / _COARSE, heights=coarse[number])
+            colour, known = self._blended(path, points, height, sources, without_water)
             at = at[0][known], at[1][known]
             rgb[at] = np.clip(np.round(colour[known]), 0, 255)
             bed[at], place[at] = height[known], points[known]
-            distance[at] = _path_length(path, points)[known]
+            straight = np.linalg.norm(points - path.origin, axis=1)
+            bent = path.air_length + np.linalg.norm(points - path.crossing, axis=1)
+            distance[at] = np.where(path.wet & (straight > path.air_length), bent, straight)[known]
         return NovelView(rgb, bed, distance, normals_of(place))
-
-    def _seen_from(self, target: Splats, numbers: Iterable[int]) -> dict[int, np.ndarray]:
-        """Heights [m] of the surface of the target in coarse pixels of the photographs without a map."""
-        coarse = {number: self.cameras[number].scaled(1.0 / _COARSE) for number in set(numbers) - self.mapped}
-        return {n: front_surface(camera, self.water, [target], self.tolerance) for n, camera in coarse.items()}
-
-    def _sources(self, numbers: Iterable[int], seen_from: dict[int, np.ndarray]) -> dict[int, Source]:
-        """Photographs, those without a map with the surface of the target in place of one."""
-        # No longer than a tile needs them: all of a target may not fit into memory.
-        return {
-            number: replace(self.load(number), scale=1.0 / _COARSE, heights=seen_from[number])
-            if number in seen_from
-            else self.load(number)
-            for number in numbers
-        }
 
     def _optics(self, dry: bool) -> FlatWater | None:
         """The water that a camera looks through: an index of one keeps the plane that heights count from."""
@@ -230,8 +226,11 @@ class ImageBasedField:
         for (number, source), each, use in zip(sources.items(), seen, usable, strict=True):
             uv = each.uv[use]
             colour = source.colours(uv) * self.gains[number]
-            if without_water is not None and self.water is not None:
-                colour = _dried(source, uv, colour, height[use], self.water, without_water)
+            wet = height[use] < 0.0
+            if without_water is not None and self.water is not None and wet.any():
+                rays = source.camera.paths(uv[wet].astype(np.float64), self.water).air_direction
+                incidence = np.arccos(np.clip(-(rays @ np.asarray(self.water.up)), -1.0, 1.0))
+                colour[wet] = without_water(colour[wet], -height[use][wet], incidence)
             w = _weight(_angle(own[use], _directions(points[use], source.camera.centre)), uv, source.camera)
             total[use] += w[:, None] * colour
             weight[use] += w
@@ -255,32 +254,9 @@ def _centres(row: np.ndarray, column: np.ndarray) -> np.ndarray:
     return np.column_stack([column + 0.5, row + 0.5])
 
 
-def _path_length(path: BentPaths, points: np.ndarray) -> np.ndarray:
-    """Lengths (N,) [m] from the camera to points (N, 3) of paths, through air and water."""
-    straight = np.linalg.norm(points - path.origin, axis=1)
-    bent = path.air_length + np.linalg.norm(points - path.crossing, axis=1)
-    return np.where(path.wet & (straight > path.air_length), bent, straight)
-
-
 def _weight(angle: np.ndarray, uv: np.ndarray, camera: PinholeCamera) -> np.ndarray:
     border = np.minimum(uv, (camera.width, camera.height) - uv).min(axis=1)
     return np.clip(border / _BORDER_PX, 1e-3, 1.0) / (1.0 + (angle / _ANGLE) ** 2) ** 2
-
-
-def _dried(
-    source: Source,
-    uv: np.ndarray,
-    colour: np.ndarray,
-    height: np.ndarray,
-    water: FlatWater,
-    without_water: WithoutWater,
-) -> np.ndarray:
-    wet = height < 0.0
-    path = source.camera.paths(uv[wet].astype(np.float64), water)
-    incidence = np.arccos(np.clip(-(path.air_direction @ np.asarray(water.up)), -1.0, 1.0))
-    out = colour.copy()
-    out[wet] = without_water(colour[wet], -height[wet], incidence)
-    return out
 
 
 def normals_of(place: np.ndarray) -> np.ndarray:

@@ -47,6 +47,7 @@ def added_loss(
 ) -> Tensor:
     """The weighted sum of the terms, a scalar."""
     model, size, cell = renderer.model, losses.patch, cells.edge
+    median = rendered.depth.detach()[:, None]
     terms: list[tuple[float, Callable[[], Tensor]]] = [
         (losses.transparency, lambda: transparency_loss(rendered)),
         (losses.distortion, lambda: distortion_loss(paths, rendered)),
@@ -59,14 +60,9 @@ def added_loss(
         (losses.ssim, lambda: ssim_loss(as_patches(rendered.rgb, size), as_patches(paths.rgb, size))),
         (losses.virtual_patches, lambda: virtual_patch_loss(renderer, paths, rendered, cells, water, size)),
         (losses.depth, lambda: relative_depth_loss(paths, rendered, model.box.edge)),
-        (losses.normal, lambda: normal_prior_loss(paths, normals_of(renderer, paths, rendered, 0.5 * cell))),
+        (losses.normal, lambda: normal_prior_loss(paths, model.normals(paths.at(median)[:, 0], 0.5 * cell))),
     ]
     return sum((weight * loss() for weight, loss in terms if weight), rendered.rgb.new_zeros(()))
-
-
-def normals_of(renderer: VolumeRenderer, paths: Paths, rendered: Rendered, step: float) -> Tensor:
-    """Normals (N, 3) at the median of the weights of paths, by differences over ``step`` [m]."""
-    return renderer.model.normals(paths.at(rendered.depth.detach()[:, None])[:, 0], step)
 
 
 def transparency_loss(rendered: Rendered) -> Tensor:
@@ -105,6 +101,12 @@ def density_per_half(model: VolumeModel, x: Tensor, length: float) -> Tensor:
     return 0.5 * model.box.edge * model.evaluate(x.reshape(-1, 3))[0].view(x.shape[:-1])
 
 
+def _placed(model: VolumeModel, shares: Tensor) -> Tensor:
+    """Positions (..., 3) [m] at shares (..., 3) of the edges of the box."""
+    low, size = (torch.as_tensor(v, dtype=torch.float32, device=model.place) for v in (model.box.low, model.box.size))
+    return low + size * shares
+
+
 def draw_nodes(
     model: VolumeModel,
     length: float,
@@ -121,8 +123,8 @@ def draw_nodes(
     place = model.place
     node = torch.randint(0, int(np.prod(counts)), (drawn,), device=place)
     corner = torch.stack(torch.unravel_index(node, counts), dim=-1)
-    low, size = (_single(v, place) for v in (model.box.low, model.box.size / counts))
-    x = low + size * (corner[:, None] + torch.rand(drawn, points, 3, device=place))
+    shares = (corner[:, None] + torch.rand(drawn, points, 3, device=place)) / torch.tensor(counts, device=place)
+    x = _placed(model, shares)
     axes = torch.eye(3, device=place)
     offsets = 0.5 * length * torch.cat([axes.new_zeros(1, 3), axes, -axes])
     middle, after, before = of(model, x[:, :, None] + offsets, length).split([1, 3, 3], dim=2)
@@ -148,8 +150,7 @@ def limited_exp(x: Tensor) -> Tensor:
 
 def empty_loss(model: VolumeModel, length: float, *, points: int = DRAWN * POINTS) -> Tensor:
     """Equation (5) at points drawn uniformly in the box, of pieces of ``length`` [m]."""
-    low, size = (_single(v, model.place) for v in (model.box.low, model.box.size))
-    return opacity(model, low + size * torch.rand(points, 3, device=model.place), length).mean()
+    return opacity(model, _placed(model, torch.rand(points, 3, device=model.place)), length).mean()
 
 
 def gaussian_density_loss(
@@ -166,15 +167,10 @@ def gaussian_density_loss(
     Neighbours come in pairs about the point, so that density that changes linearly costs nothing.
     """
     place = model.place
-    low, size = (_single(v, place) for v in (model.box.low, model.box.size))
-    x = low + size * torch.rand(points, 1, 3, device=place)
+    x = _placed(model, torch.rand(points, 1, 3, device=place))
     offsets = length * torch.randn(points, PAIRS, 3, device=place)
     a = of(model, torch.cat([x, x + offsets, x - offsets], dim=1), length)
     return ((a[:, 0] - a[:, 1:].mean(dim=1)) ** 2).mean()
-
-
-def _single(values: np.ndarray, place: torch.device) -> Tensor:
-    return torch.as_tensor(values, dtype=torch.float32, device=place)
 
 
 # Scale and shift of a photograph are fitted to at least this many paths of a batch; to two, any depth fits.
@@ -253,15 +249,8 @@ def as_patches(values: Tensor, size: int) -> Tensor:
 
 
 def ncc_loss(rendered: Tensor, seen: Tensor) -> Tensor:
-    """``1 - (cov + e) / sqrt((var + e) (var' + e))``, mean over patches and channels; blind to brightness and contrast.
-
-    ``e`` is the variance of one grey value: patches without texture count as alike, not as noise.
-    """
-    x, y = (v.flatten(1, 2) for v in (rendered, seen))
-    x, y = x - x.mean(dim=1, keepdim=True), y - y.mean(dim=1, keepdim=True)
-    cov = (x * y).mean(dim=1)
-    spread = ((x**2).mean(dim=1) + NOISE) * ((y**2).mean(dim=1) + NOISE)
-    return (1.0 - (cov + NOISE) / spread.sqrt()).mean()
+    """One less `masked_ncc` of whole patches."""
+    return 1.0 - masked_ncc(rendered, seen, torch.ones_like(seen[..., 0]))
 
 
 def ssim_loss(rendered: Tensor, seen: Tensor, shown: Tensor | None = None) -> Tensor:
@@ -324,7 +313,11 @@ def virtual_patch_loss(
 
 
 def masked_ncc(rendered: Tensor, seen: Tensor, shown: Tensor) -> Tensor:
-    """Correlation of patches (P, size, size, 3) over the pixels with ``shown`` (P, size, size) 1, not 0; a scalar."""
+    """Correlation of patches (P, size, size, 3) over the pixels with ``shown`` (P, size, size) 1, not 0; a scalar.
+
+    ``(cov + e) / sqrt((var + e) (var' + e))``, mean over patches, by the pixels that they show, and channels; blind to
+    brightness and contrast. ``e`` is the variance of one grey value: patches without texture count as alike.
+    """
     mask = shown.flatten(1)[..., None]
     count = mask.sum(dim=1, keepdim=True).clamp(min=1.0)
     x, y = (mask * v.flatten(1, 2) for v in (rendered, seen))

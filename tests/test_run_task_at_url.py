@@ -23,7 +23,7 @@ from survey.progress import Progress
 from survey.run import worker_task
 from survey.run.process import process
 from survey.run.remote_run import JOBS, PARTS, PHOTOGRAPHS
-from survey.run.worker_task import Task, compute_at_url, put_job
+from survey.run.worker_task import Task, compute_task, save_job
 from survey.stage_key import code_hash
 
 pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
@@ -35,9 +35,9 @@ def test_a_task_fetches_what_it_needs_and_leaves_its_result_at_the_url(tmp_path,
     (tmp_path / "adjust-1a").mkdir()
     (tmp_path / "adjust-1a" / "a.txt").write_text("needed")
     remote.put_folder(tmp_path / "adjust-1a", "stages/adjust-1a")
-    block = SimpleNamespace(saturated=[0.0] * 4)
+    block = SimpleNamespace(saturated=[0.0] * 4, images=None)
     job = SimpleNamespace(survey=survey, chosen=None, plan=None, bed_search=None, block=block)
-    name = put_job(job, remote, tmp_path, "sweep")
+    name = save_job(job, tmp_path, "sweep", remote)
     assert len(remote.files(PHOTOGRAPHS)) == 4
     seen = {}
 
@@ -60,7 +60,7 @@ def test_a_task_fetches_what_it_needs_and_leaves_its_result_at_the_url(tmp_path,
     monkeypatch.setattr(worker_task, "_tile", lambda job, task: job.tiles[task.tile])
     for tile in (1, 0):
         task = Task(f"sweep_tile{tile}", tile, compute, {"adjust": Path("/not/here/adjust-1a")})
-        place, _, _ = compute_at_url(name, remote.url, task, code_hash())
+        place, _, _ = compute_task(name, remote.url, task, code_hash())
         assert remote.read(f"{place}/b.txt") == b"needed"
         # Those of the tile before are removed.
         assert seen["here"] == [survey.views[number].name for number in ((1,), (1, 2))[tile]]
@@ -68,12 +68,12 @@ def test_a_task_fetches_what_it_needs_and_leaves_its_result_at_the_url(tmp_path,
     np.testing.assert_array_equal(seen["window"], whole[3:9])
     # Photographs that are there are not put again.
     monkeypatch.setattr(Remote, "put", lambda _self, paths: seen.update(put=[*seen.get("put", []), *paths]))
-    put_job(job, remote, tmp_path, "solver")
+    save_job(job, tmp_path, "solver", remote)
     assert [each.partition("/")[0] for each in seen["put"]] == [JOBS]
     with pytest.raises(SurveyError, match="is not there any more"):
-        compute_at_url(f"{JOBS}/none", remote.url, task, code_hash())
+        compute_task(f"{JOBS}/none", remote.url, task, code_hash())
     with pytest.raises(SurveyError, match="another version of bathynerf"):
-        compute_at_url(name, remote.url, task, "0")
+        compute_task(name, remote.url, task, "0")
 
 
 def test_photographs_at_a_url_are_fetched_from_there(tmp_path):

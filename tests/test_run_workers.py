@@ -22,12 +22,11 @@ from drawn_runs import drawn
 
 from survey.errors import SurveyError
 from survey.progress import Progress
-from survey.run import start_workers
+from survey.run import workers as workers_module
 from survey.run.folder import RunDir
 from survey.run.process import process
-from survey.run.start_workers import WorkerNeeds, workers_for
 from survey.run.worker_task import Task, compute_task, save_job
-from survey.run.workers import Workers
+from survey.run.workers import WorkerNeeds, Workers, workers_for
 from survey.stage_key import code_hash
 
 
@@ -101,7 +100,7 @@ def test_without_dask_the_extra_is_named(tmp_path, monkeypatch):
 
 def test_a_scheduler_that_does_not_answer_is_named(tmp_path, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("survey.run.start_workers.WORKER_TIMEOUT_S", 0.5)
+    monkeypatch.setattr("survey.run.workers.WORKER_TIMEOUT_S", 0.5)
     nowhere = "tcp://127.0.0.1:9"
     with (
         pytest.raises(SurveyError, match=rf"--scheduler {nowhere} gave no 1 workers within 0 s"),
@@ -149,7 +148,7 @@ def run_and_photograph(tmp_path):
 
 
 def test_a_worker_that_is_as_it_should_be_passes(run_and_photograph):
-    start_workers._check(ClientOfOne(), WorkerNeeds(*run_and_photograph))
+    workers_module._check(ClientOfOne(), WorkerNeeds(*run_and_photograph))
     assert list(run_and_photograph[0].iterdir()) == [run_and_photograph[1]]
 
 
@@ -168,23 +167,23 @@ def test_a_worker_that_is_as_it_should_be_passes(run_and_photograph):
 )
 def test_a_worker_that_is_not_as_it_should_be_is_named(run_and_photograph, worker, said):
     with pytest.raises(SurveyError, match=f"the worker {PLACE} {said}"):
-        start_workers._check(ClientOfOne(**worker), WorkerNeeds(*run_and_photograph))
+        workers_module._check(ClientOfOne(**worker), WorkerNeeds(*run_and_photograph))
 
 
 def test_a_worker_that_does_not_reach_the_url_of_the_run_is_named(run_and_photograph):
     url = f"memory://{run_and_photograph[0].name}"
-    start_workers._check(ClientOfOne(), WorkerNeeds(*run_and_photograph, url=url))
+    workers_module._check(ClientOfOne(), WorkerNeeds(*run_and_photograph, url=url))
     client = ClientOfOne(answer=SurveyError("s3://bucket/run asks for keys, and there are none"))
     with pytest.raises(SurveyError, match=f"the worker {PLACE} finds that s3://bucket/run asks for keys"):
-        start_workers._check(client, WorkerNeeds(*run_and_photograph, url="s3://bucket/run"))
+        workers_module._check(client, WorkerNeeds(*run_and_photograph, url="s3://bucket/run"))
 
 
 def test_on_cuda_a_worker_with_the_resource_of_a_gpu_is_asked_for(run_and_photograph):
-    start_workers._check(
+    workers_module._check(
         ClientOfOne(answer=(code_hash(), True, True, {"GPU": 1})), WorkerNeeds(*run_and_photograph, takes_gpu=True)
     )
     with pytest.raises(SurveyError, match=r'no worker has the resource GPU; start one .* --resources "GPU=1", or give'):
-        start_workers._check(ClientOfOne(), WorkerNeeds(*run_and_photograph, takes_gpu=True))
+        workers_module._check(ClientOfOne(), WorkerNeeds(*run_and_photograph, takes_gpu=True))
 
 
 def test_tasks_on_cuda_go_to_workers_with_the_resource_of_a_gpu(tmp_path, monkeypatch):
@@ -197,11 +196,11 @@ def test_tasks_on_cuda_go_to_workers_with_the_resource_of_a_gpu(tmp_path, monkey
         distributed.SpecCluster(workers=workers, scheduler=scheduler, silence_logs="ERROR") as cluster,
         distributed.Client(cluster) as client,
     ):
-        start_workers._check(client, WorkerNeeds(tmp_path, Path(__file__), takes_gpu=True))
+        workers_module._check(client, WorkerNeeds(tmp_path, Path(__file__), takes_gpu=True))
         tasks = [Task(f"sweep_tile{number}", number, print, {}) for number in range(4)]
         on_gpu = list(Workers(client, tmp_path, are_started=False, takes_gpu=True).computed(tmp_path, tasks))
         with pytest.raises(SurveyError, match="no worker has the resource GPU"):
-            client.retire_workers(names=["gpu"]) and start_workers._check(
+            client.retire_workers(names=["gpu"]) and workers_module._check(
                 client, WorkerNeeds(tmp_path, Path(__file__), takes_gpu=True)
             )
     assert [str(each[1]) for each in on_gpu] == ["gpu"] * 4
@@ -298,12 +297,12 @@ def test_a_scheduler_with_tls_is_reached_by_the_settings_of_dask(run_and_photogr
 
 def test_workers_of_this_machine_share_its_gpus(monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "2, GPU-8f")
-    assert start_workers.gpus() == ["2", "GPU-8f"]
+    assert workers_module.gpus() == ["2", "GPU-8f"]
     distributed = SimpleNamespace(WorkerPlugin=object)
     monkeypatch.setattr("os.sched_setaffinity", lambda *_given: None, raising=False)
     found = []
     for name in ("0", "1", "2"):
-        start_workers._cores_plugin(distributed, 3, ["2", "GPU-8f"]).setup(SimpleNamespace(name=name))
+        workers_module._cores_plugin(distributed, 3, ["2", "GPU-8f"]).setup(SimpleNamespace(name=name))
         found.append(os.environ["CUDA_VISIBLE_DEVICES"])
     assert found == ["2", "GPU-8f", "2"]
 
@@ -337,7 +336,7 @@ def test_a_worker_that_ends_while_it_is_looked_at_is_left_out(run_and_photograph
             self.nthreads = dict
             return {PLACE: OSError("Stream is closed")}
 
-    start_workers._check(Leaving(), WorkerNeeds(*run_and_photograph))
+    workers_module._check(Leaving(), WorkerNeeds(*run_and_photograph))
 
 
 def test_a_task_of_other_code_is_refused(tmp_path):
@@ -353,7 +352,7 @@ def test_each_job_is_saved_under_a_name_of_its_own_with_absolute_paths(shallow_s
     job = SimpleNamespace(survey=survey, chosen=None, plan=None, bed_search=None, block=block)
     first, second = (save_job(job, tmp_path, "sweep") for _ in range(2))
     assert first != second
-    stored = pickle.loads(second.read_bytes())[0].views[0]
+    stored = pickle.loads(Path(second).read_bytes())[0][0].views[0]
     assert (stored.path, stored.mask_path) == (tmp_path / "images" / "a.jpg", tmp_path / "masks" / "a.png")
 
 
@@ -399,7 +398,7 @@ def recorded(_job, _place, task, _code):
     return Path(task.name), 0.0, []
 
 
-def test_tasks_begin_by_cost_where_a_worker_is_free_and_none_waits_at_another(two_workers, tmp_path):
+def test_tasks_begin_by_cost_where_a_worker_is_free_and_none_waits_at_another(two_workers, tmp_path, monkeypatch):
     begun = []
 
     class Recording(Workers):
@@ -408,7 +407,7 @@ def test_tasks_begin_by_cost_where_a_worker_is_free_and_none_waits_at_another(tw
             return super()._submit(job, task)
 
     workers = Recording(two_workers, tmp_path, are_started=True)
-    workers._place = recorded, tmp_path
+    monkeypatch.setattr("survey.run.workers.compute_task", recorded)
     HELD.clear()
     costs = [3, 9, 1, 7, 5, 2, 8, 6]
     tasks = [replace(TASKS[0], name=f"sweep_tile{number}", cost=cost) for number, cost in enumerate(costs)]
@@ -422,9 +421,9 @@ def without_disk(_job, place, _task, _code):
     raise SurveyError(f"{place} cannot be written (No space left on device)")
 
 
-def test_an_error_of_a_worker_ends_the_run(two_workers, tmp_path):
+def test_an_error_of_a_worker_ends_the_run(two_workers, tmp_path, monkeypatch):
     workers = Workers(two_workers, tmp_path, are_started=True)
-    workers._place = without_disk, tmp_path
+    monkeypatch.setattr("survey.run.workers.compute_task", without_disk)
     with pytest.raises(SurveyError, match="No space left on device"):
         list(workers.computed(tmp_path / "job", TASKS))
 
@@ -433,7 +432,7 @@ def test_a_client_with_too_few_workers_is_closed():
     client = ClientOfOne()
     distributed = SimpleNamespace(Client=lambda _place, timeout: client)
     with pytest.raises(SurveyError, match="gave no 3 workers within"):
-        start_workers._client_of(distributed, PLACE, PLACE, 3)
+        workers_module._client_of(distributed, PLACE, PLACE, 3)
     assert client.is_closed
 
 
@@ -443,7 +442,7 @@ def test_a_script_that_is_run_again_by_its_processes_is_told_how_to_stand():
 
     Security = SimpleNamespace(temporary=object)
     with pytest.raises(SurveyError, match='`if __name__ == "__main__":` around what it does; else take workers=1'):
-        start_workers._local_cluster(SimpleNamespace(LocalCluster=start, Security=Security), 2, "/tmp")
+        workers_module._local_cluster(SimpleNamespace(LocalCluster=start, Security=Security), 2, "/tmp")
 
 
 # Set when the other worker has computed five of six tasks, which is all that one slow worker leaves it.

@@ -33,7 +33,7 @@ from survey.run.folder import Owner, RunDir
 from survey.run.job import Job
 from survey.run.remote_run import RemoteRun
 from survey.run.stages import run_stages
-from survey.run.start_workers import WorkerNeeds, workers_for
+from survey.run.workers import WorkerNeeds, workers_for
 from survey.settings.config import SurveyConfig, settings_of
 from survey.settings.tables import ProcessConfig
 from survey.sfm.features import computing_on

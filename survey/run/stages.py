@@ -36,11 +36,10 @@ from survey.run.stage_range import find_range, use_range
 from survey.run.stage_solver import FIGURES, SIGHTINGS, SOLVED, WAVES, join_solved, learn_figures, solve_heights
 from survey.run.stage_sweep import CONSISTENCY, MAPS, SATURATED, join_sweeps, sweep_views
 from survey.run.stage_sweep import FILES as SWEEP_FILES
-from survey.run.start_workers import WorkerNeeds, workers_for
 from survey.run.stored import FIELD_FILES
 from survey.run.tile_job import TileJob
-from survey.run.worker_task import Task, put_job, save_job
-from survey.run.workers import Workers
+from survey.run.worker_task import Messages, Task, save_job
+from survey.run.workers import WorkerNeeds, Workers, workers_for
 
 # Under a level that is raised by more, photographs are matched elsewhere, and the search finds other points.
 MOST_RAISED_M = 0.05
@@ -279,16 +278,12 @@ def _compute_on(
     workers: Workers, stage: Stage, job: Job, run: RunDir, missing: Sequence[Missing], done: dict[str, Path]
 ) -> None:
     """Compute tiles of a stage on workers; results are stored as tasks end, messages follow in the order of tiles."""
-    messages, remote, tasks = dict[int, list[tuple[str, str]]](), _remote(job, run), []
+    messages, remote, tasks = dict[int, Messages](), _remote(job, run), []
     for each in missing:
         tile, needs = cast(TileJob, each.job), {name: place.absolute() for name, place in each.needs.items()}
         cost = sum(window.height * window.width for window in tile.windows)
         tasks.append(Task(each.name, tile.number, stage.compute, needs, cost))
-    saved: Path | str
-    if remote is None:
-        saved = save_job(job, run.scratch_path, stage.name)
-    else:
-        saved = put_job(job, remote.remote, run.scratch_path, stage.name)
+    saved = save_job(job, run.scratch_path, stage.name, None if remote is None else remote.remote)
     with (
         job.progress.stage(stage.name.capitalize(), len(job.parts)) as step,
         closing(workers.computed(saved, tasks)) as computed,
@@ -296,7 +291,7 @@ def _compute_on(
         step.advance(len(job.parts) - len(missing))
         for number, place, seconds, messages[number] in computed:
             each = missing[number]
-            folder = Path(place) if remote is None else remote.fetched_stage(each.name, each.key, str(place))
+            folder = Path(place) if remote is None else remote.fetched_stage(each.name, each.key, place)
             done[each.name] = _committed(stage, each, run, folder, seconds)
             step.advance()
     for number in sorted(messages):

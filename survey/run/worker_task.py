@@ -1,7 +1,7 @@
 """A task of a worker process: one stage of one tile, computed from what the run has saved of its job.
 
-A worker keeps the job that it saw last. What it leaves is whole, in a folder of its own; so a task may be
-computed twice, and a worker may end at any time.
+A worker keeps the job that it saw last. What it leaves is whole, in a folder of its own; so a task may be computed
+twice, and a worker may end at any time.
 
 What a worker that shares no disk with the run needs comes from the URL of the run, and goes there. Photographs come
 from where the survey has them, if that is a URL, else from the URL of the run, where the run has put them. Such a
@@ -26,7 +26,7 @@ import numpy as np
 
 from fields.image_store import GreyImages
 from fields.sweep.block import Block
-from geo.files import reporting_disk_errors, write_whole
+from geo.files import reporting_disk_errors
 from survey.errors import SurveyError
 from survey.files.remote import Remote, is_url
 from survey.photos.images import ImageStore, fetched_tags
@@ -65,19 +65,28 @@ class Task:
     cost: int = 0  # Expected, in pixels: the longest are to begin first
 
 
-def save_job(job: Job, folder: Path, stage: str) -> Path:
-    """Write what workers have to know of a job for a stage; its grey images lie in files already.
+def save_job(job: Job, folder: Path, stage: str, remote: Remote | None = None) -> str:
+    """Write what workers have to know of a job for a stage, with what else they need at a URL; its path or name there.
 
     Each file has a name of its own: workers of a cluster outlive a run, and keep the job by this name.
     """
-    block = job.block
-    path = folder / f"{stage}-{uuid.uuid4().hex}.pickle"
-    # The working directory of workers may be another.
-    survey = replace(_with_paths(job.survey, Path.absolute), folder=job.survey.folder.absolute())
-    parts = survey, job.chosen, job.plan, job.bed_search, block.images, block.saturated
-    with write_whole(path) as stream:
-        stream.write(pickle.dumps(parts))
-    return path.absolute()
+    path, sources = folder / f"{stage}-{uuid.uuid4().hex}.pickle", dict[str, Source]()
+    if remote is None:
+        # The working directory of workers may be another; grey images lie in files already.
+        survey = replace(_with_paths(job.survey, Path.absolute), folder=job.survey.folder.absolute())
+    else:
+        places = _sources(job.survey, remote)
+        survey = _with_paths(job.survey, lambda photograph: Path(_worker_name(places[photograph])))
+        sources = {_worker_name(source): source for source in places.values()}
+    images = job.block.images if remote is None else None
+    parts = (survey, job.chosen, job.plan, job.bed_search, images, job.block.saturated), sources
+    with reporting_disk_errors(path):
+        path.write_bytes(pickle.dumps(parts))
+    if remote is None:
+        return str(path.absolute())
+    remote.put({f"{JOBS}/{path.name}": path})
+    path.unlink()
+    return f"{JOBS}/{path.name}"
 
 
 def _with_paths(survey: Survey, place: Callable[[Path], Path]) -> Survey:
@@ -87,21 +96,6 @@ def _with_paths(survey: Survey, place: Callable[[Path], Path]) -> Survey:
         for view in survey.views
     ]
     return replace(survey, views=tuple(views))
-
-
-def put_job(job: Job, remote: Remote, scratch: Path, stage: str) -> str:
-    """Put what workers have to know of a job for a stage, and photographs that lie at no URL; its name there."""
-    sources = _sources(job.survey, remote)
-    survey = _with_paths(job.survey, lambda path: Path(_worker_name(sources[path])))
-    parts = survey, job.chosen, job.plan, job.bed_search, job.block.saturated
-    of_names = {_worker_name(source): source for source in sources.values()}
-    path = scratch / f"{stage}-{uuid.uuid4().hex}.pickle"
-    name = f"{JOBS}/{path.name}"
-    with reporting_disk_errors(path):
-        path.write_bytes(pickle.dumps((parts, of_names)))
-    remote.put({name: path})
-    path.unlink()
-    return name
 
 
 def _worker_name(source: Source) -> str:
@@ -141,35 +135,50 @@ def _job_of_parts(
 
 
 @lru_cache(maxsize=1)
-def _job_of(path: Path) -> Job:
-    """The job that `save_job` wrote."""
-    return _job_of_parts(*pickle.loads(path.read_bytes()))
+def _job_of(name: str, url: str | None) -> _WorkerJob:
+    """The job that a worker saw last, as `save_job` wrote it."""
+    content = Path(name).read_bytes() if url is None else Remote(url).read(name)
+    if content is None:
+        raise SurveyError(f"{url}/{name} is not there any more; run the same `bathynerf process` again")
+    return _WorkerJob(*pickle.loads(content))
 
 
-def compute_task(job: Path, stages: Path, task: Task, code: str) -> tuple[Path, float, Messages]:
-    """Compute a task on a worker: the folder of its result, its seconds, and what it had to say."""
-    _require_code(code)
-    start, job_here = time.monotonic(), _job_of(job)
-    folder = stages / f".{task.name}-{uuid.uuid4().hex[:8]}.part"
-    with reporting_disk_errors(folder):
+def compute_task(name: str, place: Path | str, task: Task, code: str) -> tuple[str, float, Messages]:
+    """Compute a task of a job by its name on a worker: the place of its result, its seconds, and what it had to say.
+
+    ``place`` is the folder of the stages of a run, or its URL: there the result is, too, and of the folders that the
+    task needs only the names count.
+    """
+    if code_hash() != code:
+        raise SurveyError(f"a worker on {platform.node()} has {ANOTHER_VERSION}")
+    start = time.monotonic()
+    if isinstance(place, Path):
+        job, folder = _job_of(name, None).job, place / f".{task.name}-{uuid.uuid4().hex[:8]}.part"
+        with reporting_disk_errors(folder):
+            folder.mkdir()
+        try:
+            messages = _compute_into(_tile(job, task), task, folder, task.needs)
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+        return str(folder), time.monotonic() - start, messages
+    kept, remote, result = _job_of(name, place), Remote(place), f"{PARTS}/{task.name}-{uuid.uuid4().hex}"
+    tile = _tile(kept.job, task)
+    with TemporaryDirectory(prefix="bathynerf-") as scratch:
+        folder, needs = Path(scratch) / "result", {}
         folder.mkdir()
-    try:
-        messages = _compute_into(_tile(job_here, task), task, folder, task.needs)
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
-    return folder, time.monotonic() - start, messages
+        for stage, path in task.needs.items():
+            needs[stage] = Path(scratch) / path.name
+            remote.fetch_folder(f"stages/{path.name}", needs[stage])
+        kept.fetch_photographs(tile)
+        messages = _compute_into(tile, task, folder, needs)
+        remote.put_folder(folder, result)
+    return result, time.monotonic() - start, messages
 
 
 def _tile(job: Job, task: Task) -> TileJob:
     # Of all tiles their windows alone would take seconds.
     return TileJob(job, task.tile, cast("BedSearch", job.bed_search))
-
-
-def _require_code(code: str) -> None:
-    """Raise where the code of this process is another than that of the run, by its hash."""
-    if code_hash() != code:
-        raise SurveyError(f"a worker on {platform.node()} has {ANOTHER_VERSION}")
 
 
 def _compute_into(tile: TileJob, task: Task, folder: Path, needs: Mapping[str, Path]) -> Messages:
@@ -188,49 +197,20 @@ def require_reachable(url: str) -> None:
     Remote(url).files(JOBS)
 
 
-def compute_at_url(name: str, url: str, task: Task, code: str) -> tuple[str, float, Messages]:
-    """As `compute_task`, of the job that `put_job` has given a name at the URL of a run.
-
-    The folder of the result is there, too; of the folders that the task needs only the names count.
-    """
-    _require_code(code)
-    start, remote = time.monotonic(), Remote(url)
-    job = _job_at_url(url, name)
-    tile = _tile(job.job, task)
-    place = f"{PARTS}/{task.name}-{uuid.uuid4().hex}"
-    with TemporaryDirectory(prefix="bathynerf-") as scratch:
-        folder, needs = Path(scratch) / "result", {}
-        folder.mkdir()
-        for stage, path in task.needs.items():
-            needs[stage] = Path(scratch) / path.name
-            remote.fetch_folder(f"stages/{path.name}", needs[stage])
-        job.fetch_photographs(tile)
-        lines = _compute_into(tile, task, folder, needs)
-        remote.put_folder(folder, place)
-    return place, time.monotonic() - start, lines
-
-
-@lru_cache(maxsize=1)
-def _job_at_url(url: str, name: str) -> _JobAtUrl:
-    """The job that a worker saw last."""
-    found = Remote(url).read(name)
-    if found is None:
-        raise SurveyError(f"{url}/{name} is not there any more; run the same `bathynerf process` again")
-    return _JobAtUrl(*pickle.loads(found))
-
-
-class _JobAtUrl:
-    """A job on a worker, with photographs of one tile."""
+class _WorkerJob:
+    """A job on a worker; where photographs have sources, they are fetched and decoded for one tile at a time."""
 
     def __init__(self, parts: tuple, sources: Mapping[str, Source]):
-        self._sources, self._scratch = sources, TemporaryDirectory(prefix="bathynerf-")
-        self._folder = Path(self._scratch.name)
-        survey, chosen, plan, search, saturated = parts
-        survey = _with_paths(survey, lambda path: self._folder / path)
-        self._images = _Decoded(survey.views, self._folder / "grey")
-        self.job = _job_of_parts(survey, chosen, plan, search, self._images, saturated)
-        self._images.scale, camera = self.job.plan.image_scale, self.job.cameras[0]
-        self._images.size = camera.width, camera.height
+        self._sources, (survey, chosen, plan, search, images, saturated) = sources, parts
+        if images is None:
+            self._scratch = TemporaryDirectory(prefix="bathynerf-")
+            self._folder = Path(self._scratch.name)
+            survey = _with_paths(survey, lambda path: self._folder / path)
+            images = self._images = _Decoded(survey.views, self._folder / "grey")
+        self.job = _job_of_parts(survey, chosen, plan, search, images, saturated)
+        if isinstance(images, _Decoded):
+            images.scale, camera = self.job.plan.image_scale, self.job.cameras[0]
+            images.size = camera.width, camera.height
 
     def fetch_photographs(self, tile: TileJob) -> None:
         """Fetch those that show a tile, and their masks; remove those of others."""
@@ -291,16 +271,13 @@ class _RecordedProgress(Progress):
 
     def __init__(self) -> None:
         super().__init__(verbosity=-2)
-        self.lines: list[tuple[str, str]] = []
+        self.lines: Messages = []
 
     def detail(self, *texts: str) -> None:
-        """Record a `Progress.detail`."""
         self.lines += [("detail", text) for text in texts]
 
     def note(self, *texts: str) -> None:
-        """Record a `Progress.note`."""
         self.lines += [("note", text) for text in texts]
 
     def warn(self, text: str) -> None:
-        """Record a `Progress.warn`."""
         self.lines.append(("warn", text))

@@ -65,10 +65,7 @@ def opened() -> Iterator[Progress]:
 class Step:
     """A part of a run while it lasts; whoever does the work reports progress to it.
 
-    Parameters
-    ----------
-    part : (number, count)
-        Of equal parts that a stage consists of, the one that this is.
+    ``part`` (number, count) is which of equal parts of a stage it is.
     """
 
     def __init__(self, progress: Progress, name: str, total: float | None, part: tuple[int, int]):
@@ -98,25 +95,6 @@ class Step:
         self._progress.advanced(self, detail)
 
 
-class _Ticking:
-    """Lets steps that do not advance say how far they are, where there is no terminal."""
-
-    def __init__(self, progress: Progress):
-        self._progress, self._ended = progress, Event()
-
-    def __enter__(self) -> None:
-        Thread(target=self._tick, daemon=True).start()
-
-    def __exit__(self, *_exception) -> None:
-        self._ended.set()
-
-    def _tick(self) -> None:
-        while not self._ended.wait(_TICK_S):
-            # A copy: the thread of the run removes steps that end.
-            for step in self._progress.steps[-1:]:
-                self._progress.say_if_due(step)
-
-
 class Progress:
     """Reports what a run does.
 
@@ -143,7 +121,7 @@ class Progress:
         self._console = Console(file=stream or sys.stderr, highlight=False, markup=False, soft_wrap=True)
         self._log: TextIO | None = None
         self._last_line = now()
-        self.steps: list[Step] = []
+        self._steps: list[Step] = []
         # One task: the run, or a stage where nothing is expected of the run.
         self._bars = Bars(
             TextColumn("{task.description}", markup=False),
@@ -183,21 +161,6 @@ class Progress:
         """Expected time [s] of what is done of the run."""
         return sum(seconds * self._shares.get(name, 0.0) for name, seconds in self._expected.items())
 
-    def _begin(self, step: Step) -> None:
-        """Count a stage as begun; stages before it that did not begin are left out of the run."""
-        if step.name in self._expected:
-            names = list(self._expected)
-            for left_out in names[: names.index(step.name)]:
-                if left_out not in self._shares:
-                    del self._expected[left_out]
-            self._shares.setdefault(step.name, 0.0)
-        total = sum(self._expected.values()) or step.total
-        if self._task is None:
-            self._bars.add_task(step.title, total=total)
-        elif self._task.total != total:
-            self._bars.update(self._task.id, total=total)
-        self._show(step)
-
     @property
     def _task(self) -> Task | None:
         return next(iter(self._bars.tasks), None)
@@ -206,20 +169,34 @@ class Progress:
         if (task := self._task) is not None:
             self._bars.remove_task(task.id)
 
+    def _begin(self, step: Step) -> None:
+        """Count a stage as begun; stages before it that did not begin are left out of the run."""
+        if step.name in self._expected:
+            names = list(self._expected)
+            for name in names[: names.index(step.name)]:
+                if name not in self._shares:
+                    del self._expected[name]
+            self._shares.setdefault(step.name, 0.0)
+        total = sum(self._expected.values()) or step.total
+        if self._task is None:
+            self._bars.add_task(step.title, total=total)
+        elif self._task.total != total:
+            self._bars.update(self._task.id, total=total)
+        self._show(step)
+        self._last_line = self.now()
+
     def _show(self, step: Step, detail: str = "") -> None:
         """Show how far the run is in an outermost step."""
         if (task := self._task) is None:
             return
-        done = step.done
-        if self._expected:
-            if step.name in self._expected:
-                self._shares[step.name] = max(step.share, self._shares[step.name])
-            done = self._done_s
+        if step.name in self._expected:
+            self._shares[step.name] = max(step.share, self._shares[step.name])
+        done = self._done_s if self._expected else step.done
         self._bars.update(task.id, completed=done, description=printable(f"{step.title} {detail}".rstrip()))
 
     def advanced(self, step: Step, detail: str = "") -> None:
         """Take in that a step has advanced."""
-        if step is self.steps[0]:
+        if step is self._steps[0]:
             self._show(step, detail)
         if not self._is_shown:
             self.say_if_due(step, detail)
@@ -235,10 +212,26 @@ class Progress:
         if now - self._last_line < _LINE_EVERY_S or task is None:
             return
         self._last_line = now
-        of_run = " of the run" if self._expected else ""
-        share = f"{task.percentage:.0f} %{of_run}" if task.total else ""
+        share = f"{task.percentage:.0f} %{' of the run' if self._expected else ''}" if task.total else ""
         left = f"about {rough(task.time_remaining)} left" if task.time_remaining else f"{clock(step.seconds)} so far"
         self._emit(f"{step.title}: {', '.join(part for part in (share, left, detail) if part)}")
+
+    @contextmanager
+    def _saying(self) -> Iterator[None]:
+        """Let steps that do not advance say how far they are, where there is no terminal."""
+        ended = Event()
+
+        def tick() -> None:
+            while not ended.wait(_TICK_S):
+                # A copy: the thread of the run removes steps that end.
+                for step in self._steps[-1:]:
+                    self.say_if_due(step)
+
+        Thread(target=tick, daemon=True).start()
+        try:
+            yield
+        finally:
+            ended.set()
 
     def log_to(self, path: Path) -> None:
         """Write every following line to a log file too, whose folder is made where it is missing."""
@@ -252,26 +245,24 @@ class Progress:
 
         ``part`` is its number among equal parts of the stage, and how many these are.
         """
-        step = Step(self, name, total, part)
-        outermost = not self.steps
-        self.steps.append(step)
-        ticking: AbstractContextManager[object] = nullcontext()
-        if outermost:
+        step, is_outermost = Step(self, name, total, part), not self._steps
+        self._steps.append(step)
+        if is_outermost:
             self._begin(step)
-            self._last_line = self.now()
         if not self._is_shown:
             self._emit(f"{step.title} ...", at_verbosity=1)
-        if outermost:
-            ticking = self._bars if self._is_shown else _Ticking(self)
+        shown: AbstractContextManager[object] = nullcontext()
+        if is_outermost:
+            shown = self._bars if self._is_shown else self._saying()
         try:
-            with ticking:
+            with shown:
                 yield step
-            if outermost:
+            if is_outermost:
                 step.done = step.total = step.total or 1.0
                 self._show(step)
         finally:
-            self.steps.remove(step)
-            if outermost and not self._expected:
+            self._steps.remove(step)
+            if is_outermost and not self._expected:
                 self._forget_task()
         self._emit(f"{step.title}: done in {clock(step.seconds)}", at_verbosity=1)
 

@@ -90,30 +90,32 @@ def plan_for_aim(
     # Those that can be matched; 1 is one of them however small the photographs are.
     side = min(max(view.lens.width, view.lens.height) for view in survey.views)
     scales = sorted(scale for scale in SCALES if scale == 1.0 or scale * side >= _LEAST_SIDE_PX)
-    _require_plausible_std(target_m, gsd_m(survey, replace(chosen, image_scale=1.0)), scales)
+    if target_m is not None:
+        pixel_m = gsd_m(survey, replace(chosen, image_scale=1.0))
+        least, most = _LEAST_PX * pixel_m, _MOST_PX * pixel_m / scales[0]
+        if not least <= target_m <= most:
+            raise SurveyError(
+                f"--target-std {target_m:g} is in metres, expected {least:.2g} to {most:.2g} here, a hundredth of a "
+                f"pixel of the largest images to {_MOST_PX:g} of the smallest; 0.02 is 20 mm"
+            )
     # Matches are as good in pixels at any scale.
-    full_m = math.nan
+    full_m = common_m = math.nan
     if foreseen is not None:
         full_m = REACHED_PER_FORESEEN * foreseen.heights.of_point_m * image_scale_of(survey, chosen)
-    candidates, warnings = [], list[str]()
+        common_m = foreseen.heights.of_all_m
+    candidates = []
     for scale, quality in product(scales, (Quality.draft.value, Quality.standard.value)):
         plan = make_plan(survey, replace(chosen, quality=quality, image_scale=scale))
         std_m = full_m / scale if plan.solves else math.nan
         candidates.append(Candidate(quality, scale, std_m, workload_of(survey, plan).seconds))
-    if target_m is not None:
-        common = math.nan if foreseen is None else foreseen.heights.of_all_m
-        warnings += _std_warnings(target_m, candidates[-1].std_m, common)
+    warnings = [] if target_m is None else _std_warnings(target_m, candidates[-1].std_m, common_m)
     best, reason = _wanted(target_m, candidates)
     if budget_s is not None:
         best, reason = _in_time(budget_s - gone_s, candidates[: candidates.index(best) + 1], reason, refuses=refuses)
         if best.seconds is not None and _RESERVE * best.seconds > budget_s - gone_s:
             warnings.append(reason)
-    return AimedPlan(
-        replace(chosen, quality=best.quality, image_scale=best.image_scale),
-        Decision("aim", str(best), reason),
-        tuple(warnings),
-        tuple(candidates),
-    )
+    chosen = replace(chosen, quality=best.quality, image_scale=best.image_scale)
+    return AimedPlan(chosen, Decision("aim", str(best), reason), tuple(warnings), tuple(candidates))
 
 
 def _on_ground(std_m: float) -> str:
@@ -124,11 +126,10 @@ def _wanted(target_m: float | None, candidates: Sequence[Candidate]) -> tuple[Ca
     """The candidate with the least work that is foreseen to reach the standard deviation, else the last; and why."""
     if target_m is None:
         return candidates[-1], "whole photographs, with the solver"
-    asked = length(target_m)
     for each in candidates:
         if each.std_m <= target_m:
-            return each, f"the least work that is foreseen to reach {asked}: {_on_ground(each.std_m)}"
-    return candidates[-1], f"nothing is foreseen to reach {asked}; whole photographs come nearest"
+            return each, f"the least work that is foreseen to reach {length(target_m)}: {_on_ground(each.std_m)}"
+    return candidates[-1], f"nothing is foreseen to reach {length(target_m)}; whole photographs come nearest"
 
 
 def _in_time(left_s: float, candidates: Sequence[Candidate], reason: str, *, refuses: bool) -> tuple[Candidate, str]:
@@ -136,43 +137,27 @@ def _in_time(left_s: float, candidates: Sequence[Candidate], reason: str, *, ref
 
     One without the solver is taken only where none with it fits.
     """
-    foreseen = [each.seconds for each in candidates]
-    seconds = [each for each in foreseen if each is not None]
-    if len(seconds) < len(foreseen):
+    seconds = [each.seconds for each in candidates if each.seconds is not None]
+    if len(seconds) < len(candidates):
         raise SurveyError(
             "--time-budget needs an estimate of the run time, and there are rates for --device cpu with LLVM alone; "
             "give --quality or --target-std instead"
         )
-    needed = [_RESERVE * each for each in seconds]
-    fitting = [each for each, time in zip(candidates, needed, strict=True) if time <= left_s]
-    solving = [each for each in fitting if each.quality == Quality.standard]
+    fitting = [each for each, time in zip(candidates, seconds, strict=True) if _RESERVE * time <= left_s]
     left = f"{left_s:.0f} s"
     if not fitting:
         words = (
-            f"this survey takes at least about {math.ceil(min(needed))} s on this machine when idle, a reserve of "
-            f"{100 * (_RESERVE - 1):.0f} % included, and {left} are left"
+            f"this survey takes at least about {math.ceil(_RESERVE * min(seconds))} s on this machine when idle, a "
+            f"reserve of {100 * (_RESERVE - 1):.0f} % included, and {left} are left"
         )
         if refuses:
             raise SurveyError(f"--time-budget is too short: {words}; give more, or a smaller [area]")
         return candidates[0], f"{words}: the shortest run follows"
-    best = (solving or fitting)[-1]
-    time = seconds[list(candidates).index(best)]
+    best = ([each for each in fitting if each.quality == Quality.standard] or fitting)[-1]
+    time = f"about {rough(seconds[list(candidates).index(best)])} on an idle machine"
     if best is candidates[-1]:
-        return best, f"{reason}; about {rough(time)} on an idle machine, of {left}"
-    longer = f"{candidates[-1]} would take about {rough(seconds[-1])}"
-    return best, f"the best that fits into {left}: about {rough(time)} on an idle machine; {longer}"
-
-
-def _require_plausible_std(target_m: float | None, pixel_m: float, scales: Sequence[float]) -> None:
-    """Raise for a target std beyond what pixels of whole photographs [m] and of the smallest scale can give."""
-    if target_m is None:
-        return
-    least, most = _LEAST_PX * pixel_m, _MOST_PX * pixel_m / scales[0]
-    if not least <= target_m <= most:
-        raise SurveyError(
-            f"--target-std {target_m:g} is in metres, expected {least:.2g} to {most:.2g} here, a hundredth of a pixel "
-            f"of the largest images to {_MOST_PX:g} of the smallest; 0.02 is 20 mm"
-        )
+        return best, f"{reason}; {time}, of {left}"
+    return best, f"the best that fits into {left}: {time}; {candidates[-1]} would take about {rough(seconds[-1])}"
 
 
 def _std_warnings(std_m: float, reached_m: float, common_m: float) -> list[str]:

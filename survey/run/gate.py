@@ -38,13 +38,48 @@ _FEW_VIEWS = 4.0
 
 def verdict_of(survey: Survey, stored: StoredBed, gsd_m: float, cells: SeenCells | None = None) -> RunVerdict:
     """Verdict of the gates on the points of a bed at a ground sampling distance [m], with its `cells_of` if known."""
+    cells = cells_of(survey, stored.bed.xyz, gsd_m) if cells is None else cells
+    seen = cells.num_views >= MIN_VIEWS
+    covered = float((cells.has_point & seen).sum() / seen.sum()) if seen.any() else 0.0
+    completeness = (
+        f"{share(covered)} of the ground that two or more views see has a point of the bed; "
+        f"required: at least {share(MIN_COVERED_SHARE)}"
+    )
+    std, limit = median(stored.std_of_photographs()), MAX_STD_GSD * gsd_m
+    precision = (
+        f"the median standard deviation of the points is {length(std)}; required: at most {length(limit)} "
+        f"({MAX_STD_GSD:g}{NO_BREAK}ground sampling distances)"
+    )
     return RunVerdict(
         (
-            _completeness(cells_of(survey, stored.bed.xyz, gsd_m) if cells is None else cells),
-            _precision(median(stored.std_of_photographs()), gsd_m),
+            _gate("ground with a point", 100.0 * covered, 100.0 * MIN_COVERED_SHARE, "%", completeness, at_least=True),
+            _gate("median standard deviation", 1000.0 * std, 1000.0 * limit, "mm", precision),
             _whole(survey, stored, gsd_m),
         )
     )
+
+
+def _gate(name: str, value: float, limit: float, unit: str, sentence: str, *, at_least: bool = False) -> Gate:
+    return Gate(name, value, limit, unit, value >= limit if at_least else value <= limit, sentence)
+
+
+def _whole(survey: Survey, stored: StoredBed, gsd_m: float) -> Gate:
+    """Total standard deviation of a height, as `height_std_m` in report.json."""
+    std, limit = height_std(stored.bed.std, stored.std_common), max_height_std(gsd_m)
+    parts = f"{length(std.random)} random"
+    if std.shared is not None:
+        parts = f"{length(std.shared)} shared by large parts of the cloud, {parts}"
+    sentence = f"a height is known to {length(std.whole)}, one sigma, all included ({parts}); "
+    sentence += f"required: at most {length(limit)}"
+    if std.whole > limit and std.shared is not None and std.shared > std.random:
+        water = survey.config.water
+        remedy = "give control points, or positions or a level of the water that are better known"
+        if water is not None and water.level_std_m is None:
+            remedy = (
+                "give [water] level_std_m, and control points or [cameras] position_std_m where they are better known"
+            )
+        sentence += f"; the shared part limits it: {remedy}"
+    return _gate("height, all included", 1000.0 * std.whole, 1000.0 * limit, "mm", sentence)
 
 
 def gates_of_aim(chosen: Choices, stored: StoredBed, seconds: float) -> tuple[Gate, ...]:
@@ -52,7 +87,7 @@ def gates_of_aim(chosen: Choices, stored: StoredBed, seconds: float) -> tuple[Ga
     gates = [] if chosen.target_std_m is None else [std_gate(stored, chosen.target_std_m)]
     if (most := chosen.time_budget_s) is not None:
         sentence = f"the points were found after {seconds:.0f} s; required: at most {most:g} s"
-        gates.append(Gate("run time", seconds, most, "s", seconds <= most, sentence))
+        gates.append(_gate("run time", seconds, most, "s", sentence))
     return tuple(gates)
 
 
@@ -73,9 +108,8 @@ def std_gate(stored: StoredBed, std_m: float) -> Gate:
         sentence += f"; the rest is limited by {cells.limit(std_m)}"
     if stored.std_common is not None and np.isfinite(stored.std_common).any():
         sentence += f"; std_common, {length(float(np.nanmedian(stored.std_common)))} (median), comes on top"
-    return Gate(
-        "ground within the std asked for", 100.0 * reached, 100.0 * STD_QUANTILE, "%", reached >= STD_QUANTILE, sentence
-    )
+    name = "ground within the std asked for"
+    return _gate(name, 100.0 * reached, 100.0 * STD_QUANTILE, "%", sentence, at_least=True)
 
 
 @dataclass(frozen=True)
@@ -107,9 +141,8 @@ def std_cells(bed: BedPoints, gsd: float) -> CellStd:
     use = np.isfinite(bed.std)
     place = np.floor(bed.xyz[use, :2] / (_CELL_GSD * gsd)).astype(np.int64)
     _, cell = np.unique(place, axis=0, return_inverse=True)
-    return CellStd(
-        *(_medians(cell.ravel(), each[use].astype(np.float64)) for each in (bed.std, bed.num_views, bed.depth))
-    )
+    columns = (bed.std, bed.num_views, bed.depth)
+    return CellStd(*(_medians(cell.ravel(), column[use].astype(np.float64)) for column in columns))
 
 
 def _medians(cell: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -118,43 +151,3 @@ def _medians(cell: np.ndarray, values: np.ndarray) -> np.ndarray:
     ends = np.append(np.flatnonzero(np.diff(cell[order])) + 1, len(cell))
     starts = np.concatenate([[0], ends[:-1]])
     return values[order][(starts + ends - 1) // 2] if len(cell) else np.empty(0)
-
-
-def _completeness(cells: SeenCells) -> Gate:
-    seen = cells.num_views >= MIN_VIEWS
-    found = float((cells.has_point & seen).sum() / seen.sum()) if seen.any() else 0.0
-    sentence = (
-        f"{share(found)} of the ground that two or more views see has a point of the bed; "
-        f"required: at least {share(MIN_COVERED_SHARE)}"
-    )
-    passed = found >= MIN_COVERED_SHARE
-    return Gate("ground with a point", 100.0 * found, 100.0 * MIN_COVERED_SHARE, "%", passed, sentence)
-
-
-def _precision(std: float, gsd_m: float) -> Gate:
-    limit = MAX_STD_GSD * gsd_m
-    sentence = (
-        f"the median standard deviation of the points is {length(std)}; required: at most {length(limit)} "
-        f"({MAX_STD_GSD:g}{NO_BREAK}ground sampling distances)"
-    )
-    return Gate("median standard deviation", 1000.0 * std, 1000.0 * limit, "mm", std <= limit, sentence)
-
-
-def _whole(survey: Survey, stored: StoredBed, gsd_m: float) -> Gate:
-    """Total standard deviation of a height, as `height_std_m` in report.json."""
-    std, limit = height_std(stored.bed.std, stored.std_common), max_height_std(gsd_m)
-    passed = std.whole <= limit
-    parts = f"{length(std.random)} random"
-    if std.shared is not None:
-        parts = f"{length(std.shared)} shared by large parts of the cloud, {parts}"
-    sentence = f"a height is known to {length(std.whole)}, one sigma, all included ({parts}); "
-    sentence += f"required: at most {length(limit)}"
-    if not passed and std.shared is not None and std.shared > std.random:
-        water = survey.config.water
-        remedy = "give control points, or positions or a level of the water that are better known"
-        if water is not None and water.level_std_m is None:
-            remedy = (
-                "give [water] level_std_m, and control points or [cameras] position_std_m where they are better known"
-            )
-        sentence += f"; the shared part limits it: {remedy}"
-    return Gate("height, all included", 1000.0 * std.whole, 1000.0 * limit, "mm", passed, sentence)

@@ -31,8 +31,8 @@ _PORTION = 100_000
 def read_obj(path: str | Path) -> Mesh | Cloud:
     """Read an OBJ file: a mesh if it has faces (polygons are cut into triangles), else a cloud.
 
-    Faces may count vertices from the first (1, 2, ...) or back from the last one so far (-1, -2, ...) and may
-    have texture and normal numbers (``7/3/2``), which are ignored.
+    Faces count vertices from the first (1, 2, ...) or back from the last one so far (-1, -2, ...); texture and normal
+    numbers (``7/3/2``) are ignored.
     """
     path = existing_file(path)
     text = path.read_bytes().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
@@ -75,10 +75,9 @@ def _faces(lines: list[list[bytes]], vertices_before: list[int], path: Path) -> 
 
 
 def write_obj(path: str | Path, mesh: Mesh, crs: CRS) -> None:
-    """Write a mesh in crs, whole or not at all.
+    """Write a mesh in crs, which stands in a comment, whole or not at all.
 
-    Colours stand behind the coordinates of each vertex, 0 to 1, as MeshLab, Blender and CloudCompare read them. The CRS
-    is in a comment; the format has no place for it.
+    Colours stand behind the coordinates of each vertex, 0 to 1, as MeshLab, Blender and CloudCompare read them.
     """
     horizontal = _DECIMALS_DEG if is_geographic(crs) else _DECIMALS_M
     vertex = f"v %.{horizontal}f %.{horizontal}f %.{_DECIMALS_M}f" + ("" if mesh.rgb is None else " %.4f %.4f %.4f")
@@ -153,10 +152,9 @@ def _grid_units(crs: CRS) -> np.ndarray:
 def _rgb(visuals: list, counts: list[int]) -> np.ndarray | None:
     """Colours (V, 3) uint8 of all vertices in sRGB; white where a part has none, None if all have none."""
     colours = [_rgb_of(visual) for visual in visuals]
-    if all(rgb is None for rgb in colours):
-        return None
-    white = (np.full((count, 3), 255, dtype=np.uint8) for count in counts)
-    return np.concatenate([other if rgb is None else rgb for rgb, other in zip(colours, white, strict=True)])
+    white = [np.full((count, 3), 255, dtype=np.uint8) for count in counts]
+    parts = [other if rgb is None else rgb for rgb, other in zip(colours, white, strict=True)]
+    return None if all(rgb is None for rgb in colours) else np.concatenate(parts)
 
 
 def _rgb_of(visual: Any) -> np.ndarray | None:
@@ -176,14 +174,11 @@ def _rgb_of(visual: Any) -> np.ndarray | None:
 
 
 def write_glb(path: str | Path, mesh: Mesh, crs: CRS) -> None:
-    """Write a mesh in crs as GLB, whole or not at all: metres, y up, from an origin in its middle.
+    """Write a mesh in crs as GLB, whole or not at all: metres, y up, in single precision from an origin in its middle.
 
-    The format is in metres and in single precision, whose step at a northing of 5e6 m is half a metre. Axes are those
-    of the grid (``"axes": "grid"``), or, where grid units are not lengths on the ground (degrees, Web Mercator), east,
-    north and up at the origin (``"topocentric"``). The ``extras`` of the scene hold the axes, the CRS and the origin in
-    whole units of it (degrees to nine digits).
-
-    Colours are linear, as COLOR_0 of glTF is, in 16 bits; the material scatters light as paper does, on both sides.
+    Axes are those of the grid (``"axes": "grid"``), or, where grid units are not lengths on the ground (degrees, Web
+    Mercator), east, north and up at the origin (``"topocentric"``). The ``extras`` of the scene hold the axes, the CRS
+    and the origin. Colours are linear, in 16 bits; the material scatters light as paper does, on both sides.
     """
     middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
     if is_to_scale(crs, middle):
@@ -223,15 +218,9 @@ def _scene(arrays: list[tuple[str, np.ndarray, str]], extras: dict) -> dict:
         views.append({"buffer": 0, "byteOffset": first, "byteLength": array.nbytes, "target": _TARGETS[name]})
         first += array.nbytes
         count = array.size if kind == "SCALAR" else len(array)
-        accessor = {
-            "bufferView": len(accessors),
-            "componentType": _TYPES[array.dtype.str],
-            "count": count,
-            "type": kind,
-        }
-        if name == "POSITION":
-            accessor |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
-        accessors.append(accessor | ({"normalized": True} if name == "COLOR_0" else {}))
+        form = {"bufferView": len(accessors), "componentType": _TYPES[array.dtype.str], "count": count, "type": kind}
+        more = {"POSITION": {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}}
+        accessors.append(form | (more | {"COLOR_0": {"normalized": True}}).get(name, {}))
     numbers = {name: number for number, (name, _, _) in enumerate(arrays)}
     primitive = {"indices": numbers.pop("indices"), "attributes": numbers, "material": 0}
     material = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}, "doubleSided": True}

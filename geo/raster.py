@@ -56,15 +56,13 @@ class RasterForm:
     """Metadata of a raster."""
 
     crs: CRS
-    # Coefficients a to f of ``east = a column + b row + c, north = d column + e row + f``, from outer
-    # corners
+    # Coefficients a to f of ``east = a column + b row + c, north = d column + e row + f``, from outer corners
     transform: tuple[float, float, float, float, float, float]
     shape: tuple[int, int]  # (rows, columns)
     bands: tuple[RasterBand, ...]
-    dtype: str = "float32"  # Of all bands, e.g. "float32".
+    dtype: str = "float32"  # Of all bands
     nodata: float | None = None
-    # Metadata, e.g. how the values were computed
-    tags: dict[str, str] = field(default_factory=dict)
+    tags: dict[str, str] = field(default_factory=dict)  # Metadata, e.g. how the values were computed
     resampling: str = "AVERAGE"  # How overviews are made: "AVERAGE", or "NEAREST" for codes
     is_colour: bool = False  # Whether the bands are red, green, blue and transparency
 
@@ -76,10 +74,7 @@ Part = tuple[int, int, np.ndarray]
 def write_cog(path: str | Path, form: RasterForm, parts: Iterable[Part]) -> None:
     """Write a raster as cloud-optimised GeoTIFF: tiles of 512 cells, overviews, compressed without loss.
 
-    Parameters
-    ----------
-    parts : iterable of (row, column, values)
-        Windows that cover the raster, in any order; blocks that none covers are left without data.
+    Parts are windows that cover the raster, in any order; blocks that none covers are left without data.
     """
     with write_whole_at(path) as part, _working_folder(part, Path(path)) as work:
         # GDAL copies a plain GeoTIFF into this form.
@@ -91,29 +86,17 @@ def write_cog(path: str | Path, form: RasterForm, parts: Iterable[Part]) -> None
             profile |= {"photometric": "MINISBLACK", "interleave": "band"}
         _write(plain, form, parts, driver="GTiff", **profile)
         rasterio.shutil.copy(
-            plain,
-            copy,
-            driver="COG",
-            blocksize=_BLOCK,
-            compress="DEFLATE",
-            predictor="YES",
-            overview_resampling=form.resampling,
-            bigtiff="IF_SAFER",
-        )
+            plain, copy, driver="COG", blocksize=_BLOCK, compress="DEFLATE", predictor="YES",
+            overview_resampling=form.resampling, bigtiff="IF_SAFER",
+        )  # fmt: skip
         _require_readable(copy, Path(path), form)
         copy.replace(part)
 
 
 def write_bag(path: str | Path, form: RasterForm, parts: Iterable[Part], variables: dict[str, str]) -> None:
-    """Write heights and their uncertainty as a Bathymetric Attributed Grid (HDF5).
+    """Write heights and their uncertainty, two bands [m], as a Bathymetric Attributed Grid (HDF5).
 
-    Parameters
-    ----------
-    form : RasterForm
-        Of two bands, height and uncertainty [m].
-    parts : iterable of (row, column, values)
-    variables : dict
-        Variables of GDAL's metadata template, without the VAR\\_ before them, e.g. "ABSTRACT".
+    ``variables`` are those of GDAL's metadata template, without the VAR\\_ before them, e.g. "ABSTRACT".
     """
     with write_whole_at(path) as part, _working_folder(part, Path(path)) as work:
         # GDAL knows the format by the suffix.
@@ -131,18 +114,11 @@ def write_bag(path: str | Path, form: RasterForm, parts: Iterable[Part], variabl
 
 def _write(path: Path | str, form: RasterForm, parts: Iterable[Part], **profile) -> None:
     rows, columns = form.shape
+    crs = rasterio.crs.CRS.from_wkt(stored_crs(form.crs).to_wkt())
     raster = rasterio.open(
-        path,
-        "w",
-        width=columns,
-        height=rows,
-        count=len(form.bands),
-        dtype=form.dtype,
-        crs=rasterio.crs.CRS.from_wkt(stored_crs(form.crs).to_wkt()),
-        transform=rasterio.Affine(*form.transform),
-        nodata=form.nodata,
-        **profile,
-    )
+        path, "w", width=columns, height=rows, count=len(form.bands), dtype=form.dtype, crs=crs,
+        transform=rasterio.Affine(*form.transform), nodata=form.nodata, **profile,
+    )  # fmt: skip
     with raster:
         if profile["driver"] == "GTiff":
             heights = {}
@@ -218,20 +194,17 @@ def is_our_tiff(path: Path) -> bool:
 
 
 def read_raster(path: str | Path) -> Mesh:
-    """Read the first band of a GeoTIFF as heights, two triangles between each four neighbouring cells.
+    """Read the first band of a GeoTIFF as heights, two triangles, facing up, between each four neighbouring cells.
 
-    Cells without data, and triangles that would touch one, are holes. Heights are those of the file, a declared scale
-    and offset applied; where the CRS has no vertical part, the unit of the band is their unit. Triangles face up,
-    whichever row is the first.
+    Cells without data are holes. A declared scale and offset is applied; where the CRS has no vertical part, the unit
+    of the band is that of the heights.
     """
     path = existing_file(path)
     heights, t, crs, named = _read_band(path)
     rows, columns = np.mgrid[0 : heights.shape[0], 0 : heights.shape[1]] + 0.5
     east, north = t.a * columns + t.b * rows + t.c, t.d * columns + t.e * rows + t.f
     unit = unit_named(named)
-    notes: tuple[str, ...] = ()
-    if unit is None and named:
-        notes = (f"{path} gives its heights in {named[:40]!r}, which is not a known unit of length.",)
+    note = f"{path} gives its heights in {(named or '')[:40]!r}, which is not a known unit of length."
     height_unit = checked_height_unit(crs, unit, path, f"the unit of its band, {named},")
     faces = _triangles(np.isfinite(heights))
     # From south to north, or mirrored, the triangles would face down.
@@ -242,15 +215,17 @@ def read_raster(path: str | Path) -> Mesh:
     # Only vertices that a triangle uses: the others may have no height.
     used, corners = np.unique(faces, return_inverse=True)
     vertices = np.stack([east.ravel(), north.ravel(), heights.ravel()], axis=1)[used]
-    return Mesh(vertices, corners.reshape(faces.shape), crs=crs, height_unit_m=height_unit, notes=notes)
+    return Mesh(
+        vertices,
+        corners.reshape(faces.shape),
+        crs=crs,
+        height_unit_m=height_unit,
+        notes=(note,) * bool(named and unit is None),
+    )
 
 
 def _read_band(path: Path) -> tuple[np.ndarray, rasterio.Affine, CRS | None, str | None]:
-    """The first band of a file: heights (rows, columns) float64, NaN without data, transform, CRS, and unit as named.
-
-    The CRS is None where the file has none, or none that is understood. Raises UnreadableFile where the file is
-    damaged, or has no heights.
-    """
+    """The first band of a file: heights (rows, columns), NaN without data, transform, CRS, and unit as it is named."""
     try:
         with warnings.catch_warnings():
             # Said below in words of this program.

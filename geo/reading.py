@@ -6,7 +6,6 @@ type the format stores.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,6 +28,7 @@ _COARSEST_STEP_M = 0.005
 # Steps up to this may be intended, as in LAS; larger ones are rounding, as are those of single precision or few digits.
 _COARSEST_MEANT_M = 0.05
 _LARGEST_STEP_M = 1000.0
+_STEPS = sorted({*(2.0**k for k in range(-30, 12)), *(float(f"1e{k}") for k in range(-9, 5))}, reverse=True)
 _SMALLEST_EXTENT_M = 0.05
 # Fewer points than this may lie on whole metres by chance or by design.
 _FEWEST = 10
@@ -63,7 +63,7 @@ def check_values(points: np.ndarray, crs: CRS | None, path: Path) -> tuple[str, 
 
 
 def rounded_coordinates(points: np.ndarray, crs: CRS | None, path: Path) -> tuple[str, ...]:
-    """Notes on rounded coordinates: the part of `check_values` that tests their steps."""
+    """Notes on rounded coordinates of points (N, 3) in crs: the part of `check_values` that tests their steps."""
     if len(points) < _FEWEST:
         return ()
     metres = np.ones(2) if crs is None else ground_units_m(crs, points[0])
@@ -102,17 +102,9 @@ def _step(values: np.ndarray, metres: float) -> float:
         return np.inf
     if np.ptp(values) * metres < _SMALLEST_EXTENT_M:
         return 0.0
-    found = (step for step in _steps(metres) if _is_multiple(some, values[0], step, metres))
-    return next((step for step in found if _is_multiple(values, values[0], step, metres)), 0.0)
-
-
-def _steps(metres: float) -> Iterator[float]:
-    """Powers of two and of ten, in units of so many metres, the largest first."""
-    low, high = np.log2([_COARSEST_STEP_M / metres, _LARGEST_STEP_M / metres])
-    twos = [2.0**k for k in range(int(np.ceil(low)), int(high) + 1)]
-    low, high = np.log10([_COARSEST_STEP_M / metres, _LARGEST_STEP_M / metres])
-    tens = [float(f"1e{k}") for k in range(int(np.ceil(low)), int(high) + 1)]
-    yield from sorted({*twos, *tens}, reverse=True)
+    steps = (step for step in _STEPS if _COARSEST_STEP_M <= step * metres <= _LARGEST_STEP_M)
+    likely = (step for step in steps if _is_multiple(some, values[0], step, metres))
+    return next((step for step in likely if _is_multiple(values, values[0], step, metres)), 0.0)
 
 
 def _is_multiple(values: np.ndarray, origin: float, step: float, metres: float) -> bool:
@@ -121,10 +113,8 @@ def _is_multiple(values: np.ndarray, origin: float, step: float, metres: float) 
 
 
 def _rounding_cause(plan: np.ndarray, steps: np.ndarray, metres: np.ndarray) -> str | None:
-    """Cause of steps (2,) like these on coordinates (N, 2) of this size, in words; None if none is known.
-
-    Equal steps along both axes say nothing: they may be meant.
-    """
+    """Cause of steps (2,) like these on coordinates (N, 2) of this size, in words; None if none is known."""
+    # Equal steps along both axes may be meant.
     if steps[0] == steps[1]:
         return None
     largest = np.abs(plan).max(axis=0)
@@ -143,16 +133,14 @@ def _rounding_cause(plan: np.ndarray, steps: np.ndarray, metres: np.ndarray) -> 
 
 
 def _shared_places(points: np.ndarray) -> tuple[float, bool]:
-    """Share of points that have another height at the same easting and northing, and whether points form a raster.
-
-    A few corners above each other (of a box) do not count.
-    """
+    """Share of points with another height at the same easting and northing, and whether points form a raster."""
     if len(points) > _ENOUGH:
         half = 0.5 * np.ptp(points[:, :2], axis=0) * (_ENOUGH / len(points)) ** 0.5
         middle = np.median(points[:, :2], axis=0)
         points = points[(np.abs(points[:, :2] - middle) <= half).all(axis=1)]
     distinct = np.unique(points, axis=0)
     _, number, count = np.unique(distinct[:, :2], axis=0, return_inverse=True, return_counts=True)
+    # A few corners above each other, of a box.
     if len(count) < _FEWEST and len(distinct) < _FEWEST * len(count):
         return 0.0, False
     rows = np.prod([len(np.unique(values)) for values in distinct[:, :2].T], dtype=np.float64)

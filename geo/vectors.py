@@ -31,9 +31,6 @@ from geo.transformation import WGS84, Transformation
 
 # Of a degree: a tenth of a millimetre.
 _DECIMALS = 9
-# $INSUNITS of a unit that has no number.
-_NO_UNIT = 0
-_VERSION = "R2010"
 # Characters that DXF does not allow in names of layers.
 _NOT_IN_NAMES = re.compile(r"[<>/\\\":;?*|=`\x00-\x1f]")
 
@@ -44,8 +41,7 @@ class Layer:
 
     name: str  # One word, e.g. "contours".
     kind: Literal["LineString", "Polygon"]
-    # For each feature a line (N, 2), or the closed rings (N, 2) of a polygon, the outer one first; in crs, easting or
-    # longitude first
+    # For each feature a line (N, 2), or the closed rings (N, 2) of a polygon, the outer one first; easting first
     shapes: list
     crs: CRS  # Its horizontal part counts
     columns: dict[str, list] = field(default_factory=dict)  # Attributes of the features, by name
@@ -55,15 +51,11 @@ class Layer:
 
 
 def write_geojson(path: str | Path, layer: Layer) -> str | None:
-    """Write a layer as GeoJSON, whole or not at all: longitude and latitude of WGS 84, as RFC 7946 wants it.
+    """Write a layer as GeoJSON, in longitude and latitude of WGS 84, as RFC 7946 wants it, whole or not at all.
 
-    The member ``bathynerf`` names the CRS that the features were made in, and the accuracy of the
-    transformation to WGS 84 as PROJ states it. Shapes across the meridian of 180 degrees are cut there.
-
-    Returns
-    -------
-    str or None
-        A warning where places are less well known in WGS 84 than in the CRS of the layer.
+    The member ``bathynerf`` names the CRS that the features were made in, and the accuracy of the transformation as
+    PROJ states it. Shapes across the meridian of 180 degrees are cut there. Returns a warning where places are less
+    well known in WGS 84 than in the CRS of the layer.
     """
     places = [line for shape in layer.shapes for line in (shape if layer.kind == "Polygon" else [shape])]
     operation = require_wgs84(path, layer.crs, np.concatenate(places) if places else np.zeros((0, 2)))
@@ -98,10 +90,8 @@ def require_wgs84(path: str | Path, crs: CRS, places: np.ndarray) -> Transformat
 
 def _geometry(kind: str, parts: list) -> dict:
     """A geometry of lines, or of polygons of rings (N, 2) [deg]; one of several parts where it was cut."""
-    shapes = [_shape(kind, part) for part in parts]
-    if kind == "Polygon":
-        shapes = [orient(shape) for shape in shapes]
-    several = {"LineString": MultiLineString, "Polygon": MultiPolygon}[kind]
+    shapes = [orient(_shape(kind, part)) if kind == "Polygon" else _shape(kind, part) for part in parts]
+    several = MultiPolygon if kind == "Polygon" else MultiLineString
     return mapping(shapes[0] if len(shapes) == 1 else several(shapes))
 
 
@@ -120,7 +110,6 @@ def write_geopackage(path: str | Path, layer: Layer) -> None:
 
 
 def _folder_beside(path: str | Path) -> TemporaryDirectory:
-    """A temporary folder next to a file; the system's own for a device or a pipe."""
     is_file = Path(path).is_file() or not Path(path).exists()
     return TemporaryDirectory(prefix=".", suffix=".part", dir=Path(path).resolve().parent if is_file else None)
 
@@ -201,9 +190,9 @@ def write_dxf(path: str | Path, lines: Sequence[DxfLine], crs: CRS) -> None:
     require_drawable(path, crs)
     unit = horizontal_unit(crs)
     ezdxf = library_for(path, "ezdxf", "dxf", to_write=True)
-    drawing = ezdxf.new(_VERSION)
+    drawing = ezdxf.new("R2010")
     codes = (code for code, length in UNITS_OF_DRAWINGS.items() if abs(length / unit - 1.0) < 1e-9)
-    drawing.header["$INSUNITS"] = next(codes, _NO_UNIT)
+    drawing.header["$INSUNITS"] = next(codes, 0)
     drawing.header.custom_vars.append("made_by", "bathynerf")
     drawing.header.custom_vars.append("crs", crs_code(crs) or crs_name(crs))
     space = drawing.modelspace()

@@ -10,8 +10,9 @@ import io
 import warnings
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from pyproj import CRS
@@ -33,16 +34,14 @@ _UNMARKED = "# without a mark: "
 _COLUMNS = ("image", "x", "y", "name")
 
 
-@dataclass(frozen=True)
-class ControlMark:
+class ControlMark(NamedTuple):
     """A mark with its point: the values of a line of gcp_list.txt."""
 
     point: str
-    place: tuple[float, float, float]  # (easting, northing, height): in the crs of the survey
+    place: tuple[float, float, float]  # Easting, northing, height in the crs of the survey
     is_check: bool
     image: str
-    # (x, y) or None: the centre of the first pixel is 0.5, 0.5. None: the mark is to be removed.
-    pixel: tuple[float, float] | None
+    pixel: tuple[float, float] | None  # The centre of the first pixel is 0.5, 0.5; None: the mark is to be removed
 
 
 def with_marks(path: Path, marks: Iterable[ControlMark], crs: CRS, images: Iterable[str]) -> str:
@@ -94,20 +93,17 @@ def points_without_mark(path: Path) -> list[GivenPoint]:
     lines = list(text_lines(path, ControlError))
     head = next((line for _, line in lines if is_of_content(line)), "")
     file_crs = odm_crs(head.strip(), str(path), path.name, ControlError)
-    found = []
+    points = []
     for number, line in lines:
         cells = _cells_without_mark(line)
         with suppress(ValueError):
             if len(cells) > 6:
-                place = (float(cells[0]), float(cells[1]), float(cells[2]))
-                found.append(
-                    GivenPoint(cells[6], f"{path}, line {number}", place, file_crs, is_check="check" in cells[7:])
-                )
-    return found
+                place, where = (float(cells[0]), float(cells[1]), float(cells[2])), f"{path}, line {number}"
+                points.append(GivenPoint(cells[6], where, place, file_crs, is_check="check" in cells[7:]))
+    return points
 
 
 def _cells_without_mark(line: str) -> list[str]:
-    """Values of a line of a point whose mark was removed; none of another line."""
     return line_cells(line.removeprefix(_UNMARKED)) if line.startswith(_UNMARKED) else []
 
 
@@ -145,14 +141,13 @@ def _coordinates(place: tuple[float, float, float], crs: CRS, file_crs: CRS) -> 
     return [f"{east:.{decimals}f}", f"{north:.{decimals}f}", f"{height:.{_DECIMALS_M}f}"]
 
 
-@dataclass(frozen=True)
-class ClickRow:
+class ClickRow(NamedTuple):
     """A row of clicks.csv: photograph of the survey (None: not in it), pixel, name of the point, all cells."""
 
     image: str | None
     pixel: tuple[float, float]
     name: str
-    cells: tuple[tuple[str, str], ...]
+    cells: dict[str, str]
 
 
 def read_clicks(path: Path, images: Iterable[str]) -> list[ClickRow]:
@@ -160,44 +155,31 @@ def read_clicks(path: Path, images: Iterable[str]) -> list[ClickRow]:
     if not path.is_file():
         return []
     others = tuple(name for name in column_names(path) if name not in _COLUMNS)
-    names = ImageNames(images)
-    found = []
+    names, clicks = ImageNames(images), []
     for row in read_table(path, _COLUMNS, optional=others, error=ConfigError):
         # The decimal comma goes with the separators of the file.
         cells = row.cells | {"x": f"{row.number('x'):.10g}", "y": f"{row.number('y'):.10g}"}
         if cells.get("std"):
             cells["std"] = f"{row.number('std'):.10g}"
         pixel = (row.number("x"), row.number("y"))
-        found.append(ClickRow(names.find(row.text("image"), row.where), pixel, row.text("name"), tuple(cells.items())))
-    return found
+        clicks.append(ClickRow(names.find(row.text("image"), row.where), pixel, row.text("name"), cells))
+    return clicks
 
 
 def with_click(path: Path, name: str, image: str, pixel: tuple[float, float] | None, images: Iterable[str]) -> str:
     """The text of a table of clicks with the click on a point in a photograph set, or removed (pixel None)."""
     rows = read_clicks(path, images)
-    at = next((i for i, row in enumerate(rows) if (row.name, row.image) == (name, image)), len(rows))
-    before = dict(rows[at].cells) if at < len(rows) else {"image": image, "name": name}
+    is_it = [(row.name, row.image) == (name, image) for row in rows]
+    at = is_it.index(True) if any(is_it) else len(rows)
+    before = rows[at].cells if any(is_it) else {"image": image, "name": name}
     # A place has one click in a photograph.
-    rows = [row for i, row in enumerate(rows) if i == at or (row.name, row.image) != (name, image)]
-    if pixel is None:
-        rows = rows[:at] + rows[at + 1 :]
-    else:
-        cells = before | {"x": f"{pixel[0]:.3f}", "y": f"{pixel[1]:.3f}"}
-        changed = ClickRow(image, pixel, name, tuple(cells.items()))
-        rows = [*rows[:at], changed, *rows[at + 1 :]]
-    return _text(path, [dict(row.cells) for row in rows])
-
-
-def _text(path: Path, rows: list[dict[str, str]]) -> str:
-    lines = list(text_lines(path, ConfigError)) if path.is_file() else []
-    comments = []
-    for _, line in lines:
-        if line.strip() and not line.lstrip().startswith("#"):
-            break
-        comments.append(line)
-    columns = list(column_names(path)) if lines else list(_COLUMNS)
+    cells = [row.cells for row, is_one in zip(rows, is_it, strict=True) if not is_one]
+    if pixel is not None:
+        cells.insert(at, before | {"x": f"{pixel[0]:.3f}", "y": f"{pixel[1]:.3f}"})
+    lines = [line for _, line in text_lines(path, ConfigError)] if path.is_file() else []
+    comments = takewhile(lambda line: not line.strip() or line.lstrip().startswith("#"), lines)
     written = io.StringIO()
-    table = csv.DictWriter(written, columns or _COLUMNS, restval="", lineterminator="\n")
+    table = csv.DictWriter(written, (lines and column_names(path)) or _COLUMNS, restval="", lineterminator="\n")
     table.writeheader()
-    table.writerows(rows)
+    table.writerows(cells)
     return "".join(f"{line}\n" for line in comments) + written.getvalue()

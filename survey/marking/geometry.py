@@ -83,23 +83,21 @@ def by_gain(
 
     The first is the one after whose mark the trace of the covariance of the place is smallest.
     """
-    information = np.eye(3) / _UNKNOWN_M**2
-    for view in marked:
-        information += _information(view, place, water, std_px)
+
+    def information(view: View) -> np.ndarray:
+        """Information of a mark in a photograph about a place (3, 3) [1/m^2]."""
+        _, slope = projection_and_jacobian(view.camera, place, water)
+        # Behind a camera the projection has no derivatives.
+        return slope.T @ slope / std_px**2 if np.isfinite(slope).all() else np.zeros((3, 3))
+
+    known = np.eye(3) / _UNKNOWN_M**2 + sum(information(view) for view in marked)
     done = {view.name for view in marked}
-    left: Mapping[str, float] = {
-        view.name: float(np.trace(np.linalg.inv(information + _information(view, place, water, std_px))))
+    variance = {
+        view.name: float(np.trace(np.linalg.inv(known + information(view))))
         for view in views
         if view.name not in done and seen_at(view, place, water) is not None
     }
-    return sorted(left, key=lambda name: (left[name], name))
-
-
-def _information(view: View, place: np.ndarray, water: FlatWater | None, std_px: float) -> np.ndarray:
-    """Information of a mark in a photograph about a place (3, 3) [1/m^2]."""
-    _, slope = projection_and_jacobian(view.camera, place, water)
-    # Behind a camera the projection has no derivatives.
-    return slope.T @ slope / std_px**2 if np.isfinite(slope).all() else np.zeros((3, 3))
+    return sorted(variance, key=lambda name: (variance[name], name))
 
 
 @dataclass(frozen=True)

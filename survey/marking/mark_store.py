@@ -100,13 +100,13 @@ class MarkStore:
     def marks(self) -> dict[PointKey, dict[str, Pixel]]:
         """Marks by point and photograph."""
         control, _ = self._control()
-        found: dict[PointKey, dict[str, Pixel]] = {}
+        marks: dict[PointKey, dict[str, Pixel]] = {}
         for (name, image), pixel in control.items():
-            found.setdefault(PointKey(GROUND, name), {})[image] = pixel
+            marks.setdefault(PointKey(GROUND, name), {})[image] = pixel
         for row in self._clicks():
             if row.image is not None:
-                found.setdefault(PointKey(WATER, row.name), {})[row.image] = row.pixel
-        return found
+                marks.setdefault(PointKey(WATER, row.name), {})[row.image] = row.pixel
+        return marks
 
     def add(self, kind: str, name: str, place: tuple[float, float, float] | None) -> PointKey:
         """Add a point, which is written into a file with its first mark."""
@@ -174,12 +174,11 @@ class MarkStore:
             text = with_click(path, key.name, image, pixel, self._sizes)
         else:
             points = self.points()
-            found = {} if path.is_file() else dict(self._foreign)
-            found = {(name, photo): at for (name, photo), at in found.items() if PointKey(GROUND, name) in points}
+            foreign = {} if path.is_file() else self._foreign
             marks = [
                 ControlMark(name, point.place, point.is_check, photo, at)
-                for (name, photo), at in {**found, (key.name, image): pixel}.items()
-                if (point := points[PointKey(GROUND, name)]) is not None
+                for (name, photo), at in {**foreign, (key.name, image): pixel}.items()
+                if (point := points.get(PointKey(GROUND, name))) is not None
             ]
             text = with_marks(path, marks, self._found.crs, self._sizes)
         write_text(path, text)
@@ -224,9 +223,6 @@ class MarkStore:
         return found
 
     def _of_photographs(self, marks: list[GivenMark] | tuple[GivenMark, ...]) -> dict[tuple[str, str], Pixel]:
-        names, found = ImageNames(self._sizes), {}
-        for mark in marks:
-            image = names.find(mark.image, mark.where)
-            if image is not None:
-                found[mark.point, image] = mark.pixel
-        return found
+        names = ImageNames(self._sizes)
+        images = [names.find(mark.image, mark.where) for mark in marks]
+        return {(mark.point, image): mark.pixel for mark, image in zip(marks, images, strict=True) if image is not None}

@@ -86,6 +86,9 @@ def pyramid(pixels: np.ndarray) -> list[np.ndarray]:
     return levels
 
 
+_Answer = tuple[HTTPStatus, str, bytes]
+
+
 class MarkingServer(ThreadingHTTPServer):
     """HTTP server of a session, at any free port for port 0; its url has the token."""
 
@@ -102,7 +105,7 @@ class MarkingServer(ThreadingHTTPServer):
         self.url = f"http://{name}:{self.server_address[1]}/?token={quote(self.token)}"
 
     def handle_error(self, request, client_address):
-        """Handle errors as the library does, but ignore browsers that close the connection early."""
+        """As the library, but ignore browsers that close the connection early."""
         if not isinstance(sys.exception(), ConnectionError):
             super().handle_error(request, client_address)
 
@@ -119,7 +122,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Set, move or remove a mark, add a point, or undo; answer with the new state."""
         self._answer(self._posted)
 
-    def _answer(self, answer: Callable[[], tuple[HTTPStatus, str, bytes]]) -> None:
+    def _answer(self, answer: Callable[[], _Answer]) -> None:
         """Send an answer; a request that cannot be understood or done gets a sentence."""
         try:
             status, kind, content = answer()
@@ -131,12 +134,16 @@ class _Handler(BaseHTTPRequestHandler):
             status, kind, content = _sentence(HTTPStatus.INTERNAL_SERVER_ERROR, str(error))
         except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             status, kind, content = _sentence(HTTPStatus.BAD_REQUEST, f"not understood: {error}")
-        self._send(status, kind, content)
+        self.send_response(status)
+        for name, value in {"Content-Type": kind, "Content-Length": str(len(content)), **_SAFE}.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(content)
 
-    def _got(self) -> tuple[HTTPStatus, str, bytes]:
+    def _got(self) -> _Answer:
         url = urlsplit(self.path)
         asked = {name: values[0] for name, values in parse_qs(url.query).items()}
-        if not self._is_ours(asked.get("token", "") if url.path == "/" else self._token()):
+        if not self._is_ours(asked.get("token", "") if url.path == "/" else None):
             return _FORBIDDEN
         if url.path == "/":
             return HTTPStatus.OK, "text/html; charset=utf-8", page()
@@ -145,16 +152,18 @@ class _Handler(BaseHTTPRequestHandler):
         if url.path == "/look":
             return self._json(lambda session: session.look(_key(asked), asked["image"]))
         if url.path.startswith("/tile/"):
-            return HTTPStatus.OK, "image/jpeg", self._tile(url.path)
+            level, column, row, image = url.path.removeprefix("/tile/").split("/", 3)
+            tile = self.server.tiles.jpeg(unquote(image), int(level), int(column), int(row))
+            return HTTPStatus.OK, "image/jpeg", tile
         return _NOT_FOUND
 
-    def _posted(self) -> tuple[HTTPStatus, str, bytes]:
+    def _posted(self) -> _Answer:
         length = self.headers.get("Content-Length", "")
         if not (length.isascii() and length.isdigit() and int(length) <= _LONGEST_REQUEST):
             self.close_connection = True
             return _sentence(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "too long")
         body = self.rfile.read(int(length))
-        if not self._is_ours(self._token()):
+        if not self._is_ours():
             return _FORBIDDEN
         path = urlsplit(self.path).path
         return self._json(lambda session: _changed(session, path, body)) if path in _CHANGES else _NOT_FOUND
@@ -162,30 +171,17 @@ class _Handler(BaseHTTPRequestHandler):
     def log_message(self, format, *args):
         """Nothing: the console is that of the command."""
 
-    def _json(self, answer) -> tuple[HTTPStatus, str, bytes]:
+    def _json(self, answer) -> _Answer:
         with self.server.lock:
             return HTTPStatus.OK, "application/json", json.dumps(answer(self.server.session), allow_nan=False).encode()
 
-    def _token(self) -> str:
-        return self.headers.get(TOKEN_HEADER, "")
-
-    def _is_ours(self, token: str) -> bool:
-        """Whether a request has the token and comes from this page."""
-        return is_own_page(self.headers, self.server.host, token, self.server.token)
-
-    def _tile(self, path: str) -> bytes:
-        level, column, row, image = path.removeprefix("/tile/").split("/", 3)
-        return self.server.tiles.jpeg(unquote(image), int(level), int(column), int(row))
-
-    def _send(self, status: HTTPStatus, kind: str, content: bytes) -> None:
-        self.send_response(status)
-        for name, value in {"Content-Type": kind, "Content-Length": str(len(content)), **_SAFE}.items():
-            self.send_header(name, value)
-        self.end_headers()
-        self.wfile.write(content)
+    def _is_ours(self, token: str | None = None) -> bool:
+        """Whether a request has the token, in its header unless it is given, and comes from this page."""
+        given = self.headers.get(TOKEN_HEADER, "") if token is None else token
+        return is_own_page(self.headers, self.server.host, given, self.server.token)
 
 
-def _sentence(status: HTTPStatus, text: str) -> tuple[HTTPStatus, str, bytes]:
+def _sentence(status: HTTPStatus, text: str) -> _Answer:
     return status, "text/plain; charset=utf-8", printable(text).encode()
 
 

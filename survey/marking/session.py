@@ -89,14 +89,14 @@ class MarkingSession:
 
     def _others(self, key: PointKey, view: View, points: _Points, marks: _Marks, common: np.ndarray) -> list[dict]:
         """Predicted positions of other points in a photograph that have no mark there."""
-        found = []
+        shown = []
         for other, point in points.items():
             own = marks.get(other, {})
             place = None if other == key or view.name in own else self._place(other, point, own, common)
             seen = None if place is None else seen_at(view, place, self._water_of(other))
             if seen is not None:
-                found.append({"kind": other.kind, "name": other.name, "pixel": seen})
-        return found
+                shown.append({"kind": other.kind, "name": other.name, "pixel": seen})
+        return shown
 
     def _next(
         self, key: PointKey, point: GivenPoint | None, place: np.ndarray | None, own: Mapping[str, Pixel], image: str
@@ -118,18 +118,11 @@ class MarkingSession:
     def _point(self, key: PointKey, point: GivenPoint | None, own: Mapping[str, Pixel]) -> dict:
         """A point with its marks: residuals [px], standard deviation and error of their intersection [m]."""
         answer: dict = {
-            "kind": key.kind,
-            "name": key.name,
-            "check": point is not None and point.is_check,
-            "place": None if point is None else point.place,
-            "marks": own,
-            "limit_px": _MOST_MISS * self._std_px[key.kind],
-            "residuals": {},
-            "std_m": None,
-            "off_m": None,
-            "level": None,
-            "depth_m": None,
-        }
+            "kind": key.kind, "name": key.name, "check": point is not None and point.is_check,
+            "place": None if point is None else point.place, "marks": own,
+            "limit_px": _MOST_MISS * self._std_px[key.kind], "residuals": {},
+            "std_m": None, "off_m": None, "level": None, "depth_m": None,
+        }  # fmt: skip
         given = self._given(point)
         intersection = self._meet(key, own)
         if given is not None:
@@ -182,15 +175,13 @@ class MarkingSession:
     def _place(
         self, key: PointKey, point: GivenPoint | None, own: Mapping[str, Pixel], common: np.ndarray
     ) -> np.ndarray | None:
-        """Predicted place of a point (3,), local: intersection of its marks, else its coordinates, else on the water.
-
-        Coordinates are shifted by ``common`` (`_common`): poses by GPS alone may be metres off.
-        """
+        """Predicted place of a point (3,), local: where its marks intersect, else its coordinates, else on the water."""
         intersection = self._meet(key, own)
         if intersection is not None:
             return intersection.place
         given = self._given(point)
         if given is not None:
+            # Poses by GPS alone may be metres off.
             return given + common
         if key.kind == WATER and (water := self._water) is not None:
             return next((crossing(self._views[name], own[name], water) for name in own if name in self._views), None)

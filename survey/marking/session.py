@@ -175,7 +175,7 @@ class MarkingSession:
     def _place(
         self, key: PointKey, point: GivenPoint | None, own: Mapping[str, Pixel], common: np.ndarray
     ) -> np.ndarray | None:
-        """Predicted place of a point (3,), local: where its marks intersect, else its coordinates, else on the water."""
+        """Predicted place of a point (3,), local: where its marks meet, else its coordinates, else on the water."""
         intersection = self._meet(key, own)
         if intersection is not None:
             return intersection.place

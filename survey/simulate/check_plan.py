@@ -76,24 +76,19 @@ def survey_of(plan: ScenePlan) -> Survey:
     half = 0.5 * np.array(settings.area.size_m)
     corners = frame.crs_from_local([[x, y, 0.0] for x in (-half[0], half[0]) for y in (-half[1], half[1])])
     (e0, n0), (e1, n1) = corners[:, :2].min(axis=0).tolist(), corners[:, :2].max(axis=0).tolist()
-    bounds = (e0, n0, e1, n1)
+    area = AreaConfig(bounds=(e0, n0, e1, n1))
     none, std = np.empty(0, dtype=np.int64), np.full(3, settings.flight.position_std_m)
-    names = [f"{number:04d}.jpg" for number in range(len(plan.cameras))]
+    cameras = {f"{number:04d}.jpg": camera for number, camera in enumerate(plan.cameras)}
     return Survey(
         name=settings.name,
         folder=plan.folder,
         frame=frame,
-        views=tuple(
-            View(name, Path(name), camera, plan.lens) for name, camera in zip(names, plan.cameras, strict=True)
-        ),
+        views=tuple(View(name, Path(name), camera, plan.lens) for name, camera in cameras.items()),
         water=plan.site.water,
-        config=SurveyConfig(name=settings.name, crs=settings.crs, water=plan.level, area=AreaConfig(bounds=bounds)),
+        config=SurveyConfig(name=settings.name, crs=settings.crs, water=plan.level, area=area),
         observations=Observations(
             ties=TiePoints(np.empty((0, 3)), none, none, np.empty((0, 2))),
-            priors={
-                name: PosePrior(camera.centre, std, None, "the plan")
-                for name, camera in zip(names, plan.cameras, strict=True)
-            },
+            priors={name: PosePrior(camera.centre, std, None, "the plan") for name, camera in cameras.items()},
         ),
     )
 
@@ -148,8 +143,7 @@ def _light_rows(plan: ScenePlan, survey: Survey, wind_m_s: float) -> list[tuple[
 
 def _hours_text(flight: GlitterOfFlight, time: datetime, place: tuple[float, float], wind_m_s: float) -> str:
     """Hours of the day with little glitter and enough light on the bed, by the clock of the given time."""
-    day = time.replace(hour=0, minute=0, second=0, microsecond=0)
-    lost: dict[datetime, float] = {}
+    day, lost = time.replace(hour=0, minute=0, second=0, microsecond=0), dict[datetime, float]()
     for minute in range(0, 24 * 60, _STEP_MIN):
         at = day + timedelta(minutes=minute)
         sun = sun_at(at, *place)
@@ -159,13 +153,8 @@ def _hours_text(flight: GlitterOfFlight, time: datetime, place: tuple[float, flo
         return f"the sun stays lower than {_LOWEST_SUN_DEG:g} degrees that day: little light reaches the bed"
     good = [at for at, share in lost.items() if share <= LOST_GOOD]
     if not good:
-        best = min(lost, key=lambda at: lost[at])
-        return f"no hour of that day has little glitter; the least is at {best:%H:%M}"
-    spans: list[list[datetime]] = []
-    for at in good:
-        if spans and at - spans[-1][1] == timedelta(minutes=_STEP_MIN):
-            spans[-1][1] = at
-        else:
-            spans.append([at, at])
-    hours = " and ".join(f"{first:%H:%M} to {last:%H:%M}" for first, last in spans)
+        return f"no hour of that day has little glitter; the least is at {min(lost, key=lambda at: lost[at]):%H:%M}"
+    step = timedelta(minutes=_STEP_MIN)
+    firsts, lasts = ([at for at in good if at + way * step not in good] for way in (-1, 1))
+    hours = " and ".join(f"{first:%H:%M} to {last:%H:%M}" for first, last in zip(firsts, lasts, strict=True))
     return f"{hours}: little glitter, and the sun at {_LOWEST_SUN_DEG:g} degrees or higher"

@@ -2,6 +2,15 @@
 
 Rays cross a flat surface by formulas of this module, not by those of `refract`, so that the photographs test the
 optics there. Other surfaces are crossed by `refract`.
+
+The sun on waves (`SunOnWaves`): the waves of one photograph are a tile of a random surface that repeats, with slopes of
+equal variance in each octave of wavelengths. Viewing rays are not refracted by them, so that the ground truth is that
+of still water. Caustics: a ray of the sun that enters where the surface slopes by ``s`` ends ``(1 - 1 / n) d s`` away
+from where it would under still water, at depth ``d``. Rays through all of the tile are counted on a grid at several
+depths, blurred by the disc of the sun, and multiply the light of the bed. Glint: ripples smaller than a cell of the
+tile have Gaussian slopes of standard deviation ``r`` about ``s``. With ``h`` the half vector between the directions to
+camera and sun, ``p`` the density of ripples whose normal is ``h``, and ``E`` the irradiance of the sun, the radiance is
+``R E p / (4 cos(view) cos(h)^4)``, R by Fresnel (Cox and Munk, J. Opt. Soc. Am. 44(11), 838-850, 1954).
 """
 
 from __future__ import annotations
@@ -21,6 +30,18 @@ from survey.simulate.light import Light, WaterOptics
 
 # Rays at a time, so that they and derived arrays stay in the cache.
 _RAYS_AT_A_TIME = 1 << 15
+# Of the tile: cells along a side, and their size [m].
+_CELLS, _CELL_M = 256, 0.03
+# Shortest and longest waves [m], and ripples against them. Standard deviation of slopes along each axis, after Cox and
+# Munk: that of a wind of 3 m/s, and what it grows by per share of glint: to a wind of 10 m/s for 0.3.
+_WAVES_M, _RIPPLES = (0.12, 1.6), 0.5
+_SLOPE_STD, _SLOPE_PER_SHARE = 0.09, 0.25
+# Depths of the caustics, and rays for each cell along an axis.
+_LAYERS, _RAYS = 12, 3
+# Light on the bed is at least this share of its mean: the sky shines everywhere.
+_LEAST_LIGHT = 0.1
+# Rays along each axis that sample the glint of a photograph; the largest brightness of the sun.
+_PROBES, _BRIGHTEST = (40, 30), 1000.0
 
 
 @dataclass(frozen=True)
@@ -57,16 +78,15 @@ class DirectRenderer:
 
     def trace_rays(self, origin: np.ndarray, direction: np.ndarray) -> Hits:
         """Hits of rays from origins (N, 3) [m] in unit directions (N, 3), local."""
-        if self.water is None:
-            t, body, face = self.ground.first_hit(origin, direction, np.full(len(direction), np.inf))
-            return Hits(_at(origin, direction, t), body, face, np.zeros(len(t)), np.ones(len(t)))
-        in_air, bent, incidence = _cross(self.water, origin, direction)
+        in_air, bent, incidence = np.full(len(direction), np.inf), direction, np.ones(len(direction))
+        if self.water is not None:
+            in_air, bent, incidence = _cross(self.water, origin, direction)
         t, body, face = self.ground.first_hit(origin, direction, in_air)
-        points, in_water = _at(origin, direction, t), np.zeros(len(t))
+        points, in_water = origin + np.where(np.isfinite(t), t, np.nan)[:, None] * direction, np.zeros(len(t))
         wet = np.flatnonzero(~np.isfinite(t) & np.isfinite(in_air))
-        crossing = origin[wet] + in_air[wet, None] * direction[wet]
-        in_water[wet], body[wet], face[wet] = self.ground.first_hit(crossing, bent[wet], np.full(len(wet), np.inf))
-        points[wet] = _at(crossing, bent[wet], in_water[wet])
+        crossing, bent = origin[wet] + in_air[wet, None] * direction[wet], bent[wet]
+        in_water[wet], body[wet], face[wet] = self.ground.first_hit(crossing, bent, np.full(len(wet), np.inf))
+        points[wet] = crossing + np.where(np.isfinite(in_water[wet]), in_water[wet], np.nan)[:, None] * bent
         return Hits(points, body, face, in_water, incidence)
 
     def radiance(self, camera: PinholeCamera, pixels: np.ndarray) -> np.ndarray:
@@ -107,8 +127,10 @@ def _cross(water: WaterSurface, origin: np.ndarray, direction: np.ndarray):
     """Distance to the surface (N,) [m], direction below it (N, 3), and cosine of incidence (N,)."""
     if not isinstance(water, FlatWater):
         paths = trace(origin, direction, water)
-        along = np.einsum("ij,ij->i", paths.water_direction, direction)
-        return paths.air_length, paths.water_direction, _incidence(along, water.n_water)
+        # Of the angle by which rays were bent; from sin a = n sin(a - bend): tan a = n sin(bend) / (n cos(bend) - 1).
+        cosine = np.clip(np.einsum("ij,ij->i", paths.water_direction, direction), -1.0, 1.0)
+        tangent = water.n_water * np.sqrt(1.0 - cosine**2) / np.maximum(water.n_water * cosine - 1.0, 1e-12)
+        return paths.air_length, paths.water_direction, 1.0 / np.hypot(1.0, tangent)
     normal = np.array(water.up)
     falling = -direction @ normal
     with np.errstate(divide="ignore"):
@@ -120,40 +142,10 @@ def _cross(water: WaterSurface, origin: np.ndarray, direction: np.ndarray):
     return in_air, bent, np.abs(falling)
 
 
-def _at(origin: np.ndarray, direction: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Points (N, 3) at distances (N,), NaN where infinite."""
-    t = np.where(np.isfinite(t), t, np.nan)
-    return origin + t[:, None] * direction
-
-
 def depth_below(water: WaterSurface | None, points: np.ndarray) -> np.ndarray:
     """Vertical depth (N,) [m] of points (N, 3) below the water, or below the origin of local without it."""
     level = 0.0 if water is None else water.height(points[:, 0], points[:, 1])
     return level - points[:, 2]
-
-
-def _incidence(cosine_of_bend: np.ndarray, n: float) -> np.ndarray:
-    """Cosine of incidence (N,) of rays, from the cosine of the angle by which they were bent.
-
-    From ``sin a = n sin(a - bend)``: ``tan a = n sin(bend) / (n cos(bend) - 1)``.
-    """
-    cosine = np.clip(cosine_of_bend, -1.0, 1.0)
-    tangent = n * np.sqrt(1.0 - cosine**2) / np.maximum(n * cosine - 1.0, 1e-12)
-    return 1.0 / np.hypot(1.0, tangent)
-
-
-# Of the tile: cells along a side, and their size [m].
-_CELLS, _CELL_M = 256, 0.03
-# Shortest and longest waves [m], and ripples against them. Standard deviation of slopes along each axis, after Cox and
-# Munk: that of a wind of 3 m/s, and what it grows by per share of glint: to a wind of 10 m/s for 0.3.
-_WAVES_M, _RIPPLES = (0.12, 1.6), 0.5
-_SLOPE_STD, _SLOPE_PER_SHARE = 0.09, 0.25
-# Depths of the caustics, and rays for each cell along an axis.
-_LAYERS, _RAYS = 12, 3
-# Light on the bed is at least this share of its mean: the sky shines everywhere.
-_LEAST_LIGHT = 0.1
-# Rays along each axis that sample the glint of a photograph; the largest brightness of the sun.
-_PROBES, _BRIGHTEST = (40, 30), 1000.0
 
 
 @dataclass(frozen=True)
@@ -173,18 +165,17 @@ class SunOnWaves:
 
     def on_bed(self, points: np.ndarray, depth: np.ndarray) -> np.ndarray:
         """Light (N,) on points (N, 3) [m], local, at depths (N,) [m], relative to that under still water."""
+        gain = np.ones(len(points))
         if not len(self.caustics):
-            return np.ones(len(points))
+            return gain
         sun = self.light.sun[:2] / self.plane.n_water
-        shift = depth[:, None] * sun / np.sqrt(1.0 - sun @ sun)
+        places = points[:, :2] + depth[:, None] * sun / np.sqrt(1.0 - sun @ sun)
         layer = np.clip(depth / self.deepest_m, 0.0, 1.0) * (len(self.caustics) - 1)
         below = np.minimum(layer.astype(int), len(self.caustics) - 2)
-        at = _cells(points[:, :2] + shift)
         # Whole layers take turns: the tile repeats along its own axes alone.
-        gain = np.ones(len(points))
         for number in np.unique(below):
             in_layer = below == number
-            low, high = (_on_tile(self.caustics[number + k], at[:, in_layer]) for k in (0, 1))
+            low, high = (_on_tile(self.caustics[number + k], places[in_layer]) for k in (0, 1))
             gain[in_layer] = low + (layer[in_layer] - number) * (high - low)
         return gain
 
@@ -198,8 +189,7 @@ class SunOnWaves:
         crossing = origin + (((origin - self.plane.point) @ up) / falling)[:, None] * direction
         half = self.light.sun - direction
         half /= np.linalg.norm(half, axis=1, keepdims=True)
-        at = _cells(crossing[:, :2])
-        missing = np.stack([-half[:, k] / half[:, 2] - _on_tile(self.slopes[k], at) for k in (0, 1)])
+        missing = np.stack([-half[:, k] / half[:, 2] - _on_tile(self.slopes[k], crossing[:, :2]) for k in (0, 1)])
         density = np.exp(-0.5 * np.sum(missing**2, axis=0) / self.ripples**2) / (2.0 * np.pi * self.ripples**2)
         cosine = np.clip(-np.einsum("ij,ij->i", direction, half), 0.0, 1.0)
         mirrored = fresnel_coefficients(cosine, n_from=1.0, n_to=self.plane.n_water).reflectance
@@ -277,10 +267,6 @@ def _caustics(slopes: np.ndarray, n: float, deepest_m: float, depth_m: float, co
     return np.maximum(1.0 + scale * (caustics[:-1] - 1.0), _LEAST_LIGHT).astype(np.float32)
 
 
-def _cells(places: np.ndarray) -> np.ndarray:
-    """Row and column (2, N) on the tile of places (N, 2) [m], local."""
-    return places.T[::-1] / _CELL_M
-
-
-def _on_tile(tile: np.ndarray, at: np.ndarray) -> np.ndarray:
-    return map_coordinates(tile, at, order=1, mode="grid-wrap")
+def _on_tile(tile: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Values (N,) of a tile at places (N, 2) [m], local."""
+    return map_coordinates(tile, places.T[::-1] / _CELL_M, order=1, mode="grid-wrap")

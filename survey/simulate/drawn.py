@@ -1,4 +1,7 @@
-"""Settings of a drawn survey: scene, water and flight."""
+"""A small survey with known truth, drawn without further input: for the demo and the tests.
+
+python -m survey.simulate.drawn FOLDER [--tiny] [KEY=VALUE ...], with the keys of `DrawnScene`
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ import dataclasses
 import itertools
 import math
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -45,6 +48,18 @@ from survey.simulate.writing import write_survey
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 # Tilt of the convergent views from the plumb line, least and most [rad].
 _TILTS = (math.radians(10.0), math.radians(35.0))
+# A body, its colour, and the direction of its grain.
+Body = tuple[Solid, tuple[float, float, float], np.ndarray | None]
+
+_WOOD, _CLAY = (0.42, 0.29, 0.18), (0.60, 0.33, 0.20)
+# Of an amphora: places along its axis and radii there [m].
+_AMPHORA = ((-0.5, 0.03), (-0.38, 0.12), (-0.05, 0.21), (0.14, 0.19), (0.27, 0.07), (0.42, 0.06), (0.5, 0.09))
+# Handbooks state the index of water in the light of sodium.
+_STATED_NM = 589.3
+# Toward the sun where it glints: 72 degrees over the horizon, so that level views meet its mirror image too.
+_HIGH_SUN = (0.27, 0.18, 1.0)
+# Duration of the flight where the water level changes during it [s].
+FLIGHT_S = 3600.0
 
 
 @dataclass(frozen=True)
@@ -113,11 +128,19 @@ class DrawnScene:
         """The flight: strips of views that look down, then convergent views, tilted by 10 to 35 degrees."""
         rng = np.random.default_rng([self.seed, 1])
         nadir = min(max(round(self.nadir_share * self.num_views), 1), self.num_views)
-        places = _grid(nadir, self.size_m, self.image_px)
-        cameras = [self._look_down(x, y, row, rng) for row, x, y in places]
+        cameras = []
+        for x, y, row in _grid(nadir, self.size_m, self.image_px):
+            # With the heading of its strip, and some noise of position and attitude.
+            shake = 0.02 * rng.standard_normal(2)
+            heading = math.pi * (row % 2) + 0.03 * rng.standard_normal()
+            cameras.append(self._camera(x, y, np.array([*shake, -1.0]), heading, rng))
         tilts = np.linspace(*_TILTS, self.num_views - nadir)
-        azimuths = _GOLDEN_ANGLE * np.arange(len(tilts))
-        cameras += [self._look_in(tilt, azimuth, rng) for tilt, azimuth in zip(tilts, azimuths, strict=True)]
+        for tilt, azimuth in zip(tilts, _GOLDEN_ANGLE * np.arange(len(tilts)), strict=True):
+            toward = np.array([math.sin(azimuth), math.cos(azimuth)])
+            target = rng.uniform(-0.18, 0.18, 2) * self.size_m
+            x, y = target - (self.flying_m + 0.7 * self.depth_m) * math.tan(tilt) * toward
+            forward = np.array([*(math.sin(tilt) * toward), -math.cos(tilt)])
+            cameras.append(self._camera(x, y, forward, azimuth, rng, 0.05))
         if self.rise_m != 0.0 and self.water:
             tides = self.rise_m * np.linspace(-0.5, 0.5, self.num_views)
             cameras = [replace(camera, tide=tide) for camera, tide in zip(cameras, tides.tolist(), strict=True)]
@@ -131,25 +154,12 @@ class DrawnScene:
         toward = np.random.default_rng([self.seed, 9]).uniform(0.0, 2.0 * math.pi, self.num_views)
         return self.speed_m_s * np.stack([np.sin(toward), np.cos(toward), np.zeros(self.num_views)], axis=-1)
 
-    def _look_down(self, x: float, y: float, row: int, rng: np.random.Generator) -> PinholeCamera:
-        """A nadir view of a strip, with the heading of its strip and some noise of position and attitude."""
-        shake = 0.02 * rng.standard_normal(2)
-        heading = math.pi * (row % 2) + 0.03 * rng.standard_normal()
-        forward = np.array([*shake, -1.0])
-        return self._camera(self._place(x, y, rng), forward, heading)
-
-    def _look_in(self, tilt: float, azimuth: float, rng: np.random.Generator) -> PinholeCamera:
-        toward = np.array([math.sin(azimuth), math.cos(azimuth)])
-        target = rng.uniform(-0.18, 0.18, 2) * self.size_m
-        x, y = target - (self.flying_m + 0.7 * self.depth_m) * math.tan(tilt) * toward
-        forward = np.array([*(math.sin(tilt) * toward), -math.cos(tilt)])
-        return self._camera(self._place(x, y, rng), forward, azimuth + 0.05 * rng.standard_normal())
-
-    def _place(self, x: float, y: float, rng: np.random.Generator) -> np.ndarray:
-        return np.array([x, y, self.flying_m]) + 0.01 * self.flying_m * rng.standard_normal(3)
-
-    def _camera(self, centre: np.ndarray, forward: np.ndarray, heading: float) -> PinholeCamera:
+    def _camera(
+        self, x: float, y: float, forward: np.ndarray, heading: float, rng: np.random.Generator, shake: float = 0.0
+    ) -> PinholeCamera:
         """A camera that looks `forward`; the top of its image points to `heading` [rad], north over east."""
+        centre = np.array([x, y, self.flying_m]) + 0.01 * self.flying_m * rng.standard_normal(3)
+        heading += shake * rng.standard_normal() if shake else 0.0
         forward = forward / np.linalg.norm(forward)
         right = np.cross(forward, [math.sin(heading), math.cos(heading), 0.0])
         right = right / np.linalg.norm(right)
@@ -158,29 +168,14 @@ class DrawnScene:
         return PinholeCamera(centre, axes, self.focal_px, self.focal_px, width / 2, height / 2, width, height)
 
 
-def _grid(count: int, size_m: tuple[float, float], image_px: tuple[int, int]) -> list[tuple[int, float, float]]:
-    """Row, x and y [m] of `count` views in strips along x, with equal forward and side overlap."""
+def _grid(count: int, size_m: tuple[float, float], image_px: tuple[int, int]) -> Iterator[tuple[float, float, int]]:
+    """x, y [m] and row of `count` views in strips along x, with equal forward and side overlap."""
     rows = max(round(math.sqrt(count * size_m[1] / size_m[0] * image_px[0] / image_px[1])), 1)
-    per_row = [count // rows + (r < count % rows) for r in range(rows)]
-    places = []
-    for row, columns in enumerate(per_row):
+    for row in range(rows):
+        columns = count // rows + (row < count % rows)
         y = 0.35 * size_m[1] * (2.0 * row / (rows - 1) - 1.0) if rows > 1 else 0.0
         for column in range(columns):
-            x = 0.3 * size_m[0] * (2.0 * column / (columns - 1) - 1.0) if columns > 1 else 0.0
-            places.append((row, x, y))
-    return places
-
-
-# A body, its colour, and the direction of its grain.
-Body = tuple[Solid, tuple[float, float, float], np.ndarray | None]
-
-_WOOD, _CLAY = (0.42, 0.29, 0.18), (0.60, 0.33, 0.20)
-# Handbooks state the index of water in the light of sodium.
-_STATED_NM = 589.3
-# Toward the sun where it glints: 72 degrees over the horizon, so that level views meet its mirror image too.
-_HIGH_SUN = (0.27, 0.18, 1.0)
-# Duration of the flight where the water level changes during it [s].
-FLIGHT_S = 3600.0
+            yield (0.3 * size_m[0] * (2.0 * column / (columns - 1) - 1.0) if columns > 1 else 0.0), y, row
 
 
 def build_ground(scene: DrawnScene, cameras: Sequence[PinholeCamera], light: Light) -> Ground:
@@ -200,25 +195,19 @@ def build_ground(scene: DrawnScene, cameras: Sequence[PinholeCamera], light: Lig
     texture = draped_texture(sand(stone.shape, texel, rng, stone), west, south, texel)
     materials = [Material(texture, shade_of_map(bed, light_of_bed(bed, solids, light)))]
     tile = np.exp(sum(0.15 * periodic(rng, size) for size in (2, 4, 8, 32))).astype(np.float32)
-    materials += [
-        Material(_texture(scene, solid, tile, colour, grain), shade_beside_bed(solid, bed, light))
-        for solid, colour, grain in bodies
-    ]
+    for solid, colour, grain in bodies:
+        # The tile of brightness lies along each plane of a body, stretched along its grain if any.
+        along, stretch = (np.array([0.8, 0.0, 0.6]), 1.0) if grain is None else (grain, 0.15)
+        across = np.cross(solid.normals, along) + 1e-12
+        across = across / np.linalg.norm(across, axis=1, keepdims=True)
+        axes = np.stack([across, stretch * np.cross(across, solid.normals)], axis=1) / scene.texel_m
+        # Planes show different parts of the tile.
+        shift = np.arange(len(axes))[:, None] * (7.0, 31.0) - axes @ solid.centre
+        texels = np.concatenate([axes, shift[..., None]], axis=-1)
+        image = tile[..., None] * np.array(colour, dtype=np.float32)
+        texture = ImageTexture(image, texels, np.arange(len(axes)), repeats=True)
+        materials.append(Material(texture, shade_beside_bed(solid, bed, light)))
     return Ground(bed, solids, tuple(materials))
-
-
-def _texture(
-    scene: DrawnScene, solid: Solid, tile: np.ndarray, colour: tuple[float, float, float], grain: np.ndarray | None
-) -> ImageTexture:
-    """Texture of a body: a periodic tile of brightness along each of its planes, stretched along its grain if any."""
-    along, stretch = (np.array([0.8, 0.0, 0.6]), 1.0) if grain is None else (grain, 0.15)
-    across = np.cross(solid.normals, along) + 1e-12
-    across = across / np.linalg.norm(across, axis=1, keepdims=True)
-    axes = np.stack([across, stretch * np.cross(across, solid.normals)], axis=1) / scene.texel_m
-    # Planes show different parts of the tile.
-    shift = np.arange(len(axes))[:, None] * (7.0, 31.0) - axes @ solid.centre
-    image = tile[..., None] * np.array(colour, dtype=np.float32)
-    return ImageTexture(image, np.concatenate([axes, shift[..., None]], axis=-1), np.arange(len(axes)), repeats=True)
 
 
 def _heights(scene: DrawnScene, x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -286,10 +275,6 @@ def _bodies(scene: DrawnScene, bed: BedGrid, rng: np.random.Generator) -> list[B
     return bodies
 
 
-# Places along its axis and radii there [m].
-_AMPHORA = ((-0.5, 0.03), (-0.38, 0.12), (-0.05, 0.21), (0.14, 0.19), (0.27, 0.07), (0.42, 0.06), (0.5, 0.09))
-
-
 def _boat() -> np.ndarray:
     """Points of an upturned hull, 3.8 m long along x, keel up."""
     s = np.linspace(-1.0, 1.0, 13)
@@ -353,9 +338,6 @@ def stage_drawing(scene: DrawnScene) -> StagedScene:
     )
 
 
-__all__ = ["DrawnScene", "draw_survey", "stage_drawing"]
-
-
 def draw_survey(folder: Path, scene: DrawnScene, *, again: bool = False, progress: Progress | None = None) -> None:
     """Draw a survey into a folder; see `survey.simulate.writing.write_survey`."""
     write_survey(folder, dataclasses.asdict(scene), lambda: stage_drawing(scene), again=again, progress=progress)
@@ -363,7 +345,9 @@ def draw_survey(folder: Path, scene: DrawnScene, *, again: bool = False, progres
 
 def main(arguments: list[str] | None = None) -> None:
     """``python -m survey.simulate.drawn``; what cannot be used, or written, ends it with exit code 2."""
-    parser = argparse.ArgumentParser(prog="python -m survey.simulate.drawn", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m survey.simulate.drawn", description="Draw a small survey into a folder, unless it is there."
+    )
     parser.add_argument("folder", type=Path, help="survey folder to write, with the ground truth in truth/")
     parser.add_argument("--tiny", action="store_true", help="8 small views without noise, in about a second")
     parser.add_argument(

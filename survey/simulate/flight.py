@@ -1,4 +1,4 @@
-"""Flight patterns: exposure stations by [flight] of a scene file."""
+"""Flight patterns: exposure stations by [flight] of a scene file, and their coverage of the bed through the water."""
 
 from __future__ import annotations
 
@@ -28,6 +28,52 @@ _MOST_VIEWS = 5000
 Pose = tuple[float, float, float, float]
 PATTERNS = ("nadir", "five", "oblique", "outer")
 _OVERLAP, _TILT = "0 to 0.97, a share of the footprint", "degrees from 0 (straight down) to 60"
+# Points along each axis of the area at which views are counted.
+_POINTS = 41
+# Largest tilt of a nadir photograph [deg].
+NADIR_DEG = 7.0
+_SIDE_IN = 7.0
+
+
+@dataclass(frozen=True)
+class FlightSettings:
+    """[flight]: a block of photographs over the area; exactly one of `poses`, `height_m` and `gsd_m` is given."""
+
+    # File of planned poses, in a format of poses of surveys; the settings of patterns are then not used
+    poses: str | None = None
+    speed_m_s: float | None = key(None, above=0)  # [m/s] or None: of the drone while it photographs
+    # [m]: standard deviation of GPS positions, in each direction: 0.02 with RTK or PPK, 3 without
+    position_std_m: float = key(0.02, above=0)
+    # [m]: of the cameras above the water, or above the origin where there is none
+    height_m: float | None = key(None, above=0)
+    gsd_m: float | None = key(None, above=0)  # [m]: of the bed straight below, seen through the water
+    # some of "nadir" (strips of nadir views), "five" (the same strips with four more cameras that look ahead, back,
+    # left and right), "oblique" (rings of views at a point of interest), "outer" (strips outside the four sides that
+    # look in)
+    patterns: tuple[str, ...] = ("nadir", "oblique")
+    # forward_overlap, side_overlap [-]: share of a photograph's footprint on the bed that the next photograph, and the
+    # next strip, covers again
+    forward_overlap: float = key(0.8, _OVERLAP, least=0, most=0.97)
+    side_overlap: float = key(0.7, _OVERLAP, least=0, most=0.97)
+    heading_deg: float = 90.0  # [deg]: of the strips, clockwise from north
+    tilt_deg: float = key(30.0, _TILT, least=0, most=60)  # [deg]: of all oblique views from the plumb line
+    # (east, north) [m]: point of interest of the rings, from the origin, on the bed
+    target: tuple[float, float] = (0.0, 0.0)
+    ring_views: int = key(8, above=0)  # Views of each ring
+    # [deg]: one ring for each; default: one of `tilt_deg`
+    ring_tilts_deg: tuple[float, ...] = key((), _TILT, least=0, most=60)
+    # [-]: deviation of the flight from the plan: of positions as a share of the height, of angles in radians
+    wobble: float = key(0.01, least=0, most=0.1)
+
+    def __post_init__(self):
+        if sum(value is not None for value in (self.poses, self.height_m, self.gsd_m)) != 1:
+            raise ConfigError(
+                "flight: give exactly one of height_m, above the water, gsd_m, on the bed, and poses, a file; not both"
+            )
+        require_valid(self, FlightSettings, lambda field: f"flight.{field.name}")
+        unknown = [word for word in self.patterns if word not in PATTERNS]
+        if unknown or not self.patterns:
+            raise ConfigError(f"flight.patterns is {list(self.patterns)}, expected some of {', '.join(PATTERNS)}")
 
 
 @dataclass(frozen=True)
@@ -90,45 +136,39 @@ def plan_flight(flight: FlightSettings, lens: Lens, site: Site, seed: int) -> li
 
 def _poses(flight: FlightSettings, lens: Lens, site: Site, height: float) -> Iterator[Pose]:
     """Exposure stations of all patterns, one pattern after the other."""
-    heading, tilt = math.radians(flight.heading_deg), math.radians(flight.tilt_deg)
+    tilt = math.radians(flight.tilt_deg)
     for pattern in flight.patterns:
-        if pattern == "nadir":
-            yield from ((x, y, 0.0, turn) for x, y, turn in _strips(flight, lens, site, height))
-        elif pattern == "five":
+        if pattern == "oblique":
+            yield from _rings(flight, site, height)
+        elif pattern == "outer":
+            yield from _outer(flight, lens, site, height)
+        else:
             for x, y, turn in _strips(flight, lens, site, height):
                 yield x, y, 0.0, turn
-                yield from ((x, y, tilt, turn + k * 0.5 * math.pi) for k in range(4))
-        elif pattern == "oblique":
-            yield from _rings(flight, site, height)
-        else:
-            yield from _outer(flight, lens, site, height, heading)
+                yield from ((x, y, tilt, turn + k * 0.5 * math.pi) for k in range(4 if pattern == "five" else 0))
 
 
 def _footprint(lens: Lens, site: Site, height: float) -> tuple[float, float]:
     """Width and height [m] of the footprint of a nadir view on the bed."""
-    sizes = []
-    for size, focal in zip((lens.width, lens.height), lens.focal, strict=True):
-        tangent = 0.5 * size / focal
-        n = 1.0 if site.water is None else float(site.water.n_water)
-        in_air = math.atan(tangent)
-        in_water = math.tan(math.asin(math.sin(in_air) / n))
-        sizes.append(2.0 * (height * tangent + site.depth_m * in_water))
-    return sizes[0], sizes[1]
+    n = 1.0 if site.water is None else float(site.water.n_water)
+    tangents = [0.5 * size / focal for size, focal in zip((lens.width, lens.height), lens.focal, strict=True)]
+    in_water = [math.tan(math.asin(math.sin(math.atan(tangent)) / n)) for tangent in tangents]
+    across, along = (2.0 * (height * t + site.depth_m * w) for t, w in zip(tangents, in_water, strict=True))
+    return across, along
 
 
 def _strips(flight: FlightSettings, lens: Lens, site: Site, height: float) -> Iterator[tuple[float, float, float]]:
     """x, y [m] and heading [rad] of nadir views in parallel strips over the whole area, flown back and forth."""
     heading = math.radians(flight.heading_deg)
     ahead, right = _axes(heading)
-    long, wide = _extent(site, ahead), _extent(site, right)
     across, along = _footprint(lens, site, height)
     step, gap = along * (1.0 - flight.forward_overlap), across * (1.0 - flight.side_overlap)
-    num_strips = max(math.ceil(wide / gap) + 1, 1)
-    num_views = max(math.ceil(long / step) + 1, 1)
+    num_strips, num_views = (max(math.ceil(size / s) + 1, 1) for size, s in (
+        (_extent(site, right), gap), (_extent(site, ahead), step),
+    ))  # fmt: skip
     for strip in range(num_strips):
         b = (strip - 0.5 * (num_strips - 1)) * gap
-        order = range(num_views) if strip % 2 == 0 else reversed(range(num_views))
-        for view in order:
+        for view in range(num_views) if strip % 2 == 0 else reversed(range(num_views)):
             x, y = (view - 0.5 * (num_views - 1)) * step * ahead + b * right
             yield float(x), float(y), heading + math.pi * (strip % 2)
 
@@ -146,18 +186,16 @@ def _rings(flight: FlightSettings, site: Site, height: float) -> Iterator[Pose]:
             yield float(x), float(y), tilt, heading
 
 
-def _outer(flight: FlightSettings, lens: Lens, site: Site, height: float, heading: float) -> Iterator[Pose]:
+def _outer(flight: FlightSettings, lens: Lens, site: Site, height: float) -> Iterator[Pose]:
     """x, y [m], tilt and heading [rad] of strips outside the four sides that look at the area's border."""
     tilt = math.radians(flight.tilt_deg)
     reach = (height + site.apparent_depth) * math.tan(tilt)
     # The footprint of an oblique view widens with distance; that of its middle row counts.
-    across = _footprint(lens, site, height)[0] / math.cos(tilt)
-    step = across * (1.0 - flight.forward_overlap)
+    step = _footprint(lens, site, height)[0] / math.cos(tilt) * (1.0 - flight.forward_overlap)
     for side in range(4):
-        inward = heading + 0.5 * math.pi * side
+        inward = math.radians(flight.heading_deg) + 0.5 * math.pi * side
         ahead, right = _axes(inward)
-        long = _extent(site, right)
-        num_views = max(math.ceil(long / step) + 1, 1)
+        num_views = max(math.ceil(_extent(site, right) / step) + 1, 1)
         start = -(0.5 * _extent(site, ahead) + reach) * ahead
         for view in range(num_views):
             # From right to left, so that the next side begins where this one ends.
@@ -180,61 +218,13 @@ def _camera(pose: Pose, level: float, lens: Lens, height: float, shake: np.ndarr
 
 def _axes(heading: float) -> tuple[np.ndarray, np.ndarray]:
     """Unit vectors (east, north) ahead and to the right of a heading [rad], clockwise from north."""
-    ahead = np.array([math.sin(heading), math.cos(heading)])
-    return ahead, np.array([ahead[1], -ahead[0]])
+    east, north = math.sin(heading), math.cos(heading)
+    return np.array([east, north]), np.array([north, -east])
 
 
 def _extent(site: Site, axis: np.ndarray) -> float:
     """Extent of the area along a horizontal unit vector [m]."""
     return float(np.abs(axis) @ np.array(site.size_m))
-
-
-@dataclass(frozen=True)
-class FlightSettings:
-    """[flight]: a block of photographs over the area; exactly one of `poses`, `height_m` and `gsd_m` is given."""
-
-    # File of planned poses, in a format of poses of surveys; the settings of patterns are then not used
-    poses: str | None = None
-    speed_m_s: float | None = key(None, above=0)  # [m/s] or None: of the drone while it photographs
-    # [m]: standard deviation of GPS positions, in each direction: 0.02 with RTK or PPK, 3 without
-    position_std_m: float = key(0.02, above=0)
-    # [m]: of the cameras above the water, or above the origin where there is none
-    height_m: float | None = key(None, above=0)
-    gsd_m: float | None = key(None, above=0)  # [m]: of the bed straight below, seen through the water
-    # some of "nadir" (strips of nadir views), "five" (the same strips with four more cameras that look ahead, back,
-    # left and right), "oblique" (rings of views at a point of interest), "outer" (strips outside the four sides that
-    # look in)
-    patterns: tuple[str, ...] = ("nadir", "oblique")
-    # forward_overlap, side_overlap [-]: share of a photograph's footprint on the bed that the next photograph, and the
-    # next strip, covers again
-    forward_overlap: float = key(0.8, _OVERLAP, least=0, most=0.97)
-    side_overlap: float = key(0.7, _OVERLAP, least=0, most=0.97)
-    heading_deg: float = 90.0  # [deg]: of the strips, clockwise from north
-    tilt_deg: float = key(30.0, _TILT, least=0, most=60)  # [deg]: of all oblique views from the plumb line
-    # (east, north) [m]: point of interest of the rings, from the origin, on the bed
-    target: tuple[float, float] = (0.0, 0.0)
-    ring_views: int = key(8, above=0)  # Views of each ring
-    # [deg]: one ring for each; default: one of `tilt_deg`
-    ring_tilts_deg: tuple[float, ...] = key((), _TILT, least=0, most=60)
-    # [-]: deviation of the flight from the plan: of positions as a share of the height, of angles in radians
-    wobble: float = key(0.01, least=0, most=0.1)
-
-    def __post_init__(self):
-        if sum(value is not None for value in (self.poses, self.height_m, self.gsd_m)) != 1:
-            raise ConfigError(
-                "flight: give exactly one of height_m, above the water, gsd_m, on the bed, and poses, a file; not both"
-            )
-        require_valid(self, FlightSettings, lambda field: f"flight.{field.name}")
-        unknown = [word for word in self.patterns if word not in PATTERNS]
-        if unknown or not self.patterns:
-            raise ConfigError(f"flight.patterns is {list(self.patterns)}, expected some of {', '.join(PATTERNS)}")
-
-
-# Points along each axis of the area at which views are counted.
-_POINTS = 41
-# Largest tilt of a nadir photograph [deg].
-NADIR_DEG = 7.0
-_SIDE_IN = 7.0
 
 
 @dataclass(frozen=True)
@@ -255,21 +245,16 @@ class BedCoverage:
 
 def coverage(cameras: Sequence[PinholeCamera], site: Site) -> BedCoverage:
     """Coverage of a level bed at the site's mean depth by a block."""
-    half = 0.5 * np.array(site.size_m)
-    east, north = (np.linspace(-h, h, _POINTS) for h in half)
+    east, north = (np.linspace(-0.5 * size, 0.5 * size, _POINTS) for size in site.size_m)
     x, y = np.meshgrid(east, north)
     points = np.stack([x, y, np.full_like(x, site.level - site.depth_m)], axis=-1)
-    num_views = np.zeros(x.shape, dtype=np.int64)
+    num_views, footprints = np.zeros(x.shape, dtype=np.int64), []
     for camera in cameras:
         num_views += camera.sees(camera.project(points, site.water))
-    footprints = np.array([_corners_on_bed(camera, site) for camera in cameras])
-    return BedCoverage(footprints, east, north, num_views)
-
-
-def _corners_on_bed(camera: PinholeCamera, site: Site) -> np.ndarray:
-    """East and north (5, 2) [m] of the corners of an image on the bed, through the water."""
-    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]]) * (camera.width, camera.height)
-    return camera.paths(corners, site.water).at_height(np.full(5, -site.depth_m), site.water)[:, :2]
+        corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]]) * (camera.width, camera.height)
+        at = camera.paths(corners, site.water).at_height(np.full(5, -site.depth_m), site.water)
+        footprints.append(at[:, :2])
+    return BedCoverage(np.array(footprints), east, north, num_views)
 
 
 def draw_flight(path: Path, cameras: Sequence[PinholeCamera], cover: BedCoverage, site: Site) -> None:

@@ -91,11 +91,7 @@ class Ground:
 def shade_of_map(bed: BedGrid, lit: np.ndarray) -> Shade:
     """Light on a bed from values (ny, nx) at its vertices."""
     lit = np.ascontiguousarray(lit, dtype=np.float32)
-
-    def shade(points: np.ndarray, face: np.ndarray) -> np.ndarray:
-        return look_up(lit, (points[:, :2] - (bed.west, bed.south)) / bed.cell)[:, 0]
-
-    return shade
+    return lambda points, face: look_up(lit, (points[:, :2] - (bed.west, bed.south)) / bed.cell)[:, 0]
 
 
 def shade_of_normals(normals: np.ndarray, light: Light) -> Shade:
@@ -155,7 +151,12 @@ def bed_from_file(path: Path, settings: BedSettings, frame: LocalFrame) -> tuple
         return TriangleMesh(points, faces), shape.rgb
     rgb = shape.rgb
     if settings.spacing_m is not None:
-        points, rgb = _thinned(points, rgb, settings.spacing_m)
+        # The mean of the points in each square cell.
+        cells, low = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / settings.spacing_m), points.min(axis=0)
+        cell, counts = np.unique(cells.astype(np.int64), axis=0, return_inverse=True, return_counts=True)[1:]
+        values = points - low if rgb is None else np.column_stack([points - low, rgb])
+        means = np.stack([np.bincount(cell.ravel(), column) / counts for column in values.T], axis=-1)
+        points, rgb = low + means[:, :3], None if rgb is None else np.round(means[:, 3:]).astype(np.uint8)
     try:
         return mesh_of_points(points, settings.smoothing), rgb
     except (QhullError, ValueError) as error:
@@ -189,18 +190,6 @@ def plane(area: tuple[float, float, float, float], z: float) -> BedGrid:
     return BedGrid(np.full((cells[0] + 1, cells[1] + 1), z), west, south, _PLANE_CELL_M)
 
 
-def _thinned(points: np.ndarray, rgb: np.ndarray | None, spacing: float) -> tuple[np.ndarray, np.ndarray | None]:
-    """Thinned points: the mean of those in each square cell."""
-    cells = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / spacing).astype(np.int64)
-    _, cell, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        return np.stack([np.bincount(cell.ravel(), v) / counts for v in values.T], axis=-1)
-
-    low = points.min(axis=0)
-    return low + mean(points - low), None if rgb is None else np.round(mean(rgb.astype(float))).astype(np.uint8)
-
-
 # From a file in which y points up to one in which z does.
 _Z_UP_FROM_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 # Texels of the largest texture: 12 bytes each, and as much again while it is drawn.
@@ -232,7 +221,8 @@ def place_object(settings: ObjectSettings, folder: Path, bed, light: Light) -> t
         raise SurveyError(f"{path} is placed at {x:g}, {y:g} m, outside the bed; correct at, in metres from the origin")
     shape = TriangleMesh(points - [*(0.5 * (low + high)[:2]), low[2]] + (x, y, z), mesh.faces)
     if mesh.rgb is not None:
-        return shape, Material(vertex_texture(shape, mesh.rgb), shade_beside_bed(shape, bed, light))
+        coloured = VertexTexture((np.asarray(mesh.rgb) / 255.0) ** GAMMA, *shape.mesh()[:2])
+        return shape, Material(coloured, shade_beside_bed(shape, bed, light))
     # A periodic speckle of one colour by triplanar mapping: along the local axes nearest to the plane of each face.
     rng = np.random.default_rng([len(shape.faces), 10])
     tile = np.exp(sum(0.15 * periodic(rng, size) for size in (2, 4, 8, 32)))
@@ -250,9 +240,13 @@ def texture_of_bed(
     if settings.kind == "vertex":
         if rgb is None:
             raise SurveyError('texture.kind is "vertex", but the file of the bed has no colours; give another kind')
-        return vertex_texture(shape, rgb)
+        return VertexTexture((np.asarray(rgb) / 255.0) ** GAMMA, *shape.mesh()[:2])
     if settings.file is not None:
-        return _image(folder / settings.file, settings.texel_m)
+        linear = ((np.arange(256) / 255.0) ** GAMMA).astype(np.float32)
+        # The first row of an image is its north.
+        image = np.ascontiguousarray(linear[eight_bits(read_rgb(folder / settings.file))][::-1])
+        west, south = (-0.5 * (image.shape[k] - 1) * settings.texel_m for k in (1, 0))
+        return draped_texture(image, west, south, settings.texel_m)
     if settings.kind == "checker":
         require_texels("texture.square_m", settings.square_m, area, "squares")
         # One corner lies on the origin. A texel is a square.
@@ -279,18 +273,3 @@ def require_texels(name: str, size_m: float, area: Area, what: str = "texels") -
             f"{name} is {size_m:g}, which takes {columns:.6g} x {rows:.6g} {what} for what the cameras see; "
             f"give {coarser + 5e-4:.3f} or more, or fly lower"
         )
-
-
-def vertex_texture(shape: TriangleMesh, rgb: np.ndarray) -> VertexTexture:
-    """Colours (V, 3) uint8 of a file as linear albedo."""
-    vertices, faces, _ = shape.mesh()
-    return VertexTexture((np.asarray(rgb) / 255.0) ** GAMMA, vertices, faces)
-
-
-def _image(path: Path, texel_m: float) -> ImageTexture:
-    linear = ((np.arange(256) / 255.0) ** GAMMA).astype(np.float32)
-    # The first row of an image is its north.
-    image = np.ascontiguousarray(linear[eight_bits(read_rgb(path))][::-1])
-    rows, columns = image.shape[:2]
-    west, south = -0.5 * (columns - 1) * texel_m, -0.5 * (rows - 1) * texel_m
-    return draped_texture(image, west, south, texel_m)

@@ -1,10 +1,30 @@
-"""Files of other programs: those that are known by their names and not read, and the first sign of the others."""
+"""Files that others bring: pipes and devices among them, those that are not read by their names, and large numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Iterable, Mapping
 from fnmatch import fnmatchcase
 from pathlib import Path
+
+from survey.errors import SurveyError
+
+# No coordinate, time or number of a survey is larger; squares of larger ones overflow.
+LARGEST = 1e12
+
+
+def require_plain_entries(folder: Path) -> None:
+    """Raise SurveyError where a folder holds, at any depth, something that is neither a file nor a folder."""
+    for place, folders, files in os.walk(folder):
+        require_plain(Path(place, name) for name in (*folders, *files))
+
+
+def require_plain(paths: Iterable[Path]) -> None:
+    """Raise SurveyError where one of paths exists and is, or leads to, neither a file nor a folder."""
+    for path in paths:
+        # Reading a pipe or a device may not end.
+        if not path.is_file() and not path.is_dir() and path.exists():
+            raise SurveyError(f"{path} is a pipe, a socket or a device, expected a file or folder; remove it")
 
 
 def instead_of(path: Path, not_read: Mapping[str, str]) -> str | None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from geo.files import write_text
 from survey.errors import SurveyError
-from survey.files.limits import LARGEST
+from survey.files.foreign import LARGEST
 
 
 def plain(value):

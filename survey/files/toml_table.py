@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from survey.errors import ConfigError
-from survey.files.limits import LARGEST
+from survey.files.foreign import LARGEST
 from survey.words import instead_of_word
 
 # Bytes of settings at most; those with all keys and comments have 10 kB.
@@ -129,6 +129,16 @@ def _require_valid(field: dataclasses.Field, name: str, value: Any) -> None:
     if not all(_LIMITS[word][0](number, limit) for word, limit in limits.items() for number in numbers):
         in_words = " and ".join(f"{_LIMITS[word][1]} {limit:g}" for word, limit in limits.items())
         raise ConfigError(f"{name} is {shown}, expected {expected or f'a number {in_words}'}")
+
+
+def require_with(
+    table: str, record: Any, other: str, names: Iterable[str], remedy: str = "", given: Any = None
+) -> None:
+    """Raise ConfigError where one of some keys of `given`, by default `record`, is without another one of `record`."""
+    for name in names:
+        if getattr(record, other) is None and getattr(given or record, name) is not None:
+            remedies = f"give both{', ' * bool(remedy)}{remedy}"
+            raise ConfigError(f"[{table}] {name} is given without {other}, to which it belongs; {remedies}")
 
 
 def fields_of(kind: type) -> Iterator[tuple[dataclasses.Field, Any]]:

@@ -11,9 +11,9 @@ from pathlib import Path
 import tomli_w
 
 from survey.errors import FILE_NAME, ConfigError
-from survey.files.entries import require_plain, require_plain_entries
+from survey.files.foreign import require_plain, require_plain_entries
 from survey.files.remote import is_url, local_name
-from survey.files.toml_table import key, parse_toml, read_toml, std_key, table_of
+from survey.files.toml_table import key, parse_toml, read_toml, require_with, std_key, table_of
 from survey.settings.tables import ControlConfig, FieldConfig, ProcessConfig
 from survey.settings.water import WaterConfig, require_slope
 from survey.words import Mapper
@@ -102,18 +102,14 @@ class CamerasConfig:
     )
 
     def __post_init__(self):
-        for name in ("rolling_shutter_std_s", "speed_m_s"):
-            if getattr(self, name) is not None and self.rolling_shutter_s is None:
-                raise ConfigError(f"[cameras] {name} is given without rolling_shutter_s, which it describes; give both")
-        if self.distortion is not None and self.model is None:
-            raise ConfigError('[cameras] distortion is without model; give e.g. model = "OPENCV" with k1, k2, p1, p2')
-        if self.principal_point_px is not None and self.size_px is not None:
-            inside = all(0.0 < p < s for p, s in zip(self.principal_point_px, self.size_px, strict=True))
-            if not inside:
-                raise ConfigError(
-                    f"[cameras] principal_point_px {list(self.principal_point_px)} lies outside the image of size_px "
-                    f"{list(self.size_px)}; expected pixels from the upper left corner"
-                )
+        require_with("cameras", self, "rolling_shutter_s", ("rolling_shutter_std_s", "speed_m_s"))
+        require_with("cameras", self, "model", ("distortion",), 'e.g. model = "OPENCV" with k1, k2, p1, p2')
+        point, size = self.principal_point_px, self.size_px
+        if point is not None and size is not None and not all(0.0 < p < s for p, s in zip(point, size, strict=True)):
+            raise ConfigError(
+                f"[cameras] principal_point_px {list(point)} lies outside the image of size_px {list(size)}; expected "
+                "pixels from the upper left corner"
+            )
 
     @property
     def rolls(self) -> bool:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from survey.errors import ConfigError
-from survey.files.toml_table import INLINE, key, std_key
+from survey.files.toml_table import INLINE, key, require_with, std_key
 
 MOST_LEVEL_STD_M = 10.0
 # Slope of a water surface at most: steeper than 0.065 a stream is a cascade, white water that shows no bed
@@ -50,11 +50,7 @@ class LevelRate:
     level_time: str | None = key(None, "a time with its zone, e.g. 2024-06-01T10:30:00Z")
 
     def __post_init__(self):
-        rate = self.level_rate_m_per_h
-        if rate is None and self.level_time is not None:
-            raise ConfigError("[water] level_time is given without level_rate_m_per_h, to which it belongs; give both")
-        if rate is None and self.level_rate_std_m_per_h is not None:
-            raise ConfigError("[water] level_rate_std_m_per_h is without level_rate_m_per_h; give both, 0 if unknown")
+        require_with("water", self, "level_rate_m_per_h", ("level_time", "level_rate_std_m_per_h"), "0 if unknown")
 
 
 @dataclass(frozen=True)
@@ -76,8 +72,7 @@ class Medium:
         return [name for name in ("temperature_c", "salinity_psu") if getattr(self, name) is not None]
 
     def __post_init__(self):
-        if self.named == ["salinity_psu"]:
-            raise ConfigError("[water] has salinity_psu without temperature_c; give both, or refractive_index")
+        require_with("water", self, "temperature_c", ("salinity_psu",), "or refractive_index")
 
 
 @dataclass(frozen=True)
@@ -94,12 +89,8 @@ class WaterColour:
     )
 
     def __post_init__(self):
-        known = {name: value for name, value in vars(self).items() if value is not None}
-        if len(known) == 1:
-            raise ConfigError(
-                f"[water] has {next(iter(known))} alone, expected absorption_per_m and veiling_light together; give "
-                "both (veiling_light = [0, 0, 0] for water that scatters nothing) or neither"
-            )
+        for one, other in (("absorption_per_m", "veiling_light"), ("veiling_light", "absorption_per_m")):
+            require_with("water", self, other, (one,), "veiling_light = [0, 0, 0] for water that scatters nothing")
 
 
 @dataclass(frozen=True)
@@ -127,22 +118,20 @@ class WaterConfig:
 
     def __post_init__(self):
         levels = [*([] if self.level_m is None else ["level_m"]), *self.sources.named]
+        moving = [name for name in ("gauge", "image_levels") if name in self.sources.named]
+        files = ("shoreline", "gnss_points", "surface")
         if self.sources.surface is not None and (self.level_at is not None or self.slope_east or self.slope_north):
             raise ConfigError("[water] surface gives the level everywhere; remove level_at, slope_east and slope_north")
-        if self.gauge_zero_m is not None and self.sources.gauge is None:
-            raise ConfigError("[water] has gauge_zero_m without gauge, from whose zero readings count; give both")
-        files = ("shoreline", "gnss_points", "surface")
+        require_with("water", self.sources, "gauge", ("gauge_zero_m",), "readings count from its zero", self)
         if self.layer is not None and not any(name in self.sources.named for name in files):
             raise ConfigError(f"[water] has layer without {', '.join(files)}, one of whose files has it; give both")
         if len(levels) > 1:
             raise ConfigError(f"[water] has {' and '.join(levels)}, each of which gives the level; keep one")
-        moving = [name for name in ("gauge", "image_levels") if name in self.sources.named]
         if self.rate.level_rate_m_per_h is not None and moving:
             raise ConfigError(f"[water] has level_rate_m_per_h and {moving[0]}, both of a moving level; keep one")
         if self.refractive_index is not None and self.medium.named:
             raise ConfigError(f"[water] has both refractive_index and {' and '.join(self.medium.named)}; keep one")
-        if self.medium.index_wavelength_nm is not None and self.refractive_index is None:
-            raise ConfigError("[water] index_wavelength_nm is without refractive_index; give both, or temperature_c")
+        require_with("water", self, "refractive_index", ("index_wavelength_nm",), "or temperature_c", self.medium)
 
     @property
     def known_level_m(self) -> float:

@@ -27,13 +27,13 @@ from survey.handles.field import Field, train_field
 from survey.handles.run import Dem, Run
 from survey.handles.survey import Survey
 from survey.init.draft import write_settings as init
-from survey.init.options import InitOptions
 from survey.photos.cameras import View
 from survey.plan.choices import Choices
 from survey.plan.plan import Plan, make_plan
 from survey.progress import Progress
 from survey.run.edits import Edits as edit
 from survey.run.process import process
+from survey.settings.tables import InitOptions
 from survey.simulate.drawn import DrawnScene, draw_survey
 from survey.simulate.simulate import simulate
 

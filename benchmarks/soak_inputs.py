@@ -36,7 +36,7 @@ from geo.las import write_cloud
 from geo.reading import read_reference
 from survey.control.reading import read_control
 from survey.errors import SurveyError
-from survey.folder.geo_txt import with_positions
+from survey.folder.headers import with_positions
 from survey.photos.exif import Exif, read_exif
 from survey.photos.pixels import require_complete
 from survey.pose_files import find_poses, read_poses, read_ties

@@ -127,11 +127,9 @@ def test_wrong_marks_and_coordinates_are_named_without_gps(blind, tmp_path):
         return [rows[0], [*rows[1][:3], f"{x}", f"{y}", *rows[1][5:]], *shifted("gcp3", 5.0, 0.0, 0.0)(rows)[2:]]
 
     survey = loaded(blind, tmp_path, edit)
-    (mark,) = [warning for warning in survey.findings.warnings if "mark of control that the other marks" in warning]
+    (mark,) = (text for text in survey.findings.warnings if "mark of control that the other marks" in text)
     assert "gcp1 in 00" in mark
-    (point,) = [
-        warning for warning in survey.findings.warnings if "control point that the others contradict" in warning
-    ]
+    (point,) = (text for text in survey.findings.warnings if "control point that the others contradict" in text)
     assert abs(float(point.split("gcp3 (by ")[1].split(" m")[0]) - 5.0) < 0.1
     assert "gcp3" not in {each.name for each in survey.observations.control.points}
 
@@ -163,11 +161,9 @@ def test_control_decides_where_stated_positions_have_another_datum(drawn, tmp_pa
 def test_good_control_beside_gps_is_all_used(drawn, tmp_path):
     survey = loaded(drawn, tmp_path)
     assert len(survey.observations.control.points) == 5
-    assert not [
-        warning
-        for warning in survey.findings.warnings
-        if "control" in warning and "no accuracy is stated" not in warning
-    ]
+    assert [
+        text for text in survey.findings.warnings if "control" in text and "no accuracy is stated" not in text
+    ] == []
 
 
 def test_control_on_one_line_places_nothing_and_is_used_beside_gps(drawn, blind, tmp_path):

@@ -15,7 +15,7 @@ from survey.control.reading import require_near
 from survey.display.quantities import distance_text
 from survey.errors import ControlError
 from survey.init.draft import draft
-from survey.init.options import InitOptions
+from survey.settings.tables import InitOptions
 
 # Places with the national grid there, and the UTM zone with heights that a survey may have.
 PLACES = [

@@ -5,11 +5,10 @@ from __future__ import annotations
 import shutil
 
 import pytest
-from small_survey import HEADER, TOML, camera_lines, small_survey, write_image, write_poses
+from small_survey import HEADER, TOML, camera_lines, small_survey, write_image
 
 from survey.errors import ConfigError, ImageError
 from survey.folder.found import find_survey, survey_inputs
-from survey.folder.survey import load_survey
 from survey.marking.geometry import survey_to_mark
 
 READERS = (find_survey, survey_inputs, survey_to_mark)
@@ -92,23 +91,6 @@ def test_as_many_poses_in_two_files_need_a_name(tmp_path):
     shutil.copy(folder / "cameras.csv", folder / "again.csv")
     with pytest.raises(ConfigError, match=r"several files of poses \(again\.csv with 4 of 4 .*; name one"):
         find_survey(folder)
-
-
-@pytest.mark.parametrize(
-    ("files", "expected"),
-    [
-        ({"all.csv": range(9)}, "cameras.csv has the poses of 4 of 9 photographs, and all.csv those of 9"),
-        ({"some.csv": range(3)}, None),
-        ({"broken.csv": ()}, None),
-    ],
-)
-def test_a_named_file_beside_a_larger_one_is_said(tmp_path, files, expected):
-    folder = small_survey(tmp_path / "s", num=9)
-    write_poses(folder, camera_lines(4))
-    for name, numbers in files.items():
-        poses_of_some(folder / name, numbers)
-    said = [text for text in load_survey(folder).findings.warnings if "has the poses of" in text]
-    assert [text.partition(":")[0] for text in said] == ([] if expected is None else [expected])
 
 
 @pytest.mark.parametrize(

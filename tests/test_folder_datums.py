@@ -15,8 +15,8 @@ from geo.compatibility import approximate_undulation_m
 from geo.crs import parse_crs
 from geo.transformation import use_grids
 from survey.errors import ConfigError
-from survey.folder.faults import exif_height_warnings, explanation, xmp_height_warnings
 from survey.folder.found import find_survey
+from survey.folder.heights import exif_height_warnings, explanation, xmp_height_warnings
 from survey.folder.survey import load_survey
 from survey.photos.exif import Exif
 from survey.plan.check import require_processable

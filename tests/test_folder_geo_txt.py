@@ -13,14 +13,14 @@ from small_survey import E0, LEVEL, N0, rows_of, unposed, write_image
 from geo.errors import GeoError, PlaceMismatch, UnknownUnit
 from survey.errors import ConfigError, PosesError
 from survey.folder.found import find_survey, survey_inputs
-from survey.folder.geo_txt import with_positions
+from survey.folder.headers import with_positions
 from survey.folder.pose_priors import accuracy_of_gps, common_up_std_of_exif
 from survey.init.draft import draft
-from survey.init.options import InitOptions
 from survey.photos.exif import Exif, TablePlace, without_void_fixes
 from survey.plan.check import check_survey
 from survey.pose_files import find_poses
 from survey.settings.config import CamerasConfig
+from survey.settings.tables import InitOptions
 from survey.sfm.gps import positions_in_crs
 
 NAMES = [f"{i:04d}.jpg" for i in range(4)]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from placed_by_gps import solved
-from small_survey import LEVEL, camera_lines, replaced, small_survey, write_image
+from small_survey import LEVEL, camera_lines, replaced, small_survey, unposed, write_image
 
 from refract.lens import Lens
 from survey.errors import ConfigError, PosesError
@@ -20,17 +20,21 @@ from survey.sfm.gps import gps_positions
 CRS_ALONE = 'crs = "EPSG:32632+5773"\n'
 
 
-def test_a_crs_alone_suffices_and_the_survey_says_what_it_assumed(tmp_path):
-    folder = small_survey(tmp_path / "s", gps=True, toml=CRS_ALONE)
+def with_exif(folder, toml: str):
+    """The small survey with a focal length in EXIF, loaded."""
+    folder = small_survey(folder, gps=True, toml=toml)
     for i, line in enumerate(camera_lines()):
         e, n, h = (float(v) for v in line.split(",")[1:4])
         write_image(folder / "images" / f"{i:04d}.jpg", gps=(e, n, h), FocalLengthIn35mmFilm=50)
-    survey = load_survey(folder)
+    return load_survey(folder)
+
+
+def test_a_crs_alone_suffices_and_the_survey_says_what_it_assumed(tmp_path):
+    survey = with_exif(tmp_path / "s", CRS_ALONE)
     assert survey.water is None
     assert survey.views[0].camera.fx == pytest.approx(50.0 / 36.0 * 64.0)
     said = "\n".join(survey.findings.assumptions)
-    for words in ("only poses found", "from EXIF and not a calibration", "centre"):
-        assert words in said
+    assert all(words in said for words in ("only poses found", "from EXIF and not a calibration", "centre"))
     # Nobody said that all ground is dry: the verdict of a run is amber.
     assert NO_WATER in survey.findings.warnings
 
@@ -45,11 +49,7 @@ def test_a_crs_alone_suffices_and_the_survey_says_what_it_assumed(tmp_path):
     ],
 )
 def test_a_survey_without_water_is_in_doubt_unless_it_says_that_it_is_dry(tmp_path, toml, is_wet, is_doubted):
-    folder = small_survey(tmp_path / "s", gps=True, toml=CRS_ALONE + toml)
-    for i, line in enumerate(camera_lines()):
-        e, n, h = (float(v) for v in line.split(",")[1:4])
-        write_image(folder / "images" / f"{i:04d}.jpg", gps=(e, n, h), FocalLengthIn35mmFilm=50)
-    survey = load_survey(folder)
+    survey = with_exif(tmp_path / "s", CRS_ALONE + toml)
     assert (survey.water is not None, NO_WATER in survey.findings.warnings) == (is_wet, is_doubted)
 
 
@@ -124,8 +124,7 @@ def test_without_whole_positions_what_is_missing_is_said(exif, missing):
 
 def test_a_survey_without_poses_is_handed_to_structure_from_motion(tmp_path, monkeypatch):
     calls = solved(monkeypatch, ["0000.jpg", "0001.jpg", "0003.jpg"])
-    folder = small_survey(tmp_path / "s", gps=True, toml=replaced(('poses = "cameras.csv"', "")))
-    (folder / "cameras.csv").unlink()
+    folder = unposed(tmp_path / "s")
     survey = load_survey(folder)
     ((paths, workspace, gps_height, size_px, focal_px),) = calls
     assert [path.name for path in paths] == ["0000.jpg", "0001.jpg", "0002.jpg", "0003.jpg"]
@@ -138,9 +137,7 @@ def test_a_survey_without_poses_is_handed_to_structure_from_motion(tmp_path, mon
 
 def test_clicks_tell_the_level_of_a_survey_without_poses_once_it_is_placed(tmp_path, monkeypatch):
     solved(monkeypatch, ["0000.jpg", "0001.jpg", "0002.jpg"])
-    level = (f"level_m = {LEVEL}", 'clicks = "clicks.csv"')
-    folder = small_survey(tmp_path / "s", gps=True, toml=replaced(('poses = "cameras.csv"', ""), level))
-    (folder / "cameras.csv").unlink()
+    folder = unposed(tmp_path / "s", (f"level_m = {LEVEL}", 'clicks = "clicks.csv"'))
     lines = ["image,x,y,name"]
     lens = Lens("SIMPLE_RADIAL", (100.0, 32.0, 24.0, -0.01), 64, 48)
     for i in range(3):
@@ -157,17 +154,14 @@ def test_clicks_tell_the_level_of_a_survey_without_poses_once_it_is_placed(tmp_p
 
 def test_structure_from_motion_that_finds_two_poses_is_an_error(tmp_path, monkeypatch):
     solved(monkeypatch, ["0000.jpg", "0001.jpg"])
-    folder = small_survey(tmp_path / "s", gps=True, toml=replaced(('poses = "cameras.csv"', "")))
-    (folder / "cameras.csv").unlink()
+    folder = unposed(tmp_path / "s")
     with pytest.raises(PosesError, match="found the poses of 2 of 4 images, expected at least 3"):
         load_survey(folder)
 
 
 def test_a_level_that_cannot_fit_the_heights_in_exif_stops_before_structure_from_motion(tmp_path, monkeypatch):
     calls = solved(monkeypatch, [])
-    toml = replaced(('poses = "cameras.csv"', ""), (f"{LEVEL}", "2605.0"))
-    folder = small_survey(tmp_path / "s", gps=True, toml=toml)
-    (folder / "cameras.csv").unlink()
+    folder = unposed(tmp_path / "s", (f"{LEVEL}", "2605.0"))
     with pytest.raises(ConfigError, match=r"EXIF has the cameras at 2125.0 to 2125.0 m, all of them under the water"):
         load_survey(folder)
     assert calls == []

@@ -59,14 +59,13 @@ def test_speeds_in_xmp_move_cameras_from_row_to_row_east_north_and_up(tmp_path):
     np.testing.assert_allclose(apart, np.outer([-0.0235, 0.0, 0.0235], [4.0, 3.0, -0.5]), rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize("pairs", [(), (("[water]", "rolling_shutter_s = 0\n[water]"),)], ids=["no key", "mechanical"])
-def test_without_a_readout_cameras_stand_still(tmp_path, pairs):
-    assert all(view.camera.motion is None for view in load_survey(flown(tmp_path / "s", *pairs)).views)
-
-
-def test_a_camera_that_hovers_is_that_of_a_survey_without_the_key(tmp_path):
-    hovering = load_survey(flown(tmp_path / "s", KEY, text=xmp(0.0, 0.0, 0.0)))
-    assert (hovering.findings.warnings, [view.camera.motion for view in hovering.views]) == ((), [None] * 4)
+@pytest.mark.parametrize(
+    ("pairs", "speed"), [((), 3.0), ((("[water]", "rolling_shutter_s = 0\n[water]"),), 3.0), ((KEY,), 0.0)]
+)
+def test_without_a_readout_and_where_they_hover_cameras_stand_still(tmp_path, pairs, speed):
+    survey = load_survey(flown(tmp_path / "s", *pairs, text=xmp(speed, speed, 0.0)))
+    assert [view.camera.motion for view in survey.views] == [None] * 4
+    assert len(survey.findings.warnings) == (not pairs)
 
 
 def test_a_flight_without_a_word_on_the_shutter_is_warned_of_with_its_effect(tmp_path):
@@ -90,14 +89,12 @@ def test_neither_a_hover_nor_a_mechanical_shutter_is_warned_of(tmp_path):
 def test_check_says_what_the_shutter_does(tmp_path):
     row = rows_of(check_survey(flown(tmp_path / "s", KEY)), "Found")["shutter"]
     assert row == "rolls in 47 ms; velocities of 4 of 4 images (4 by XMP), which move rows by up to 24 cm or 1.2 px"
-    toml = replaced(("[water]", "rolling_shutter_s = 0\nrolling_shutter_std_s = 0.02\n[water]"))
-    (tmp_path / "s" / "survey.toml").write_text(toml)
-    row = rows_of(check_survey(tmp_path / "s"), "Found")["shutter"]
-    assert row == "rolls in 0 +- 20 ms; velocities of 4 of 4 images (4 by XMP)"
-    (tmp_path / "s" / "survey.toml").write_text(toml.replace("rolling_shutter_std_s = 0.02\n", ""))
-    assert (
-        rows_of(check_survey(tmp_path / "s"), "Found")["shutter"] == "exposes all rows at once (global or mechanical)"
-    )
+    for more, said in (
+        ("rolling_shutter_std_s = 0.02\n", "rolls in 0 +- 20 ms; velocities of 4 of 4 images (4 by XMP)"),
+        ("", "exposes all rows at once (global or mechanical)"),
+    ):
+        (tmp_path / "s" / "survey.toml").write_text(replaced(("[water]", f"rolling_shutter_s = 0\n{more}[water]")))
+        assert rows_of(check_survey(tmp_path / "s"), "Found")["shutter"] == said
 
 
 def test_before_structure_from_motion_the_warning_is_there_too(tmp_path):
@@ -145,9 +142,7 @@ def test_times_and_positions_give_velocities_along_lines_and_at_their_ends(rng):
         found = velocities_of(order, headers, None)
         assert {velocity.source for velocity in found.values()} == {BY_TIMES}
         np.testing.assert_allclose([found[name].local for name in places], true, atol=1e-9)
-
-
-def test_a_clock_of_whole_seconds_is_good_to_a_fifth():
+    # A clock of whole seconds is good to a fifth.
     places, times, true = lawnmower(2.4)
     headers = {n: head(START + timedelta(seconds=int(t))) for n, t in zip(places, times, strict=True)}
     found = velocities_of(places, headers, None)

@@ -12,8 +12,8 @@ from small_survey import LEVEL, small_survey, unposed
 
 from geo.crs import parse_crs
 from survey.errors import ConfigError
-from survey.folder.faults import start_height_warnings
 from survey.folder.found import find_survey
+from survey.folder.heights import start_height_warnings
 from survey.folder.sfm_views import require_solvable
 from survey.folder.survey import Survey, load_survey
 from survey.photos.exif import Exif
@@ -50,12 +50,6 @@ def test_a_block_under_its_water_or_far_above_it_begins_over_it(tmp_path, monkey
         assert float(survey.water.depth(prior.position)) == pytest.approx(over - HEIGHT_M, abs=1e-3)
 
 
-def test_a_block_over_its_water_stays(tmp_path, monkeypatch):
-    survey = survey_with(tmp_path / "s", monkeypatch, 15.0)
-    assert float(survey.water.depth(survey.views[0].camera.centre)) == pytest.approx(-5.0)
-    assert not [text for text in survey.findings.warnings if "taken from the water level" in text]
-
-
 @pytest.mark.parametrize(
     ("over", "std"),
     # A receiver with corrections; more than the pressure of any day explains; another datum explains it.
@@ -68,9 +62,13 @@ def test_heights_that_cannot_be_off_by_so_much_are_refused(tmp_path, monkeypatch
         survey_with(tmp_path / "s", monkeypatch, over, std)
 
 
-def test_heights_that_are_said_to_be_off_by_so_much_are_not_refused_for_a_datum_that_explains_it(tmp_path, monkeypatch):
-    survey = survey_with(tmp_path / "s", monkeypatch, 49.0, "[3.0, 3.0, 80.0]")
-    assert [text for text in survey.findings.warnings if "taken from the water level" in text]
+@pytest.mark.parametrize(("over", "std", "is_moved"), [(49.0, "[3.0, 3.0, 80.0]", True), (15.0, "", False)])
+def test_heights_said_to_be_off_by_so_much_are_not_refused_and_a_block_over_its_water_stays(
+    tmp_path, monkeypatch, over, std, is_moved
+):
+    survey = survey_with(tmp_path / "s", monkeypatch, over, std)
+    assert any("taken from the water level" in text for text in survey.findings.warnings) == is_moved
+    assert is_moved or float(survey.water.depth(survey.views[0].camera.centre)) == pytest.approx(-5.0)
 
 
 @pytest.mark.parametrize(
@@ -108,13 +106,8 @@ def headers(above_start_m: float | None) -> dict[str, Exif]:
     ],
 )
 def test_a_start_under_the_water_or_far_over_it_is_doubted(over_water, above_start, words):
-    found = start_height_warnings(
-        {f"{i}.jpg": over_water for i in range(4)},
-        headers(above_start),
-        LEVEL,
-        (46.9, 10.17),
-        parse_crs("EPSG:25832+5778"),
-    )
+    over = {f"{i}.jpg": over_water for i in range(4)}
+    found = start_height_warnings(over, headers(above_start), LEVEL, (46.9, 10.17), parse_crs("EPSG:25832+5778"))
     assert [words in text for text in found] == ([] if words is None else [True])
 
 

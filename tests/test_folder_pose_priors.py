@@ -16,6 +16,7 @@ from geo.frames import LocalFrame
 from geo.transformation import WGS84, Transformation
 from survey.folder.found import find_survey
 from survey.folder.pose_priors import (
+    PosePrior,
     accuracy_of_gps,
     accuracy_of_priors,
     common_plan_std,
@@ -35,9 +36,10 @@ from survey.stage_key import stage_key
 ROUNDING_M = 1e-5
 
 
-def views_of(found, frame: LocalFrame) -> list[View]:
-    """Views with no more than the name: GPS priors do not look at their cameras."""
-    return [View(name, Path(name), None, None) for name in found.images]
+def gps_priors(found, origin: tuple[float, float, float] = (E0, N0, LEVEL)) -> dict[str, PosePrior]:
+    """Priors of views with no more than the name: they do not look at cameras."""
+    views = [View(name, Path(name), None, None) for name in found.images]
+    return priors_of_gps(found, LocalFrame(found.crs, origin), views)
 
 
 def test_poses_of_a_file_are_known_to_what_survey_toml_says(tmp_path):
@@ -63,15 +65,14 @@ def test_poses_of_a_file_without_an_accuracy_are_of_unknown_accuracy(tmp_path):
 def test_gps_positions_are_in_the_frame_of_the_views_however_far_it_was_lowered(tmp_path, fall):
     found = find_survey(unposed(tmp_path / "s", ("[water]", "position_std_m = 0.04\n[water]")))
     frame = LocalFrame(found.crs, (E0 + 4.0, N0 - 3.0, LEVEL + 20.0 - fall))
-    priors = priors_of_gps(found, frame, views_of(found, frame))
+    priors = gps_priors(found, frame.origin)
     aside = np.array([[1.0, 1.0, 0.0], [-1.0, -1.0, 0.0]])
     expected = [[E0 + 3.0 * i, N0 - 2.0 * i, LEVEL + 20.0] + aside[i % 2] for i in range(4)]
     local = np.array([prior.position for prior in priors.values()])
     assert np.abs(local - frame.local_from_crs(expected)).max() < ROUNDING_M
     # As the residuals of structure from motion have it: straight down from the frame of the positions.
     gps = gps_positions(found.headers, found.crs, "crs")
-    lowered = LocalFrame(found.crs, (*gps.frame.origin[:2], gps.frame.origin[2] - fall))
-    below = priors_of_gps(found, lowered, views_of(found, lowered))
+    below = gps_priors(found, (*gps.frame.origin[:2], gps.frame.origin[2] - fall))
     assert np.abs(below["0002.jpg"].position - (gps.local["0002.jpg"] + [0.0, 0.0, fall])).max() < ROUNDING_M
     # Nine metres from the origin, local and crs differ by scale and convergence only.
     assert np.abs(local[:, 2] - fall).max() < 1e-3
@@ -79,44 +80,42 @@ def test_gps_positions_are_in_the_frame_of_the_views_however_far_it_was_lowered(
     assert priors["0000.jpg"].position_std.tolist() == [0.04, 0.04, 0.04]
 
 
-def test_without_a_number_in_survey_toml_a_fixed_receiver_tells_its_own_and_no_other_does(tmp_path):
+@pytest.mark.parametrize(
+    ("good", "other", "std", "source"),
+    [
+        (
+            {"rtk": Rtk(50, (0.011, 0.012, 0.025))},
+            {"rtk": Rtk(34, (0.01, 0.01, 0.02))},
+            (0.011, 0.012, 0.025),
+            "XMP RTK",
+        ),
+        ({"std_m": (0.02, 0.02, 0.03)}, {"std_m": (1.2, 1.2, 1.7)}, (0.02, 0.02, 0.03), "stated accuracy"),
+    ],
+)
+def test_a_fixed_receiver_and_centimetres_of_another_maker_are_believed_and_no_other(
+    tmp_path, good, other, std, source
+):
     found = find_survey(unposed(tmp_path / "s"))
-    std = (0.011, 0.012, 0.025)
     headers = dict(found.headers)
-    headers["0000.jpg"] = replace(headers["0000.jpg"], rtk=Rtk(50, std))
-    headers["0001.jpg"] = replace(headers["0001.jpg"], rtk=Rtk(34, std))
+    headers["0000.jpg"] = replace(headers["0000.jpg"], **good)
+    headers["0001.jpg"] = replace(headers["0001.jpg"], **other)
     found = replace(found, headers=headers)
-    frame = LocalFrame(found.crs, (E0, N0, LEVEL))
-    priors = priors_of_gps(found, frame, views_of(found, frame))
-    assert [prior.source for prior in priors.values()] == ["XMP RTK", "GPS EXIF", "GPS EXIF", "GPS EXIF"]
-    assert tuple(priors["0000.jpg"].position_std) == std
-    assert priors["0001.jpg"].position_std is None
+    priors = gps_priors(found)
+    assert [prior.source for prior in priors.values()] == [source, "GPS EXIF", "GPS EXIF", "GPS EXIF"]
+    assert (tuple(priors["0000.jpg"].position_std), priors["0001.jpg"].position_std) == (std, None)
     assert [prior.common_up_std for prior in priors.values()] == [0.0, 80.0, 80.0, 80.0]
     assert common_up_std(priors) == common_up_std_of_exif(found.config.cameras, found.headers) == 0.0
     assert accuracy_of_gps(found.config.cameras, found.headers) == accuracy_of_priors(priors)
     assert accuracy_of_priors(priors) == (
-        "1 of 4 positions good to 0.011, 0.012 and 0.025 m east, north and up (XMP RTK); 3 of 4 positions of unknown "
-        "accuracy (GPS EXIF)"
+        f"1 of 4 positions good to {std[0]}, {std[1]} and {std[2]} m east, north and up ({source}); "
+        "3 of 4 positions of unknown accuracy (GPS EXIF)"
     )
-
-
-def test_an_accuracy_of_centimetres_by_another_maker_is_believed_and_one_of_metres_is_not(tmp_path):
-    found = find_survey(unposed(tmp_path / "s"))
-    headers = dict(found.headers)
-    headers["0000.jpg"] = replace(headers["0000.jpg"], std_m=(0.02, 0.02, 0.03))
-    headers["0001.jpg"] = replace(headers["0001.jpg"], std_m=(1.2, 1.2, 1.7))
-    found = replace(found, headers=headers)
-    frame = LocalFrame(found.crs, (E0, N0, LEVEL))
-    priors = priors_of_gps(found, frame, views_of(found, frame))
-    assert [prior.source for prior in priors.values()] == ["stated accuracy", "GPS EXIF", "GPS EXIF", "GPS EXIF"]
-    assert tuple(priors["0000.jpg"].position_std) == (0.02, 0.02, 0.03)
 
 
 @pytest.mark.parametrize(("stated", "common"), [("0.05", 0.0), ("2.0", 2.0), ("[3.0, 3.0, 70.0]", 70.0)])
 def test_heights_that_are_good_to_decimetres_or_worse_have_their_error_in_common(tmp_path, stated, common):
     found = find_survey(unposed(tmp_path / "s", ("[water]", f"position_std_m = {stated}\n[water]")))
-    frame = LocalFrame(found.crs, (E0, N0, LEVEL))
-    assert common_up_std(priors_of_gps(found, frame, views_of(found, frame))) == common
+    assert common_up_std(gps_priors(found)) == common
     assert common_up_std_of_exif(found.config.cameras, found.headers) == common
     posed = load_survey(small_survey(tmp_path / "p", toml=replaced(("[water]", f"position_std_m = {stated}\n[water]"))))
     assert common_up_std(posed.observations.priors) == 0.0
@@ -168,8 +167,7 @@ def test_good_positions_are_refused_where_a_grid_would_keep_them_good(tmp_path, 
 @pytest.mark.parametrize(("cameras", "std"), [("", None), ("position_std_m = 2.5", 2.5)])
 def test_what_a_change_of_datums_costs_is_shared_by_all_positions_and_said(tmp_path, cameras, std):
     found = find_survey(british(tmp_path / "s", cameras))
-    frame = LocalFrame(found.crs, (624161.0, 308459.0, 2.0))
-    priors = priors_of_gps(found, frame, views_of(found, frame))
+    priors = gps_priors(found, (624161.0, 308459.0, 2.0))
     assert {prior.common_plan_std for prior in priors.values()} == {2.0} == {common_plan_std(priors)}
     assert any("with an accuracy of 2 m by PROJ" in warning for warning in found.findings.warnings)
     assert accuracy_of_gps(found.config.cameras, found.headers, found.datum) == accuracy_of_priors(priors)
@@ -201,10 +199,8 @@ def test_a_photograph_without_a_position_or_its_height_has_no_prior(tmp_path):
     lat, lon, _ = headers["0003.jpg"].lat_lon_height
     headers["0003.jpg"] = replace(headers["0003.jpg"], lat_lon_height=(lat, lon, float("nan")))
     found = replace(found, headers=headers)
-    frame = LocalFrame(found.crs, (E0, N0, LEVEL))
-    priors = priors_of_gps(found, frame, views_of(found, frame))
-    assert priors["0003.jpg"].position is None
-    assert priors["0003.jpg"].position_std is None
+    priors = gps_priors(found)
+    assert (priors["0003.jpg"].position, priors["0003.jpg"].position_std) == (None, None)
     assert "1 of 4 positions not known" in accuracy_of_priors(priors)
     assert accuracy_of_gps(found.config.cameras, found.headers) == accuracy_of_priors(priors)
 

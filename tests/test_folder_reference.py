@@ -116,7 +116,7 @@ def test_polygons_say_which_ground_is_stable(tmp_path):
 def test_without_dry_ground_or_a_level_it_is_refused(tmp_path):
     with pytest.raises(ControlError, match="0 points of dry ground"):
         read(tmp_path, crs=None, unit_m=2.0)
-    with pytest.raises(ConfigError, match="stable are without reference"):
+    with pytest.raises(ConfigError, match="stable is given without reference"):
         ControlConfig(stable="stable.geojson")
     frame = LocalFrame(parse_crs(CRS_OF_SURVEY), ORIGIN)
     config = SurveyConfig(crs=CRS_OF_SURVEY, control=ControlConfig(reference="earlier.las"))

@@ -7,9 +7,8 @@ from small_survey import TOML, small_survey, unposed
 
 from refract.lens import Lens
 from survey.files.toml_table import table_of
-from survey.folder.found import find_survey
+from survey.folder.found import Circumstances, conditions, find_survey, unused_keys
 from survey.folder.survey import load_survey
-from survey.folder.unused_keys import Circumstances, conditions, unused_keys
 from survey.photos.exif import read_exif
 from survey.photos.poses import PoseFrame
 from survey.settings.config import SurveyConfig, parse_config

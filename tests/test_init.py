@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import tomllib
 from dataclasses import replace
 
@@ -21,9 +20,9 @@ from geo.crs import vertical_crs
 from survey.errors import ConfigError
 from survey.init.crs import FolderPhotographs, SettingsTable, write_crs
 from survey.init.draft import draft
-from survey.init.options import InitOptions
 from survey.photos.exif import Exif
 from survey.photos.xmp import ELLIPSOIDAL
+from survey.settings.tables import InitOptions
 
 LEVEL = HEIGHT + 4.0
 
@@ -88,14 +87,11 @@ def test_the_origin_of_a_colmap_model_is_that_of_its_gps_positions(tmp_path):
     assert local["origin"] == pytest.approx(in_utm(np.zeros((1, 3)))[0], abs=0.05)
 
 
-def test_a_model_that_is_not_in_metres_is_left_to_the_gps_positions(tmp_path):
-    colmap(tmp_path, scale=0.1)
-    text = draft(tmp_path, InitOptions(level_m=LEVEL))
+def test_a_model_that_is_not_in_metres_is_left_to_gps_positions_and_without_these_needs_its_origin(tmp_path):
+    colmap(tmp_path / "scaled", scale=0.1)
+    text = draft(tmp_path / "scaled", InitOptions(level_m=LEVEL))
     assert tomllib.loads(text)["local"] == {}
     assert "are their own: placed with a scale of 10 and a rotation by 0 degrees by" in text
-
-
-def test_a_local_frame_without_gps_needs_its_origin(tmp_path):
     colmap(tmp_path, gps=False)
     options = InitOptions(crs="EPSG:25832+5778", level_m=LEVEL)
     with pytest.raises(ConfigError, match="--origin"):
@@ -104,23 +100,18 @@ def test_a_local_frame_without_gps_needs_its_origin(tmp_path):
     assert given["local"]["origin"] == [1.0, 2.0, 3.0]
 
 
-def test_settings_are_never_replaced_without_force(tmp_path):
+def test_settings_are_never_replaced_without_force_nor_written_where_something_is_missing(tmp_path):
     photographs_alone(tmp_path / "s")
     path = tmp_path / "s" / "survey.toml"
     path.write_text("mine")
     refused = bathynerf("init", tmp_path / "s")
-    assert (refused.exit_code, path.read_text()) == (2, "mine")
-    assert "--force" in refused.output
+    assert (refused.exit_code, "--force" in refused.output, path.read_text()) == (2, True, "mine")
     assert bathynerf("init", tmp_path / "s", "--force").exit_code == 0
     assert "crs" in tomllib.loads(path.read_text())
-
-
-def test_nothing_is_written_where_something_is_missing(tmp_path):
-    metashape(tmp_path)
-    refused = bathynerf("init", tmp_path)
-    assert refused.exit_code == 2
-    assert "--level" in refused.output
-    assert not (tmp_path / "survey.toml").exists()
+    metashape(tmp_path / "m")
+    refused = bathynerf("init", tmp_path / "m")
+    assert (refused.exit_code, "--level" in refused.output) == (2, True)
+    assert not (tmp_path / "m" / "survey.toml").exists()
 
 
 def test_a_terminal_is_asked_for_what_no_file_tells(tmp_path):
@@ -208,11 +199,10 @@ def processed(monkeypatch):
 
 def test_process_writes_the_settings_of_bare_photographs_and_goes_on(tmp_path, processed):
     folder = bare_card(tmp_path / "s")
-    refused = bathynerf("process", folder)
-    assert refused.exit_code == 2
-    assert "--level" in refused.output
-    assert "--dry" in refused.output
-    assert not (folder / "survey.toml").exists()
+    for level, said in (((), "--level 12.34, or --dry"), (("--level", LEVEL + 500.0), "all of them under the water")):
+        refused = bathynerf("process", folder, *level)
+        assert (refused.exit_code, processed, (folder / "survey.toml").exists()) == (2, [], False)
+        assert said in " ".join(refused.output.split())
     for _ in range(2):  # The same command resumes a run
         done = bathynerf("process", folder, "--level", LEVEL, "--sea")
         assert done.exit_code == 0, done.output
@@ -221,13 +211,6 @@ def test_process_writes_the_settings_of_bare_photographs_and_goes_on(tmp_path, p
     assert settings["images"] == {"dir": "DCIM/100MEDIA"}
     assert settings["water"]["refractive_index"] == 1.34
     assert processed == [folder] * 2
-
-
-def test_a_level_that_no_camera_fits_is_refused_and_not_written(tmp_path, processed):
-    folder = bare_card(tmp_path / "s")
-    refused = bathynerf("process", folder, "--level", LEVEL + 500.0)
-    assert (refused.exit_code, processed, (folder / "survey.toml").exists()) == (2, [], False)
-    assert "all of them under the water" in refused.output
 
 
 @pytest.mark.parametrize(
@@ -262,23 +245,20 @@ def control_alone(folder, header, place, height=581):
 
 
 @pytest.mark.parametrize(
-    ("header", "crs"),
+    ("header", "place", "crs"),
     [
-        ("EPSG:25832+7837", "EPSG:25832+7837"),
-        ("+proj=utm +zone=32 +datum=WGS84 +units=m +no_defs", "EPSG:32632+"),
-        ("WGS84 UTM 32N", "EPSG:32632+"),
+        ("EPSG:25832+7837", "676120 5311480", "EPSG:25832+7837"),
+        ("+proj=utm +zone=32 +datum=WGS84 +units=m +no_defs", "676120 5311480", "EPSG:32632+"),
+        ("WGS84 UTM 32N", "676120 5311480", "EPSG:32632+"),
+        # With the heights that EPSG combines with it.
+        ("EPSG:27700", "351139.7 512875.8", "EPSG:27700+5701"),
     ],
 )
-def test_the_crs_of_control_points_is_taken_with_its_heights(tmp_path, header, crs):
-    folder = control_alone(tmp_path / "s", header, "676120 5311480")
+def test_the_crs_of_control_points_is_taken_with_its_heights(tmp_path, header, place, crs):
+    folder = control_alone(tmp_path / "s", header, place)
     settings = tomllib.loads(draft(folder, InitOptions(level_m=LEVEL)))
     assert settings["crs"].startswith(crs)
     assert settings["control"] == {"gcps": "gcp_list.txt"}
-
-
-def test_a_national_grid_brings_the_heights_that_epsg_combines_with_it(tmp_path):
-    folder = control_alone(tmp_path / "s", "EPSG:27700", "351139.7 512875.8")
-    assert tomllib.loads(draft(folder, InitOptions(level_m=LEVEL)))["crs"] == "EPSG:27700+5701"
 
 
 def test_photographs_that_nothing_places_are_refused(tmp_path):
@@ -287,16 +267,12 @@ def test_photographs_that_nothing_places_are_refused(tmp_path):
         draft(tmp_path, InitOptions(level_m=LEVEL))
 
 
-def test_the_question_for_the_level_says_where_the_cameras_are(tmp_path):
+def test_the_question_for_the_level_says_where_the_cameras_are_and_their_bounds_are_proposed(tmp_path):
     photographs_alone(tmp_path)
     asked = []
-    draft(tmp_path, InitOptions(ask=lambda question: asked.append(question) or ""))
+    text = draft(tmp_path, InitOptions(ask=lambda question: asked.append(question) or ""))
     assert "cameras are at 21" in asked[-1]
-
-
-def test_bounds_of_the_cameras_are_proposed(tmp_path):
-    photographs_alone(tmp_path)
-    (line,) = [line for line in draft(tmp_path, InitOptions()).splitlines() if line.startswith("# bounds")]
+    (line,) = [line for line in text.splitlines() if line.startswith("# bounds")]
     low_e, low_n, high_e, high_n = tomllib.loads(line.removeprefix("# "))["bounds"]
     assert 5.0 < high_e - low_e < 20.0
     assert 5.0 < high_n - low_n < 20.0
@@ -310,7 +286,6 @@ def test_names_of_files_stay_in_their_comment(tmp_path):
     assert "\x1b" not in table.text()
 
 
-@pytest.mark.skipif(os.name == "nt", reason="Windows has no such names")
 def test_a_folder_of_any_name_has_its_name_escaped(tmp_path):
     folder = tmp_path / "a\n[water]\x1b[31m"
     photographs_alone(folder)

@@ -112,7 +112,7 @@ def test_survey_toml_says_to_which_wavelength_its_index_belongs_and_the_settings
 @pytest.mark.parametrize(
     ("given", "named"),
     [
-        ("index_wavelength_nm = 589.3", "index_wavelength_nm is without refractive_index"),
+        ("index_wavelength_nm = 589.3", "index_wavelength_nm is given without refractive_index"),
         ("refractive_index = 1.333\nindex_wavelength_nm = 0.589", "expected 400 to 700, the wavelengths of light"),
     ],
 )

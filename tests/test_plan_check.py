@@ -26,15 +26,12 @@ from small_survey import (
 )
 
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
-from survey.folder.faults import angle_warnings
 from survey.folder.plausible import ground_below
 from survey.folder.survey import load_survey
-from survey.photos.poses import CAM_FROM_OPK_CAM, PoseFrame, grid_from_opk
 from survey.plan.check import check_survey, require_processable
 from survey.plan.choices import RECIPES, Choices
 from survey.plan.heights import dry_ground
 from survey.plan.plan import make_plan, pose_choice, require_placeable
-from survey.pose_files import read_poses
 from survey.words import Quality
 from tests.changed_survey import changed
 
@@ -207,52 +204,6 @@ def test_bounds_that_no_two_photographs_see_are_refused_with_the_extent_of_the_f
 )
 def test_bounds_that_two_photographs_see_a_part_of_are_fine(tmp_path, bounds):
     assert require_processable(small_survey(tmp_path / "s", toml=bounds_toml(*bounds))).warnings == ()
-
-
-def strips(num: int = 6) -> np.ndarray:
-    """Omega, phi, kappa [degrees] of strips flown to and fro, on a gimbal that is good to a few tenths of a degree."""
-    angles = np.random.default_rng(3).normal(0.0, [0.3, 0.3, 1.0], (num, 3))
-    angles[num // 2 :, 2] += 180.0
-    return angles
-
-
-def with_angles(folder, angles: np.ndarray):
-    """A survey whose poses have these angles, as they are written."""
-    folder = small_survey(folder, num=len(angles))
-    rows = [line.split(",")[:4] for line in camera_lines(len(angles))]
-    write_poses(
-        folder, [",".join([*row, *(f"{a:.9f}" for a in three)]) for row, three in zip(rows, angles, strict=True)]
-    )
-    return load_survey(folder)
-
-
-@pytest.mark.parametrize("name", ["quick", "river", "wreck_water"])
-def test_the_angles_of_nadir_and_oblique_surveys_are_doubted_only_as_radians(data_dir, name):
-    poses = read_poses(data_dir / name / "cameras.csv").poses
-    assert angle_warnings(poses, PoseFrame.GRID) == []
-    angles = np.loadtxt(data_dir / name / "cameras.csv", delimiter=",", skiprows=1, usecols=(4, 5, 6))
-    turned = [
-        replace(p, cam_from_world=(grid_from_opk(*np.radians(a)) @ CAM_FROM_OPK_CAM).T)
-        for p, a in zip(poses, np.radians(angles), strict=True)
-    ]
-    assert len(angle_warnings(turned, PoseFrame.GRID)) == 1
-    # Of one strip too, along which nothing turns.
-    for num in (5, 9):
-        assert angle_warnings(poses[:num], PoseFrame.GRID) == []
-        assert len(angle_warnings(turned[:num], PoseFrame.GRID)) == 1
-
-
-def test_angles_in_radians_are_doubted_and_degrees_are_not(tmp_path):
-    assert with_angles(tmp_path / "degrees", strips()).findings.warnings == ()
-    (warning,) = with_angles(tmp_path / "radians", np.radians(strips())).findings.warnings
-    assert warning.startswith("omega, phi, kappa are at most 3.1")
-    assert "look like radians, expected degrees" in warning
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_strips_that_all_look_north_are_not_taken_for_radians(tmp_path, seed):
-    angles = np.random.default_rng(seed).normal(0.0, [0.5, 0.5, 1.5], (8, 3))
-    assert with_angles(tmp_path / "s", angles).findings.warnings == ()
 
 
 def test_a_size_of_the_settings_that_a_model_contradicts_is_said_not_to_be_used(tmp_path):

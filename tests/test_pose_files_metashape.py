@@ -279,7 +279,7 @@ class Geoid:
 
 @pytest.mark.parametrize("vertical", ["EPSG:25832+5773", "EPSG:25832+4937"])
 def test_a_geoid_that_the_program_added_is_taken_away_again(tmp_path, block, monkeypatch, vertical):
-    monkeypatch.setattr("survey.folder.pose_frames.height_transformer", lambda crs, area: Geoid)
+    monkeypatch.setattr("survey.folder.local_frame.height_transformer", lambda crs, area: Geoid)
     wkt = CRS(vertical).to_wkt("WKT1_GDAL") if "5773" in vertical else CRS("EPSG:4979").to_wkt()
     # The reference of the cameras is in the chunk's CRS: over the geoid, or longitude, latitude over the ellipsoid.
     places = in_utm(block.centres) - [0.0, 0.0, 48.5] if "5773" in vertical else lon_lat_height(block.centres)

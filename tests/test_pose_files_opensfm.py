@@ -15,11 +15,11 @@ from survey.errors import PosesError
 from survey.folder.found import find_survey
 from survey.folder.survey import load_survey
 from survey.init.draft import write_settings
-from survey.init.options import InitOptions
 from survey.plan.check import check_survey
 from survey.pose_files import find_poses, read_poses, read_ties
 from survey.pose_files.opensfm import read_opensfm
 from survey.settings.config import SurveyConfig
+from survey.settings.tables import InitOptions
 
 REFERENCE = {"latitude": LAT, "longitude": LON, "altitude": HEIGHT}
 

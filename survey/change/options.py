@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from survey.files.limits import LARGEST
+from survey.files.foreign import LARGEST
 from survey.files.toml_table import option
 from survey.words import FILES
 

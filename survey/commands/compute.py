@@ -21,8 +21,7 @@ from survey.commands.console import (
     command,
     verb,
 )
-from survey.init.options import InitOptions
-from survey.settings.tables import FieldConfig, ProcessConfig
+from survey.settings.tables import FieldConfig, InitOptions, ProcessConfig
 from survey.words import COMPARED, RUN_FOLDER, Device
 
 _start = partial(typer.Option, rich_help_panel="Where it starts")

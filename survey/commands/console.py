@@ -21,8 +21,7 @@ from survey.commands.faults import STANDARD_OUTPUT, disk_error, fault_of, say_er
 from survey.display.blocks import Rows, Section, Sentences, Table, Text, aligned
 from survey.escaping import printable
 from survey.files.toml_table import ONE_OF, OPTION, Option
-from survey.init.options import InitOptions
-from survey.settings.tables import HOW
+from survey.settings.tables import HOW, InitOptions
 from survey.words import COMPARED, Device, wrap_for
 
 # One -q silences the progress, two silence the results as well.

@@ -16,8 +16,7 @@ import typer
 
 from survey.commands.console import KEPT, Quiet, SurveyFolder, Verbose, asking, command, verb
 from survey.errors import FILE_NAME, SurveyError
-from survey.init.options import InitOptions
-from survey.settings.tables import PlanOptions, ProcessConfig
+from survey.settings.tables import InitOptions, PlanOptions, ProcessConfig
 
 if TYPE_CHECKING:
     from survey.plan.check import CheckSection

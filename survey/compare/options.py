@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from survey.errors import SurveyError
-from survey.files.limits import LARGEST
+from survey.files.foreign import LARGEST
 from survey.files.toml_table import option, require_options
 from survey.words import COMPARED, FILES
 

@@ -122,8 +122,7 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS) -> tuple[list[GivenPoint], Fi
             if not np.isfinite(place).all():
                 raise ControlError(
                     f"{points[i].where}: {points[i].place[0]:.10g}, {points[i].place[1]:.10g} is not on the map of "
-                    f"{name} and of {crs.name}; correct the coordinates, their order (easting or longitude first) or "
-                    "the CRS of the file"
+                    f"{name} and of {crs.name}; correct them, their order (easting or longitude first) or the CRS"
                 )
             done[i] = replace(points[i], place=tuple(place), crs=None, as_read=points[i], datum_std_m=datum_std)
     return done, findings

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from survey.errors import SurveyError
-from survey.files.limits import LARGEST
+from survey.files.foreign import LARGEST
 from survey.files.toml_table import option
 
 if TYPE_CHECKING:

@@ -26,8 +26,8 @@ from survey.export.loaded import LoadedRun, colours_without_water
 from survey.export.novel_views import image_based_field
 from survey.files.outputs import ReadFiles, require_file, require_folder
 from survey.folder.found import poses_inputs, survey_inputs
+from survey.folder.local_frame import poses_in_local
 from survey.folder.pairing import lens_from_config
-from survey.folder.pose_frames import poses_in_local
 from survey.photos.poses import PoseFile, PoseFrame
 from survey.pose_files import read_poses
 from survey.progress import current

@@ -82,8 +82,7 @@ def require_placing_control(found: Found) -> BlockControl:
         marks = ", ".join(f"{point.name} {count[point.name]}" for point in control.points[:10])
         raise ControlError(
             f"{message}; {len(enough)} of {len(control.points)} control points are marked in two photographs or more "
-            f"(marks: {marks}), expected at least {MIN_POINTS} not on a line to place the survey without positions; "
-            "mark more"
+            f"(marks: {marks}), expected at least {MIN_POINTS} not on a line; mark more"
         )
     line = line_of_control(enough)
     if line is not None and not may_hold_roll(found):

@@ -1,8 +1,12 @@
-"""Contents of a survey folder: settings, image headers, poses file, and the files that no result may overwrite."""
+"""Contents of a survey folder: settings, image headers, poses file, and the files that no result may overwrite.
+
+Keys of survey.toml that have no effect beside what else a survey has, each with its condition, are in `conditions`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,17 +15,18 @@ from pyproj import CRS
 from geo.compatibility import require_at
 from geo.crs import EGM96_HEIGHT, height_unit_m, parse_crs
 from geo.transformation import use_grids
+from refract.lens import MODELS, Lens, coefficients_of
 from survey.errors import FILE_NAME, ConfigError, Findings, PosesError, SurveyError
-from survey.files.entries import require_plain_entries
+from survey.files.foreign import require_plain_entries
 from survey.files.outputs import ReadFiles
 from survey.files.remote import is_url
+from survey.files.toml_table import table_of
 from survey.folder.control import FoundControl, find_control
-from survey.folder.geo_txt import find_geo_txt
-from survey.folder.headers import header_warnings, read_headers
-from survey.folder.unused_keys import Circumstances, unused_keys
+from survey.folder.headers import find_geo_txt, header_warnings, read_headers
 from survey.photos.exif import SUFFIXES, Exif, exif_places, position_sources, utm_code_of
 from survey.photos.images import fetch_images, list_images, photographs_below, same_files
 from survey.photos.names import ImageNames
+from survey.photos.poses import PoseFrame
 from survey.pose_files import find_poses, find_unread, pose_files, read_poses
 from survey.settings.config import ImagesConfig, SurveyConfig, settings_of
 from survey.sfm.gps import EXACT, DatumStd, PositionTransform, datum_warnings, plan_std, smallest, transforms_into_crs
@@ -33,6 +38,8 @@ from survey.words import GCP_LIST
 MIN_VIEWS = 2
 # Folder of a survey for geoid grids.
 GRIDS_FOLDER = "geoid"
+# Of a focal length and a principal point that are given and those of the poses file, as a share.
+_SAME = 0.01
 NO_WATER = (
     "no water was given, rays were not bent; ground under water lies about a quarter of its depth too high; write "
     f"[water] level_m in {FILE_NAME}, or dry = true, above its first table, where no ground is under water"
@@ -137,11 +144,10 @@ def _warnings_of(found: Found, transforms: Sequence[PositionTransform]) -> Itera
     for names in same_files(found.images):
         copies = " and ".join(names[:4])
         yield f"{copies} are copies of one photograph, which agree wherever they are compared: keep one"
-    if found.poses_path is None:
-        yield from water_place_warnings(found.crs, exif_places(headers), config.water, found.levels)
     if config.water is None and not config.dry:
         yield NO_WATER
     if found.poses_path is None:
+        yield from water_place_warnings(found.crs, exif_places(headers), config.water, found.levels)
         yield from datum_warnings(transforms)
         yield from find_unread(found.folder)
         yield from unused_keys(Circumstances(config, headers))
@@ -157,11 +163,10 @@ def _poses_path(folder: Path, config: SurveyConfig, images: Collection[str]) -> 
             return path, Findings()
         raise PosesError(f"the poses {path} do not exist; correct [cameras] poses in {folder / FILE_NAME}")
     paths = find_poses(folder)
-    if not paths:
-        return None, Findings()
-    if len(paths) == 1:
-        return paths[0], Findings((f"the poses are those in {below(folder, paths[0])}, the only poses found",))
-    counts = {path: num_posed(path, images) for path in paths}
+    if len(paths) < 2:
+        notes = tuple(f"the poses are those in {below(folder, path)}, the only poses found" for path in paths)
+        return next(iter(paths), None), Findings(notes)
+    counts = {path: _num_posed(path, images) for path in paths}
     most = max(paths, key=lambda path: counts[path])
     said = ", ".join(f"{below(folder, path)} with {num} of {len(images)} photographs" for path, num in counts.items())
     if sorted(counts.values())[-2] == counts[most]:
@@ -169,27 +174,13 @@ def _poses_path(folder: Path, config: SurveyConfig, images: Collection[str]) -> 
     return most, Findings((f"the poses are those in {below(folder, most)}, which has most: found were {said}",))
 
 
-def num_posed(path: Path, images: Collection[str]) -> int:
+def _num_posed(path: Path, images: Collection[str]) -> int:
     """Number of photographs of which a poses file has the pose; 0 where it cannot be read."""
     try:
         names = ImageNames(images)
         return len({names.find(pose.name, str(path)) for pose in read_poses(path).poses} - {None})
     except SurveyError:
         return 0
-
-
-def larger_poses(found: Found, path: Path, num: int) -> tuple[str, ...]:
-    """A warning where another poses file beside one with poses of `num` photographs has more."""
-    siblings = [] if path.parent == found.folder else [path.parent]
-    others = dict.fromkeys(other for place in (found.folder, *siblings) for other in find_poses(place))
-    counts = {other: num_posed(other, found.images) for other in others if not other.samefile(path)}
-    best = max(counts, key=lambda other: counts[other], default=path)
-    if counts.get(best, 0) <= num:
-        return ()
-    return (
-        f"{below(found.folder, path)} has the poses of {num} of {len(found.images)} photographs, and "
-        f"{below(found.folder, best)} those of {counts[best]}: name that in [cameras] poses if it is meant",
-    )
 
 
 def below(folder: Path, path: Path | None) -> str:
@@ -205,21 +196,106 @@ def survey_inputs(folder: Path, config: SurveyConfig | None = None) -> ReadFiles
     if not folder.is_dir():
         return ReadFiles()
     config = config or settings_of(folder) or SurveyConfig(images=ImagesConfig(dir=image_folder_of(folder)))
-    named = [folder / FILE_NAME]
-    if config.water is not None:
-        named += [folder / path for path in config.water.sources.named.values()]
-    named += [folder / name for name in config.control.files]
+    images, masks = folder / config.images.local_dir, config.images.masks
+    named = [FILE_NAME, *config.control.files, *(config.water.sources.named.values() if config.water else ())]
     poses = find_poses(folder) if config.cameras.poses is None else [folder / config.cameras.poses]
-    table = find_geo_txt(folder, folder / config.images.local_dir)
-    named += [] if table is None else [table]
-    folders = [] if config.images.masks is None else [folder / config.images.masks]
+    paths = [
+        find_geo_txt(folder, images),
+        *(folder / name for name in named),
+        None if masks is None else folder / masks,
+    ]
     if config.images.dir == ".":
-        named += [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
+        paths += [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
     else:
-        folders.append(folder / config.images.local_dir)
-    return sum((poses_inputs(path) for path in poses), ReadFiles.of(*named, *folders))
+        paths.append(images)
+    return sum((poses_inputs(path) for path in poses), ReadFiles.of(*paths))
 
 
 def poses_inputs(path: Path) -> ReadFiles:
     """The files of poses: a table, or those of a model or project, but not what lies below its folder."""
     return ReadFiles.of(*pose_files(path))
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """What decides which keys of survey.toml are read."""
+
+    config: SurveyConfig
+    headers: Mapping[str, Exif]
+    poses: str | None = None  # name of the poses file; None where poses are found from the photographs
+    frame: PoseFrame | None = None  # of these poses, as they are used
+    is_placed_by_gps: bool = False  # whether GPS positions place the poses of the file
+    lens: Lens | None = None  # of the first pose of the file; None where the file has none
+    has_other_poses: bool = False  # whether the folder has more files of poses, whose keys may be there, too
+
+
+def conditions(given: Circumstances) -> dict[str, str | None]:
+    """By the name of a key: why it has no effect, or None where it has one."""
+    poses, frame, motions = given.poses, given.frame, [header.motion for header in given.headers.values()]
+    gps_height = rotation_std = speed = origin = None
+    if poses is not None and not given.is_placed_by_gps and frame is not PoseFrame.GEOCENTRIC:
+        gps_height = f"it is that of GPS positions, and the cameras have the heights of {poses}"
+    if given.is_placed_by_gps:
+        rotation_std = "GPS positions place the poses, and with them their rotations"
+    elif poses is None and all(motion.gimbal_deg is None for motion in motions):
+        rotation_std = (
+            "it is that of poses of a file or attitudes in XMP, and there are none; remove it, or name [cameras] poses"
+        )
+    if not given.config.cameras.rolls:
+        speed = "rolling_shutter_s = 0 says that all rows are exposed at once"
+    elif all(motion.velocity is not None for motion in motions):
+        speed = "XMP tells how fast the camera flew"
+    if poses is None:
+        origin = "it is that of poses in a local frame, and there is no file of poses"
+    elif frame is not PoseFrame.LOCAL and not given.has_other_poses:
+        origin = f"the poses of {poses} have a place of their own"
+    control = None if given.config.control.gcp_files else "there are no control points ([control] gcps)"
+    return {
+        "cameras.gps_height": gps_height,
+        "cameras.mapper": None if poses is None else f"the poses are those of {poses}",
+        **_conditions_of_lens(given),
+        "cameras.rotation_std_deg": rotation_std,
+        "cameras.speed_m_s": speed,
+        "local.origin": origin,
+        "control.std_m": control,
+        "control.marks_std_px": control,
+    }
+
+
+def _conditions_of_lens(given: Circumstances) -> dict[str, str | None]:
+    """Keys of a lens beside that of the poses file, which have no effect only where it is another."""
+    cameras, lens, is_same = given.config.cameras, given.lens, dict[str, bool]()
+    if lens is not None:
+        numbers = dict(zip(MODELS[lens.model][1], lens.params, strict=True))
+        is_same = {
+            "model": cameras.model == lens.model,
+            "size_px": cameras.size_px == (lens.width, lens.height),
+            "focal_px": _is_near(cameras.focal_px, lens.focal),
+            "principal_point_px": _is_near(cameras.principal_point_px, (numbers["cx"], numbers["cy"])),
+            "distortion": cameras.distortion == tuple(numbers[part] for part in coefficients_of(lens.model)),
+        }
+    reasons = dict[str, str | None]()
+    for name in ("model", "size_px", "focal_px", "principal_point_px", "distortion"):
+        reasons[f"cameras.{name}"] = None
+        if lens is not None and getattr(cameras, name) is not None and not is_same[name]:
+            size = f"{lens.width} x {lens.height} px, focal length {lens.focal[0]:.1f} px"
+            reasons[f"cameras.{name}"] = f"{given.poses} has a lens of its own ({lens.model}, {size})"
+    return reasons
+
+
+def _is_near(given: float | tuple[float, float] | None, own: tuple[float, float]) -> bool:
+    pair = given if isinstance(given, tuple) else (given or math.inf,) * 2
+    return all(abs(a / b - 1.0) <= _SAME for a, b in zip(pair, own, strict=True))
+
+
+def unused_keys(given: Circumstances) -> tuple[str, ...]:
+    """Warnings about keys that are given, not with their default, and have no effect."""
+    values, defaults = table_of(given.config), table_of(SurveyConfig())
+    reasons: dict[str, list[str]] = {}
+    for key, reason in conditions(given).items():
+        table, name = key.split(".")
+        value = values[table][name]
+        if reason is not None and value != defaults[table][name]:
+            shown = list(value) if isinstance(value, tuple) else value
+            reasons.setdefault(reason, []).append(f"[{table}] {name} = {shown}")
+    return tuple(f"{' and '.join(keys)} in {FILE_NAME} has no effect: {why}" for why, keys in reasons.items())

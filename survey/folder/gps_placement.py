@@ -11,7 +11,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pyproj import CRS
 
 from geo.compatibility import require_at
 from geo.crs import is_geographic
@@ -20,8 +19,9 @@ from geo.frames import LocalFrame, Similarity, robust_similarity
 from geo.transformation import lon_lat
 from survey.errors import FILE_NAME, ConfigError, Findings, PosesError, SurveyError
 from survey.folder.found import Found, below
-from survey.folder.plausible import ONE_SURVEY_M, SAME_PLACE_M
-from survey.folder.pose_frames import points_in_crs
+from survey.folder.headers import SAME_PLACE_M
+from survey.folder.local_frame import points_in_crs
+from survey.folder.plausible import ONE_SURVEY_M
 from survey.folder.pose_priors import best_plan_std
 from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame
 from survey.sfm.gps import GpsPositions, gps_positions, is_whole
@@ -56,60 +56,50 @@ class GpsFit:
     num: int  # positions
     num_agreeing: int  # of these, to which the similarity is fitted
     std_m: np.ndarray  # (3,) [m]: of the GPS positions, by their residuals
-    change_m: float  # rms displacement of the positions by rotation and scale alone
     extent_m: float  # rms distance of GPS positions from their mean
-    own_extent_m: float  # the same of the poses, in their own unit
     line: PositionLine | None  # that the GPS positions lie on; None where they span an area
     shift: np.ndarray  # (3,): median difference, GPS position less pose
     unshifted_m: float  # rms distance in plan between both after this shift
-    drift_m: float  # that errors of GPS positions may have in common along the flight
+    is_free: bool  # whether rotation or scale of the poses is not that of the GPS positions, beyond errors of these
 
     @classmethod
     def of(cls, centres: np.ndarray, positions: np.ndarray, drift_m: float = _DRIFT_M) -> GpsFit | None:
-        """The fit of camera centres to GPS positions (N, 3); None for fewer than three, or all at one place."""
+        """The fit of camera centres to GPS positions (N, 3); None for fewer than three, or all at one place.
+
+        Errors of GPS positions may have ``drift_m`` [m] in common along the flight.
+        """
         if len(centres) < 3 or np.ptp(positions, axis=0).max() == 0.0 or np.ptp(centres, axis=0).max() == 0.0:
             return None
         similarity, agree = robust_similarity(centres, positions)
-        if not (similarity.scale > 0.0 and math.isfinite(similarity.scale)) or agree.sum() < 3:
+        num = int(agree.sum())
+        if not (similarity.scale > 0.0 and math.isfinite(similarity.scale)) or num < 3:
             return None
-        residuals = similarity(centres[agree]) - positions[agree]
-        from_mean = centres[agree] - centres[agree].mean(axis=0)
-        of_gps = positions[agree] - positions[agree].mean(axis=0)
-        change = similarity.scale * from_mean @ similarity.rotation.T - from_mean
-        std, shift = gps_std(residuals), np.median(positions - centres, axis=0)
+        std = gps_std(similarity(centres[agree]) - positions[agree])
+        from_mean, extent_m = (points[agree] - points[agree].mean(axis=0) for points in (centres, positions))
+        # Displacement by rotation and scale alone; errors of single positions move these four parameters by as much.
+        change_m = _rms(similarity.scale * from_mean @ similarity.rotation.T - from_mean)
+        noise_m = math.sqrt(4.0 / num) * float(std.max())
+        least_m = _LEAST_CHANGE * min(_rms(extent_m), _rms(from_mean))
+        shift = np.median(positions - centres, axis=0)
         return cls(
-            similarity, len(centres), int(agree.sum()), std, _rms(change), _rms(of_gps), _rms(from_mean),
-            line_of(positions[agree], float(std.max())), shift, _rms((positions - centres - shift)[:, :2]),
-            drift_m,
+            similarity, len(centres), num, std, _rms(extent_m), line_of(positions[agree], float(std.max())), shift,
+            _rms((positions - centres - shift)[:, :2]), change_m > max(least_m, _SIGNIFICANT * noise_m, drift_m),
         )  # fmt: skip
-
-    @property
-    def scale_std(self) -> float:
-        """Standard deviation of the scale, as a share of it."""
-        return float(self.std_m[0]) / (math.sqrt(self.num_agreeing) * max(self.extent_m, 1e-9))
-
-    @property
-    def is_free(self) -> bool:
-        """Whether rotation or scale of the poses is not that of the GPS positions, beyond the errors of these."""
-        # Of scale and rotation, four parameters, errors of single positions move the block by this much.
-        noise_m = math.sqrt(4.0 / self.num_agreeing) * float(self.std_m.max())
-        return self.change_m > max(
-            _LEAST_CHANGE * min(self.extent_m, self.own_extent_m), _SIGNIFICANT * noise_m, self.drift_m
-        )
 
     @property
     def fault(self) -> str | None:
         """Why the positions do not place the block, as a clause; None where they do."""
+        scale_std = float(self.std_m[0]) / (math.sqrt(self.num_agreeing) * max(self.extent_m, 1e-9))
         if self.num_agreeing < _FEWEST:
             return f"{self.num_agreeing} GPS positions fit them, and {_FEWEST} are needed"
         if self.num_agreeing < _LEAST_AGREEING * self.num:
             return f"only {self.num_agreeing} of {self.num} GPS positions fit them"
         if self.line is not None:
             return self.line.describe(self.num_agreeing)
-        if self.scale_std > _MOST_SCALE_STD:
+        if scale_std > _MOST_SCALE_STD:
             return (
                 f"the GPS positions, good to {self.std_m[0]:.2g} m and {2.0 * self.extent_m:.3g} m apart, tell the "
-                f"scale only to {100.0 * self.scale_std:.0f} %"
+                f"scale only to {100.0 * scale_std:.0f} %"
             )
         return None
 
@@ -144,54 +134,53 @@ class PlacedPoses:
 def place_poses(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[PlacedPoses, Findings]:
     """Poses of photographs with their place: by file or [local], recognised in their coordinates, or by GPS."""
     gps, findings = None, Findings()
+    headers = {pose.name: found.headers[pose.name] for pose in poses}
     # Where there are too few positions, or they do not lie on the map of crs, there are none.
     with suppress(SurveyError, GeoError):
-        headers = {pose.name: found.headers[pose.name] for pose in poses}
         gps = gps_positions(headers, found.crs, found.config.cameras.gps_height)
     if file.frame is PoseFrame.LOCAL:
         file, findings = _recognised(found, file, poses, gps)
-    known = [] if gps is None else [number for number, pose in enumerate(poses) if pose.name in gps.local]
-    centres = np.array([pose.centre for pose in poses])
-    positions = None if gps is None else np.array([gps.local[poses[i].name] for i in known])
-    std_m = best_plan_std(found.config.cameras, [found.headers[pose.name] for pose in poses])
-    drift_m = min(_STDS * std_m, _DRIFT_M)
-    fit = None if positions is None else GpsFit.of(centres[known], positions, drift_m)
-    if file.frame is PoseFrame.LOCAL and found.config.local.origin is None:
+    is_local, origin = file.frame is PoseFrame.LOCAL, found.config.local.origin
+    centres, fit, drift_m = np.array([pose.centre for pose in poses]), None, _DRIFT_M
+    known, positions = np.zeros(len(poses), dtype=bool), np.zeros((0, 3))
+    if gps is not None:
+        known = np.array([pose.name in gps.local for pose in poses])
+        positions = np.array([gps.local[pose.name] for pose in poses if pose.name in gps.local])
+        drift_m = min(_STDS * best_plan_std(found.config.cameras, headers.values()), _DRIFT_M)
+        fit = GpsFit.of(centres[known], positions, drift_m)
+    if is_local and origin is None:
         if fit is None or gps is None:
-            num = sum(is_whole(found.headers[pose.name].lat_lon_height) for pose in poses)
+            num = sum(is_whole(header.lat_lon_height) for header in headers.values())
             raise ConfigError(
                 f"the poses in {found.poses_path} are in a local frame, and neither {FILE_NAME} nor GPS positions of "
                 f"different places tell where that is ({num} of {len(poses)} photographs with a pose have one with a "
-                f"height, expected {_FEWEST}); give [local] origin = [easting, northing, height] of its zero point in "
-                "crs"
+                f"height, expected {_FEWEST}); give [local] origin = [easting, northing, height] in crs"
             )
         return _placed(found, file, poses, gps, fit)
-    if gps is None or positions is None:
+    if gps is None:
         return PlacedPoses(file, poses), findings
-    # Where file and settings put the cameras in the local frame of GPS positions; None off the map.
-    origin = found.config.local.origin
-    stated: np.ndarray | None
-    if file.frame is PoseFrame.LOCAL and origin is not None:
+    # Where file and settings put the cameras in the local frame of GPS positions.
+    if is_local and origin is not None:
         stated = gps.frame.from_frame(LocalFrame(found.crs, origin))(centres)
     else:
         stated = gps.frame.local_from_crs(points_in_crs(file, centres, found.crs, "crs"))
-        stated = stated if np.isfinite(stated).all() else None
-    at_place = None if stated is None else GpsFit.of(stated[known], positions, drift_m)
-    is_elsewhere = stated is None or (at_place is not None and np.hypot(*at_place.shift[:2]) > ONE_SURVEY_M)
+    is_on_map = np.isfinite(stated).all()
+    at_place = GpsFit.of(stated[known], positions, drift_m) if is_on_map else None
+    is_elsewhere = not is_on_map or (at_place is not None and np.hypot(*at_place.shift[:2]) > ONE_SURVEY_M)
     if is_elsewhere and fit is not None and _is_near_zero(centres) and file.crs is None:
         # Numbers that are no coordinates in crs, but those of a frame of the program's own.
         return _placed(found, file, poses, gps, fit)
     if at_place is not None and at_place.is_free:
-        statement = (
-            f"[local] origin in {FILE_NAME} says that they are metric, east, north and up"
-            if file.frame is PoseFrame.LOCAL
-            else f"they are read as coordinates in {(file.crs or found.crs).name}"
-        )
-        remedy = "remove [local] origin: the GPS positions then place them" if at_place.fault is None else _ELSEWHERE
+        statement = f"they are read as coordinates in {(file.crs or found.crs).name}"
+        remedy = f"correct them or crs, or {_ELSEWHERE}"
+        if is_local:
+            statement = f"[local] origin in {FILE_NAME} says that they are metric, east, north and up"
+            remedy = (
+                "remove [local] origin: the GPS positions then place them" if at_place.fault is None else _ELSEWHERE
+            )
         raise PosesError(
             f"the poses in {found.poses_path} fit the GPS positions of their photographs only with "
-            f"{at_place.describe()}, and {statement}; "
-            f"{remedy if file.frame is PoseFrame.LOCAL else 'correct them or crs, or ' + _ELSEWHERE}"
+            f"{at_place.describe()}, and {statement}; {remedy}"
         )
     return PlacedPoses(file, poses), findings
 
@@ -210,8 +199,12 @@ def _recognised(found: Found, file: PoseFile, poses: list[Pose], gps: GpsPositio
         return replace(file, frame=PoseFrame.GEOCENTRIC), Findings((note,))
     if is_geographic(found.crs):
         return file, Findings()
+    is_in_crs = False
     if gps is None:
-        is_in_crs = not _is_near_zero(centres) and _is_in_area(found.crs, centres)
+        places = lon_lat(found.crs, centres[:, :2])
+        with suppress(GeoError):
+            require_at(found.crs, places, "the poses", "crs")
+            is_in_crs = not _is_near_zero(centres) and bool(np.isfinite(places).all())
     else:
         known = [pose.name in gps.local for pose in poses]
         positions = np.array([gps.local[pose.name] for pose in poses if pose.name in gps.local])
@@ -224,20 +217,9 @@ def _recognised(found: Found, file: PoseFile, poses: list[Pose], gps: GpsPositio
         place = ", ".join(f"{value:.10g}" for value in centres[0])
         raise PosesError(
             f"the poses in {found.poses_path} are at {place}, which is in no local frame, nor in {found.crs.name} "
-            "where the photographs are, nor metres from the centre of the Earth; correct crs, or transform the model "
-            "to metres, east, north and up about a point of the survey"
+            "near the photographs, nor ECEF; correct crs, or transform the model to metres, east, north and up"
         )
     return file, Findings()
-
-
-def _is_in_area(crs: CRS, points: np.ndarray) -> bool:
-    """Whether points (N, 3) in crs lie where it is used."""
-    places = lon_lat(crs, points[:, :2])
-    try:
-        require_at(crs, places, "the poses", "crs")
-    except GeoError:
-        return False
-    return bool(np.isfinite(places).all())
 
 
 def _placed(
@@ -270,8 +252,7 @@ def _placed(
         warning = f"the axes and scale of the poses in {name} are their own: placed with {fit.describe()} {placed_by}"
         findings = Findings(warnings=(warning,))
     else:
-        findings = Findings(
-            (f"{name} does not state its place; its axes and scale are kept, and it is placed {placed_by}",)
-        )
+        note = f"{name} does not state its place; its axes and scale are kept, and it is placed {placed_by}"
+        findings = Findings((note,))
     file = replace(file, frame=PoseFrame.ENU, crs=None, tool=file.tool or "the program of the poses")
     return PlacedPoses(file, placed, (similarity, gps.frame)), findings

@@ -1,28 +1,42 @@
-"""Headers of the photographs of a survey, and what in them is more likely a mistake.
+"""Headers of the photographs of a survey, with the positions of a geo.txt, and what in them is more likely a mistake.
 
-Positions far from the others, or twice the same; photographs of several cameras at one shot, of several days under one
-level; pages, rotations and datums.
+A geo.txt of OpenDroneMap replaces positions in EXIF. Its first line is the CRS; the others are ``image x y [z] [omega
+phi kappa] [horizontal accuracy] [vertical accuracy]``, easting or longitude first. As there, angles are not used.
 """
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from collections.abc import Mapping
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path, PurePosixPath
 
 import numpy as np
+from pyproj import CRS, Geod
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from geo.crs import EARTH_RADIUS_M
+from geo.compatibility import require_in_area
+from geo.crs import EARTH_RADIUS_M, has_height, height_unit_m, horizontal_crs, horizontal_unit, is_geographic
+from geo.transformation import lon_lat
 from survey.display.quantities import named
-from survey.errors import Findings
-from survey.folder.geo_txt import find_geo_txt, with_positions
-from survey.photos.exif import Exif, read_exif, without_void_fixes
+from survey.errors import Findings, PosesError
+from survey.files.crs_lines import odm_lines
+from survey.files.csv_table import number_of
+from survey.photos.exif import SUFFIXES, Exif, TablePlace, read_exif, without_void_fixes
+from survey.photos.names import ImageNames
 from survey.settings.config import SurveyConfig
+from survey.words import GEO_TXT
 
+_FORM = "image x y [z] [omega phi kappa] [horizontal accuracy] [vertical accuracy]"
+# How many numbers a line may have: x y, z, three angles, accuracies.
+_COUNTS = (2, 3, 6, 7, 8)
+_MOST_STD_M = 100.0
+# GPS positions without corrections are within 10 m: beyond this they are of another zone or datum.
+SAME_PLACE_M = 100.0
 # A position is far from the others beyond this many times their usual spread, and these lengths [m]. If more than this
 # share of positions is far, they are another part of the flight.
 _FAR, _FAR_HEIGHT_M, _FAR_PLAN_M, _MOST_FAR = 10.0, 10.0, 50.0, 0.1
@@ -45,26 +59,154 @@ def read_headers(folder: Path, place: Path, images: Mapping[str, Path]) -> tuple
     return without_void_fixes(headers), findings
 
 
+def find_geo_txt(folder: Path, images: Path) -> Path | None:
+    """The geo.txt in the survey folder or next to the photographs; None where there is none."""
+    places = [place for place in dict.fromkeys((folder, images)) if place.is_dir()]
+    paths = [path for place in places for path in sorted(place.iterdir()) if path.name.casefold() == GEO_TXT]
+    paths = [path for path in paths if path.is_file()]
+    if len(paths) > 1:
+        raise PosesError(f"{paths[0]} and {paths[1]} both have positions of the photographs; remove one of them")
+    return paths[0] if paths else None
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A photograph with its position, as one line of a geo.txt has it."""
+
+    image: str
+    where: str
+    place: tuple[float, float, float]
+    std_m: tuple[float, float, float] | None
+    lacks_vertical: bool
+
+
+def with_positions(path: Path, headers: Mapping[str, Exif]) -> tuple[dict[str, Exif], Findings]:
+    """Heads of photographs with the positions of a geo.txt; those that it does not name keep the ones in EXIF."""
+    crs, texts = odm_lines(path, GEO_TXT, _FORM, PosesError)
+    if not texts:
+        raise PosesError(f"{path} has no line after its CRS, expected lines {_FORM}; complete it, or remove it")
+    names, lines, unknown = ImageNames(headers), dict[str, _Line](), []
+    parsed = [_line(text, where) for where, text in texts]
+    for line in parsed:
+        name = names.find(line.image, line.where)
+        if name is None:
+            unknown.append(line.image)
+        elif name in lines:
+            raise PosesError(f"{line.where}: {name} has a second position; remove one of the two lines")
+        else:
+            lines[name] = line
+    if not lines:
+        raise PosesError(
+            f'{path} names none of the photographs: "{parsed[0].image}" for "{next(iter(headers))}"; correct its '
+            "names, or remove the file where it is of another flight"
+        )
+    lacking = [name for name, line in lines.items() if line.lacks_vertical]
+    warnings = [
+        *named(unknown, "image", f"of {path.name} not among the photographs"),
+        *named([n for n in headers if n not in lines], "image", f"not in {path.name}, which keep what EXIF has"),
+        *named(lacking, "image", f"with a horizontal accuracy alone in {path.name}, which is not used"),
+    ]
+    places = dict(zip(lines, _lon_lat(lines.values(), crs), strict=True))
+    placed = {name: _placed(headers[name], line, crs, *places[name]) for name, line in lines.items()}
+    note = f"positions of {len(lines)} of {len(headers)} images are those in {path.name} ({crs.name})"
+    in_exif = {name: position for name in lines if (position := headers[name].lat_lon_height) is not None}
+    if in_exif:
+        lat, lon = np.array([position[:2] for position in in_exif.values()]).T
+        away_m = float(np.median(Geod(ellps="WGS84").inv(lon, lat, *np.array([places[n] for n in in_exif]).T)[2]))
+        note += f", instead of those in EXIF of {len(in_exif)}, {away_m:.2g} m away (median)"
+        if away_m > SAME_PLACE_M:
+            warnings.append(
+                f"the positions in {path.name} lie {away_m:.0f} m (median) from those in EXIF: check the CRS in its "
+                "first line, and that easting or longitude comes first"
+            )
+    else:
+        note += "; EXIF has none of them"
+    return dict(headers) | placed, Findings((note,), tuple(warnings))
+
+
+def _lon_lat(lines: Iterable[_Line], crs: CRS) -> list[list[float]]:
+    """Longitude and latitude [deg] of the places of lines; raises where one is not on the map."""
+    lines = list(lines)
+    in_crs = np.array([line.place for line in lines])
+    places = lon_lat(crs, in_crs)
+    on_map = np.isfinite(places).all(axis=1) & (np.abs(places) <= [180.0, 90.0]).all(axis=1)
+    if not on_map.all():
+        line = lines[int(np.argmin(on_map))]
+        raise PosesError(
+            f"{line.where}: {line.place[0]:.10g}, {line.place[1]:.10g} is not on the map of {crs.name}; correct "
+            "the coordinates, their order (easting or longitude first) or the CRS in the first line"
+        )
+    require_in_area(crs, in_crs, f"the positions in {GEO_TXT}", f"in the first line of {GEO_TXT}")
+    return places.tolist()
+
+
+def _placed(header: Exif, line: _Line, crs: CRS, lon: float, lat: float) -> Exif:
+    """The header of a photograph at the place of its line; without a height there, that in EXIF, and its datum."""
+    x, y, height = line.place
+    if keeps_height := math.isnan(height) and header.lat_lon_height is not None:
+        crs = horizontal_crs(crs)
+    # A CRS without heights of its own has them in the unit of its plan.
+    unit_m = height_unit_m(crs) if has_height(crs) else 1.0 if is_geographic(crs) else horizontal_unit(crs)
+    if keeps_height and header.lat_lon_height is not None:
+        height = header.lat_lon_height[2] / unit_m
+    return replace(
+        header,
+        lat_lon_height=(lat, lon, height * unit_m),
+        table_place=TablePlace(GEO_TXT, crs, (x, y, height), line.std_m),
+        rtk=None,
+        std_m=None,
+        height_datum=header.height_datum if math.isnan(line.place[2]) else None,
+        gps_fault="",
+        is_void=False,
+    )
+
+
+def _line(text: str, where: str) -> _Line:
+    cells = [cell.strip() for cell in text.split("\t") if cell.strip()] if text.count("\t") > 1 else text.split()
+    if len(cells) < 3 and "," in text:
+        raise PosesError(f"{where}: values are separated by commas, expected spaces or tabs: {_FORM}; replace them")
+    # A name may have spaces: it ends with the suffix of a photograph.
+    end = next((i for i, cell in enumerate(cells, 1) if PurePosixPath(cell).suffix.lower() in SUFFIXES), 1)
+    values = [number_of(cell) for cell in cells[end:]]
+    count = next((count for count in reversed(_COUNTS) if count <= len(values)), 0)
+    # What follows both accuracies has no meaning.
+    if not count or (len(values) > count < _COUNTS[-1]) or not all(map(math.isfinite, values[:count])):
+        raise PosesError(f'{where}: "{text}" was found, expected {_FORM}; correct or remove the line')
+    std, has_stds = None, count == _COUNTS[-1]
+    # Programs write 0 for unknown.
+    if has_stds and values[6:8] != [0.0, 0.0]:
+        if not all(0.0 < value <= _MOST_STD_M for value in values[6:8]):
+            raise PosesError(
+                f"{where}: the accuracy is {values[6:8]}, expected a standard deviation above 0 and at most "
+                f"{_MOST_STD_M:g} metres; leave both out if they are not known"
+            )
+        std = (values[6], values[6], values[7])
+    height = values[2] if count > 2 else math.nan
+    return _Line(" ".join(cells[:end]), where, (values[0], values[1], height), std, count == _COUNTS[-2])
+
+
 def header_warnings(config: SurveyConfig, headers: Mapping[str, Exif]) -> list[str]:
     """Warnings about EXIF of the photographs."""
-    num = len(headers)
-    rotated = sum(header.orientation != 1 for header in headers.values())
-    paged = sum(header.has_pages for header in headers.values())
+    faults, datums, focals = defaultdict(list), defaultdict(list), defaultdict(list)
+    for name, header in headers.items():
+        faults[header.gps_fault].append(name)
+        datums["" if header.table_place is not None else header.gps_datum].append(name)
+        focals[header.focal_warning].append(name)
     warnings = []
-    for fault in dict.fromkeys(header.gps_fault for header in headers.values() if header.gps_fault):
-        without = [name for name, header in headers.items() if header.gps_fault == fault]
-        warnings += named(without, "image", f"without {fault} in EXIF, whose GPS position is not used")
-    void = [name for name, header in headers.items() if header.is_void and header.lat_lon_height is not None]
-    warnings += named(void, "image", "whose receiver had no fix by EXIF (GPSStatus is V), and whose position is used")
-    for datum in dict.fromkeys(header.gps_datum for header in headers.values() if header.gps_datum):
-        such = [name for name, header in headers.items() if header.gps_datum == datum and header.table_place is None]
-        warnings += named(such, "image", f"with a GPS position on {datum} by EXIF or XMP, which is taken as WGS 84")
-    for warning in dict.fromkeys(header.focal_warning for header in headers.values() if header.focal_warning):
-        such = [name for name, header in headers.items() if header.focal_warning == warning]
-        warnings += named(such, "image", f"with {warning}; give [cameras] focal_px if it is known")
-    if rotated:
+    for names, noun in (
+        *((faults[fault], f"without {fault} in EXIF, whose GPS position is not used") for fault in faults if fault),
+        (
+            [name for name, header in headers.items() if header.is_void and header.lat_lon_height is not None],
+            "whose receiver had no fix by EXIF (GPSStatus is V), and whose position is used",
+        ),
+        *((datums[d], f"with a GPS position on {d} by EXIF or XMP, which is taken as WGS 84") for d in datums if d),
+        *((focals[f], f"with {f}; give [cameras] focal_px if it is known") for f in focals if f),
+    ):
+        warnings += named(names, "image", noun)
+    num = len(headers)
+    if rotated := sum(header.orientation != 1 for header in headers.values()):
         warnings.append(f"EXIF marks {rotated} of {num} images as rotated; pixels and poses are taken as stored")
-    if paged:
+    if paged := sum(header.has_pages for header in headers.values()):
         warnings.append(f"{paged} of {num} images have several pages, of which the first is used; split files of bands")
     return [*warnings, *position_warnings(headers), *_several_cameras(headers), *_several_days(config, headers)]
 
@@ -84,10 +226,8 @@ def position_warnings(headers: Mapping[str, Exif]) -> list[str]:
     if len(clocks) == len(known):
         seconds = np.array([(clock - clocks[0]).total_seconds() for clock in clocks])
     # Poses that also share their rotation are reported where poses are read.
-    return [
-        *far_from_others(names, plan, places[:, 2], "GPS"),
-        *_repeated_positions(names, np.column_stack([plan, places[:, 2]]), seconds),
-    ]
+    repeated = _repeated_positions(names, np.column_stack([plan, places[:, 2]]), seconds)
+    return [*far_from_others(names, plan, places[:, 2], "GPS"), *repeated]
 
 
 def far_from_others(names: np.ndarray, plan: np.ndarray, height: np.ndarray, by: str) -> list[str]:
@@ -102,25 +242,23 @@ def far_from_others(names: np.ndarray, plan: np.ndarray, height: np.ndarray, by:
     nearest = KDTree(plan).query(plan, k=2)[0][:, 1]
     alone = main & (nearest > max(_FAR * float(np.median(nearest)), _FAR_PLAN_M))
     warnings += named(_few(names, alone), "image", f"far from all others by its {by} position")
-    with_height = np.isfinite(height)
-    return warnings + _far_in_height(names[with_height], height[with_height], by)
-
-
-def _far_in_height(names: np.ndarray, heights: np.ndarray, by: str) -> list[str]:
-    """Warnings that name the photographs whose height (N,) [m] is far from the others."""
-    if len(heights) < _FEWEST:
-        return []
-    deviation = np.abs(heights - np.median(heights))
+    names, height = names[np.isfinite(height)], height[np.isfinite(height)]
+    if len(height) < _FEWEST:
+        return warnings
+    deviation = np.abs(height - np.median(height))
     far = deviation > max(_FAR * float(np.median(deviation)), _FAR_HEIGHT_M)
     # Exactly 0 is what receivers write without a height: no other flight, however many have it.
-    no_height = far & (heights == 0.0)
-    low, high = heights[~far].min(), heights[~far].max()
-    labels = np.array([f"{name} ({of_it:.1f} m)" for name, of_it in zip(names, heights, strict=True)])
-    return named(
-        labels[no_height].tolist() + _few(labels, far & ~no_height),
-        "image",
-        f"far from the others by its {by} height, which are at {low:.1f} to {high:.1f} m",
-    )
+    no_height = far & (height == 0.0)
+    low, high = height[~far].min(), height[~far].max()
+    labels = np.array([f"{name} ({metres:.1f} m)" for name, metres in zip(names, height, strict=True)])
+    labels = labels[no_height].tolist() + _few(labels, far & ~no_height)
+    why = f"far from the others by its {by} height, which are at {low:.1f} to {high:.1f} m"
+    return warnings + named(labels, "image", why)
+
+
+def _few(names: np.ndarray, far: np.ndarray) -> list[str]:
+    """Names of the far photographs, where these are few enough to be wrong."""
+    return names[far].tolist() if far.sum() <= max(1, int(_MOST_FAR * len(names))) else []
 
 
 def _repeated_positions(names: np.ndarray, places: np.ndarray, seconds: np.ndarray | None) -> list[str]:
@@ -135,9 +273,9 @@ def _repeated_positions(names: np.ndarray, places: np.ndarray, seconds: np.ndarr
         return [f"all {len(names)} images have the same GPS position to the last digit: it tells nothing of them"]
     repeated = [
         number
-        for group in alike.values()
-        for number in group[1:]
-        if seconds is None or abs(seconds[number] - seconds[group[0]]) > _BETWEEN_FIXES_S
+        for first, *others in alike.values()
+        for number in others
+        if seconds is None or abs(seconds[number] - seconds[first]) > _BETWEEN_FIXES_S
     ]
     return named(names[repeated].tolist(), "image", "with the GPS position of an earlier one to the last digit")
 
@@ -151,33 +289,23 @@ def _largest_group(plan: np.ndarray) -> np.ndarray:
     return group == np.bincount(group).argmax()
 
 
-def _few(names: np.ndarray, far: np.ndarray) -> list[str]:
-    """Names of the far photographs, where these are few enough to be wrong."""
-    return names[far].tolist() if far.sum() <= max(1, int(_MOST_FAR * len(names))) else []
-
-
 def _several_cameras(headers: Mapping[str, Exif]) -> list[str]:
     """A warning where most shots have photographs of several sizes: of a thermal or multispectral camera, too."""
-    by_shot: dict[tuple, set[tuple[int, int]]] = defaultdict(set)
+    shots, stems = defaultdict[tuple, set](set), defaultdict[tuple[int, int], list[str]](list)
     for name, header in headers.items():
+        stem = PurePosixPath(name).stem
+        # Photographs of one shot share the last number in their names.
+        numbers = "".join(letter if letter.isdigit() else " " for letter in stem).split()
         clock = None if header.clock is None else round(header.clock.timestamp() / _ONE_SHOT_S)
-        by_shot[clock, name.rpartition("/")[0] if clock is None else "", _number(name)].add(header.size_px)
-    sizes = Counter(header.size_px for header in headers.values())
-    if len(sizes) < 2 or 2 * sum(len(shot) > 1 for shot in by_shot.values()) < len(by_shot):
+        shots[clock, name.rpartition("/")[0] if clock is None else "", *numbers[-1:]].add(header.size_px)
+        stems[header.size_px].append(stem)
+    if len(stems) < 2 or 2 * sum(len(sizes) > 1 for sizes in shots.values()) < len(shots):
         return []
     kinds = []
-    for (width, height), num in sizes.most_common():
-        own = (PurePosixPath(name).stem for name, header in headers.items() if header.size_px == (width, height))
+    for (width, height), own in sorted(stems.items(), key=lambda item: -len(item[1])):
         endings = {stem.rpartition("_")[2] for stem in own}
-        named = f" (*_{endings.pop()})" if len(endings) == 1 else ""
-        kinds.append(f"{num} of {width} x {height} px{named}")
+        kinds.append(f"{len(own)} of {width} x {height} px" + (f" (*_{endings.pop()})" if len(endings) == 1 else ""))
     return [f"each shot has photographs of several cameras: {' and '.join(kinds)}; keep one, as others do not match"]
-
-
-def _number(name: str) -> str:
-    """The last number in the name of a photograph; those of one shot share it."""
-    digits = "".join(letter if letter.isdigit() else " " for letter in PurePosixPath(name).stem).split()
-    return digits[-1] if digits else ""
 
 
 def _several_days(config: SurveyConfig, headers: Mapping[str, Exif]) -> list[str]:
@@ -187,9 +315,8 @@ def _several_days(config: SurveyConfig, headers: Mapping[str, Exif]) -> list[str
         return []
     if water.sources.gauge is not None or water.sources.image_levels is not None:
         return []
-    times = sorted(clock for header in headers.values() if (clock := header.clock) is not None)
     days: list[list[datetime]] = []
-    for time in times:
+    for time in sorted(clock for header in headers.values() if (clock := header.clock) is not None):
         if not days or time - days[-1][-1] > _NEXT_DAY:
             days.append([])
         days[-1].append(time)

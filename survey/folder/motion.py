@@ -51,37 +51,31 @@ def velocities_of(
 
     ``speed_m_s`` is that along flight lines, where neither XMP nor times give it, in the order of times, else of names.
     """
-    found = velocities_by_xmp({name: headers[name] for name in places})
-    if len(found) == len(places):
-        return found
-    seconds = _seconds(headers, places)
-    for name, local in _along_lines(places, seconds, None).items():
-        found.setdefault(name, Velocity(local, BY_TIMES))
-    if speed_m_s is not None:
-        order = seconds if len(seconds) == len(places) else {name: float(i) for i, name in enumerate(sorted(places))}
-        for name, local in _along_lines(places, order, speed_m_s).items():
-            found.setdefault(name, Velocity(local, BY_SETTINGS))
-    return found
-
-
-def velocities_by_xmp(headers: Mapping[str, Exif]) -> dict[str, Velocity]:
-    """Velocities in XMP. True east and north are those of local to some thousandths."""
-    return {
-        name: Velocity(np.array(header.motion.velocity), BY_XMP)
-        for name, header in headers.items()
-        if header.motion.velocity is not None
-    }
-
-
-def _seconds(headers: Mapping[str, Exif], places: Mapping[str, np.ndarray]) -> dict[str, float]:
-    """Seconds since the first photograph, by one clock: the camera's, or where fewer have that, UTC."""
+    velocities = _velocities_by_xmp({name: headers[name] for name in places})
+    if len(velocities) == len(places):
+        return velocities
+    # By one clock: the camera's, or where fewer have that, UTC.
     clocks = [
         {name: time for name in places if (time := getattr(headers[name], clock)) is not None}
         for clock in ("clock", "taken")
     ]
     times = max(clocks, key=len)
     first = min(times.values(), default=None)
-    return {} if first is None else {name: (time - first).total_seconds() for name, time in times.items()}
+    seconds = {} if first is None else {name: (time - first).total_seconds() for name, time in times.items()}
+    found = [(BY_TIMES, _along_lines(places, seconds, None))]
+    if speed_m_s is not None:
+        order = seconds if len(seconds) == len(places) else {name: float(i) for i, name in enumerate(sorted(places))}
+        found.append((BY_SETTINGS, _along_lines(places, order, speed_m_s)))
+    for source, by_line in found:
+        for name, local in by_line.items():
+            velocities.setdefault(name, Velocity(local, source))
+    return velocities
+
+
+def _velocities_by_xmp(headers: Mapping[str, Exif]) -> dict[str, Velocity]:
+    """Velocities in XMP. True east and north are those of local to some thousandths."""
+    known = {name: header.motion.velocity for name, header in headers.items()}
+    return {name: Velocity(np.array(v), BY_XMP) for name, v in known.items() if v is not None}
 
 
 def _along_lines(
@@ -98,24 +92,24 @@ def _along_lines(
     steps = np.diff([places[name] for name in names], axis=0)
     times = np.diff([seconds[name] for name in names])
     linked = (times > 0.0) & (times <= _LONGEST_S)
-    rates = steps / np.where(linked, times, 1.0)[:, None]
+    rates, weights = steps / np.where(linked, times, 1.0)[:, None], times
     if speed_m_s is not None:
-        linked = np.linalg.norm(steps, axis=1) > 0.0
-        rates = speed_m_s * steps / np.where(linked, np.linalg.norm(steps, axis=1), 1.0)[:, None]
+        metres = np.linalg.norm(steps, axis=1)
+        linked = metres > 0.0
+        rates, weights = speed_m_s * steps / np.where(linked, metres, 1.0)[:, None], np.ones(len(times))
     lengths = np.linalg.norm(rates, axis=1)
     rate_changes = np.linalg.norm(np.diff(rates, axis=0), axis=1)
-    # Of the photographs but the first and the last: whether they lie on a line.
-    inside = linked[:-1] & linked[1:] & (rate_changes <= _SAME_LINE * np.maximum(lengths[:-1], lengths[1:]))
-    found: dict[str, np.ndarray] = {}
+    # Of all photographs: whether they lie inside a line.
+    inside = np.zeros(len(names), dtype=bool)
+    inside[1:-1] = linked[:-1] & linked[1:] & (rate_changes <= _SAME_LINE * np.maximum(lengths[:-1], lengths[1:]))
+    velocities: dict[str, np.ndarray] = {}
     for i, name in enumerate(names):
-        if 0 < i < len(names) - 1 and inside[i - 1]:
-            shares = np.array([1.0, 1.0]) if speed_m_s is not None else times[i - 1 : i + 1]
-            found[name] = shares @ rates[i - 1 : i + 1] / shares.sum()
-            continue
-        comes, goes = i > 1 and inside[i - 2], i < len(names) - 2 and inside[i]
-        if comes != goes:
-            found[name] = rates[i - 1] if comes else rates[i]
-    return found
+        comes, goes = bool(i and inside[i - 1]), i + 1 < len(names) and bool(inside[i + 1])
+        if inside[i]:
+            velocities[name] = weights[i - 1 : i + 1] @ rates[i - 1 : i + 1] / weights[i - 1 : i + 1].sum()
+        elif comes != goes:
+            velocities[name] = rates[i - 1] if comes else rates[i]
+    return velocities
 
 
 def with_motion(
@@ -134,16 +128,13 @@ def with_motion(
         warnings = named(
             unknown, "image", "of unknown velocity (at a turn?), taken as exposed at once, without a rolling shutter"
         )
-    readout = cameras.rolling_shutter_s or 0.0
-    moving = [replace(view, camera=replace(view.camera, motion=_motion(view, velocities, readout))) for view in views]
+    readout, moving = cameras.rolling_shutter_s or 0.0, []
+    for view in views:
+        velocity, motion = velocities.get(view.name), None
+        if velocity is not None and velocity.speed and readout:
+            motion = velocity.local * (readout / rows_between(view.lens.height))
+        moving.append(replace(view, camera=replace(view.camera, motion=motion)))
     return moving, Findings(warnings=tuple(warnings))
-
-
-def _motion(view: View, velocities: Mapping[str, Velocity], readout: float) -> np.ndarray | None:
-    velocity = velocities.get(view.name)
-    if velocity is None or velocity.speed == 0.0 or readout == 0.0:
-        return None
-    return velocity.local * (readout / rows_between(view.lens.height))
 
 
 def rows_between(height: int) -> int:
@@ -156,7 +147,7 @@ def shutter_warnings(cameras: CamerasConfig, headers: Mapping[str, Exif], metres
     if cameras.rolling_shutter_s is not None:
         return []
     rolling = {name: header for name, header in headers.items() if not header.motion.is_mechanical}
-    speeds = [velocity.speed for velocity in velocities_by_xmp(rolling).values()]
+    speeds = [velocity.speed for velocity in _velocities_by_xmp(rolling).values()]
     fastest = max(speeds, default=0.0)
     if fastest < _HOVERS_M_S:
         return []

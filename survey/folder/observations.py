@@ -11,8 +11,8 @@ from geo.frames import LocalFrame
 from survey.control.points import Checkpoint, Control, StableGround
 from survey.errors import GivenValueTest
 from survey.folder.found import Found
+from survey.folder.local_frame import TiePointMisfit
 from survey.folder.motion import Velocity
-from survey.folder.pose_frames import TiePointMisfit
 from survey.folder.pose_priors import PosePrior
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
@@ -21,45 +21,36 @@ from survey.water.surface import Departure
 from survey.water.tides import Tide
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Observations:
     """Measurements of a survey besides its photographs."""
 
     # (N, 3) float64 [m], local, or None: matched points with three observations or more, on straight rays, or those of
     # an adjustment with bent rays; None where the poses came without any
-    points: np.ndarray | None = field(default=None, compare=False, repr=False)
-    # These points with their observations, in pixels of the original photographs, where structure from motion found
-    # them
-    ties: TiePoints | None = field(default=None, compare=False, repr=False)
-    # dict of name to PosePrior: prior of the pose of each view
-    priors: Mapping[str, PosePrior] = field(default_factory=dict, compare=False, repr=False)
-    # dict of name to float [px]: by EXIF, of views that structure from motion placed; without doubtful ones
-    exif_focals: Mapping[str, float] = field(default_factory=dict, compare=False, repr=False)
-    control: Control | None = field(default=None, compare=False, repr=False)  # Control points that the photographs show
-    # Points that results are compared with; none where there is no file of them
-    checkpoints: tuple[Checkpoint, ...] = field(default=(), compare=False, repr=False)
+    points: np.ndarray | None = None
+    # These with their observations, in pixels of the original photographs, where structure from motion found them
+    ties: TiePoints | None = None
+    priors: Mapping[str, PosePrior] = field(default_factory=dict)  # Of the pose of each view, by name
+    # [px]: by EXIF, of views that structure from motion placed, by name; without doubtful ones
+    exif_focals: Mapping[str, float] = field(default_factory=dict)
+    control: Control | None = None  # Control points that the photographs show
+    checkpoints: tuple[Checkpoint, ...] = ()  # Points that results are compared with
     # Measurements of the water level; the settings have their mean and its standard deviation
-    levels: tuple[LevelObservation, ...] = field(default=(), compare=False, repr=False)
-    # dict of name to Velocity: of the views for which one is known
-    velocities: Mapping[str, Velocity] = field(default_factory=dict, compare=False, repr=False)
-    # Change of the level from photograph to photograph; cameras have it where it matters (`PinholeCamera.tide`). None
-    # where it is not known
-    tide: Tide | None = field(default=None, compare=False, repr=False)
-    # Dry ground of an earlier survey, to which the block is aligned
-    ground: StableGround | None = field(default=None, compare=False, repr=False)
-    # Departure of the water from its plane; None where none is given
-    departure: Departure | None = field(default=None, compare=False, repr=False)
+    levels: tuple[LevelObservation, ...] = ()
+    velocities: Mapping[str, Velocity] = field(default_factory=dict)  # Of the views for which one is known, by name
+    # Change of the level from photograph to photograph, where it is known; cameras have it where it matters
+    # (`PinholeCamera.tide`)
+    tide: Tide | None = None
+    ground: StableGround | None = None  # Dry ground of an earlier survey that the block is aligned to
+    departure: Departure | None = None  # Of the water from its plane; None where none is given
 
 
 @dataclass(frozen=True)
 class Provenance:
     """Sources of poses, level and index of a survey, and their fit to the photographs."""
 
-    # The program that adjusted the poses of the poses file on straight rays; None where there is no file, or none is
-    # named
-    tool: str | None = None
-    # Reprojection error of the tie points of the poses file; None where there are none
-    reprojection: TiePointMisfit | None = None
+    tool: str | None = None  # That adjusted the poses of the poses file on straight rays, where it is known
+    reprojection: TiePointMisfit | None = None  # Of the tie points of the poses file, where there are some
     # Reprojection misfit between photographs under the given poses [px]; below 0 where too little matches, None before
     # it is measured
     pose_misfit_px: float | None = None

@@ -6,7 +6,7 @@ A lens comes from the poses file, else from survey.toml, else from EXIF.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,20 +17,17 @@ from refract.lens import MODELS, Lens, LensError, coefficients_of
 from survey.control.reading import require_near
 from survey.display.quantities import named
 from survey.errors import FILE_NAME, ConfigError, Findings, PosesError
-from survey.folder import local_frame
-from survey.folder.faults import angle_warnings
-from survey.folder.found import MIN_VIEWS, Found, below, larger_poses
-from survey.folder.gps_placement import PlacedPoses, place_poses
-from survey.folder.observations import Observations, PlacedViews, Provenance
-from survey.folder.pose_frames import (
-    TiePointMisfit,
+from survey.folder.found import MIN_VIEWS, Circumstances, Found, below, unused_keys
+from survey.folder.gps_placement import place_poses
+from survey.folder.local_frame import (
     given_in_local,
     points_in_local,
     reprojection,
     transformation_into_crs,
+    views_in_local,
 )
+from survey.folder.observations import Observations, PlacedViews, Provenance
 from survey.folder.pose_priors import priors_of_gps, priors_of_poses
-from survey.folder.unused_keys import Circumstances, unused_keys
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.photos.names import ImageNames
@@ -44,7 +41,7 @@ from survey.water.level import with_level_of_clicks
 
 
 def pair(found: Found, poses: Sequence[Pose]) -> tuple[dict[str, Pose], Findings]:
-    """The poses that have an image, by the name of the image, with the names in the poses file matched to it.
+    """The poses that have an image, by the name in the poses file, with that of the image in them.
 
     Warns of images without a pose and of poses without an image.
     """
@@ -75,15 +72,6 @@ def pair(found: Found, poses: Sequence[Pose]) -> tuple[dict[str, Pose], Findings
     return paired, Findings(warnings=tuple(warnings))
 
 
-def with_lenses(found: Found, poses: list[Pose]) -> tuple[list[Pose], Findings]:
-    """The poses with a lens each: their own, else that of [cameras]."""
-    if all(pose.lens is not None for pose in poses):
-        return poses, Findings()
-    headers = {pose.name: found.headers[pose.name] for pose in poses}
-    of_config, findings = lenses_from_config(found.config.cameras, headers)
-    return [replace(pose, lens=pose.lens or of_config[pose.name]) for pose in poses], findings
-
-
 def require_image(view: View, header: Exif) -> None:
     """Raise ImageError where an image does not have the size of its camera."""
     expected = (view.lens.width, view.lens.height)
@@ -104,9 +92,8 @@ def lenses_from_config(cameras: CamerasConfig, headers: dict[str, Exif]) -> tupl
         for name, header in headers.items():
             # Focal lengths within 1 % are roundings of one.
             focal = None if header.focal_px is None else round(100.0 * math.log(header.focal_px))
-            groups.setdefault((header.camera, header.serial, header.size_px, focal, header.focal_warning), {})[name] = (
-                header
-            )
+            kind = (header.camera, header.serial, header.size_px, focal, header.focal_warning)
+            groups.setdefault(kind, {})[name] = header
     if len(groups) < 2 or any(header.focal_px is None for header in headers.values()):
         lens, findings = lens_from_config(cameras, headers)
         return dict.fromkeys(headers, lens), findings
@@ -129,9 +116,9 @@ def lens_from_config(cameras: CamerasConfig, headers: dict[str, Exif]) -> tuple[
             "camera; give size_px in [cameras] and leave out the others, or poses with a camera per image (COLMAP)"
         )
     width, height = cameras.size_px or next(iter(sizes))
-    (fx, fy), findings = _focal(cameras, headers)
+    (fx, fy), notes = _focal(cameras, headers)
     if cameras.principal_point_px is None:
-        findings += Findings(("the principal point is the centre of the image",))
+        notes = (*notes, "the principal point is the centre of the image")
     cx, cy = cameras.principal_point_px or (0.5 * width, 0.5 * height)
     model = cameras.model or ("PINHOLE" if fx != fy else "SIMPLE_PINHOLE")
     if model not in MODELS:
@@ -151,27 +138,27 @@ def lens_from_config(cameras: CamerasConfig, headers: dict[str, Exif]) -> tuple[
         )
     values = {"f": fx, "fx": fx, "fy": fy, "cx": cx, "cy": cy, **dict(zip(coefficients, given, strict=True))}
     try:
-        return Lens(model, tuple(values[name] for name in names), width, height), findings
+        return Lens(model, tuple(values[name] for name in names), width, height), Findings(notes)
     except LensError as error:
         raise ConfigError(f"[cameras] in {FILE_NAME}: {error}") from error
 
 
-def _focal(cameras: CamerasConfig, headers: dict[str, Exif]) -> tuple[tuple[float, float], Findings]:
+def _focal(cameras: CamerasConfig, headers: dict[str, Exif]) -> tuple[tuple[float, float], tuple[str, ...]]:
     if (given := cameras.focal_px) is not None:
-        return given if isinstance(given, tuple) else (given, given), Findings()
-    found = sorted({header.focal_px for header in headers.values() if header.focal_px is not None})
-    if not found:
+        return given if isinstance(given, tuple) else (given, given), ()
+    focals = sorted(header.focal_px for header in headers.values() if header.focal_px is not None)
+    if not focals:
         raise ConfigError(
             f"focal_px is missing from [cameras] in {FILE_NAME}, and EXIF does not give it; give the calibrated "
             "focal length in pixels, e.g. focal_px = 3650.0"
         )
-    if found[-1] > 1.01 * found[0]:
+    if focals[-1] > 1.01 * focals[0]:
         raise ConfigError(
-            f"EXIF gives focal lengths from {found[0]:.0f} to {found[-1]:.0f} px, expected one camera; give focal_px "
+            f"EXIF gives focal lengths from {focals[0]:.0f} to {focals[-1]:.0f} px, expected one camera; give focal_px "
             f"in [cameras] in {FILE_NAME}, or poses with a camera per image (COLMAP)"
         )
-    message = f"the focal length is {found[0]:.1f} px, a design value from EXIF and not a calibration"
-    return (found[0], found[0]), Findings((message,))
+    note = f"the focal length is {focals[0]:.1f} px, a design value from EXIF and not a calibration"
+    return (focals[0], focals[0]), (note,)
 
 
 def read_file_poses(found: Found, path: Path) -> tuple[PlacedViews, Path | None, Findings]:
@@ -182,27 +169,25 @@ def read_file_poses(found: Found, path: Path) -> tuple[PlacedViews, Path | None,
         # Two photographs of one name are what the user can correct: that error comes first.
         ImageNames(found.images).find(error.name_in_file, str(path))
         raise
+    cameras = found.config.cameras
     paired, of_pairs = pair(found, file.poses)
-    larger = larger_poses(found, path, len(paired)) if len(paired) < len(found.images) else ()
-    poses, of_lenses = with_lenses(found, list(paired.values()))
-    findings = Findings(tuple(file.notes), tuple(file.warnings)) + of_pairs + of_lenses
-    try:
-        placed, of_place = place_poses(found, file, poses)
-    except (ConfigError, PosesError) as error:
-        raise type(error)("; ".join([str(error), *larger])) from error
-    of_place += Findings(warnings=larger)
+    findings = Findings(tuple(file.notes), tuple(file.warnings)) + of_pairs
+    poses = list(paired.values())
+    if any(pose.lens is None for pose in poses):
+        lenses, added = lenses_from_config(cameras, {pose.name: found.headers[pose.name] for pose in poses})
+        findings += added
+        poses = [replace(pose, lens=pose.lens or lenses[pose.name]) for pose in poses]
+    placed, of_place = place_poses(found, file, poses)
     file, poses = placed.file, placed.poses
     datum, of_datum = _datum(found, file)
     found, of_clicks = _with_clicked_level(found, file, poses)
-    findings += Findings(warnings=tuple(angle_warnings(poses, file.frame))) + of_place + of_datum + of_clicks
     lens = file.poses[0].lens if all(pose.lens is not None for pose in file.poses) else None
-    name, has_others = below(found.folder, path), len(find_poses(found.folder)) > 1
-    warnings = list(
-        unused_keys(
-            Circumstances(found.config, found.headers, name, file.frame, placed.by_gps is not None, lens, has_others)
-        )
-    )
-    frame, views = local_frame.views_in_local(found, file, poses)
+    circumstances = Circumstances(
+        found.config, found.headers, below(found.folder, path), file.frame, placed.by_gps is not None, lens,
+        len(find_poses(found.folder)) > 1,
+    )  # fmt: skip
+    warnings = list(unused_keys(circumstances))
+    frame, views = views_in_local(found, file, poses)
     if file.tool is not None and found.config.water is not None:
         warnings.append(
             f"{file.tool} ignores refraction: tie points under water have biased its poses; the plan says whether they "
@@ -211,15 +196,18 @@ def read_file_poses(found: Found, path: Path) -> tuple[PlacedViews, Path | None,
     centres = np.array([view.camera.centre for view in views])
     warnings += require_near(found.control.points, frame.crs_from_local(centres), frame.crs)
     by_name = {view.name: view for view in views}
-    points, misses = _ties(
-        found, path, placed, frame, {file_name: by_name[pose.name] for file_name, pose in paired.items()}
-    )
+    ties, points, misses = read_ties(path), None, None
+    if ties is not None:
+        points = points_in_local(file, placed.points(ties), frame, cameras.gps_height)
+        misses = reprojection(ties, points, {name: by_name[pose.name] for name, pose in paired.items()})
+        good = np.isfinite(points).all(axis=1) & (ties.num_views >= least_track(len(views)))
+        points = points[good]
     if placed.by_gps is None:
-        priors = priors_of_poses(found.config.cameras, views, _given(found, file, poses, frame), datum)
+        priors = priors_of_poses(cameras, views, _given(found, file, poses, frame), datum)
     else:
         priors = {name: replace(prior, attitude=None) for name, prior in priors_of_gps(found, frame, views).items()}
     placed_views = PlacedViews(found, frame, views, Observations(points, priors=priors), Provenance(file.tool, misses))
-    return placed_views, file.masks, findings + Findings(warnings=tuple(warnings))
+    return placed_views, file.masks, findings + of_place + of_datum + of_clicks + Findings(warnings=tuple(warnings))
 
 
 def _datum(found: Found, file: PoseFile) -> tuple[DatumStd, Findings]:
@@ -242,35 +230,19 @@ def _with_clicked_level(found: Found, file: PoseFile, poses: list[Pose]) -> tupl
     water = found.config.water
     if water is None or water.sources.clicks is None:
         return found, Findings()
-    dry = replace(found, config=replace(found.config, water=None))
-    frame, views = local_frame.views_in_local(dry, file, poses)
+    frame, views = views_in_local(replace(found, config=replace(found.config, water=None)), file, poses)
     config, clicked, findings = with_level_of_clicks(found.folder, found.config, views, frame)
     return replace(found, config=config, levels=found.levels + clicked), findings
-
-
-def _ties(
-    found: Found, path: Path, placed: PlacedPoses, frame: LocalFrame, views: Mapping[str, View]
-) -> tuple[np.ndarray | None, TiePointMisfit | None]:
-    """Tie points in local with at least three observations (two where there are two views), and their residuals."""
-    ties = read_ties(path)
-    if ties is None:
-        return None, None
-    points = points_in_local(placed.file, placed.points(ties), frame, found.config.cameras.gps_height)
-    good = np.isfinite(points).all(axis=1) & (ties.num_views >= least_track(len(views)))
-    return points[good], reprojection(ties, points, views)
 
 
 def _given(
     found: Found, file: PoseFile, poses: list[Pose], frame: LocalFrame
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Positions before adjustment, in local, that the file gives, with their standard deviations."""
-    known = [(pose.name, pose.given) for pose in poses if pose.given is not None]
+    known = {pose.name: pose.given for pose in poses if pose.given is not None}
     if not known:
         return {}
-    places = np.array([given.place for _, given in known])
+    places = np.array([given.place for given in known.values()])
     local = given_in_local(file, places, frame, found.config.cameras.gps_height)
-    return {
-        name: (position, given.std)
-        for (name, given), position in zip(known, local, strict=True)
-        if np.isfinite(position).all()
-    }
+    stds = zip(known, local, known.values(), strict=True)
+    return {name: (position, given.std) for name, position, given in stds if np.isfinite(position).all()}

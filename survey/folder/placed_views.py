@@ -20,7 +20,7 @@ from survey.folder.found import Found
 from survey.folder.local_frame import over_points
 from survey.folder.observations import Observations, PlacedViews
 from survey.folder.pairing import read_file_poses, require_image
-from survey.folder.plausible import most_over_water
+from survey.folder.plausible import most_of_cameras
 from survey.folder.pose_priors import common_up_std, priors_of_gps
 from survey.folder.sfm_views import solve_views
 from survey.photos.cameras import View
@@ -39,22 +39,22 @@ _MOST_LEFT_OUT = 0.8
 def with_masks(found: Found, views: Sequence[View], own: Path | None) -> tuple[list[View], Findings]:
     """The views with their masks, by name: that of the image, IMG.png, IMG.jpg.png, or IMG_mask with any suffix.
 
-    Names are those of `survey.photos.names.ImageNames`: a mask is of one photograph alone.
-
-    They are taken from the folder in [images] masks; else, if there are any, from the folder that the program that made
-    the poses used; else from IMG_mask next to the images, as for OpenDroneMap.
+    Names are those of `survey.photos.names.ImageNames`: a mask is of one photograph alone. Masks are taken from the
+    folder in [images] masks; else, if there are any, from the folder that the program that made the poses used; else
+    from IMG_mask next to the images, as for OpenDroneMap.
     """
     given = None if found.config.images.masks is None else found.folder / found.config.images.masks
     if given is not None and not given.is_dir():
         raise ImageError(f"the mask folder {given} does not exist; correct [images] masks in survey.toml")
-    masked, where = list(views), ""
+    masks: dict[str, Path] = {}
+    folder: Path | None = given
     for folder in [given] if given is not None else [own, None] if own is not None else [None]:
-        masked = _masked(found, views, folder)
-        where = "beside the images" if folder is None else f"in {folder}"
-        if any(view.mask_path is not None for view in masked):
+        masks = _masks(found, folder)
+        if any(view.name in masks for view in views):
             break
-    without = [view.name for view in masked if view.mask_path is None]
-    if len(without) == len(views):
+    masked = [replace(view, mask_path=masks.get(view.name)) for view in views]
+    paths = [view.mask_path for view in masked if view.mask_path is not None]
+    if not paths:
         if given is None:
             return masked, Findings()
         raise ImageError(f"no mask in {given} is named like an image, e.g. {Path(views[0].name).stem}.png; rename them")
@@ -64,57 +64,41 @@ def with_masks(found: Found, views: Sequence[View], own: Path | None) -> tuple[l
                 found_px, expected_px = stored_size(image), (view.lens.width, view.lens.height)
             remedy = "make it from the photograph as it is stored"
             require_pixels(f"the mask {view.mask_path}", found_px, expected_px, "its photograph", remedy)
-    message = f"the masks are those {where}, of {len(views) - len(without)} images; black is left out"
-    warnings = (*named(without, "image", "without a mask, used whole"), *_warnings(masked))
-    return masked, Findings((message,) if given is None else (), warnings)
+    where = "beside the images" if folder is None else f"in {folder}"
+    notes = () if given is not None else (f"the masks are those {where}, of {len(paths)} images; black is left out",)
+    warnings = named([view.name for view in masked if view.mask_path is None], "image", "without a mask, used whole")
+    some = np.unique(np.linspace(0, len(paths) - 1, _NUM_LOOKED_AT).astype(int))
+    left_out = float(np.median([1.0 - read_mask(paths[i]).mean() for i in some]))
+    if left_out > _MOST_LEFT_OUT:
+        warnings.append(
+            f"masks leave out {left_out:.0%} of their photographs (median of {len(some)}): black is what is left out; "
+            "if theirs is white, invert them"
+        )
+    return masked, Findings(notes, tuple(warnings))
 
 
-def _masked(found: Found, views: Sequence[View], folder: Path | None) -> list[View]:
-    """The views with the masks in a folder, or next to the images; views without a mask are unchanged."""
+def _masks(found: Found, folder: Path | None) -> dict[str, Path]:
+    """The masks in a folder, or next to the images, by the name of the photograph."""
     root = found.folder / found.config.images.local_dir if folder is None else folder
-    names, masks = ImageNames(found.images), dict[str, tuple[int, Path]]()
-    for path in _files(found, root, is_beside=folder is None):
+    photographs, names, masks = set(found.images.values()), ImageNames(found.images), dict[str, tuple[int, Path]]()
+    folders = sorted({path.parent for path in photographs})
+    below = root.rglob("*") if folder is not None else (path for place in folders for path in place.iterdir())
+    for path in sorted(path for path in below if path.suffix.lower() in SUFFIXES and path not in photographs):
+        inside = path.relative_to(root)
+        if is_hidden(inside) or not path.is_file():
+            continue
         # Names of the photograph that it may belong to, the longest match first.
-        full_name, stem = path.relative_to(root).as_posix(), path.relative_to(root).with_suffix("").as_posix()
+        stem = inside.with_suffix("").as_posix()
         candidates = [stem[: -len(MASK_ENDING)]] if stem.lower().endswith(MASK_ENDING) else []
-        candidates = candidates if folder is None else [full_name, stem, *candidates]
+        candidates = candidates if folder is None else [inside.as_posix(), stem, *candidates]
         rank, name = next(((i, n) for i, c in enumerate(candidates) if (n := names.find(c, str(path)))), (0, None))
         if name is None:
             continue
-        before = masks.get(name)
-        if before is not None and before[0] == rank:
+        before = masks.get(name, (rank + 1, path))
+        if before[0] == rank:
             raise ImageError(f"{before[1]} and {path} are both masks of {name}; remove one of them")
-        if before is None or rank < before[0]:
-            masks[name] = (rank, path)
-    return [replace(view, mask_path=masks[view.name][1] if view.name in masks else None) for view in views]
-
-
-def _files(found: Found, root: Path, *, is_beside: bool) -> list[Path]:
-    """The files that may be masks, without photographs of the survey."""
-    photographs = set(found.images.values())
-    folders = sorted({path.parent for path in photographs})
-    below = (path for folder in folders for path in folder.iterdir()) if is_beside else root.rglob("*")
-    return sorted(
-        path
-        for path in below
-        if path.suffix.lower() in SUFFIXES
-        and path not in photographs
-        and not is_hidden(path.relative_to(root))
-        and path.is_file()
-    )
-
-
-def _warnings(views: Sequence[View]) -> list[str]:
-    """Warning where masks leave out most of their photographs."""
-    paths = [view.mask_path for view in views if view.mask_path is not None]
-    some = np.unique(np.linspace(0, len(paths) - 1, _NUM_LOOKED_AT).astype(int))
-    left_out = float(np.median([1.0 - read_mask(paths[i]).mean() for i in some]))
-    if left_out <= _MOST_LEFT_OUT:
-        return []
-    return [
-        f"masks leave out {left_out:.0%} of their photographs (median of {len(some)}): black is what is left out; if "
-        "theirs is white, invert them"
-    ]
+        masks[name] = min(before, (rank, path))
+    return {name: path for name, (_, path) in masks.items()}
 
 
 def views_of_file(found: Found, path: Path) -> tuple[PlacedViews, Findings]:
@@ -175,7 +159,7 @@ def shifted_above_water(
     views = placed.views
     centres = np.array([view.camera.centre for view in views])
     over = height_above(water, departure, centres)
-    most_m = most_over_water([view.camera for view in views])
+    most_m = most_of_cameras([view.camera for view in views])
     if over.min() > 0.0 and over.max() < most_m:
         return placed, Findings()
     x, y, _ = np.median(centres, axis=0).tolist()

@@ -1,4 +1,7 @@
-"""Consistency of the positions and heights of cameras, water and bounds."""
+"""Lenses, places and directions of cameras that cannot be true, or are unlikely: faults that several numbers reveal.
+
+What cannot be true of any survey is an error; what is unlikely is a warning.
+"""
 
 from __future__ import annotations
 
@@ -15,29 +18,123 @@ from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from geo.transformation import lon_lat
 from refract import PinholeCamera
+from refract.lens import Lens
 from survey.display.quantities import distance_text, named
-from survey.errors import FILE_NAME, ConfigError, PosesError
-from survey.folder.faults import above_start_of, explanation, place_of
+from survey.errors import ConfigError, PosesError
+from survey.folder.heights import (
+    AIRCRAFT_HEIGHT_M,
+    DRONE_HEIGHT_M,
+    above_start_of,
+    explanation,
+    place_of,
+    require_level_fits,
+)
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.settings.config import SurveyConfig, WaterConfig
 
+# Diagonal field of view [degrees] of a pinhole of the same focal length: a fisheye lens of 180 degrees has 115, the
+# longest lens of a drone 3.
+_WIDEST_DEG, _NARROWEST_DEG = 135.0, 1.0
+# Below this only the longest lenses lie; a common lens whose focal length is ten times too long does too.
+_NARROW_DEG = 12.0
+# EXIF has design values of the whole sensor. Photographs may be cropped or enlarged somewhat, but not to a fifth.
+_DOUBTFUL_RATIO, _WRONG_RATIO = 1.5, 5.0
+# Cameras closer together than this show no parallax.
+_ONE_PLACE_M = 0.01
 # Fewer pairs of axes do not determine a height.
 _FEWEST_PAIRS = 10
 # Usual overlap along the flight line; used only where nothing else determines the height of dry ground.
 USUAL_OVERLAP = 0.75
 # Pairs of more cameras than this would fill the memory; every second or third camera gives the same result.
 _MOST_PAIRED = 1500
-# Drones take bathymetric photographs from below the first height, aircraft from below the second. Higher than the first
-# suggests, higher than the second proves another vertical datum.
-DRONE_HEIGHT_M, AIRCRAFT_HEIGHT_M = 300.0, 3000.0
 # Photographs of one survey overlap, so cameras are not this many times higher than the usual overlap suggests.
-MOST_OF_OVERLAP = 8.0
+_MOST_OF_OVERLAP = 8.0
 # Further apart than this, positions are not of one survey.
 ONE_SURVEY_M = 20e3
-# A GPS position without corrections is within 10 m: beyond the first it is doubted, beyond the second it is of another
-# zone or datum.
-_EXIF_DOUBT_M, SAME_PLACE_M = 50.0, 100.0
+# A GPS position without corrections is within 10 m.
+_EXIF_DOUBT_M = 50.0
+# Oblique views reach a few flying heights sideways.
+_FARTHEST_BOUNDS_M = 1000.0
+
+
+def require_focal_lengths(lenses: dict[str, Lens], headers: dict[str, Exif]) -> list[str]:
+    """Warnings about focal lengths, by name of the image, that disagree with EXIF."""
+    warnings: list[str] = []
+    for name, lens in lenses.items():
+        degrees = 2.0 * math.degrees(math.atan(0.5 * math.hypot(lens.width, lens.height) / min(lens.focal)))
+        if not _NARROWEST_DEG < degrees < _WIDEST_DEG:
+            by_exif = headers[name].focal_px
+            raise ConfigError(
+                f"the focal length of {name} is {min(lens.focal):g} px, so that its {lens.width} x {lens.height} px "
+                f"span {degrees:.1f} degrees from corner to corner, expected {_NARROWEST_DEG:g} to {_WIDEST_DEG:g}; "
+                f"give it in pixels of these images{'' if by_exif is None else f'; EXIF gives {by_exif:.0f} px'}"
+            )
+        if degrees < _NARROW_DEG and not warnings:
+            warnings.append(
+                f"the focal length of {name} is {min(lens.focal):g} px, a view of {degrees:.1f} degrees from "
+                "corner to corner; check that it is in pixels of these images, unless it is a telephoto lens"
+            )
+    ratios = {n: lenses[n].focal[0] / by for n, head in headers.items() if n in lenses and (by := head.focal_px)}
+    if not ratios:
+        return warnings
+    name = sorted(ratios, key=lambda name: ratios[name])[len(ratios) // 2]
+    message = (
+        f"the focal length of {name} is {lenses[name].focal[0]:g} px, and EXIF gives {headers[name].focal_px:.0f} px"
+    )
+    factor = max(ratios[name], 1.0 / ratios[name])
+    if factor > _WRONG_RATIO:
+        raise ConfigError(
+            f"{message}, expected a factor of at most {_WRONG_RATIO:g} between them; give it in pixels of these "
+            "images, in [cameras] focal_px or in the poses file"
+        )
+    if factor > _DOUBTFUL_RATIO:
+        warnings.append(f"{message}; check that it is in pixels of these images, unless they are cropped")
+    return warnings
+
+
+def require_apart(views: list[View], over_water: np.ndarray | None) -> list[str]:
+    """Warnings about views that share a pose; ``over_water`` are their heights (N,) [m], None for a dry survey."""
+    centres = np.array([view.camera.centre for view in views])
+    if np.ptp(centres, axis=0).max() < _ONE_PLACE_M:
+        raise PosesError(
+            f"all {len(views)} cameras are at one place within {1000.0 * _ONE_PLACE_M:.0f} mm, expected places some "
+            "metres apart; give each photograph its own pose"
+        )
+    warnings = [] if over_water is None else _overlap_warnings(views, over_water)
+    poses, repeated = set[tuple[float, ...]](), []
+    for view in views:
+        pose = (*view.camera.centre, *view.camera.cam_from_local.ravel())
+        repeated += [view.name] if pose in poses else []
+        poses.add(pose)
+    return warnings + named(repeated, "image", "with the pose of another one")
+
+
+def _overlap_warnings(views: list[View], over_water: np.ndarray) -> list[str]:
+    """Warnings about views that overlap no other; circles around footprints allow for a bed far below the water."""
+    cameras = [view.camera for view in views]
+    axes = np.array([camera.cam_from_local[2] for camera in cameras])
+    # Along the optical axis; at most three flying heights for views to the horizon.
+    falling = np.maximum(-axes[:, 2], 1.0 / 3.0)
+    along = over_water / falling
+    middles = (np.array([camera.centre for camera in cameras]) + along[:, None] * axes)[:, :2]
+    tangents = np.array([math.hypot(camera.width / camera.fx, camera.height / camera.fy) for camera in cameras])
+    radii = 0.5 * along * tangents / falling
+    # Distance from each circle to the nearest other; below zero where they overlap.
+    gaps = np.empty(len(views))
+    for i, middle in enumerate(middles):
+        others = np.hypot(*(middles - middle).T) - radii - radii[i]
+        others[i] = np.inf
+        gaps[i] = others.min()
+    alone = gaps > 0.0
+    if alone.mean() > 0.5:
+        raise PosesError(
+            f"{alone.sum()} of {len(views)} views overlap no other at the water: one covers "
+            f"{2.0 * np.median(radii):.2f} m, and the next one begins {np.median(gaps[alone]):.2f} m away, expected an "
+            "overlap of half a view or more; correct the focal length, the positions or [water] level_m"
+        )
+    names = [views[i].name for i in np.flatnonzero(alone).tolist()]
+    return named(names, "view", "without overlap with another one at the water")
 
 
 @dataclass(frozen=True)
@@ -69,11 +166,26 @@ def ground_below(cameras: Sequence[PinholeCamera]) -> GroundHeight:
         heights = (centres[i] + t[:, None] * axes[i])[t > 0.0, 2]
         if heights.size >= _FEWEST_PAIRS:
             return GroundHeight(float(np.median(heights)), "where the axes of oblique views converge")
-    base = float(np.median(KDTree(centres[:, :2]).query(centres[:, :2], k=2)[0][:, 1]))
     camera = cameras[0]
     seen = min(camera.width / camera.fx, camera.height / camera.fy)
-    height = float(np.median(centres[:, 2]) - base / ((1.0 - USUAL_OVERLAP) * seen))
+    height = float(np.median(centres[:, 2])) - height_by_overlap(centres[:, :2], seen)
     return GroundHeight(height, f"a guess: neighbours overlap by {100 * USUAL_OVERLAP:.0f} %", is_guess=True)
+
+
+def height_by_overlap(places: np.ndarray, seen: float) -> float:
+    """Height [m] at which neighbours at places (N, 2) [m] overlap as usual, that see ``seen`` times their height."""
+    base = float(np.median(KDTree(places).query(places, k=2)[0][:, 1])) if len(places) > 1 else 0.0
+    return base / ((1.0 - USUAL_OVERLAP) * seen)
+
+
+def most_over_water(by_overlap: float) -> float:
+    """Largest plausible height of cameras over the water [m], by the height at which they overlap as usual."""
+    return float(np.clip(_MOST_OF_OVERLAP * by_overlap, DRONE_HEIGHT_M, AIRCRAFT_HEIGHT_M))
+
+
+def most_of_cameras(cameras: Sequence[PinholeCamera]) -> float:
+    """The same of cameras with poses."""
+    return most_over_water(float(np.median([camera.centre[2] for camera in cameras])) - ground_below(cameras).height)
 
 
 def require_plausible(
@@ -87,15 +199,13 @@ def require_plausible(
 ) -> None:
     """Raise where cameras lie under the water, far above it, look at the sky, or far from the bounds.
 
-    ``over_water`` are the heights (V,) [m] of the cameras over the water, None in a dry survey.
-
-    Cameras of a dry survey may look up where they see tie points of their poses file (`see_points`), at a cliff or a
-    house.
+    ``over_water`` are the heights (V,) [m] of the cameras over the water, None in a dry survey. Cameras of a dry survey
+    may look up where they see tie points of their poses file (`see_points`), at a cliff or a house.
     """
-    rises = np.array([view.camera.cam_from_local[2, 2] for view in views])
-    if (rises > 0.0).mean() > 0.5 and not (see_points and over_water is None):
+    rises = np.array([view.camera.cam_from_local[2, 2] for view in views]) > 0.0
+    if rises.mean() > 0.5 and not (see_points and over_water is None):
         raise PosesError(
-            f"{int((rises > 0.0).sum())} of {len(views)} cameras look up at the sky, expected down at the bed; check "
+            f"{int(rises.sum())} of {len(views)} cameras look up at the sky, expected down at the bed; check "
             "the convention of the angles (omega, phi, kappa about the grid axes; camera x right, y up, z back)"
         )
     centres = np.array([view.camera.centre for view in views])
@@ -119,47 +229,15 @@ def _require_above_water(
     centres = frame.crs_from_local(np.array([view.camera.centre for view in views]))
     heights, at = centres[:, 2] * height_unit_m(frame.crs), place_of(frame.crs, np.median(centres, axis=0))
     why = explanation(float(np.median(over_water)), water.known_level_m, at, frame.crs, above_start_of(headers))
-    most_m = DRONE_HEIGHT_M if why else most_over_water([view.camera for view in views])
+    most_m = DRONE_HEIGHT_M if why else most_of_cameras([view.camera for view in views])
     like = f"the poses ({frame.crs.name}){why}"
     require_level_fits(water, "the cameras are", heights, over_water, like, most_m=most_m)
     lowest = int(np.argmin(over_water))
     if over_water[lowest] <= 0.0:
         raise PosesError(
             f"the camera of {views[lowest].name} at {heights[lowest]:.2f} m lies {-over_water[lowest]:.2f} m under "
-            f"the water ([water] level_m = {water.level_m:g}); correct its pose or leave the image out, or "
-            "correct level_m"
+            f"the water ([water] level_m = {water.level_m:g}); correct its pose or level_m, or leave the image out"
         )
-
-
-def most_over_water(cameras: Sequence[PinholeCamera]) -> float:
-    """Largest plausible height of cameras over the water [m], by their spacing, since photographs overlap."""
-    by_overlap = float(np.median([camera.centre[2] for camera in cameras])) - ground_below(cameras).height
-    return float(np.clip(MOST_OF_OVERLAP * by_overlap, DRONE_HEIGHT_M, AIRCRAFT_HEIGHT_M))
-
-
-def require_level_fits(
-    water: WaterConfig,
-    who: str,
-    heights: np.ndarray,
-    over_water: np.ndarray,
-    like: str,
-    *,
-    most_m: float = AIRCRAFT_HEIGHT_M,
-) -> None:
-    """Raise where cameras of heights (N,) [m] in crs, and over the water, lie all under it or more than most_m over it.
-
-    In the message, ``who`` is the source of the heights, and ``like`` has the datum that the level should have.
-    """
-    message = f"[water] level_m is {water.level_m:g} m and {who} at {heights.min():.1f} to {heights.max():.1f} m"
-    remedy = f"give level_m in {FILE_NAME} in the same vertical datum as {like}"
-    if (over_water <= 0.0).all():
-        # With the other sign the water is twice the level lower.
-        over_other = over_water + 2.0 * (water.level_m or 0.0)
-        is_sign = bool(((over_other > 0.0) & (over_other < DRONE_HEIGHT_M)).all())
-        sign = f"give level_m = {-(water.level_m or 0.0):g} if its sign is wrong, else " if is_sign else ""
-        raise ConfigError(f"{message}, all of them under the water; {sign}{remedy}")
-    if (over_water > most_m).all():
-        raise ConfigError(f"{message}, all of them more than {most_m:.0f} m over the water; {remedy}")
 
 
 def _require_bounds_near(frame: LocalFrame, centres: np.ndarray, bounds: tuple[float, ...]) -> None:
@@ -173,13 +251,11 @@ def _require_bounds_near(frame: LocalFrame, centres: np.ndarray, bounds: tuple[f
     nearest = cameras.copy()
     nearest[:, 0], nearest[:, 1] = cameras[:, 0].clip(e0, e1), cameras[:, 1].clip(n0, n1)
     distances = np.linalg.norm(frame.local_from_crs(nearest) - centres, axis=1)
-    # Oblique views reach a few flying heights sideways.
-    if not distances.min() < 1000.0:
+    if not distances.min() < _FARTHEST_BOUNDS_M:
         east, north, _ = cameras[int(np.argmin(distances))]
         raise ConfigError(
             f"[area] bounds {list(bounds)} lie {distance_text(distances.min())} from the nearest camera, which is "
-            f"at {east:.10g}, {north:.10g}; give them in crs ({frame.crs.name}), or correct the CRS of the positions "
-            "or control points that place the cameras"
+            f"at {east:.10g}, {north:.10g}; give them in crs ({frame.crs.name}), or correct what places the cameras"
         )
 
 
@@ -191,20 +267,18 @@ def place_warnings(
     ``over_water`` (N,) [m] are the heights of the cameras over the water; None for a dry survey.
     """
     up = [view.name for view in views if view.camera.cam_from_local[2, 2] > 0.0]
-    found = named(up, "camera", "that looks up at the sky by its pose, and shows nothing of the bed")
-    centres = np.array([view.camera.centre for view in views])
+    warnings = named(up, "camera", "that looks up at the sky by its pose, and shows nothing of the bed")
     if over_water is not None:
-        too_high = over_water > DRONE_HEIGHT_M
-        names = [view.name for view, is_high in zip(views, too_high, strict=True) if is_high]
-        found += named(
+        names = [views[i].name for i in np.flatnonzero(over_water > DRONE_HEIGHT_M).tolist()]
+        warnings += named(
             names, "camera", f"more than {DRONE_HEIGHT_M:.0f} m over the water: check that both count from one datum"
         )
-    crs_centres = dict(zip((view.name for view in views), frame.crs_from_local(centres), strict=True))
-    distances = distances_to_exif(frame.crs, crs_centres, headers)
+    in_crs = frame.crs_from_local(np.array([view.camera.centre for view in views]))
+    distances = distances_to_exif(frame.crs, {v.name: p for v, p in zip(views, in_crs, strict=True)}, headers)
     away_m = float(np.median(distances)) if distances.size else 0.0
     if away_m > _EXIF_DOUBT_M:
-        found.append(f"poses lie {distance_text(away_m)} (median) from GPS positions; check crs and [local] origin")
-    return found
+        warnings.append(f"poses lie {distance_text(away_m)} (median) from GPS positions; check crs and [local] origin")
+    return warnings
 
 
 def distances_to_exif(crs: CRS, centres: Mapping[str, np.ndarray], headers: Mapping[str, Exif]) -> np.ndarray:

@@ -29,11 +29,10 @@ GPS_STD_M = 3.0
 BAROMETER_STD_M = 80.0
 # Common error of attitudes in XMP, in addition to [cameras] rotation_std_deg: from the sensors of the gimbal and the
 # mounting of the camera.
-ATTITUDE_STD_DEG = 1.0
-# Positions before the adjustment of another program, with the accuracy that its file gives them.
-BY_FILE = "GPS in the poses file"
-# Poses of a file that states no accuracy.
-BY_POSES = "poses file"
+_ATTITUDE_STD_DEG = 1.0
+# Sources: positions before the adjustment of another program, with the accuracy that its file gives them; poses of a
+# file that states no accuracy.
+BY_FILE, BY_POSES = "GPS in the poses file", "poses file"
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +54,7 @@ class PosePrior:
     common_plan_std: float = 0.0
     # (3, 3) or None: cam from local, by the attitude of the camera in XMP, of views that structure from motion placed
     attitude: np.ndarray | None = None
-    attitude_std_deg: float = ATTITUDE_STD_DEG  # [deg]: of what attitudes have in common
+    attitude_std_deg: float = _ATTITUDE_STD_DEG  # [deg]: of what attitudes have in common
     # The prior by a position that the block contradicts on straight rays, which count for nothing until the adjustment,
     # with bent rays, finds that it agrees; None where there is no such position
     rejected: PosePrior | None = None
@@ -68,11 +67,9 @@ class PosePrior:
         """The prior where control places the block: common errors are added to the std of single positions."""
         if self.rejected is not None:
             return replace(self, rejected=self.rejected.held_by_control())
-        if self.common_plan_std == 0.0:
-            return self
         # Nothing to widen for poses that count as exact, and for positions of unknown accuracy.
         std = None if self.position_std is None else DatumStd(plan=self.common_plan_std).onto(self.position_std)
-        return replace(self, position_std=std, common_plan_std=0.0)
+        return replace(self, position_std=std, common_plan_std=0.0) if self.common_plan_std else self
 
 
 def priors_of_poses(
@@ -86,17 +83,16 @@ def priors_of_poses(
     Where it says nothing, priors are the positions before adjustment that the file gives: ``given``, positions and
     standard deviations [m], local, by name of the view. ``datum`` is the std that their transformation into crs adds.
     """
-    position_std = None if cameras.position_std_m is None else np.array(per_axis(cameras.position_std_m))
-    rotation_std = None if cameras.rotation_std_deg is None else np.array(per_axis(cameras.rotation_std_deg))
-    source = BY_POSES if position_std is None else "survey.toml"
-    plan = datum.plan
-    priors = {
-        view.name: PosePrior(view.camera.centre, position_std, rotation_std, source, common_plan_std=plan)
-        for view in views
-    }
-    if position_std is None:
-        for name, (position, std) in (given or {}).items():
-            priors[name] = PosePrior(position, std, rotation_std, BY_FILE, common_plan_std=plan)
+    position_std, rotation_std = (
+        None if std is None else np.array(per_axis(std)) for std in (cameras.position_std_m, cameras.rotation_std_deg)
+    )
+    own = BY_POSES if position_std is None else "survey.toml"
+    priors = {}
+    for view in views:
+        position, std, source = view.camera.centre, position_std, own
+        if position_std is None and given and view.name in given:
+            (position, std), source = given[view.name], BY_FILE
+        priors[view.name] = PosePrior(position, std, rotation_std, source, common_plan_std=datum.plan)
     return priors
 
 
@@ -109,17 +105,16 @@ def priors_of_gps(
     """
     cameras = found.config.cameras
     positions, _ = positions_in_crs(found.headers, found.crs, cameras.gps_height)
-    local = {name: frame.local_from_crs(place) for name, place in positions.items()}
     datums = datum_stds(found.headers, found.crs, cameras.gps_height)
     attitudes = attitudes_of({view.name: found.headers[view.name] for view in views})
     std_deg = cameras.rotation_std_deg
-    attitude_std = ATTITUDE_STD_DEG if std_deg is None else float(np.max(per_axis(std_deg)))
+    attitude_std = _ATTITUDE_STD_DEG if std_deg is None else max(per_axis(std_deg))
     priors = {}
     for view in views:
         prior, datum = PosePrior(None, None, None, "none"), datums.get(view.name, EXACT)
-        if (position := local.get(view.name)) is not None:
+        if (place := positions.get(view.name)) is not None:
             std, source = _std_by_exif(cameras, found.headers[view.name], datum)
-            prior = PosePrior(position, std, None, source, _common_up(std), datum.plan)
+            prior = PosePrior(frame.local_from_crs(place), std, None, source, _common_up(std), datum.plan)
         prior = prior.without_position() if view.name in rejected else prior
         priors[view.name] = replace(prior, attitude=attitudes.get(view.name), attitude_std_deg=attitude_std)
     return priors
@@ -152,39 +147,33 @@ def _std_by_exif(cameras: CamerasConfig, header: Exif, datum: DatumStd = EXACT) 
     In plan without the std of the transformation into crs, which all positions share.
     """
     std, source = _std_as_given(cameras, header)
-    return None if std is None else DatumStd(up=datum.up).onto(std), source
+    return None if std is None else DatumStd(up=datum.up).onto(np.array(std)), source
 
 
-def _std_as_given(cameras: CamerasConfig, header: Exif) -> tuple[np.ndarray | None, str]:
+def _std_as_given(cameras: CamerasConfig, header: Exif) -> tuple[tuple[float, float, float] | None, str]:
     if cameras.position_std_m is not None:
-        return np.array(per_axis(cameras.position_std_m)), "survey.toml"
+        return per_axis(cameras.position_std_m), "survey.toml"
     if header.table_place is not None:
         # Given for these positions, as position_std_m is.
-        std_m = header.table_place.std_m
-        return None if std_m is None else np.array(std_m), header.table_place.source
+        return header.table_place.std_m, header.table_place.source
     if header.rtk is not None and header.rtk.flag == _RTK_FIXED:
-        return np.array(header.rtk.std_m), "XMP RTK"
+        return header.rtk.std_m, "XMP RTK"
     # Receivers of other makers do not state the source of their accuracy: one of centimetres is by corrections; errors
     # of metres are nearly the same in all photographs, and a stated accuracy of metres says nothing of them.
     if header.std_m is not None and max(header.std_m) <= WELL_KNOWN_M:
-        return np.array(header.std_m), "stated accuracy"
+        return header.std_m, "stated accuracy"
     return None, "GPS EXIF"
 
 
 def best_plan_std(cameras: CamerasConfig, headers: Iterable[Exif]) -> float:
     """The smallest standard deviation [m] in plan that is known of GPS positions as given; infinite where none is."""
     stds = [_std_as_given(cameras, header)[0] for header in headers if header.lat_lon_height is not None]
-    return min((float(std[:2].max()) for std in stds if std is not None), default=math.inf)
+    return min((max(std[:2]) for std in stds if std is not None), default=math.inf)
 
 
 def accuracy_of_priors(priors: Mapping[str, PosePrior]) -> str:
     """Accuracy of the positions of views, and its source, in one sentence."""
-    message = _accuracy([(prior.position_std, prior.source) for prior in priors.values()])
-    return f"{message}{_in_common(common_plan_std(priors))}"
-
-
-def _in_common(plan_std: float) -> str:
-    return f"; plus {plan_std:.2g} m in plan in common, by the datum transformation" if plan_std else ""
+    return _accuracy([(p.position_std, p.source) for p in priors.values()], common_plan_std(priors))
 
 
 def accuracy_of_gps(cameras: CamerasConfig, headers: Mapping[str, Exif], datum: DatumStd = EXACT) -> str:
@@ -192,24 +181,20 @@ def accuracy_of_gps(cameras: CamerasConfig, headers: Mapping[str, Exif], datum: 
 
     ``datum`` is the std that their transformation into crs adds.
     """
-    given = [header.lat_lon_height for header in headers.values()]
-    known = [position is not None and math.isfinite(position[2]) for position in given]
-    message = _accuracy(
-        [
-            _std_by_exif(cameras, header, datum) if is_known else (None, "none")
-            for header, is_known in zip(headers.values(), known, strict=True)
-        ]
-    )
-    return f"{message}{_in_common(datum.plan)}"
+    stds: list[tuple[np.ndarray | None, str]] = []
+    for header in headers.values():
+        place = header.lat_lon_height
+        is_known = place is not None and math.isfinite(place[2])
+        stds.append(_std_by_exif(cameras, header, datum) if is_known else (None, "none"))
+    return _accuracy(stds, datum.plan)
 
 
-def _accuracy(all_stds: Sequence[tuple[np.ndarray | None, str]]) -> str:
-    """Numbers of standard deviations by source, with their medians."""
+def _accuracy(all_stds: Sequence[tuple[np.ndarray | None, str]], common_plan: float) -> str:
+    """Numbers of standard deviations by source, with their medians, and what all have in common."""
     parts = []
     for source in dict.fromkeys(source for _, source in all_stds):
         stds = [std for std, own in all_stds if own == source]
-        count = f"{len(stds)} of {len(all_stds)} positions"
-        known = [std for std in stds if std is not None]
+        count, known = f"{len(stds)} of {len(all_stds)} positions", [std for std in stds if std is not None]
         if source == "none":
             parts.append(f"{count} not known")
         elif known:
@@ -217,4 +202,6 @@ def _accuracy(all_stds: Sequence[tuple[np.ndarray | None, str]]) -> str:
             parts.append(f"{count} good to {east:.3g}, {north:.3g} and {up:.3g} m east, north and up ({source})")
         else:
             parts.append(f"{count} of unknown accuracy ({source})")
+    if common_plan:
+        parts.append(f"plus {common_plan:.2g} m in plan in common, by the datum transformation")
     return "; ".join(parts)

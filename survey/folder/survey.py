@@ -14,22 +14,15 @@ from geo.frames import LocalFrame
 from geo.transformation import lon_lat
 from refract import FlatWater
 from survey.errors import FILE_NAME, Findings, SurveyError
-from survey.folder import local_frame
 from survey.folder.control import checkpoint_warnings, mark_warnings, read_ground
-from survey.folder.faults import (
-    exif_height_warnings,
-    low_flight_warnings,
-    place_of,
-    require_apart,
-    require_focal_lengths,
-    start_height_warnings,
-)
 from survey.folder.found import Found, find_survey
 from survey.folder.headers import far_from_others
+from survey.folder.heights import exif_height_warnings, low_flight_warnings, place_of, start_height_warnings
+from survey.folder.local_frame import water_in_local, with_level_of_points
 from survey.folder.motion import shutter_warnings, velocities_of, with_motion
 from survey.folder.observations import Observations, PlacedViews, Provenance
 from survey.folder.placed_views import shifted_above_water, views_of_file, views_of_photographs
-from survey.folder.plausible import place_warnings, require_plausible
+from survey.folder.plausible import place_warnings, require_apart, require_focal_lengths, require_plausible
 from survey.folder.pose_priors import common_plan_std
 from survey.photos.cameras import View, metres_per_px
 from survey.settings.config import SurveyConfig, WaterConfig
@@ -49,7 +42,7 @@ class Survey:
     views: tuple[View, ...]  # At least two, sorted by name
     water: FlatWater | None  # Local; None for a dry survey
     config: SurveyConfig  # The settings that took effect, defaults filled in
-    observations: Observations = field(default_factory=Observations)
+    observations: Observations = field(default_factory=Observations, compare=False, repr=False)
     provenance: Provenance = field(default_factory=Provenance)
     findings: Findings = field(default_factory=Findings)  # Assumptions and warnings of all readers
 
@@ -169,10 +162,10 @@ def _local_water(placed: PlacedViews) -> tuple[_LocalWater, Findings]:
         cameras = lon_lat(found.crs, frame.crs_from_local(_centres(views)))
         findings = Findings(warnings=tuple(water_place_warnings(found.crs, cameras, config.water, levels)))
     if config.water is not None and config.water.level_m is None:
-        config, of_points = local_frame.with_level_of_points(config, frame, views, placed.observations.points)
+        config, of_points = with_level_of_points(config, frame, views, placed.observations.points)
         is_level_known, findings = False, findings + of_points
     config, of_surface = with_plane_of_surface(config, levels, views, frame)
-    config, plane, of_plane = local_frame.water_in_local(config, frame, views)
+    config, plane, of_plane = water_in_local(config, frame, views)
     departure = Departure.of(levels, frame, plane)
     if departure is None and plane is not None:
         departure = still_water(frame, plane, _seen(placed))
@@ -197,8 +190,9 @@ def _warnings(placed: PlacedViews, water: _LocalWater) -> list[str]:
     before structure from motion already.
     """
     found, frame, views, seen = placed.found, placed.frame, placed.views, placed.observations
-    centres, is_posed = _centres(views), found.poses_path is not None
+    centres, is_posed, crs = _centres(views), found.poses_path is not None, frame.crs
     above = None if water.above is None else water.above(centres)
+    headers = {view.name: found.headers[view.name] for view in views}
     see_points = placed.provenance.reprojection is not None
     require_plausible(frame, views, above, water.config, found.headers, see_points=see_points)
     warnings = require_focal_lengths({view.name: view.lens for view in views}, found.headers) if is_posed else []
@@ -211,17 +205,16 @@ def _warnings(placed: PlacedViews, water: _LocalWater) -> list[str]:
         )
     if not is_posed:
         return warnings
-    crs, in_crs, names = frame.crs, frame.crs_from_local(centres), [view.name for view in views]
+    in_crs = frame.crs_from_local(centres)
     heights = in_crs[:, 2] * height_unit_m(crs)
-    warnings += far_from_others(np.array(names), centres[:, :2], heights, "pose")
-    headers = {name: found.headers[name] for name in names}
+    warnings += far_from_others(np.array(list(headers)), centres[:, :2], heights, "pose")
     warnings += shutter_warnings(water.config.cameras, headers, metres_per_px(views, water.plane))
     if seen.control is not None:
         warnings += mark_warnings(seen.control, views, water.plane)
     if above is not None and water.config.water is not None:
         level_m, at = water.config.water.known_level_m, place_of(crs, np.median(in_crs, axis=0))
-        over_water = dict(zip(names, above.tolist(), strict=True))
         warnings += low_flight_warnings(above, level_m, at, crs)
+        over_water = dict(zip(headers, above.tolist(), strict=True))
         warnings += start_height_warnings(over_water, headers, level_m, at, crs)
-        warnings += exif_height_warnings(dict(zip(names, heights.tolist(), strict=True)), headers)
+        warnings += exif_height_warnings(dict(zip(headers, heights.tolist(), strict=True)), headers)
     return warnings + checkpoint_warnings(seen.checkpoints, views, water.plane, water.departure)

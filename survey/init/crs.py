@@ -31,14 +31,15 @@ from survey.errors import ConfigError, PosesError
 from survey.escaping import printable
 from survey.folder.found import Found
 from survey.folder.gps_placement import place_poses
+from survey.folder.headers import SAME_PLACE_M
+from survey.folder.local_frame import geodetic, points_in_crs
 from survey.folder.pairing import pair
-from survey.folder.plausible import SAME_PLACE_M, distances_to_exif
-from survey.folder.pose_frames import middle_of_geocentric, points_in_crs
-from survey.init.options import InitOptions
+from survey.folder.plausible import distances_to_exif
 from survey.photos.exif import Exif, middle_of, position_sources, utm_code_of
 from survey.photos.names import ImageNames
 from survey.photos.poses import PoseFile, PoseFrame
 from survey.photos.xmp import ELLIPSOIDAL
+from survey.settings.tables import InitOptions
 from survey.sfm.gps import area_at, height_transformer
 from survey.words import GEO_TXT
 
@@ -72,7 +73,7 @@ class SettingsTable:
 
 def _toml(value: Any) -> str:
     if isinstance(value, list | tuple):
-        return f"[{', '.join(_toml(each) for each in value)}]"
+        return f"[{', '.join(_toml(item) for item in value)}]"
     return tomli_w.dumps({"key": value}).partition(" = ")[2].strip()
 
 
@@ -80,10 +81,10 @@ def _toml(value: Any) -> str:
 class FolderPhotographs:
     """Photographs of a folder, and the poses found with them."""
 
-    headers: Mapping[str, Exif]  # mapping of name to Exif
+    headers: Mapping[str, Exif]  # By name
     poses_path: Path | None
     file: PoseFile | None  # What `poses_path` holds
-    control: tuple[GivenPoint, ...] = ()  # of the control file that was found
+    control: tuple[GivenPoint, ...] = ()  # Of the control file that was found
 
     @property
     def lat_lon(self) -> tuple[float, float] | None:
@@ -91,8 +92,8 @@ class FolderPhotographs:
         if (middle := middle_of(self.headers)) is not None:
             return middle
         if self.file is not None and self.file.frame is PoseFrame.GEOCENTRIC:
-            lon, lat = middle_of_geocentric(self.file)
-            return lat, lon
+            lon, lat, _ = geodetic(self.file, np.median([pose.centre for pose in self.file.poses], axis=0))
+            return float(lat), float(lon)
         if self.control and (crs := self.control[0].crs) is not None:
             places = np.array([point.place[:2] for point in self.control])
             lon, lat = middle_lon_lat(lon_lat(horizontal_crs(crs), places)).tolist()
@@ -102,8 +103,8 @@ class FolderPhotographs:
     @property
     def says_ellipsoidal(self) -> bool:
         """Whether XMP says of most photographs that their heights count from the ellipsoid."""
-        parts = [header.height_datum for header in self.headers.values() if header.height_datum is not None]
-        return 2 * sum(datum == ELLIPSOIDAL for datum in parts) > len(parts)
+        datums = [header.height_datum for header in self.headers.values() if header.height_datum is not None]
+        return 2 * datums.count(ELLIPSOIDAL) > len(datums)
 
 
 def write_crs(photographs: FolderPhotographs, options: InitOptions, top: SettingsTable, cameras: SettingsTable) -> CRS:
@@ -127,30 +128,32 @@ def write_crs(photographs: FolderPhotographs, options: InitOptions, top: Setting
         return parse_crs(horizontal)
     vertical, comment, more = _vertical(photographs, horizontal, options, cameras)
     code = f"{horizontal}+{vertical}"
-    crs = parse_crs(code)
     top.set("crs", code, f"{by}, with {comment}", more)
-    return crs
+    return parse_crs(code)
 
 
 def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
     """The CRS of the poses, else the UTM zone of the photographs, and what says so; or None and what is missing."""
-    file = photographs.file
-    if file is not None and file.crs is not None and file.frame in (PoseFrame.GRID, PoseFrame.ENU):
-        code = crs_code(file.crs)
-        if code is not None and file.crs.is_projected:
-            return code, f"that of the poses, {file.crs.name}"
-    tables = [header.table_place.crs for header in photographs.headers.values() if header.table_place is not None]
-    if file is None and tables and tables[0].is_projected and (code := crs_code(tables[0])) is not None:
-        return code, f"that of {GEO_TXT}"
-    if file is None and (by_control := _of_control(photographs)) is not None:
-        return by_control
+    file, place = photographs.file, photographs.lat_lon
+    is_on_map = file is not None and file.frame in (PoseFrame.GRID, PoseFrame.ENU)
+    if (
+        file is not None
+        and is_on_map
+        and file.crs is not None
+        and file.crs.is_projected
+        and (code := crs_code(file.crs))
+    ):
+        return code, f"that of the poses, {file.crs.name}"
+    if file is None:
+        tables = [header.table_place.crs for header in photographs.headers.values() if header.table_place is not None]
+        if tables and tables[0].is_projected and (code := crs_code(tables[0])) is not None:
+            return code, f"that of {GEO_TXT}"
+        if (by_control := _of_control(photographs)) is not None:
+            return by_control
     zone = utm_code_of(dict(photographs.headers))
     by = f"the UTM zone of the GPS positions in {position_sources(photographs.headers)}"
-    if zone is None and photographs.lat_lon is not None:
-        zone, by = (
-            utm_code(*photographs.lat_lon),
-            f"the UTM zone of the {'control points' if file is None else 'poses'}",
-        )
+    if zone is None and place is not None:
+        zone, by = utm_code(*place), f"the UTM zone of the {'control points' if file is None else 'poses'}"
     if zone is None and file is None and not photographs.control:
         raise ConfigError(
             "nothing tells where the photographs lie: they have no GPS positions, and there are neither poses nor "
@@ -158,9 +161,13 @@ def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
         )
     if zone is None:
         return None, "neither the photographs nor their poses tell the coordinate reference system (crs)"
-    if file is not None and file.crs is None and file.frame in (PoseFrame.GRID, PoseFrame.ENU):
-        crs = CRS(f"EPSG:{zone}+{EGM96_HEIGHT}")
-        if not _fits_positions(crs, file, photographs.poses_path, photographs.headers):
+    if file is not None and file.crs is None and is_on_map:
+        crs, names = CRS(f"EPSG:{zone}+{EGM96_HEIGHT}"), ImageNames(photographs.headers)
+        centres = points_in_crs(file, np.array([pose.centre for pose in file.poses]), crs, "crs")
+        images = [names.find(pose.name, str(photographs.poses_path)) for pose in file.poses]
+        known = {name: centre for name, centre in zip(images, centres, strict=True) if name is not None}
+        distances = distances_to_exif(crs, known, photographs.headers)
+        if not distances.size or np.median(distances) > SAME_PLACE_M:
             return None, f"{photographs.poses_path} is not in {horizontal_crs(crs).name}, nor says its crs"
     return f"EPSG:{zone}", by
 
@@ -186,10 +193,14 @@ def _of_control(photographs: FolderPhotographs) -> tuple[str, str] | None:
 def _vertical(
     photographs: FolderPhotographs, horizontal: str, options: InitOptions, cameras: SettingsTable
 ) -> tuple[int | None, str, tuple[str, ...]]:
-    """EPSG code of the heights, what they are, and what else they might be."""
-    place = photographs.lat_lon
+    """EPSG code of the heights, what they are, and what else they might be.
+
+    Where XMP says that heights in EXIF are ellipsoidal, a national system is taken where the grid of its geoid is
+    installed, which turns those heights into it; `check` names the grid where it is missing.
+    """
+    place, source = photographs.lat_lon, position_sources(photographs.headers)
     systems = () if place is None else height_systems_at(*place)
-    listed = tuple(_label(system) for system in systems)
+    listed = tuple(f"{system.to_epsg()} {system.name} ({_area(system)})" for system in systems)
     chosen = systems[0] if len(systems) == 1 else None
     if len(systems) > 1:
         # The one that EPSG combines with the horizontal one, as a country uses them.
@@ -203,46 +214,38 @@ def _vertical(
         chosen = next((system for system in systems if str(system.to_epsg()) == choice), None)
         if choice and chosen is None:
             raise ConfigError(f'the answer is "{choice}", expected one of the codes {"; ".join(listed)}')
+    national = "" if chosen is None else f"the heights of {_area(chosen)} ({chosen.name})"
     if photographs.says_ellipsoidal:
-        return _of_ellipsoidal(photographs, horizontal, chosen, listed, cameras)
-    if chosen is not None:
-        source = position_sources(photographs.headers)
-        warning = f"Not certain: that the level, all other heights and those in {source} count from there."
-        return chosen.to_epsg(), f"the heights of {_area(chosen)} ({chosen.name})", (warning,)
-    more: tuple[str, ...] = (
-        ("Not certain: levels of water may be in the heights of a country; then put its code here:",) if listed else ()
-    )
-    more += tuple(f"    {system}" for system in listed)
-    return EGM96_HEIGHT, f"heights above mean sea level (EGM96), as in {position_sources(photographs.headers)}", more
-
-
-def _of_ellipsoidal(
-    photographs: FolderPhotographs, horizontal: str, chosen: CRS | None, listed: tuple[str, ...], cameras: SettingsTable
-) -> tuple[int | None, str, tuple[str, ...]]:
-    """Vertical CRS as `_vertical`, where XMP says that heights in EXIF are ellipsoidal.
-
-    A national system is taken where the grid of its geoid is installed, which turns those heights into it; `check`
-    names the grid where it is missing.
-    """
-    places = np.array([h.lat_lon_height[:2] for h in photographs.headers.values() if h.lat_lon_height is not None])
-    if chosen is not None and len(places):
-        crs = parse_crs(f"{horizontal}+{chosen.to_epsg()}")
-        try:
-            height_transformer(crs, area_at(places[:, 1], places[:, 0]))
-        except ConfigError:
-            pass
-        else:
+        if chosen is not None and _has_geoid(photographs, parse_crs(f"{horizontal}+{chosen.to_epsg()}")):
             cameras.set("gps_height", "ellipsoidal", "XMP says so")
-            return chosen.to_epsg(), f"the heights of {_area(chosen)} ({chosen.name})", ()
-    more = (
-        "XMP says that heights in EXIF count from the ellipsoid: the level of the water has to count from there too.",
-        *(f'For levels in {system}, put this code and [cameras] gps_height = "ellipsoidal"' for system in listed),
-    )
-    return _WGS84_3D, "heights above the ellipsoid", more
+            return chosen.to_epsg(), national, ()
+        return (
+            _WGS84_3D,
+            "heights above the ellipsoid",
+            (
+                "XMP says that heights in EXIF count from the ellipsoid: the level of the water has to count from "
+                "there too.",
+                *(f'For levels in {one}, put this code and [cameras] gps_height = "ellipsoidal"' for one in listed),
+            ),
+        )
+    if chosen is not None:
+        warning = f"Not certain: that the level, all other heights and those in {source} count from there."
+        return chosen.to_epsg(), national, (warning,)
+    hint = "Not certain: levels of water may be in the heights of a country; then put its code here:"
+    more = (hint, *(f"    {system}" for system in listed)) if listed else ()
+    return EGM96_HEIGHT, f"heights above mean sea level (EGM96), as in {source}", more
 
 
-def _label(system: CRS) -> str:
-    return f"{system.to_epsg()} {system.name} ({_area(system)})"
+def _has_geoid(photographs: FolderPhotographs, crs: CRS) -> bool:
+    places = [h.lat_lon_height[:2] for h in photographs.headers.values() if h.lat_lon_height is not None]
+    if not places:
+        return False
+    lat, lon = np.array(places).T
+    try:
+        height_transformer(crs, area_at(lon, lat))
+    except ConfigError:
+        return False
+    return True
 
 
 def _area(system: CRS) -> str:
@@ -269,20 +272,9 @@ def write_origin(photographs: FolderPhotographs, options: InitOptions, found: Fo
         local.add_comments(*(f"No origin: {sentence}." for sentence in findings.assumptions + findings.warnings))
         return
     similarity, frame = placed.by_gps
-    origin = frame.crs_from_local(similarity(np.zeros((1, 3))))[0]
     local.set(
         "origin",
-        [round(float(v), 3) for v in origin],
+        [round(float(v), 3) for v in frame.crs_from_local(similarity(np.zeros((1, 3))))[0]],
         "zero point of the poses in crs",
         ("Not certain: by GPS positions in EXIF, a few metres. Better the numbers given to model_aligner.",),
     )
-
-
-def _fits_positions(crs: CRS, file: PoseFile, poses_path: Path | None, headers: Mapping[str, Exif]) -> bool:
-    """Whether poses as coordinates in crs lie at the GPS positions of their photographs."""
-    centres = points_in_crs(file, np.array([pose.centre for pose in file.poses]), crs, "crs")
-    names = ImageNames(headers)
-    image_names = [names.find(pose.name, str(poses_path)) for pose in file.poses]
-    known = {name: centre for name, centre in zip(image_names, centres, strict=True) if name is not None}
-    distances = distances_to_exif(crs, known, headers)
-    return bool(distances.size) and bool(np.median(distances) <= SAME_PLACE_M)

@@ -19,10 +19,10 @@ from survey.folder.found import Found, find_survey, image_folder_of, require_sur
 from survey.folder.headers import read_headers
 from survey.folder.sfm_views import require_solvable
 from survey.init.crs import FolderPhotographs, SettingsTable, write_crs, write_origin
-from survey.init.options import InitOptions
 from survey.photos.images import list_images
 from survey.pose_files import find_poses, read_poses
 from survey.settings.config import SurveyConfig, WaterConfig, parse_config, settings_of
+from survey.settings.tables import InitOptions
 from survey.sfm.gps import is_whole, positions_in_crs
 from survey.water.index import FRESH_WATER, SEA_WATER, SODIUM_NM
 
@@ -104,42 +104,39 @@ def draft(folder: Path, options: InitOptions) -> str:
     )
     top.set("name", printable(folder.resolve().name))
     place = image_folder_of(folder)
-    found = list_images(folder / place, deep=place != ".")
+    paths = list_images(folder / place, deep=place != ".")
     if place != "images":
-        images.set("dir", place, f"{len(found)} photographs")
+        images.set("dir", place, f"{len(paths)} photographs")
     if (folder / "masks").is_dir():
         images.set("masks", "masks", "black is left out")
-    headers, findings = read_headers(folder, folder / place, found)
+    headers, findings = read_headers(folder, folder / place, paths)
     poses = find_poses(folder)
     if poses:
         others = ", ".join(path.relative_to(folder).as_posix() for path in poses[1:])
         not_certain = f"not certain: there are also {others}" if others else ""
         cameras.set("poses", poses[0].relative_to(folder).as_posix(), not_certain)
     else:
-        cameras.add_comments(f"No poses found: structure from motion computes them from the {len(found)} photographs.")
+        cameras.add_comments(f"No poses found: structure from motion computes them from the {len(paths)} photographs.")
     cameras.add_comments(*(f"Found: {sentence}." for sentence in findings.assumptions))
     cameras.add_comments(*(f"Not certain: {sentence}." for sentence in findings.warnings))
-    photographs = FolderPhotographs(
-        headers, poses[0] if poses else None, read_poses(poses[0]) if poses else None, _control_points(folder)
-    )
-    if photographs.file is not None and any(pose.lens is None for pose in photographs.file.poses):
+    path, file = (poses[0], read_poses(poses[0])) if poses else (None, None)
+    photographs = FolderPhotographs(headers, path, file, _control_points(folder))
+    if file is not None and any(pose.lens is None for pose in file.poses):
         cameras.add_comments(
             "Not certain: the lens, by EXIF where it states the focal length. With a calibration:",
             'model = "OPENCV"    # with size_px, focal_px, principal_point_px and distortion (docs/survey-toml.md)',
         )
     crs = write_crs(photographs, options, top, cameras)
     config = parse_config("\n".join(table.text() for table in (top, images, cameras)))
-    write_origin(photographs, options, Found(folder, config, crs, found, headers, photographs.poses_path), local)
+    write_origin(photographs, options, Found(folder, config, crs, paths, headers, path), local)
     places = np.array(list(positions_in_crs(headers, crs, config.cameras.gps_height)[0].values())).reshape(-1, 3)
-    if len(places):
-        low, high = places[:, :2].min(axis=0).tolist(), places[:, :2].max(axis=0).tolist()
-        area.add_comments(
-            f"bounds = {[round(each, 1) for each in low + high]}    # of the cameras; without it all is taken"
-        )
     vertical = vertical_crs(crs)
     heights = "above the ellipsoid" if vertical is None else f"as {vertical.name}"
     if len(places):
-        heights += f", in which the cameras are at {places[:, 2].min():.1f} to {places[:, 2].max():.1f}"
+        low, high = places.min(axis=0).tolist(), places.max(axis=0).tolist()
+        bounds = [round(value, 1) for value in low[:2] + high[:2]]
+        area.add_comments(f"bounds = {bounds}    # of the cameras; without it all is taken")
+        heights += f", in which the cameras are at {low[2]:.1f} to {high[2]:.1f}"
     _write_water(folder, photographs, options, heights, top, water)
     _write_control(folder, control)
     text = "\n".join(table.text() for table in (top, images, cameras, local, area, control, water) if table.lines)
@@ -155,7 +152,7 @@ def _write_water(
     top: SettingsTable,
     water: SettingsTable,
 ) -> None:
-    files = {key: name for key in _WATER_FILES if (name := _named(folder, _WATER_FILES[key])) is not None}
+    files = _files(folder, _WATER_FILES)
     if options.level_m is None and not files and not options.dry:
         num_placed = sum(is_whole(header.lat_lon_height) for header in photographs.headers.values())
         can_do_without = photographs.poses_path is None and num_placed >= _FEWEST_FOR_LEVEL
@@ -165,16 +162,16 @@ def _write_water(
         return
     if options.level_m is not None:
         water.set("level_m", options.level_m, "height of the water in the heights of crs")
-        water.add_comments(*(f'{key} = "{name}"' for key, name in files.items()))
-        water.add_comments("level_std_m = 0.02    # how well it is known, e.g. from a staff")
     elif files:
-        (key, name), *others = files.items()
-        water.set(key, name, "taken by its name")
-        water.add_comments(*(f'{key} = "{name}"' for key, name in others))
+        key = next(iter(files))
+        water.set(key, files.pop(key), "taken by its name")
     else:
         water.add_comments(
             "level_m = 12.34    # not known: found from the photographs, where oblique views cross; better give it"
         )
+    water.add_comments(*(f'{key} = "{name}"' for key, name in files.items()))
+    if options.level_m is not None:
+        water.add_comments("level_std_m = 0.02    # how well it is known, e.g. from a staff")
     if options.sea:
         water.set("refractive_index", SEA_WATER, "of the sea")
         water.set("index_wavelength_nm", SODIUM_NM, "that of handbooks")
@@ -185,7 +182,7 @@ def _write_water(
 
 
 def _write_control(folder: Path, control: SettingsTable) -> None:
-    files = {key: name for key in _CONTROL_FILES if (name := _named(folder, _CONTROL_FILES[key])) is not None}
+    files = _files(folder, _CONTROL_FILES)
     if "gcps" in files and "marks" not in files and not files["gcps"].endswith(".txt"):
         control.add_comments(
             f'gcps = "{files.pop("gcps")}"    # where photographs show the points is missing: marks = "marks.csv"'
@@ -198,13 +195,14 @@ def _write_control(folder: Path, control: SettingsTable) -> None:
 
 def _control_points(folder: Path) -> tuple[GivenPoint, ...]:
     """Points of the control file that is found; none where it cannot be read, which `check` says."""
-    name = _named(folder, _CONTROL_FILES["gcps"])
+    name = _files(folder, _CONTROL_FILES).get("gcps")
     with suppress(ControlError):
         return () if name is None else read_control(folder / name).points
     return ()
 
 
-def _named(folder: Path, stems: tuple[str, ...]) -> str | None:
-    """The file with one of these names, the first of them that is there."""
-    file_of = {path.stem.lower(): path for path in sorted(folder.iterdir()) if path.suffix.lower() in _SUFFIXES}
-    return next((file_of[stem].name for stem in stems if stem in file_of), None)
+def _files(folder: Path, stems: dict[str, tuple[str, ...]]) -> dict[str, str]:
+    """By key the file with one of its usual names, the first of them that is there."""
+    names = {path.stem.lower(): path.name for path in sorted(folder.iterdir()) if path.suffix.lower() in _SUFFIXES}
+    found = {key: [names[stem] for stem in usual if stem in names] for key, usual in stems.items()}
+    return {key: own[0] for key, own in found.items() if own}

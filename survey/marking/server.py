@@ -25,8 +25,8 @@ import numpy as np
 from geo.errors import GeoError
 from survey.errors import ImageError, SurveyError
 from survey.escaping import printable
+from survey.files.foreign import LARGEST
 from survey.files.json_values import finite_numbers
-from survey.files.limits import LARGEST
 from survey.marking.mark_store import PointKey
 from survey.marking.session import MarkingSession
 from survey.photos.images import eight_bits

@@ -20,8 +20,8 @@ from geo.crs import EARTH_RADIUS_M, height_unit_m
 from geo.sun import Sun, sun_at
 from refract import FlatWater, PinholeCamera
 from survey.display.quantities import listed
-from survey.folder.faults import above_start_of, place_of
 from survey.folder.found import Found
+from survey.folder.heights import above_start_of, place_of
 from survey.folder.motion import velocities_of
 from survey.folder.survey import Survey
 from survey.photos.exif import Exif, middle_of

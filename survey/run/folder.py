@@ -27,7 +27,7 @@ from pathlib import Path
 
 from geo.files import reporting_disk_errors
 from survey.errors import SurveyError
-from survey.files.entries import require_plain_entries
+from survey.files.foreign import require_plain_entries
 from survey.files.json_values import read_json_object, write_json
 from survey.files.outputs import ReadFiles, locked
 from survey.progress import current

@@ -12,7 +12,7 @@ from geo.sun import sun_at
 from survey.adjust.result.foreseen import foreseen_section
 from survey.display.quantities import length
 from survey.errors import FILE_NAME, SurveyError
-from survey.folder.faults import place_of
+from survey.folder.heights import place_of
 from survey.folder.observations import Observations
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import Survey

@@ -22,9 +22,8 @@ from refract.lens import MODELS, Lens, LensError, coefficients_of
 from refract.surfaces import WaterSurface
 from survey.errors import ConfigError, OutputError, SurveyError
 from survey.files.outputs import ReadFiles, require_folder
-from survey.folder.faults import place_of
-from survey.folder.local_frame import water_plane
-from survey.folder.pose_frames import poses_in_local
+from survey.folder.heights import place_of
+from survey.folder.local_frame import poses_in_local, water_plane
 from survey.pose_files import read_poses
 from survey.progress import current
 from survey.settings.config import WaterConfig

@@ -23,7 +23,8 @@ from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.compare.figures import Comparison
 from survey.compare.inputs import to_local
 from survey.errors import SurveyError
-from survey.files.json_values import plain, read_foreign_json
+from survey.files.foreign_text import read_foreign_json
+from survey.files.json_values import plain
 from survey.folder.found import find_survey
 from survey.folder.local_frame import water_in_local
 from survey.run.flight import load_flight

@@ -13,8 +13,7 @@ from geo import LocalFrame, parse_crs
 from survey.adjust.result.adjustment import Adjustment
 from survey.control.points import Control, ControlPoint, Mark
 from survey.folder.local_frame import water_plane
-from survey.folder.motion import BY_XMP, Velocity
-from survey.folder.observations import Observations
+from survey.folder.observations import BY_XMP, Observations, Velocity
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import Survey
 from survey.photos.cameras import View

@@ -11,7 +11,7 @@ from geo.errors import CRSMismatch
 from survey.compare.inputs import InputPaths, load_inputs, read_shape
 from survey.compare.measure import read_checkpoints
 from survey.compare.options import CompareError
-from survey.files.crs_lines import crs_of_comment
+from survey.files.foreign_text import crs_of_comment
 from survey.files.point_table import Units
 
 LEVEL = 3.0  # local, over the plane of the bed at its middle

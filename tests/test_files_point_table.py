@@ -9,7 +9,7 @@ import pytest
 
 from survey.errors import ControlError, SurveyError
 from survey.files.csv_table import read_table
-from survey.files.json_values import finite_number
+from survey.files.foreign_text import finite_number
 from survey.files.point_table import (
     PLACE,
     STDS,

@@ -10,7 +10,7 @@ from PIL import ExifTags, Image
 from small_survey import replaced, rows_of, small_survey, unposed
 
 from survey.errors import ConfigError
-from survey.folder.motion import BY_SETTINGS, BY_TIMES, BY_XMP, velocities_of
+from survey.folder.observations import BY_SETTINGS, BY_TIMES, BY_XMP, velocities_of
 from survey.folder.survey import load_survey
 from survey.photos.exif import Exif, read_exif
 from survey.photos.xmp import Motion, motion_of

@@ -18,7 +18,7 @@ from survey.adjust.block.priors import PriorKnowledge
 from survey.adjust.block.state import Layout, State, enlarged
 from survey.adjust.result.adjustment import Adjustment
 from survey.folder.local_frame import water_plane
-from survey.folder.motion import rows_between
+from survey.folder.observations import rows_between
 from survey.folder.survey import Survey
 from survey.photos.cameras import View, equations_of_lines
 from survey.photos.colmap_model import FILES, write_model

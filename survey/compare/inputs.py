@@ -27,8 +27,8 @@ from geo.shapes import (
     vertices_of,
 )
 from survey.compare.options import Bounds, CompareError, as_text
-from survey.files.crs_lines import crs_of_comment
 from survey.files.csv_table import Row
+from survey.files.foreign_text import crs_of_comment
 from survey.files.point_table import PLACE, Units, has_depths, point_table, read_points
 
 # How a user tells the level that depths count from.

@@ -45,7 +45,7 @@ from survey.compare.figures import M3C2, CheckpointFigures, Parts, ReferenceSurf
 from survey.compare.inputs import DEPTH_NAMES, GIVE_LEVEL, Inputs, metres_in_crs, to_local, within
 from survey.compare.options import Bounds, CompareError
 from survey.display.quantities import named
-from survey.files.crs_lines import crs_of_comment
+from survey.files.foreign_text import crs_of_comment
 from survey.files.point_table import PLACE, Units, point_table, read_points, require_exact, several_heights
 from survey.progress import current
 

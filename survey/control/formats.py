@@ -20,9 +20,9 @@ from geo.errors import UnreadableFile
 from geo.features import read_features
 from survey.control.points import Content, ControlFormat, GivenMark, GivenPoint
 from survey.errors import ControlError
-from survey.files.crs_lines import crs_of_comment, is_odm_crs, odm_lines
 from survey.files.csv_table import Row, Table, column_names, number_of, text_lines, words_of
 from survey.files.foreign import begins_with
+from survey.files.foreign_text import crs_of_chunk, crs_of_comment, is_odm_crs, odm_lines, read_chunk
 from survey.files.point_table import (
     PLACE,
     STDS,
@@ -35,7 +35,6 @@ from survey.files.point_table import (
     require_exact,
     stated_units,
 )
-from survey.files.xml_tree import crs_of_chunk, read_chunk
 from survey.photos.exif import SUFFIXES
 from survey.words import GCP_LIST
 

@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from geo.files import write_text
-from survey.errors import SurveyError
-from survey.files.foreign import LARGEST
 
 
 def plain(value):
@@ -51,34 +49,3 @@ def read_json_object(path: str | Path) -> dict:
 def write_json(path: str | Path, value) -> None:
     """Write a value as an indented JSON file in UTF-8, whole or not at all; see `plain`."""
     write_text(path, json_text(value))
-
-
-def read_foreign_json(path: Path, error: type[SurveyError]):
-    """The value in a JSON file of another program, in UTF-8 with or without a byte order mark.
-
-    Numbers of more digits than any has become what float makes of them, infinity included.
-    """
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-        return json.loads(text, parse_int=lambda digits: int(digits) if len(digits) < 20 else float(digits))
-    except OSError as problem:
-        raise error(f"{path} cannot be read ({problem.strerror}); correct its name or its permissions") from problem
-    except RecursionError as problem:
-        raise error(f"{path} is nested too deeply for a file of poses or control points; export it again") from problem
-    except ValueError as problem:
-        raise error(f"{path} is not valid JSON ({problem}); export it again") from problem
-
-
-def finite_numbers(value, count: int) -> list[float] | None:
-    """A list of so many finite numbers from JSON; None if it is anything else."""
-    if not isinstance(value, list | tuple) or len(value) != count:
-        return None
-    found = [finite_number(item) for item in value]
-    return None if None in found else [number for number in found if number is not None]
-
-
-def finite_number(value) -> float | None:
-    """A finite number from JSON of at most `LARGEST` in size; None if it is anything else."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
-        return None
-    return float(value)

@@ -24,8 +24,8 @@ from geo.crs import EARTH_RADIUS_M, has_height, height_unit_m, horizontal_crs, h
 from geo.transformation import lon_lat
 from survey.display.quantities import named
 from survey.errors import Findings, PosesError
-from survey.files.crs_lines import odm_lines
 from survey.files.csv_table import number_of
+from survey.files.foreign_text import odm_lines
 from survey.photos.exif import SUFFIXES, Exif, TablePlace, read_exif, without_void_fixes
 from survey.photos.names import ImageNames
 from survey.settings.config import SurveyConfig

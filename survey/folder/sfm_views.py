@@ -26,7 +26,7 @@ from survey.folder.heights import (
     start_height_warnings,
     xmp_height_warnings,
 )
-from survey.folder.motion import shutter_warnings
+from survey.folder.observations import shutter_warnings
 from survey.folder.plausible import height_by_overlap, most_over_water, require_focal_lengths
 from survey.folder.pose_priors import GPS_STD_M, best_plan_std, common_up_std_of_exif
 from survey.photos.images import require_all_complete

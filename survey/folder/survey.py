@@ -19,8 +19,14 @@ from survey.folder.found import Found, find_survey
 from survey.folder.headers import far_from_others
 from survey.folder.heights import exif_height_warnings, low_flight_warnings, place_of, start_height_warnings
 from survey.folder.local_frame import water_in_local, with_level_of_points
-from survey.folder.motion import shutter_warnings, velocities_of, with_motion
-from survey.folder.observations import Observations, PlacedViews, Provenance
+from survey.folder.observations import (
+    Observations,
+    PlacedViews,
+    Provenance,
+    shutter_warnings,
+    velocities_of,
+    with_motion,
+)
 from survey.folder.placed_views import shifted_above_water, views_of_file, views_of_photographs
 from survey.folder.plausible import place_warnings, require_apart, require_focal_lengths, require_plausible
 from survey.folder.pose_priors import common_plan_std

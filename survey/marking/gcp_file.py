@@ -23,8 +23,8 @@ from geo.transformation import height_scale, transformed
 from survey.control.formats import is_of_content, line_cells, mark_line, read_gcp_list
 from survey.control.points import Content, GivenPoint
 from survey.errors import ConfigError, ControlError
-from survey.files.crs_lines import odm_crs
 from survey.files.csv_table import column_names, read_table, text_lines
+from survey.files.foreign_text import odm_crs
 from survey.photos.names import ImageNames
 
 # Decimals of coordinates in metres and in degrees: to a tenth of a millimetre.

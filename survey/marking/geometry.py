@@ -15,7 +15,7 @@ from refract import FlatWater
 from survey.errors import SurveyError
 from survey.folder.found import Found, find_survey, require_survey_folder
 from survey.folder.local_frame import water_plane
-from survey.folder.motion import velocities_of, with_motion
+from survey.folder.observations import velocities_of, with_motion
 from survey.folder.pairing import read_file_poses
 from survey.init.draft import settings_or_draft
 from survey.photos.cameras import View, projection_and_jacobian

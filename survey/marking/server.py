@@ -26,7 +26,7 @@ from geo.errors import GeoError
 from survey.errors import ImageError, SurveyError
 from survey.escaping import printable
 from survey.files.foreign import LARGEST
-from survey.files.json_values import finite_numbers
+from survey.files.foreign_text import finite_numbers
 from survey.marking.mark_store import PointKey
 from survey.marking.session import MarkingSession
 from survey.photos.images import eight_bits

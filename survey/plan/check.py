@@ -17,7 +17,7 @@ from survey.display.quantities import length
 from survey.errors import FILE_NAME, SurveyError
 from survey.folder.control import FoundControl, mark_residuals
 from survey.folder.found import Found, find_survey
-from survey.folder.motion import shutter_text
+from survey.folder.observations import shutter_text
 from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors, common_up_std_of_exif
 from survey.folder.sfm_views import placing_control, require_solvable
 from survey.folder.survey import Survey, load_survey

@@ -22,7 +22,7 @@ from refract import FlatWater, PinholeCamera
 from survey.display.quantities import listed
 from survey.folder.found import Found
 from survey.folder.heights import above_start_of, place_of
-from survey.folder.motion import velocities_of
+from survey.folder.observations import velocities_of
 from survey.folder.survey import Survey
 from survey.photos.exif import Exif, middle_of
 from survey.photos.poses import enu_from_yaw_pitch_roll

@@ -15,7 +15,7 @@ from typing import Any
 from refract.lens import Lens, LensError
 from survey.errors import PosesError
 from survey.files.csv_table import number_of
-from survey.files.json_values import finite_number
+from survey.files.foreign_text import finite_number
 from survey.photos.poses import FileTies, PoseFile
 
 # Names of coefficients, what only says which lens it is, and words in the names of keys that are about a lens.

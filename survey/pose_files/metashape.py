@@ -20,7 +20,7 @@ from refract.lens import Lens, LensError
 from survey.display.quantities import distance_text, named
 from survey.errors import PosesError
 from survey.files.csv_table import number_of
-from survey.files.xml_tree import crs_of_chunk, read_chunk
+from survey.files.foreign_text import crs_of_chunk, read_chunk
 from survey.photos.poses import GivenPosition, Pose, PoseFile, PoseFrame, is_rotation, nearest_rotation
 from survey.pose_files.format import Format, brown_lens, numbers_in, require_understood
 

@@ -17,8 +17,8 @@ from pyproj import CRS
 from geo.crs import has_height, horizontal_crs, horizontal_unit
 from refract.lens import Lens, LensError
 from survey.errors import PosesError
-from survey.files.crs_lines import crs_of_text
 from survey.files.csv_table import text_lines
+from survey.files.foreign_text import crs_of_text
 from survey.photos.poses import (
     CAM_FROM_OPK_CAM,
     Pose,

@@ -18,8 +18,8 @@ import numpy as np
 from pyproj import CRS
 
 from survey.errors import PosesError
-from survey.files.crs_lines import crs_of_comment
 from survey.files.csv_table import Row, Table, column_names, number_of, text_lines, words_of
+from survey.files.foreign_text import crs_of_comment
 from survey.photos.poses import (
     CAM_FROM_OPK_CAM,
     GivenPosition,

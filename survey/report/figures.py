@@ -20,7 +20,7 @@ from survey.adjust.result.adjustment import Status
 from survey.compare.figures import numbers_of
 from survey.display.plan_grid import PlanGrid, finite, median
 from survey.files.json_values import plain
-from survey.folder.motion import shutter_text
+from survey.folder.observations import shutter_text
 from survey.folder.survey import Survey
 from survey.photos.images import list_images
 from survey.report.adjustment import adjustment_of

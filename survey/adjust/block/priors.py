@@ -25,7 +25,7 @@ from survey.adjust.block.state import (
     is_held,
     lenses_of,
 )
-from survey.folder.motion import rows_between
+from survey.folder.observations import rows_between
 from survey.folder.pose_priors import BY_POSES, GPS_STD_M, common_up_std
 from survey.photos.poses import TiePoints
 

@@ -18,7 +18,7 @@ from survey.adjust.block.state import LENS_NAMES, READOUT_NAME, WATER_PARAMETERS
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object, write_json
 from survey.files.toml_table import parse_values, table_of
-from survey.folder.motion import rows_between
+from survey.folder.observations import rows_between
 from survey.settings.config import WaterConfig
 
 JSON, ARRAYS = "adjustment.json", "adjustment.npz"

@@ -1,12 +1,18 @@
-"""CRS in comments of tables, and in the first line of the files of OpenDroneMap."""
+"""Text files of other programs: JSON, XML as a tree, and the CRS in comments, first lines and XML.
+
+In XML document types and entities are refused; defusedxml does not bound the depth, and forbids no more.
+"""
 
 from __future__ import annotations
 
 import csv
 import itertools
+import json
 import math
 import re
 from pathlib import Path
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
 
 from pyproj import CRS
 from pyproj.exceptions import CRSError
@@ -14,7 +20,10 @@ from pyproj.exceptions import CRSError
 from geo.crs import crs_of
 from survey.errors import SurveyError
 from survey.files.csv_table import number_of, text_lines
+from survey.files.foreign import LARGEST
 
+# No file of a program is nested further; a tree is walked by recursion.
+_DEEPEST = 100
 _COMMENT = re.compile(r"#\s*CoordinateSystem:\s*(.+)", re.IGNORECASE)
 # A comment that is nothing but a code, under one of the names that people have for it.
 _CODE = re.compile(
@@ -108,3 +117,93 @@ def odm_crs(line: str, where: str, name: str, error: type[SurveyError]) -> CRS:
     if not (crs.is_projected or crs.is_geographic):
         raise error(f"{message} is {crs.name}, expected a CRS of a map or of degrees, {_FORM}; correct it")
     return crs
+
+
+def read_xml(path: Path, content: str, error: type[SurveyError]) -> Element:
+    """The root of an XML file of Metashape; ``content`` is what to export again, e.g. "the markers"."""
+    builder, depth = TreeBuilder(), 0
+    parser = expat.ParserCreate()
+
+    def refuse(*_):
+        raise error(
+            f"{path}, line {parser.CurrentLineNumber}: a document type (<!DOCTYPE>) was found, expected none, as "
+            f"Metashape writes it; remove it, or export {content} again"
+        )
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > _DEEPEST:
+            raise error(
+                f"{path}, line {parser.CurrentLineNumber}: elements are nested more than {_DEEPEST} deep, expected "
+                f"{content} of Metashape; export them again"
+            )
+        builder.start(tag, attributes)
+
+    def end(tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+        builder.end(tag)
+
+    parser.StartDoctypeDeclHandler = refuse
+    parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = start, end, builder.data
+    try:
+        parser.Parse(path.read_bytes(), True)
+    except SurveyError:
+        raise
+    except (expat.ExpatError, ValueError, LookupError) as problem:
+        raise error(f"{path} is not well-formed XML ({problem}); export {content} again") from problem
+    except OSError as problem:
+        raise error(f"{path} cannot be read ({problem.strerror}); correct its name or its permissions") from problem
+    return builder.close()
+
+
+def read_chunk(path: Path, inner: str, content: str, error: type[SurveyError]) -> Element:
+    """The one chunk of an XML file of Metashape that has elements of this path in it; its root if that alone has."""
+    root = read_xml(path, f"the {content}", error)
+    chunks = [chunk for chunk in root.iter("chunk") if chunk.find(f".//{inner}") is not None]
+    if not chunks and root.find(f".//{inner}") is not None:
+        return root
+    if not chunks:
+        raise error(f"{path} has no {content}, expected those of Metashape; export them again")
+    if len(chunks) > 1:
+        raise error(f"{path} has {content} of {len(chunks)} chunks, expected one; export one of them alone")
+    return chunks[0]
+
+
+def crs_of_chunk(chunk: Element, content: str, path: Path, error: type[SurveyError]) -> CRS | None:
+    """The CRS of the reference of the cameras or markers of a chunk, or of the chunk; None without one on Earth."""
+    places = (chunk.find(f"{content}/reference"), chunk.find("reference"))
+    text = next((tag.text for tag in places if tag is not None), None)
+    return crs_of_text(text, f"{path}: the reference", f"set one in Metashape and export the {content} again", error)
+
+
+def read_foreign_json(path: Path, error: type[SurveyError]):
+    """The value in a JSON file of another program, in UTF-8 with or without a byte order mark.
+
+    Numbers of more digits than any has become what float makes of them, infinity included.
+    """
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+        return json.loads(text, parse_int=lambda digits: int(digits) if len(digits) < 20 else float(digits))
+    except OSError as problem:
+        raise error(f"{path} cannot be read ({problem.strerror}); correct its name or its permissions") from problem
+    except RecursionError as problem:
+        raise error(f"{path} is nested too deeply for a file of poses or control points; export it again") from problem
+    except ValueError as problem:
+        raise error(f"{path} is not valid JSON ({problem}); export it again") from problem
+
+
+def finite_numbers(value, count: int) -> list[float] | None:
+    """A list of so many finite numbers from JSON; None if it is anything else."""
+    if not isinstance(value, list | tuple) or len(value) != count:
+        return None
+    found = [finite_number(item) for item in value]
+    return None if None in found else [number for number in found if number is not None]
+
+
+def finite_number(value) -> float | None:
+    """A finite number from JSON of at most `LARGEST` in size; None if it is anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
+        return None
+    return float(value)

@@ -21,7 +21,7 @@ may import each other.
 
 # Part of bathynerf.
 
-from geo.compatibility import crs_difference, require_same_crs, require_same_place, same_crs
+from geo.compatibility import crs_difference, require_same_crs, require_same_place
 from geo.crs import parse_crs, wkt1
 from geo.errors import GeoError
 from geo.files import write_whole

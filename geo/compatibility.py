@@ -73,11 +73,6 @@ def crs_difference(a: CRS, b: CRS) -> str | None:
     return None
 
 
-def same_crs(a: CRS, b: CRS) -> bool:
-    """Whether coordinates in both may be compared, as far as is known; see `crs_difference`."""
-    return crs_difference(a, b) is None
-
-
 def require_same_crs(a: CRS | None, b: CRS | None, a_name: str, b_name: str) -> None:
     """Refuse two data sets whose CRSs are known and differ."""
     difference = crs_difference(a, b) if a is not None and b is not None else None

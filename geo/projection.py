@@ -13,8 +13,6 @@ Only the map projection and the units are undone and redone: the same datum on b
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
@@ -75,43 +73,26 @@ def enu_from_geocentric(lon, lat) -> np.ndarray:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-@dataclass(frozen=True)
 class MapProjection:
-    """The map projection of a CRS with heights, in float64."""
+    """The map projection of a CRS with heights (`geo.crs.parse_crs`), in float64."""
 
-    crs: CRS  # As `geo.crs.parse_crs` returns it
-    a: float = field(init=False)  # [m]: semi-axes of the ellipsoid
-    b: float = field(init=False)
-    horizontal_unit: float = field(init=False)  # [m] or [rad]: one unit of easting or of longitude
-    height_unit_m: float = field(init=False)  # [m]: one unit of height
-    is_geographic: bool = field(init=False)  # Whether horizontal coordinates are angles
-    _angle_unit: float = field(init=False, repr=False)
-    _lonlat_from_grid: Transformer | None = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self):
-        horizontal = horizontal_crs(self.crs)
-        transformer = None
-        if not horizontal.is_geographic:
+    def __init__(self, crs: CRS):
+        axes, horizontal = ellipsoid(crs), horizontal_crs(crs)
+        self.a, self.b = axes.semi_major_metre, axes.semi_minor_metre  # [m]: semi-axes of the ellipsoid
+        self.horizontal_unit = horizontal_unit(crs)  # [m] or [rad]: one unit of easting or of longitude
+        self.height_unit_m = height_unit_m(crs)
+        self.is_geographic = horizontal.is_geographic  # Whether horizontal coordinates are angles
+        self._angle_unit = angular_unit_rad(crs)
+        self._lonlat_from_grid: Transformer | None = None
+        if not self.is_geographic:
             # The one place that fixes the order of axes: easting before northing, longitude before latitude.
             try:
-                transformer = Transformer.from_crs(horizontal, geodetic_crs(self.crs), always_xy=True)
+                self._lonlat_from_grid = Transformer.from_crs(horizontal, geodetic_crs(crs), always_xy=True)
             except ProjError as error:
                 raise UnsupportedCRS(
-                    f"{crs_name(self.crs)} has a map projection that PROJ cannot compute ({str(error)[:120]}); give "
-                    "one of EPSG, e.g. EPSG:25832"
+                    f"{crs_name(crs)} has a map projection that PROJ cannot compute ({str(error)[:120]}); give one of "
+                    "EPSG, e.g. EPSG:25832"
                 ) from error
-        axes = ellipsoid(self.crs)
-        values = {
-            "a": axes.semi_major_metre,
-            "b": axes.semi_minor_metre,
-            "horizontal_unit": horizontal_unit(self.crs),
-            "height_unit_m": height_unit_m(self.crs),
-            "is_geographic": transformer is None,
-            "_angle_unit": angular_unit_rad(self.crs),
-            "_lonlat_from_grid": transformer,
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
 
     def geodetic_from_crs(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Longitude (from the CRS's own prime meridian), latitude [rad] and height [m], each (...), of points (..., 3).

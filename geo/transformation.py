@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -122,11 +123,7 @@ class Transformation:
     def require_best(self, subject: str, remedy: str) -> None:
         """Raise MissingGrid where a grid of the best operation is missing; ``remedy`` says what else would help."""
         if self.missing_grids:
-            raise MissingGrid(
-                f"{subject}: the transformation from {crs_name(self.source)} to {crs_name(self.target)} needs "
-                f"{' and '.join(self.missing_grids)}, which PROJ does not have; fetch it into its data folder "
-                f"(pyproj sync --file {self.missing_grids[0]}), {remedy}"
-            )
+            raise _missing(subject, self.source, self.target, self.missing_grids, remedy)
 
     def require_known(self, subject: str, remedy: str) -> None:
         """Raise UnsupportedCRS where PROJ has no operation: two datums may lie hundreds of metres apart."""
@@ -212,11 +209,15 @@ def best_operation(source: CRS, target: CRS, where: str, remedy: str, places: np
         return group.transformers[0]
     missing = [grid.short_name for op in group.unavailable_operations[:1] for grid in op.grids if not grid.available]
     if missing:
-        raise MissingGrid(
-            f"{subject} needs {' and '.join(missing)}, which PROJ does not have; fetch it into its data folder "
-            f"(pyproj sync --file {missing[0]}), {remedy}"
-        )
+        raise _missing(where, source, target, missing, remedy)
     raise UnsupportedCRS(f"{subject} is not known to PROJ; choose another CRS, {remedy}")
+
+
+def _missing(subject: str, source: CRS, target: CRS, grids: Sequence[str], remedy: str) -> MissingGrid:
+    return MissingGrid(
+        f"{subject}: the transformation from {crs_name(source)} to {crs_name(target)} needs {' and '.join(grids)}, "
+        f"which PROJ does not have; fetch it into its data folder (pyproj sync --file {grids[0]}), {remedy}"
+    )
 
 
 def lon_lat(crs: CRS, points: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyproj import CRS
 
-from geo.compatibility import bounds_in_other_order, crs_difference, require_same_crs, require_same_place, same_crs
+from geo.compatibility import bounds_in_other_order, crs_difference, require_same_crs, require_same_place
 from geo.crs import degrees_outside_area, height_unit_m, horizontal_crs, is_geographic, parse_crs, vertical_crs, wkt1
 from geo.errors import CRSMismatch, GeoError, MissingVerticalDatum, PlaceMismatch, UnknownCRS, UnsupportedCRS
 
@@ -38,7 +38,7 @@ def test_wkt1_of_a_northing_first_crs_is_the_same_system_with_easting_first(text
     again = CRS.from_wkt(wkt1(crs))
     assert [axis.direction for axis in again.axis_info] == ["east", "north", "up"]
     assert again.sub_crs_list[1].to_epsg() == int(text.split("+")[1])
-    assert same_crs(crs, again)
+    assert crs_difference(crs, again) is None
 
 
 @pytest.mark.parametrize("text", [*THREE_D, "+proj=utm +zone=32 +datum=WGS84 +vunits=us-ft"])
@@ -51,7 +51,7 @@ def test_wkt1_of_a_3d_crs_is_a_compound_above_the_ellipsoid_that_reads_back_as_3
     assert not again.is_compound
     assert len(again.axis_info) == 3
     assert height_unit_m(again) == pytest.approx(height_unit_m(crs), rel=1e-14)
-    assert same_crs(crs, again)
+    assert crs_difference(crs, again) is None
 
 
 def test_wkt1_of_metres_above_the_ellipsoid_has_the_name_that_gdal_gives_it():
@@ -137,7 +137,7 @@ def site_grid(unit: str, metres: float) -> str:
 @pytest.mark.parametrize("text", SYSTEMS)
 def test_a_crs_is_the_same_after_wkt_1_and_differs_from_all_others(text):
     again = CRS.from_wkt(wkt1(CRS(text)))
-    assert [other for other in SYSTEMS if same_crs(again, CRS(other))] == [text]
+    assert [other for other in SYSTEMS if crs_difference(again, CRS(other)) is None] == [text]
 
 
 @pytest.mark.parametrize(

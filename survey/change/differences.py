@@ -31,7 +31,7 @@ from evaluation.bootstrap import cell_numbers
 from evaluation.standards import TO_95
 from evaluation.summary import MAD_TO_STD
 from geo import Cloud, read_reference, require_same_place
-from geo.compatibility import same_crs
+from geo.compatibility import crs_difference
 from geo.crs import has_height, height_unit_m
 from geo.grid import Grid
 from geo.projection import ground_units_m
@@ -249,7 +249,7 @@ def _cloud(path: Path, file: Path) -> Cloud:
 def _survey_points(cloud: Cloud, path: Path, crs: CRS, options: ChangeOptions, notes: list[str]) -> _SurveyPoints:
     """The points of a survey with their standard deviations, in the common CRS; adds notes on them."""
     own, unit_m = cloud.crs, height_unit_m(crs)
-    if own is None or same_crs(own, crs):
+    if own is None or crs_difference(own, crs) is None:
         if own is not None and has_height(own):
             # Equal but for the unit of heights.
             cloud = replace(cloud, points=cloud.points * [1.0, 1.0, height_unit_m(own) / unit_m])

@@ -15,7 +15,7 @@ from pyproj import CRS
 from pyproj.crs import CompoundCRS
 from scipy.spatial import KDTree
 
-from geo.compatibility import same_crs
+from geo.compatibility import crs_difference
 from geo.crs import has_height, height_unit_m, vertical_crs
 from geo.features import assumed_crs, layer_of, points_inside, read_polygons
 from geo.files import existing_file
@@ -318,7 +318,7 @@ def _in_crs(path: Path, crs: CRS) -> tuple[Cloud, tuple[float, float], Findings]
     if own is not None and not has_height(own):
         vertical = vertical_crs(crs)
         own = own.to_3d() if vertical is None else CompoundCRS(f"{own.name} + {vertical.name}", [own, vertical])
-    if own is None or same_crs(own, crs):
+    if own is None or crs_difference(own, crs) is None:
         if own is not None:
             cloud = replace(cloud, points=cloud.points * [1.0, 1.0, height_unit_m(own) / unit_m])
         return in_height_unit(cloud, unit_m), (0.0, 0.0), Findings(tuple(notes))

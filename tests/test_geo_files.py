@@ -53,15 +53,13 @@ def test_an_error_of_the_disk_names_the_file_and_the_mend(tmp_path, monkeypatch,
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(os, "fsync", refuse)
-    with (
-        pytest.raises(UnwritableFile, match=rf"cannot write .*result\.bin: .*{words}"),
-        write_whole(tmp_path / "result.bin") as stream,
-    ):
+    refused = pytest.raises(UnwritableFile, match=rf"cannot write .*result\.bin: .*{words}")
+    with refused, write_whole(tmp_path / "result.bin") as stream:
         stream.write(b"new")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_folders_in_the_way_are_named(tmp_path):
+def test_folders_in_the_way_are_named_and_only_a_file_that_is_there_can_be_read(tmp_path):
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").write_text("")
     for path, words in (
@@ -71,10 +69,6 @@ def test_folders_in_the_way_are_named(tmp_path):
     ):
         with pytest.raises(UnwritableFile, match=words), write_whole(path) as stream:
             stream.write(b"new")
-
-
-def test_only_a_file_that_is_there_can_be_read(tmp_path):
-    (tmp_path / "file").write_text("")
     assert existing_file(str(tmp_path / "file")) == tmp_path / "file"
     with pytest.raises(UnreadableFile, match="is a folder; expected a file"):
         existing_file(tmp_path)
@@ -115,16 +109,12 @@ def test_a_pipe_is_written_into_and_not_replaced(tmp_path):
 
 
 def test_any_error_of_the_system_in_a_block_names_its_file_or_else_the_block_s(tmp_path):
-    with (
-        pytest.raises(UnwritableFile, match=r"cannot write .*gone/a: its folder does not exist"),
-        reporting_disk_errors("run"),
-    ):
+    gone = pytest.raises(UnwritableFile, match=r"cannot write .*gone/a: its folder does not exist")
+    with gone, reporting_disk_errors("run"):
         (tmp_path / "gone" / "a").touch()
     with pytest.raises(UnwritableFile, match=r"cannot write run: the disk quota"), reporting_disk_errors("run"):
         raise OSError(errno.EDQUOT, "quota")
-
-
-def test_an_error_that_says_nothing_of_a_disk_is_no_refusal(tmp_path):
+    # One that says nothing of a disk is no refusal.
     assert disk_error_text(OSError(errno.EINVAL, "invalid argument"), tmp_path) is None
     assert disk_error_text(OSError("of a library"), tmp_path) is None
     missing = FileNotFoundError(errno.ENOENT, "no such file")

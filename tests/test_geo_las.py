@@ -46,7 +46,7 @@ def written(request, tmp_path, rng, crs):
     points = ORIGIN + rng.uniform(-20.0, 20.0, (1000, 3))
     values = values_for(1000, rng)
     path = tmp_path / request.param
-    write_cloud(path, points, crs, **values)
+    write_cloud(path, points, crs, **values, user_data=values["num_views"] % 7)
     return path, points, values
 
 
@@ -57,13 +57,8 @@ def test_a_cloud_comes_back_with_all_its_values(written):
     np.testing.assert_array_equal(cloud.rgb, values["rgb"])
     np.testing.assert_array_equal(cloud.classification, np.where(values["is_wet"], 40, 2))
     np.testing.assert_array_equal(cloud.extra["num_views"], values["num_views"])
-    for name, given in (
-        ("depth", "depth_m"),
-        ("std", "std_m"),
-        ("std_common", "std_common_m"),
-        ("incidence", "incidence_deg"),
-    ):
-        np.testing.assert_array_equal(cloud.extra[name], values[given].astype(np.float32))
+    for name in ("depth_m", "std_m", "std_common_m", "incidence_deg"):
+        np.testing.assert_array_equal(cloud.extra[name.rpartition("_")[0]], values[name].astype(np.float32))
     assert [part.to_epsg() for part in cloud.crs.sub_crs_list] == [25832, 5778]
     assert cloud.notes == ()
 
@@ -116,17 +111,9 @@ def test_other_readers_see_single_synthetic_returns_and_16_bit_colours(written):
     assert (las.synthetic == 1).all()
     assert (las.withheld == 0).all()
     assert (las.overlap == 0).all()
+    np.testing.assert_array_equal(las.user_data, values["num_views"] % 7)
     np.testing.assert_array_equal(las.red, values["rgb"][:, 0].astype(np.uint16) * 257)
     np.testing.assert_allclose(np.asarray(las.depth), values["depth_m"], rtol=1e-6)
-
-
-def test_how_points_were_found_is_in_the_field_for_the_users_data(tmp_path, rng, crs):
-    path, points, values = tmp_path / "cloud.las", ORIGIN + rng.uniform(-1, 1, (5, 3)), values_for(5, rng)
-    origin = np.array([0, 1, 0, 1, 1], dtype=np.uint8)
-    write_cloud(path, points, crs, **values, user_data=origin)
-    np.testing.assert_array_equal(laspy.read(path).user_data, origin)
-    write_cloud(path, points, crs, **values)
-    assert not np.asarray(laspy.read(path).user_data).any()
 
 
 @pytest.mark.parametrize(
@@ -167,9 +154,9 @@ def test_an_empty_cloud_is_written_and_refused_when_read(tmp_path, rng, crs):
         read_cloud(path)
 
 
-def test_a_million_identical_points_are_no_trouble(tmp_path, crs):
-    cloud = read_cloud(write_las(tmp_path / "cloud.laz", np.broadcast_to(ORIGIN, (1_000_000, 3)), crs))
-    assert len(cloud.points) == 1_000_000
+def test_many_identical_points_are_no_trouble(tmp_path, crs):
+    cloud = read_cloud(write_las(tmp_path / "cloud.laz", np.broadcast_to(ORIGIN, (250_000, 3)), crs))
+    assert len(cloud.points) == 250_000
     np.testing.assert_array_equal(np.ptp(cloud.points, axis=0), 0.0)
 
 
@@ -250,13 +237,12 @@ def test_a_head_that_cannot_be_true_is_refused_before_it_is_followed(written, ki
 
 
 def test_paths_that_are_no_las_files_are_named(tmp_path):
-    with pytest.raises(UnreadableFile, match=r"none\.las does not exist"):
-        read_cloud(tmp_path / "none.las")
-    with pytest.raises(UnreadableFile, match="is a folder"):
-        read_cloud(tmp_path)
     (tmp_path / "text.las").write_text("easting,northing,height\n" * 20)
-    with pytest.raises(UnreadableFile, match='does not begin with "LASF"'):
-        read_cloud(tmp_path / "text.las")
+    for name, words in (
+        ("none.las", r"none\.las does not exist"), ("", "is a folder"), ("text.las", 'does not begin with "LASF"'),
+    ):  # fmt: skip
+        with pytest.raises(UnreadableFile, match=words):
+            read_cloud(tmp_path / name)
 
 
 def las_with_keys(path, keys: dict[int, int]) -> None:
@@ -366,13 +352,10 @@ def test_files_made_elsewhere_are_read_with_their_true_units(data_dir, name, num
     else:
         assert cloud.crs.axis_info[0].unit_name.lower() == unit.lower()
         assert cloud.crs.to_epsg() == code
-
-
-def test_extra_bytes_of_files_made_elsewhere_keep_their_shapes(data_dir):
-    extra = read_cloud(data_dir / "real/laspy_las/extrabytes.las").extra
-    assert extra["Colors"].shape == (1065, 3)
-    assert extra["Flags"].shape == (1065, 2)
-    assert extra["Time"].dtype == np.uint64
+    if name == "extrabytes.las":
+        assert cloud.extra["Colors"].shape == (1065, 3)
+        assert cloud.extra["Flags"].shape == (1065, 2)
+        assert cloud.extra["Time"].dtype == np.uint64
 
 
 def test_a_laz_table_that_promises_more_chunks_than_there_are_is_refused(tmp_path, rng, crs):

@@ -61,12 +61,8 @@ def test_of_several_layers_none_is_taken_silently(tmp_path, read, named, words):
 def test_tables_without_geometries_do_not_count_as_layers(tmp_path):
     path = layers_in(tmp_path / "plan.gpkg", cuts=LINE, layer_styles=None)
     assert [line.name for line in read_lines(path, UTM, AROUND)] == ["cuts"]
-
-
-def test_a_file_without_a_layer_of_geometries_is_refused(tmp_path):
-    path = layers_in(tmp_path / "plan.gpkg", layer_styles=None)
     with pytest.raises(UnreadableFile, match="has no layer of points, lines or polygons"):
-        read_lines(path, UTM, AROUND)
+        read_lines(layers_in(tmp_path / "none.gpkg", layer_styles=None), UTM, AROUND)
 
 
 def test_geojson_without_a_crs_is_said_to_be_in_wgs84_where_that_cannot_be(tmp_path):

@@ -100,13 +100,10 @@ def test_metres_in_a_unit_of_the_map(crs, place, expected):
     np.testing.assert_allclose(metres_per_unit(CRS(crs), np.array([place])), expected, rtol=2e-3)
 
 
-def test_places_far_outside_the_area_of_a_crs_are_refused():
+def test_places_far_outside_the_area_of_a_crs_are_refused_and_others_have_a_longitude_and_a_latitude():
     require_in_area(CRS("EPSG:25832+5783"), np.array([[5e5, 5.2e6]]), "they")
     with pytest.raises(PlaceMismatch, match=r"they lie .* degrees outside the area that OSGB36"):
         require_in_area(CRS("EPSG:27700+5701"), np.array([[5e6, 5.2e6]]), "they")
-
-
-def test_longitudes_and_latitudes_to_look_at():
     found = lon_lat(CRS("EPSG:25832"), np.array([[5e5, 5.2e6], [np.nan, 0.0]]))
     np.testing.assert_allclose(found[0], [9.0, 46.953], atol=1e-3)
     assert not np.isfinite(found[1]).all()

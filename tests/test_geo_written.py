@@ -42,18 +42,15 @@ def test_every_crs_of_a_survey_reads_from_a_raster_as_it_was_written(tmp_path, r
     assert (says is None) == (stored_crs(form.crs) == form.crs)
 
 
-def test_ellipsoidal_heights_of_a_projected_crs_are_in_a_bag(tmp_path, rng):
-    form = form_of("EPSG:32632+4979", nodata=1e6)
-    write_bag(tmp_path / "a.bag", form, [(0, 0, np.nan_to_num(values(rng), nan=1e6))], {})
+def test_ellipsoidal_heights_are_in_a_bag_and_a_full_disk_refuses_it_in_words_of_the_system_alone(tmp_path, rng, capfd):
+    form, parts = form_of("EPSG:32632+4979", nodata=1e6), [(0, 0, np.nan_to_num(values(rng), nan=1e6))]
+    write_bag(tmp_path / "a.bag", form, parts, {})
     with rasterio.open(tmp_path / "a.bag") as raster:
         assert "UTM zone 32N" in raster.crs.to_wkt()
         assert "ellipsoidal height" in raster.crs.to_wkt()
-
-
-def test_a_bag_on_a_full_disk_is_refused_in_words_of_the_system_alone(tmp_path, rng, capfd):
-    form = form_of("EPSG:32632+4979", nodata=1e6)
+    (tmp_path / "a.bag").unlink()
     with pytest.raises(UnwritableFile, match=r"a\.bag: .*write elsewhere"), file_size_limit(1000):
-        write_bag(tmp_path / "a.bag", form, [(0, 0, np.nan_to_num(values(rng), nan=1e6))], {})
+        write_bag(tmp_path / "a.bag", form, parts, {})
     assert list(tmp_path.iterdir()) == []
     # HDF5 writes to the standard error of the process.
     assert capfd.readouterr().err == ""

@@ -27,7 +27,7 @@ from pyproj import CRS
 
 from geo import LocalFrame, write_ply
 from geo.errors import CRSMismatch, EmptyCloud, GeoError, PlaceMismatch, UnreadableFile
-from survey.compare.comparison import CompareOptions, compare_files, compare_surfaces
+from survey.compare.comparison import CompareOptions, compare_files
 from survey.compare.options import CompareError
 from survey.compare.pictures import completeness_map, error_map, histogram
 from survey.compare.tables import sections_of
@@ -252,14 +252,6 @@ def test_pictures_of_hardly_any_points_are_drawn_all_the_same(tmp_path, count):
     histogram(np.full(count, np.nan), tmp_path / "histogram.png", tolerance_m=0.2)
     completeness_map(points, np.zeros(count, bool), tmp_path / "completeness.png")
     assert len(list(tmp_path.iterdir())) == 3
-
-
-def test_distances_for_a_whole_file_are_nan_where_it_was_cropped(cloud, plane):
-    e, n, _ = ORIGIN
-    comparison = compare_surfaces(cloud, plane, CompareOptions(bounds=(e - 9, n - 9, e, n + 9)))
-    whole = comparison.distances_of_cloud
-    assert len(whole) == 101**2
-    assert np.isnan(whole).sum() == comparison.figures.n_cropped
 
 
 # What is refused ------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ from survey.folder.survey import load_survey
 from survey.photos.exif import read_exif
 from survey.report import NUM_STEPS, write_report
 from survey.report.flight_pictures import draw_plan, flight_lines
-from survey.report.maps import codes_of, draw_std, draw_unseen
+from survey.report.maps import draw_std, draw_unseen
 from survey.report.profile import _medians, choose_cut, draw_profile, has_profile, two_digits
 from survey.report.seen_cells import SeenCells, cells_of
 from survey.run.folder import RunDir
@@ -50,7 +50,7 @@ def test_the_picture_of_the_std_says_where_it_comes_from(shallow_survey, tmp_pat
 
 def test_all_pictures_are_drawn_and_are_whole(plane_report):
     paths = sorted(plane_report.run.pictures_path.iterdir())
-    errors = "error error_bands error_depth error_histogram"
+    errors = "error error_bands error_histogram"
     names = f"completeness depth {errors} histograms orthophoto plan profile std unseen view views"
     assert [path.name for path in paths] == [f"{name}.png" for name in names.split()]
     # There is no adjustment, which has four, no control, and still water.
@@ -162,15 +162,15 @@ def test_the_plan_of_a_flight_has_its_lines(shallow_survey, tmp_path):
 def test_ground_without_points_is_told_apart_by_the_views_that_see_it():
     has_point, num_views = np.array([[True, False], [False, False]]), np.array([[3, 4], [1, 0]])
     cells = SeenCells(Grid.northward_from(np.zeros(2), 1.0, (2, 2)), has_point, num_views, np.zeros((2, 2)))
-    assert codes_of(cells).tolist() == [[1, 2], [3, 0]]
+    assert cells.gaps.tolist() == [[0, 1], [2, 0]]
 
 
 def test_the_map_of_what_was_not_found_says_how_much_of_the_ground_it_is(shallow_survey, tmp_path):
     bed = plane_bed(shallow_survey, num=40)
     half = bed[bed.xyz[:, 0] < np.median(bed.xyz[:, 0])]
     facts = facts_of(shallow_survey, half)
-    whole, part = (codes_of(cells_of(shallow_survey, each.xyz, facts.plan.gsd_m)) for each in (bed, half))
-    assert (part == 2).sum() > (whole == 2).sum()
+    whole, part = (cells_of(shallow_survey, each.xyz, facts.plan.gsd_m).gaps for each in (bed, half))
+    assert (part == 1).sum() > (whole == 1).sum()
     draw_unseen(tmp_path / "unseen.png", facts)
     with Image.open(tmp_path / "unseen.png") as image:
         colours = np.asarray(image.convert("RGB")).reshape(-1, 3)

@@ -9,6 +9,7 @@ from pyproj import CRS
 from small_report import facts_of
 
 from geo.errors import UnwritableFile
+from geo.grid import Grid
 from survey.display.quantities import (
     LengthUnit,
     area,
@@ -25,7 +26,7 @@ from survey.errors import ConfigError
 from survey.export.pdf import print_page
 from survey.report.figures import figures_of
 from survey.report.page import render_page
-from survey.report.seen_cells import coverage_of
+from survey.report.seen_cells import SeenCells, coverage_of
 from survey.settings.config import parse_config
 
 FOOT = 0.3048
@@ -79,7 +80,8 @@ def test_water_and_what_hides_the_bed_add_up():
     depth = np.array([[2.0, 2.0, 3.0], [-1.0, 1.0, 1.0]])
     has_point = np.array([[True, False, True], [True, False, False]])
     views = np.array([[4, 3, 2], [5, 1, 0]])
-    found = coverage_of(depth, has_point, views, 0.5, 0.02)
+    cells = SeenCells(Grid.northward_from(np.zeros(2), 0.5, depth.shape), has_point, views, np.zeros(depth.shape))
+    found = coverage_of(cells, depth, 0.02)
     assert (found.wet_m2, found.two_views_m2, found.one_view_m2) == (0.5, 0.25, 0.25)
     assert found.water_m3 == 0.25 * 5.0
     assert found.water_std_m3 == pytest.approx(0.01)
@@ -87,7 +89,9 @@ def test_water_and_what_hides_the_bed_add_up():
 
 def test_limits_are_those_of_the_run(plane_report):
     survey, bed = plane_report.facts.survey, plane_report.facts.bed
-    coverage = coverage_of(np.full((2, 2), 1.5), np.eye(2, dtype=bool), np.full((2, 2), 3), 10.0, 0.03)
+    grid = Grid.northward_from(np.zeros(2), 10.0, (2, 2))
+    cells = SeenCells(grid, np.eye(2, dtype=bool), np.full((2, 2), 3), np.zeros((2, 2)))
+    coverage = coverage_of(cells, np.full((2, 2), 1.5), 0.03)
     figures = figures_of(facts_of(survey, bed, coverage=coverage))
     page = render_page(figures, [])
     assert "Nothing independent was measured with it" in page

@@ -164,10 +164,7 @@ def _name_of(survey: Path) -> str:
 
 def _draw(path: Path, first: Path, epochs: Sequence[Epoch]) -> None:
     """Volume and mean height over time, with intervals of 95 %; by their order where a date is not known."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    from survey.display.canvas import save, write_title
+    from survey.display.canvas import empty_figure, save, write_title
     from survey.display.palette import INK, SOFT
     from survey.escaping import figure_text
 
@@ -178,8 +175,7 @@ def _draw(path: Path, first: Path, epochs: Sequence[Epoch]) -> None:
     dates = [taken_of(first), *(epoch.taken for epoch in by_area[ALL])]
     is_dated = None not in dates
     times = np.array(dates) if is_dated else np.arange(len(surveys))
-    figure = Figure(figsize=_SIZE_IN, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = empty_figure(*_SIZE_IN)
     upper, lower = figure.subplots(2, sharex=True)
     for area, of_area in by_area.items():
         volumes = [(epoch.net.volume_m3, epoch.net.std_m3) for epoch in of_area]

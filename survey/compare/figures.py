@@ -118,13 +118,6 @@ class Comparison:
     is_reached: np.ndarray  # (M,) bool: at the first tolerance
     inputs: Inputs
 
-    @property
-    def distances_of_cloud(self) -> np.ndarray:
-        """Distances of all points of the file [m], in its order, NaN outside the bounds."""
-        distances = np.full(len(self.inputs.inside), np.nan)
-        distances[self.inputs.inside] = self.distances
-        return distances
-
     def reference_heights(self, rows: np.ndarray) -> np.ndarray:
         """Height (K,) in crs of the reference nearest to points of the file (K,); NaN where none was compared."""
         heights, is_compared = np.full(len(rows), np.nan), self.inputs.inside[rows]

@@ -8,15 +8,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
 from pyproj import CRS
 
 from evaluation import Band
 from survey.compare.figures import Parts
 from survey.compare.tables import limits_label
-from survey.display.canvas import Extent, Picture, canvas, colour_bar, finished, map_canvas, nice_limit, save, show
+from survey.display.canvas import (
+    Extent,
+    Picture,
+    canvas,
+    colour_bar,
+    empty_figure,
+    finished,
+    map_canvas,
+    nice_limit,
+    save,
+    show,
+)
 from survey.display.palette import BLUE, DIFFERENCES, INK, NOT_REACHED, PALE, RED, SIZES, SOFT
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, count, length, share
@@ -155,8 +164,7 @@ def _panels(parts: Parts) -> list[tuple[tuple[Band, ...], str, str]]:
 def draw_bands(parts: Parts, path: Path) -> Picture:
     """Mean with its confidence interval, and one standard deviation to both sides, in each band."""
     panels = _panels(parts)
-    figure = Figure(figsize=(11.0, 3.6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = empty_figure(11.0, 3.6)
     widths = [len(bands) + 2 for bands, _, _ in panels]
     row = figure.subplots(1, len(panels), sharey=True, squeeze=False, width_ratios=widths)[0]
     low, high = _limits([bands for bands, _, _ in panels])

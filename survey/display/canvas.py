@@ -89,10 +89,16 @@ def plain_log_ticks(axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def canvas(width: float, height: float) -> tuple[Figure, Axes]:
-    """A figure [inch] with one plot in the colours of the report."""
+def empty_figure(width: float, height: float) -> Figure:
+    """A figure [inch] for plots side by side."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
+    return figure
+
+
+def canvas(width: float, height: float) -> tuple[Figure, Axes]:
+    """A figure [inch] with one plot in the colours of the report."""
+    figure = empty_figure(width, height)
     return figure, _plain(figure.add_subplot())
 
 
@@ -161,15 +167,8 @@ def _scale_bar(axes: Axes, metres_per_unit: float) -> None:
     length_m = max(step * power for step in (1.0, 2.0, 5.0) if step * power <= width_m / 6.0)
     start, end, inch = 0.94 - length_m / width_m, 0.94, axes.figure.dpi / axes.bbox.height
     words: dict[str, Any] = {"transform": axes.transAxes, "va": "center", "color": INK, "fontsize": 9}
-    axes.plot(
-        [start, end],
-        [-0.45 * inch] * 2,
-        color=INK,
-        lw=3,
-        solid_capstyle="butt",
-        clip_on=False,
-        transform=axes.transAxes,
-    )
+    bar: dict[str, Any] = {"solid_capstyle": "butt", "clip_on": False, "transform": axes.transAxes}
+    axes.plot([start, end], [-0.45 * inch] * 2, color=INK, lw=3, **bar)
     axes.text(start - 0.015, -0.45 * inch, f"{length_m:g} m", ha="right", **words)
     axes.text(0.985, -0.45 * inch, "↑\nN", ha="center", linespacing=0.9, weight="bold", **words)
 

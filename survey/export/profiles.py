@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from pyproj import CRS
 from scipy.spatial import cKDTree
@@ -28,7 +27,7 @@ from geo.projection import ground_units_m
 from geo.shapes import ground_of, in_height_unit, masked_cloud
 from geo.vectors import DxfLine, write_dxf
 from survey.compare.inputs import InputPaths, load_inputs
-from survey.display.canvas import save, write_title
+from survey.display.canvas import empty_figure, save, write_title
 from survey.display.palette import BLUE, INK, LAND, RED, WATER, WATER_LINE
 from survey.display.quantities import length, named, share
 from survey.errors import SurveyError
@@ -323,8 +322,7 @@ def draw(profile: Profile, axes: Axes) -> None:
 
 def figure_of(profiles: Sequence[Profile]) -> Figure:
     """A figure with an axes for each profile, one below the other."""
-    figure = Figure(figsize=(_SIZE_IN[0], _SIZE_IN[1] * len(profiles)), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = empty_figure(_SIZE_IN[0], _SIZE_IN[1] * len(profiles))
     for axes, profile in zip(figure.subplots(len(profiles), squeeze=False)[:, 0], profiles, strict=True):
         draw(profile, axes)
     return figure

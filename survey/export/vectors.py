@@ -32,7 +32,7 @@ from survey.export.rasters import write_raster
 from survey.export.registry import ExportOptions
 from survey.plan.area import local_area
 from survey.progress import current
-from survey.report.seen_cells import SeenCells, cells_seen
+from survey.report.seen_cells import ONE_VIEW, TWO_VIEWS, SeenCells, cells_seen
 from survey.run.stored import StoredBed
 from survey.water.surface import plane_under
 
@@ -48,8 +48,7 @@ _MOST_LEVELS = 1000
 _ROUND = (1.0, 2.0, 5.0, 10.0)
 
 
-# Codes of cells without a point; 0 is everything else: bed found, dry ground, or seen by no view.
-TWO_VIEWS, ONE_VIEW = 1, 2
+# Of cells without a point, by their codes; 0 is everything else: bed found, dry ground, or seen by no view.
 REASONS = {
     TWO_VIEWS: "two or more views, no bed found: turbid, too deep, glint, or without texture",
     ONE_VIEW: "one view only",
@@ -240,9 +239,7 @@ def _unseen(run: LoadedRun) -> Unseen:
     cells = cells_seen(cameras, flight.water, flight.departure, area, xyz, run.bed_header.gsd_m)
     places = cells.middles
     level = flight.level(places[..., :2])
-    is_water = cells.height < level
-    codes = np.where(cells.num_views >= 2, TWO_VIEWS, np.where(cells.num_views == 1, ONE_VIEW, 0))
-    return Unseen(cells, np.where(is_water & ~cells.has_point, codes, 0).astype(np.uint8), level, flight.frame)
+    return Unseen(cells, np.where(cells.height < level, cells.gaps, 0).astype(np.uint8), level, flight.frame)
 
 
 def with_unseen(

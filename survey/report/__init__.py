@@ -15,7 +15,7 @@ from survey.report.pictures import draw_pictures
 __all__ = ["NUM_STEPS", "ReportFacts", "write_report"]
 
 # How often `write_report` calls back, at most: once for each picture.
-NUM_STEPS = 20
+NUM_STEPS = 19
 
 
 def write_report(folder: Path, facts: ReportFacts, advance: Callable[[], None] = lambda: None) -> ReportFigures:

@@ -73,28 +73,18 @@ def stated_of(std_m: np.ndarray | ComputedColumn, depth_m: np.ndarray | Computed
     counts = np.zeros(len(TVU) + 2, dtype=np.int64)
     for part in portions(len(std_m)):
         counts += np.bincount(order_by_tvu(std_m[part], depth_m[part]), minlength=len(counts))
-    points_wet, nums_within = int(counts[1:].sum()), np.cumsum(counts[1:])
-    shares = [
-        StatedOrder(name, float(num_within / points_wet))
-        for (name, _, _), num_within in zip(TVU, nums_within, strict=False)
-        if points_wet
-    ]
-    return StatedFigures(LE95 * middle, points_wet, tuple(shares))
+    wet, within = int(counts[1:].sum()), np.cumsum(counts[1:])
+    shares = [StatedOrder(name, float(num / wet)) for (name, _, _), num in zip(TVU, within, strict=False) if wet]
+    return StatedFigures(LE95 * middle, wet, tuple(shares))
 
 
 def table(found: StatedFigures | None) -> list[Block]:
     """Error of a height at 95 %, and how many points each order takes; nothing without points."""
     if found is None:
         return []
-    rows = [("height, 95 %, median", length(found.le95_m))]
-    rows += [
-        (
-            f"IHO S-44, vertical, {order.name}",
-            f"{share(order.share_within)} of {count(found.points_wet)} points under water",
-        )
-        for order in found.orders
-    ]
-    return [Rows(rows), Text(_NOTE, is_soft=True)]
+    of = f"of {count(found.points_wet)} points under water"
+    orders = [(f"IHO S-44, vertical, {order.name}", f"{share(order.share_within)} {of}") for order in found.orders]
+    return [Rows([("height, 95 %, median", length(found.le95_m)), *orders]), Text(_NOTE, is_soft=True)]
 
 
 @dataclass(frozen=True)
@@ -140,21 +130,31 @@ def checkpoint_differences(points: np.ndarray, places: np.ndarray, gsd_m: float)
     By the plane through the nearest points of the cloud, as `compare --checkpoints` has it; NaN where they are fewer
     than four, or do not surround the check point.
     """
-    near = points[_near(points, places, _SEARCH * WITHIN_GSD * gsd_m)]
+    near = points[_near(points, places, gsd_m)]
     return height_at(near, places[:, :2], within_m=WITHIN_GSD * gsd_m) - places[:, 2]
 
 
-def _near(points: np.ndarray, places: np.ndarray, reach_m: float) -> np.ndarray:
-    """Numbers of the points (N, 3) within a distance of places (K, 2 or more), in plan.
+def _near(points: np.ndarray, places: np.ndarray, gsd_m: float) -> np.ndarray:
+    """Numbers of the points (N, 3) about places (K, 2 or more), in plan.
 
     A tree of all points would take more memory than the cloud.
     """
-    tree = cKDTree(places[:, :2])
-    found = [np.empty(0, dtype=np.int64)]
+    tree, rows = cKDTree(places[:, :2]), [np.empty(0, dtype=np.int64)]
     for part in portions(len(points)):
-        distance, _ = tree.query(points[part, :2], distance_upper_bound=reach_m)
-        found.append(part.start + np.flatnonzero(np.isfinite(distance)))
-    return np.concatenate(found)
+        distance, _ = tree.query(points[part, :2], distance_upper_bound=_SEARCH * WITHIN_GSD * gsd_m)
+        rows.append(part.start + np.flatnonzero(np.isfinite(distance)))
+    return np.concatenate(rows)
+
+
+def _stated_at(points: np.ndarray, stated: np.ndarray | ComputedColumn, places: np.ndarray, gsd_m: float) -> np.ndarray:
+    """Standard deviations (K,) [m] of the cloud at places (K, 3): the median of the nearest points; NaN without."""
+    rows = _near(points, places, gsd_m)
+    if len(rows) < _NEAREST:
+        return np.full(len(places), np.nan)
+    distance, nearest = cKDTree(points[rows, :2]).query(places[:, :2], k=_NEAREST)
+    # Those of another place are none of this one.
+    is_near = distance[:, -1] <= _SEARCH * WITHIN_GSD * gsd_m
+    return np.where(is_near, np.median(stated[rows][nearest], axis=1), np.nan)
 
 
 def checkpoints_of(
@@ -170,22 +170,20 @@ def checkpoints_of(
     given: tuple[Checkpoint | ControlPoint, ...] = (*survey.observations.checkpoints, *marked)
     if not given:
         return None
-    places = np.array([point.local for point in given])
+    places, unknown = np.array([point.local for point in given]), np.full(len(given), np.nan)
     differences = checkpoint_differences(points, places, gsd_m)
-    stds = _stated_at(points, stated, places, _SEARCH * WITHIN_GSD * gsd_m)
+    stds = unknown if stated is None else _stated_at(points, stated, places, gsd_m)
+    stds = np.where(np.isfinite(differences), stds, np.nan)
+    depths = unknown
+    if survey.water is not None:
+        depths = -height_above(survey.water, survey.observations.departure, places)
     outside = ~within(np.array([point.crs for point in given]), survey.bounds)
-    water = survey.water
-    depths = None if water is None else -height_above(water, survey.observations.departure, places)
+    known = (
+        [float(value) if np.isfinite(value) else None for value in values] for values in (depths, differences, stds)
+    )
     rows = tuple(
-        CheckpointRow(
-            point.name,
-            point.crs[2],
-            None if depths is None else float(depths[i]),
-            float(differences[i]) if np.isfinite(differences[i]) else None,
-            float(stds[i]) if np.isfinite(differences[i]) and np.isfinite(stds[i]) else None,
-            bool(outside[i]),
-        )
-        for i, point in enumerate(given)
+        CheckpointRow(point.name, point.crs[2], depth_m, difference_m, stated_m, bool(is_outside))
+        for point, depth_m, difference_m, stated_m, is_outside in zip(given, *known, outside, strict=True)
     )
     return CheckpointAccuracy(rows, tuple(_groups(rows)), WITHIN_GSD * gsd_m)
 
@@ -201,19 +199,6 @@ def checkpoint_warnings(found: CheckpointAccuracy | None) -> list[str]:
         and abs(row.difference_m) > _MOST_STD * row.stated_m
     ]  # fmt: skip
     return named(far, "check point", f"farther from the cloud than {_MOST_STD:g} standard deviations")
-
-
-def _stated_at(
-    points: np.ndarray, stated: np.ndarray | ComputedColumn | None, places: np.ndarray, reach_m: float
-) -> np.ndarray:
-    """Standard deviations (K,) [m] of the cloud at places (K, 3): the median of the nearest points; NaN without."""
-    rows = np.empty(0, dtype=np.int64) if stated is None else _near(points, places, reach_m)
-    if stated is None or len(rows) < _NEAREST:
-        return np.full(len(places), np.nan)
-    distance, nearest = cKDTree(points[rows, :2]).query(places[:, :2], k=_NEAREST)
-    stds = np.median(stated[rows][nearest], axis=1)
-    # Those of another place are none of this one.
-    return np.where(distance[:, -1] <= reach_m, stds, np.nan)
 
 
 def _groups(rows: Sequence[CheckpointRow]) -> list[CheckpointGroup]:

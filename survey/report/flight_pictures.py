@@ -9,11 +9,9 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import Normalize, to_rgba
-from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from evaluation.bootstrap import cell_counts, cell_means, cell_numbers
@@ -25,6 +23,7 @@ from survey.display.canvas import (
     Picture,
     canvas,
     colour_bar,
+    empty_figure,
     extent_around,
     finished,
     map_canvas,
@@ -68,28 +67,30 @@ def draw_image_residuals(path: Path, found: Adjustment) -> Picture:
     """Mean residual of each cell of the photographs of each lens, as arrows."""
     lenses = shown_lenses(found)
     num = len(lenses)
-    tall = max(found.lenses[number].height / found.lenses[number].width for number in lenses)
-    figure = Figure(figsize=(6.2 * num, 6.2 * tall + 0.55), layout="constrained")
-    FigureCanvasAgg(figure)
-    fields = [mean_residuals(found, number) for number in lenses]
-    ends = np.concatenate([np.linalg.norm(vectors, axis=1) for _, vectors, _ in fields])
-    longest = nice_limit(ends)
-    for number_of_lens, axes, (places, vectors, side) in zip(
-        lenses, np.ravel(figure.subplots(1, num)), fields, strict=True
-    ):
-        lens = found.lenses[number_of_lens]
-        (x, y), (dx, dy) = places.T, vectors.T
-        axes.quiver(x, y, dx, dy, angles="xy", scale_units="xy", scale=longest / side, width=0.0035, color=BLUE)
-        axes.plot(x, y, ".", ms=2.0, color=SOFT)
-        axes.set(xlim=(0, lens.width), ylim=(lens.height, 0), xticks=[], yticks=[], aspect="equal")
-        which = f" of lens {number_of_lens}" if len(found.lenses) > 1 else ""
-        subtitle = f"magnified: an arrow as long as a cell is wide means {longest:.2g} px"
+    tall = max(found.lenses[lens].height / found.lenses[lens].width for lens in lenses)
+    figure = empty_figure(6.2 * num, 6.2 * tall + 0.55)
+    fields = [mean_residuals(found, lens) for lens in lenses]
+    longest = nice_limit(np.concatenate([np.linalg.norm(vectors, axis=1) for _, vectors, _ in fields]))
+    subtitle = f"magnified: an arrow as long as a cell is wide means {longest:.2g} px"
+    all_axes = np.ravel(figure.subplots(1, num))
+    for lens, axes, (places, vectors, side) in zip(lenses, all_axes, fields, strict=True):
+        _arrows(axes, places, vectors * side / longest, width=0.0035, color=BLUE)
+        axes.plot(*places.T, ".", ms=2.0, color=SOFT)
+        size = found.lenses[lens]
+        axes.set(xlim=(0, size.width), ylim=(size.height, 0), xticks=[], yticks=[], aspect="equal")
+        which = f" of lens {lens}" if len(found.lenses) > 1 else ""
         write_title(axes, f"Mean residual over the photographs{which}", subtitle)
     save(figure, path)
     words = "Measured less predicted place, over all photographs. A pattern is distortion that the lens model lacks."
     if num < len(found.lenses):
         words += f" Of {len(found.lenses)} lenses the {num} with the most residuals."
     return Picture(path, "Residuals over the photographs", words)
+
+
+def _arrows(axes: Axes, places: np.ndarray, steps: np.ndarray, **style) -> None:
+    """Arrows at places (N, 2) by steps (N, 2), both in the units of the axes."""
+    if len(places):
+        axes.quiver(*places.T, *steps.T, angles="xy", scale_units="xy", scale=1.0, **style)
 
 
 def mean_residuals(found: Adjustment, lens: int) -> tuple[np.ndarray, np.ndarray, float]:
@@ -159,7 +160,12 @@ def _draw_control(axes: Axes, survey: Survey, found: Adjustment) -> None:
 def draw_correlation(path: Path, found: Adjustment) -> Picture:
     """Correlations of the parameters of water and lenses."""
     names, matrix = correlations(found)
-    labels = [_label(name, several=len(found.lenses) > 1) for name in names]
+    labels = []
+    for name in names:
+        lens, _, last = name.rpartition(".")
+        # Of a lens its number only where there are several.
+        own = f"{last} ({lens.removeprefix('camera')})" if len(found.lenses) > 1 else last
+        labels.append(_LABELS.get(name, own))
     side = 1.6 + 0.42 * len(names)
     figure, axes = canvas(side + 0.9, side)
     image = axes.imshow(matrix, cmap=DIFFERENCES, norm=Normalize(-1.0, 1.0))
@@ -179,12 +185,6 @@ def draw_correlation(path: Path, found: Adjustment) -> Picture:
         "Near 1 or -1 the photographs do not separate the two: each is only as good as the given value of the other."
     )
     return Picture(path, "Correlation of the parameters", words)
-
-
-def _label(name: str, *, several: bool) -> str:
-    """A short name: of a lens its number only where there are several."""
-    lens, _, last = name.rpartition(".")
-    return _LABELS.get(name, f"{last} ({lens.removeprefix('camera')})" if several else last)
 
 
 @dataclass(frozen=True)
@@ -230,8 +230,10 @@ def draw_residuals(path: Path, survey: Survey, residuals: Sequence[Residual]) ->
     times = _LONGEST * (extent[1] - extent[0]) * unit_m[0] / longest
     in_plan = np.isfinite(off[:, 0])
     up = np.column_stack([np.zeros(len(off)), off[:, 2]])
-    _control_arrows(axes, places[in_plan], times * off[in_plan, :2] / unit_m, BLUE, "residual in plan")
-    _control_arrows(axes, places, times * up / unit_m, RED, "residual in height, up drawn northwards")
+    style = {"width": 0.006, "zorder": 4}
+    _arrows(axes, places[in_plan], times * off[in_plan, :2] / unit_m, color=BLUE, label="residual in plan", **style)
+    label = "residual in height, up drawn northwards"
+    _arrows(axes, places, times * up / unit_m, color=RED, label=label, **style)
     is_check = np.array([each.is_check for each in residuals])
     for part, mark, colour, label in ((~is_check, "^", INK, "control point"), (is_check, "s", LAND, "check point")):
         if part.any():
@@ -258,72 +260,59 @@ def clip_outliers(off: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
     return np.where(is_far[:, None], off * share[:, None], off), longest, is_far
 
 
-def _control_arrows(axes: Axes, places: np.ndarray, steps: np.ndarray, colour: str, label: str) -> None:
-    if len(places):
-        (x, y), (dx, dy) = places.T, steps.T
-        axes.quiver(
-            x, y, dx, dy, angles="xy", scale_units="xy", scale=1.0, width=0.006, color=colour, label=label, zorder=4
-        )
-
-
 def draw_plan(path: Path, facts: ReportFacts) -> Picture:
     """Cameras with footprints and directions of view, bed under water, dry ground and bounds, in plan."""
-    survey = facts.survey
-    cameras = [view.camera for view in survey.views]
-    centres = survey.frame.crs_from_local(np.array([c.centre for c in cameras]))[:, :2]
+    survey, cameras = facts.survey, [view.camera for view in facts.survey.views]
+    crs, centres = survey.frame.crs, survey.frame.crs_from_local(np.array([c.centre for c in cameras]))[:, :2]
     if len(facts.bed):
         ground = median(facts.bed.xyz[:, 2])
     else:
         ground = float(np.median([camera.centre[2] for camera in cameras])) - facts.plan.height_m
     footprints = [survey.frame.crs_from_local(_footprint(camera, survey, ground))[:, :2] for camera in cameras]
     bounds = np.reshape(() if survey.bounds is None else survey.bounds, (-1, 2))
-    extent = extent_around(np.concatenate([*footprints, centres, bounds]), survey.frame.crs, 0.025)
-    figure, axes = map_canvas(extent, survey.frame.crs, below_in=0.5)
+    extent = extent_around(np.concatenate([*footprints, centres, bounds]), crs, 0.025)
+    figure, axes = map_canvas(extent, crs, below_in=0.5)
     axes.set_facecolor("white")
     if len(facts.bed):
-        _draw_wet_and_dry(axes, facts)
+        grid = PlanGrid.over(facts.points_crs, crs, max_cells=_PLAN_CELLS)
+        count, is_wet = grid.count(), 2 * grid.count(facts.bed.wet)
+        is_wet = is_wet >= np.maximum(count, 1)
+        for part, colour, label in ((is_wet, WATER, "bed under water"), ((count > 0) & ~is_wet, LAND, "dry ground")):
+            if part.any():
+                show(axes, np.where(part[..., None], to_rgba(colour), (0.0, 0.0, 0.0, 0.0)), grid.extent)
+                axes.plot([], [], "s", ms=9.0, color=colour, label=label)
     outline = to_rgba(INK, min(0.4, max(0.08, 0.4 * _FEW_OUTLINES / len(cameras))))
     axes.add_collection(PolyCollection(footprints, facecolors="none", edgecolors=outline, lw=0.7))
-    _draw_lines(axes, facts, centres)
-    unit_m = ground_units_m(survey.frame.crs, centres[0])
+    headers = [facts.headers.get(view.name) for view in survey.views]
+    # One clock for all.
+    times = [None if header is None else header.taken for header in headers]
+    if None in times:
+        times = [None if header is None else header.clock for header in headers]
+    if seconds := [time.timestamp() for time in times if time is not None and None not in times]:
+        lines = flight_lines(np.array(seconds), centres)
+        axes.add_collection(LineCollection(list(lines), colors=SOFT, lw=0.9, zorder=4, label="flight line"))
+    unit_m = ground_units_m(crs, centres[0])
     longer_m = max((extent[1] - extent[0]) * unit_m[0], (extent[3] - extent[2]) * unit_m[1])
-    _draw_cameras(axes, survey, centres, _LOOK * longer_m / unit_m)
+    looks = np.array([camera.cam_from_local[2] for camera in cameras])
+    is_oblique = np.degrees(np.arccos(np.clip(-looks[:, 2], -1.0, 1.0))) > _OBLIQUE_DEG
+    lines = np.stack([centres, centres + looks[:, :2] * _LOOK * longer_m / unit_m], axis=1)[is_oblique]
+    axes.add_collection(LineCollection(list(lines), colors=OBLIQUE, lw=1.2, zorder=5))
+    for part, colour, label in ((~is_oblique, INK, "camera"), (is_oblique, OBLIQUE, "camera, oblique")):
+        if part.any():
+            axes.plot(*centres[part].T, "o", ms=4.5, mfc=colour, mec="white", mew=0.6, label=label, zorder=6)
     if survey.bounds is not None:
         e0, n0, e1, n1 = survey.bounds
         frame = Rectangle((e0, n0), e1 - e0, n1 - n0, fill=False, ec=BOUNDS, lw=1.6, ls="--", zorder=4)
         frame.set_label("bounds")
         axes.add_patch(frame)
     figure.legend(loc="lower center", ncols=3, frameon=False, fontsize=9)
-    subtitle = f"{len(cameras)} views, {distance(facts.plan.height_m)} over {_over(survey)}"
-    words = f"Outlines: what each photograph covers on {_over(survey)}."
-    return finished(axes, path, "The flight in plan", subtitle, words)
-
-
-def _draw_wet_and_dry(axes: Axes, facts: ReportFacts) -> None:
-    grid = PlanGrid.over(facts.points_crs, facts.survey.frame.crs, max_cells=_PLAN_CELLS)
-    count, wet = grid.count(), grid.count(facts.bed.wet)
-    is_wet = 2 * wet >= np.maximum(count, 1)
-    for part, colour, label in (
-        (is_wet, WATER, "bed under water"),
-        ((count > 0) & ~is_wet, LAND, "dry ground"),
-    ):
-        if part.any():
-            image = np.where(part[..., None], to_rgba(colour), (0.0, 0.0, 0.0, 0.0))
-            show(axes, image, grid.extent)
-            axes.add_patch(Rectangle((0.0, 0.0), 0.0, 0.0, color=colour, label=label, transform=axes.transAxes))
-
-
-def _draw_lines(axes: Axes, facts: ReportFacts, centres: np.ndarray) -> None:
-    """Draw lines from exposure to exposure in the order of their times; no line over a pause."""
-    headers = [facts.headers.get(view.name) for view in facts.survey.views]
-    # One clock for all.
-    times = [None if header is None else header.taken for header in headers]
-    if None in times:
-        times = [None if header is None else header.clock for header in headers]
-    seconds = np.array([time.timestamp() for time in times if time is not None])
-    if len(seconds) == len(times):
-        lines = flight_lines(seconds, centres)
-        axes.add_collection(LineCollection(list(lines), colors=SOFT, lw=0.9, zorder=4, label="flight line"))
+    over = "the ground"
+    if (water := survey.config.water) is not None:
+        slope = math.hypot(water.slope_east, water.slope_north)
+        rises = f", which rises by {100.0 * slope:.2g} %" if slope else ""
+        over = f"the water at {height(water.known_level_m)}{rises}"
+    subtitle = f"{len(cameras)} views, {distance(facts.plan.height_m)} over {over}"
+    return finished(axes, path, "The flight in plan", subtitle, f"Outlines: what each photograph covers on {over}.")
 
 
 def flight_lines(seconds: np.ndarray, centres: np.ndarray) -> np.ndarray:
@@ -333,17 +322,6 @@ def flight_lines(seconds: np.ndarray, centres: np.ndarray) -> np.ndarray:
     return np.stack([along[:-1], along[1:]], axis=1)[gaps <= _PAUSE * np.median(gaps)]
 
 
-def _draw_cameras(axes: Axes, survey: Survey, centres: np.ndarray, length: np.ndarray) -> None:
-    """Dots for cameras, and lines of up to ``length`` (2,) in crs in the viewing directions of oblique ones."""
-    looks = np.array([view.camera.cam_from_local[2] for view in survey.views])
-    is_oblique = np.degrees(np.arccos(np.clip(-looks[:, 2], -1.0, 1.0))) > _OBLIQUE_DEG
-    lines = np.stack([centres, centres + looks[:, :2] * length], axis=1)[is_oblique]
-    axes.add_collection(LineCollection(lines, colors=OBLIQUE, lw=1.2, zorder=5))
-    for part, colour, label in ((~is_oblique, INK, "camera"), (is_oblique, OBLIQUE, "camera, oblique")):
-        if part.any():
-            axes.plot(*centres[part].T, "o", ms=4.5, mfc=colour, mec="white", mew=0.6, label=label, zorder=6)
-
-
 def _footprint(camera: PinholeCamera, survey: Survey, ground: float) -> np.ndarray:
     """Border (N, 3) of an image on the water, or on level ground; local.
 
@@ -351,16 +329,7 @@ def _footprint(camera: PinholeCamera, survey: Survey, ground: float) -> np.ndarr
     """
     rays = camera.directions(camera.outline())
     rays = rays[np.isfinite(rays).all(axis=1)]
-    if survey.water is None:
-        normal, over = np.array([0.0, 0.0, 1.0]), float(camera.centre[2]) - ground
-    else:
+    normal, over = np.array([0.0, 0.0, 1.0]), float(camera.centre[2]) - ground
+    if survey.water is not None:
         normal, over = np.array(survey.water.up), -float(survey.water.depth(camera.centre))
     return camera.centre + rays * (over / np.maximum(-rays @ normal, 0.25))[:, None]
-
-
-def _over(survey: Survey) -> str:
-    water = survey.config.water
-    if water is None:
-        return "the ground"
-    slope = math.hypot(water.slope_east, water.slope_north)
-    return f"the water at {height(water.known_level_m)}" + (f", which rises by {100.0 * slope:.2g} %" if slope else "")

@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, Colormap, LightSource, LogNorm, Normalize, to_rgba
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from scipy import ndimage
 
@@ -22,6 +20,7 @@ from survey.display.canvas import (
     Extent,
     Picture,
     colour_bar,
+    empty_figure,
     finished,
     map_canvas,
     nice_limit,
@@ -48,7 +47,7 @@ from survey.escaping import figure_text
 from survey.photos.images import load_image
 from survey.report.facts import ReportFacts
 from survey.report.profile import Cut, draw_line
-from survey.report.seen_cells import SeenCells, cells_of
+from survey.report.seen_cells import ONE_VIEW, TWO_VIEWS, SeenCells, cells_of
 
 if TYPE_CHECKING:
     from fields.sweep.maps import HeightMap
@@ -58,14 +57,12 @@ if TYPE_CHECKING:
 _PIXELS = 2000
 _OF_SOLVER = "from the normal matrix of the solver"
 _OF_SWEEP = "from the spread of the views that agree around it and the curvature of the bed"
-# Views that a point of the bed needs.
-_FEWEST_VIEWS = 2
 # Codes of cells with their colour and meaning; 0 is what no view sees.
-_FOUND, _NOT_FOUND, _ONE_VIEW = 1, 2, 3
+_HAS_POINT = 3
 _LEGEND = {
-    _FOUND: (WATER, "has points"),
-    _NOT_FOUND: (RED, "two or more views, no bed found"),
-    _ONE_VIEW: (OBLIQUE, "one view only"),
+    _HAS_POINT: (WATER, "has points"),
+    TWO_VIEWS: (RED, "two or more views, no bed found"),
+    ONE_VIEW: (OBLIQUE, "one view only"),
 }
 # Pixels of the map of cells without a bed, along its longer side at most.
 _UNSEEN_PIXELS = 900
@@ -153,8 +150,7 @@ def draw_view(path: Path, facts: ReportFacts, height_maps: Sequence[HeightMap]) 
     depth = None if facts.survey.water is None else np.where(height < 0.0, -height, np.nan)
     image, scale = shaded_bed(depth, height, facts.plan.gsd_m * facts.plan.image_scale / scale_of_map)
 
-    figure = Figure(figsize=(11.0, max(2.5, 4.9 * rows / columns + 0.45)), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = empty_figure(11.0, max(2.5, 4.9 * rows / columns + 0.45))
     left, right = figure.subplots(1, 2)
     left.imshow(load_image(view, scale=min(scale_of_map, 1.0)))
     right.imshow(image, interpolation="nearest")
@@ -216,9 +212,8 @@ def draw_unseen(path: Path, facts: ReportFacts) -> Picture:
     """Ground with points, and without, by the number of views that look at it."""
     survey = facts.survey
     cells = cells_of(survey, facts.bed.xyz, facts.plan.gsd_m) if facts.cells is None else facts.cells
-    codes = codes_of(cells)
-    seen = np.isin(codes, (_FOUND, _NOT_FOUND)) & (cells.num_views >= _FEWEST_VIEWS)
-    missing = float(np.mean(codes[seen] == _NOT_FOUND)) if seen.any() else 0.0
+    codes, seen = np.where(cells.has_point, _HAS_POINT, cells.gaps), cells.num_views >= 2
+    missing = float(np.mean(~cells.has_point[seen])) if seen.any() else 0.0
     corners = cells.middles[:: max(cells.height.shape[0] - 1, 1), :: max(cells.height.shape[1] - 1, 1)]
     low, high = (limit(survey.frame.crs_from_local(corners.reshape(-1, 3)), axis=0)[:2] for limit in (np.min, np.max))
     extent = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
@@ -237,12 +232,6 @@ def draw_unseen(path: Path, facts: ReportFacts) -> Picture:
     return finished(axes, path, "Where no bed was found", subtitle, words)
 
 
-def codes_of(cells: SeenCells) -> np.ndarray:
-    """Codes of the cells (rows, columns): a key of the legend, or 0."""
-    without = np.where(cells.num_views >= _FEWEST_VIEWS, _NOT_FOUND, np.where(cells.num_views == 1, _ONE_VIEW, 0))
-    return np.where(cells.has_point, _FOUND, without)
-
-
 def _image(cells: SeenCells, codes: np.ndarray, facts: ReportFacts, extent: Extent) -> np.ndarray:
     """Colours (rows, columns, 4) uint8 of an extent in crs, its first row in the north."""
     west, east, south, north = extent
@@ -250,7 +239,7 @@ def _image(cells: SeenCells, codes: np.ndarray, facts: ReportFacts, extent: Exte
     x, y = np.meshgrid(np.linspace(west, east, columns), np.linspace(north, south, rows))
     height = np.full(x.shape, float(facts.survey.frame.origin[2]))
     local = facts.survey.frame.local_from_crs(np.stack([x, y, height], axis=-1))
-    colours = [to_rgba(EMPTY), *(to_rgba(colour) for colour, _ in _LEGEND.values())]
+    colours = [to_rgba(_LEGEND[code][0] if code else EMPTY) for code in range(4)]
     return np.rint(255.0 * np.array(colours)).astype(np.uint8)[codes[cells.grid.index(local)]]
 
 

@@ -39,7 +39,7 @@ from survey.words import Quality
 _GROUPS = (
     ("The bed", ("depth", "orthophoto", "profile")),
     ("Uncertainty and coverage", ("unseen", "views", "std", "histograms")),
-    ("Comparison with the reference", ("error", "completeness", "error_histogram", "error_depth", "error_bands")),
+    ("Comparison with the reference", ("error", "completeness", "error_histogram", "error_bands")),
     ("Residuals of the adjustment", ("parts", "control", "residuals_ground", "residuals_image", "correlation")),
     ("Waves", ("waves",)),
     ("Flight", ("view", "plan")),

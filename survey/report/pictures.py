@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from geo.crs import height_unit_m
 from survey.adjust.result.std_of_block import part_numbers
 from survey.compare import pictures as compared
-from survey.display.canvas import Picture, canvas, finished, nice_limit, plain_log_ticks, save
-from survey.display.palette import BLUE, INK, RED, SERIES, SOFT
+from survey.display.canvas import Picture, empty_figure, plain_log_ticks, save
+from survey.display.palette import INK, SERIES, SOFT
 from survey.display.plan_grid import PlanGrid, finite, median
 from survey.display.quantities import NO_BREAK, LengthUnit, number
 from survey.report import flight_pictures, maps, profile
@@ -30,7 +28,6 @@ if TYPE_CHECKING:
 # Cells of a map along the longer side, at most: a picture has some 800 pixels for them.
 _MAP_CELLS = 900
 _CELL_GSD = 2.0
-_BANDS, _FEWEST = 16, 20
 _STD = "standard deviation"
 
 
@@ -86,9 +83,6 @@ def _of_comparison(facts: ReportFacts, found: Comparison) -> Iterator[tuple[str,
         "completeness",
         lambda path: compared.completeness_map(found.targets, found.is_reached, path, crs=crs, tolerance_m=tolerance_m),
     )
-    distances = found.distances_of_cloud
-    if np.isfinite(distances).any():
-        yield "error_depth", lambda path: draw_error_over_depth(path, facts, distances)
     if compared.has_bands(found.figures.parts):
         yield "error_bands", lambda path: compared.draw_bands(found.figures.parts, path)
 
@@ -110,8 +104,7 @@ def draw_histograms(path: Path, facts: ReportFacts) -> Picture:
         (angle, "°", 1, math.degrees(1.0), bed.incidence),
     )
     # Two by two: four in a row cannot be read on a phone.
-    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = empty_figure(7.2, 4.6)
     for axes, graph, colour in zip(figure.subplots(2, 2).flat, graphs, SERIES, strict=True):
         label, unit, decimals, scale, column = graph
         # One at a time: columns have hundreds of millions of values.
@@ -145,34 +138,3 @@ def _histogram(axes: Axes, values: np.ndarray, scale: float, colour: str, *, is_
     axes.hist(edges[:-1], edges.tolist(), weights=counts, color=colour, rwidth=0.85 if is_count else 1.0)
     axes.axvline(middle, color=INK, lw=1.2)
     return middle
-
-
-def draw_error_over_depth(path: Path, facts: ReportFacts, distances: np.ndarray) -> Picture:
-    """Median and inner 68 % of the distances (N,) [m] to a reference, in bands of depth or of height."""
-    is_dry, shown = facts.survey.water is None, LengthUnit.of_heights()
-    up = height_unit_m(facts.survey.frame.crs)
-    along = np.asarray(facts.points_crs[:, 2] * up if is_dry else facts.bed.depth, dtype=np.float64) * shown.per_metre
-    use = np.isfinite(distances) & np.isfinite(along)
-    along, distances = along[use], distances[use]
-    limit = nice_limit(distances)
-    unit = LengthUnit.of([limit])
-    _, axes = canvas(7.2, 3.4)
-    if along.size:
-        first, last = np.quantile(along, [0.002, 0.998])
-        edges = np.linspace(first, last, _BANDS + 1)
-        band = np.digitize(along, edges) - 1
-        parts = [(middle, distances[band == i]) for i, middle in enumerate(0.5 * (edges[:-1] + edges[1:]))]
-        rows = [(middle, *np.quantile(part, [0.16, 0.5, 0.84])) for middle, part in parts if len(part) >= _FEWEST]
-        if rows:
-            middle, low, median, high = np.array(rows).T * [[1.0], *[[unit.per_metre]] * 3]
-            axes.fill_between(middle, low, high, color=BLUE, alpha=0.25, lw=0, label="inner 68 %")
-            axes.plot(middle, median, "o-", ms=3.5, color=RED, lw=1.3, label="median")
-            axes.legend(frameon=False, fontsize=9, ncols=2, loc="upper right")
-        axes.set_ylim(-limit * unit.per_metre, limit * unit.per_metre)
-    axes.axhline(0.0, color=INK, lw=0.8)
-    ground = ", dry ground negative" if (along < 0.0).any() else ""
-    name = f"{'height' if is_dry else f'true depth below the water{ground}'} [{shown.name}]"
-    axes.set(xlabel=name, ylabel=f"distance to the reference [{unit.name}]")
-    title = f"Distance to the reference over {'height' if is_dry else 'depth'}"
-    words = "A line that stays at zero means that no part of the depth is scaled wrongly."
-    return finished(axes, path, title, f"bands with at least {_FEWEST} points", words)

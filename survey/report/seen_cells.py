@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 CELL_GSD = 10.0
 # At most this many cells along an axis; larger areas take larger cells.
 _MOST_CELLS = 2000
+# Codes of cells without a point.
+TWO_VIEWS, ONE_VIEW = 1, 2
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,12 @@ class SeenCells:
     def middles(self) -> np.ndarray:
         """Middles of the cells at their heights (rows, columns, 3) [m], local."""
         return np.dstack([self.grid.middles(), self.height])
+
+    @property
+    def gaps(self) -> np.ndarray:
+        """Codes (rows, columns) uint8 of cells without a point: `TWO_VIEWS`, `ONE_VIEW`, or 0 for all others."""
+        views = np.where(self.num_views >= 2, TWO_VIEWS, np.where(self.num_views == 1, ONE_VIEW, 0))
+        return np.where(self.has_point, 0, views).astype(np.uint8)
 
 
 def cells_seen(
@@ -82,15 +90,13 @@ def _extent(cameras: Sequence[PinholeCamera], area: Area | None, height: float) 
     """South-western and north-eastern corner (2,) [m], local, of the area of interest."""
     if area is not None:
         return np.array(area[:2]), np.array(area[2:])
-    centres, reaches = np.array([camera.centre for camera in cameras]), []
+    centres = np.array([camera.centre for camera in cameras])
     axes = np.array([camera.cam_from_local[2] for camera in cameras])
     # Views to the horizon are taken to look at most 45 degrees up from the vertical.
     axis_z = np.minimum(axes[:, 2], -np.sqrt(0.5))
     foot = centres[:, :2] + axes[:, :2] * ((height - centres[:, 2]) / axis_z)[:, None]
-    for camera in cameras:
-        half = 0.5 * camera.widening * np.hypot(camera.width / camera.fx, camera.height / camera.fy)
-        reaches.append(half * max(camera.centre[2] - height, 0.0))
-    reach = np.array(reaches)[:, None]
+    half = np.array([0.5 * c.widening * np.hypot(c.width / c.fx, c.height / c.fy) for c in cameras])
+    reach = (half * np.maximum(centres[:, 2] - height, 0.0))[:, None]
     return (foot - reach).min(axis=0), (foot + reach).max(axis=0)
 
 
@@ -130,21 +136,18 @@ class CoverageFigures:
     one_view_m2: float
 
 
-def coverage_of(
-    depth: np.ndarray, has_point: np.ndarray, num_views: np.ndarray, cell_m: float, shared_std_m: float | None
-) -> CoverageFigures:
-    """The figures of cells (rows, columns) of the ground, with sides of `cell_m` [m].
+def coverage_of(cells: SeenCells, depth: np.ndarray, shared_std_m: float | None) -> CoverageFigures:
+    """The figures of cells of the ground at depths (rows, columns) [m] below the water; negative or NaN: dry.
 
-    Depths [m] are below the water; where no point is, of the nearest cell with one; negative or NaN: dry. `num_views`
-    are the photographs in whose frame a cell lies, `shared_std_m` [m] the standard deviation common to all heights.
+    `shared_std_m` [m] is the standard deviation common to all heights.
     """
-    wet, cell_m2 = depth > 0.0, cell_m**2
-    found, missing = wet & has_point, wet & ~has_point
+    wet, cell_m2 = depth > 0.0, cells.grid.side_m**2
+    found, gaps = wet & cells.has_point, np.bincount(cells.gaps[wet], minlength=3)
     wet_m2 = cell_m2 * float(found.sum())
     return CoverageFigures(
         wet_m2=wet_m2,
         water_m3=cell_m2 * float(depth[found].sum()),
         water_std_m3=None if shared_std_m is None else wet_m2 * shared_std_m,
-        two_views_m2=cell_m2 * float((missing & (num_views >= 2)).sum()),
-        one_view_m2=cell_m2 * float((missing & (num_views == 1)).sum()),
+        two_views_m2=cell_m2 * float(gaps[TWO_VIEWS]),
+        one_view_m2=cell_m2 * float(gaps[ONE_VIEW]),
     )

@@ -250,7 +250,7 @@ def _coverage(survey: Survey, stored: StoredBed, cells: SeenCells) -> CoverageFi
     if departure is not None:
         depth = depth + departure.at(cells.middles[..., :2].reshape(-1, 2))[0].reshape(depth.shape)
     std = math.nan if stored.std_common is None else median(stored.std_common)
-    return coverage_of(depth, cells.has_point, cells.num_views, cells.grid.side_m, None if math.isnan(std) else std)
+    return coverage_of(cells, depth, None if math.isnan(std) else std)
 
 
 def _photographs(done: Mapping[str, Path]) -> tuple[PhotographFigures, ...]:

@@ -107,7 +107,8 @@ def test_normals_point_up_and_on_walls_to_the_side_that_is_open(rng):
 
 
 def test_points_that_lie_too_far_apart_are_refused(rng):
-    for points in (wavy(rng)[:2], 100.0 * wavy(rng)[:50]):
+    line = np.column_stack([0.1 * np.arange(50.0), np.zeros(50), np.zeros(50)])
+    for points in (wavy(rng)[:2], 100.0 * wavy(rng)[:50], line, line[:, ::-1]):
         with pytest.raises(SurveyError, match=r"make no surface at --resolution 0\.1"):
             surface(points)
 

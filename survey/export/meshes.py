@@ -14,7 +14,7 @@ from pathlib import Path
 import igl
 import numpy as np
 from scipy.sparse import csr_array
-from scipy.spatial import cKDTree
+from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from geo.files import library_for
 from geo.meshes import write_glb, write_obj
@@ -22,7 +22,6 @@ from geo.ply import write_ply
 from geo.shapes import Mesh
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
-from survey.export.plan_triangles import most_certain, triangles
 from survey.export.registry import ExportOptions
 
 _NEIGHBOURS = 12
@@ -194,12 +193,23 @@ def solid_of(vertices: np.ndarray, faces: np.ndarray, thickness_m: float) -> tup
 def delaunay_surface(points: np.ndarray, std: np.ndarray, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Delaunay surface with one height at each place in plan: for beds without overhangs.
 
-    Of each cell, whose side is the spacing, the point (N, 3) [m] with the smallest std (N,) [m] stays. A mean over the
-    cell would be smoother, and wrong at every step of the bed, where it takes points of both sides. Returns the numbers
-    (V,) of the points that are vertices, and faces (F, 3) without sides of more than `LONGEST` spacings in plan.
+    Of each cell, whose side is the spacing, the point (N, 3) [m] with the smallest std (N,) [m] stays; NaN counts as
+    infinite. A mean over the cell would be smoother, and wrong at every step of the bed, where it takes points of both
+    sides. Returns the numbers (V,) of the points that are vertices, and faces (F, 3) without sides of more than
+    `LONGEST` spacings in plan.
     """
-    chosen, south = most_certain(points, std, spacing_m), float(points[:, 1].min())
-    return without_unused_vertices(chosen, triangles(points[chosen, :2], south, LONGEST * spacing_m, spacing_m))
+    column, row = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / spacing_m).astype(np.int64).T
+    cell = row * (int(column.max()) + 1) + column
+    order = np.lexsort((np.where(np.isfinite(std), std, np.inf), cell))
+    chosen = order[np.unique(cell[order], return_index=True)[1]]
+    xy = points[chosen, :2].astype(np.float64)
+    try:
+        # Qhull loses digits where coordinates are large.
+        faces = Delaunay(xy - xy.mean(axis=0)).simplices
+    except (QhullError, ValueError):  # fewer than three points, or all on one line
+        faces = np.zeros((0, 3), dtype=np.int32)
+    sides = np.linalg.norm(xy[faces] - xy[np.roll(faces, 1, axis=1)], axis=2)
+    return without_unused_vertices(chosen, faces[sides.max(axis=1, initial=0.0) < LONGEST * spacing_m])
 
 
 def without_unused_vertices(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

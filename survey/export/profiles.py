@@ -7,7 +7,7 @@ import io
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -24,17 +24,18 @@ from geo.features import Line, assumed_crs, layer_of, read_lines
 from geo.files import write_text
 from geo.grid import plan_box
 from geo.projection import ground_units_m
-from geo.shapes import ground_of, in_height_unit, masked_cloud
+from geo.shapes import ground_of, in_height_unit, masked_cloud, vertices_of
 from geo.vectors import DxfLine, write_dxf
 from survey.compare.inputs import InputPaths, load_inputs
 from survey.display.canvas import empty_figure, save, write_title
-from survey.display.palette import BLUE, INK, LAND, RED, WATER, WATER_LINE
+from survey.display.palette import BLUE
 from survey.display.quantities import length, named, share
 from survey.errors import SurveyError
 from survey.export.bed_raster import LevelFit, round_side
 from survey.export.export import cloud_of
 from survey.files.outputs import ReadFiles, is_png, require_file
 from survey.progress import current
+from survey.report.profile import draw_section
 from survey.run.folder import RunDir
 
 # A height is the median of the points within so many spacings of its place.
@@ -102,8 +103,7 @@ class Bed:
         self._middle = self._cloud.points[:, :2].mean(axis=0)
         self._metres = ground_units_m(self.crs, self._middle)
         self._tree = cKDTree(self._plan(self._cloud.points[:, :2]))
-        points = self._reference.points if isinstance(self._reference, Cloud) else None
-        self._tree_of_reference = None if points is None else cKDTree(self._plan(points[:, :2]))
+        self._tree_of_reference: cKDTree | None = None
 
     @property
     def box(self) -> np.ndarray:
@@ -118,11 +118,11 @@ class Bed:
     def spacing_m(self) -> float:
         """Distance of neighbouring points [m], median."""
         some = self._tree.data[:: len(self._tree.data) // _SAMPLE + 1]
-        nearest = self._tree.query(some, k=2)[0][:, 1] if self._tree.n > 1 else np.array([np.inf])
-        spacing = float(np.median(nearest[nearest > 0.0])) if (nearest > 0.0).any() else np.inf
-        if not np.isfinite(spacing):
+        nearest = self._tree.query(some, k=2)[0][:, 1] if self._tree.n > 1 else np.empty(0)
+        nearest = nearest[(nearest > 0.0) & np.isfinite(nearest)]
+        if not len(nearest):
             raise ProfileError("all points of the cloud lie at one place, expected a bed with an extent")
-        return spacing
+        return float(np.median(nearest))
 
     @cached_property
     def _level(self) -> LevelFit | None:
@@ -147,36 +147,35 @@ class Bed:
         # The last place is the end of the line.
         distance = np.append(np.arange(0.0, lengths[-1] - 1e-9 * step, step), lengths[-1])
         plan = np.column_stack([np.interp(distance, lengths, corner) for corner in corners.T])
-        places = plan / self._metres + self._middle
+        places, unit_m = plan / self._metres + self._middle, height_unit_m(self.crs)
         rows = self._tree.query_ball_point(plan, _SPACINGS * self.spacing_m)
-        water = np.full(len(places), np.nan) if self._level is None else self._level(places)
-        profile = Profile(
+        bed = _medians(self._cloud.points[:, 2], rows)
+        return Profile(
             name=line.name,
             crs=self.crs,
             distance=distance,
             places=places,
-            bed=_medians(self._cloud.points[:, 2], rows),
+            bed=bed,
             std=_medians(self._cloud.extra.get("std"), rows),
             std_common=_medians(self._cloud.extra.get("std_common"), rows),
             num_points=np.array([len(near) for near in rows]),
-            water=water / height_unit_m(self.crs),
-            reference=np.full(len(places), np.nan),
+            water=np.full(len(places), np.nan) if self._level is None else self._level(places) / unit_m,
+            reference=self._reference_heights(plan, bed),
         )
-        return profile if self._reference is None else replace(profile, reference=self._heights(profile, plan))
 
-    def _heights(self, profile: Profile, plan: np.ndarray) -> np.ndarray:
-        """Heights of the reference (K,) at the places of a profile: of a mesh where it is, of points their median."""
+    def _reference_heights(self, plan: np.ndarray, bed: np.ndarray) -> np.ndarray:
+        """Heights of the reference (K,) at places (K, 2) [m]: of a mesh near the bed (K,), of points their median."""
         shape = self._reference
-        if isinstance(shape, Cloud) and self._tree_of_reference is not None:
+        if shape is None:
+            return np.full(len(plan), np.nan)
+        vertices, unit_m = self._plan(vertices_of(shape)[:, :2]), height_unit_m(self.crs)
+        if isinstance(shape, Cloud):
+            self._tree_of_reference = self._tree_of_reference or cKDTree(vertices)
             near = self._tree_of_reference.query_ball_point(plan, _SPACINGS * self.spacing_m)
             return _medians(shape.points[:, 2], near)
-        if not isinstance(shape, Mesh):
-            return np.full(len(plan), np.nan)
-        unit_m = height_unit_m(self.crs)
-        # Where a mesh has several heights, that near the bed counts.
-        near_bed = np.where(np.isfinite(profile.bed), profile.bed, np.nanmedian(self._cloud.points[:, 2]))
-        vertices = np.column_stack([self._plan(shape.vertices[:, :2]), shape.vertices[:, 2] * unit_m])
-        above = vertical_difference(np.column_stack([plan, near_bed * unit_m]), vertices, shape.faces)
+        near_bed = np.where(np.isfinite(bed), bed, np.nanmedian(self._cloud.points[:, 2]))
+        surface = np.column_stack([vertices, shape.vertices[:, 2] * unit_m])
+        above = vertical_difference(np.column_stack([plan, near_bed * unit_m]), surface, shape.faces)
         return near_bed - above / unit_m
 
 
@@ -184,8 +183,8 @@ def _medians(values: np.ndarray | None, rows: np.ndarray) -> np.ndarray:
     """Median of the values in each list of rows (K,); NaN where there is none."""
     if values is None:
         return np.full(len(rows), np.nan)
-    found = [values[near] for near in rows]
-    return np.array([np.nan if not np.isfinite(some).any() else float(np.nanmedian(some)) for some in found])
+    parts = [values[near] for near in rows]
+    return np.array([float(np.nanmedian(part)) if np.isfinite(part).any() else np.nan for part in parts])
 
 
 # Width and height of the picture of one profile [inch]; pictures have so many at most.
@@ -240,18 +239,7 @@ def profiles_along(
     require_file("--dxf", drawing, read, kind="a DXF", is_of_kind=lambda head: b"SECTION" in head[:64] or not head)
     bed = Bed(path, truth)
     current().note(*assumed_crs(lines))
-    found = _over_bed([bed.along(line, step_m) for line in read_lines(lines, bed.crs, bed.box)], lines)
-    if table is not None:
-        write_csv(table, found)
-    if picture is not None:
-        write_picture(picture, found)
-    if drawing is not None:
-        write_dxf(drawing, drawn_lines(found), found[0].crs)
-    return found
-
-
-def _over_bed(profiles: list[Profile], lines: Path) -> list[Profile]:
-    """The profiles, and a warning that names those without a point of the cloud; raises where they all are."""
+    profiles = [bed.along(line, step_m) for line in read_lines(lines, bed.crs, bed.box)]
     missed = [profile.name for profile in profiles if not profile.num_points.any()]
     if len(missed) == len(profiles):
         raise ProfileError(
@@ -260,6 +248,12 @@ def _over_bed(profiles: list[Profile], lines: Path) -> list[Profile]:
         )
     for text in named(missed, "line", f"of {lines.name} without a point of the cloud near it"):
         current().warn(text)
+    if table is not None:
+        write_csv(table, profiles)
+    if picture is not None:
+        write_picture(picture, profiles)
+    if drawing is not None:
+        write_dxf(drawing, drawn_lines(profiles), profiles[0].crs)
     return profiles
 
 
@@ -306,14 +300,8 @@ def draw(profile: Profile, axes: Axes) -> None:
     low, high = (float(heights.min()), float(heights.max())) if len(heights) else (0.0, 1.0)
     margin = 0.12 * max(high - low, 0.01)
     axes.set(xlim=(0.0, x[-1]), ylim=(low - margin, high + margin))
-    if np.isfinite(profile.water).any():
-        axes.fill_between(x, bed, profile.water, where=bed < profile.water, color=WATER, alpha=0.45, lw=0)
-        axes.plot(x, profile.water, color=WATER_LINE, lw=1.0, label="water")
-    axes.fill_between(x, bed, low - margin, color=LAND, lw=0)
     axes.fill_between(x, bed - sigma, bed + sigma, color=BLUE, alpha=0.35, lw=0, label="bed, two standard deviations")
-    axes.plot(x, bed, color=INK, lw=1.2, label="bed")
-    if np.isfinite(profile.reference).any():
-        axes.plot(x, profile.reference, color=RED, lw=1.2, label="reference")
+    draw_section(axes, x, bed, profile.water, profile.reference)
     unit = profile.crs.axis_info[2].unit_name
     axes.set(xlabel="distance along the line [m]", ylabel=f"height [{unit}]")
     write_title(axes, profile.name, subtitle_of(profile))

@@ -110,21 +110,24 @@ def draw_profile(path: Path, facts: ReportFacts, cut: Cut) -> Picture:
     _, axes = canvas(11.0, 3.8)
     axes.set_xlim(0.0, max(end, step))
     x, bed = _medians(along, heights, step)
-    shown = np.quantile(heights, [0.002, 0.998]) if len(heights) else np.zeros(2)
+    shown, level = np.quantile(heights, [0.002, 0.998]) if len(heights) else np.zeros(2), np.full(len(x), np.nan)
     if (water := facts.survey.water) is not None:
         ends[:, 2] = water.height(*cut.ends.T)
         level = np.interp(x, [0.0, end], facts.survey.frame.crs_from_local(ends)[:, 2] * up)
         shown = np.append(shown, level)
-        _draw_water(axes, x, bed, level, unit)
+        wet = np.flatnonzero(bed < level)
+        middle = wet[len(wet) // 2] if len(wet) else len(x) // 2
+        label = f"▽ water {number(level[middle], 2)}{NO_BREAK}{unit.name}"
+        axes.text(x[middle], level[middle], label, color=WATER_LINE, fontsize=9, ha="center", va="bottom", zorder=5)
     low, high = float(shown.min()), float(shown.max())
     size = max(high - low, 0.01)
     axes.set_ylim(low - _BELOW * size, high + _ABOVE * size)
-    axes.fill_between(x, bed, axes.get_ylim()[0], color=LAND, lw=0, zorder=1)
-    axes.plot(x, bed, color=INK, lw=1.1, label="bed", zorder=3)
-    axes.plot(along, heights, ".", ms=1.8, color=BLUE, alpha=0.4, rasterized=True, label="points", zorder=2)
+    reference = np.full(len(x), np.nan)
     if facts.comparison is not None:
-        reference = facts.comparison.reference_heights(rows) * up
-        axes.plot(*_medians(along, reference, step), color=RED, lw=1.3, label="reference", zorder=4)
+        known = _medians(along, facts.comparison.reference_heights(rows) * up, step)[1]
+        reference[: len(known)] = known
+    draw_section(axes, x, bed, level, reference)
+    axes.plot(along, heights, ".", ms=1.8, color=BLUE, alpha=0.4, rasterized=True, label="points", zorder=2)
     axes.set(xlabel=f"along the line from A to B [{unit.name}]", ylabel=f"height [{unit.name}]")
     axes.ticklabel_format(axis="y", useOffset=False)
     axes.legend(frameon=False, fontsize=9, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), markerscale=6.0,
@@ -159,16 +162,18 @@ def _ends_in_crs(facts: ReportFacts, cut: Cut) -> np.ndarray:
     return facts.survey.frame.crs_from_local(np.column_stack([cut.ends, np.zeros(2)]))[:, :2]
 
 
-def _draw_water(axes: Axes, x: np.ndarray, bed: np.ndarray, level: np.ndarray, unit: LengthUnit) -> None:
-    """Water between bed and surface, and its level in words."""
-    wet = np.flatnonzero(bed < level)
-    axes.fill_between(x, bed, level, where=bed < level, color=WATER, alpha=0.45, lw=0, zorder=1)
-    # Over a bed that is dry all along the cut, the level beside it still says how high it lies.
-    shown = np.where(bed >= level, np.nan, level) if len(wet) else level
-    axes.plot(x, shown, color=WATER_LINE, lw=1.8, label="water", zorder=3)
-    middle = wet[len(wet) // 2] if len(wet) else len(x) // 2
-    label = f"▽ water {number(level[middle], 2)}{NO_BREAK}{unit.name}"
-    axes.text(x[middle], level[middle], label, color=WATER_LINE, fontsize=9, ha="center", va="bottom", zorder=5)
+def draw_section(axes: Axes, x: np.ndarray, bed: np.ndarray, level: np.ndarray, reference: np.ndarray) -> None:
+    """The ground under a bed (K,), the water over it up to its level, and a reference; NaN where one is not known."""
+    if np.isfinite(level).any():
+        is_wet = bed < level
+        axes.fill_between(x, bed, level, where=is_wet, color=WATER, alpha=0.45, lw=0, zorder=1)
+        # Over a bed that is dry all along, the level beside it still says how high it lies.
+        shown = np.where(bed >= level, np.nan, level) if is_wet.any() else level
+        axes.plot(x, shown, color=WATER_LINE, lw=1.8, label="water", zorder=3)
+    axes.fill_between(x, bed, axes.get_ylim()[0], color=LAND, lw=0, zorder=1)
+    axes.plot(x, bed, color=INK, lw=1.1, label="bed", zorder=3)
+    if np.isfinite(reference).any():
+        axes.plot(x, reference, color=RED, lw=1.3, label="reference", zorder=4)
 
 
 def two_digits(value: float) -> str:

@@ -32,7 +32,6 @@ from survey.display.quantities import length, round_up
 from survey.errors import SurveyError
 from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells
 from survey.export.registry import require_not_too_fine
-from survey.files.toml_table import require_options
 from survey.progress import current
 
 if TYPE_CHECKING:
@@ -159,7 +158,6 @@ def _terms(plan: np.ndarray) -> np.ndarray:
 
 def bed_raster(run: LoadedRun, options: ExportOptions) -> BedRaster:
     """The raster of the bed of a run, made once for the products of a command."""
-    require_options(options)
     key = ("bed raster", options.crs, options.resolution_m, options.fill_m)
     return run.once(key, lambda: _bed_raster(run, options))
 
@@ -169,10 +167,7 @@ def _bed_raster(run: LoadedRun, options: ExportOptions) -> BedRaster:
     if options.resolution_m is not None:
         require_not_too_fine(options.resolution_m, pixel)
     columns = _with_std(run.columns(*_COLUMNS))
-    points, crs = columns["points_crs"], run.bed_header.crs
-    if options.crs is not None:
-        reprojection = run.transformation_to(options.crs)
-        points, crs = reprojection(points), reprojection.crs
+    points, crs = run.in_crs(columns["points_crs"], options.crs), run.crs_for(options.crs)
     cells = cells_over(points, crs, options.resolution_m or round_side(_DEFAULT_PX * pixel))
     points[:, 2] *= height_unit_m(crs)
     kinds = {"height": "f4", "std": "f4", "common": "f4", "count": "u4", "origin": "u1", "incidence": "f4"}

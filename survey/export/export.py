@@ -64,8 +64,12 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
         inputs = loaded.folder.inputs()
         if options.crs is not None and (warning := loaded.transformation_to(options.crs).warning) is not None:
             current().warn(warning)
-        keys = {path: key_of(product, loaded, options) for product, path in wanted}
-        outdated = [(product, path) for product, path in wanted if not is_current(loaded, path, keys[path])]
+        keys = {path: _key_of(product, loaded, options) for product, path in wanted}
+        outdated = [
+            (product, path)
+            for product, path in wanted
+            if not (path.is_file() and _entry(loaded, path).items() >= {"key": keys[path], **_stamp(path)}.items())
+        ]
         for product, path in outdated:
             _require_writable(product, path, loaded, inputs)
         for product, path in outdated:
@@ -76,7 +80,10 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
             try:
                 for product, path in wanted:
                     if (product, path) in outdated:
-                        _write(product, path, loaded, options, keys[path])
+                        product.function("write")(path, loaded, options)
+                        if not product.is_folder and (style := product.function("style")) is not None:
+                            write_style(path, style)
+                        _note_written(loaded, path, keys[path])
                     else:
                         current().note(f"{path}: unchanged")
                     written.append(path)
@@ -100,14 +107,6 @@ def cloud_of(run: str | Path) -> Path:
     if edits_of(folder) is None:
         return folder.cloud_path
     return export(run, las=folder.path / FOLDER / folder.cloud_path.name)[0]
-
-
-def _write(product: Product, path: Path, loaded: LoadedRun, options: ExportOptions, key: str) -> None:
-    """Write one product, with its style."""
-    product.function("write")(path, loaded, options)
-    if not product.is_folder and (style := product.function("style")) is not None:
-        write_style(path, style)
-    note_written(loaded, path, key)
 
 
 def _wanted(files: dict[str, str | Path | None]) -> list[tuple[Product, Path]]:
@@ -164,26 +163,20 @@ def _name(product: Product) -> str:
     return f"--{product.option}"
 
 
-def key_of(product: Product, run: LoadedRun, options: ExportOptions) -> str:
+def _key_of(product: Product, run: LoadedRun, options: ExportOptions) -> str:
     """A hash of all that a product depends on: result and edits of the run, the options that it follows, its code."""
     asked = {name: getattr(options, name) for name in product.takes}
     edits = None if run.edits is None or not product.is_of_points else run.edits.path
     return stage_key(product.option, run.stages, asked, code_hash(), edits)
 
 
-def is_current(run: LoadedRun, path: Path, key: str) -> bool:
-    """Whether a file is the one that was written with this key, and unchanged since."""
-    return path.is_file() and _entry(run, path).items() >= {"key": key, **_stamp(path)}.items()
-
-
-def note_written(run: LoadedRun, path: Path, key: str) -> None:
+def _note_written(run: LoadedRun, path: Path, key: str) -> None:
     """Note that a file was written with this key; a run that cannot be written to stays as it is."""
     record = run.folder.path / _RECORD
     known = {name: entry for name, entry in read_json_object(record).items() if Path(name).exists()}
     edited = {"sha256": _content_hash(path)} if path.suffix.lower() in _EDITED else {}
-    entry = {"key": key, **_stamp(path), **edited}
     try:
-        write_json(record, known | {str(path.resolve()): entry})
+        write_json(record, known | {str(path.resolve()): {"key": key, **_stamp(path), **edited}})
     except UnwritableFile as error:
         current().detail(f"{error}; the next export writes {path} again")
 

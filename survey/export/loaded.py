@@ -125,26 +125,23 @@ class LoadedRun:
     def transformation_to(self, crs: str) -> Reprojection:
         """Transformation from the CRS of the survey to another one; see `geo.reproject.Reprojection`."""
         # One place of the survey restricts the choice of the operation to those that hold there.
-        return self.once(
-            ("crs", crs), lambda: Reprojection.between(self.bed_header.crs, crs, where="--crs", places=self._some_place)
-        )
+        place, own = self._some_place, self.bed_header.crs
+        return self.once(("crs", crs), lambda: Reprojection.between(own, crs, where="--crs", places=place))
 
-    def bed_in(self, crs: str | None, *, certain: bool = False) -> StoredBed:
-        """The cloud, or `certain_bed`, with its coordinates in another CRS; None for that of the survey.
-
-        Errors as `transformation_to`.
-        """
-        return self._in(crs, self.certain_bed if certain else self.bed)
-
-    def _in(self, crs: str | None, bed: StoredBed) -> StoredBed:
-        if crs is None:
-            return bed
-        reprojection = self.transformation_to(crs)
-        return replace(bed, points_crs=reprojection(bed.points_crs), crs=reprojection.crs)
+    def in_crs(self, points: np.ndarray, crs: str | None) -> np.ndarray:
+        """Points (N, 3) in the CRS of the survey in another one; None leaves them."""
+        return points if crs is None else self.transformation_to(crs)(points)
 
     def crs_for(self, crs: str | None) -> CRS:
         """The CRS of products: another one, or None for that of the survey."""
         return self.bed_header.crs if crs is None else self.transformation_to(crs).crs
+
+    def bed_in(self, crs: str | None, *, certain: bool = False) -> StoredBed:
+        """The cloud, or `certain_bed`, with its coordinates in another CRS; None for that of the survey."""
+        return self._in(crs, self.certain_bed if certain else self.bed)
+
+    def _in(self, crs: str | None, bed: StoredBed) -> StoredBed:
+        return bed if crs is None else replace(bed, points_crs=self.in_crs(bed.points_crs, crs), crs=self.crs_for(crs))
 
     @property
     def _some_place(self) -> np.ndarray:
@@ -152,7 +149,7 @@ class LoadedRun:
 
     def some_place_in(self, crs: str | None) -> np.ndarray:
         """A point (1, 3) of the bed, in a CRS, or in that of the survey."""
-        return self._some_place if crs is None else self.transformation_to(crs)(self._some_place)
+        return self.in_crs(self._some_place, crs)
 
     @property
     def is_dry(self) -> bool:
@@ -185,9 +182,7 @@ class LoadedRun:
         if (self.folder.path / "adjustment.json").is_file():
             return float(read_adjustment(self.folder.path).poses.position_std[:, :2].max(axis=1).mean())
         given = self.config.cameras.position_std_m
-        if given is None:
-            return 0.0
-        return float(max(per_axis(given)[:2]))
+        return 0.0 if given is None else float(max(per_axis(given)[:2]))
 
     @cached_property
     def common_std_m(self) -> float:
@@ -256,8 +251,7 @@ def colours_without_water(run: LoadedRun) -> Callable[[np.ndarray, np.ndarray, n
 
 def flight_of(run: LoadedRun, folder: str | None) -> Flight:
     """The flight as the run used it, its photographs where they are now if the folder of the survey is named."""
-    flight = run.flight
-    views = flight.views
+    views = run.flight.views
     if folder is not None:
         views = tuple(_elsewhere(view, Path(folder), run.config.images.local_dir) for view in views)
     owner = run.folder.owner()
@@ -268,7 +262,7 @@ def flight_of(run: LoadedRun, folder: str | None) -> Flight:
             )
         if owner is not None:
             owner.require_unchanged(view.name, view.path)
-    return replace(flight, views=views)
+    return replace(run.flight, views=views)
 
 
 def survey_folder(run: LoadedRun, folder: str | None) -> Path:
@@ -287,8 +281,7 @@ def _folder_of(view: View, images: str) -> Path:
 
 def _elsewhere(view: View, folder: Path, images: str) -> View:
     """A view whose survey folder lies elsewhere now."""
-    before = _folder_of(view, images)
-    mask = view.mask_path
+    before, mask = _folder_of(view, images), view.mask_path
     if mask is not None and mask.is_relative_to(before):
         mask = folder / mask.relative_to(before)
     return replace(view, path=folder / images / view.name, mask_path=mask)

@@ -66,11 +66,8 @@ def _mesh(path: Path, run: LoadedRun, options: ExportOptions) -> Mesh:
         watertight=options.watertight,
         path=path,
     )
-    vertices, crs = frame.crs_from_local(mesh.vertices), frame.crs
-    if options.crs is not None:
-        reprojection = run.transformation_to(options.crs)
-        vertices, crs = reprojection(vertices), reprojection.crs
-    return replace(mesh, vertices=vertices, crs=crs)
+    vertices = run.in_crs(frame.crs_from_local(mesh.vertices), options.crs)
+    return replace(mesh, vertices=vertices, crs=run.crs_for(options.crs))
 
 
 def check_mesh(path: Path, run: LoadedRun, options: ExportOptions) -> None:

@@ -92,9 +92,7 @@ check_contours, check_footprints, check_unseen = check_layer, _check_seen, _chec
 def write_footprints(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     """The border of each photograph on the bed, through the water; occlusion is ignored."""
     flight = run.flight
-    cameras = [view.camera for view in flight.views]
-    xyz = run.columns("xyz")["xyz"]
-    cells = cells_seen(cameras, flight.water, flight.departure, None, xyz, run.bed_header.gsd_m)
+    cells = _cells(run, None)
     shapes, names, areas, lost = [], [], [], []
     for view in flight.views:
         ring = _on_bed(view.camera, plane_under(flight.water, flight.departure, view.camera.centre), cells)
@@ -103,12 +101,18 @@ def write_footprints(path: Path, run: LoadedRun, options: ExportOptions) -> None
             continue
         areas.append(round(Polygon(ring[:, :2]).area, 3))
         names.append(view.name)
-        shapes.append([in_crs(run, options, ring)])
+        shapes.append([_in_plan(run, options, ring)])
     if lost:
         current().warn(f"{len(lost)} photographs show the horizon and have no footprint, e.g. {lost[0]}")
     columns: dict[str, list] = {"image": names, "area_m2": areas}
     about = "borders of the photographs on the bed, through the water; beyond the points, at the height of the nearest"
     write_layer(path, Layer("footprints", "Polygon", shapes, run.crs_for(options.crs), columns, about))
+
+
+def _cells(run: LoadedRun, area: tuple[float, float, float, float] | None) -> SeenCells:
+    flight, xyz = run.flight, run.columns("xyz")["xyz"]
+    cameras = [view.camera for view in flight.views]
+    return cells_seen(cameras, flight.water, flight.departure, area, xyz, run.bed_header.gsd_m)
 
 
 def _on_bed(camera: PinholeCamera, water: FlatWater | None, cells: SeenCells) -> np.ndarray | None:
@@ -132,10 +136,9 @@ def _on_bed(camera: PinholeCamera, water: FlatWater | None, cells: SeenCells) ->
     return np.concatenate([places, places[:1]])
 
 
-def in_crs(run: LoadedRun, options: ExportOptions, local: np.ndarray) -> np.ndarray:
+def _in_plan(run: LoadedRun, options: ExportOptions, local: np.ndarray) -> np.ndarray:
     """Points (N, 3) [m], local, in plan (N, 2) in the CRS that is asked for."""
-    points = run.flight.frame.crs_from_local(local)
-    return (points if options.crs is None else run.transformation_to(options.crs)(points))[:, :2]
+    return run.in_crs(run.flight.frame.crs_from_local(local), options.crs)[:, :2]
 
 
 def write_contours(path: Path, run: LoadedRun, options: ExportOptions) -> None:
@@ -153,15 +156,14 @@ def write_contours(path: Path, run: LoadedRun, options: ExportOptions) -> None:
         raise SurveyError(
             f"--interval {step:g} makes over {_MOST_LEVELS} contours from {low:.2f} to {high:.2f} m; give a larger one"
         )
-    levels = [number * step for number in range(math.ceil(low / step), math.floor(high / step) + 1)]
     lines, depths = [], []
-    for level in levels:
-        found = _lines(grid, values, level)
-        lines += found
-        depths += [round(level, 6)] * len(found)
+    for number in range(math.ceil(low / step), math.floor(high / step) + 1):
+        at_level = _lines(grid, values, number * step)
+        lines += at_level
+        depths += [round(number * step, 6)] * len(at_level)
     name = "height_m" if is_dry else "depth_m"
     about = f"every {step:g} m, in cells of {grid.cells.side_m:g} m; depths count down from the water"
-    _write_lines(path, "contours", grid, lines, {name: depths}, about)
+    _write_lines(path, Layer("contours", "LineString", lines, grid.cells.crs, {name: depths}, about), grid)
 
 
 def write_shoreline(path: Path, run: LoadedRun, options: ExportOptions) -> None:
@@ -169,7 +171,8 @@ def write_shoreline(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     grid = bed_raster(run, options)
     lines = _lines(grid, grid.depths(grid.cells.whole), 0.0)
     about = f"where the bed meets the water of the survey, in cells of {grid.cells.side_m:g} m"
-    _write_lines(path, "shoreline", grid, lines, {"depth_m": [0.0] * len(lines)}, about)
+    columns: dict[str, list] = {"depth_m": [0.0] * len(lines)}
+    _write_lines(path, Layer("shoreline", "LineString", lines, grid.cells.crs, columns, about), grid)
 
 
 def check_shoreline(path: Path, run: LoadedRun, options: ExportOptions) -> None:
@@ -179,16 +182,14 @@ def check_shoreline(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     check_layer(path, run, options)
 
 
-def _write_lines(
-    path: Path, name: str, grid: BedRaster, lines: list[np.ndarray], column: dict[str, list[float]], about: str
-) -> None:
-    """Write lines with the depth of each, or the height in a dry survey [m], in a column; heights (N,) are in crs."""
-    ((_, values),) = column.items()
+def _write_lines(path: Path, layer: Layer, grid: BedRaster) -> None:
+    """Write lines with the depth of each, or the height in a dry survey [m], in a column, and heights in crs."""
+    ((_, values),) = layer.columns.items()
     heights = [
         (np.full(len(line), value) if grid.level is None else grid.level(line) - value) / grid.height_unit_m
-        for line, value in zip(lines, values, strict=True)
+        for line, value in zip(layer.shapes, values, strict=True)
     ]
-    write_layer(path, Layer(name, "LineString", lines, grid.cells.crs, dict(column), about, heights))
+    write_layer(path, replace(layer, heights=heights))
 
 
 def _lines(grid: BedRaster, values: np.ndarray, level: float) -> list[np.ndarray]:
@@ -229,17 +230,13 @@ def unseen_of(run: LoadedRun) -> Unseen:
     A cell is ten ground sampling distances wide (`survey.report.seen_cells`), counts as water where the nearest bed
     lies under the water, and as seen where its middle is.
     """
-    return run.once("unseen", lambda: _unseen(run))
 
+    def made() -> Unseen:
+        flight, cells = run.flight, _cells(run, local_area(run.flight))
+        level = flight.level(cells.middles[..., :2])
+        return Unseen(cells, np.where(cells.height < level, cells.gaps, 0).astype(np.uint8), level, flight.frame)
 
-def _unseen(run: LoadedRun) -> Unseen:
-    flight = run.flight
-    cameras = [view.camera for view in flight.views]
-    xyz, area = run.columns("xyz")["xyz"], local_area(flight)
-    cells = cells_seen(cameras, flight.water, flight.departure, area, xyz, run.bed_header.gsd_m)
-    places = cells.middles
-    level = flight.level(places[..., :2])
-    return Unseen(cells, np.where(cells.height < level, cells.gaps, 0).astype(np.uint8), level, flight.frame)
+    return run.once("unseen", made)
 
 
 def with_unseen(
@@ -261,9 +258,7 @@ def with_unseen(
     added = replace(
         some, xyz=xyz, rgb=np.zeros_like(some.rgb), std=unknown, num_views=views, depth=unknown, incidence=unknown
     )
-    points = unseen.frame.crs_from_local(xyz)
-    if crs is not None:
-        points = run.transformation_to(crs)(points)
+    points = run.in_crs(unseen.frame.crs_from_local(xyz), crs)
     added_classes = np.repeat(np.array([CLASS_NO_BOTTOM, CLASS_WATER_SURFACE], dtype=np.uint8), number)
     common = stored.std_common
     with_all = replace(
@@ -293,7 +288,7 @@ def _areas(run: LoadedRun, options: ExportOptions) -> Layer:
     for polygon, code in polygons_of(codes, mask=codes > 0, transform=Affine(*cells.grid.transform)):
         rings = [np.array(ring) for ring in polygon["coordinates"]]
         heights = (unseen.level[cells.grid.index(ring)] for ring in rings)
-        shapes.append([in_crs(run, options, np.column_stack(pair)) for pair in zip(rings, heights, strict=True)])
+        shapes.append([_in_plan(run, options, np.column_stack(pair)) for pair in zip(rings, heights, strict=True)])
         views.append("one" if code == ONE_VIEW else "two or more")
         reasons.append(REASONS[int(code)])
         areas.append(round(Polygon(rings[0], rings[1:]).area, 3))

@@ -20,7 +20,6 @@ from fields.image_based import NovelView
 from geo.files import reporting_disk_errors, write_whole
 from geo.frames import LocalFrame
 from refract import PinholeCamera
-from refract.lens import Lens
 from survey.errors import FILE_NAME, ConfigError, OutputError, SurveyError
 from survey.export.loaded import LoadedRun, colours_without_water
 from survey.export.novel_views import image_based_field
@@ -34,14 +33,19 @@ from survey.progress import current
 from survey.run.flight import load_flight
 from survey.run.folder import RunDir
 from survey.run.stored_field import load_layer_field
-from survey.settings.config import CamerasConfig, SurveyConfig, read_config
+from survey.settings.config import SurveyConfig, read_config
 
 FIELD_STAGE = "field"
 VIDEO, FRAMES_PER_S = "flight.mp4", 25
 # In the order of the layers that `write_view` makes.
 _ENDINGS = (".png", "_normal.png", "_height.tif", "_distance.tif")
 _BANDS = {"_height.tif": "height of the bed over the plane of the water", "_distance.tif": "distance along the ray"}
+# Tags of GDAL with name and unit of the band, and with the value of what is not known.
 _GDAL_METADATA, _GDAL_NODATA = 42112, 42113
+_METADATA = (
+    '<GDALMetadata><Item name="DESCRIPTION" sample="0" role="description">{}</Item>'
+    '<Item name="UNITTYPE" sample="0" role="unittype">metre</Item></GDALMetadata>'
+)
 # Tag in pictures that render wrote.
 _SOFTWARE = "bathynerf render"
 
@@ -111,7 +115,18 @@ def render(
         field = load_layer_field(field_folder, flight.water, device)
         return write_seen(targets, output, video_s, lambda _cameras: lambda camera: field.view(camera, dry))
     with LoadedRun(run) as loaded:
-        return write_seen(targets, output, video_s, lambda cameras: _of_photographs(loaded, survey, cameras, dry=dry))
+
+        def view_of(cameras: list[PinholeCamera]) -> Callable[[PinholeCamera], NovelView]:
+            with current().stage("Exposure") as stage:
+                of_photographs = image_based_field(loaded, survey, cameras, dry=dry, advance=stage.advance)
+            without_water = colours_without_water(loaded) if dry else None
+            if dry and without_water is None and flight.water is not None:
+                current().note(
+                    "colours are as photographed; a run with --true-colour has those of the bed without its water"
+                )
+            return lambda camera: of_photographs.render(camera, dry=dry, without_water=without_water)
+
+        return write_seen(targets, output, video_s, view_of)
 
 
 @dataclass(frozen=True)
@@ -125,22 +140,29 @@ class Target:
 
 def targets_of(run: RunDir, frame: LocalFrame, cameras: Path, output: Path) -> list[Target]:
     """The cameras of a file of poses in a local frame, and their pictures in a folder; errors as `render`."""
-    inputs = _inputs(run, cameras)
+    inputs = run.inputs()
+    if cameras.exists():
+        inputs += poses_inputs(cameras)
+    # The photographs of the surveys in whose folders the run and the cameras lie.
+    for place in {run.path.absolute().parent, cameras.absolute().parent}:
+        if (place / FILE_NAME).is_file():
+            # An unreadable survey is skipped: the run has its own settings.
+            with suppress(ConfigError):
+                inputs += survey_inputs(place)
     require_folder("-o", output, inputs, may_hold_inputs=True)
     posed = _cameras(read_poses(cameras), cameras, frame, read_config(run.settings_path))
     short = Counter(Path(name).with_suffix("") for name in posed)
-    targets = [
-        Target(name, camera, _stem(output, name, cameras, is_short=short[Path(name).with_suffix("")] == 1))
-        for name, camera in posed.items()
-    ]
+    targets = []
+    for name, camera in posed.items():
+        # Without the suffix, unless another camera would have the same name.
+        bare = Path(name).with_suffix("")
+        stem = output / (bare if short[bare] == 1 else name)
+        if not stem.resolve().is_relative_to(output.resolve()):
+            raise OutputError(f"the camera {name} in {cameras} would be written outside of {output}; rename it")
+        targets.append(Target(name, camera, stem))
     for picture in (path for target in targets for path in _pictures(target.stem) if path.exists()):
-        require_file(
-            "-o",
-            picture,
-            inputs,
-            kind="a picture that render wrote",
-            is_of_kind=lambda head: _SOFTWARE.encode() in head,
-        )
+        kind = "a picture that render wrote"
+        require_file("-o", picture, inputs, kind=kind, is_of_kind=lambda head: _SOFTWARE.encode() in head)
     return targets
 
 
@@ -175,30 +197,6 @@ def write_views(targets: list[Target], view_of: Callable[[PinholeCamera], NovelV
     return written
 
 
-def _of_photographs(
-    run: LoadedRun, survey: str | None, cameras: list[PinholeCamera], *, dry: bool
-) -> Callable[[PinholeCamera], NovelView]:
-    with current().stage("Exposure") as stage:
-        field = image_based_field(run, survey, cameras, dry=dry, advance=stage.advance)
-    without_water = colours_without_water(run) if dry else None
-    if dry and without_water is None and run.flight.water is not None:
-        current().note("colours are as photographed; a run with --true-colour has those of the bed without its water")
-    return lambda camera: field.render(camera, dry=dry, without_water=without_water)
-
-
-def _inputs(folder: RunDir, cameras: Path) -> ReadFiles:
-    """Input files, and the photographs of the surveys in whose folders the run and the cameras lie."""
-    inputs = folder.inputs()
-    if cameras.exists():
-        inputs += poses_inputs(cameras)
-    for place in {folder.path.absolute().parent, cameras.absolute().parent}:
-        if (place / FILE_NAME).is_file():
-            # An unreadable survey is skipped: the run has its own settings.
-            with suppress(ConfigError):
-                inputs += survey_inputs(place)
-    return inputs
-
-
 def _cameras(file: PoseFile, path: Path, frame: LocalFrame, config: SurveyConfig) -> dict[str, PinholeCamera]:
     """Cameras of a file of poses in a local frame, by name."""
     if file.frame is PoseFrame.LOCAL and config.local.origin != frame.origin:
@@ -206,43 +204,21 @@ def _cameras(file: PoseFile, path: Path, frame: LocalFrame, config: SurveyConfig
             f"the poses in {path} are in a local frame, but the run's cameras were not; give a table of positions in "
             f"{frame.crs.name} instead (image, easting, northing, height, omega, phi, kappa)"
         )
-    centres, rotations = poses_in_local(file, path, frame, config.cameras.gps_height)
-    lenses = [pose.lens or _lens(config.cameras, path) for pose in file.poses]
-    return {
-        pose.name: lens.camera(centre, rotation)
-        for pose, lens, centre, rotation in zip(file.poses, lenses, centres, rotations, strict=True)
-    }
-
-
-def _lens(config: CamerasConfig, path: Path) -> Lens:
-    if config.size_px is None or config.focal_px is None:
-        raise SurveyError(
-            f"{path} carries no lens, and survey.toml gives no size_px and focal_px in [cameras]; give a COLMAP model "
-            "instead, or the two keys and process again"
-        )
-    return lens_from_config(config, {})[0]
-
-
-def _stem(output: Path, name: str, path: Path, *, is_short: bool) -> Path:
-    """Path of the pictures of a camera: below the folder, whatever the camera is called; without its suffix or not."""
-    stem = output / (Path(name).with_suffix("") if is_short else name)
-    if not stem.resolve().is_relative_to(output.resolve()):
-        raise OutputError(f"the camera {name} in {path} would be written outside of {output}; rename it")
-    return stem
+    lens, given = None, config.cameras
+    if any(pose.lens is None for pose in file.poses):
+        if given.size_px is None or given.focal_px is None:
+            raise SurveyError(
+                f"{path} carries no lens, and survey.toml gives no size_px and focal_px in [cameras]; give a COLMAP "
+                "model instead, or the two keys and process again"
+            )
+        lens = lens_from_config(given, {})[0]
+    placed = zip(file.poses, *poses_in_local(file, path, frame, given.gps_height), strict=True)
+    lenses = ((pose.name, pose.lens or lens, centre, rotation) for pose, centre, rotation in placed)
+    return {name: lens.camera(centre, rotation) for name, lens, centre, rotation in lenses if lens is not None}
 
 
 def _pictures(stem: Path) -> list[Path]:
     return [stem.with_name(stem.name + ending) for ending in _ENDINGS]
-
-
-def _band(file_name: str) -> dict[int, str]:
-    """Name, unit and value without data of the band of a TIFF, in the tags of GDAL."""
-    ending = next(end for end in _BANDS if file_name.endswith(end))
-    said = "".join(
-        f'<Item name="{name}" sample="0" role="{role}">{text}</Item>'
-        for name, role, text in (("DESCRIPTION", "description", _BANDS[ending]), ("UNITTYPE", "unittype", "metre"))
-    )
-    return {_GDAL_METADATA: f"<GDALMetadata>{said}</GDALMetadata>", _GDAL_NODATA: "nan"}
 
 
 def write_view(stem: Path, view: NovelView) -> Path:
@@ -260,7 +236,9 @@ def write_view(stem: Path, view: NovelView) -> Path:
             if path.suffix == ".png":
                 Image.fromarray(pixels).save(stream, "PNG", pnginfo=mark)
             else:
-                Image.fromarray(pixels).save(stream, "TIFF", software=_SOFTWARE, tiffinfo=_band(path.name))
+                tags = {_GDAL_METADATA: _METADATA.format(next(_BANDS[e] for e in _BANDS if path.name.endswith(e)))}
+                tags[_GDAL_NODATA] = "nan"
+                Image.fromarray(pixels).save(stream, "TIFF", software=_SOFTWARE, tiffinfo=tags)
     return paths[0]
 
 

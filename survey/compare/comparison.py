@@ -11,7 +11,14 @@ from typing import Any, cast
 
 import numpy as np
 
-from evaluation import Blocks, distance_statistics, is_outlier, spatial_blocks
+from evaluation import (
+    Blocks,
+    distance_statistics,
+    is_outlier,
+    reached_by_slope,
+    spatial_blocks,
+    vertical_difference,
+)
 from evaluation.bootstrap import LEVEL, NUM_DRAWS
 from evaluation.bootstrap import SEED as BOOTSTRAP_SEED
 from evaluation.c2m import Sign
@@ -86,16 +93,21 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     reaches = []
     with current().stage("Completeness", len(options.tolerances_m)) as stage:
         for tolerance_m in options.tolerances_m:
-            reaches.append(measure.reached_at(scene, tolerance_m))
+            reaches.append(measure.completeness(scene, distances.signed, tolerance_m))
             stage.advance()
-    errors = measure.vertical_errors(scene)
+    scored, is_reached = zip(*reaches, strict=True)
+    errors, slope_deg = None, distances.target_slope_deg
+    if isinstance(inputs.reference, Mesh):
+        with current().stage("Vertical differences", len(scene.points)) as stage:
+            faces = inputs.reference.faces
+            errors = vertical_difference(scene.points, scene.reference, faces, advance=stage.advance)
     notes += [*_visibility_note(inputs), *_bounds_note(inputs, options.bounds), *_edge_note(inputs, errors)]
     figures = Figures(
         n_cropped=inputs.num_cropped,
         distances=distance_statistics(distances.signed, blocks),
-        tolerances=tuple(reach.scores(distances.signed) for reach in reaches),
+        tolerances=scored,
         parts=measure.parts(scene, distances, depth, blocks),
-        reached=measure.reached_by_slope_of(distances, reaches),
+        reached=() if slope_deg is None else reached_by_slope(slope_deg, is_reached),
         vertical=None if errors is None else distance_statistics(errors, blocks),
         vertical_depth=None if errors is None else measure.depth_parts(errors, depth, blocks),
         uncertainty=measure.uncertainty(distances, errors, depth),
@@ -106,7 +118,7 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
         circumstances=_circumstances(scene, options, blocks, notes),
     )
     points, targets = inputs.cloud.points[inputs.inside], inputs.frame.crs_from_local(scene.targets)
-    return Comparison(figures, points, distances.signed, distances.nearest, depth, targets, reaches[0].targets, inputs)
+    return Comparison(figures, points, distances.signed, distances.nearest, depth, targets, is_reached[0], inputs)
 
 
 def _read(cloud: Path, reference: Path, options: CompareOptions) -> tuple[Inputs, tuple[np.ndarray, Path] | None]:

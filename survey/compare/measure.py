@@ -14,7 +14,6 @@ from evaluation import (
     DepthParts,
     DistanceStatistics,
     LocalSurface,
-    ReachedBand,
     Scores,
     asprs_vertical,
     by_band,
@@ -27,10 +26,8 @@ from evaluation import (
     is_reached,
     local_surface,
     m3c2_distances,
-    reached_by_slope,
     sample_mesh,
     scores,
-    vertical_difference,
 )
 from evaluation.c2m import Sign, num_inconsistent_edges
 from evaluation.completeness import NUM_SAMPLES, SEED
@@ -114,24 +111,6 @@ class Distances:
     reference_std: np.ndarray | None = None
 
 
-@dataclass(frozen=True)
-class Reach:
-    """Part of the reference that a cloud reaches."""
-
-    tolerance_m: float  # [m]
-    samples: np.ndarray  # (K,) bool: which samples of the reference are closer than the tolerance to the cloud
-    visible: np.ndarray | None  # (M,) bool or None: the same of the visible points; None where those are not known
-
-    @property
-    def targets(self) -> np.ndarray:
-        """Targets of the completeness: the visible points where those are known, else the samples."""
-        return self.samples if self.visible is None else self.visible
-
-    def scores(self, distances: np.ndarray) -> Scores:
-        """Scores with the share of the distances (N,) [m] below the tolerance."""
-        return scores(distances, tolerance_m=self.tolerance_m, is_reached=self.samples, is_reached_visible=self.visible)
-
-
 def distances_of(scene: ComparedScene, sign: Sign, notes: list[str]) -> tuple[Distances, ReferenceSurface | None]:
     """Distances of the compared points, and what the surface through a reference of points is like; adds notes."""
     reference = scene.inputs.reference
@@ -178,16 +157,18 @@ def _over_surface(scene: ComparedScene, surface: LocalSurface, notes: list[str])
     return distances, ReferenceSurface(surface.spacing_m, std_median, std_95)
 
 
-def reached_at(scene: ComparedScene, tolerance_m: float) -> Reach:
-    """Completeness at one tolerance of the cloud, cropped to the bounds and the tolerance more."""
+def completeness(scene: ComparedScene, signed: np.ndarray, tolerance_m: float) -> tuple[Scores, np.ndarray]:
+    """Scores at one tolerance of the cloud, cropped to the bounds and the tolerance more, and the targets reached (M,).
+
+    Distances (N,) [m] are those of the compared points.
+    """
     margin = metres_in_crs(scene.inputs.frame, tolerance_m)
     cloud = scene.cloud[within(scene.inputs.cloud.points[scene.around], scene.bounds, margin)]
-    is_seen = scene.inputs.visible is not None
-    return Reach(
-        tolerance_m,
-        is_reached(scene.samples, cloud, tolerance_m=tolerance_m),
-        is_reached(scene.targets, cloud, tolerance_m=tolerance_m) if is_seen else None,
-    )
+    reached, visible = is_reached(scene.samples, cloud, tolerance_m=tolerance_m), None
+    if scene.inputs.visible is not None:
+        visible = is_reached(scene.targets, cloud, tolerance_m=tolerance_m)
+    scored = scores(signed, tolerance_m=tolerance_m, is_reached=reached, is_reached_visible=visible)
+    return scored, reached if visible is None else visible
 
 
 def bed_depth(scene: ComparedScene, nearest: np.ndarray, water_level: float | None) -> np.ndarray | None:
@@ -221,21 +202,6 @@ def parts(scene: ComparedScene, distances: Distances, depth: np.ndarray | None, 
 def depth_parts(distances: np.ndarray, depth: np.ndarray | None, blocks: Blocks) -> DepthParts | None:
     """Statistics of distances (N,) [m] by depth (N,) [m]; None where no depth is known."""
     return None if depth is None or not np.isfinite(depth).any() else by_depth(distances, depth, blocks)
-
-
-def reached_by_slope_of(distances: Distances, reaches: list[Reach]) -> tuple[ReachedBand, ...]:
-    """Completeness in bands of slope, of the visible part where it is known; nothing for a reference of points."""
-    slope_deg = distances.target_slope_deg
-    return () if slope_deg is None else reached_by_slope(slope_deg, [reach.targets for reach in reaches])
-
-
-def vertical_errors(scene: ComparedScene) -> np.ndarray | None:
-    """Vertical differences (N,) [m] to a mesh; None to a cloud."""
-    if not isinstance(scene.inputs.reference, Mesh):
-        return None
-    with current().stage("Vertical differences", len(scene.points)) as stage:
-        faces = scene.inputs.reference.faces
-        return vertical_difference(scene.points, scene.reference, faces, advance=stage.advance)
 
 
 def uncertainty(

@@ -167,7 +167,14 @@ def draw_bands(parts: Parts, path: Path) -> Picture:
     figure = empty_figure(11.0, 3.6)
     widths = [len(bands) + 2 for bands, _, _ in panels]
     row = figure.subplots(1, len(panels), sharey=True, squeeze=False, width_ratios=widths)[0]
-    low, high = _limits([bands for bands, _, _ in panels])
+    # The axis holds zero and the bands with a fair share of the points.
+    ends = [0.0]
+    for bands, _, _ in panels:
+        enough = max(_FEWEST, _SHOWN_WHOLE * sum(band.distances.n_points for band in bands))
+        shown = [band.distances for band in bands if band.distances.n_points >= enough]
+        ends += [d.mean_m + sign * d.std_m for d in shown for sign in (-1.0, 1.0)]
+    margin = 0.1 * max(max(ends) - min(ends), 0.001)
+    low, high = min(ends) - margin, max(ends) + margin
     length_unit = LengthUnit.of([low, high])
     for axes, (bands, label, unit) in zip(row, panels, strict=True):
         _panel(axes, bands, unit, length_unit.per_metre)
@@ -182,28 +189,16 @@ def draw_bands(parts: Parts, path: Path) -> Picture:
     return Picture(path, "Bias and spread by depth, incidence and number of views", words)
 
 
-def _limits(panels: list[tuple[Band, ...]]) -> tuple[float, float]:
-    """Ends [m] of the axis of distances, which holds zero and the bands with a fair share of the points."""
-    ends = [0.0]
-    for bands in panels:
-        enough = max(_FEWEST, _SHOWN_WHOLE * sum(band.distances.n_points for band in bands))
-        shown = [band.distances for band in bands if band.distances.n_points >= enough]
-        ends += [d.mean_m + sign * d.std_m for d in shown for sign in (-1.0, 1.0)]
-    margin = 0.1 * max(max(ends) - min(ends), 0.001)
-    return min(ends) - margin, max(ends) + margin
-
-
 def _panel(axes: Axes, bands: tuple[Band, ...], unit: str, per_metre: float) -> None:
-    distances = [band.distances for band in bands]
-    at = np.array([i for i, d in enumerate(distances) if d.n_points >= _FEWEST], dtype=int)
-    mean, std = per_metre * np.array([(distances[i].mean_m, distances[i].std_m) for i in at]).reshape(-1, 2).T
+    at = np.array([i for i, band in enumerate(bands) if band.distances.n_points >= _FEWEST], dtype=int)
+    distances, nothing = [bands[i].distances for i in at], (np.nan, np.nan)
+    mean, std, low, high = (
+        per_metre * np.array([(d.mean_m, d.std_m, *(d.mean_ci95_m or nothing)) for d in distances]).reshape(-1, 4).T
+    )
     axes.bar(at, 2.0 * std, bottom=mean - std, width=0.62, color=BLUE, alpha=0.25, lw=0,
              label="mean ± standard deviation")  # fmt: skip
-    intervals = {i: distances[i].mean_ci95_m or (np.nan, np.nan) for i in at}
-    known = [i for i, interval in intervals.items() if np.isfinite(interval).all()]
-    if known:
-        ends = per_metre * np.array([intervals[i] for i in known])
-        axes.vlines(known, ends[:, 0], ends[:, 1], color=RED, lw=2.2, label="95 % confidence of the mean")
+    if (known := np.isfinite(low)).any():
+        axes.vlines(at[known], low[known], high[known], color=RED, lw=2.2, label="95 % confidence of the mean")
     axes.plot(at, mean, "o", ms=4.5, color=RED, label="mean")
     axes.axhline(0.0, color=INK, lw=0.8)
     axes.set_xticks(range(len(bands)), [_tick(limits_label(band.low, band.high, unit)) for band in bands])

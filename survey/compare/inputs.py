@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -68,7 +69,9 @@ def read_shape(path: Path, water_level: float | None, crs: CRS | None = None) ->
         give_level=GIVE_LEVEL,
         units=Units.of(own or crs, crs),
     )
-    points = places_of(rows, path)
+    if not rows:
+        raise CompareError(f"{path} has no points; expected lines of easting, northing, height")
+    points = np.array([[row.number(name) for name in PLACE] for row in rows])
     classes, notes = _classes_of(rows, path)
     # Soundings have the depth below the water beside the height.
     extra = {} if has_depths(table) else {"depth": np.array([row.number("depth", default=np.nan) for row in rows])}
@@ -82,33 +85,26 @@ def _classes_of(rows: Sequence[Row], path: Path) -> tuple[np.ndarray | None, tup
     parts = [row.cells.get("classification", "") for row in rows]
     if not any(parts):
         return None, ()
-    for row, cell in zip(rows, parts, strict=True):
-        try:
-            is_class = not cell or as_classes(np.array([row.number("classification")])) is not None
-        except CompareError:
-            is_class = False
-        if not is_class:
-            return None, (f"the classes of {path.name} are not those of LAS ({cell}): all its points count",)
-    return np.array([row.number("classification", default=_UNCLASSIFIED) for row in rows]).astype(np.uint8), ()
-
-
-def places_of(rows: Sequence[Row], path: Path) -> np.ndarray:
-    """Easting, northing, height (N, 3) of rows of a table."""
-    if not rows:
-        raise CompareError(f"{path} has no points; expected lines of easting, northing, height")
-    return np.array([[row.number(name) for name in PLACE] for row in rows])
+    classes = np.empty(len(rows), dtype=np.uint8)
+    for number, (row, cell) in enumerate(zip(rows, parts, strict=True)):
+        with suppress(CompareError):
+            found = as_classes(np.array([row.number("classification", default=_UNCLASSIFIED)]))
+            if found is not None:
+                classes[number] = found[0]
+                continue
+        return None, (f"the classes of {path.name} are not those of LAS ({cell}): all its points count",)
+    return classes, ()
 
 
 def level_of_cloud(shape: Mesh | Cloud) -> float | None:
     """Height of the water over a cloud, in its CRS, by the depths of its points; None where it has no one level."""
     if not isinstance(shape, Cloud):
         return None
-    depth = next((shape.extra[name] for name in DEPTH_NAMES if name in shape.extra), None)
-    wet = None if depth is None else depth > 0.0
-    if depth is None or wet is None or not wet.any():
+    depth = next((shape.extra[name] for name in DEPTH_NAMES if name in shape.extra), np.empty(0))
+    if not (depth > 0.0).any():
         return None
     unit = 1.0 if shape.crs is None or not has_height(shape.crs) else height_unit_m(shape.crs)
-    levels = shape.points[wet, 2] + depth[wet] / unit
+    levels = (shape.points[:, 2] + depth / unit)[depth > 0.0]
     low, middle, high = np.quantile(levels, [0.02, 0.5, 0.98])
     return float(middle) if (high - low) * unit < _ONE_LEVEL_M else None
 
@@ -309,11 +305,9 @@ def within(points: np.ndarray, bounds: Bounds | None, margins: tuple[float, floa
     """Whether points (N, 3) lie in bounds (edges included) that grow by margins in easting and northing."""
     if bounds is None:
         return np.ones(len(points), dtype=bool)
-    e0, n0, e1, n1 = bounds
-    east, north = points[:, 0], points[:, 1]
-    return (
-        (east >= e0 - margins[0]) & (east <= e1 + margins[0]) & (north >= n0 - margins[1]) & (north <= n1 + margins[1])
-    )
+    low, high = np.array(bounds[:2]) - margins, np.array(bounds[2:]) + margins
+    inside = (points[:, :2] >= low) & (points[:, :2] <= high)
+    return inside[:, 0] & inside[:, 1]
 
 
 def to_local(frame: LocalFrame | ShiftedFrame, points: np.ndarray, name: Path) -> np.ndarray:
@@ -332,10 +326,8 @@ def to_local(frame: LocalFrame | ShiftedFrame, points: np.ndarray, name: Path) -
 
 def metres_in_crs(frame: LocalFrame | ShiftedFrame, length_m: float) -> tuple[float, float]:
     """A length [m] near the origin in units of easting and of northing (degrees in a geographic CRS)."""
-    e, n, h = frame.origin
-    step = 1e-6 * max(abs(e), abs(n), 1.0)
-    ends = np.array([[e + step, n, h], [e - step, n, h], [e, n + step, h], [e, n - step, h]])
-    local = frame.local_from_crs(ends)
-    east = float(np.linalg.norm(local[0] - local[1])) / (2.0 * step)
-    north = float(np.linalg.norm(local[2] - local[3])) / (2.0 * step)
-    return length_m / east, length_m / north
+    origin = np.array(frame.origin)
+    step = 1e-6 * max(float(np.abs(origin[:2]).max()), 1.0)
+    ends = frame.local_from_crs(origin + step * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]]))
+    east, north = (length_m * 2.0 * step / np.linalg.norm(ends[::2] - ends[1::2], axis=1)).tolist()
+    return east, north

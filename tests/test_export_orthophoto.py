@@ -26,11 +26,10 @@ from stored_run import run_of, stored_points
 
 from geo.frames import LocalFrame
 from geo.grid import Grid, Window
-from refract import FlatWater
 from survey.errors import SurveyError
 from survey.export.export import export
 from survey.export.loaded import Pixels
-from survey.export.orthophoto import BedWindows, CellProjection, HeightBuffer, Mosaic, common_exposure
+from survey.export.orthophoto import BedPlaces, HeightBuffer, Mosaic, SeenWindow, common_exposure
 from survey.export.registry import ExportOptions
 from survey.folder.survey import Survey
 from survey.run.flight import Flight
@@ -89,37 +88,12 @@ def test_photographs_that_were_moved_are_found_by_the_folder_of_their_survey(tmp
     )
 
 
-def flown(water) -> Flight:
-    """Without photographs: for what only asks where things are seen."""
-    frame = LocalFrame(CRS("EPSG:25832+5778"), (E0, N0, LEVEL))
-    return Flight(frame, water, (), None)
-
-
-def test_pixels_of_cells_are_those_of_the_exact_way_through_the_water():
-    rng = np.random.default_rng(1)
-    water = FlatWater((0.0, 0.0, 0.0), n_water=1.34, slope_x=0.01, slope_y=-0.02)
-    camera = look((9.0, -6.0, 20.0), (1.0, 0.5, -2.0), focal=900.0, size=(1200, 900), heading=0.7)
-    cells = Grid(CRS("EPSG:25832+5778"), (E0 - 6.0, N0 + 6.0), (0.02, -0.02), 0.02, (600, 600))
-    bed = flown(water)
-    heights = LEVEL - 1.0 - 2.5 * rng.random(cells.shape)
-    worst = 0.0
-    for window, height, sight in BedWindows(bed, cells, lambda w: heights[w.slices]).projected_into(camera):
-        places = np.concatenate([cells.middles(window), height[..., None]], axis=-1)[::37, ::31]
-        exact = camera.project(bed.frame.local_from_crs(places), water)
-        found = np.stack([sight.u, sight.v], axis=-1)[::37, ::31]
-        seen = np.isfinite(found[..., 0])
-        worst = max(worst, float(np.abs(found - exact)[seen].max(initial=0.0)))
-    assert 0.0 < worst < 0.05
-
-
 def test_exposures_are_compared_however_many_cells_one_window_has():
-    window, height = Window(0, 190, 0, 200), np.zeros((190, 200))
-    u, v = np.meshgrid(np.linspace(1.0, 99.0, 200), np.linspace(1.0, 99.0, 190))
-    sight = CellProjection(u, v, np.ones_like(u), np.zeros_like(u))
-    bed = SimpleNamespace(
-        heights=lambda: iter([(window, height)]), projected_into=lambda _: iter([(window, height, sight)])
-    )
-    hides_nothing = SimpleNamespace(visible=lambda sight, _: sight)
+    window, points = Window(0, 190, 0, 200), np.zeros((190, 200, 3))
+    uv = np.stack(np.meshgrid(np.linspace(1.0, 99.0, 200), np.linspace(1.0, 99.0, 190)), axis=-1)
+    part = SeenWindow(window, points, uv)
+    bed = SimpleNamespace(windows=lambda: [(window, points)], seen_by=lambda _: [part])
+    hides_nothing = SimpleNamespace(visible=lambda part: part.uv)
     shown = [
         SimpleNamespace(camera=None, pixels=lambda grey=grey: Pixels(np.full((100, 100, 3), grey, np.uint8), None))
         for grey in (50, 200)
@@ -135,20 +109,21 @@ def test_a_side_of_cells_that_is_none_is_refused(tmp_path, side_m):
         export(run, options=ExportOptions(resolution_m=side_m), orthophoto=tmp_path / "o.tif")
 
 
-def test_what_stands_behind_something_is_hidden():
+def test_what_stands_behind_something_is_hidden(tmp_path):
     camera = look((-8.0, 0.0, 8.0), (0.0, 0.0, 0.0), focal=300.0, size=(400, 300), heading=np.pi / 2)
     cells = Grid(CRS("EPSG:25832+5778"), (E0 - 6.0, N0 + 3.0), (0.1, -0.1), 0.1, (60, 120))
     window = Window(0, 60, 0, 120)
     x, y = np.moveaxis(cells.middles(window) - [E0, N0], -1, 0)
     heights = LEVEL + np.where((np.abs(x) < 1.0) & (np.abs(y) < 1.0), 2.0, 0.0)
-    bed = BedWindows(flown(None), cells, lambda w: heights[w.slices])
+    flight = Flight(LocalFrame(CRS("EPSG:25832+5778"), (E0, N0, LEVEL)), None, (), None)
+    bed = BedPlaces(flight, cells, lambda w: heights[w.slices], tmp_path / "places")
     buffer = HeightBuffer.of(camera, bed, cell_m=0.1, cell_px=300.0 * 0.1 / 11.3)
-    ((_, height, sight),) = bed.projected_into(camera)
-    seen = np.isfinite(buffer.visible(sight, height).u)
+    (part,) = bed.seen_by(camera)
+    seen = np.isfinite(buffer.visible(part)[..., 0])
     # The ray over the far edge of the deck comes down to the bed at x = 4; the deck's own edges are blurred.
     shadow = (x > 1.4) & (x < 3.4) & (np.abs(y) < 0.7)
     assert not seen[shadow].any()
-    clear = np.isfinite(sight.u) & ((x > 4.6) | (x < -1.4) | (np.abs(y) > 1.8) | (heights > LEVEL + 1.0))
+    clear = np.isfinite(part.uv[..., 0]) & ((x > 4.6) | (x < -1.4) | (np.abs(y) > 1.8) | (heights > LEVEL + 1.0))
     assert seen[clear].mean() > 0.99
 
 

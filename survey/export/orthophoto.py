@@ -1,15 +1,8 @@
 """The bed from above, through the water, from the photographs themselves.
 
-
-The heights of the bed are projected into the photograph. A cell is hidden where a higher part of the bed falls on the
-same pixel: cameras look from above, so that along a ray the higher point is the nearer one.
-
-Exposures are compensated by means of cells that several photographs show.
-
-Refraction is solved at every sixteenth cell and at three heights. Between these, linear interpolation in plan and
-quadratic interpolation in height are accurate to a hundredth of a pixel.
-
-Views of similar steepness are blended.
+The places of the bed in cells are projected into the photographs. A cell is hidden where a higher part of the bed falls
+on the same pixel: cameras look from above, so that along a ray the higher point is the nearer one. Exposures are
+compensated by means of cells that several photographs show. Views of similar steepness are blended.
 """
 
 from __future__ import annotations
@@ -17,6 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +20,7 @@ from geo.files import scratch_array
 from geo.grid import Grid, Window
 from geo.raster import RasterBand, RasterForm, write_cog
 from geo.reproject import Reprojection
-from refract import FlatWater, PinholeCamera
+from refract import PinholeCamera
 from survey.errors import SurveyError
 from survey.export.bed_raster import BedRaster, bed_raster, cells_over, round_side
 from survey.export.loaded import LoadedRun, Photograph, at_scale, colours_without_water, flight_of
@@ -35,19 +29,14 @@ from survey.export.registry import ExportOptions, require_not_too_fine
 from survey.progress import current
 from survey.run.flight import Flight
 
-ColourOf = Callable[[np.ndarray, Window, np.ndarray, "CellProjection"], np.ndarray]
-
 WINDOW = 512
-_STEP = 16
-# Heights of one window differ by this at least, so that there is a parabola through them [m].
-_LEAST_RELIEF_M = 0.01
 # A cell is hidden where the bed at its pixel is higher by this many cells.
 _HIDDEN_CELLS = 3.0
 # Side of the blocks of the height buffer, in cells of the bed: large enough to contain one each.
 _BLOCK_CELLS = 1.5
 # Most cells whose colours are compared, approximately, and iterations of the medians.
 _COMPARED, _ROUNDS = 20_000, 6
-# Difference of `CellProjection.tan_squared` over which one view blends into another.
+# Difference of the squared tangent of the angle off the vertical over which one view blends into another.
 _FADING = 0.004
 # Width over which a photograph fades out at its border [px].
 _BORDER_PX = 24.0
@@ -94,20 +83,26 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
         )
     photographs = at_scale(flight, scale)
     cells = cells_over(grid.cells.box, grid.cells.crs, side_m)
-    mosaic, colour_of = Mosaic.empty(cells, run.scratch), _colour_of(run, grid, cells)
-    coarse = BedWindows(flight, grid.cells, grid.heights)
-    fine = BedWindows(flight, cells, lambda window: _heights(grid, cells, window))
+    mosaic, without_water = Mosaic.empty(cells, run.scratch), colours_without_water(run)
+    coarse = BedPlaces(flight, grid.cells, grid.heights, run.scratch / "places-of-heights")
+    fine = BedPlaces(flight, cells, lambda window: _heights(grid, cells, window), run.scratch / "places-of-colours")
     with current().stage("Orthophoto", 2.0 * len(photographs)) as stage:
         cell_px = grid.cells.side_m / grid.pixel_m * scale
         buffers = [HeightBuffer.of(p.camera, coarse, cell_m=grid.cells.side_m, cell_px=cell_px) for p in photographs]
         factors = common_exposure(photographs, buffers, coarse, stage.advance)
         for photograph, buffer, factor in zip(photographs, buffers, factors, strict=True):
-            pixels = photograph.pixels()
-            for window, height, projection in fine.projected_into(photograph.camera):
-                seen = buffer.visible(projection, height)
-                colour = pixels.at(seen.u, seen.v) * factor
-                weight = np.where(np.isfinite(colour[..., 0]), log_weight(seen, photograph.camera), np.nan)
-                mosaic.add(window, weight, colour_of(colour, window, height, seen))
+            pixels, camera = photograph.pixels(), photograph.camera
+            for part in fine.seen_by(camera):
+                uv = buffer.visible(part)
+                colour = pixels.at(uv[..., 0], uv[..., 1]) * factor
+                seen = np.isfinite(colour[..., 0])
+                if without_water is not None and flight.water is not None:
+                    depth = flight.level(part.points[..., :2]) - part.points[..., 2]
+                    wet = seen & (depth > 0.0)
+                    cosine = -(camera.directions(uv[wet]) @ np.array(flight.water.up))
+                    incidence = np.arccos(np.clip(cosine, -1.0, 1.0))
+                    colour[wet] = without_water(colour[wet], depth[wet], incidence)
+                mosaic.add(part.window, np.where(seen, log_weight(part.points, uv, camera), np.nan), colour)
             stage.advance()
     return mosaic
 
@@ -128,126 +123,51 @@ def _heights(grid: BedRaster, cells: Grid, window: Window) -> np.ndarray:
     return np.where(known, total / np.where(weight > 0.0, weight, 1.0), np.nan).reshape(window.shape)
 
 
-def _colour_of(run: LoadedRun, grid: BedRaster, cells: Grid) -> ColourOf:
-    """Function of the colours of a photograph that gives those of the mosaic: the same, or without the water."""
-    without_water, level = colours_without_water(run), grid.level
-    if without_water is None or level is None:
-        return lambda colour, _window, _height, _seen: colour
-
-    def dry(colour: np.ndarray, window: Window, height: np.ndarray, seen: CellProjection) -> np.ndarray:
-        depth = level(cells.middles(window)) - height
-        wet = np.isfinite(colour[..., 0]) & (depth > 0.0)
-        incidence = np.arccos(np.clip(seen.cos_incidence[wet], -1.0, 1.0))
-        colour[wet] = without_water(colour[wet], depth[wet], incidence)
-        return colour
-
-    return dry
-
-
 @dataclass(frozen=True)
-class CellProjection:
-    """Projection of cells into a camera, (rows, columns) each; NaN where it does not see them."""
-
-    # u, v: [px]
-    u: np.ndarray
-    v: np.ndarray
-    cos_incidence: np.ndarray  # [-]: of the ray in air, to the normal of the water
-    tan_squared: np.ndarray  # [-]: squared tangent of the angle of the straight line to the camera off the vertical
-
-    def where(self, seen: np.ndarray) -> CellProjection:
-        """The same where ``seen`` (rows, columns) bool, else NaN."""
-        layers = (self.u, self.v, self.cos_incidence, self.tan_squared)
-        return CellProjection(*(np.where(seen, layer, np.nan) for layer in layers))
-
-
-class BedWindows:
-    """The windows of a raster in which the bed has a height, ready to be looked up in photographs.
-
-    `heights` gives those (rows, columns) [m] of a window, NaN where there is none; it is asked again for each
-    photograph that shows it.
-    """
-
-    def __init__(self, flight: Flight, cells: Grid, heights: Callable[[Window], np.ndarray]):
-        self._water, self._heights = flight.water, heights
-        self._windows = []
-        for window in cells.windows(WINDOW):
-            height = heights(window)
-            if np.isfinite(height).any():
-                self._windows.append(_Knots.of(flight, cells, window, height))
-
-    def heights(self) -> Iterator[tuple[Window, np.ndarray]]:
-        """Each window with its heights."""
-        for knots in self._windows:
-            yield knots.window, self._heights(knots.window)
-
-    def projected_into(self, camera: PinholeCamera) -> Iterator[tuple[Window, np.ndarray, CellProjection]]:
-        """The windows of which a camera may see something, with their heights, and how it sees them."""
-        for knots in self._windows:
-            found = knots.seen_by(camera, self._water)
-            if found is not None:
-                height = self._heights(knots.window)
-                yield knots.window, height, knots.at_cells(found, height, camera)
-
-
-@dataclass(frozen=True)
-class _Knots:
-    """The knots of a window at which refraction is solved."""
+class SeenWindow:
+    """Cells of a window, as a camera sees them."""
 
     window: Window
-    # middle, half [m]: the heights are ``middle - half``, ``middle``, ``middle + half``
-    middle: float
-    half: float
-    # rows, columns (cells, knots): weights that interpolate between knots
-    rows: np.ndarray
-    columns: np.ndarray
-    points: np.ndarray  # (3, knots, knots, 3) [m], local
-
-    @staticmethod
-    def of(flight: Flight, cells: Grid, window: Window, height: np.ndarray) -> _Knots:
-        low, high = float(np.nanmin(height)), float(np.nanmax(height))
-        middle, half = 0.5 * (low + high), max(0.5 * (high - low), 0.5 * _LEAST_RELIEF_M)
-        # The first cell and the last are knots, too.
-        rows, columns = (np.unique(np.append(np.arange(0, n, _STEP), [n - 1])) for n in window.shape)
-        east = cells.origin[0] + (window.left + columns + 0.5) * cells.step[0]
-        north = cells.origin[1] + (window.top + rows + 0.5) * cells.step[1]
-        levels = np.array([middle - half, middle, middle + half]) / height_unit_m(cells.crs)
-        points = np.stack(np.meshgrid(levels, north, east, indexing="ij")[::-1], axis=-1)
-        across, along = _between(rows, window.shape[0]), _between(columns, window.shape[1])
-        if not cells.crs.equals(flight.frame.crs):
-            back = Reprojection.between(cells.crs, flight.frame.crs)
-            points = back(points.reshape(-1, 3)).reshape(points.shape)
-        return _Knots(window, middle, half, across, along, flight.frame.local_from_crs(points))
-
-    def seen_by(self, camera: PinholeCamera, water: FlatWater | None) -> np.ndarray | None:
-        """Values of `CellProjection` (4, 3, knots, knots) at the knots; None where certainly no cell is seen."""
-        pixels, size = camera.project(self.points, water), np.array([camera.width, camera.height])
-        with np.errstate(invalid="ignore"):
-            # A window is larger than a photograph where its cells are larger than pixels: then knots lie around it.
-            known = np.isfinite(pixels).all(axis=-1)
-            if not known.any() or (pixels[known].min(axis=0) > size).any() or (pixels[known].max(axis=0) < 0.0).any():
-                return None
-        up = np.array((0.0, 0.0, 1.0) if water is None else water.up)
-        cosine = -(camera.directions(np.where(known[..., None], pixels, 0.0)) @ up)
-        to_camera = camera.centre - self.points
-        tan_squared = (to_camera[..., :2] ** 2).sum(axis=-1) / to_camera[..., 2] ** 2
-        return np.stack([pixels[..., 0], pixels[..., 1], cosine, tan_squared])
-
-    def at_cells(self, found: np.ndarray, height: np.ndarray, camera: PinholeCamera) -> CellProjection:
-        """Values at the cells, interpolated from the knots by their heights."""
-        t = (height - self.middle) / self.half
-        u, v, cosine, tan_squared = (self._parabola(values, t) for values in found)
-        with np.errstate(invalid="ignore"):
-            seen = (u >= 0.0) & (u < camera.width) & (v >= 0.0) & (v < camera.height)
-        return CellProjection(u, v, cosine, tan_squared).where(seen)
-
-    def _parabola(self, values: np.ndarray, t: np.ndarray) -> np.ndarray:
-        below, middle, above = (self.rows @ level @ self.columns.T for level in values)
-        return middle + 0.5 * (above - below) * t + (0.5 * (above + below) - middle) * t**2
+    points: np.ndarray  # (rows, columns, 3) [m], local: places of the bed; NaN where it has no height
+    uv: np.ndarray  # (rows, columns, 2) [px]: NaN where the camera does not see them
 
 
-def _between(knots: np.ndarray, count: int) -> np.ndarray:
-    """Weights (count, knots) that interpolate linearly between knots."""
-    return np.stack([np.interp(np.arange(count), knots, row) for row in np.eye(len(knots))], axis=1)
+class BedPlaces:
+    """The places of the bed in the cells of a raster, in a file.
+
+    `heights` gives those (rows, columns) [m] of a window, NaN where there is none.
+    """
+
+    def __init__(self, flight: Flight, cells: Grid, heights: Callable[[Window], np.ndarray], file: Path):
+        self._water, self._points = flight.water, scratch_array(file, "f4", (*cells.shape, 3))
+        # Windows in which the bed has a height, and the corners (8, 3) of the boxes around it.
+        self._boxes: dict[Window, np.ndarray] = {}
+        own = cells.crs.equals(flight.frame.crs)
+        back = None if own else Reprojection.between(cells.crs, flight.frame.crs)
+        for window in cells.windows(WINDOW):
+            height = heights(window)
+            known, points = np.isfinite(height), np.full((*height.shape, 3), np.nan)
+            if known.any():
+                places = np.column_stack([cells.middles(window)[known], height[known] / height_unit_m(cells.crs)])
+                points[known] = flight.frame.local_from_crs(places if back is None else back(places))
+                ends = np.stack([points[known].min(axis=0), points[known].max(axis=0)], axis=1)
+                self._points[window.slices], self._boxes[window] = points, np.array(list(product(*ends)))
+
+    def windows(self) -> Iterator[tuple[Window, np.ndarray]]:
+        """Each window in which the bed has a height, with its places (rows, columns, 3) [m], local."""
+        return ((window, self._points[window.slices].astype(np.float64)) for window in self._boxes)
+
+    def seen_by(self, camera: PinholeCamera) -> Iterator[SeenWindow]:
+        """The windows of which a camera may see something."""
+        size = np.array([camera.width, camera.height])
+        for window, corners in self._boxes.items():
+            around = camera.project(corners, self._water)
+            # Comparisons with NaN, of corners that the camera does not see at all, are False.
+            if not ((around < 0.0).all(axis=0) | (around > size).all(axis=0)).any():
+                points = self._points[window.slices].astype(np.float64)
+                uv = camera.project(points.reshape(-1, 3), self._water)
+                uv = np.where(camera.sees(uv)[:, None], uv, np.nan)
+                yield SeenWindow(window, points, uv.reshape(*window.shape, 2))
 
 
 @dataclass(frozen=True)
@@ -259,36 +179,37 @@ class HeightBuffer:
     allowed: float  # [m]: by so much a cell may lie lower and be seen
 
     @staticmethod
-    def of(camera: PinholeCamera, bed: BedWindows, *, cell_m: float, cell_px: float) -> HeightBuffer:
+    def of(camera: PinholeCamera, bed: BedPlaces, *, cell_m: float, cell_px: float) -> HeightBuffer:
         """The height buffer of a camera, for cells of the bed with sides of `cell_m` [m], `cell_px` in its image."""
         block = max(_BLOCK_CELLS * cell_px, 1.0)
         highest = np.full((int(camera.height / block) + 1, int(camera.width / block) + 1), -np.inf)
         buffer = HeightBuffer(highest, block, _HIDDEN_CELLS * cell_m)
-        for _, height, projection in bed.projected_into(camera):
-            seen, place = buffer._block_of(projection)
-            np.maximum.at(highest, tuple(at[seen] for at in place), height[seen])
+        for part in bed.seen_by(camera):
+            seen, place = buffer._block_of(part.uv)
+            np.maximum.at(highest, tuple(at[seen] for at in place), part.points[..., 2][seen])
         return buffer
 
-    def visible(self, projection: CellProjection, height: np.ndarray) -> CellProjection:
-        """Projection of the visible cells with these heights (rows, columns) [m]; NaN where something hides them."""
-        seen, place = self._block_of(projection)
-        return projection.where(seen & (np.where(seen, height, -np.inf) >= self.height[place] - self.allowed))
+    def visible(self, part: SeenWindow) -> np.ndarray:
+        """Pixels (rows, columns, 2) of cells; NaN where something hides them."""
+        seen, place = self._block_of(part.uv)
+        seen &= np.where(seen, part.points[..., 2], -np.inf) >= self.height[place] - self.allowed
+        return np.where(seen[..., None], part.uv, np.nan)
 
-    def _block_of(self, projection: CellProjection) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    def _block_of(self, uv: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
         """Cells in the photograph, and the row and column of their blocks."""
-        seen = np.isfinite(projection.u)
-        rows, columns = (np.where(seen, at, 0.0) / self.block for at in (projection.v, projection.u))
-        return seen, (rows.astype(np.int64), columns.astype(np.int64))
+        seen = np.isfinite(uv[..., 0])
+        blocks = (np.where(seen[..., None], uv, 0.0) / self.block).astype(np.int64)
+        return seen, (blocks[..., 1], blocks[..., 0])
 
 
 def common_exposure(
-    photographs: list[Photograph], buffers: list[HeightBuffer], bed: BedWindows, advance: Callable[[], object]
+    photographs: list[Photograph], buffers: list[HeightBuffer], bed: BedPlaces, advance: Callable[[], object]
 ) -> np.ndarray:
     """Factors (V, 3) on the colours of V photographs that make them alike; they are 1 on average.
 
     `advance` is called after each photograph.
     """
-    known = {window: np.flatnonzero(np.isfinite(height)) for window, height in bed.heights()}
+    known = {window: np.flatnonzero(np.isfinite(points[..., 2])) for window, points in bed.windows()}
     # Rounded up: OpenCV looks up less than 32,768 places of a row at a time.
     step = max(-(-sum(len(at) for at in known.values()) // _COMPARED), 1)
     compared = {window: at[::step] for window, at in known.items()}
@@ -296,11 +217,10 @@ def common_exposure(
     shown = np.full((len(photographs), sum(map(len, compared.values())), 3), np.nan, dtype=np.float32)
     for number, photograph in enumerate(photographs):
         pixels = photograph.pixels()
-        for window, height, projection in bed.projected_into(photograph.camera):
-            at = compared[window]
-            seen = buffers[number].visible(projection, height)
-            colour = pixels.at(seen.u.ravel()[at][None], seen.v.ravel()[at][None])[0]
-            shown[number, first[window] : first[window] + len(at)] = np.log(np.maximum(colour, 1.0))
+        for part in bed.seen_by(photograph.camera):
+            at, begin = compared[part.window], first[part.window]
+            u, v = buffers[number].visible(part).reshape(-1, 2)[at].T
+            shown[number, begin : begin + len(at)] = np.log(np.maximum(pixels.at(u[None], v[None])[0], 1.0))
         advance()
     return np.exp(-exposure_gains(shown))
 
@@ -358,8 +278,9 @@ class Mosaic:
         return np.concatenate([np.moveaxis(stored, -1, 0), np.where(weight > 0.0, 255, 0).astype(np.uint8)[None]])
 
 
-def log_weight(projection: CellProjection, camera: PinholeCamera) -> np.ndarray:
-    """Logarithm of the weight (rows, columns) of a view: higher for steep rays, low at the border of the image."""
-    u, v = projection.u, projection.v
-    border = np.minimum(np.minimum(u, camera.width - u), np.minimum(v, camera.height - v))
-    return -projection.tan_squared / _FADING + np.log(np.clip(border / _BORDER_PX, 1e-3, 1.0))
+def log_weight(points: np.ndarray, uv: np.ndarray, camera: PinholeCamera) -> np.ndarray:
+    """Logarithm of the weight (...) of a view of points (..., 3): higher for steep rays, low at the border of it."""
+    border = np.minimum(uv, (camera.width, camera.height) - uv).min(axis=-1)
+    to_camera = camera.centre - points
+    tan_squared = (to_camera[..., :2] ** 2).sum(axis=-1) / to_camera[..., 2] ** 2
+    return -tan_squared / _FADING + np.log(np.clip(border / _BORDER_PX, 1e-3, 1.0))

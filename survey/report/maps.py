@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -54,7 +53,7 @@ if TYPE_CHECKING:
     from survey.water.wave_surfaces import WaveSurfaces
 
 # The most pixels of a height map along its longer side.
-_PIXELS = 2000
+_PIXELS = 1000
 _OF_SOLVER = "from the normal matrix of the solver"
 _OF_SWEEP = "from the spread of the views that agree around it and the curvature of the bed"
 # Codes of cells with their colour and meaning; 0 is what no view sees.
@@ -66,8 +65,6 @@ _LEGEND = {
 }
 # Pixels of the map of cells without a bed, along its longer side at most.
 _UNSEEN_PIXELS = 900
-# Rows of an image whose colours are worked out at a time.
-_ROWS = 64
 
 
 def representative(height_maps: Sequence[HeightMap]) -> int:
@@ -95,7 +92,7 @@ def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid, cut: Cut | None
     if facts.survey.water is not None:
         depth = without_pinholes(grid.mean(facts.bed.depth, facts.bed.wet))
         depth[2 * grid.count(facts.bed.wet) < grid.count()] = np.nan
-        title, label = "Depth of the bed", _depth_label()
+        title = "Depth of the bed"
         ground = "" if facts.bed.wet.all() else "; dry ground in greys"
         words = f"Mean true depth of each cell, shaded by the relief{ground}."
     image, scale = shaded_bed(depth, height, grid.side_m)
@@ -161,8 +158,7 @@ def draw_view(path: Path, facts: ReportFacts, height_maps: Sequence[HeightMap]) 
     left.set_title(figure_text(view.name), loc="left", color=INK, fontsize=12, weight="bold")
     name = "height" if depth is None else "true depth along its rays"
     right.set_title(f"Its depth map: {name}", loc="left", color=INK, fontsize=12, weight="bold")
-    over_origin = f"height over the local origin [{LengthUnit.of_heights().name}]"
-    label = over_origin if depth is None else _depth_label()
+    label = f"height over the local origin [{LengthUnit.of_heights().name}]"
     _bar(right, scale, label, is_depth=depth is not None)
     save(figure, path)
     words = f"Another view confirms {share_confirmed:.0%} of the pixels; the others are left grey."
@@ -189,10 +185,10 @@ def draw_waves(path: Path, facts: ReportFacts, surfaces: WaveSurfaces) -> Pictur
 
 def _bar(axes: Axes, scale: ScalarMappable, label: str, *, is_depth: bool) -> None:
     """A bar of the colours of lengths [m] in the unit of heights; depths grow downwards."""
-    per_metre = LengthUnit.of_heights().per_metre
+    unit = LengthUnit.of_heights()
     low, high = scale.get_clim()
-    shown = ScalarMappable(Normalize(low * per_metre, high * per_metre), scale.get_cmap())
-    bar = colour_bar(axes, shown, label)
+    shown = ScalarMappable(Normalize(low * unit.per_metre, high * unit.per_metre), scale.get_cmap())
+    bar = colour_bar(axes, shown, f"true depth below the water [{unit.name}]" if is_depth else label)
     if is_depth:
         bar.ax.invert_yaxis()
 
@@ -202,10 +198,6 @@ def _show(image: np.ndarray, facts: ReportFacts, grid: PlanGrid) -> Axes:
     _, axes = map_canvas(grid.extent, facts.survey.frame.crs)
     show(axes, image, grid.extent)
     return axes
-
-
-def _depth_label() -> str:
-    return f"true depth below the water [{LengthUnit.of_heights().name}]"
 
 
 def draw_unseen(path: Path, facts: ReportFacts) -> Picture:
@@ -248,21 +240,14 @@ def without_pinholes(raster: np.ndarray) -> np.ndarray:
 
     A cell is single where at least five of the eight cells around it are filled; larger gaps stay.
     """
-    layers = raster.reshape(*raster.shape[:2], -1)
-    empty = np.isnan(layers).any(axis=-1)
-    around = np.ones((3, 3), dtype=np.float32)
-    filled = ndimage.convolve((~empty).astype(np.float32), around, mode="constant")
-    rows, columns = np.nonzero(empty & (filled >= 5.0))
-    total = np.zeros((len(rows), layers.shape[-1]))
-    for down, across in product((-1, 0, 1), repeat=2):
-        # Beyond the raster the cell itself, which is empty.
-        row, column = rows + down, columns + across
-        inside = (row >= 0) & (row < len(empty)) & (column >= 0) & (column < empty.shape[1])
-        at = np.where(inside, row, rows), np.where(inside, column, columns)
-        total += np.where(empty[at][:, None], 0.0, layers[at])
-    result = layers.copy()
-    result[rows, columns] = total / filled[rows, columns][:, None]
-    return result.reshape(raster.shape)
+    known = np.isfinite(raster if raster.ndim == 2 else raster.sum(axis=-1))
+    around = np.ones((3, 3, *(1,) * (raster.ndim - 2)))
+    shape = (*known.shape, *(1,) * (raster.ndim - 2))
+    is_known = known.reshape(shape)
+    filled = ndimage.convolve(is_known.astype(np.float64), around, mode="constant")
+    total = ndimage.convolve(np.where(is_known, raster, 0.0).astype(np.float64), around, mode="constant")
+    single = ~is_known & (filled > 4.5)
+    return np.where(single, total / np.where(single, filled, 1.0), raster).astype(raster.dtype)
 
 
 def hillshade(height: np.ndarray, cell_m: float) -> np.ndarray:
@@ -291,12 +276,7 @@ def hillshade(height: np.ndarray, cell_m: float) -> np.ndarray:
 
 def image_of(values: np.ndarray, scale: ScalarMappable) -> np.ndarray:
     """Values (rows, columns) in the colours of a scale (rows, columns, 4) uint8, transparent where NaN."""
-    image = np.empty((*values.shape, 4), dtype=np.uint8)
-    # Colours of a value take 100 bytes while they are worked out.
-    for first in range(0, len(values), _ROWS):
-        rows = slice(first, first + _ROWS)
-        image[rows] = scale.to_rgba(np.ma.masked_invalid(values[rows]), bytes=True)
-    return image
+    return scale.to_rgba(np.ma.masked_invalid(values), bytes=True)
 
 
 def shaded_bed(depth: np.ndarray | None, height: np.ndarray, cell_m: float) -> tuple[np.ndarray, ScalarMappable]:
@@ -319,11 +299,6 @@ def _coloured(values: np.ndarray, shade: np.ndarray, colours: Colormap) -> tuple
     known = np.isfinite(values)
     low, high = np.quantile(values[known], [0.01, 0.99]) if known.any() else (0.0, 1.0)
     scale = ScalarMappable(Normalize(low, high if high > low else low + 1e-3), colours)
-    image = np.zeros((*values.shape, 4), dtype=np.uint8)
-    # Colours in float64 take 200 bytes a cell.
-    for first in range(0, len(values), _ROWS):
-        rows = slice(first, first + _ROWS)
-        rgb = np.asarray(colours(scale.norm(np.where(known[rows], values[rows], low))))[..., :3]
-        lit = np.clip(LightSource().blend_soft_light(rgb, shade[rows, :, None]), 0.0, 1.0)
-        image[rows, :, :3], image[rows, :, 3] = np.rint(255.0 * lit), np.where(known[rows], 255, 0)
-    return image, scale
+    rgb = np.asarray(colours(scale.norm(np.where(known, values, low))))[..., :3]
+    lit = np.clip(LightSource().blend_soft_light(rgb, shade[..., None]), 0.0, 1.0)
+    return np.dstack([np.rint(255.0 * lit), np.where(known, 255, 0)]).astype(np.uint8), scale

@@ -2,12 +2,29 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
-from compare_plane import FRAME, HALF, LAS_M, NUM_SAMPLES, ORIGIN, compared, grid, write_las, write_mesh, write_plane
+from compare_plane import (
+    FRAME,
+    HALF,
+    LAS_M,
+    NUM_SAMPLES,
+    ORIGIN,
+    UTM32,
+    compared,
+    grid,
+    write_las,
+    write_mesh,
+    write_plane,
+)
+from pyproj import CRS
 
-from geo import write_ply
-from survey.compare.comparison import CompareOptions, compare_files
+from geo import Cloud, LocalFrame, Mesh, write_ply
+from survey.compare.comparison import CompareOptions, _edge_note, compare_files
+from survey.compare.inputs import InputPaths, Inputs
 from survey.compare.options import CompareError
 from survey.compare.pictures import _tick
 from survey.compare.tables import limits_label, sections_of
@@ -29,37 +46,14 @@ def cloud(tmp_path):
     return write_las(tmp_path / "cloud.las", FRAME.crs_from_local(grid(0.1, 0.1)))
 
 
-STATISTICS = [
-    "n_points",
-    "n_nan",
-    "mean_m",
-    "median_m",
-    "std_m",
-    "rms_m",
-    "mean_inner90_m",
-    "std_inner90_m",
-    "nmad_m",
-    "p95_abs_m",
-    "min_m",
-    "max_m",
-]
+STATISTICS = (
+    "n_points n_nan mean_m median_m std_m rms_m mean_inner90_m std_inner90_m nmad_m p95_abs_m min_m max_m"
+).split()
 INTERVALS = ["mean_ci95_m", "mean_inner90_ci95_m"]
 SCORES = ["completeness", "accuracy_share", "f_score", "tolerance_m", "completeness_visible"]
-CIRCUMSTANCES = [
-    "outliers",
-    "confidence",
-    "water_level",
-    "method",
-    "sign",
-    "crs",
-    "bounds",
-    "cloud",
-    "reference",
-    "visible",
-    "n_samples",
-    "seed",
-    "notes",
-]
+CIRCUMSTANCES = (
+    "outliers confidence water_level method sign crs bounds cloud reference visible n_samples seed notes".split()
+)
 BANDS = ["depth_bands", "incidence_bands", "views_bands", "slope_bands"]
 
 
@@ -228,16 +222,9 @@ def test_outliers_are_left_out_only_when_asked_for_and_said_so(tmp_path, plane):
 
 def test_walls_have_their_own_completeness_and_spread(tmp_path):
     """A level square of 100 m² and an upright wall of 20 m² at its edge, of which the cloud has the lower half."""
-    corners = [
-        [-HALF, -HALF, 0],
-        [HALF, -HALF, 0],
-        [HALF, HALF, 0],
-        [-HALF, HALF, 0],
-        [HALF, -HALF, 2],
-        [HALF, HALF, 2],
-    ]
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [1, -1, 2], [1, 1, 2]]) * [HALF, HALF, 1.0]
     faces = [[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]]
-    reference = write_mesh(tmp_path / "step.ply", FRAME.crs_from_local(np.array(corners, dtype=float)), faces)
+    reference = write_mesh(tmp_path / "step.ply", FRAME.crs_from_local(corners), faces)
     wall = grid(0.05)[:, [2, 1, 0]] * [0, 1, 0.2] + [HALF - 0.02, 0, 0]
     wall = wall[(wall[:, 2] > 0.05) & (wall[:, 2] < 1.0)]
     floor = grid(0.05, 0.01)
@@ -328,3 +315,22 @@ def test_check_points_reach_the_terminal_without_what_one_alone_cannot_tell(tmp_
 def test_a_band_is_named_by_its_limits(low, high, unit, label, tick):
     assert limits_label(low, high, unit) == label
     assert _tick(label) == tick
+
+
+@pytest.mark.parametrize("crs", [UTM32, CRS("EPSG:4326+5773")])
+def test_points_beside_a_mesh_are_left_out_by_bounds_that_hold_it_and_those_in_its_holes_are_not(crs):
+    unit = 1.0 if crs is UTM32 else 1e-5
+    at = np.array([*ORIGIN[:2], 0.0]) if crs is UTM32 else np.array([11.36123456, 46.9, 0.0])
+    corners = at + np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [5 * unit, 5 * unit, 1.0]
+    mesh = Mesh(vertices=corners, faces=np.array([[0, 2, 1], [0, 3, 2]]), crs=crs)
+    points = at + np.column_stack([np.linspace(-9, 9, 50), np.zeros(50), np.zeros(50)]) * [unit, unit, 1.0]
+    frame = LocalFrame(crs, tuple(at.tolist()))
+    paths = InputPaths(Path("c.las"), Path("r.ply"))
+    inputs = Inputs(paths, Cloud(points=points, crs=crs), np.ones(50, bool), 0, mesh, None, crs, frame, ())
+    is_off = np.abs(points[:, 0] - at[0]) > 5 * unit
+    (note,) = _edge_note(inputs, np.where(is_off, np.nan, 0.0))
+    bounds = tuple(float(word) for word in re.findall(r"--bounds (.*?),", note)[0].split())
+    (west, _), (east, _) = corners[0, :2], corners[1, :2]
+    assert (bounds[0], bounds[2]) == pytest.approx((west, east), abs=0.001 * unit, rel=0.0)
+    (note,) = _edge_note(inputs, np.where(is_off, 0.0, np.nan))
+    assert "they are in holes of r.ply" in note

@@ -1,4 +1,4 @@
-"""The cloud of a run at check points: differences of a plane that is known, and how the report shows them."""
+"""The cloud of a run at check points, and what it states of its heights: figures that are known, and as shown."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from small_bed import plane_bed
+from small_report import facts_of
 from small_survey import small_survey
 
 from survey.control.points import Checkpoint, Control, ControlPoint, Mark
 from survey.folder.survey import load_survey
-from survey.report.checkpoints import WITHIN_GSD, checkpoint_differences, checkpoints_of
+from survey.report.checkpoints import CE95, LE95, WITHIN_GSD, checkpoint_differences, checkpoints_of, stated_of, table
+from survey.report.figures import figures_of
+from survey.report.page import cards
 from survey.report.tables import checkpoints as checkpoint_blocks
 from survey.water.surface import still_water
 from tests.changed_survey import changed
@@ -100,3 +103,41 @@ def test_depths_kilometres_away_count_from_water_that_follows_the_earth(survey):
     far = replace(far, observations=replace(far.observations, checkpoints=(point,)))
     (row,) = checkpoints_of(far, plane_bed(survey).xyz, GSD_M).rows
     assert row.depth_m == pytest.approx(1.0, abs=1e-3)
+
+
+def test_le95_and_ce95_hold_95_percent_of_normal_errors(rng):
+    errors = rng.standard_normal((200_000, 2))
+    # One share of 200 000 has a standard deviation of 0.0007.
+    assert (np.abs(errors[:, 0]) < LE95).mean() == pytest.approx(0.95, abs=0.003)
+    assert (np.hypot(*errors.T) < CE95).mean() == pytest.approx(0.95, abs=0.003)
+
+
+def test_orders_are_those_of_the_stated_uncertainty_at_95_percent():
+    depth = np.full(100, 2.0)
+    # At 2 m the orders allow 0.1508, 0.2504, 0.5007 and 1.0011 m, which is 1.96 standard deviations.
+    std = np.r_[np.full(90, 0.15 / 1.96), np.full(6, 0.25 / 1.96), np.full(4, 3.0)]
+    found = stated_of(std, depth)
+    assert [(order.name, order.share_within) for order in found.orders] == [
+        ("Exclusive", pytest.approx(0.90)),
+        ("Special", pytest.approx(0.96)),
+        ("1a and 1b", pytest.approx(0.96)),
+        ("2", pytest.approx(0.96)),
+    ]
+    assert found.strictest.name == "Special"
+    assert found.le95_m == pytest.approx(LE95 * 0.15 / 1.96)
+    assert stated_of(np.full(10, 3.0), depth[:10]).strictest is None
+    assert table(found)[0].rows[2][0] == "IHO S-44, vertical, Special"
+
+
+def test_dry_points_and_unknown_ones_count_for_no_order():
+    found = stated_of(np.array([0.05, 0.07, np.nan]), np.array([np.nan, 1.0, 1.0]))
+    assert (found.points_wet, found.orders[0].share_within) == (1, 1.0)
+    assert stated_of(np.array([0.05]), np.array([np.nan])).orders == ()
+    assert stated_of(np.array([np.nan]), np.array([1.0])) is None
+    assert table(None) == []
+
+
+def test_without_a_reference_the_stated_order_is_among_the_main_figures(shallow_survey):
+    figures = figures_of(facts_of(shallow_survey, plane_bed(shallow_survey, num=20)))
+    (card,) = [card for card in cards(figures) if "S-44" in card.label]
+    assert (card.label, card.value) == ("IHO S-44, vertical, stated", figures["stated"].strictest.name)

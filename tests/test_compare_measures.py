@@ -46,14 +46,16 @@ def cloud(tmp_path):
     return write_las(tmp_path / "cloud.las", FRAME.crs_from_local(grid(0.1, 0.1)))
 
 
-STATISTICS = (
-    "n_points n_nan mean_m median_m std_m rms_m mean_inner90_m std_inner90_m nmad_m p95_abs_m min_m max_m"
-).split()
+STATISTICS = [
+    "n_points", "n_nan", "mean_m", "median_m", "std_m", "rms_m", "mean_inner90_m", "std_inner90_m", "nmad_m",
+    "p95_abs_m", "min_m", "max_m",
+]  # fmt: skip
 INTERVALS = ["mean_ci95_m", "mean_inner90_ci95_m"]
 SCORES = ["completeness", "accuracy_share", "f_score", "tolerance_m", "completeness_visible"]
-CIRCUMSTANCES = (
-    "outliers confidence water_level method sign crs bounds cloud reference visible n_samples seed notes".split()
-)
+CIRCUMSTANCES = [
+    "outliers", "confidence", "water_level", "method", "sign", "crs", "bounds", "cloud", "reference", "visible",
+    "n_samples", "seed", "notes",
+]  # fmt: skip
 BANDS = ["depth_bands", "incidence_bands", "views_bands", "slope_bands"]
 
 

@@ -32,6 +32,7 @@ from survey.display.quantities import length, round_up
 from survey.errors import SurveyError
 from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells
 from survey.export.registry import require_not_too_fine
+from survey.files.toml_table import require_options
 from survey.progress import current
 
 if TYPE_CHECKING:
@@ -158,6 +159,7 @@ def _terms(plan: np.ndarray) -> np.ndarray:
 
 def bed_raster(run: LoadedRun, options: ExportOptions) -> BedRaster:
     """The raster of the bed of a run, made once for the products of a command."""
+    require_options(options)
     key = ("bed raster", options.crs, options.resolution_m, options.fill_m)
     return run.once(key, lambda: _bed_raster(run, options))
 

@@ -11,7 +11,7 @@ import numpy as np
 from survey.adjust.applied import apply_adjustment
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Adjustment, Status
-from survey.adjust.result.std_common import common_error
+from survey.adjust.result.parts import common_error
 from survey.folder.pose_priors import BAROMETER_STD_M
 from survey.folder.survey import Survey
 

@@ -64,14 +64,6 @@ class Drop(StrEnum):
     none = "none"
 
 
-class Mapper(StrEnum):
-    """Mappers of structure from motion: photograph by photograph (`auto`, too), or all at once."""
-
-    auto = "auto"
-    incremental = "incremental"
-    global_ = "global"
-
-
 # Of photographs: each is half of the one before.
 SCALES = (1.0, 0.5, 0.25, 0.125, 0.0625)
 

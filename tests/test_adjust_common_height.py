@@ -17,7 +17,7 @@ from survey.adjust.block.state import NUM_POSE
 from survey.adjust.common_height import apply_level_datum
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Status
-from survey.adjust.result.std_common import common_error
+from survey.adjust.result.parts import common_error
 from survey.adjust.rounds import RobustSolution, adjust
 from survey.folder.local_frame import water_plane
 from survey.folder.pose_priors import PosePrior

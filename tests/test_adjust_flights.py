@@ -13,7 +13,7 @@ import pytest
 
 from survey.adjust.applied import apply_adjustment
 from survey.adjust.refine import adjust_survey
-from survey.adjust.result.std_common import common_error
+from survey.adjust.result.parts import common_error
 from tests.drawn_flights import Flight, draw_flights
 
 HIGH = Flight()

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from survey.adjust.result.adjustment import Adjustment, Residuals
-from survey.adjust.result.std_of_block import parts_of_adjustment, parts_warning
+from survey.adjust.result.parts import parts_of_adjustment, parts_warning
 from survey.display.quantities import length
 from survey.photos.poses import connected_parts
 from tests.adjusted_block import drawn_adjustment

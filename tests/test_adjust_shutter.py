@@ -15,7 +15,7 @@ from survey.adjust.block.state import NUM_LENS, NUM_RELIEF
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result import adjustment as results
 from survey.adjust.result.adjustment import Status, read_adjustment, write_adjustment
-from survey.adjust.result.std_common import common_error
+from survey.adjust.result.parts import common_error
 from survey.photos.poses import TiePoints
 from tests.adjusted_block import assert_same
 from tests.block_state import require_derivatives, state_of

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from survey.adjust.result.std_of_block import BedCells, std_of_block
+from survey.adjust.result.std_common import BedCells, std_of_block
 from tests.adjusted_block import drawn_adjustment
 from tests.block_survey import survey_of
 from tests.changed_survey import changed

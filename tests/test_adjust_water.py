@@ -23,8 +23,8 @@ from survey.adjust.block.state import WATER_PARAMETERS, settings_of
 from survey.adjust.observability import dry_or_within_bounds, within_bounds
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import read_adjustment, write_adjustment
-from survey.adjust.result.std_common import common_error
-from survey.adjust.waterline import calibrate_water, nadir_views, with_water
+from survey.adjust.result.parts import common_error
+from survey.adjust.waterline import calibrate_water
 from survey.errors import SurveyError
 from survey.folder.local_frame import water_plane
 from survey.folder.pose_priors import PosePrior
@@ -35,7 +35,7 @@ from survey.plan.plan import pose_choice
 from survey.settings.water import LevelRate
 from survey.water.tides import Tide
 from tests.block_state import state_of
-from tests.block_survey import survey_of
+from tests.block_survey import survey_of, with_water
 from tests.changed_survey import changed
 from tests.drawn_block import DrawnBlock, draw_block
 from tests.small_water_block import FOCAL, SIZE, TRUTH, convergent, nadir, tie_points
@@ -276,26 +276,15 @@ def test_a_dry_survey_is_refused(tmp_path):
         calibrate_water(replace(survey, water=None))
 
 
-def test_nadir_views_are_those_that_look_down_with_their_own_matches(tmp_path, rng):
-    cameras = convergent()[::-1]
-    ties = tie_points(cameras, rng, count=40)
-    steep = nadir_views(changed(survey_with(tmp_path, cameras), ties=ties))
-    assert [view.name for view in steep.views] == ["16", "17", "18", "19", "20"]
-    kept = steep.observations.ties
-    for view, whole in enumerate(range(16, 21)):
-        np.testing.assert_array_equal(kept.pixel[kept.view == view], ties.pixel[ties.view == whole])
-
-
 @pytest.mark.slow
 def test_wreck_under_water_gives_its_level_and_index_from_a_wrong_start(data_dir):
     survey = load_survey(data_dir / "wreck_water")
     truth = survey.config.water
-    wrong = with_water(survey, replace(truth, level_m=truth.level_m + 0.5, refractive_index=1.30))
+    wrong = with_water(survey, level_m=truth.level_m + 0.5, refractive_index=1.30)
     level, _, _, index = calibrate_water(wrong).estimates
     # The truth within two standard deviations, and those small enough to be of use.
     assert abs(level.value - truth.level_m) < 2.0 * level.std < 0.05
     assert abs(index.value - truth.refractive_index) < 2.0 * index.std < 0.01
-    assert not calibrate_water(nadir_views(wrong)).is_observable
 
 
 def test_water_is_not_found_with_poses_that_are_to_be_kept(tmp_path):

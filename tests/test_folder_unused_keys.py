@@ -31,7 +31,6 @@ NONE: dict = {}
     ("table", "has_effect", "has_none"),
     [
         ('[cameras]\ngps_height = "ellipsoidal"', [NONE, EARTH, FREE], [FILE, MODEL, LEVEL]),
-        ('[cameras]\nmapper = "global"', [NONE], [FILE, MODEL]),
         ("[cameras]\nfocal_px = 450.0", [NONE, FILE], [MODEL]),
         ("[cameras]\nsize_px = [640, 480]", [NONE, FILE], [MODEL]),
         ("[cameras]\nprincipal_point_px = [30.0, 24.0]", [NONE, FILE], [MODEL]),

@@ -147,7 +147,6 @@ def test_an_unknown_key_is_refused_with_a_near_name_its_place_or_what_is_known(t
             "[cameras]\ngps_height = 'geoid'",
             'gps_height is "geoid", expected crs (heights in EXIF are heights in crs) or',
         ),
-        ("[cameras]\nmapper = 'glomap'", 'cameras.mapper is "glomap", expected one of auto, incremental'),
         ("[cameras]\nsize_px = [10, 10]\nprincipal_point_px = [0.0, 0.0]", "lies outside the image"),
         ("[cameras]\nposition_std_m = 0", "position_std_m is 0, expected a standard deviation above 0 and at most 100"),
         ("[cameras]\nposition_std_m = [0.02, 0.03]", "at most 100 metres, one number or [east, north, up]; GPS"),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,7 +12,6 @@ from refract.lens import Lens, is_affine
 from survey.adjust.block.control_check import control_warnings
 from survey.adjust.block.normal_matrix import propagated_variance
 from survey.adjust.block.observed import KINDS, MARK, Observed
-from survey.adjust.block.priors import PriorKnowledge
 from survey.adjust.block.state import (
     FOCAL_NAME,
     LENS_NAMES,
@@ -18,6 +19,7 @@ from survey.adjust.block.state import (
     RATE_NAME,
     READOUT_NAME,
     WATER_NAMES,
+    WATER_PARAMETERS,
     Layout,
     State,
     is_held,
@@ -27,7 +29,9 @@ from survey.adjust.block.state import (
 )
 from survey.adjust.observability import Unobservable, not_observable
 from survey.adjust.result.adjustment import (
+    MOST_STD_FOCAL,
     MOST_STD_LEVEL_M,
+    MOST_STD_ROWS_PX,
     AdjustedPoses,
     Adjustment,
     ControlResidual,
@@ -36,14 +40,13 @@ from survey.adjust.result.adjustment import (
     FitStatistics,
     Parameter,
     Residuals,
-    lens_verdicts,
-    readout_limits,
+    Status,
     unobservable_verdict,
     water_limits,
-    water_verdicts,
     with_verdict,
 )
 from survey.adjust.rounds import RobustSolution, mean_by_kind
+from survey.folder.observations import rows_between
 from survey.folder.survey import Survey
 from survey.settings.config import WaterConfig
 
@@ -79,9 +82,9 @@ def assemble_result(
     ----------
     total : int
         Observations before any was left out.
-    unobservable : dict of name to Unobservable, optional
-        Of water of which nothing was known: what is not observable, and why.
-    contradicted : sequence of int, optional
+    unobservable : optional
+        Of water of which nothing was known: what is not observable, and why, by name.
+    contradicted : sequence of int
         Parameters of the water that the block contradicts: their estimates are used, however uncertain.
     hold : callable, optional
         Adjusts again with the parameters (P,) bool held that are not observable.
@@ -181,47 +184,46 @@ def _parameters_with_verdicts(
     contradicted: Sequence[int],
 ) -> tuple[tuple[Parameter, ...], WaterConfig | None]:
     """Parameters of water and lenses with their verdicts, and the water; ``first``: covariance before any was held."""
-    prior, state, covariance = done.prior, done.solution.state, done.solution.covariance
+    prior, state, layout = done.prior, done.solution.state, done.prior.layout
     parameters: list[Parameter] = []
     water: WaterConfig | None = None
     if survey.water is not None:
-        verdicts, water = _water(survey, done, first, held[:NUM_WATER], unobservable, contradicted)
-        parameters += verdicts
-    variance = np.where(held, np.diag(first), np.diag(covariance))
+        parameters, water = _water(survey, done, first, held[:NUM_WATER], unobservable, contradicted)
+    std = np.sqrt(np.where(held, np.diag(first), np.diag(done.solution.covariance)))
+
+    def judge(name: str, at: int, value: float, given: float, limit: float, unit: str) -> None:
+        found, before = Estimate(float(value), float(std[at])), Estimate(float(given), float(prior.std[at]))
+        parameters.append(with_verdict(name, found, before, float(limit), unit))
+
     for number, lens in enumerate(prior.lenses):
-        if not is_held(lens):
-            at = prior.layout.lens(number)
-            std = np.sqrt(variance[at])
-            parameters += lens_verdicts(number, state.lenses[number], std, prior.mean.lenses[number], prior.std[at])
-    if prior.layout.hours is not None:
-        parameters.append(_rate(survey, prior, state, float(np.sqrt(variance[prior.layout.first_rate]))))
-    if prior.layout.finds_readouts:
-        parameters += _readouts(prior, state, np.sqrt(variance))
+        values = () if is_held(lens) else zip(LENS_NAMES, state.lenses[number], prior.mean.lenses[number], strict=True)
+        for i, (name, value, given) in enumerate(values):
+            # Only the focal length scales heights; all else is of use however uncertain.
+            limit, unit = MOST_STD_FOCAL * given if name == "f" else math.inf, " px" if i < 3 else ""
+            judge(f"camera{number}.{name}", layout.lens(number).start + i, value, given, limit, unit)
+    if layout.hours is not None:
+        given = survey.require_water()[1].rate.level_rate_m_per_h or 0.0
+        # Of no use if it leaves the level of a photograph as uncertain as one that is of none.
+        limit = MOST_STD_LEVEL_M / max(float(np.abs(layout.hours).max()), 1e-9)
+        judge(RATE_NAME, layout.first_rate, given + state.rate, given, limit, " m/h")
+    for number in range(len(prior.lenses) if layout.finds_readouts else 0):
+        limit = _readout_limit(state, layout, number, prior.lenses[number].height)
+        value, given = state.readouts[number], prior.mean.readouts[number]
+        judge(f"camera{number}.{READOUT_NAME}", layout.first_readout + number, value, given, limit, " s")
     return tuple(parameters), water
 
 
-def _rate(survey: Survey, prior: PriorKnowledge, state: State, std: float) -> Parameter:
-    """Rate of the level, of no use if it leaves the level of a photograph as uncertain as one that is of none."""
-    hours, given = prior.layout.hours, survey.require_water()[1].rate.level_rate_m_per_h or 0.0
-    assert hours is not None
-    before = Estimate(given, float(prior.std[prior.layout.first_rate]))
-    limit = MOST_STD_LEVEL_M / max(float(np.abs(hours).max()), 1e-9)
-    return with_verdict(RATE_NAME, Estimate(given + state.rate, std), before, limit, " m/h")
+def _readout_limit(state: State, layout: Layout, number: int, height: int) -> float:
+    """Limit of use [s] of the readout of a lens: it moves the last row against the first by half a pixel on the ground.
 
-
-def _readouts(prior: PriorKnowledge, state: State, std: np.ndarray) -> list[Parameter]:
-    """Readouts of the shutters with verdicts; ``std`` is that of all parameters (P,)."""
-    first, limits = prior.layout.first_readout, readout_limits(state, prior.layout, [w.height for w in prior.lenses])
-    return [
-        with_verdict(
-            f"camera{number}.{READOUT_NAME}",
-            Estimate(float(state.readouts[number]), float(std[first + number])),
-            Estimate(float(prior.mean.readouts[number]), float(prior.std[first + number])),
-            float(limits[number]),
-            " s",
-        )
-        for number in range(len(prior.lenses))
-    ]
+    ``height`` [px] is that of its photographs.
+    """
+    assert layout.velocity_per_row is not None
+    range_m = np.maximum(state.centres[:, 2] - np.median(state.points[:, 2]), 1e-6)
+    px_per_s = (
+        np.linalg.norm(layout.velocity_per_row, axis=1) * rows_between(height) * state.lenses[number, 0] / range_m
+    )
+    return MOST_STD_ROWS_PX / max(float(px_per_s[layout.lens_of == number].max()), 1e-9)
 
 
 def _water(
@@ -233,25 +235,31 @@ def _water(
     contradicted: Sequence[int],
 ) -> tuple[list[Parameter], WaterConfig]:
     """Level, slopes and index in the terms of survey.toml, with verdicts; ``first`` see `_parameters_with_verdicts`."""
-    _, given = survey.require_water()
-    prior, state = done.prior, done.solution.state
+    _, water = survey.require_water()
+    prior, state, given = done.prior, done.solution.state, settings_of(water)
     by_local = settings_by_local(survey, np.array(prior.place_of_water))
-    values = settings_of(given) + by_local @ (state.water_parameters() - prior.mean.water_parameters())
-    std, held_std = (
-        np.sqrt(propagated_variance(by_local, c[:NUM_WATER, :NUM_WATER])) for c in (done.solution.covariance, first)
+    values = given + by_local @ (state.water_parameters() - prior.mean.water_parameters())
+    matrices = done.solution.covariance, first, np.diag(prior.std[:NUM_WATER] ** 2)
+    std, held_std, given_std = (
+        np.sqrt(propagated_variance(by_local, matrix[:NUM_WATER, :NUM_WATER])) for matrix in matrices
     )
-    given_std = np.sqrt(propagated_variance(by_local, np.diag(prior.std[:NUM_WATER] ** 2)))
-    if unobservable is not None:
-        given_std = np.full(NUM_WATER, np.inf)
-    limits = water_limits(state.points)
+    std, limits = np.where(held, held_std, std), water_limits(state.points)
     limits[list(contradicted)] = np.inf
-    found = water_verdicts(values, np.where(held, held_std, std), given, given_std, limits)
-    for i, row in enumerate(found):
-        if unobservable and row.name in unobservable:
-            found[i] = unobservable_verdict(
-                row.name, unobservable[row.name].std, row.given, unobservable[row.name].reason
-            )
-    return found, with_settings(given, np.array([row.value for row in found]))
+    rows: list[Parameter] = []
+    for i, name in enumerate(WATER_PARAMETERS):
+        lost = None if unobservable is None else unobservable.get(name)
+        if lost is not None:
+            rows.append(unobservable_verdict(name, lost.std, float(given[i]), lost.reason))
+            continue
+        before = Estimate(float(given[i]), float(given_std[i]) if unobservable is None else math.inf)
+        found = Estimate(float(values[i]), float(std[i]))
+        row = with_verdict(name, found, before, float(limits[i]), "" if i else " m")
+        if i in (1, 2) and rows[0].status == Status.UNKNOWN and row.status == Status.FREE:
+            # Slopes turn the plane about a point other than that of the level: without a level they are of no use.
+            verdict = "not observable: the level is not; the slope is kept"
+            row = replace(row, value=row.given, status=Status.UNKNOWN, verdict=verdict)
+        rows.append(row)
+    return rows, with_settings(water, np.array([row.value for row in rows]))
 
 
 def _control(survey: Survey, used: Observed, solution, state: State) -> tuple[ControlResidual, ...]:

@@ -22,7 +22,7 @@ from survey.adjust.block.priors import PriorKnowledge, shared_height_std
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import NUM_POSE
 from survey.adjust.result.adjustment import MOST_SIGMAS, MOST_STD_LEVEL_M, Adjustment
-from survey.adjust.result.std_common import common_error
+from survey.adjust.result.parts import common_error
 from survey.adjust.rounds import RobustSolution
 from survey.folder.local_frame import over_points
 from survey.sfm.gps import WELL_KNOWN_M

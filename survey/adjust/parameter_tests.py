@@ -13,6 +13,12 @@
     Whether a given level leaves a bed dry that photographs show under water. A level in another vertical datum may be
     tens of metres too low. Where all rays are straight, no derivative tells of water any more; so the water is raised
     over the points, and the adjustment may bring it back to the dry bed or find it in between.
+`unnamed_water_warning`
+    Whether bent rays fit the tie points of a survey that names no water better. The block, adjusted with straight rays,
+    is adjusted again over a plane of free level, with the index of water. Where the bed lies dry it gains nothing;
+    where it lies under water the squares of residuals fall, as a tie point that photographs see from several sides has
+    no one place on straight rays. Lens and poses are free in both. Colour, glint and smooth areas are not evidence:
+    shade on a dry road is bluer than the lake beside it, dry dunes have larger areas without texture.
 """
 
 from __future__ import annotations
@@ -25,7 +31,8 @@ from dataclasses import replace
 import numpy as np
 
 from evaluation.summary import std_by_median
-from survey.adjust.block.bundle import NotConvergedError, Solution, solve
+from refract import FlatWater
+from survey.adjust.block.bundle import NotConvergedError, Solution, cost, levenberg_marquardt, solve, with_points
 from survey.adjust.block.normal_equations import huber_system
 from survey.adjust.block.observed import Observed, sizes_of
 from survey.adjust.block.priors import PriorKnowledge, prior_of, priors_for
@@ -61,20 +68,20 @@ _FEWEST_OF_VIEW = 10
 # Windows, each in many photographs; there are few of them where the level is far below the bed, as a pixel seems to
 # cover more of it.
 _FEWEST_WINDOWS = 10
+# Fresh water and the sea, in the light of photographs, and how far they differ; what a river falls [m/m]; a level [m]
+# that nobody knows.
+_WATER_INDEX, _UNNAMED_STD = 1.338, (1000.0, 0.005, 0.005, 0.004)
+# The gain in units of variances that is not chance: five standard deviations, of one more parameter and two starts.
+_LEAST_GAIN = 30.0
+# Least relative decrease of the residuals under water: real lenses and ground leave small systematic errors, too.
+_LEAST_FALL = 0.03
 
 
 def without_prior(number: int, prior_std: float, step: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Step (P,) and column (P,) of the covariance of a parameter, as they would be without its own prior.
 
-    Of an adjustment with covariance C, leaving out a prior of standard deviation p adds
-    ``c c' / (p^2 - C_kk)`` to C, with c the column of the parameter k (Sherman and Morrison 1950).
-
-    Parameters
-    ----------
-    step : (P,)
-        From the mean of that prior.
-    column : (P,)
-        Of the covariance.
+    Of an adjustment with covariance C, leaving out a prior of standard deviation p adds ``c c' / (p^2 - C_kk)`` to C,
+    with c the column of the parameter k (Sherman and Morrison 1950). The step is from the mean of that prior.
     """
     # Rounding leaves nothing smaller.
     share = max(1.0 - float(column[number]) / prior_std**2, float(np.finfo(np.float64).eps))
@@ -92,23 +99,17 @@ def check_given_values(
 ) -> list[GivenValueTest]:
     """Tests of level, index and lenses against the photographs.
 
-    Parameters that they do not determine are left out: of the water where few points are wet, or the index where its
-    std exceeds the limit of use.
+    Parameters that they do not determine are left out: of the water where fewer windows than ``fewest_wet`` are wet, or
+    the index where its std exceeds the limit of use.
 
     Parameters
     ----------
     survey : Survey
         Of the photographs that were measured.
-    problem : Problem
-        Of their windows, with everything held but points.
-    state : State
-        Its solution.
-    misfit_px : [px]
-        See `misfit`.
-    gsd : [m]
-        Ground sampling distance.
-    fewest_wet : int
-        Least number of windows under water for a test of level and index.
+    problem, state : Problem, State
+        Of their windows, with everything held but points, and its solution.
+    misfit_px, gsd : [px], [m]
+        See `misfit`; ground sampling distance.
     """
     prior = prior_of(survey, gsd, free_water=True)
     std = prior.std.copy()
@@ -273,3 +274,46 @@ def check_dry_block(
 def _is_dry(state: State) -> bool:
     """Whether there is a water plane with no point below it."""
     return state.water is not None and not (state.water.depth(state.points) > 0.0).any()
+
+
+def unnamed_water_warning(done: RobustSolution) -> str | None:
+    """Warning of water that a block adjusted without any shows; None where it shows none, or is not decisive."""
+    dry = done.solution.state
+    if dry.water is not None or len(done.used.ties) < FEWEST_WET:
+        return None
+    for level in (over_points(dry.points, dry.centres), float(np.median(dry.points[:, 2]))):
+        with suppress(NotConvergedError):
+            found = _water_at(done, level)
+            if found is not None:
+                return found
+    return None
+
+
+def _water_at(done: RobustSolution, level: float) -> str | None:
+    """Warning of water found from a level; None where bent rays gain too little, or too little of it is sure."""
+    prior, seen, dry = done.prior, done.used, done.solution.state
+    std_px, shared = done.problem.given_std_px, done.variance_factor
+    x, y = dry.centres[:, :2].mean(axis=0).tolist()
+    water, std = FlatWater((x, y, level), n_water=_WATER_INDEX), prior.std.copy()
+    std[:NUM_WATER] = _UNNAMED_STD
+    under = replace(prior, std=std, mean=replace(prior.mean, water=water))
+    problem = replace(done.problem, priors=priors_for(under, seen.ties, seen.point_std))
+    below = cost(done.problem, dry, std_px, shared) - _LEAST_GAIN
+    start, _ = with_points(problem, replace(dry, water=water), dry.points, std_px, shared)
+    wet, system = levenberg_marquardt(problem, start, std_px, shared, below=below)
+    depth = wet.require_water().depth(wet.points)
+    is_wet = depth > 0.0
+    if is_wet.sum() < FEWEST_WET or cost(problem, wet, std_px, shared) > below:
+        return None
+    residuals = (each[is_wet[seen.ties.point]] for each in (done.solution.residuals, problem.residuals(wet)))
+    before, after = (float(np.sqrt(np.mean(each**2))) for each in residuals)
+    # The scatter about the block under water.
+    of_depth = std_over_points(system) * after / before
+    mean = float(depth[is_wet].mean())
+    if mean < MOST_SIGMAS * of_depth or after > (1.0 - _LEAST_FALL) * before:
+        return None
+    return (
+        f"the photographs show water: {int(is_wet.sum()):,} of {len(depth):,} tie points fit better on bent rays "
+        f"({before:.2f} px on straight ones, {after:.2f} px on bent ones), {mean:.1f} +- {of_depth:.1g} m under its "
+        "surface; give [water]"
+    )

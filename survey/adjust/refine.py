@@ -8,27 +8,50 @@ windows matched under poses before an adjustment, over waves: again on the adjus
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from survey.adjust.applied import at_state
-from survey.adjust.block.observed import KINDS, MATCH, WINDOW
-from survey.adjust.block.priors import PriorKnowledge, prior_of
+from survey.adjust.assembling import assemble_result
+from survey.adjust.block.bundle import NotConvergedError
+from survey.adjust.block.control_check import control_contradiction, has_unchecked_control
+from survey.adjust.block.observed import CELLS, KINDS, MATCH, PER_CELL, WINDOW, Observed, observed, sizes_of, thinned
+from survey.adjust.block.on_ground import ground_fit, shift_onto
+from survey.adjust.block.priors import PriorKnowledge, SharedShift, prior_of
+from survey.adjust.block.state import NUM_POSE, NUM_WATER, WATER_PARAMETERS
 from survey.adjust.block.windows import measure_windows
-from survey.adjust.common_height import apply_level_datum, height_warnings
-from survey.adjust.focal_lengths import FocalDrift, with_square_pixels
-from survey.adjust.observability import dry_or_within_bounds, name_open_roll, roll_notes, water_std, within_bounds
-from survey.adjust.parameter_tests import LEVEL_NAME
-from survey.adjust.result.adjustment import MOST_SIGMAS_OF_FOUR, MOST_STD_LEVEL_M, Adjustment, Status
-from survey.adjust.result.std_of_block import parts_warning
-from survey.adjust.rounds import RobustSolution
-from survey.adjust.stages import StagedAdjustment, restarted
+from survey.adjust.common_height import apply_level_datum, drop_common_height, height_warnings, water_start, with_common
+from survey.adjust.focal_lengths import FocalDrift, with_focal_std, with_focals, with_square_pixels
+from survey.adjust.observability import (
+    Unobservable,
+    adjust_free,
+    adjusted_with,
+    dry_or_within_bounds,
+    name_open_roll,
+    roll_notes,
+    water_std,
+    within_bounds,
+)
+from survey.adjust.parameter_tests import (
+    LEVEL,
+    LEVEL_NAME,
+    check_dry_block,
+    dry_bed_error,
+    release,
+    unnamed_water_warning,
+    worst_contradiction,
+)
+from survey.adjust.result.adjustment import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_LEVEL_M, Adjustment, Status
+from survey.adjust.result.parts import parts_warning
+from survey.adjust.rounds import RobustSolution, adjust
 from survey.adjust.starts import PoseRecovery, better_of_two_starts, windows_or_recovered_poses
-from survey.adjust.unnamed_water import unnamed_water_warning
+from survey.control.points import StableGround
 from survey.errors import GivenValueTest, SurveyError
+from survey.folder.pose_priors import GPS_STD_M
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
 from survey.plan.check import DOWN_DEG, GIVE_LEVEL, tilts_deg
@@ -41,6 +64,8 @@ _SHARES = (0.3, 0.4, 0.3)
 _WAVES_PX = 0.1
 # Windows are measured up to four times as well as matches, and are as many.
 _MOST_GAIN = 6.0
+# Of the shift onto the ground before the adjustment.
+_START_STD_M = 0.1
 
 
 # Threads of BLAS wait for each other longer than they compute on matrices as small as those of the adjustment.
@@ -58,7 +83,6 @@ def adjust_survey(
 
     Parameters
     ----------
-    device : "auto", "cpu" or "cuda"
     advance : callable
         Called with the increment; increments sum to 1.
     use_windows : bool
@@ -78,15 +102,11 @@ def adjust_survey(
     if survey.observations.ties is not None or not use_windows:
         with name_open_roll(prior.rolls):
             first = from_start(survey, prior, None, silent=False)
-            found = better_of_two_starts(
-                survey, prior, first, lambda other, start: from_start(other, start, None, silent=True)
-            )
+            again = partial(from_start, windows=None, silent=True)
+            found = better_of_two_starts(survey, prior, first, again)
     else:
-        windows = windows_or_recovered_poses(
-            survey,
-            lambda: measure_windows(survey, device=device, advance=lambda part: advance(0.9 * part)),
-            search,
-        )
+        measure = partial(measure_windows, survey, device=device, advance=lambda part: advance(0.9 * part))
+        windows = windows_or_recovered_poses(survey, measure, search)
         if isinstance(windows, TiePoints):
             found = from_start(survey, prior, windows, silent=False)
         else:
@@ -134,17 +154,17 @@ def _adjust_in_stages(
     assert done is not None
     contradictions: list[GivenValueTest] = []
     drift: FocalDrift | None = None
+    notes: list[str] = []
     if not free_water:
         done, drift = staged.with_focals(done)
         done, contradictions = staged.without_contradictions(done)
+        notes = roll_notes(survey, done, gsd_m(survey))
     water = None if survey.water is not None else unnamed_water_warning(done)
-    notes = roll_notes(survey, done, gsd_m(survey)) if done.prior.rolls and not free_water else []
     found = staged.result(done, contradictions)
     if not survey.provenance.is_level_known and found.parameter("level_m").status == Status.UNKNOWN:
         raise _level_error(survey, found.parameter("level_m").std)
     warnings = [*(_contradiction_text(found, each) for each in contradictions), *height_warnings(survey, done)]
-    warnings += parts_warning(found, survey.water) + ([] if water is None else [water])
-    warnings += [] if drift is None else [str(drift)]
+    warnings += parts_warning(found, survey.water) + [str(each) for each in (water, drift) if each is not None]
     if not free_water:
         warnings += staged.against_control()
     contradiction = survey.provenance.contradiction
@@ -192,3 +212,195 @@ def _contradiction_text(found: Adjustment, each: GivenValueTest) -> str:
         f"{MOST_SIGMAS_OF_FOUR:.1f} standard deviations; what the photographs say is used. Correct the value, its "
         "vertical datum, or its standard deviation"
     )
+
+
+class StagedAdjustment:
+    """Adjustment of a survey in stages: observations are added, and all of them adjusted again.
+
+    `prior` is that of the next stage: `first_ties` and `with_focals` replace it by what their stage has shown.
+    ``free_water``: nothing counts as known of the water.
+    """
+
+    def __init__(self, survey: Survey, prior: PriorKnowledge, free_water: bool):
+        self.survey, self.prior, self.free_water = survey, prior, free_water
+        self._parts: list[tuple[int, TiePoints]] = []
+        self._unobservable: dict[str, Unobservable] = {}
+        self._is_against_positions = False
+
+    def first_ties(self, kind: int, ties: TiePoints) -> RobustSolution:
+        """Adjust with the first tie points, which place the block on ground or water if these tell its height."""
+        start, part = self.prior, (kind, self._thinned(ties))
+        ground = self.survey.observations.ground
+        if ground is not None:
+            start, part = self._onto_ground(ground, part)
+        elif start.shifts:
+            start, part = self._onto_stated_positions(part)
+        self._parts = [part]
+        if start.common_up_std > 0.0:
+            done, self.prior, part = self._at_level(part)
+            self._parts = [part]
+            return done
+        done = self._adjust(start)
+        if self.survey.provenance.is_level_known and not self.free_water:
+            level = check_dry_block(self.survey, start, self._observed, done)
+            if level is not None:
+                raise dry_bed_error(level, "leave out [water] if the bed is dry")
+        return done
+
+    def with_ties(self, kind: int, ties: TiePoints, start: PriorKnowledge) -> RobustSolution:
+        """Adjust with tie points in place of those of their kind, beside others."""
+        self._parts = [part for part in self._parts if part[0] != kind] + [(kind, self._thinned(ties))]
+        return self._adjust(start)
+
+    def _thinned(self, ties: TiePoints) -> TiePoints:
+        return ties.only(np.isin(ties.point, thinned(ties, sizes_of(self.survey), CELLS, PER_CELL)))
+
+    @property
+    def _observed(self) -> Observed:
+        return self._seen(self._parts, self.prior)
+
+    def _seen(self, parts: list[tuple[int, TiePoints]], prior: PriorKnowledge) -> Observed:
+        """Tie points with control and ground."""
+        return observed(parts, self.survey.observations.control, self.survey, prior)
+
+    def _adjust(self, start: PriorKnowledge) -> RobustSolution:
+        if not self.free_water:
+            return adjust(start, self._observed)
+        done, self._unobservable = adjust_free(self.survey, start, self._observed)
+        return done
+
+    def _onto_stated_positions(self, part: tuple[int, TiePoints]) -> tuple[PriorKnowledge, tuple[int, TiePoints]]:
+        """Block and tie points as high as stated positions have them: others have moved structure from motion too."""
+        prior, (kind, ties) = self.prior, part
+        std = prior.std[prior.layout.first_pose :].reshape(-1, NUM_POSE)[:, :3]
+        stated = np.isfinite(std).all(axis=1) & ~prior.unknown_positions
+        shift = np.median((prior.mean.centres - prior.state.centres)[stated], axis=0)
+        state = replace(prior.state, centres=prior.state.centres + shift)
+        return replace(prior, state=state), (kind, replace(ties, start=ties.start + shift))
+
+    def _onto_ground(
+        self, ground: StableGround, part: tuple[int, TiePoints]
+    ) -> tuple[PriorKnowledge, tuple[int, TiePoints]]:
+        """Block and tie points shifted onto the ground, after an adjustment without it; positions too, where it shows.
+
+        Positions of unknown accuracy may share an error of metres, those of a stated one an error as large as that,
+        unless the ground contradicts it: the prior of later stages says so.
+        """
+        (kind, ties), unknown = part, self.prior.unknown_positions
+        stated = self.prior.std[self.prior.layout.first_pose :].reshape(-1, NUM_POSE)[~unknown, :3]
+        stated = stated[np.isfinite(stated).all(axis=1)]
+        are_stated = len(stated) > 0 and not unknown.any()
+        shared = np.median(stated, axis=0) if are_stated else np.full(3, GPS_STD_M)
+        every = np.ones(len(unknown), dtype=bool)
+        prior = replace(self.prior, shifts=(SharedShift(every, shared),))
+        try:
+            done = adjust(prior, replace(self._seen([part], prior), ground=None))
+            state, points = replace(done.solution.state, points=np.zeros((0, 3))), done.solution.state.points
+            points = points[: len(done.used.ties) - len(done.used.control)]
+        except NotConvergedError:
+            state, points = prior.state, ties.start
+        shift = shift_onto(ground, points)
+        off = np.median(state.centres - prior.mean.centres, axis=0) + shift
+        horizontal, vertical = ground.std_m
+        of_both = np.sqrt(shared**2 + np.square([horizontal, horizontal, vertical]) + _START_STD_M**2)
+        self._is_against_positions = are_stated and bool((np.abs(off) > MOST_SIGMAS * of_both).any())
+        if not are_stated or self._is_against_positions:
+            shifts = (SharedShift(every, np.maximum(shared, GPS_STD_M)),)
+            prior = replace(prior, mean=replace(prior.mean, centres=prior.mean.centres + off), shifts=shifts)
+        self.prior = prior
+        start = replace(prior, state=replace(state, centres=state.centres + shift))
+        return start, (kind, replace(ties, start=ties.start + shift))
+
+    def _at_level(self, part: tuple[int, TiePoints]) -> tuple[RobustSolution, PriorKnowledge, tuple[int, TiePoints]]:
+        """Adjust a block whose height the level of the water determines, or else the positions.
+
+        Also returns the prior of later stages, and the tie points where the level puts them.
+        """
+        start, points = water_start(self.prior, self._seen([part], self.prior))
+        kind, ties = part
+        # Without those of check points, which come last.
+        part = kind, replace(ties, start=points[: len(ties)])
+        done = adjust(start, self._seen([part], self.prior))
+        are_stated = any(each.position_std is not None for each in self.survey.observations.priors.values())
+        held = None if are_stated else drop_common_height(self.prior, done)
+        if held is None:
+            return done, self.prior, part
+        prior = replace(held, state=self.prior.state)
+        return adjust(held, self._seen([part], prior)), prior, part
+
+    def with_focals(self, done: RobustSolution) -> tuple[RobustSolution, FocalDrift | None]:
+        """Adjust with a focal length for each photograph, where they differ."""
+        if self.survey.observations.ground is not None:
+            return done, None
+        seen = self._observed
+        done, drift = with_focals(self.prior, done, lambda start: adjust(start, seen))
+        if drift is not None:
+            self.prior = with_focal_std(self.prior, done, drift.std)
+        return done, drift
+
+    def without_contradictions(self, done: RobustSolution) -> tuple[RobustSolution, list[GivenValueTest]]:
+        """Adjust with contradicted parameters of the water free, the worst first; also returns the contradictions."""
+        contradictions: list[GivenValueTest] = []
+        # A sample under the given poses may test with more power than a block with free poses.
+        of_sample = self.survey.provenance.contradiction
+        is_of_water = of_sample is not None and not of_sample.is_of_lens
+        each = of_sample if is_of_water else worst_contradiction(self.survey, done)
+        while each is not None and len(contradictions) < NUM_WATER:
+            contradictions.append(each)
+            done = self._adjust(release(restarted(done.prior, done), each))
+            each = worst_contradiction(self.survey, done)
+        return done, contradictions
+
+    def against_control(self) -> list[str]:
+        """A warning where positions and water contradict control that is too little to check itself."""
+        control = self.survey.observations.control
+        if control is None or not has_unchecked_control(self.survey):
+            return []
+        alone = replace(self.survey, observations=replace(self.survey.observations, control=None, ground=None))
+        prior = prior_of(alone, gsd_m(alone))
+        # A block with an undetermined roll cannot test control.
+        if prior.rolls:
+            return []
+        kind, ties = self._parts[0]
+        try:
+            free = apply_level_datum(StagedAdjustment(alone, prior, free_water=False).first_ties(kind, ties))[0]
+        except NotConvergedError:
+            return []
+        warning = control_contradiction(control, self.survey.views, free.prior, free.solution)
+        return [] if warning is None else [warning]
+
+    def result(self, done: RobustSolution, contradictions: Sequence[GivenValueTest]) -> Adjustment:
+        """The adjustment in the terms of the survey."""
+        control = self.survey.observations.control
+        total = sum(len(ties.view) for _, ties in self._parts) + (0 if control is None else len(control.marks))
+        if self.free_water:
+            return self._on_ground(assemble_result(self.survey, done, total, unobservable=self._unobservable), done)
+        placed, common = apply_level_datum(done)
+
+        def hold(held: np.ndarray) -> RobustSolution:
+            return apply_level_datum(adjusted_with(done, held, self.prior.std))[0]
+
+        used = {WATER_PARAMETERS.index(each.name) for each in contradictions} | (set() if common is None else {LEVEL})
+        found = self._on_ground(assemble_result(self.survey, placed, total, contradicted=sorted(used), hold=hold), done)
+        return found if common is None else with_common(found, common, placed.solution.state.water)
+
+    def _on_ground(self, found: Adjustment, done: RobustSolution) -> Adjustment:
+        """The result with how the block lies on the ground of an earlier survey, where there is one."""
+        if done.on_ground is None:
+            return found
+        fit = ground_fit(
+            done.on_ground,
+            done.problem,
+            done.solution,
+            self.survey.views,
+            str(self.survey.config.control.reference),
+            is_against_positions=self._is_against_positions,
+        )
+        return replace(found, ground=fit, notes=(*found.notes, *fit.notes), warnings=(*found.warnings, *fit.warnings))
+
+
+def restarted(prior: PriorKnowledge, done: RobustSolution) -> PriorKnowledge:
+    """Priors that start from an adjusted state, with the std of positions that the adjustment estimated."""
+    none = np.zeros((0, 3))
+    std = np.concatenate([prior.std[:NUM_WATER], done.prior.std[NUM_WATER:]])
+    return replace(prior, state=replace(done.solution.state, points=none), std=std)

@@ -211,7 +211,7 @@ def recover_poses(survey: Survey, workspace: Path, report: Callable[[str], None]
     given = np.array([view.camera.centre for view in views])
     focal = focals.pop() if len(focals) == 1 else None
     positions = dict(zip(images, given, strict=True))
-    blocks = blocks_of(images, positions, focal, workspace, report, survey.config.cameras.mapper)
+    blocks = blocks_of(images, positions, focal, workspace, report)
     num = sum(len(found.poses) for found in blocks)
     if 2 * num < len(views):
         raise SurveyError(f"structure from motion placed {num} of {len(views)} photographs")

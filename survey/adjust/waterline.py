@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +24,6 @@ from survey.folder.survey import Survey, load_survey
 from survey.progress import current
 from survey.settings.config import WaterConfig
 from survey.words import SFM_FOLDER
-
-NADIR_DEG = 5.0
 
 
 @dataclass(frozen=True)
@@ -69,9 +66,6 @@ def estimate_water(
     folder: str | Path,
     *,
     device: str = "auto",
-    nadir_only: bool = False,
-    start_level: float | None = None,
-    start_index: float | None = None,
     run_folder: str | Path | None = None,
     json_path: str | Path | None = None,
 ) -> WaterEstimate:
@@ -82,12 +76,6 @@ def estimate_water(
 
     Parameters
     ----------
-    folder : Path
-    device : "auto", "cpu" or "cuda"
-    nadir_only : bool
-        Use only views that look down within 5 degrees of the vertical.
-    start_level, start_index : [m], [-]
-        Start of the search, instead of the values of the survey.
     run_folder : Path, optional
         Whose poses by structure from motion are used, for a survey that comes without poses; default
         ``folder/bathynerf``. Where it has none of these photographs they are solved for, and kept there.
@@ -106,15 +94,9 @@ def estimate_water(
     if json_path is not None:
         require_file("--json", json_path, survey_inputs(folder), kind="a JSON file", is_of_kind=is_json)
     survey = load_survey(folder, workspace=workspace, report=progress.note)
-    _, given = survey.require_water()
-    start = replace(
-        given,
-        level_m=given.level_m if start_level is None else start_level,
-        refractive_index=given.refractive_index if start_index is None else start_index,
-    )
-    survey = with_water(survey, start)
+    survey.require_water()
     with progress.stage("Water", 1.0) as stage:
-        found = calibrate_water(nadir_views(survey) if nadir_only else survey, device=device, advance=stage.advance)
+        found = calibrate_water(survey, device=device, advance=stage.advance)
     for text in found.warnings:
         progress.warn(text)
     if json_path is not None:
@@ -122,26 +104,13 @@ def estimate_water(
     return found
 
 
-def with_water(survey: Survey, water: WaterConfig) -> Survey:
-    """The survey with other water."""
-    config = replace(survey.config, water=water)
-    return replace(survey, config=config, water=water_plane(survey.frame, water))
-
-
 def calibrate_water(
     survey: Survey, *, device: str = "auto", advance: Callable[[float], None] = lambda _share: None
 ) -> WaterEstimate:
     """Estimate the water of a survey from its photographs.
 
-    Where the adjustment does not converge nothing is observable, and the verdict on the level says why.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its water is where the search starts; half a metre off is near enough.
-    device : "auto", "cpu" or "cuda"
-    advance : callable
-        Called with the increment; increments sum to 1.
+    Where the adjustment does not converge nothing is observable, and the verdict on the level says why. The water of
+    the survey is where the search starts; half a metre off is near enough.
     """
     survey.require_water()
     try:
@@ -160,20 +129,6 @@ def calibrate_water(
         rms_px=float(np.sqrt(np.mean(np.square(found.residuals.px)))),
         warnings=found.warnings,
     )
-
-
-def nadir_views(survey: Survey) -> Survey:
-    """The survey with those views alone that look down within 5 degrees of the vertical."""
-    steep = math.cos(math.radians(NADIR_DEG))
-    looks_down = np.array([-view.camera.cam_from_local[2, 2] > steep for view in survey.views])
-    if looks_down.sum() < 3:
-        few = looks_down.sum()
-        raise SurveyError(f"{few} photographs look down within {NADIR_DEG:g} degrees, expected three or more")
-    views = tuple(view for view, kept in zip(survey.views, looks_down, strict=True) if kept)
-    ties = survey.observations.ties
-    if ties is not None:
-        ties = ties.only(looks_down[ties.view]).renumbered(np.cumsum(looks_down) - 1)
-    return replace(survey, views=views, observations=replace(survey.observations, ties=ties))
 
 
 def _covariance(survey: Survey, found: Adjustment) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -23,8 +22,6 @@ from survey.commands.console import (
 )
 from survey.settings.tables import FieldConfig, InitOptions, ProcessConfig
 from survey.words import COMPARED, RUN_FOLDER, Device
-
-_start = partial(typer.Option, rich_help_panel="Where it starts")
 
 
 @verb("""
@@ -87,15 +84,14 @@ def process(
 
 @verb("""
     bathynerf waterline my_survey
-    bathynerf waterline my_survey --start-level 12.3
+    bathynerf waterline my_survey --json water.json
 """)
 def waterline(
     survey: SurveyFolder,
     device: DeviceOption = Device.auto,
-    nadir_only: Annotated[bool, _start("--nadir-only", help="Use only views that look straight down.")] = False,
-    start_level: Annotated[float | None, _start(metavar="M", help="Start from this level [m].")] = None,
-    start_index: Annotated[float | None, _start(metavar="N", help="Start from this refractive index.")] = None,
-    poses_of: Annotated[Path | None, _start("--run", metavar="RUN", help="Use the poses computed by this run.")] = None,
+    poses_of: Annotated[
+        Path | None, typer.Option("--run", metavar="RUN", help="Use the poses computed by this run.")
+    ] = None,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for all results.")] = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
@@ -110,9 +106,6 @@ def waterline(
         found = estimate_water(
             survey,
             device=device.value,
-            nadir_only=nadir_only,
-            start_level=start_level,
-            start_index=start_index,
             run_folder=poses_of,
             json_path=json,
         )

@@ -252,7 +252,6 @@ def conditions(given: Circumstances) -> dict[str, str | None]:
     control = None if given.config.control.gcp_files else "there are no control points ([control] gcps)"
     return {
         "cameras.gps_height": gps_height,
-        "cameras.mapper": None if poses is None else f"the poses are those of {poses}",
         **_conditions_of_lens(given),
         "cameras.rotation_std_deg": rotation_std,
         "cameras.speed_m_s": speed,

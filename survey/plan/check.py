@@ -30,7 +30,6 @@ from survey.plan.tiling import plan_run, require_dask
 from survey.plan.workload import Workload, room_warnings, workload_of_images
 from survey.settings.config import SurveyConfig, WaterConfig
 from survey.sfm.gps import WELL_KNOWN_M
-from survey.sfm.settings import mapper_of
 from survey.water.level import STAFF_STD_M
 from survey.water.level_observation import LevelObservation
 from survey.words import RUN_FOLDER, Device
@@ -188,9 +187,8 @@ def _without_poses(checked: Checked, chosen: Choices) -> list[CheckSection]:
         like = "heights in crs" if found.config.cameras.gps_height == "crs" else "ellipsoidal heights"
         by = f"GPS positions, heights taken as {like}"
     sfm = Decision("structure from motion", "on", f"there is no poses file; georeferenced by {by}")
-    mapper = Decision("mapper", *mapper_of(len(found.headers), found.config.cameras.mapper))
     later = Decision("refraction and the rest", "later", "decided once the poses are known")
-    decisions = (sfm, mapper, device_decision(chosen.device), later)
+    decisions = (sfm, device_decision(chosen.device), later)
     sizes = [header.size_px for header in found.headers.values()]
     workload = workload_of_images(sizes, chosen)
     warnings = (*checked.ordered_warnings, *room_warnings(workload, found.folder / RUN_FOLDER))

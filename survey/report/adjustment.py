@@ -11,8 +11,7 @@ import numpy as np
 from survey.adjust.block.on_ground import NAMES, GroundFit
 from survey.adjust.block.state import NUM_RELIEF
 from survey.adjust.result.adjustment import Adjustment, ControlResidual, Parameter
-from survey.adjust.result.std_common import common_error
-from survey.adjust.result.std_of_block import Part, parts_of_adjustment
+from survey.adjust.result.parts import Part, common_error, parts_of_adjustment
 from survey.display.blocks import Block, Rows, Sentences, Table, Text
 from survey.display.quantities import NO_BREAK, LengthUnit, count, is_known, length, number
 from survey.folder.survey import Survey

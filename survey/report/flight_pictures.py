@@ -18,7 +18,7 @@ from evaluation.bootstrap import cell_counts, cell_means, cell_numbers
 from geo.projection import ground_units_m
 from refract import PinholeCamera
 from survey.adjust.result.adjustment import Adjustment
-from survey.adjust.result.std_of_block import part_numbers
+from survey.adjust.result.parts import part_numbers
 from survey.display.canvas import (
     Picture,
     canvas,

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from geo.crs import height_unit_m
-from survey.adjust.result.std_of_block import part_numbers
+from survey.adjust.result.parts import part_numbers
 from survey.compare import pictures as compared
 from survey.display.canvas import Picture, empty_figure, plain_log_ticks, save
 from survey.display.palette import INK, SERIES, SOFT

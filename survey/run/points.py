@@ -16,7 +16,7 @@ from fields.sweep.fusion import PEERS, num_comparable
 from fields.sweep.images import median
 from fields.sweep.maps import HeightMap, trusted
 from survey.adjust.result.adjustment import Adjustment, read_adjustment
-from survey.adjust.result.std_of_block import std_of_block
+from survey.adjust.result.std_common import std_of_block
 from survey.plan.area import within
 from survey.plan.sweep_block import camera_of
 

@@ -74,7 +74,7 @@ class StoredBed:
     # `survey.adjust.result.std_common`; None: not known
     std_common: np.ndarray | None = None
     # (N,) float32 [m] or None: the part of the standard deviations in `bed` by how GPS or control has placed the block
-    # (`survey.adjust.result.std_of_block`); None where nothing placed it, and of a file without that column
+    # (`survey.adjust.result.std_common.std_of_block`); None where nothing placed it, and of a file without that column
     std_placed: np.ndarray | None = None
     # (N,) float32 [m] or None: standard deviation of the places in plan along one axis, by water, lens and poses
     std_plan: np.ndarray | None = None

@@ -16,7 +16,6 @@ from survey.files.remote import is_url, local_name
 from survey.files.toml_table import key, parse_toml, read_toml, require_with, std_key, table_of
 from survey.settings.tables import ControlConfig, FieldConfig, ProcessConfig
 from survey.settings.water import WaterConfig, require_slope
-from survey.words import Mapper
 
 # The slowest sensors of drones read a whole frame in a tenth of a second.
 _LONGEST_READOUT_S = 0.25
@@ -74,7 +73,6 @@ class CamerasConfig:
     gps_height: str = key(
         "crs", "crs (heights in EXIF are heights in crs) or ellipsoidal", one_of=("crs", "ellipsoidal")
     )
-    mapper: str = key(Mapper.auto.value, one_of=Mapper)
     position_std_m: float | tuple[float, float, float] | None = std_key(
         100.0, "metres", "GPS has about 3, with corrections 0.03", "one number or [east, north, up]"
     )

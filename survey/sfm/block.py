@@ -20,7 +20,6 @@ from survey.photos.poses import TiePoints, least_track
 from survey.progress import current
 from survey.sfm.features import MatchedPhotographs
 from survey.sfm.settings import MIN_IMAGES, SEED, THREADS, solver
-from survey.words import Mapper
 
 if TYPE_CHECKING:
     import pycolmap
@@ -99,30 +98,18 @@ def poses_of(block: pycolmap.Reconstruction) -> dict[str, tuple[np.ndarray, np.n
     return {image.name: (image.projection_center(), image.cam_from_world().rotation.matrix()) for image in images}
 
 
-def reconstruct(
-    matched: MatchedPhotographs, mapper: str, *, direct_up_to: int = DIRECT_UP_TO
-) -> list[pycolmap.Reconstruction]:
+def reconstruct(matched: MatchedPhotographs, *, direct_up_to: int = DIRECT_UP_TO) -> list[pycolmap.Reconstruction]:
     """Reconstructions of poses and points, each in a frame of its own; the largest first."""
-    folders = matched.database, matched.folder, matched.work
+    options = pipeline_options(matched.num)
     with current().stage("Structure from motion", matched.num) as step:
-        if mapper == Mapper.global_:
-            blocks = solver().global_mapping(*folders, _global_options()).values()
+        # The first two come together.
+        step.advance(2.0)
+        if matched.num > direct_up_to:
+            blocks = map_directly(matched.database, options, step.advance)
         else:
-            options = pipeline_options(matched.num)
-            # The first two come together.
-            step.advance(2.0)
-            if matched.num > direct_up_to:
-                blocks = map_directly(matched.database, options, step.advance)
-            else:
-                blocks = solver().incremental_mapping(*folders, options, next_image_callback=step.advance).values()
+            folders = matched.database, matched.folder, matched.work
+            blocks = [*solver().incremental_mapping(*folders, options, next_image_callback=step.advance).values()]
     return sorted(blocks, key=lambda block: (-block.num_reg_images(), -block.num_points3D()))
-
-
-def _global_options() -> pycolmap.GlobalPipelineOptions:
-    options = solver().GlobalPipelineOptions()
-    options.num_threads, options.random_seed, options.min_model_size = THREADS, SEED, MIN_IMAGES
-    options.mapper.global_positioning.use_gpu = options.mapper.bundle_adjustment.ceres.use_gpu = False
-    return options
 
 
 def pipeline_options(num: int) -> pycolmap.IncrementalPipelineOptions:

@@ -35,7 +35,7 @@ from survey.sfm.control_fit import BlockControl
 from survey.sfm.gps import gps_positions, positions_in_crs
 from survey.sfm.gps_fit import attitudes_of
 from survey.sfm.pairs import image_pairs
-from survey.sfm.settings import mapper_of, one_focal, solver
+from survey.sfm.settings import one_focal, solver
 from survey.sfm.solve import FreeBlocks, Photographs, sensors_of, solve
 from survey.stage_key import code_hash, stage_key
 
@@ -97,9 +97,7 @@ def solve_poses(
     positions, _ = positions_in_crs(headers, crs, cameras.gps_height)
     local = {name: frame.local_from_crs(position) for name, position in positions.items()}
     ground = None if level_m is None else _ground(frame, level_m)
-    mapper, why = mapper_of(len(images), cameras.mapper)
-    note(f"plan: mapper: {mapper} ({why})")
-    free = _solved(Photographs(images, headers, local, focal_px, mapper, ground), workspace, note)
+    free = _solved(Photographs(images, headers, local, focal_px, ground), workspace, note)
     by = "their GPS positions" if control is None else f"{len(control.points)} control points"
     note(f"structure from motion: {free.num_images} images are placed by {by}")
     placed = place(free, sensors=sensors_of(headers, focal_px))
@@ -126,16 +124,13 @@ def blocks_of(
     focal_px: float | None,
     workspace: Path,
     report: Callable[[str], None],
-    mapper: str,
 ) -> list[FreeViews]:
     """Poses and points of photographs, not placed anywhere, of each block that they make; the largest first.
 
     Images are in order of names. Positions (3,) [m] of the cameras, about, in any one frame, select the pairs to match.
     """
     headers = {name: read_exif(path) for name, path in images.items()}
-    mapper, why = mapper_of(len(images), mapper)
-    report(f"plan: mapper: {mapper} ({why})")
-    free = _solved(Photographs(images, headers, positions, focal_px, mapper), workspace, report)
+    free = _solved(Photographs(images, headers, positions, focal_px), workspace, report)
     poses = [sfm_block.poses_of(block) for block in free.blocks]
     ties = [sfm_block.tracks_of(block, list(own)) for block, own in zip(free.blocks, poses, strict=True)]
     return [FreeViews(*of_block) for of_block in zip(poses, ties, strict=True)]
@@ -146,7 +141,7 @@ def _solved(photographs: Photographs, workspace: Path, report: Callable[[str], N
     # Positions in the images themselves are those of the files.
     images, places = photographs.images, photographs.places
     # Of positions, of levels and of heights only the pairs that they choose count.
-    settings = (photographs.focal_px, photographs.mapper, sorted(places), image_pairs(list(images), places))
+    settings = (photographs.focal_px, sorted(places), image_pairs(list(images), places))
     key = stage_key("sfm", code_hash(), *settings, list(images), list(images.values()))
     busy = f"another process (number {{pid}}) looks for poses in {workspace}; wait until it ends, or stop it"
     with reporting_disk_errors(workspace), locked(_make_folder(workspace), busy=busy):

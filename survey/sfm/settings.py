@@ -10,7 +10,6 @@ from types import ModuleType
 from survey.errors import FILE_NAME, SurveyError
 from survey.photos.exif import Exif
 from survey.photos.pixels import require_pixels
-from survey.words import Mapper
 
 # Longest side [px] of a photograph for the detection of features; larger ones are reduced.
 FEATURES_PX = 3200
@@ -22,27 +21,8 @@ SEED = 0
 # Images of a block, at least, but for those of two photographs.
 MIN_IMAGES = 3
 _ERRORS_ONLY = 2
-# From so many photographs on the plan says why they are added one by one; so many were tried at most.
-LARGE, MEASURED = 500, 2080
 # Of two neighbours, most have each other: so many pairs come of a neighbour.
 _PAIRS_OF_NEIGHBOUR = 0.65
-
-
-def mapper_of(num: int, asked: str) -> tuple[str, str]:
-    """The mapper, and why, in words that fit so many images: the one that is asked for, else incremental mapping.
-
-    Global mapping bends blocks more, whatever their size (docs/decisions.md). Two photographs alone are placed by
-    incremental mapping only.
-    """
-    if num == 2 and asked == Mapper.global_:
-        return Mapper.incremental.value, f"{asked} mapping, as set in {FILE_NAME}, does not place two photographs alone"
-    if asked != Mapper.auto:
-        return asked, f"set by [cameras] mapper in {FILE_NAME}"
-    if num < LARGE:
-        return Mapper.incremental.value, f"{num} photographs are added one by one"
-    beyond = f"; more than {MEASURED:,} were not tried" if num > MEASURED else ""
-    why = f"{num:,} photographs are added one by one, which bends the block less than all at once{beyond}"
-    return Mapper.incremental.value, why
 
 
 def pairs_about(num: int) -> int:

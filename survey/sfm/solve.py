@@ -22,7 +22,6 @@ from survey.sfm.block import reconstruct
 from survey.sfm.features import CameraBody, match_photographs
 from survey.sfm.gps_fit import attitudes_of
 from survey.sfm.pairs import LEAST_HEIGHT_M, Place
-from survey.words import Mapper
 
 if TYPE_CHECKING:
     import pycolmap
@@ -46,7 +45,6 @@ class Photographs:
     # mapping of name to (3,) [m]: of the cameras, where known, in any one frame with z up; they select pairs to match
     positions: Mapping[str, np.ndarray]
     focal_px: float | None  # Of a calibration: to start from; None for those in EXIF
-    mapper: str  # One of `survey.words.Mapper`
     ground_m: float | None = None  # Height of ground or water in that frame, about
 
     @property
@@ -165,9 +163,8 @@ def _blocks(photographs: Photographs, work: Path, report: Callable[[str], None])
         for sensor in sensors_of(photographs.headers, photographs.focal_px)
     ]
     of_pairs = match_photographs(folder, sensors, places, work, report)
-    unknown = "; its progress is not known until it ends" if photographs.mapper == Mapper.global_ else ""
-    report(f"structure from motion: poses, by {photographs.mapper} mapping{unknown}")
-    blocks = reconstruct(of_pairs, photographs.mapper)
+    report("structure from motion: poses")
+    blocks = reconstruct(of_pairs)
     placed = blocks[0].num_reg_images() if blocks else 0
     if placed < (least := least_track(len(alias_of))):
         raise PosesError(

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,11 +13,10 @@ import numpy as np
 from geo.files import write_whole
 from refract.lens import Lens
 from survey.adjust.block.on_ground import GroundFit
-from survey.adjust.block.state import LENS_NAMES, READOUT_NAME, WATER_PARAMETERS, Layout, State
+from survey.adjust.block.state import READOUT_NAME, Layout
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object, write_json
 from survey.files.toml_table import parse_values, table_of
-from survey.folder.observations import rows_between
 from survey.settings.config import WaterConfig
 
 JSON, ARRAYS = "adjustment.json", "adjustment.npz"
@@ -296,54 +294,3 @@ def water_limits(points: np.ndarray) -> np.ndarray:
     reach = float(np.quantile(np.linalg.norm(points[:, :2] - middle, axis=1), 0.95))
     slope = MOST_STD_LEVEL_M / max(reach, 1e-6)
     return np.array([MOST_STD_LEVEL_M, slope, slope, MOST_STD_INDEX])
-
-
-def water_verdicts(
-    values: np.ndarray, std: np.ndarray, given: WaterConfig, given_std: np.ndarray, limits: np.ndarray
-) -> list[Parameter]:
-    """Verdicts on level, slopes and index, (4,) each, as survey.toml counts them."""
-    found = []
-    for i, name in enumerate(WATER_PARAMETERS):
-        unit = " m" if i == 0 else ""
-        before = Estimate(float(getattr(given, name)), float(given_std[i]))
-        found.append(with_verdict(name, Estimate(float(values[i]), float(std[i])), before, float(limits[i]), unit))
-    if found[0].status == Status.UNKNOWN:
-        # Slopes turn the plane about a point other than that of the level: without a level they are of no use.
-        verdict = "not observable: the level is not; the slope is kept"
-        found[1:3] = [
-            replace(row, value=row.given, status=Status.UNKNOWN, verdict=verdict) if row.status == Status.FREE else row
-            for row in found[1:3]
-        ]
-    return found
-
-
-def lens_verdicts(
-    number: int, values: np.ndarray, std: np.ndarray, given: np.ndarray, given_std: np.ndarray
-) -> list[Parameter]:
-    """Verdicts on the parameters of one lens, (8,) each."""
-    found = []
-    for i, name in enumerate(LENS_NAMES):
-        # Only the focal length scales heights; all else is of use however uncertain.
-        limit = MOST_STD_FOCAL * given[0] if name == "f" else math.inf
-        unit = " px" if i < 3 else ""
-        before = Estimate(float(given[i]), float(given_std[i]))
-        found.append(
-            with_verdict(f"camera{number}.{name}", Estimate(float(values[i]), float(std[i])), before, limit, unit)
-        )
-    return found
-
-
-def readout_limits(state: State, layout: Layout, heights: Sequence[int]) -> np.ndarray:
-    """Limits (L,) of use [s] of readouts: they move the last row against the first by half a pixel on the ground.
-
-    Parameters
-    ----------
-    heights : (L,) [px]
-        Of the photographs of each lens.
-    """
-    assert layout.velocity_per_row is not None
-    range_m = np.maximum(state.centres[:, 2] - np.median(state.points[:, 2]), 1e-6)
-    rows = np.array([rows_between(height) for height in heights])[layout.lens_of]
-    px_per_s = np.linalg.norm(layout.velocity_per_row, axis=1) * rows * state.lenses[layout.lens_of, 0] / range_m
-    fastest = np.array([px_per_s[layout.lens_of == number].max() for number in range(len(layout.aspect))])
-    return MOST_STD_ROWS_PX / np.maximum(fastest, 1e-9)

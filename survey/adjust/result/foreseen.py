@@ -10,18 +10,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from evaluation.standards import TO_95, TVU
 from survey.adjust.block.normal_equations import huber_system
+from survey.adjust.block.normal_matrix import propagated_variance
 from survey.adjust.block.observed import CELLS, KINDS, PER_CELL, WINDOW
-from survey.adjust.block.prediction import Prediction, apparent_rise_design, design_matrix, linearise, predict
+from survey.adjust.block.prediction import apparent_rise_design, linearise_by_points, predict
 from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, INDEX_STD, LEVEL_STD_M, prior_of, priors_for
 from survey.adjust.block.problem import Problem
-from survey.adjust.block.state import NUM_WATER, Layout
+from survey.adjust.block.state import NUM_RELIEF, NUM_WATER, Layout, State
 from survey.adjust.result.adjustment import MOST_STD_FOCAL, MOST_STD_INDEX, MOST_STD_LEVEL_M
-from survey.adjust.result.std_common import std_common
+from survey.adjust.result.std_common import place_jacobian_at, std_common
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
 from survey.plan.area import ASSUMED_DEPTH_M, in_the_middle, places_of
@@ -92,7 +94,7 @@ def foresee(survey: Survey, *, depth_m: float = ASSUMED_DEPTH_M, chosen: Choices
     ties = _ties(survey, depth_m)
     if ties is None:
         return None
-    covariance, layout, _ = _covariance(survey, plan.gsd_m, ties, free=True)
+    covariance, layout, *_ = _covariance(survey, plan.gsd_m, ties, free=True)
     at_level, at_index, at_focal = 0, NUM_WATER - 1, layout.first_lens
     std = np.sqrt(np.diag(covariance))
     is_wet = survey.water is not None
@@ -143,8 +145,13 @@ def _ties(survey: Survey, depth_m: float) -> TiePoints | None:
     return TiePoints(places.cells, point, view, np.zeros((len(point), 2)))
 
 
-def _covariance(survey: Survey, gsd: float, ties: TiePoints, *, free: bool) -> tuple[np.ndarray, Layout, Prediction]:
-    """Covariance (P, P) of the parameters if every place were measured in every view that has it in its frame."""
+def _covariance(
+    survey: Survey, gsd: float, ties: TiePoints, *, free: bool
+) -> tuple[np.ndarray, Layout, State, TiePoints]:
+    """Covariance (P, P) of the parameters if every place were measured in every view that has it in its frame.
+
+    Also returns their layout, the state, and the tie points with their pixels.
+    """
     # Poses of which nothing is stated count as those of an adjusted block.
     prior = prior_of(survey, gsd, free_water=survey.water is not None)
     if not free:
@@ -159,35 +166,31 @@ def _covariance(survey: Survey, gsd: float, ties: TiePoints, *, free: bool) -> t
     std_px = np.full(len(KINDS), TIE_STD_PX)
     kind = np.full(len(ties.view), WINDOW)
     problem = Problem(prior.layout, ties, kind, priors_for(prior, ties), std_px, rise_design)
-    linear = linearise(prior.layout, state, ties, rise_design)
-    return huber_system(problem, state, std_px).normal.inverse, prior.layout, linear
-
-
-def _heights(
-    ties: TiePoints, layout: Layout, covariance: np.ndarray, linear: Prediction
-) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviations (M,) [m] of the heights of the places: by their own pixels, and by the parameters."""
-    first = np.searchsorted(ties.point, np.arange(len(ties) + 1))
-    of_point, common = np.empty(len(ties)), np.empty(len(ties))
-    for number in range(len(ties)):
-        of_place = np.arange(first[number], first[number + 1])
-        of_place = of_place[np.linspace(0, len(of_place) - 1, min(len(of_place), _MOST_VIEWS)).round().astype(np.int64)]
-        design = linear.by_point[of_place].reshape(-1, 3)
-        inverse = np.linalg.pinv(design)
-        of_point[number] = TIE_STD_PX * math.sqrt(float(np.sum(inverse[2] ** 2)))
-        move = -inverse[2] @ design_matrix(layout, ties.view[of_place], linear.by_parameters[of_place])
-        common[number] = math.sqrt(max(float(move @ covariance @ move), 0.0))
-    return of_point, common
+    return huber_system(problem, state, std_px).normal.inverse, prior.layout, state, ties
 
 
 def _stds_of_heights(survey: Survey, plan: Plan, ties: TiePoints, depth_m: float) -> HeightStds:
-    covariance, layout, linear = _covariance(survey, plan.gsd_m, ties, free=False)
-    of_points, common = _heights(ties, layout, covariance, linear)
-    of_point = float(np.median(of_points)) * MATCH_STD_PX / plan.image_scale / TIE_STD_PX
-    if not _is_adjusted(plan):
-        wet = np.full(len(ties), survey.water is not None)
-        common = std_common(ties.start, wet, survey, None, plan.gsd_m)
+    covariance, layout, state, ties = _covariance(survey, plan.gsd_m, ties, free=False)
+    first = np.searchsorted(ties.point, np.arange(len(ties) + 1))
+    some = np.concatenate([_spread_out(np.arange(*ends)) for ends in pairwise(first)])
+    ties = TiePoints(ties.start, ties.point[some], ties.view[some], ties.pixel[some])
+    still, rows = np.zeros((len(some), NUM_RELIEF)), ties.pixel[:, 1]
+    _, by_point = linearise_by_points(layout, state, ties, still, rows)
+    normal = np.einsum("nai,naj->nij", by_point, by_point)
+    normal = np.add.reduceat(normal, np.searchsorted(ties.point, np.arange(len(ties))), axis=0)
+    of_point = float(np.median(np.sqrt(np.linalg.inv(normal)[:, 2, 2]))) * MATCH_STD_PX / plan.image_scale
+    if _is_adjusted(plan):
+        kept = np.r_[:NUM_WATER, layout.first_lens : len(layout)]
+        jacobian = place_jacobian_at(layout, state, ties, rows)[:, 2]
+        common = np.sqrt(propagated_variance(jacobian, covariance[np.ix_(kept, kept)]))
+    else:
+        common = std_common(ties.start, np.full(len(ties), survey.water is not None), survey, None, plan.gsd_m)
     return HeightStds(depth_m, of_point, float(np.nanmedian(common)))
+
+
+def _spread_out(numbers: np.ndarray) -> np.ndarray:
+    """At most `_MOST_VIEWS` of these, spread over them."""
+    return numbers[np.linspace(0, len(numbers) - 1, min(len(numbers), _MOST_VIEWS)).round().astype(np.int64)]
 
 
 def _angles(survey: Survey, ties: TiePoints) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Standard deviation of heights by the errors that all points share: water, lens and poses.
+"""Standard deviations of heights by the errors that all points share: water, lens and poses.
 
 Matching errors differ from point to point and average out; an error of the water level does not. The rays of the views
 that show a place meet where
@@ -6,36 +6,39 @@ that show a place meet where
     sum over views of |observed pixel - predicted pixel(place, parameters)|^2   is least,
 
 so that the place moves by ``-(A' A)^-1 A' B`` times a small change of the parameters, A and B the derivatives of the
-predictions by the place and by the parameters. With the covariance of the parameters this gives that of the heights: of
-their mean over the area (`common_error`), and of each at its place (`std_common`). What of it differs from place to
-place (tilt, bend, the bank against the bed) is in the std of the points of an adjusted block, too:
-`survey.adjust.result.std_of_block`. An error of all places in plan, of a transformation of datums, is one of heights
-where the bed slopes.
+predictions by the place and by the parameters. With the covariance of the parameters this gives that of the heights, of
+each at its place (`std_common`). Worked out at places spread over the bed, wet and dry apart, and interpolated in plan.
+The covariance is that of the adjustment; without one the parameters count as independent, as good as survey.toml says
+or else as the defaults of `survey.adjust.block.priors` say, poses and lens those of an adjusted block. An error of all
+places in plan, of a transformation of datums, is one of heights where the bed slopes.
 
-Worked out at places spread over the bed, wet and dry apart, and interpolated in plan. The covariance is that of the
-adjustment; without one the parameters count as independent, as good as survey.toml says or else as the defaults of
-`survey.adjust.block.priors` say, poses and lens those of an adjusted block.
+What differs from place to place, tilt, bending and shift of the block, is in the std of its points, too
+(`std_of_block`). At a fixed place in plan the error of a height is ``e_z - s . e_xy``, with e the error of the point
+where the rays meet and s the slope of the bed there. With the moves M of a place by the parameters and C their
+covariance, that of e is ``(M - N) C (M - N)'``, N the mean of the moves of heights over the bed: what lifts all heights
+alike. A slope holds for a few pixels only. Where the block lies farther beside its place, as with positions of GPS
+alone, the heights that are there count in place of slopes: the mean square of their differences over all displacements.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from geo.shapes import portions
 from refract import FlatWater
-from survey.adjust.block.normal_matrix import propagated_variance
+from survey.adjust.block.normal_matrix import propagated, propagated_variance
 from survey.adjust.block.observed import original_rows
 from survey.adjust.block.prediction import design_matrix, linearise
 from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, parameters_of, prior_of
 from survey.adjust.block.state import NUM_RELIEF, NUM_WATER, Layout, State
 from survey.adjust.result.adjustment import Adjustment
-from survey.photos.poses import TiePoints, least_track
+from survey.photos.poses import TiePoints
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey
@@ -48,8 +51,14 @@ _VIEWS = 12
 _NEAREST = 4
 # Points at a time: 300 bytes each.
 PORTION = 200_000
-# Cells along the longer side of the grid that tells what a shift of the cloud does.
-_MOST_CELLS = 1000
+# The slope of the bed is that over cells of so many ground sampling distances: single heights are noisy.
+_CELL_GSD = 2.0
+# Points whose variances along both axes multiply to less than this, in cells, lie in a row.
+_LEAST_SPREAD = 1e-3
+# Most cells per point, for a cloud with single points far away.
+_MOST_CELLS = 8
+# Displacements of more standard deviations are left out.
+_TRUNCATED = 4.0
 # Lower bound: no height is exact.
 _LEAST_M = 1e-5
 
@@ -58,47 +67,6 @@ BASIS_STATED = (
     "the standard deviations in survey.toml or the defaults of water, with poses and lens as good as those of an "
     f"adjusted block ({100 * EXACT_STD_M:g} cm, {EXACT_STD_DEG:g} degrees) where nothing is stated"
 )
-# The standard deviation of a mean over this many places, spread over the area, is that over all to a few per cent.
-_PLACES_OF_MEAN = 50
-# The cloud has each place from several views, of which these are enough for an average geometry.
-_VIEWS_OF_MEAN = 6
-# Squares along the longer side of the area, from each of which one place at most is taken.
-_SQUARES_OF_MEAN = 12
-
-
-@dataclass(frozen=True)
-class CommonError:
-    """Standard deviation of the height by water, lens and poses [m]."""
-
-    mean: float  # Of the mean height over the area: by so much the whole cloud may be too high or too low
-    typical: float  # Median over the places of the standard deviation of the height there
-    num_places: int
-
-
-def common_error(found: Adjustment, water: FlatWater | None) -> CommonError | None:
-    """Std of the mean height over an adjusted block, but for errors of single points; None without points.
-
-    Parameters
-    ----------
-    water : FlatWater or None
-        Local, as it was found.
-    """
-    jacobian = height_jacobian_over_area(found, water)
-    if not len(jacobian):
-        return None
-    by_place = propagated_variance(jacobian, found.covariance.matrix)
-    mean_jacobian = jacobian.mean(axis=0)
-    return CommonError(
-        mean=math.sqrt(float(propagated_variance(mean_jacobian, found.covariance.matrix))),
-        typical=float(np.median(np.sqrt(by_place))),
-        num_places=len(jacobian),
-    )
-
-
-def height_jacobian_over_area(found: Adjustment, water: FlatWater | None) -> np.ndarray:
-    """Jacobian (K, P) of the heights of points spread over the area, by the parameters of the covariance."""
-    ties = _places_of_mean(found)
-    return place_jacobian(found, water, ties)[:, 2] if len(ties) else np.zeros((0, len(found.covariance.matrix)))
 
 
 def place_jacobian(found: Adjustment, water: FlatWater | None, ties: TiePoints) -> np.ndarray:
@@ -129,28 +97,6 @@ def place_jacobian_at(layout: Layout, state: State, ties: TiePoints, rows: np.nd
     return jacobian
 
 
-def _places_of_mean(found: Adjustment) -> TiePoints:
-    """Points of the adjustment spread over the area, each with some of the views that show it."""
-    first = np.searchsorted(found.residuals.point, np.arange(len(found.points) + 1))
-    seen = np.diff(first)
-    enough = np.flatnonzero(seen >= least_track(len(found.poses.names)))
-    if not len(enough):
-        return TiePoints(np.empty((0, 3)), *(np.empty(0, dtype=np.int64),) * 2, np.empty((0, 2)))
-    plan = found.points[enough, :2]
-    side = max(float(np.ptp(plan, axis=0).max()), 1e-9) / _SQUARES_OF_MEAN
-    # Of each square the point that most views show.
-    order = np.argsort(-seen[enough], kind="stable")
-    _, one = np.unique(np.floor((plan[order] - plan.min(axis=0)) / side), axis=0, return_index=True)
-    chosen = np.sort(enough[order[one]])
-    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, _PLACES_OF_MEAN).round().astype(np.int64))]
-    rows = [
-        first[k] + np.linspace(0, seen[k] - 1, min(seen[k], _VIEWS_OF_MEAN)).round().astype(np.int64) for k in chosen
-    ]
-    at = np.concatenate(rows)
-    point = np.repeat(np.arange(len(chosen)), [len(row) for row in rows])
-    return TiePoints(found.points[chosen], point, found.residuals.view[at], found.residuals.at_px[at])
-
-
 def std_common(
     xyz: np.ndarray,
     wet: np.ndarray,
@@ -162,10 +108,11 @@ def std_common(
 ) -> np.ndarray:
     """Standard deviation (N,) float32 [m] of heights by water, lens and poses.
 
+    NaN where no place of the same kind, wet or dry, is seen by two views.
+
     Parameters
     ----------
-    xyz : (N, 3) [m], local
-    wet : (N,) bool
+    xyz, wet : (N, 3) [m], local; (N,) bool
     survey : Survey
         As the points were made with it.
     found : Adjustment or None
@@ -176,11 +123,6 @@ def std_common(
         Where the result goes, which may lie in a file.
     in_plan : (N,) float32, optional
         Gets that of places in plan, along one axis [m]: the root mean square of east and north.
-
-    Returns
-    -------
-    (N,) float32 [m]
-        NaN where no place of the same kind, wet or dry, is seen by two views.
     """
     std = np.empty(len(xyz), dtype=np.float32) if out is None else out
     stds = [std] if in_plan is None else [std, in_plan]
@@ -204,41 +146,41 @@ def std_common(
     return np.maximum(std, np.float32(_LEAST_M), out=std)
 
 
-def shift_std(xyz: np.ndarray, plan_std_m: float) -> np.ndarray:
-    """Standard deviation (N,) [m] of heights at their places, if all of a cloud may be shifted in plan.
+def std_of_block(
+    xyz: np.ndarray, survey: Survey, found: Adjustment, gsd: float, out: np.ndarray | None = None
+) -> np.ndarray:
+    """Standard deviation (N,) float32 [m] of heights at their places in plan by poses, lens and water.
 
-    On a slope that is slope times shift. Of a bed of any shape it is the root mean square of differences to heights
-    around, at sqrt(2) standard deviations: on a slope, that is the same. Where nothing lies around, that of the cloud.
-
-    Parameters
-    ----------
-    xyz : (N, 3) [m], local
-    plan_std_m : [m]
-        Of the shift, in east and in north.
+    Without what all heights have in common; zero where no two views see the bed. Arguments are those of `std_common`.
     """
-    low = xyz[:, :2].min(axis=0)
-    side = max(0.5 * plan_std_m, float(np.ptp(xyz[:, :2], axis=0).max()) / _MOST_CELLS)
-    column, row = ((xyz[:, :2] - low) / side).astype(np.int64).T
-    reach = max(round(math.sqrt(2.0) * plan_std_m / side), 1)
-    shape = np.array([row.max(), column.max()]) + 1 + 2 * reach
-    flat = (row + reach) * shape[1] + column + reach
-    count = np.bincount(flat, minlength=shape.prod())
-    with np.errstate(invalid="ignore"):
-        height = (np.bincount(flat, xyz[:, 2], shape.prod()) / count).reshape(shape)
-    squares, num = np.zeros(shape), np.zeros(shape)
-    diagonal = max(round(reach / math.sqrt(2.0)), 1)
-    for rows, columns in ((0, reach), (reach, 0), (diagonal, diagonal), (diagonal, -diagonal)):
-        # Shifts by whole cells differ a little from the wanted distance; this scales for it.
-        factor = 2.0 * plan_std_m**2 / ((rows**2 + columns**2) * side**2)
-        for sign in (1, -1):
-            shifted = np.roll(height, (sign * rows, sign * columns), axis=(0, 1))
-            known = np.isfinite(shifted) & np.isfinite(height)
-            squares[known] += factor * (shifted[known] - height[known]) ** 2
-            num += known
-    with np.errstate(invalid="ignore"):
-        std = np.sqrt(squares / num)
-    of_cloud = np.sqrt(squares.sum() / max(num.sum(), 1.0))
-    return np.where(np.isfinite(std), std, of_cloud).ravel()[flat]
+    ties = seen_places(places_of(xyz), survey)
+    std = np.empty(len(xyz), dtype=np.float32) if out is None else out
+    if not len(ties):
+        std[:] = 0.0
+        return std
+    jacobian = place_jacobian(found, survey.water, ties)
+    jacobian[:, 2] -= jacobian[:, 2].mean(axis=0)
+    covariance = propagated(jacobian, found.covariance.matrix).reshape(len(ties), 9)
+    cells = BedCells.of(xyz, _CELL_GSD * gsd)
+    rise, reached = cells.squared_rise(np.sqrt(np.maximum(covariance.mean(axis=0)[[0, 4]], 0.0)))
+    not_by_slopes = rise - (cells.slope**2 * reached).sum(axis=0)
+    for part in portions(len(xyz), PORTION):
+        points = xyz[part]
+        covariances = interpolated(ties.start[:, :2], covariance, points[:, :2]).reshape(-1, 3, 3)
+        towards = np.column_stack([-cells.at(cells.slope, points), np.ones(len(points))])
+        by_slopes = np.einsum("na,nab,nb->n", towards, covariances, towards)
+        std[part] = np.sqrt(np.maximum(by_slopes + cells.at(not_by_slopes, points), 0.0))
+    return std
+
+
+def shift_std(xyz: np.ndarray, plan_std_m: float) -> np.ndarray:
+    """Standard deviation (N,) [m] of heights (N, 3) at their places, if all of a cloud may be shifted in plan.
+
+    On a slope that is slope times shift, over a bed of any shape the root mean square of differences to heights around.
+    """
+    cells = BedCells.of(xyz, 0.5 * plan_std_m)
+    rise, _ = cells.squared_rise(np.full(2, plan_std_m))
+    return cells.at(np.sqrt(rise), xyz)
 
 
 def places_of(xyz: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
@@ -313,3 +255,102 @@ def interpolated(at: np.ndarray, values: np.ndarray, places: np.ndarray) -> np.n
         weight = (weight / weight.sum(axis=1, keepdims=True)).reshape(*weight.shape, *(1,) * (values.ndim - 1))
         found[part] = (weight * values[index]).sum(axis=1)
     return found
+
+
+@dataclass(frozen=True)
+class BedCells:
+    """Planes through the points of 3 x 3 square cells, about each cell."""
+
+    low: np.ndarray  # (2,) [m]: where the first column and row begin
+    side: float  # [m]
+    seen: np.ndarray  # (columns, rows) bool: whether there are points
+    # (columns, rows) [m]: in the middle of the cell, over the mean of all points; 0 where none are seen
+    height: np.ndarray
+    slope: np.ndarray  # (2, columns, rows): rise along x and y; 0 where points lie in a row
+
+    @classmethod
+    def of(cls, xyz: np.ndarray, side: float) -> BedCells:
+        """Cells of points (N, 3) [m], with sides [m] of that length, or longer where single points lie far away."""
+        low, wide = xyz[:, :2].min(axis=0), np.ptp(xyz[:, :2], axis=0)
+        side = max(side, float(np.sqrt(wide.prod() / (_MOST_CELLS * len(xyz)))))
+        shape = _cells_of(xyz[:, :2].max(axis=0), low, side) + 1
+        origin = xyz.mean(axis=0)
+        # Of each cell the sums of what is in `_products`.
+        sums = np.zeros((9, int(shape.prod())))
+        for part in portions(len(xyz), PORTION):
+            place = _cells_of(xyz[part, :2], low, side)
+            for total, weights in zip(sums, _products(xyz[part] - origin), strict=True):
+                np.add.at(total, place[:, 0] * shape[1] + place[:, 1], weights)
+        # Means over the nine cells about each cell.
+        about = [ndimage.uniform_filter(each.reshape(shape), 3, mode="constant") for each in sums]
+        seen = about[0] > 0.5 / 9.0
+        count = np.maximum(about[0], 1.0 / 9.0)
+        mean_x, mean_y, mean_z, xx, yy, xy, xz, yz = (each / count for each in about[1:])
+        xx, yy, xy = xx - mean_x**2, yy - mean_y**2, xy - mean_x * mean_y
+        xz, yz = xz - mean_x * mean_z, yz - mean_y * mean_z
+        size = xx * yy - xy**2
+        size = np.where(size > _LEAST_SPREAD * side**4, size, np.inf)
+        slope = np.stack([(yy * xz - xy * yz) / size, (xx * yz - xy * xz) / size])
+        middle_x, middle_y = (
+            start - middle + side * (np.arange(cells) + 0.5)
+            for start, middle, cells in zip(low, origin, shape, strict=False)
+        )
+        height = mean_z + slope[0] * (middle_x[:, None] - mean_x) + slope[1] * (middle_y - mean_y)
+        return cls(low, side, seen, np.where(seen, height, 0.0), slope)
+
+    def at(self, values: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+        """Values (..., columns, rows) of the cells at some of the points (N, 3) [m], (N, ...)."""
+        place = _cells_of(xyz[:, :2], self.low, self.side)
+        return np.moveaxis(values, (-2, -1), (0, 1))[place[:, 0], place[:, 1]]
+
+    def squared_rise(self, std: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean squares of the rise from each cell to places beside it, over normal displacements.
+
+        Parameters
+        ----------
+        std : (2,) [m]
+            Of the displacement along x and y.
+
+        Returns
+        -------
+        (columns, rows) [m^2]
+            Of the bed as far as it is seen.
+        (2, columns, rows) [m^2]
+            Mean squares of the displacements that whole cells make of it: much less than a cell is none.
+        """
+        kernels = [_kernel(each / self.side) for each in std]
+        squares = [kernel * (np.arange(len(kernel)) - len(kernel) // 2) ** 2 for kernel in kernels]
+        seen = self.seen.astype(np.float64)
+        share = np.maximum(_filtered(seen, kernels), 1e-9)
+        mean, square = (_filtered(each, kernels) / share for each in (self.height, self.height**2))
+        rise = np.maximum(square - 2.0 * self.height * mean + self.height**2, 0.0)
+        reached = [_filtered(seen, each) / share for each in ([squares[0], kernels[1]], [kernels[0], squares[1]])]
+        return rise, self.side**2 * np.stack(reached)
+
+
+def _cells_of(xy: np.ndarray, low: np.ndarray, side: float) -> np.ndarray:
+    """Column and row (..., 2) of the cells of places (..., 2) [m]."""
+    return np.floor((xy - low) / side).astype(np.int64)
+
+
+def _products(xyz: np.ndarray) -> tuple[np.ndarray, ...]:
+    """1, x, y, z, xx, yy, xy, xz and yz of points (N, 3)."""
+    x, y, z = xyz.T
+    return np.ones(len(x)), x, y, z, x * x, y * y, x * y, x * z, y * z
+
+
+def _kernel(std: float) -> np.ndarray:
+    """Weights of whole displacements of a normal law, both in cells."""
+    most = int(_TRUNCATED * std + 0.5)
+    weight = np.exp(-0.5 * (np.arange(-most, most + 1) / max(std, 1e-9)) ** 2)
+    return weight / weight.sum()
+
+
+def _filtered(values: np.ndarray, kernels: list[np.ndarray]) -> np.ndarray:
+    # Imports scipy.stats, half a second: only for poses that were adjusted.
+    from scipy import signal
+
+    # By Fourier transforms: positions of GPS alone are off by a hundred cells.
+    for axis, kernel in enumerate(kernels):
+        values = signal.oaconvolve(values, np.expand_dims(kernel, 1 - axis), mode="same", axes=axis)
+    return values

@@ -11,7 +11,7 @@ import pytest
 from survey.adjust.block.bundle import NotConvergedError, Solution, cost, levenberg_marquardt, rounding_of_cost, solve
 from survey.adjust.block.normal_equations import huber_system, system_with
 from survey.adjust.block.prediction import design_matrix, linearise, predict
-from survey.adjust.block.problem import HUBER, Planes, Priors, Problem, huber_loss, std_of_kinds
+from survey.adjust.block.problem import Planes, Priors, Problem, huber_loss, std_of_kinds
 from survey.adjust.block.state import NUM_RELIEF, Layout, State
 from survey.adjust.rounds import std_over_points
 from survey.photos.poses import TiePoints
@@ -215,34 +215,6 @@ def test_normal_equations_and_covariance_are_those_at_the_state_and_the_weights_
     scaled = expected * np.outer(scale, scale)
     np.testing.assert_allclose(solution.system.normal.dense() * np.outer(scale, scale), scaled, atol=1e-12)
     np.testing.assert_allclose(scaled @ (solution.covariance / np.outer(scale, scale)), np.eye(len(scale)), atol=1e-6)
-
-
-def test_where_the_loss_is_nearly_linear_an_outlier_keeps_its_gradient_and_hardly_any_curvature_along_its_residual():
-    block = draw_block(3, pixel_std=0.3, **SMALL)
-    problem = problem_of(block)
-    # Points are known, so that none of the parameters' equations is theirs.
-    problem = replace(problem, priors=replace(problem.priors, point_std=np.full(block.points.shape, 1e-9)))
-    state, std_px, number = truth_of(block), np.array([0.3]), 17
-    ties = problem.ties
-    off = np.zeros_like(ties.pixel)
-    off[number] = 30.0, -40.0
-    problem = replace(
-        problem, ties=replace(ties, pixel=predict(problem.layout, state, ties, problem.rise_design) + off)
-    )
-    one = np.ones(len(problem.kind))
-    square, reduced = (huber_system(problem, state, std_px, one, reduces_curvature=each) for each in (False, True))
-    scale = 1.0 / np.sqrt(np.diag(square.normal.dense()))
-    np.testing.assert_allclose(reduced.right_side * scale, square.right_side * scale, rtol=1e-6, atol=1e-9)
-    linear = linearise(problem.layout, state, ties, problem.rise_design)
-    design = design_matrix(problem.layout, ties.view, linear.by_parameters).toarray()
-    weight = HUBER * std_px[0] / 50.0 / std_px[0] ** 2
-    along = np.array([0.6, -0.8]) @ design[2 * number : 2 * number + 2]
-    taken = weight * (1.0 - 0.1**2) * np.outer(along, along)
-    np.testing.assert_allclose(
-        (square.normal.dense() - reduced.normal.dense()) * np.outer(scale, scale),
-        taken * np.outer(scale, scale),
-        atol=1e-9,
-    )
 
 
 @dataclass(frozen=True)

@@ -26,9 +26,6 @@ _MOST_STEPS = 60
 # standard deviation, and most by far less.
 _DONE = 0.03
 _SLACK = 1e-6
-# Where a step gains more than so many times what the linear model predicts, the next one takes outliers with a share
-# of their curvature (`survey.adjust.block.normal_equations`).
-_AS_LINEAR = 1.5
 # Where a step gains less than this share of what the linear model predicts, points are adjusted, in so many steps.
 _AS_PREDICTED, _POINT_STEPS = 0.5, 4
 # Weights are renewed from the residuals until the standard deviations of all kinds change by less than this share.
@@ -60,13 +57,7 @@ class Solution:
 
 
 def solve(problem: Problem, start: State, *, variance_factor: np.ndarray | None = None) -> Solution:
-    """Adjust a block.
-
-    Parameters
-    ----------
-    variance_factor : (N,), optional
-        Factor on the variance of each observation, for what neighbours share.
-    """
+    """Adjust a block, with a factor (N,) on the variance of each observation, for what neighbours share."""
     try:
         return _solved(problem, start, variance_factor)
     except np.linalg.LinAlgError as error:
@@ -102,10 +93,10 @@ def _near_minimum(problem: Problem, start: State, variance_factor: np.ndarray) -
     at = _Iterate(start, cost(problem, start, std_px, variance_factor), _DAMPING_START)
     for _ in range(_MOST_STEPS):
         system = huber_system(problem, at.state, std_px, variance_factor)
-        found = _try_step(problem, at, system, std_px, variance_factor)
-        if found is None:
+        moved = _try_step(problem, at, system, std_px, variance_factor)
+        if moved is None:
             break
-        before, at = at.cost, replace(found[0], damping=max(found[0].damping * 0.1, _DAMPING_START))
+        before, at = at.cost, replace(moved, damping=max(moved.damping * 0.1, _DAMPING_START))
         if at.cost < _LOWERED * before:
             continue
         renewed = std_of_kinds(problem, problem.residuals(at.state), 0.0)
@@ -134,25 +125,20 @@ def levenberg_marquardt(
 
     Raises NotConvergedError, also as soon as no minimum ``below`` a cost is in sight.
     """
-    at, reduces_curvature = _Iterate(state, cost(problem, state, std_px, variance_factor), _DAMPING_START), False
+    at = _Iterate(state, cost(problem, state, std_px, variance_factor), _DAMPING_START)
     for _ in range(_MOST_STEPS):
-        system = huber_system(problem, at.state, std_px, variance_factor, reduces_curvature=reduces_curvature)
+        system = huber_system(problem, at.state, std_px, variance_factor)
         if below < math.inf and at.cost - _IN_SIGHT * system.decrement() > below:
             raise NotConvergedError(f"the adjustment does not come below a sum of squares of {below:.6g}")
-        found = _try_step(problem, at, system, std_px, variance_factor)
-        if found is None:
-            system = huber_system(problem, at.state, std_px, variance_factor)
+        moved = _try_step(problem, at, system, std_px, variance_factor)
+        if moved is None:
             _require_minimum(problem, at.cost, system.decrement())
             return at.state, system
-        moved, predicted = found
-        gain, before = max(at.cost - moved.cost, 0.0), at
+        gain = max(at.cost - moved.cost, 0.0)
         at = replace(moved if gain > 0.0 else at, damping=max(moved.damping * 0.1, _DAMPING_LEAST))
         # A damped step that gains little may still be far from the minimum, along a direction of small curvature.
         if gain < _DONE and (gain == 0.0 or system.decrement() < _DONE):
-            if reduces_curvature:
-                system = huber_system(problem, before.state, std_px, variance_factor)
             return at.state, system
-        reduces_curvature = _next_curvature(gain, predicted, reduces_curvature)
     raise NotConvergedError(f"the adjustment did not converge in {_MOST_STEPS} steps: {_ADVICE}")
 
 
@@ -167,8 +153,8 @@ class _Iterate:
 
 def _try_step(
     problem: Problem, at: _Iterate, system: System, std_px: np.ndarray, variance_factor: np.ndarray
-) -> tuple[_Iterate, float] | None:
-    """The first step, by rising damping, that does not raise the cost, and the decrease that the linear model predicts.
+) -> _Iterate | None:
+    """The first step, by rising damping, that does not raise the cost.
 
     A rise by `_SLACK` is none: at the shoreline, where rays begin to bend, the linear model may predict a decrease that
     is not reached. None where every damping raises the cost.
@@ -181,18 +167,9 @@ def _try_step(
         if predicted >= _DONE and not costs < at.cost - _AS_PREDICTED * predicted:
             moved, costs = with_points(problem, moved, at.state.points, std_px, variance_factor)
         if costs < at.cost + _SLACK * at.cost or predicted < _DONE:
-            return _Iterate(moved, costs, damping), predicted
+            return _Iterate(moved, costs, damping)
         damping *= 10.0
     return None
-
-
-def _next_curvature(gain: float, predicted: float, reduces_curvature: bool) -> bool:
-    """Whether the next step takes outliers with a share of their curvature, by the gain of this one.
-
-    A step that gains far more than predicted has too much of it, one that gains far less too little.
-    """
-    is_as_predicted = _AS_PREDICTED * predicted <= gain <= max(_AS_LINEAR * predicted, _DONE)
-    return reduces_curvature if is_as_predicted else gain > predicted
 
 
 def rounding_of_cost(problem: Problem, value: float) -> float:
@@ -250,15 +227,7 @@ def with_points(
 
 
 def cost(problem: Problem, state: State, std_px: np.ndarray, variance_factor: np.ndarray | float = 1.0) -> float:
-    """Cost function: Huber losses of residuals and squared deviations from priors, in units of variances.
-
-    Parameters
-    ----------
-    std_px : (kinds,) [px]
-        Of the observations.
-    variance_factor : (N,), optional
-        As for `solve`.
-    """
+    """Cost function: Huber losses of residuals and squared deviations from priors, in units of variances."""
     of_points = _costs_of_points(problem, state, std_px, variance_factor)
     return float(of_points.sum() + problem.priors.squares(problem.layout, state))
 

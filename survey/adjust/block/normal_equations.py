@@ -18,14 +18,10 @@ from scipy.sparse import block_array, bsr_array, coo_array, csr_array, diags_arr
 
 from survey.adjust.block.normal_matrix import NormalMatrix
 from survey.adjust.block.prediction import linearise, linearise_by_points
-from survey.adjust.block.problem import HUBER, Problem, huber_weights
+from survey.adjust.block.problem import Problem, huber_weights
 from survey.adjust.block.state import NUM_POSE, NUM_SHIFT, Layout, State
 from survey.photos.poses import TiePoints
 
-# Weights give an outlier the curvature of a square, which Huber's loss has not along its residual: where steps gain
-# more than they predict, they are taken with the square of this share of that curvature (B. Triggs et al., Bundle
-# adjustment - a modern synthesis, 2000, section 4.3).
-_CURVATURE = 0.1
 # Points whose height has more than so many times the median standard deviation are of uncertain height.
 _WEAK = 3.0
 # Parameters besides poses up to which their columns are taken as dense.
@@ -96,22 +92,11 @@ class System:
 
 
 def huber_system(
-    problem: Problem,
-    state: State,
-    std_px: np.ndarray,
-    variance_factor: np.ndarray | float = 1.0,
-    *,
-    reduces_curvature: bool = False,
+    problem: Problem, state: State, std_px: np.ndarray, variance_factor: np.ndarray | float = 1.0
 ) -> System:
-    """The normal equations at a state with Huber weights, for standard deviations (kinds,) [px] of the observations.
-
-    ``reduces_curvature`` takes outliers with a share of the curvature that their weights have along the residual.
-    """
+    """The normal equations at a state with Huber weights, for standard deviations (kinds,) [px] of the observations."""
     linear = LinearisedObservations.at(problem, state)
-    weights = huber_weights(problem, linear.residuals, std_px) / variance_factor
-    if reduces_curvature:
-        linear.reduce_curvature(np.linalg.norm(linear.residuals, axis=1) > HUBER * std_px[problem.kind])
-    return _system(problem, state, linear.weighted(weights))
+    return _system(problem, state, linear.weighted(huber_weights(problem, linear.residuals, std_px) / variance_factor))
 
 
 def system_with(problem: Problem, state: State, weights: np.ndarray) -> System:
@@ -135,16 +120,6 @@ class LinearisedObservations:
             return cls(problem.ties.pixel - pixels, by_point, None)
         linear = linearise(*of_block)
         return cls(problem.ties.pixel - linear.pixels, linear.by_point, linear.by_parameters)
-
-    def reduce_curvature(self, outliers: np.ndarray) -> None:
-        """Take outliers (N,) bool with a share of the curvature along their residual; the gradient stays as it is."""
-        rows = np.flatnonzero(outliers)
-        along = self.residuals[rows] / np.maximum(np.linalg.norm(self.residuals[rows], axis=1, keepdims=True), 1e-300)
-        reduced = np.eye(2) - (1.0 - _CURVATURE) * along[:, :, None] * along[:, None, :]
-        self.residuals[rows] /= _CURVATURE
-        self.by_point[rows] = reduced @ self.by_point[rows]
-        if self.design is not None:
-            self.design[rows] = reduced @ self.design[rows]
 
     def weighted(self, weights: np.ndarray) -> LinearisedObservations:
         """Times the roots of their weights; those of weight 0 are zero, and ``by_point`` is (2, 3, N)."""

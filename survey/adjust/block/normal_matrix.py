@@ -7,7 +7,7 @@ need; covariances of the whole block are dense:
 
     A. George and J. W. Liu, Computer solution of large sparse positive definite systems, 1981, chapter 4 (level
     structures);  K. Takahashi, J. Fagan, M.-S. Chin, Formation of a sparse bus impedance matrix, PICA 1973 (selected
-    inverse);  M. Woodbury, Inverting modified matrices, 1950 (joint priors, of low rank but dense).
+    inverse).
 
 A small block, or one whose photographs all overlap, is factored as one dense matrix, in as few arrays as that takes.
 Parameters have different units: matrices are scaled to ones on their diagonal first.
@@ -15,7 +15,7 @@ Parameters have different units: matrices are scaled to ones on their diagonal f
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -47,14 +47,8 @@ def elimination_order(
 ) -> EliminationOrder | None:
     """Order of elimination of a block; None where its normal matrix is best taken as dense.
 
-    Parameters
-    ----------
-    point, view : (N,) int64
-        Numbers of the point and the photograph of each observation.
-    photograph : (P,) int64
-        Number of the photograph whose parameter each one is; -1 of those that all share.
-    small : int
-        Up to so many parameters are dense.
+    Observations are of points and in photographs of these numbers (N,); ``photograph`` (P,) int64 is that whose
+    parameter each one is, -1 of those that all share. Up to ``small`` parameters are dense.
     """
     if len(photograph) <= small:
         return None
@@ -204,18 +198,20 @@ class DenseFactor:
 
 @dataclass(frozen=True)
 class BlockFactor:
-    """Cholesky factor of a block tridiagonal matrix with a border, and the correction for joint priors.
+    """Cholesky factor of a block tridiagonal matrix with a border of shared parameters and of the rows of joint priors.
 
     With D the blocks on the diagonal, C those below them and E the border, scaled: ``L L' = D - K K'`` with the K
-    before, ``K = C L^-T``, ``G = (E - G K' of the block before) L^-T``; the border F itself becomes ``F - sum G G'``.
+    before, ``K = C L^-T``, ``G = (E - G K' of the block before) L^-T``; the corner F itself becomes ``F - sum G G'``.
+    Rows R of joint priors with signs S, ``A + R' S R``, are those of unknowns more, ``[[A, R'], [R, -1 / S]]``.
     """
 
     order: EliminationOrder
     scale: np.ndarray  # (P,)
-    diagonal_factors: list[np.ndarray]  # L of each block, lower triangular, and that of the border
+    diagonal_factors: list[np.ndarray]  # L of each block, lower triangular
     below: list[np.ndarray]  # K of each block but the last
-    border: list[np.ndarray]  # (Q, n): G of each block
-    joint: JointPriors | None = field(default=None)
+    border: list[np.ndarray]  # (Q + K, n): G of each block
+    corner: np.ndarray  # (Q + K, Q + K): F less the sum
+    corner_inverse: np.ndarray
 
     @staticmethod
     def of(normal: NormalMatrix, order: EliminationOrder, damping: float) -> BlockFactor:
@@ -226,11 +222,15 @@ class BlockFactor:
         matrix = csr_array(by_scale @ normal.matrix[sequence][:, sequence] @ by_scale)
         matrix = csr_array(matrix + damping * diags_array(np.ones(len(sequence))))
         ends = np.cumsum([0, *map(len, order.blocks)])
-        edge = matrix[ends[-1] :].toarray()
+        edge = np.vstack([matrix[ends[-1] :].toarray(), normal.rows[:, sequence] * scale[sequence]])
+        corner = np.hstack([edge[:, ends[-1] :], np.zeros((len(edge), len(normal.signs)))])
+        num_shared = len(order.shared)
+        corner[:num_shared, num_shared:] = corner[num_shared:, :num_shared].T
+        corner[num_shared:, num_shared:] = -np.diag(1.0 / normal.signs)
         diagonal_factors: list[np.ndarray] = []
         below: list[np.ndarray] = []
         border: list[np.ndarray] = []
-        last, reach = edge[:, ends[-1] :], edge[:, : ends[1]]
+        reach = edge[:, : ends[1]]
         for number, (first, end) in enumerate(pairwise(ends)):
             rows = matrix[first:end]
             own = rows[:, first:end].toarray()
@@ -239,66 +239,60 @@ class BlockFactor:
                 reach = edge[:, first:end] - border[-1] @ below[-1].T
             diagonal_factors.append(cholesky(own, lower=True, overwrite_a=True))
             border.append(_by_transposed(reach, diagonal_factors[-1]))
-            last = last - border[-1] @ border[-1].T
+            corner -= border[-1] @ border[-1].T
             if number < len(order.blocks) - 1:
                 coupling = rows[:, end : ends[number + 2]].toarray().T
                 below.append(_by_transposed(coupling, diagonal_factors[-1]))
-        diagonal_factors.append(cholesky(last, lower=True))
-        alone = BlockFactor(order, scale, diagonal_factors, below, border)
-        return replace(alone, joint=JointPriors.of(alone, normal)) if len(normal.rows) else alone
+        # The unknowns of joint priors that add are the negative ones, by Sylvester's law of inertia.
+        if np.sum(np.linalg.eigvalsh(corner) <= 0.0) != np.sum(normal.signs > 0.0):
+            raise np.linalg.LinAlgError("the matrix with its joint priors is not positive definite")
+        return BlockFactor(order, scale, diagonal_factors, below, border, corner, np.linalg.inv(corner))
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solution of right sides (P,) or (P, R)."""
-        found = self._solve_alone(right.reshape(len(right), -1))
-        if self.joint is not None:
-            found -= self.joint.gain @ (self.joint.rows @ found)
-        return found.reshape(right.shape)
-
-    def _solve_alone(self, right: np.ndarray) -> np.ndarray:
-        """Solution of right sides (P, R) without joint priors."""
-        scaled, found = self.scale[:, None] * right, np.empty(right.shape)
-        shared = scaled[self.order.shared]
+        scaled = self.scale[:, None] * right.reshape(len(right), -1)
+        found, num_shared = np.empty(scaled.shape), len(self.order.shared)
+        edge = np.zeros((len(self.corner), scaled.shape[1]))
+        edge[:num_shared] = scaled[self.order.shared]
         forward: list[np.ndarray] = []
         for number, block in enumerate(self.order.blocks):
             own = scaled[block]
             if number:
                 own = own - self.below[number - 1] @ forward[-1]
             forward.append(solve_triangular(self.diagonal_factors[number], own, lower=True, overwrite_b=True))
-            shared = shared - self.border[number] @ forward[-1]
-        found[self.order.shared] = shared = cho_solve((self.diagonal_factors[-1], True), shared)
+            edge -= self.border[number] @ forward[-1]
+        edge = self.corner_inverse @ edge
+        found[self.order.shared] = edge[:num_shared]
         for number in range(len(self.order.blocks) - 1, -1, -1):
-            own = forward[number] - self.border[number].T @ shared
+            own = forward[number] - self.border[number].T @ edge
             if number < len(self.below):
                 own -= self.below[number].T @ found[self.order.blocks[number + 1]]
             found[self.order.blocks[number]] = solve_triangular(
                 self.diagonal_factors[number], own, lower=True, trans="T"
             )
-        found *= self.scale[:, None]
-        return found
+        return (self.scale[:, None] * found).reshape(right.shape)
 
     def log_determinant(self) -> float:
-        """Natural logarithm of the determinant of the matrix."""
+        """Natural logarithm of the determinant of the matrix, for signs of joint priors of 1 and -1."""
         logs = sum(float(np.log(np.diag(factor)).sum()) for factor in self.diagonal_factors)
-        alone = logs - float(np.log(self.scale).sum())
-        return 2.0 * alone + (0.0 if self.joint is None else self.joint.log_determinant)
+        return 2.0 * (logs - float(np.log(self.scale).sum())) + float(np.linalg.slogdet(self.corner)[1])
 
     def inverse_diagonal(self) -> np.ndarray:
         """Diagonal (P,) of the inverse, by those of its blocks that the factor has (Takahashi)."""
-        found = np.empty(len(self.scale))
-        # The inverse over the block after and the border; of the last block that is the border.
-        beyond = cho_solve((self.diagonal_factors[-1], True), np.eye(len(self.order.shared)))
-        found[self.order.shared] = np.diag(beyond)
+        found, size = np.empty(len(self.scale)), len(self.corner)
+        # The inverse over the block after and the border; of the last block that is the corner.
+        beyond = self.corner_inverse
+        found[self.order.shared] = np.diag(beyond)[: len(self.order.shared)]
         for number in range(len(self.order.blocks) - 1, -1, -1):
-            diagonal_factor, num_shared = self.diagonal_factors[number], len(self.order.shared)
+            diagonal_factor = self.diagonal_factors[number]
             coupled = [self.border[number]] if number == len(self.below) else [self.below[number], self.border[number]]
             by_factor = solve_triangular(diagonal_factor, np.vstack(coupled).T, lower=True, trans="T").T
             across = beyond @ by_factor
             own = cho_solve((diagonal_factor, True), np.eye(len(diagonal_factor))) + by_factor.T @ across
             found[self.order.blocks[number]] = np.diag(own)
-            of_shared = -across[len(across) - num_shared :]
-            beyond = np.block([[own, of_shared.T], [of_shared, beyond[len(beyond) - num_shared :, -num_shared:]]])
-        found *= self.scale**2
-        return found if self.joint is None else found - np.sum(self.joint.gain * self.joint.solved_rows, axis=1)
+            of_border = -across[len(across) - size :]
+            beyond = np.block([[own, of_border.T], [of_border, beyond[len(beyond) - size :, -size:]]])
+        return found * self.scale**2
 
     def inverse(self) -> np.ndarray:
         """The inverse (P, P)."""
@@ -308,26 +302,6 @@ class BlockFactor:
             columns = np.arange(first, min(first + _ROWS, count))
             found[:, columns] = self.solve((np.arange(count)[:, None] == columns).astype(np.float64))
         return found
-
-
-@dataclass(frozen=True)
-class JointPriors:
-    """Correction of the inverse of a matrix A for ``A + R' S R``: ``- W (S^-1 + R W)^-1 W'``, with ``W = A^-1 R'``."""
-
-    rows: np.ndarray  # (K, P): R
-    solved_rows: np.ndarray  # (P, K): W = A^-1 R'
-    gain: np.ndarray  # (P, K): W (S^-1 + R W)^-1
-    log_determinant: float  # of A + R' S R, less that of A: of S (S^-1 + R W)
-
-    @staticmethod
-    def of(alone: BlockFactor, normal: NormalMatrix) -> JointPriors:
-        """Of a normal matrix whose sparse part is factored."""
-        solved_rows = alone.solve(normal.rows.T)
-        of_joint = np.diag(1.0 / normal.signs) + normal.rows @ solved_rows
-        sign, log = np.linalg.slogdet(normal.signs[:, None] * of_joint)
-        if sign <= 0.0:
-            raise np.linalg.LinAlgError("the matrix with its joint priors is not positive definite")
-        return JointPriors(normal.rows, solved_rows, solved_rows @ np.linalg.inv(of_joint), float(log))
 
 
 def _by_transposed(matrix: np.ndarray, diagonal_factor: np.ndarray) -> np.ndarray:

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from refract.lens import Lens, distorted, undistorted
+from survey.adjust import assembling
 from survey.adjust.applied import apply_adjustment
 from survey.adjust.block.observed import original_rows
 from survey.adjust.block.prediction import predict
 from survey.adjust.block.state import NUM_LENS, NUM_RELIEF
 from survey.adjust.refine import adjust_survey
-from survey.adjust.result import adjustment as results
 from survey.adjust.result.adjustment import Status, read_adjustment, write_adjustment
 from survey.adjust.result.parts import common_error
 from survey.photos.poses import TiePoints
@@ -104,7 +104,7 @@ def test_a_slow_flight_does_not_tell_the_readout():
 
 
 def test_a_readout_that_is_of_no_use_is_kept_as_given_and_the_block_adjusted_to_it(monkeypatch):
-    monkeypatch.setattr(results, "MOST_STD_ROWS_PX", 1e-6)
+    monkeypatch.setattr(assembling, "MOST_STD_ROWS_PX", 1e-6)
     _, found = adjusted(draw_block(4, **FLOWN), (0.02, 0.02))
     row = found.parameter("camera0.readout_s")
     assert (row.status, row.value) == (Status.UNKNOWN, 0.02)

@@ -88,18 +88,18 @@ def grid(height, side: float = 30.0, step: float = 0.1) -> np.ndarray:
 @pytest.mark.parametrize("std", [0.3, 1.0, 2.0])
 @pytest.mark.parametrize("slope", [(0.1, 0.0), (0.0, -0.3), (0.2, 0.1)])
 def test_on_a_slope_it_is_slope_times_shift(slope, std):
-    found = shift_std(grid(lambda x, y: slope[0] * x + slope[1] * y), std)
+    found = shift_std(grid(lambda x, y: slope[0] * x + slope[1] * y), std, 0.05)
     inner = np.median(found)
     assert inner == pytest.approx(math.hypot(*slope) * std, rel=0.02)
 
 
 def test_over_a_flat_bed_it_is_nothing():
-    assert shift_std(grid(lambda x, y: 0.0 * x), 2.0).max() == 0.0
+    assert shift_std(grid(lambda x, y: 0.0 * x), 2.0, 0.05).max() == 0.0
 
 
 def test_over_ripples_it_is_what_shifted_ripples_differ_by():
     ripples = grid(lambda x, y: 0.1 * np.sin(2.0 * math.pi * x / 3.0))
-    found = np.sqrt(np.mean(shift_std(ripples, 2.0) ** 2))
+    found = np.sqrt(np.mean(shift_std(ripples, 2.0, 0.05) ** 2))
     rng = np.random.default_rng(1)
     x, shift = rng.uniform(0.0, 30.0, 20000), 2.0 * rng.standard_normal(20000)
     wanted = np.std(0.1 * (np.sin(2.0 * math.pi * (x + shift) / 3.0) - np.sin(2.0 * math.pi * x / 3.0)))

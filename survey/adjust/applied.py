@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,14 +37,7 @@ MODEL = tuple(f"{MODEL_FOLDER}/{name}" for name in FILES)
 
 def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:
     """The survey with the poses, lenses and water that an adjustment found."""
-    views = _views(
-        survey,
-        _lenses(found.lenses, found.layout, found.poses.focals),
-        found.poses.centres,
-        found.poses.rotations,
-        _motions(found.layout, found.readouts_s),
-        found.poses.tides,
-    )
+    views = _views(survey, found.lenses, found.layout, found.state(survey.water))
     tide = survey.observations.tide
     if found.poses.hours is not None and tide is not None and found.water is not None:
         over = {view.name: view.camera.tide for view in views}
@@ -68,57 +61,26 @@ def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:
 def at_state(survey: Survey, prior: PriorKnowledge, state: State) -> Survey:
     """The survey at a state of its adjustment."""
     lenses = [lens_with(lens, state.lenses[i]) for i, lens in enumerate(prior.lenses)]
-    views = _views(
-        survey,
-        _lenses(lenses, prior.layout, state.focals if prior.layout.finds_focals else None),
-        state.centres,
-        state.rotations,
-        _motions(prior.layout, state.readouts),
-        state.tides(prior.layout),
-    )
     return replace(
         survey,
-        views=views,
+        views=_views(survey, lenses, prior.layout, state),
         water=state.water,
         observations=replace(survey.observations, points=state.points),
         provenance=replace(survey.provenance, is_adjusted=True),
     )
 
 
-def _lenses(lenses: Sequence[Lens], layout: Layout, focals: np.ndarray | None) -> list[Lens]:
-    """The lens of each view, its focal length longer by a share (V,)."""
-    of_views = [lenses[number] for number in layout.lens_of]
-    if focals is None:
-        return of_views
-    return [enlarged(lens, 1.0 + share) for lens, share in zip(of_views, focals.tolist(), strict=True)]
-
-
-def _motions(layout: Layout, readouts) -> dict[int, np.ndarray]:
-    """Motion (3,) of the cameras that moved during the readout of their lens (L,) [s]."""
-    if layout.velocity_per_row is None:
-        return {}
-    return {
-        number: velocity * readouts[layout.lens_of[number]]
-        for number, velocity in enumerate(layout.velocity_per_row)
-        if velocity.any()
-    }
-
-
-def _views(
-    survey: Survey,
-    lenses: Sequence[Lens],
-    centres: np.ndarray,
-    rotations: np.ndarray,
-    motions: Mapping[int, np.ndarray],
-    tides: np.ndarray | None,
-) -> tuple[View, ...]:
-    """The views with other lenses, poses, motions and tides (V,) [m]."""
-    views = []
-    for number, (view, lens) in enumerate(zip(survey.views, lenses, strict=True)):
+def _views(survey: Survey, lenses: Sequence[Lens], layout: Layout, state: State) -> tuple[View, ...]:
+    """The views with the lenses (L,) of a state, and its poses, motions and tides."""
+    views, tides = [], state.tides(layout)
+    for number, (view, lens) in enumerate(zip(survey.views, (lenses[k] for k in layout.lens_of), strict=True)):
+        if layout.finds_focals:
+            lens = enlarged(lens, 1.0 + float(state.focals[number]))
         tide = 0.0 if tides is None else float(tides[number])
-        camera = replace(lens.camera(centres[number], rotations[number]), tide=tide)
-        if number in motions:
-            camera = replace(camera, motion=motions[number])
+        camera = replace(lens.camera(state.centres[number], state.rotations[number]), tide=tide)
+        if layout.velocity_per_row is not None and layout.velocity_per_row[number].any():
+            readout = state.readouts[layout.lens_of[number]]
+            camera = replace(camera, motion=layout.velocity_per_row[number] * readout)
         views.append(replace(view, camera=camera, lens=lens))
     return tuple(views)
 

@@ -27,7 +27,7 @@ from survey.adjust.block.state import (
     settings_of,
     with_settings,
 )
-from survey.adjust.observability import Unobservable, not_observable
+from survey.adjust.observability import Unobservable
 from survey.adjust.result.adjustment import (
     MOST_STD_FOCAL,
     MOST_STD_LEVEL_M,
@@ -92,8 +92,8 @@ def assemble_result(
     layout, first = done.prior.layout, done.solution.covariance
     held = np.zeros(len(layout), dtype=bool)
     while True:
-        parameters, water = _parameters_with_verdicts(survey, done, first, held, unobservable, contradicted)
-        also = held | not_observable(parameters, layout)
+        parameters, water, lost = _parameters_with_verdicts(survey, done, first, held, unobservable, contradicted)
+        also = held | lost
         if hold is None or (also == held).all():
             break
         held, done = also, hold(also)
@@ -103,7 +103,7 @@ def assemble_result(
     # The apparent rises of a rough bed are nuisance parameters, and no result.
     kept = np.r_[: len(WATER_NAMES), layout.first_lens : len(layout)]
     return Adjustment(
-        parameters=parameters,
+        parameters=tuple(parameters),
         water=water,
         lenses=tuple(lens_with(lens, state.lenses[i]) for i, lens in enumerate(prior.lenses)),
         poses=AdjustedPoses(
@@ -182,18 +182,22 @@ def _parameters_with_verdicts(
     held: np.ndarray,
     unobservable: dict[str, Unobservable] | None,
     contradicted: Sequence[int],
-) -> tuple[tuple[Parameter, ...], WaterConfig | None]:
-    """Parameters of water and lenses with their verdicts, and the water; ``first``: covariance before any was held."""
+) -> tuple[list[Parameter], WaterConfig | None, np.ndarray]:
+    """Parameters of water and lenses with their verdicts, the water, and which (P,) bool of them are not observable.
+
+    ``first`` is the covariance before any was held.
+    """
     prior, state, layout = done.prior, done.solution.state, done.prior.layout
     parameters: list[Parameter] = []
     water: WaterConfig | None = None
     if survey.water is not None:
         parameters, water = _water(survey, done, first, held[:NUM_WATER], unobservable, contradicted)
-    std = np.sqrt(np.where(held, np.diag(first), np.diag(done.solution.covariance)))
+    std, at_of = np.sqrt(np.where(held, np.diag(first), np.diag(done.solution.covariance))), [*range(len(parameters))]
 
     def judge(name: str, at: int, value: float, given: float, limit: float, unit: str) -> None:
         found, before = Estimate(float(value), float(std[at])), Estimate(float(given), float(prior.std[at]))
         parameters.append(with_verdict(name, found, before, float(limit), unit))
+        at_of.append(at)
 
     for number, lens in enumerate(prior.lenses):
         values = () if is_held(lens) else zip(LENS_NAMES, state.lenses[number], prior.mean.lenses[number], strict=True)
@@ -210,7 +214,9 @@ def _parameters_with_verdicts(
         limit = _readout_limit(state, layout, number, prior.lenses[number].height)
         value, given = state.readouts[number], prior.mean.readouts[number]
         judge(f"camera{number}.{READOUT_NAME}", layout.first_readout + number, value, given, limit, " s")
-    return tuple(parameters), water
+    lost = np.zeros(len(layout), dtype=bool)
+    lost[[at for at, row in zip(at_of, parameters, strict=True) if row.status == Status.UNKNOWN]] = True
+    return parameters, water, lost
 
 
 def _readout_limit(state: State, layout: Layout, number: int, height: int) -> float:

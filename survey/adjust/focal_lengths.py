@@ -63,14 +63,7 @@ def with_focals(
 ) -> tuple[RobustSolution, FocalDrift | None]:
     """The block with a focal length for each photograph, where these differ; else, or where it has them, as it was.
 
-    Parameters
-    ----------
-    prior : PriorKnowledge
-        What the survey says, with the standard deviations of positions as stated.
-    done : RobustSolution
-        With one focal length for each lens.
-    adjusted : callable
-        Adjusts the block from what is known.
+    ``prior`` is what the survey says, with standard deviations of positions as stated; ``adjusted`` adjusts from it.
     """
     if prior.layout.finds_focals or len(prior.layout.lens_of) < LEAST_FOCALS or any(map(is_held, prior.lenses)):
         return done, None
@@ -179,8 +172,5 @@ def _square(lens: Lens) -> Lens:
     fx, fy = lens.focal
     if fx == fy or abs(fy / fx - 1.0) > _MOST_BEND:
         return lens
-    at = [MODELS[lens.model][1].index(name) for name in ("fx", "fy")]
-    params = list(lens.params)
-    for place in at:
-        params[place] = 0.5 * (fx + fy)
-    return replace(lens, params=tuple(params))
+    named = zip(MODELS[lens.model][1], lens.params, strict=True)
+    return replace(lens, params=tuple(0.5 * (fx + fy) if name in ("fx", "fy") else value for name, value in named))

@@ -30,16 +30,12 @@ from survey.adjust.block.problem import huber_weights
 from survey.adjust.block.roll import Roll, spans_area
 from survey.adjust.block.state import (
     HELD_SHARE,
-    LENS_NAMES,
     NUM_WATER,
-    RATE_NAME,
-    READOUT_NAME,
     WATER_PARAMETERS,
-    Layout,
     State,
     settings_by_local,
 )
-from survey.adjust.result.adjustment import Parameter, Status, water_limits
+from survey.adjust.result.adjustment import water_limits
 from survey.adjust.rounds import RobustSolution, adjust
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
@@ -69,16 +65,17 @@ def adjust_free(
     """Adjust a block with free water (`prior`); also returns its unobservable parameters by name."""
 
     def under_given_water(unobservable: dict[str, Unobservable]) -> tuple[RobustSolution, dict[str, Unobservable]]:
-        return adjust(_held_priors(prior, np.arange(NUM_WATER), HELD_SHARE), seen), unobservable
+        held = prior.std.copy()
+        held[:NUM_WATER] = HELD_SHARE
+        return adjust(replace(prior, std=held), seen), unobservable
 
     few = _too_few(replace(prior.state, points=seen.ties.start))
-    if few is not None:
-        return under_given_water(none_observable(few))
-    try:
-        done = adjust(prior, seen)
-    except NotConvergedError as error:
-        return under_given_water(none_observable(str(error)))
-    few = _too_few(done.solution.state)
+    if few is None:
+        try:
+            done = adjust(prior, seen)
+            few = _too_few(done.solution.state)
+        except NotConvergedError as error:
+            few = str(error)
     if few is not None:
         return under_given_water(none_observable(few))
     limits = water_limits(done.solution.state.points)
@@ -96,9 +93,10 @@ def adjust_free(
         unobservable[WATER_PARAMETERS[worst]] = Unobservable(
             float(first[worst]), _too_uncertain(worst, first[worst], limits[worst])
         )
-        prior = _held_priors(done.prior, np.array([worst]), _HELD_STD[worst])
-        prior = replace(prior, state=replace(done.solution.state, points=np.zeros((0, 3))))
-        done = adjust(prior, done.used)
+        held = done.prior.std.copy()
+        held[worst] = _HELD_STD[worst]
+        start = replace(done.solution.state, points=np.zeros((0, 3)))
+        done = adjust(replace(done.prior, std=held, state=start), done.used)
         std = water_std(survey, done)
     return done, unobservable
 
@@ -137,13 +135,6 @@ def _inside(survey: Survey, ties: TiePoints) -> np.ndarray | None:
     return (east >= e0) & (east <= e1) & (north >= n0) & (north <= n1)
 
 
-def _held_priors(prior: PriorKnowledge, numbers: np.ndarray, std: float) -> PriorKnowledge:
-    """The priors with parameters of the water held at their given values."""
-    held = prior.std.copy()
-    held[numbers] = std
-    return replace(prior, std=held)
-
-
 def _too_few(state: State) -> str | None:
     assert state.water is not None
     num_wet = int((state.water.depth(state.points) > 0.0).sum())
@@ -176,65 +167,23 @@ def _too_uncertain(number: int, std: float, limit: float) -> str:
     return f"1 sigma is {std:.2g}{unit}, at most {limit:.2g}{unit} would be of use"
 
 
-def not_observable(parameters: Sequence[Parameter], layout: Layout) -> np.ndarray:
-    """Mask (P,) bool of the parameters whose verdict is "not observable"."""
-    held = np.zeros(len(layout), dtype=bool)
-    for row in parameters:
-        if row.status == Status.UNKNOWN:
-            held[_place(row.name, layout)] = True
-    return held
-
-
-def _place(name: str, layout: Layout) -> int:
-    if name in WATER_PARAMETERS:
-        return WATER_PARAMETERS.index(name)
-    if name == RATE_NAME:
-        return layout.first_rate
-    camera, parameter = name.split(".")
-    number = int(camera.removeprefix("camera"))
-    if parameter == READOUT_NAME:
-        return layout.first_readout + number
-    return layout.lens(number).start + LENS_NAMES.index(parameter)
-
-
 def adjusted_with(done: RobustSolution, held: np.ndarray, stated_std: np.ndarray) -> RobustSolution:
-    """The block with parameters (P,) bool held at their given values.
-
-    Parameters
-    ----------
-    done : RobustSolution
-        With all parameters free.
-    held : (P,) bool
-    stated_std : (P,)
-        Of the given values.
-    """
+    """The block, adjusted with all parameters free, with some (P,) bool held at values of a stated std (P,)."""
     prior, problem, covariance = done.prior, done.problem, done.solution.covariance
     std_px, factor = problem.given_std_px, done.variance_factor
     std = np.where(held, HELD_SHARE * prior.std, prior.std)
     kept = replace(problem, priors=replace(problem.priors, std=std))
-    start = done.solution.state.moved(prior.layout, *_step(done, held))
-    state, _ = levenberg_marquardt(kept, start, std_px, factor)
     follow = covariance[:, held] @ np.linalg.inv(covariance[np.ix_(held, held)])
+    # Back to the given values, the others re-adjusted.
+    step = -follow @ problem.priors.deviation(prior.layout, done.solution.state)[held]
+    start = done.solution.state.moved(prior.layout, step, done.solution.system.point_steps(step))
+    state, _ = levenberg_marquardt(kept, start, std_px, factor)
     more = np.diag(stated_std[held] ** 2) - covariance[np.ix_(held, held)]
     residuals = problem.residuals(state)
     weights = huber_weights(problem, residuals, std_px) / factor
     system = system_with(kept, state, weights)
     found = Solution(state, covariance + propagated(follow, more), residuals, weights, done.solution.std_px, system)
     return replace(done, solution=found)
-
-
-def _step(done: RobustSolution, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Steps of parameters and points that bring the held ones to their given values, the others re-adjusted."""
-    layout, state, covariance = done.prior.layout, done.solution.state, done.solution.covariance
-    water = done.prior.mean.water_parameters() - state.water_parameters()
-    lenses = (done.prior.mean.lenses - state.lenses).ravel()
-    back = np.zeros(len(layout))
-    back[: len(water)], back[layout.first_lens : layout.first_readout] = water, lenses
-    if layout.finds_readouts:
-        back[layout.first_readout : layout.first_rate] = done.prior.mean.readouts - state.readouts
-    back[layout.first_rate : layout.first_focal] = done.prior.mean.rate - state.rate
-    step = covariance[:, held] @ np.linalg.solve(covariance[np.ix_(held, held)], back[held])
-    return step, done.solution.system.point_steps(step)
 
 
 def roll_notes(survey: Survey, done: RobustSolution, gsd_m: float) -> list[str]:

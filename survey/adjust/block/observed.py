@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,7 @@ from survey.photos.poses import TiePoints
 if TYPE_CHECKING:
     from survey.folder.survey import Survey
 
+PixelMap = Callable[[Lens, np.ndarray], np.ndarray]
 Sizes = Sequence[tuple[int, int]]  # (width, height) [px] of each photograph
 # Kinds of observations, each with a standard deviation of its own.
 MATCH, WINDOW, MARK = range(3)
@@ -145,43 +146,36 @@ def original_rows(ties: TiePoints, lenses: Sequence[Lens], lens_of: np.ndarray) 
 
 def original_pixels(ties: TiePoints, lenses: Sequence[Lens], lens_of: np.ndarray) -> np.ndarray:
     """Pixels (N, 2) of photographs as they were taken, of tie points in pixels that the adjustment predicts."""
-    pixels = ties.pixel.copy()
-    for number, lens in enumerate(lenses):
-        of_lens = lens_of[ties.view] == number
-        if is_affine(lens) and of_lens.any():
-            pixels[of_lens] = affine_from_brown(lens, ties.pixel[of_lens])
-        elif is_held(lens) and of_lens.any():
-            pixels[of_lens] = distorted(lens, ties.pixel[of_lens])
-    return pixels
+    return _by_lens(ties, lenses, lens_of, affine_from_brown, distorted)
 
 
 def _straightened(ties: TiePoints, prior: PriorKnowledge) -> np.ndarray:
-    """Pixels (N, 2) as they are; of lenses that the adjustment holds those of their pinhole, of affine ones those of
-    Brown's part.
-    """
-    pixel = ties.pixel.copy()
-    for number, lens in enumerate(prior.lenses):
-        of_lens = prior.layout.lens_of[ties.view] == number
-        if is_affine(lens) and of_lens.any():
-            pixel[of_lens] = brown_from_affine(lens, ties.pixel[of_lens])
-        elif is_held(lens) and of_lens.any():
-            pixel[of_lens] = undistorted(lens, ties.pixel[of_lens]) * lens.focal + (lens["cx"], lens["cy"])
-    return pixel
+    """Pixels (N, 2) as they are; of held lenses those of their pinhole, of affine ones those of Brown's part."""
+
+    def to_pinhole(lens: Lens, pixel: np.ndarray) -> np.ndarray:
+        return undistorted(lens, pixel) * lens.focal + (lens["cx"], lens["cy"])
+
+    return _by_lens(ties, prior.lenses, prior.layout.lens_of, brown_from_affine, to_pinhole)
+
+
+def _by_lens(
+    ties: TiePoints, lenses: Sequence[Lens], lens_of: np.ndarray, of_affine: PixelMap, of_held: PixelMap
+) -> np.ndarray:
+    """Pixels (N, 2) with those of affine lenses and of lenses that the adjustment holds mapped."""
+    pixels = ties.pixel.copy()
+    for number, lens in enumerate(lenses):
+        at = lens_of[ties.view] == number
+        if at.any() and (is_affine(lens) or is_held(lens)):
+            pixels[at] = (of_affine if is_affine(lens) else of_held)(lens, pixels[at])
+    return pixels
 
 
 def thinned(ties: TiePoints, sizes: Sizes, cells: int, per_cell: int) -> np.ndarray:
     """Tie-point thinning: numbers of the points (K,) to keep, ascending; long tracks first, spread evenly.
 
     A block of 30 photographs has some 10,000 matches in each. Neighbours share errors of waves, relief and lens, so
-    that a few hundred, well spread, determine a photograph as well as all of them.
-
-    Parameters
-    ----------
-    sizes : (width, height) [px] of each photograph
-    cells : int
-        Each photograph is divided into that many along its longer side.
-    per_cell : int
-        Points are taken until each cell has as many, or all that it has.
+    that a few hundred, well spread, determine a photograph as well as all of them: points are taken until each of so
+    many cells along the longer side of a photograph has so many, or all that it has.
     """
     if not len(ties):
         return np.zeros(0, dtype=np.int64)

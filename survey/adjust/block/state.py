@@ -37,8 +37,8 @@ BROWN = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL
 _FOCAL_NAMES = ("f", "fx", "fy")
 # Fewer focal lengths that differ are those of several cameras, not the scatter of one.
 LEAST_FOCALS = 5
-# Ratios of both focal lengths differ by less: of focal lengths of thousands of pixels written with three decimals.
-_SAME_RATIO = 1e-6
+# Of ratios of both focal lengths, of thousands of pixels written with three decimals.
+_DIGITS_OF_RATIO = 5
 
 
 def is_held(lens: Lens) -> bool:
@@ -54,18 +54,11 @@ def enlarged(lens: Lens, factor: float) -> Lens:
 
 
 def lenses_of(views: Sequence[View]) -> tuple[tuple[Lens, ...], np.ndarray, np.ndarray]:
-    """Lenses of a block, L of V photographs.
+    """Lenses (L) of V photographs, their numbers (V,), and focal lengths (V,) over those of the lenses, less one.
 
     Lenses that differ in nothing but their focal length, of `LEAST_FOCALS` different focal lengths or more, as an
-    adjustment with autofocus writes them, are one with the mean of the focal lengths. All others are kept as they are.
-
-    Returns
-    -------
-    lenses : tuple of L Lens
-    lens_of : (V,) int64
-        Number of the lens of each photograph.
-    focals : (V,)
-        Focal length of each photograph over that of its lens, less one; empty where they do not differ.
+    adjustment with autofocus writes them, are one with the mean of the focal lengths. All others are kept as they are;
+    where no focal lengths differ, there are none.
     """
     each = [view.lens for view in views]
     focal = np.array([lens.focal[0] for lens in each])
@@ -85,26 +78,13 @@ def lenses_of(views: Sequence[View]) -> tuple[tuple[Lens, ...], np.ndarray, np.n
 
 
 def _groups_but_for_focal(lenses: Sequence[Lens]) -> list[list[int]]:
-    """Groups of the numbers of lenses that differ in nothing but their focal length."""
+    """Groups of the numbers of lenses that differ in nothing but their focal length, of one ratio of both of them."""
     groups = defaultdict(list)
     for number, lens in enumerate(lenses):
-        names = MODELS[lens.model][1]
+        names, ratio = MODELS[lens.model][1], round(lens.focal[1] / lens.focal[0], _DIGITS_OF_RATIO)
         other_params = tuple(p for name, p in zip(names, lens.params, strict=True) if name not in _FOCAL_NAMES)
-        groups[lens.model, lens.width, lens.height, other_params].append(number)
-    return [part for group in groups.values() for part in _of_one_ratio(lenses, group)]
-
-
-def _of_one_ratio(lenses: Sequence[Lens], group: Sequence[int]) -> list[list[int]]:
-    """Parts of a group whose ratios of both focal lengths are the same."""
-    parts: list[list[int]] = []
-    least = 0.0
-    for ratio, number in sorted((lenses[number].focal[1] / lenses[number].focal[0], number) for number in group):
-        # Against the least of a part, not its neighbour: ratios that spread continuously are no single one.
-        if not parts or ratio > least * (1.0 + _SAME_RATIO):
-            parts.append([])
-            least = ratio
-        parts[-1].append(number)
-    return parts
+        groups[lens.model, lens.width, lens.height, other_params, ratio].append(number)
+    return [*groups.values()]
 
 
 COEFFICIENTS = ("k1", "k2", "k3", "p1", "p2")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,9 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from geo.files import write_whole
+from refract import FlatWater
 from refract.lens import Lens
 from survey.adjust.block.on_ground import GroundFit
-from survey.adjust.block.state import READOUT_NAME, Layout
+from survey.adjust.block.priors import parameters_of
+from survey.adjust.block.state import NUM_RELIEF, READOUT_NAME, Layout, State
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object, write_json
 from survey.files.toml_table import parse_values, table_of
@@ -173,6 +175,16 @@ class Adjustment:
             hours=poses.hours,
             finds_focals=poses.focals is not None,
         )
+
+    def state(self, water: FlatWater | None) -> State:
+        """The adjusted state under local water, without the rises of a rough bed, for `layout`."""
+        if water is not None:
+            x, y = self.covariance.water_point
+            water = replace(water, point=(x, y, float(water.height(x, y))))
+        lenses, poses = np.array([parameters_of(lens) for lens in self.lenses]), self.poses
+        focals, readouts = np.zeros(0) if poses.focals is None else poses.focals, np.array(self.readouts_s or ())
+        pose = poses.centres, poses.rotations
+        return State(water, np.zeros(NUM_RELIEF), lenses, *pose, self.points, readouts, focals=focals)
 
 
 # Records whose attributes stand in the files under these prefixes: `residual_px` is `residuals.px`.

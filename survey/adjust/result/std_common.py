@@ -35,7 +35,7 @@ from refract import FlatWater
 from survey.adjust.block.normal_matrix import propagated, propagated_variance
 from survey.adjust.block.observed import original_rows
 from survey.adjust.block.prediction import design_matrix, linearise
-from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, parameters_of, prior_of
+from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, prior_of
 from survey.adjust.block.state import NUM_RELIEF, NUM_WATER, Layout, State
 from survey.adjust.result.adjustment import Adjustment
 from survey.photos.poses import TiePoints
@@ -53,6 +53,8 @@ _NEAREST = 4
 PORTION = 200_000
 # The slope of the bed is that over cells of so many ground sampling distances: single heights are noisy.
 _CELL_GSD = 2.0
+# Cells are so much smaller than a shift in plan, as far as sampling distances allow.
+_CELL_SHARE = 0.1
 # Points whose variances along both axes multiply to less than this, in cells, lie in a row.
 _LEAST_SPREAD = 1e-3
 # Most cells per point, for a cloud with single points far away.
@@ -71,16 +73,8 @@ BASIS_STATED = (
 
 def place_jacobian(found: Adjustment, water: FlatWater | None, ties: TiePoints) -> np.ndarray:
     """Jacobian (K, 3, P) of places, local, by the parameters of `Adjustment.covariance`."""
-    layout = found.layout
-    if water is not None:
-        x, y = found.covariance.water_point
-        water = replace(water, point=(x, y, float(water.height(x, y))))
-    lenses = np.array([parameters_of(lens) for lens in found.lenses])
-    poses, readouts = found.poses, np.array(found.readouts_s or ())
-    state = State(water, np.zeros(NUM_RELIEF), lenses, poses.centres, poses.rotations, ties.start, readouts)
-    if poses.focals is not None:
-        state = replace(state, focals=poses.focals)
-    return place_jacobian_at(layout, state, ties, original_rows(ties, found.lenses, found.poses.lens_of))
+    state = replace(found.state(water), points=ties.start)
+    return place_jacobian_at(found.layout, state, ties, original_rows(ties, found.lenses, found.poses.lens_of))
 
 
 def place_jacobian_at(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray) -> np.ndarray:
@@ -140,7 +134,7 @@ def std_common(
             for each, values in zip(stds, of_points.T, strict=True):
                 each[part][kind] = values
     if survey.plan_std_m > 0.0:
-        std[:] = np.hypot(std, shift_std(xyz, survey.plan_std_m))
+        std[:] = np.hypot(std, shift_std(xyz, survey.plan_std_m, gsd))
         if in_plan is not None:
             in_plan[:] = np.hypot(in_plan, survey.plan_std_m)
     return np.maximum(std, np.float32(_LEAST_M), out=std)
@@ -162,8 +156,7 @@ def std_of_block(
     jacobian[:, 2] -= jacobian[:, 2].mean(axis=0)
     covariance = propagated(jacobian, found.covariance.matrix).reshape(len(ties), 9)
     cells = BedCells.of(xyz, _CELL_GSD * gsd)
-    rise, reached = cells.squared_rise(np.sqrt(np.maximum(covariance.mean(axis=0)[[0, 4]], 0.0)))
-    not_by_slopes = rise - (cells.slope**2 * reached).sum(axis=0)
+    not_by_slopes = cells.beyond_slopes(np.sqrt(np.maximum(covariance.mean(axis=0)[[0, 4]], 0.0)))
     for part in portions(len(xyz), PORTION):
         points = xyz[part]
         covariances = interpolated(ties.start[:, :2], covariance, points[:, :2]).reshape(-1, 3, 3)
@@ -173,14 +166,14 @@ def std_of_block(
     return std
 
 
-def shift_std(xyz: np.ndarray, plan_std_m: float) -> np.ndarray:
+def shift_std(xyz: np.ndarray, plan_std_m: float, gsd: float) -> np.ndarray:
     """Standard deviation (N,) [m] of heights (N, 3) at their places, if all of a cloud may be shifted in plan.
 
     On a slope that is slope times shift, over a bed of any shape the root mean square of differences to heights around.
     """
-    cells = BedCells.of(xyz, 0.5 * plan_std_m)
-    rise, _ = cells.squared_rise(np.full(2, plan_std_m))
-    return cells.at(np.sqrt(rise), xyz)
+    cells = BedCells.of(xyz, max(_CELL_GSD * gsd, _CELL_SHARE * plan_std_m))
+    variance = plan_std_m**2 * np.sum(cells.slope**2, axis=0) + cells.beyond_slopes(np.full(2, plan_std_m))
+    return cells.at(np.sqrt(np.maximum(variance, 0.0)), xyz)
 
 
 def places_of(xyz: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
@@ -303,20 +296,16 @@ class BedCells:
         place = _cells_of(xyz[:, :2], self.low, self.side)
         return np.moveaxis(values, (-2, -1), (0, 1))[place[:, 0], place[:, 1]]
 
+    def beyond_slopes(self, std: np.ndarray) -> np.ndarray:
+        """Mean squares (columns, rows) [m^2] of the rise by displacements, less what slopes make of them."""
+        rise, reached = self.squared_rise(std)
+        return rise - np.sum(self.slope**2 * reached, axis=0)
+
     def squared_rise(self, std: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean squares of the rise from each cell to places beside it, over normal displacements.
+        """Mean squares (columns, rows) [m^2] of the rise to places beside each cell, by normal displacements.
 
-        Parameters
-        ----------
-        std : (2,) [m]
-            Of the displacement along x and y.
-
-        Returns
-        -------
-        (columns, rows) [m^2]
-            Of the bed as far as it is seen.
-        (2, columns, rows) [m^2]
-            Mean squares of the displacements that whole cells make of it: much less than a cell is none.
+        Of the bed as far as it is seen. ``std`` (2,) [m] is that of the displacement along x and y. Also returns the
+        mean squares (2, columns, rows) of the displacements that whole cells make of it: much less than a cell is none.
         """
         kernels = [_kernel(each / self.side) for each in std]
         squares = [kernel * (np.arange(len(kernel)) - len(kernel) // 2) ** 2 for kernel in kernels]

@@ -96,7 +96,7 @@ def test_inside_and_outside_of_a_convex_body_are_told_apart_at_every_edge_and_ve
 def test_among_equally_near_triangles_the_most_orthogonal_one_decides(sign, rng):
     """The rule of CloudCompare, taken literally over all pairs, on a body with edges like knives."""
     vertices, faces, _ = _convex(rng, [5.0, 1.0, 0.02])
-    points = rng.normal(size=(150, 3)) * [10.0, 2.0, 0.1]
+    points = rng.normal(size=(60, 3)) * [10.0, 2.0, 0.1]
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -216,18 +216,15 @@ def test_points_that_are_not_finite_stay_nan_and_do_not_disturb_the_others():
     signed = distance_to_mesh(points, SQUARE, SQUARE_FACES).signed
     np.testing.assert_array_equal(np.isnan(signed), [False, True, True, False])
     np.testing.assert_allclose(signed[[0, 3]], [1.0, 2.0], atol=ROUNDING_M)
-
-
-@pytest.mark.parametrize("count", [0, 1, 2])
-def test_no_point_and_one_point_are_measured_like_many(count):
-    signed = distance_to_mesh(np.full((count, 3), 0.5), SQUARE, SQUARE_FACES).signed
-    np.testing.assert_allclose(signed, np.full(count, 0.5), atol=ROUNDING_M)
+    for count in (0, 1, 2):
+        signed = distance_to_mesh(np.full((count, 3), 0.5), SQUARE, SQUARE_FACES).signed
+        np.testing.assert_allclose(signed, np.full(count, 0.5), atol=ROUNDING_M)
 
 
 def test_progress_adds_up_to_the_number_of_points(rng):
     done = []
-    distance_to_mesh(rng.normal(size=(450_000, 3)), SQUARE, SQUARE_FACES, advance=done.append)
-    assert sum(done) == 450_000
+    distance_to_mesh(rng.normal(size=(120_000, 3)), SQUARE, SQUARE_FACES, advance=done.append)
+    assert sum(done) == 120_000
     assert len(done) > 1
 
 

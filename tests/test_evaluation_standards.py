@@ -51,9 +51,7 @@ def test_an_order_that_one_depth_does_not_meet_is_not_met_at_all_depths():
     assert not exclusive.meets_tvu_at_all_depths
     assert iho.strictest == special
     assert iho_s44(np.full(5, 9.0), np.ones(5)).strictest is None
-
-
-def test_nothing_is_judged_without_a_point_under_water():
+    # Nothing is judged without a point under water.
     assert iho_s44(np.zeros(3), np.array([-1.0, np.nan, 0.0])) is None
 
 

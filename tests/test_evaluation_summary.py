@@ -47,12 +47,9 @@ def test_normal_errors_give_the_moments_of_a_truncated_normal(rng):
     assert numbers.nmad_m == pytest.approx(0.012, rel=0.02)
 
 
-def test_nan_is_counted_and_left_out():
+def test_nan_is_counted_and_left_out_and_no_distance_at_all_gives_nan_without_a_warning():
     numbers = distance_statistics(np.array([np.nan, 0.5, np.nan, 0.5]))
     assert (numbers.n_points, numbers.n_nan, numbers.mean_m) == (2, 2, 0.5)
-
-
-def test_no_distance_at_all_gives_nan_without_a_warning():
     numbers = distance_statistics(np.array([]))
     assert numbers.n_points == 0
     assert math.isnan(numbers.std_inner90_m)
@@ -82,11 +79,8 @@ def test_wet_and_dry_are_split_five_centimetres_off_the_shoreline():
 def test_the_lower_limit_of_a_band_belongs_to_it_and_empty_bands_are_left_out():
     d = np.array([1.0, 2.0, 3.0, 4.0])
     bands = by_band(d, np.array([0.0, 5.0, 7.0, np.nan]), (0.0, 5.0, 6.0, 7.0, math.inf))
-    assert [(b.low, b.high, b.distances.mean_m) for b in bands] == [
-        (0.0, 5.0, 1.0),
-        (5.0, 6.0, 2.0),
-        (7.0, math.inf, 3.0),
-    ]
+    means = [(b.low, b.high, b.distances.mean_m) for b in bands]
+    assert means == [(0.0, 5.0, 1.0), (5.0, 6.0, 2.0), (7.0, math.inf, 3.0)]
 
 
 def test_a_band_has_the_interval_of_its_own_points(rng):
@@ -102,16 +96,8 @@ SHAPE = (2, 3)
 AT = np.array([[0.0, 0.0], [0.9, 0.9], [2.5, 1.5], [3.0, 0.0], [-0.1, 1.0], [np.nan, 0.0]])
 
 
-def test_cells_are_numbered_row_by_row_and_what_lies_beyond_has_none():
-    assert cell_numbers(AT, SHAPE).tolist() == [0, 0, 5, -1, -1, -1]
-
-
-def test_points_beyond_the_raster_count_nowhere():
-    assert cell_counts(cell_numbers(AT, SHAPE), SHAPE).tolist() == [[2, 0, 0], [0, 0, 1]]
-
-
-def test_a_mean_leaves_out_values_that_are_nan_and_is_nan_where_nothing_is_left():
-    values = np.array([1.0, np.nan, np.nan, 7.0, 7.0, 7.0])
-    np.testing.assert_array_equal(
-        cell_means(cell_numbers(AT, SHAPE), values, SHAPE), [[1.0, *[np.nan] * 2], [np.nan] * 3]
-    )
+def test_cells_are_numbered_row_by_row_and_what_lies_beyond_or_is_nan_counts_nowhere():
+    number, values = cell_numbers(AT, SHAPE), np.array([1.0, np.nan, np.nan, 7.0, 7.0, 7.0])
+    assert number.tolist() == [0, 0, 5, -1, -1, -1]
+    assert cell_counts(number, SHAPE).tolist() == [[2, 0, 0], [0, 0, 1]]
+    np.testing.assert_array_equal(cell_means(number, values, SHAPE), [[1.0, *[np.nan] * 2], [np.nan] * 3])

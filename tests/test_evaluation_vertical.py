@@ -57,9 +57,7 @@ def test_under_an_overhang_the_surface_that_is_nearest_in_height_counts():
     faces = np.array([[0, 1, 2], [0, 2, 3], [4, 6, 5], [4, 7, 6]])
     points = np.array([[0.5, 0.3, 0.4], [0.5, 0.3, 1.7], [0.5, 0.3, 1.0], [0.5, 0.3, 2.5]])
     np.testing.assert_allclose(vertical_difference(points, vertices, faces), [0.4, -0.3, 1.0, 0.5], atol=ROUNDING_M)
-
-
-def test_walls_and_empty_meshes_give_none():
+    # A wall has none.
     wall = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 0, 1]])
     assert np.isnan(vertical_difference(np.array([[0.5, 0.0, 0.2]]), wall, np.array([[0, 1, 2]]))).all()
     assert len(vertical_difference(np.empty((0, 3)), wall, np.array([[0, 1, 2]]))) == 0

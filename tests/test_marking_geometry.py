@@ -105,10 +105,14 @@ def test_marks_meet_in_their_place_with_the_covariance_of_least_squares():
     assert np.allclose(met.covariance, 0.25 * np.linalg.inv(slope.T @ slope), rtol=1e-4)
 
 
-def test_marks_of_a_dry_place_meet_on_straight_rays():
+def test_marks_of_a_dry_place_meet_on_straight_rays_and_rays_from_one_place_nowhere():
     place, cameras = np.array([2.0, 3.0, 1.5]), [view.camera for view in VIEWS]
     pixels = np.array([camera.project(place, None) for camera in cameras])
     assert np.abs(intersect(cameras, pixels, np.full(3, 0.5), WATER).place - place).max() < 1e-6
+    cameras = [nadir("a", 0.0).camera, nadir("b", 0.1).camera]
+    pixels = np.array([camera.project(PLACE, WATER) for camera in cameras])
+    assert intersect(cameras, pixels, np.full(2, 0.5), WATER) is None
+    assert intersect(cameras[:1], pixels[:1], np.full(1, 0.5), WATER) is None
 
 
 def test_residuals_are_marks_less_the_place_as_it_is_seen():
@@ -119,13 +123,6 @@ def test_residuals_are_marks_less_the_place_as_it_is_seen():
     shown = np.array([camera.project(met.place, WATER) for camera in cameras])
     assert np.abs(met.residuals - (pixels - shown)).max() < 1e-6
     assert met.residuals[0][0] > 0.1
-
-
-def test_rays_from_one_place_tell_nothing():
-    cameras = [nadir("a", 0.0).camera, nadir("b", 0.1).camera]
-    pixels = np.array([camera.project(PLACE, WATER) for camera in cameras])
-    assert intersect(cameras, pixels, np.full(2, 0.5), WATER) is None
-    assert intersect(cameras[:1], pixels[:1], np.full(1, 0.5), WATER) is None
 
 
 def test_the_next_photograph_is_the_one_that_tells_most():

@@ -143,14 +143,11 @@ def test_bad_requests_are_answered_in_words_and_write_nothing(server, folder):
     assert not (folder / "gcp_list.txt").exists()
 
 
-def test_the_page_knows_whether_coordinates_are_degrees(server, tmp_path):
+def test_the_page_knows_whether_coordinates_are_degrees_and_a_server_at_every_address_can_be_opened(server, tmp_path):
     assert not state(server)["is_geographic"]
     folder = small_survey(tmp_path / "g", toml='crs = "EPSG:4326+3855"\n', gps=True)
     (folder / "cameras.csv").unlink()
     assert MarkingSession(folder).state()["is_geographic"]
-
-
-def test_the_address_of_a_server_at_every_address_can_be_opened():
     with MarkingServer(SimpleNamespace(images={}), "0.0.0.0") as running:
         assert running.url.startswith("http://localhost:")
 
@@ -245,16 +242,13 @@ def test_the_poses_of_a_finished_run_count_before_those_of_the_file(tmp_path):
     local = survey.frame.local_from_crs(np.array(PLACE))
     expected = raised.views[1].camera.project(local, survey.water)
     assert session.look(PointKey("ground", "p"), "0001.jpg")["predicted"] == pytest.approx(tuple(expected), abs=1e-6)
+    with pytest.raises(SurveyError, match="made before runs kept their cameras"):
+        MarkingSession(folder, run=tmp_path / "none")
 
 
 def _raised(view):
     """A view as an adjustment may have it, half a metre higher."""
     return replace(view, camera=replace(view.camera, centre=view.camera.centre + np.array([0.0, 0.0, 0.5])))
-
-
-def test_poses_of_a_run_are_asked_for_by_name(folder, tmp_path):
-    with pytest.raises(SurveyError, match="made before runs kept their cameras"):
-        MarkingSession(folder, run=tmp_path / "none")
 
 
 def test_tiles_join_to_the_photograph_and_halves_keep_their_place(tmp_path):

@@ -16,7 +16,6 @@ from survey.errors import ImageError
 from survey.photos.cameras import View
 from survey.photos.exif import read_exif
 from survey.photos.images import list_images, load_image, load_mask, same_files
-from survey.photos.pixels import require_complete
 
 BARREL = Lens("OPENCV", (100.0, 101.0, 32.0, 24.0, -0.15, 0.05, 0.001, -0.002), 64, 48)
 
@@ -34,18 +33,6 @@ def test_a_photograph_is_given_as_it_was_taken(tmp_path, rng, lens):
     assert load_mask(view_of(path, lens)) is None
 
 
-def test_a_smaller_image_averages_and_fits_the_scaled_camera(tmp_path, rng):
-    pixels = rng.integers(0, 255, (48, 64, 3), dtype=np.uint8)
-    path = tmp_path / "a.png"
-    Image.fromarray(pixels).save(path)
-    view = view_of(path, Lens("PINHOLE", (100.0, 100.0, 32.0, 24.0), 64, 48))
-    small = load_image(view, scale=0.5)
-    camera = view.camera.scaled(0.5)
-    assert small.shape == (camera.height, camera.width, 3)
-    mean = pixels.reshape(24, 2, 32, 2, 3).mean(axis=(1, 3))
-    assert np.abs(small - mean).max() <= 0.5
-
-
 def test_a_mask_is_that_of_the_photograph_and_a_smaller_pixel_counts_where_all_of_its_area_does(tmp_path):
     photograph, mask = tmp_path / "a.png", tmp_path / "mask.png"
     Image.fromarray(np.zeros((48, 64, 3), np.uint8)).save(photograph)
@@ -57,21 +44,6 @@ def test_a_mask_is_that_of_the_photograph_and_a_smaller_pixel_counts_where_all_o
     assert np.array_equal(load_mask(view, scale=0.5), np.arange(32) >= np.full((24, 1), 11))
     Image.fromarray(np.full((48, 64), 255, np.uint8)).save(mask)
     assert load_mask(view) is None
-
-
-def test_a_photograph_that_is_cut_off_is_refused_by_name(tmp_path):
-    path = tmp_path / "a.jpg"
-    write_image(path)
-    require_complete(path)
-    data = path.read_bytes()
-    # Without its end marker every pixel is still there.
-    path.write_bytes(data[:-2])
-    require_complete(path)
-    path.write_bytes(data[: len(data) // 2])
-    with pytest.raises(ImageError, match=r"a\.jpg is damaged or cut off .* copy it again"):
-        require_complete(path)
-    with pytest.raises(ImageError, match=r"a\.jpg is damaged or cut off"):
-        load_image(view_of(path, Lens("PINHOLE", (100.0, 100.0, 32.0, 24.0), 64, 48)))
 
 
 def test_an_image_of_another_size_than_its_camera_is_refused(tmp_path):
@@ -154,15 +126,6 @@ def test_the_limit_of_pillow_does_not_count_and_is_left_as_it_was(tmp_path, monk
     assert Image.MAX_IMAGE_PIXELS == 100
 
 
-def test_position_and_focal_length_come_from_exif(tmp_path):
-    path = tmp_path / "a.jpg"
-    write_image(path, gps=(589012.0, 5194736.0, 2126.5), FocalLengthIn35mmFilm=24)
-    head = read_exif(path)
-    # Seconds are written to 1e-7, which is 3 micrometres.
-    assert head.lat_lon_height == pytest.approx((46.90019, 10.16864, 2126.5), abs=1e-4)
-    assert head.focal_px == pytest.approx(24.0 / 36.0 * 64.0)
-
-
 def test_exif_of_a_png_is_read_without_its_pixels(tmp_path, monkeypatch):
     path = tmp_path / "a.png"
     exif = Image.Exif()
@@ -179,15 +142,6 @@ def test_exif_of_a_png_is_read_without_its_pixels(tmp_path, monkeypatch):
     assert read_exif(path).lat_lon_height == pytest.approx((46.5, 10.25, 2.5))
     path.write_bytes(data[:at] + data[at + length :])
     assert read_exif(path).lat_lon_height is None
-
-
-def test_western_and_southern_positions_and_heights_below_zero_are_negative(tmp_path):
-    image = Image.new("RGB", (8, 8))
-    exif = image.getexif()
-    gps = exif.get_ifd(0x8825)
-    gps.update({1: "S", 2: (33.0, 30.0, 0.0), 3: "W", 4: (70.0, 15.0, 36.0), 5: b"\1", 6: 2.5})
-    image.save(tmp_path / "a.jpg", exif=exif)
-    assert read_exif(tmp_path / "a.jpg").lat_lon_height == pytest.approx((-33.5, -70.26, -2.5))
 
 
 def test_an_image_without_a_fix_has_no_position(tmp_path):

@@ -73,12 +73,6 @@ def test_kept_images_are_those_of_load_image_and_cannot_be_written_to(survey, sc
             image[0, 0] = 0
 
 
-def test_scales_of_one_photograph_are_told_apart(survey):
-    store, view = ImageStore(100 * BYTES), survey.views[0]
-    assert store.load(view).shape == (48, 64, 3)
-    assert store.load(view, scale=0.5).shape == (24, 32, 3)
-
-
 def test_images_beyond_the_budget_are_decoded_again_and_the_first_ones_stay(survey, decoded):
     store = ImageStore(2 * BYTES)
     for _stage in range(2):

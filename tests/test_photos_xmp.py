@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from small_survey import write_image
 
 from survey.photos.exif import read_exif
 from survey.photos.xmp import (
@@ -54,12 +53,6 @@ def test_a_photograph_of_a_drone_tells_its_attitude(data_dir):
     assert head.rtk is None
     # 20 mm of 35 mm film at 1600 px; a calibration is not there.
     assert head.focal_px == pytest.approx(20.0 / 36.0 * 1600.0)
-
-
-def test_a_photograph_without_xmp_has_none_of_it(tmp_path):
-    write_image(tmp_path / "a.jpg")
-    head = read_exif(tmp_path / "a.jpg")
-    assert (head.rtk, head.motion) == (None, Motion())
 
 
 # What Parrot's documentation gives as examples of one photograph of an Anafi Ai, and a photograph of a senseFly SODA.

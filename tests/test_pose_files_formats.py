@@ -9,14 +9,12 @@ import struct
 import numpy as np
 import pycolmap
 import pytest
-from pyproj import CRS, Proj
 from small_survey import HEADER
 
-from geo.frames import LocalFrame
 from refract.lens import MODELS, Lens, LensError
 from survey.errors import PosesError
 from survey.folder.survey import load_survey
-from survey.photos.poses import CAM_FROM_OPK_CAM, grid_from_opk
+from survey.photos.poses import grid_from_opk
 from survey.pose_files import colmap, find_poses, find_unread, pose_files, read_poses, read_ties, tables
 
 # cameras.csv of the drawn surveys is written to 1e-5 m and 1e-8 degrees, the COLMAP model to 1e-12.
@@ -66,11 +64,6 @@ def test_the_rotation_gives_back_its_angles_by_the_published_formulas(rng):
         assert math.atan2(-r[1, 2], r[2, 2]) == pytest.approx(omega, abs=1e-14)
         assert math.asin(r[0, 2]) == pytest.approx(phi, abs=1e-14)
         assert math.atan2(-r[0, 1], r[0, 0]) == pytest.approx(kappa, abs=1e-14)
-
-
-def test_camera_axes_of_photogrammetry_differ_by_half_a_turn_about_x():
-    assert np.linalg.det(CAM_FROM_OPK_CAM) == 1.0
-    assert (CAM_FROM_OPK_CAM @ np.array([0.0, 0.0, -1.0])).tolist() == [0.0, 0.0, 1.0]
 
 
 @pytest.mark.parametrize("name", ["quick", "river"])
@@ -261,17 +254,6 @@ def test_a_spoilt_table_is_refused_with_the_line_and_the_column(tmp_path, table,
     assert str(path) in str(error.value)
 
 
-def test_columns_may_come_in_any_order_with_others_between_and_names_may_hold_spaces(tmp_path):
-    path = tmp_path / "cameras.csv"
-    path.write_text(
-        "﻿Kappa, Phi, Omega, time, Height, Northing, Easting, Image\n90, 0, 0, 12:00, 3, 2, 1, my photo.jpg\n"
-    )
-    (pose,) = read_poses(path).poses
-    assert pose.name == "my photo.jpg"
-    assert pose.centre.tolist() == [1.0, 2.0, 3.0]
-    assert pose.cam_from_world[0] == pytest.approx([0.0, 1.0, 0.0], abs=1e-15)
-
-
 def test_poses_are_found_beside_the_images_and_other_formats_are_named(tmp_path):
     write_model(tmp_path / "sparse", "")
     (tmp_path / "gcp.csv").write_text("label,x,y,z\n")
@@ -304,20 +286,6 @@ def test_a_lens_of_impossible_numbers_is_refused(params, size, words):
     assert words in str(error.value)
 
 
-def test_angles_count_about_the_grid_axes_and_not_about_true_north():
-    # 2.17 degrees of longitude east of the central meridian, grid north lies east of true north by the convergence
-    # that pyproj gives; a camera with kappa = 0 has its upper side there.
-    crs = CRS("EPSG:25832+5778")
-    e, n = 589012.0 + 76000.0, 5194736.0
-    frame = LocalFrame(crs, (e, n, 0.0))
-    up_in_local = frame.local_from_grid((e, n, 0.0)) @ grid_from_opk(0.0, 0.0, 0.0) @ np.array([0.0, 1.0, 0.0])
-    utm = Proj("EPSG:25832")
-    convergence = utm.get_factors(*utm(e, n, inverse=True)).meridian_convergence
-    assert convergence > 1.0
-    # The axes follow the grid by differences over 10 m, whose curvature is 1e-9.
-    assert math.degrees(math.atan2(up_in_local[0], up_in_local[1])) == pytest.approx(convergence, abs=1e-6)
-
-
 def test_all_files_that_are_read_for_poses_are_inputs_that_no_result_replaces(tmp_path):
     model = write_model(tmp_path / "m", "1 1 0 0 0 0 0 0 1 a.jpg\n\n")
     (model / "points3D.txt").write_text("")
@@ -332,11 +300,3 @@ def test_all_files_that_are_read_for_poses_are_inputs_that_no_result_replaces(tm
         (tmp_path / name).write_text("")
     assert {path.name for path in pose_files(tmp_path / stem)} == {stem, "p_offset.xyz"}
     assert pose_files(tmp_path / "none.csv") == [tmp_path / "none.csv"]
-
-
-@pytest.mark.parametrize("header", ["x_m,y_ft", "x,y_ft", "x_ft,y"])
-def test_a_table_of_poses_in_two_units_in_plan_is_refused(tmp_path, header):
-    path = tmp_path / "cameras.csv"
-    path.write_text(f"image,{header},z,omega,phi,kappa\na.jpg,1,2,3,0,0,0\n")
-    with pytest.raises(PosesError, match="expected one unit: convert one, or name it in both"):
-        tables.read_table(path)

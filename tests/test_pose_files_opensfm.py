@@ -80,17 +80,6 @@ def test_poses_and_lenses_put_points_where_the_photographs_show_them(tmp_path, b
     assert dict(check_survey(tmp_path)[0].rows)["tie points"].startswith("0.00 px rms")
 
 
-@pytest.mark.parametrize(
-    ("key", "change"),
-    [("c_x", 0.5 / 640), ("c_y", -0.5 / 640), ("p1", -0.006), ("p2", 0.006), ("focal_y", -3 / 640), ("k3", 0.3)],
-)
-def test_half_a_pixel_or_swapped_coefficients_do_not_pass(tmp_path, block, key, change):
-    made = block_json(block, reference_lla=REFERENCE)
-    made["cameras"]["v2 one"][key] += change
-    write(tmp_path, block, blocks=[made])
-    assert most_missed_px(load(tmp_path, block, "reconstruction.json"), block) > 0.3
-
-
 def test_the_topocentric_file_of_a_finished_project_comes_before_the_one_in_grid_coordinates(tmp_path, block):
     opensfm = tmp_path / "opensfm"
     write(tmp_path, block, "opensfm/reconstruction.topocentric.json")

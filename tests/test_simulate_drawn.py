@@ -10,7 +10,6 @@ from drawn_shore import EXACT_M, EXACT_PX, SHORE, STORED_PX
 from PIL import Image
 
 from geo import read_reference
-from refract import FlatWater
 from survey.folder.survey import load_survey
 from survey.photos.exif import read_exif
 from survey.settings.config import read_config
@@ -63,11 +62,6 @@ def test_a_survey_read_from_its_folder_projects_the_drawn_points_onto_their_pixe
     for view, (_, pixels, hits) in zip(survey.views, hits_of_all(shore_drawing, rng, 50), strict=True):
         points = survey.frame.local_from_crs(shore_drawing.frame.crs_from_local(hits.points))
         assert np.abs(view.camera.project(points, survey.water) - pixels).max() < STORED_PX
-
-
-def test_wet_and_dry_pixels_both_occur_at_a_shore(shore_drawing, rng):
-    wet = np.concatenate([hits.in_water > 0.0 for _, _, hits in hits_of_all(shore_drawing, rng)])
-    assert 0.2 < wet.mean() < 0.9
 
 
 def test_paths_obey_snells_law_at_the_water_surface(shore_drawing, rng):
@@ -211,37 +205,6 @@ def test_a_survey_drawn_over_rising_water_is_loaded_with_the_levels_that_it_was_
         here = survey.frame.local_from_crs(scene.frame.crs_from_local(points))
         apart = view.camera.project(here, survey.water) - camera.project(points, renderer.water)
         assert np.abs(apart).max() < STORED_PX
-
-
-def test_deep_ground_is_bluer_and_all_ground_is_textured(shore_drawing):
-    camera = shore_drawing.cameras[0]
-    hits = shore_drawing.renderer.trace(camera, camera.pixel_centres().reshape(-1, 2))
-    image = shore_drawing.photograph(0).astype(float)
-    blueness = (image[..., 2] / image[..., 0]).ravel()
-    deep, shallow = hits.in_water > 0.5, hits.in_water < 0.1
-    assert blueness[deep].mean() > 1.1 * blueness[shallow].mean()
-    blocks = image[:, :, 1].reshape(12, 10, 16, 10).std(axis=(1, 3))
-    assert blocks.min() > 3.0  # three times the noise of a photograph
-    assert (image == 255.0).mean() < 0.01
-
-
-def test_every_point_of_the_demos_area_lies_in_at_least_six_photographs():
-    scene = DrawnScene()
-    x, y = (c.ravel() for c in np.meshgrid(*(np.linspace(-0.5, 0.5, 21) * s for s in scene.size_m)))
-    num_views = np.zeros(len(x), dtype=int)
-    for camera in scene.cameras():
-        points = np.stack([x, y, np.full(len(x), -scene.depth_m)], axis=-1)
-        pixels = camera.project(points, FlatWater((0.0, 0.0, 0.0), n_water=scene.n_water))
-        num_views += ((pixels > 0.0) & (pixels < scene.image_px)).all(axis=1)
-    assert num_views.min() >= 6
-
-
-def test_the_demos_views_are_convergent_from_10_to_35_degrees():
-    axes = np.array([camera.cam_from_local[2] for camera in DrawnScene().cameras()])
-    tilt = np.sort(np.degrees(np.arccos(-axes[:, 2])))
-    assert len(tilt) == 20
-    assert (tilt[:12] < 5.0).all()
-    np.testing.assert_allclose(tilt[[12, -1]], [10.0, 35.0], atol=1e-6)
 
 
 def test_exif_has_the_position_within_the_noise_of_a_good_receiver_and_the_focal_length(shore_drawing, shore_folder):

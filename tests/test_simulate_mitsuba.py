@@ -113,55 +113,6 @@ def mirrored(cosine: float, n: float) -> float:
     return 0.5 * (across + along)
 
 
-def corner_in(image: np.ndarray, about: np.ndarray, half: int = 12) -> np.ndarray:
-    """Pixel (2,) at which two straight edges of a checker cross, from the areas that each covers of rows and columns.
-
-    Pixels are means over their area: along a line of pixels the sum of values says, exactly, where an edge crosses it.
-    """
-    column, row = np.floor(about).astype(int)
-    part = image[row - half : row + half + 1, column - half : column + half + 1]
-    bright = part > 0.5 * (part.min() + part.max())
-    low, high = np.median(part[~bright]), np.median(part[bright])
-    share = (part - low) / (high - low)
-    rows, columns = np.arange(row - half, row + half + 1) + 0.5, np.arange(column - half, column + half + 1) + 0.5
-    return cross(edge(share, rows, column - half), edge(share.T, columns, row - half))
-
-
-def edge(share: np.ndarray, at: np.ndarray, first: int) -> np.ndarray:
-    """Line ``place = a + b at`` of the edge that crosses the lines of an image; those near the corner are left out."""
-    length = share.shape[1]
-    # Bright on the left or on the right of the edge.
-    left_bright = share[:, :3].mean(axis=1) > 0.5
-    place = first + np.where(left_bright, share.sum(axis=1), length - share.sum(axis=1))
-    far = np.abs(np.arange(len(at)) - len(at) // 2) > 5
-    return np.polynomial.polynomial.polyfit(at[far], place[far], 1)
-
-
-def cross(upright: np.ndarray, level: np.ndarray) -> np.ndarray:
-    """Where u = a + b v and v = c + d u meet."""
-    (a, b), (c, d) = upright, level
-    u = (a + b * c) / (1.0 - b * d)
-    return np.array([u, c + d * u])
-
-
-@pytest.mark.parametrize("mode", ["direct", pytest.param("physical", marks=pytest.mark.slow)])
-def test_a_corner_of_a_checker_lands_where_refract_projects_it(mode, request):
-    ground, water = checkered(), WATER
-    if mode == "direct":
-        eye, sensor = DirectRenderer(ground, water, CLEAR).radiance_of_rays, Sensor(samples=144)
-    else:
-        # The only noise is whether a ray is mirrored: the sun is small, its glint is not in the image, and light is
-        # reflected once. Of the 2000 rays of a pixel 2 % miss the bed: 0.003 of its value, 0.011 px of an edge that
-        # is found in one line of 25 pixels, half of them bright, and 0.003 px of an edge fitted to 14 such lines.
-        sun = Light(sun_share=0.999, sun_radius=1e-4)
-        mi = request.getfixturevalue("mi")
-        eye, sensor = tracer(mi, ground, water, light=sun, bounces=3), Sensor(samples=2000, is_jittered=True)
-    camera = camera_at(0.15, 0.1, 9.0, 0.04)
-    expected = camera.project(np.array([0.0, 0.0, -DEPTH]), water)
-    image = sensor.light(eye, camera, LENS, (1, 1)).mean(axis=-1)
-    assert np.abs(corner_in(image, expected) - expected).max() < SAME_PX
-
-
 @pytest.mark.parametrize("kind", ["plane", "waves", "measured"])
 def test_rays_of_the_path_tracer_end_where_those_of_the_direct_mode_do(mi, rng, kind):
     ground, water = checkered(reach=12.0), WATER

@@ -10,9 +10,6 @@ import numpy as np
 import pytest
 from scene_files import SCENE, scene_file, staged, write_mesh
 
-from geo.crs import parse_crs
-from geo.errors import GeoError
-from geo.ply import write_ply
 from survey.errors import SurveyError
 from survey.folder.local_frame import water_plane
 from survey.simulate.scene_file import read_scene
@@ -100,12 +97,4 @@ def test_a_measured_surface_of_two_points_is_refused(tmp_path):
     frame = plan_scene(read_scene(scene_file(tmp_path)), tmp_path).frame
     write_mesh(tmp_path / "surface.ply", frame.crs_from_local([[0.0, 0.0, 0.0], [1.0, 1.0, 0.0]]), [])
     with pytest.raises(SurveyError, match=r"gives no water surface: expected three points or more, .* not on one line"):
-        staged(scene_file(tmp_path, slope_north='heights = "surface.ply"'))
-
-
-def test_a_measured_surface_in_another_crs_is_refused(tmp_path):
-    points = np.array([[676100.0, 5311460.0, 584.2], [676140.0, 5311460.0, 584.2], [676120.0, 5311500.0, 584.2]])
-    there = parse_crs("EPSG:25833+7837")
-    write_ply(tmp_path / "surface.ply", points, rgb=np.zeros((3, 3), np.uint8), scalars={}, crs=there)
-    with pytest.raises(GeoError, match=r"the scene and .*surface.ply are in different.*UTM zone 33N"):
         staged(scene_file(tmp_path, slope_north='heights = "surface.ply"'))

@@ -102,12 +102,6 @@ def test_a_gauge_is_interpolated_at_the_photographs(tmp_path):
     assert "100 mm" in said.assumptions[0]
 
 
-def test_a_gauge_that_does_not_cover_the_flight_is_refused(tmp_path):
-    write_gauge(tmp_path, "2024-06-01T10:00:00Z,1.0", "2024-06-01T10:15:00Z,1.1")
-    with pytest.raises(ConfigError, match="add the readings around the flight"):
-        with_level(tmp_path, gauge_config(), heads_at(10, 20), CRS)
-
-
 def test_images_without_a_time_are_refused(tmp_path):
     write_gauge(tmp_path, "2024-06-01T10:00:00Z,1.0", "2024-06-01T10:15:00Z,1.1")
     with pytest.raises(ConfigError, match="no image has its time in UTC"):
@@ -128,19 +122,6 @@ def test_a_damaged_gauge_is_named(tmp_path, rows, message):
     write_gauge(tmp_path, *rows)
     with pytest.raises(ConfigError, match=message):
         read_series(tmp_path / "gauge.csv")
-
-
-def test_missing_columns_and_files_are_named(tmp_path):
-    (tmp_path / "p.csv").write_text("x,y,q\n1,2,3\n")
-    with pytest.raises(ConfigError, match="expected easting, northing, height"):
-        points_of_surface(tmp_path / "p.csv", "shoreline", CRS)
-    with pytest.raises(ConfigError, match="cannot be read"):
-        points_of_surface(tmp_path / "none.csv", "shoreline", CRS)
-
-
-def test_two_sources_of_the_level_contradict_each_other():
-    with pytest.raises(ConfigError, match="level_m and gauge"):
-        parse_config('[water]\nlevel_m = 1.0\ngauge = "g.csv"\n')
 
 
 def test_a_survey_with_a_level_is_left_as_it_is(tmp_path):

@@ -9,7 +9,6 @@ Lenses come in pixels from the upper left corner.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,8 +51,16 @@ class _Block:
 def read_opensfm(path: Path) -> PoseFile:
     """Poses and lenses of a reconstruction: geocentric where it has a reference, else in the frame of [local]."""
     block = _block(path)
-    poses = tuple(_pose(block, name, shot) for name, shot in block.shots.items())
-    notes, warnings = [], []
+    poses, notes, warnings = [], [], []
+    turn = None if block.reference is None else enu_from_geocentric(*_lon_lat(block.reference))
+    for name, shot in block.shots.items():
+        rotation, translation = (finite_numbers(shot.get(key), 3) for key in ("rotation", "translation"))
+        if rotation is None or translation is None:
+            raise PosesError(f"{block.path}: the pose of {name} is not a finite rotation and translation; {_EXPORT}")
+        cam_from_world = Rotation.from_rotvec(rotation).as_matrix()
+        centre = _geocentric(-cam_from_world.T @ np.array(translation), block.reference)
+        lens = block.lenses[str(shot["camera"])]
+        poses.append(Pose(name, centre, cam_from_world if turn is None else cam_from_world @ turn, lens))
     if block.path != path and path.is_file():
         notes.append(f"the poses are those of {block.path.name}: {path.name} beside it is in grid coordinates")
     if block.reference is not None:
@@ -69,79 +76,66 @@ def read_opensfm(path: Path) -> PoseFile:
     frame = PoseFrame.LOCAL if block.reference is None else PoseFrame.GEOCENTRIC
     # Those of OpenDroneMap lie beside the images.
     masks = block.path.with_name(_MASKS)
-    masks_path = masks if masks.is_dir() else None
-    return PoseFile(poses, frame, None, "OpenSfM", masks_path, tuple(notes), tuple(warnings))
+    return PoseFile(
+        tuple(poses), frame, None, "OpenSfM", masks if masks.is_dir() else None, tuple(notes), tuple(warnings)
+    )
 
 
 def read_ties(path: Path) -> FileTies | None:
     """Points of a reconstruction with their places in its images, by the tracks beside it; None without these."""
     block = _block(path)
     tracks = _tracks_of(block.path)
-    ids = {key: i for i, key in enumerate(block.points)}
+    ids, numbers = ({key: i for i, key in enumerate(part)} for part in (block.points, block.shots))
     if tracks is None or not ids:
         return None
     coordinates = [finite_numbers(_object(point).get("coordinates"), 3) for point in block.points.values()]
     points = np.array([[math.nan] * 3 if xyz is None else xyz for xyz in coordinates])
-    names = tuple(block.shots)
-    numbers = {name: i for i, name in enumerate(names)}
+    observed = []
+    try:
+        with tracks.open(encoding="utf-8") as file:
+            for line in file:
+                cells = line.rstrip("\n").split("\t", 5)
+                if len(cells) >= 5:
+                    if cells[1] in ids and cells[0] in numbers:
+                        observed.append((ids[cells[1]], numbers[cells[0]], float(cells[3]), float(cells[4])))
+                elif line.strip() and not cells[0].startswith("OPENSFM_TRACKS_VERSION"):
+                    raise ValueError(f"a line has {len(cells)} values")
+    except OSError as error:
+        raise PosesError(f"{tracks} cannot be read ({error.strerror}); correct its permissions") from error
+    except ValueError as error:
+        raise PosesError(f"{tracks} is damaged ({error}), expected rows of tracks; remove it, or {_EXPORT}") from error
+    table = np.array(observed, dtype=np.float64).reshape(-1, 4)
+    point, image = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
     lenses = [block.lenses[str(shot["camera"])] for shot in block.shots.values()]
-    point, image, place = _seen(tracks, ids, numbers)
     size = np.array([[max(lens.width, lens.height), lens.width, lens.height] for lens in lenses], dtype=np.float64)
     # A place that overflows is not finite, and left out as one.
     with np.errstate(over="ignore"):
-        pixel = size[image, :1] * place + 0.5 * size[image, 1:]
+        pixel = size[image, :1] * table[:, 2:] + 0.5 * size[image, 1:]
     good = np.isfinite(points).all(axis=1)
     keep = good[point] & np.isfinite(pixel).all(axis=1)
     number = np.cumsum(good) - 1
     num_views = np.bincount(point, minlength=len(points))[good]
     points = _geocentric(points[good], block.reference)
-    return FileTies(points, num_views, names, number[point[keep]], image[keep], pixel[keep])
-
-
-def _seen(
-    tracks: Path, ids: Mapping[str, int], numbers: Mapping[str, int]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Number of the point (M,), of the image (M,) and normalised place (M, 2) of each observation in tracks."""
-    found = []
-    try:
-        with tracks.open(encoding="utf-8") as file:
-            for line in file:
-                cells = line.rstrip("\n").split("\t", 5)
-                if len(cells) < 5:
-                    if cells[0].startswith("OPENSFM_TRACKS_VERSION") or not line.strip():
-                        continue
-                    raise ValueError(f"a line has {len(cells)} values")
-                if cells[1] in ids and cells[0] in numbers:
-                    found.append((ids[cells[1]], numbers[cells[0]], float(cells[3]), float(cells[4])))
-    except OSError as error:
-        raise PosesError(f"{tracks} cannot be read ({error.strerror}); correct its permissions") from error
-    except ValueError as error:
-        raise PosesError(f"{tracks} is damaged ({error}), expected rows of tracks; remove it, or {_EXPORT}") from error
-    table = np.array(found, dtype=np.float64).reshape(-1, 4)
-    return table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2:]
+    return FileTies(points, num_views, tuple(block.shots), number[point[keep]], image[keep], pixel[keep])
 
 
 def _block(path: Path) -> _Block:
     path = _topocentric_of(path)
-    found = read_foreign_json(path, PosesError)
-    blocks = [block for block in found if isinstance(block, dict)] if isinstance(found, list) else []
-    if not blocks or len(blocks) != len(found):
+    content = read_foreign_json(path, PosesError)
+    if not isinstance(content, list) or not content or not all(isinstance(block, dict) for block in content):
         raise PosesError(f"{path} is not a list of reconstructions, expected that of OpenSfM; {_EXPORT}")
-    by_size = sorted(blocks, key=lambda block: -len(_object(block.get("shots"))))
-    block = by_size[0]
-    lenses = {}
-    used = {str(_object(shot).get("camera")) for shot in _object(block.get("shots")).values()}
-    for name, camera in _object(block.get("cameras")).items():
-        if name not in used:
-            continue
+    by_size = sorted(content, key=lambda block: -len(_object(block.get("shots"))))
+    block, lenses = by_size[0], {}
+    shots = {name: _object(shot) for name, shot in _object(block.get("shots")).items()}
+    cameras = _object(block.get("cameras"))
+    for name in dict.fromkeys(str(shot.get("camera")) for shot in shots.values()):
+        if name not in cameras:
+            shown = next(image for image, shot in shots.items() if str(shot.get("camera")) == name)
+            raise PosesError(f"{path}: the camera of {shown} is not in the file; {_EXPORT}")
         try:
-            lenses[name] = read_lens(_object(camera))
+            lenses[name] = read_lens(_object(cameras[name]))
         except LensError as error:
             raise PosesError(f'{path}, camera "{name}": {error}') from error
-    shots = {name: _object(shot) for name, shot in _object(block.get("shots")).items()}
-    for name, shot in shots.items():
-        if str(shot.get("camera")) not in lenses:
-            raise PosesError(f"{path}: the camera of {name} is not in the file; {_EXPORT}")
     sizes = tuple(len(_object(block.get("shots"))) for block in by_size)
     return _Block(path, lenses, shots, _object(block.get("points")), _reference(path, block), sizes)
 
@@ -162,24 +156,16 @@ def _topocentric_of(path: Path) -> Path:
     return path
 
 
-def _pose(block: _Block, name: str, shot: dict) -> Pose:
-    rotation, translation = (finite_numbers(shot.get(key), 3) for key in ("rotation", "translation"))
-    if rotation is None or translation is None:
-        raise PosesError(f"{block.path}: the pose of {name} is not a finite rotation and translation; {_EXPORT}")
-    cam_from_world = Rotation.from_rotvec(rotation).as_matrix()
-    centre = -cam_from_world.T @ np.array(translation)
-    if block.reference is not None:
-        lat, lon, _ = block.reference
-        cam_from_world = cam_from_world @ enu_from_geocentric(math.radians(lon), math.radians(lat))
-    return Pose(name, _geocentric(centre, block.reference), cam_from_world, block.lenses[str(shot["camera"])])
+def _lon_lat(reference: tuple[float, float, float]) -> tuple[float, float]:
+    return math.radians(reference[1]), math.radians(reference[0])
 
 
 def _geocentric(points: np.ndarray, reference: tuple[float, float, float] | None) -> np.ndarray:
     """Topocentric points (..., 3) as geocentric ones; as they are where there is no reference."""
     if reference is None:
         return points
-    lat, lon, altitude = math.radians(reference[0]), math.radians(reference[1]), reference[2]
-    return geocentric_from_geodetic(lon, lat, altitude, a=_A, b=_B) + points @ enu_from_geocentric(lon, lat)
+    lon, lat = _lon_lat(reference)
+    return geocentric_from_geodetic(lon, lat, reference[2], a=_A, b=_B) + points @ enu_from_geocentric(lon, lat)
 
 
 def _reference(path: Path, block: dict) -> tuple[float, float, float] | None:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -19,7 +18,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import KDTree
 
 from evaluation.summary import std_by_median
-from geo.crs import height_unit_m
+from geo.crs import EARTH_RADIUS_M, height_unit_m
 from geo.frames import LocalFrame
 from refract import FlatWater
 from refract.curved import BicubicWater
@@ -53,10 +52,7 @@ _LEAST_DROP_M = 5e-3
 _NODES = 13
 
 
-_EARTH_RADIUS_M = 6_371_000.0
-
-
-def curvature_drop(distance, radius: float = _EARTH_RADIUS_M):
+def curvature_drop(distance, radius: float = EARTH_RADIUS_M):
     """Drop of a level surface below its tangent plane [m], ``distance`` [m] from where they touch.
 
     ``R - sqrt(R^2 - d^2)``, written without the difference: 2.0 cm at 500 m, 7.8 cm at 1 km.
@@ -264,22 +260,15 @@ class StillWater(Departure):
     def __post_init__(self):
         object.__setattr__(self, "_tree", KDTree(self.points[:, :2]))
 
-    @cached_property
-    def _terms(self) -> np.ndarray:
-        return np.linalg.lstsq(self._design(self.points[:, :2]), self.points[:, 2], rcond=None)[0]
-
-    @cached_property
-    def _scale(self) -> tuple[np.ndarray, float]:
-        xy = self.points[:, :2]
-        return xy.mean(axis=0), float(np.ptp(xy, axis=0).max())
-
-    def _design(self, xy: np.ndarray) -> np.ndarray:
-        middle, size = self._scale
-        x, y = ((xy - middle) / size).T
-        return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
-
     def _near(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self._design(xy) @ self._terms, np.zeros(len(xy))
+        known = self.points[:, :2]
+        middle, size = known.mean(axis=0), float(np.ptp(known, axis=0).max())
+
+        def design(at: np.ndarray) -> np.ndarray:
+            x, y = ((at - middle) / size).T
+            return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+
+        return design(xy) @ np.linalg.lstsq(design(known), self.points[:, 2], rcond=None)[0], np.zeros(len(xy))
 
 
 def still_water(frame: LocalFrame, plane: FlatWater, centres: np.ndarray) -> StillWater | None:

@@ -29,9 +29,9 @@ from stress_factors import blur, compressed, contrast, exposure, images, noise, 
 from evaluation import vertical_difference
 from geo import read_reference
 from geo.las_header import extra_of
+from survey.simulate.conditions import Light
 from survey.simulate.drawn import DrawnScene, stage_drawing
 from survey.simulate.ground import Ground, Material, shade_of_map
-from survey.simulate.light import Light
 from survey.simulate.shapes import BedGrid
 from survey.simulate.sidecars import StagedScene
 from survey.simulate.textures import light_of_bed

@@ -3,7 +3,7 @@
     python benchmarks/bench_true_colour.py WORK [--seeds N ...] [--depth M]
 
 Light of these photographs is absorbed on its way down to the bed and up to the camera, and scattered into the way up
-(`survey.simulate.light`). Each survey is processed in draft quality as it is, with `--true-colour` (the absorption
+(`survey.simulate.conditions`). Each survey is processed in draft quality as it is, with `--true-colour` (the absorption
 is estimated from the photographs), with that of the scene given but no veil, and with both given, which bounds what an
 estimate can reach. The colours of points on the true bed are compared
 with the bed in dry air: difference in a* and b* of CIELAB after one factor common to all points and channels, since
@@ -26,8 +26,8 @@ from survey.progress import Progress
 from survey.run.folder import RunDir
 from survey.run.process import process
 from survey.run.stored import StoredBed, load_bed
+from survey.simulate.conditions import WaterOptics
 from survey.simulate.drawn import DrawnScene, stage_drawing
-from survey.simulate.light import WaterOptics
 from survey.simulate.writing import write_survey
 
 # Points further from the true bed than this [m] may have the colour of something else.

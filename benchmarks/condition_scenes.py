@@ -14,10 +14,9 @@ from scipy.spatial import cKDTree
 
 from refract import FlatWater
 from refract.curved import WavyWater
+from survey.simulate.conditions import Light, RadianceFunction, WaterOptics
 from survey.simulate.drawn import DrawnScene, stage_drawing
 from survey.simulate.ground import Ground, Material, shade_of_normals
-from survey.simulate.light import Light, WaterOptics
-from survey.simulate.sensor import RadianceFunction
 from survey.simulate.shapes import Solid
 from survey.simulate.sidecars import StagedScene
 from survey.simulate.textures import TILE, ImageTexture, periodic

@@ -23,9 +23,9 @@ from refract.lens import Lens, normalised
 from refract.snell import fresnel_coefficients
 from survey.folder.local_frame import water_plane
 from survey.settings.config import WaterConfig
+from survey.simulate.conditions import Light, WaterOptics
 from survey.simulate.direct import DirectRenderer, depth_below
 from survey.simulate.ground import BED, Ground, Material, seen_area, shade_of_map
-from survey.simulate.light import Light, WaterOptics
 from survey.simulate.shapes import BedGrid
 from survey.simulate.textures import draped_texture, in_texels, light_of_bed, noise, sand
 

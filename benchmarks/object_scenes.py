@@ -17,9 +17,9 @@ from geo import read_reference
 from refract import FlatWater, PinholeCamera
 from survey.folder.survey import load_survey
 from survey.photos.images import load_image
+from survey.simulate.conditions import Light, WaterOptics
 from survey.simulate.direct import DirectRenderer
 from survey.simulate.ground import NOTHING, Ground, Material, place_object, plane, texture_of_bed
-from survey.simulate.light import Light, WaterOptics
 from survey.simulate.scene_file import ObjectSettings, TextureSettings
 from survey.simulate.shapes import TriangleMesh
 

@@ -19,9 +19,9 @@ from stress_faults import Fault, filling_disk, killed, little_address_space, lit
 
 from refract import FlatWater, PinholeCamera
 from refract.curved import WavyWater
+from survey.simulate.conditions import Light
 from survey.simulate.drawn import DrawnScene, stage_drawing
 from survey.simulate.ground import Ground, Material, shade_of_map
-from survey.simulate.light import Light
 from survey.simulate.shapes import BedGrid
 from survey.simulate.sidecars import StagedScene
 from survey.simulate.textures import TILE, ImageTexture, light_of_bed, periodic, sand

@@ -14,7 +14,7 @@ from plane_survey import look
 
 from fields.water_column import WaterColumn
 from refract import FlatWater
-from survey.simulate.light import WaterOptics
+from survey.simulate.conditions import WaterOptics
 
 ROW = {"seed": 0, "parameters_mb": 1.7, "step_s": 0.054, "train_mb": None, "steps_mb": 61.0, "steps": 1000,
        "rays_per_s": 54e3}  # fmt: skip

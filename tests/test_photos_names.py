@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from survey.errors import ImageError
-from survey.photos.names import ImageNames
+from survey.photos.poses import ImageNames
 
 FOLDERS = st.lists(st.sampled_from(["100MEDIA", "101MEDIA", "flight1", "flight2"]), max_size=3)
 FILES = st.sampled_from(["DJI_0001.JPG", "DJI_0002.JPG", "shore 1.jpg"])

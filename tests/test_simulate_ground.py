@@ -12,9 +12,9 @@ from scene_files import SCENE, scene_file, staged, write_mesh
 from geo.errors import GeoError
 from refract import FlatWater
 from survey.errors import SurveyError
+from survey.simulate.conditions import Light, WaterOptics
 from survey.simulate.direct import DirectRenderer
 from survey.simulate.ground import NOTHING, Ground, Material, shade_of_normals
-from survey.simulate.light import Light, WaterOptics
 from survey.simulate.scene_file import read_scene
 from survey.simulate.shapes import BedGrid, Solid, TriangleMesh
 from survey.simulate.simulate import plan_scene

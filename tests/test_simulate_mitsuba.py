@@ -13,11 +13,10 @@ from refract import FlatWater, PinholeCamera
 from refract.curved import BicubicWater, WavyWater
 from refract.lens import Lens
 from survey.errors import ConfigError
+from survey.simulate.conditions import Light, Sensor, WaterOptics
 from survey.simulate.direct import DirectRenderer
 from survey.simulate.ground import Ground, Material, shade_of_normals, texture_of_bed
-from survey.simulate.light import Light, WaterOptics
 from survey.simulate.scene_file import TextureSettings
-from survey.simulate.sensor import Sensor
 from survey.simulate.shapes import BedGrid, rotation
 
 pytest.importorskip("mitsuba", reason="the physical mode needs the extra [simulate]: pip install 'bathynerf[simulate]'")

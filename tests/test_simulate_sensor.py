@@ -13,8 +13,7 @@ from scene_files import scene_file, staged
 from refract.lens import Lens, distorted, undistorted
 from survey.folder.survey import load_survey
 from survey.photos.images import load_image
-from survey.simulate.light import Light
-from survey.simulate.sensor import Sensor
+from survey.simulate.conditions import Light, Sensor
 from survey.simulate.simulate import simulate
 
 LENSES = [

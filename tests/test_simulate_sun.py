@@ -8,9 +8,9 @@ from PIL import Image
 
 from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
+from survey.simulate.conditions import Light
 from survey.simulate.direct import SunOnWaves, suns_of
 from survey.simulate.drawn import DrawnScene, draw_survey, stage_drawing
-from survey.simulate.light import Light
 
 PLANE = FlatWater((0.0, 0.0, 0.0), n_water=1.33)
 DEPTH, CONTRAST, SHARE = 1.2, 0.3, 0.1

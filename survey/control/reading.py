@@ -30,7 +30,7 @@ from survey.errors import ControlError, Findings
 from survey.files.csv_table import text_lines
 from survey.files.foreign import instead_of
 from survey.files.point_table import Units
-from survey.photos.names import ImageNames
+from survey.photos.poses import ImageNames
 
 # Files of other programs that hold no control that can be read, by patterns of their names, and what to give instead.
 _NOT_READ = {

@@ -25,8 +25,7 @@ from survey.folder.control import FoundControl, find_control
 from survey.folder.headers import find_geo_txt, header_warnings, read_headers
 from survey.photos.exif import SUFFIXES, Exif, exif_places, position_sources, utm_code_of
 from survey.photos.images import fetch_images, list_images, photographs_below, same_files
-from survey.photos.names import ImageNames
-from survey.photos.poses import PoseFrame
+from survey.photos.poses import ImageNames, PoseFrame
 from survey.pose_files import find_poses, find_unread, pose_files, read_poses
 from survey.settings.config import ImagesConfig, SurveyConfig, settings_of
 from survey.sfm.gps import EXACT, DatumStd, PositionTransform, datum_warnings, plan_std, smallest, transforms_into_crs

@@ -27,7 +27,7 @@ from survey.errors import Findings, PosesError
 from survey.files.csv_table import number_of
 from survey.files.foreign_text import odm_lines
 from survey.photos.exif import SUFFIXES, Exif, TablePlace, read_exif, without_void_fixes
-from survey.photos.names import ImageNames
+from survey.photos.poses import ImageNames
 from survey.settings.config import SurveyConfig
 from survey.words import GEO_TXT
 

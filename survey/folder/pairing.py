@@ -30,9 +30,8 @@ from survey.folder.observations import Observations, PlacedViews, Provenance
 from survey.folder.pose_priors import priors_of_gps, priors_of_poses
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
-from survey.photos.names import ImageNames
 from survey.photos.pixels import require_pixels
-from survey.photos.poses import DuplicatePose, Pose, PoseFile, least_track
+from survey.photos.poses import DuplicatePose, ImageNames, Pose, PoseFile, least_track
 from survey.pose_files import find_poses, read_poses, read_ties
 from survey.settings.config import CamerasConfig
 from survey.settings.tables import per_axis

@@ -26,8 +26,8 @@ from survey.folder.sfm_views import solve_views
 from survey.photos.cameras import View
 from survey.photos.exif import SUFFIXES
 from survey.photos.images import is_hidden, read_mask, require_all_complete
-from survey.photos.names import MASK_ENDING, ImageNames
 from survey.photos.pixels import open_image, require_pixels, stored_size
+from survey.photos.poses import MASK_ENDING, ImageNames
 from survey.water.surface import Departure, height_above
 
 # Masks that are checked for inversion; decoding thousands would take minutes.
@@ -39,7 +39,7 @@ _MOST_LEFT_OUT = 0.8
 def with_masks(found: Found, views: Sequence[View], own: Path | None) -> tuple[list[View], Findings]:
     """The views with their masks, by name: that of the image, IMG.png, IMG.jpg.png, or IMG_mask with any suffix.
 
-    Names are those of `survey.photos.names.ImageNames`: a mask is of one photograph alone. Masks are taken from the
+    Names are those of `survey.photos.poses.ImageNames`: a mask is of one photograph alone. Masks are taken from the
     folder in [images] masks; else, if there are any, from the folder that the program that made the poses used; else
     from IMG_mask next to the images, as for OpenDroneMap.
     """

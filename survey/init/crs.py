@@ -36,8 +36,7 @@ from survey.folder.local_frame import geodetic, points_in_crs
 from survey.folder.pairing import pair
 from survey.folder.plausible import distances_to_exif
 from survey.photos.exif import Exif, middle_of, position_sources, utm_code_of
-from survey.photos.names import ImageNames
-from survey.photos.poses import PoseFile, PoseFrame
+from survey.photos.poses import ImageNames, PoseFile, PoseFrame
 from survey.photos.xmp import ELLIPSOIDAL
 from survey.settings.tables import InitOptions
 from survey.sfm.gps import area_at, height_transformer

@@ -25,7 +25,7 @@ from survey.control.points import Content, GivenPoint
 from survey.errors import ConfigError, ControlError
 from survey.files.csv_table import column_names, read_table, text_lines
 from survey.files.foreign_text import odm_crs
-from survey.photos.names import ImageNames
+from survey.photos.poses import ImageNames
 
 # Decimals of coordinates in metres and in degrees: to a tenth of a millimetre.
 _DECIMALS_M, _DECIMALS_DEG = 4, 9

@@ -18,7 +18,7 @@ from survey.control.reading import in_crs, read_control
 from survey.errors import SurveyError
 from survey.folder.found import Found
 from survey.marking.gcp_file import ControlMark, points_without_mark, read_clicks, with_click, with_marks
-from survey.photos.names import ImageNames
+from survey.photos.poses import ImageNames
 from survey.settings.config import SurveyConfig
 
 GCP_LIST, CLICKS = "gcp_list.txt", "clicks.csv"

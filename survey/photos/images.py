@@ -20,8 +20,8 @@ from survey.files.json_values import read_json_object, write_json
 from survey.files.remote import Remote
 from survey.photos.cameras import View
 from survey.photos.exif import SUFFIXES
-from survey.photos.names import MASK_ENDING
 from survey.photos.pixels import read_grey, read_opaque, read_rgb, require_complete, require_pixels
+from survey.photos.poses import MASK_ENDING
 from survey.progress import current
 from survey.stage_key import content_hash
 from survey.words import RUN_FOLDER
@@ -77,7 +77,7 @@ def photographs_below(folder: Path, but: Path | None = None) -> dict[str, int]:
     Of several folders in one, as of DCIM, it is that one.
     """
     by_top: dict[str, list[Path]] = defaultdict(list)
-    for path in sorted(folder.rglob("*")) if folder.is_dir() else ():
+    for path in sorted(folder.rglob("*")):
         own = path.relative_to(folder)
         is_left_out = is_hidden(own) or own.parts[0] in (RUN_FOLDER, "masks") or (but and path.is_relative_to(but))
         if len(own.parts) > 1 and path.suffix.lower() in SUFFIXES and not is_left_out:
@@ -101,19 +101,21 @@ def is_hidden(path: Path) -> bool:
 
 def same_files(images: Mapping[str, Path]) -> list[tuple[str, ...]]:
     """Names of images whose files are copies of each other; read whole where size, beginning and end are the same."""
-    by_size: dict[int, list[str]] = defaultdict(list)
-    for name, path in images.items():
-        by_size[path.stat().st_size].append(name)
-    alike: dict[bytes, list[str]] = defaultdict(list)
-    for name in (name for names in by_size.values() if len(names) > 1 for name in names):
-        with images[name].open("rb") as file:
+
+    def ends(path: Path) -> bytes:
+        with path.open("rb") as file:
             first = file.read(_COMPARED_BYTES)
-            file.seek(-min(_COMPARED_BYTES, images[name].stat().st_size), os.SEEK_END)
-            alike[blake2b(first + file.read()).digest()].append(name)
-    found: dict[str, list[str]] = defaultdict(list)
-    for name in (name for names in alike.values() if len(names) > 1 for name in names):
-        found[content_hash(images[name])].append(name)
-    return [tuple(names) for names in found.values() if len(names) > 1]
+            file.seek(-min(_COMPARED_BYTES, path.stat().st_size), os.SEEK_END)
+            return blake2b(first + file.read()).digest()
+
+    groups: list[tuple[str, ...]] = [tuple(images)]
+    for key in (lambda path: path.stat().st_size, ends, content_hash):
+        alike: dict[object, list[str]] = defaultdict(list)
+        for number, names in enumerate(groups):
+            for name in names:
+                alike[number, key(images[name])].append(name)
+        groups = [tuple(names) for names in alike.values() if len(names) > 1]
+    return groups
 
 
 def require_all_complete(paths: Iterable[Path]) -> None:
@@ -134,9 +136,7 @@ def load_image(view: View, *, scale: float = 1.0) -> np.ndarray:
 
 def load_pixels(view: View, *, scale: float = 1.0) -> np.ndarray:
     """The photograph as `load_image` gives it, with the depth of the file: uint8 or uint16."""
-    pixels = read_rgb(view.path)
-    _require_size(view, pixels)
-    return _shrink(pixels, view, scale)
+    return _of_camera(view, read_rgb(view.path), scale)
 
 
 def eight_bits(pixels: np.ndarray) -> np.ndarray:
@@ -157,14 +157,12 @@ def load_mask(view: View, *, scale: float = 1.0) -> np.ndarray | None:
     """
     used = read_opaque(view.path)
     if view.mask_path is not None:
-        mask = read_mask(view.mask_path)
-        _require_size(view, mask, path=view.mask_path)
+        mask = _of_camera(view, read_mask(view.mask_path), 1.0, view.mask_path)
         used = mask if used is None else used & mask
     if used is None or used.all():
         return None
     # A pixel of the smaller image is used where all of its area is; the average is rounded in float32.
-    share = _shrink(used.astype(np.float32), view, scale)
-    return share > 1.0 - 1e-4
+    return _of_camera(view, used.astype(np.float32), scale) > 1.0 - 1e-4
 
 
 def read_mask(path: Path) -> np.ndarray:
@@ -175,12 +173,10 @@ def read_mask(path: Path) -> np.ndarray:
     return read_grey(path) > (127 if path.suffix.lower() in _LOSSY else 0)
 
 
-def _require_size(view: View, pixels: np.ndarray, *, path: Path | None = None) -> None:
+def _of_camera(view: View, pixels: np.ndarray, scale: float, path: Path | None = None) -> np.ndarray:
+    """Pixels of a file, of the size of the camera, at a scale."""
     expected, remedy = (view.camera.width, view.camera.height), "use the images that the poses were made from"
     require_pixels(path or view.path, pixels.shape[1::-1], expected, "its camera", remedy)
-
-
-def _shrink(pixels: np.ndarray, view: View, scale: float) -> np.ndarray:
     if scale == 1.0:
         return pixels
     camera = view.camera.scaled(scale)

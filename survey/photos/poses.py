@@ -1,11 +1,15 @@
-"""Poses, rotations and tie points as files of other programs have them, the frames that they count from, and tracks."""
+"""Poses, rotations, tie points and names of photographs as files of other programs have them.
+
+Names may differ from those of the photographs in case, slashes, folder and suffix.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import unicodedata
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 from pyproj import CRS
@@ -14,10 +18,12 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from refract.lens import Lens
-from survey.errors import PosesError
+from survey.errors import ImageError, PosesError
 
 # Two photographs may agree by chance on a false point; a third rarely does.
 MIN_TRACK = 3
+# Behind the name of a photograph, before its suffix, in the name of its mask.
+MASK_ENDING = "_mask"
 # Camera axes of photogrammetry (x right, y up, z back) to ours (x right, y down, z forward).
 CAM_FROM_OPK_CAM = np.diag([1.0, -1.0, -1.0])
 
@@ -201,3 +207,69 @@ def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     """The rotation (3, 3) nearest to a rotation with rounding errors (by singular values)."""
     u, _, vt = np.linalg.svd(matrix)
     return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+
+
+def name_key(name: str) -> str:
+    """A name normalised for comparison: case, slashes and the encoding of accents."""
+    return unicodedata.normalize("NFC", name.replace("\\", "/")).casefold()
+
+
+class ImageNames:
+    """The photographs of a survey, looked up by the names in a file: by the longest common tail of the paths."""
+
+    def __init__(self, names: Iterable[str]):
+        self._names = frozenset(names)
+        self._by_last: dict[str, list[tuple[str, tuple[str, ...]]]] = {}
+        for name in sorted(self._names):
+            parts = _parts(name)
+            for last in {parts[-1], PurePosixPath(parts[-1]).stem}:
+                self._by_last.setdefault(last, []).append((name, parts))
+        self._name_in_file: dict[str, str] = {}
+
+    def find(self, name_in_file: str, where: str) -> str | None:
+        """The photograph that a file means by a name; None where there is none.
+
+        Case, slashes and the encoding of accents do not count; the suffix may be missing. One of the two paths may
+        begin further up than the other, but their folders must not contradict each other. ``where`` is the file, and
+        the line, for errors.
+        """
+        image = name_in_file if name_in_file in self._names else self._longest_tail(name_in_file, where)
+        if image is None:
+            return None
+        # Of two names of one photograph the longer one is kept, since it has more folders to contradict.
+        before = self._name_in_file.setdefault(image, name_in_file)
+        if not _agree(_parts(before)[:-1], _parts(name_in_file)[:-1]):
+            raise ImageError(
+                f"{where}: {name_in_file} and {before} are two photographs, and both names fit {image} "
+                "alone; keep the photographs in the folders that the file has, or remove the lines of the other one"
+            )
+        self._name_in_file[image] = max(before, name_in_file, key=lambda name: len(_parts(name)))
+        return image
+
+    def _longest_tail(self, name_in_file: str, where: str) -> str | None:
+        parts = _parts(name_in_file)
+        if not parts:
+            return None
+        ranks = {
+            name: (min(len(own), len(parts)), len(own) == len(parts), own[-1] == parts[-1])
+            for name, own in self._by_last.get(parts[-1], ())
+            if _agree(own[:-1], parts[:-1])
+        }
+        best = [name for name, rank in ranks.items() if rank == max(ranks.values())]
+        if len(best) > 1:
+            raise ImageError(
+                f"{where}: {name_in_file} fits {best[0]} and {best[1]}"
+                f"{f' and {len(best) - 2} more' if len(best) > 2 else ''}, expected the name of one photograph; write "
+                f'its folder and suffix too, e.g. "{best[0]}"'
+            )
+        return best[0] if best else None
+
+
+def _parts(name: str) -> tuple[str, ...]:
+    return PurePosixPath(name_key(name.strip())).parts
+
+
+def _agree(a: tuple[str, ...], b: tuple[str, ...]) -> bool:
+    """Whether the folders of two paths do not contradict each other: one path may begin further up."""
+    shared = min(len(a), len(b))
+    return a[len(a) - shared :] == b[len(b) - shared :]

@@ -88,12 +88,12 @@ def detail_of(grey: np.ndarray) -> np.ndarray:
     top, left = (max(side - _MOST_PX, 0) // 2 for side in grey.shape)
     grey = grey[top : top + _MOST_PX, left : left + _MOST_PX].astype(np.float32)
     levels = [(cv2.GaussianBlur(grey, (0, 0), sigma), half_step) for sigma, half_step in (_FINE, _COARSE)]
-    found = []
+    ratios = []
     for dx, dy in _DIRECTIONS:
         fine, coarse = (_energies(level, dx * half_step, dy * half_step) for level, half_step in levels)
         textured = coarse >= np.median(coarse)
-        found.append(np.median(np.sqrt(fine[textured] / np.maximum(coarse[textured], _LEAST))))
-    return np.array(found)
+        ratios.append(np.median(np.sqrt(fine[textured] / np.maximum(coarse[textured], _LEAST))))
+    return np.array(ratios)
 
 
 def relative_sharpness(details: Sequence[np.ndarray]) -> np.ndarray:
@@ -172,13 +172,11 @@ def _smaller(view: View) -> np.ndarray:
 
     White pixels are left out because glint has the colour of the sun, and would count as texture of all channels.
     """
-    pixels = load_pixels(view)
+    pixels, mask = load_pixels(view), load_mask(view)
     size = (max(pixels.shape[1] // _SMALLER, 1), max(pixels.shape[0] // _SMALLER, 1))
-    white = 255.0 if pixels.dtype == np.uint8 else 65535.0
-    small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).astype(np.float32) * np.float32(255.0 / white)
-    used, mask = ~saturated_pixels(grey_levels(pixels)), load_mask(view)
-    used = used if mask is None else used & mask
+    white = np.float32(255.0 / np.iinfo(pixels.dtype).max)
+    small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).astype(np.float32) * white
+    used = ~saturated_pixels(grey_levels(pixels)) & (True if mask is None else mask)
     if not used.all():
-        share = cv2.resize(used.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-        small[share < 1.0 - 1e-4] = np.nan
+        small[cv2.resize(used.astype(np.float32), size, interpolation=cv2.INTER_AREA) < 1.0 - 1e-4] = np.nan
     return small

@@ -25,8 +25,8 @@ from refract import FlatWater, PinholeCamera, trace
 from refract.snell import fresnel_coefficients
 from refract.surfaces import WaterSurface
 from survey.errors import SurveyError
+from survey.simulate.conditions import Light, WaterOptics
 from survey.simulate.ground import Ground
-from survey.simulate.light import Light, WaterOptics
 
 # Rays at a time, so that they and derived arrays stay in the cache.
 _RAYS_AT_A_TIME = 1 << 15

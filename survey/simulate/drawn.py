@@ -27,10 +27,9 @@ from survey.files.toml_table import key, parse_toml, require_valid
 from survey.folder.local_frame import water_plane
 from survey.progress import Progress
 from survey.settings.config import WaterConfig
+from survey.simulate.conditions import Light, Sensor, WaterOptics
 from survey.simulate.direct import DirectRenderer, SunOnWaves, suns_of
 from survey.simulate.ground import Ground, Material, seen_area, shade_beside_bed, shade_of_map
-from survey.simulate.light import Light, WaterOptics
-from survey.simulate.sensor import Sensor
 from survey.simulate.shapes import BedGrid, Solid, rotation
 from survey.simulate.sidecars import StagedScene
 from survey.simulate.textures import (

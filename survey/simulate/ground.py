@@ -23,7 +23,7 @@ from refract import PinholeCamera
 from survey.errors import SurveyError
 from survey.photos.images import eight_bits
 from survey.photos.pixels import read_rgb
-from survey.simulate.light import Light
+from survey.simulate.conditions import Light
 from survey.simulate.scene_file import BedSettings, ObjectSettings, TextureSettings
 from survey.simulate.shapes import BedGrid, Solid, TriangleMesh, near_solids, rotation
 from survey.simulate.textures import ImageTexture, VertexTexture, draped_texture, look_up, periodic, sand

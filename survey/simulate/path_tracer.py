@@ -32,7 +32,7 @@ from types import ModuleType
 import drjit as dr
 import numpy as np
 
-from survey.simulate.light import Light, WaterOptics
+from survey.simulate.conditions import Light, WaterOptics
 
 # Russian roulette starts after this many bounces.
 _SURE_BOUNCES = 4

@@ -22,8 +22,8 @@ from refract.lens import Lens, coefficients_of
 from refract.surfaces import WaterSurface
 from survey.photos.poses import CAM_FROM_OPK_CAM
 from survey.settings.config import WaterConfig
+from survey.simulate.conditions import RadianceFunction, Sensor
 from survey.simulate.direct import DirectRenderer, SunOnWaves
-from survey.simulate.sensor import RadianceFunction, Sensor
 
 _JPEG_QUALITY = 92
 # When the first photograph is taken, where that matters, and the readings of the water.

@@ -27,6 +27,7 @@ from survey.folder.local_frame import poses_in_local, water_plane
 from survey.pose_files import read_poses
 from survey.progress import current
 from survey.settings.config import WaterConfig
+from survey.simulate.conditions import Light, Sensor, WaterOptics, measured_surface, with_waves
 from survey.simulate.direct import DirectRenderer
 from survey.simulate.drawn import DrawnScene, build_ground
 from survey.simulate.flight import BedCoverage, Site, coverage, draw_flight, plan_flight
@@ -41,10 +42,8 @@ from survey.simulate.ground import (
     shade_of_normals,
     texture_of_bed,
 )
-from survey.simulate.light import Light, WaterOptics, measured_surface, with_waves
 from survey.simulate.mitsuba_scene import load_mitsuba, solid_scene, water_scene
 from survey.simulate.scene_file import CameraSettings, LightSettings, SceneSettings, read_scene
-from survey.simulate.sensor import Sensor
 from survey.simulate.shapes import BedGrid, TriangleMesh
 from survey.simulate.sidecars import StagedScene, cameras_csv
 from survey.simulate.writing import write_survey

@@ -15,7 +15,7 @@ import igl
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from survey.simulate.light import Light
+from survey.simulate.conditions import Light
 from survey.simulate.shapes import BedGrid, Solid, height_of
 
 # Texels along a side of the periodic tile.

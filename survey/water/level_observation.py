@@ -31,7 +31,7 @@ from survey.errors import ConfigError, Findings
 from survey.files.csv_table import Row, read_table
 from survey.files.point_table import Units, accuracy_warnings, height_std, point_table, read_points
 from survey.photos.cameras import View, intersect
-from survey.photos.names import ImageNames
+from survey.photos.poses import ImageNames
 from survey.settings.config import WaterConfig
 from survey.water.surface_features import layers_named, points_of_features, require_one_water
 

@@ -22,7 +22,7 @@ from survey.errors import FILE_NAME, ConfigError, Findings
 from survey.files.csv_table import Table, words_of
 from survey.photos.cameras import View, metres_per_px
 from survey.photos.exif import Exif
-from survey.photos.names import ImageNames
+from survey.photos.poses import ImageNames
 from survey.settings.water import WaterConfig
 from survey.water.gauge_files import Reading, is_no_data_number, read_series, utc_of
 from survey.water.level_observation import LevelObservation, std_of
@@ -82,43 +82,41 @@ def tide_of_gauge(path: Path, water: WaterConfig, headers: Mapping[str, Exif], u
     at, gap_std_m, readings, findings = levels_at(series, moments)
     mean = float(at.mean())
     over = dict(zip(taken, (at - mean).tolist(), strict=True))
-    tide = Tide("gauge", _completed(over, headers), _hours(taken, float(moments.mean())))
+    hours = ((moments - moments.mean()) / 3600.0).tolist()
+    tide = Tide("gauge", _completed(over, headers), dict(zip(taken, hours, strict=True)))
     levels = tuple(LevelObservation(each.level_m, each.std_m, None, each.time, "gauge") for each in readings)
     return MovingLevel(mean, gap_std_m, tide, levels, len(taken), series.findings + findings)
 
 
 def tide_of_levels(path: Path, headers: Mapping[str, Exif], unit_m: float = 1.0) -> MovingLevel:
     """The mean level of the photographs and their tide, by a table of levels in this unit [m]."""
-    names = ImageNames(headers)
-    found: dict[str, Reading] = {}
-    # In the order of exposure, or of the names.
-    moments = [(header.taken or _NO_TIME, name) for name, header in headers.items()]
-    order = {name: i for i, (_, name) in enumerate(sorted(moments))}
+    names, readings = ImageNames(headers), dict[str, Reading]()
     table = Table.read(path, words_of({"image": ("photo", "file", "name"), "level": (), "std": ()}), ConfigError)
     unit_m = table.units.get("level", unit_m)
     for row in table.rows(("image", "level"), ("std",)):
         # Photographs that are not there were left out.
         name = names.find(row.text("image"), row.where)
-        if name in found:
+        if name in readings:
             raise ConfigError(f"{row.where}: {name} has a level already; keep one")
         if name is not None:
-            level, text = row.number("level"), row.cells["level"]
-            time, std = headers[name].taken or _NO_TIME, std_of(row, "image_levels")
-            found[name] = Reading(row.where, time, level * unit_m, std, text, is_no_data_number(level))
-    without = [name for name in headers if name not in found]
+            level, time = row.number("level"), headers[name].taken or _NO_TIME
+            std, is_marker = std_of(row, "image_levels"), is_no_data_number(level)
+            readings[name] = Reading(row.where, time, level * unit_m, std, row.cells["level"], is_marker)
+    without = [name for name in headers if name not in readings]
     if without:
         raise ConfigError(
             f"{path} has no level for {len(without)} of {len(headers)} images (first: {without[0]}); expected "
             "image,level with a row for each"
         )
-    require_levels([found[name] for name in sorted(found, key=lambda name: order[name])])
-    mean = float(np.mean([each.level_m for each in found.values()]))
-    over = {name: found[name].level_m - mean for name in headers}
+    # In the order of exposure, or of the names.
+    require_levels([reading for _, reading in sorted(readings.items(), key=lambda item: (item[1].time, item[0]))])
+    mean = float(np.mean([each.level_m for each in readings.values()]))
+    over = {name: readings[name].level_m - mean for name in headers}
     levels = tuple(
         LevelObservation(each.level_m, each.std_m, None, headers[name].taken, "image_levels")
-        for name, each in found.items()
+        for name, each in readings.items()
     )
-    return MovingLevel(mean, 0.0, Tide("image_levels", over, {}), levels, len(found), Findings())
+    return MovingLevel(mean, 0.0, Tide("image_levels", over, {}), levels, len(readings), Findings())
 
 
 def tide_of_rate(water: WaterConfig, headers: Mapping[str, Exif]) -> Tide:
@@ -128,7 +126,7 @@ def tide_of_rate(water: WaterConfig, headers: Mapping[str, Exif]) -> Tide:
     start = float(np.mean(list(taken.values())))
     if water.rate.level_time is not None:
         start = utc_of(water.rate.level_time, "[water] level_time").timestamp()
-    hours = _hours(taken, start)
+    hours = {name: (moment - start) / 3600.0 for name, moment in taken.items()}
     if water.rate.level_rate_std_m_per_h is not None and len(hours) < len(headers):
         raise ConfigError(
             f"{len(headers) - len(hours)} of {len(headers)} images have no time of exposure in EXIF, and "
@@ -148,22 +146,19 @@ def with_tides(views: Sequence[View], tide: Tide | None, water: FlatWater | None
 
 
 def with_shift(tide: Tide, views: Sequence[View], water: FlatWater) -> Tide:
-    """Tide of views, with the largest shift that it causes in their photographs."""
-    shifts = [abs(tide.over[view.name]) * _shift_per_m(view, water) for view in views]
-    return replace(tide, shift_px=max(shifts) / (metres_per_px(views, water) or np.inf))
+    """Tide of views, with the largest shift that it causes in their photographs.
 
-
-def _shift_per_m(view: View, water: FlatWater) -> float:
-    """Shift along the bed of the most oblique ray of a view per metre of level [-].
-
-    A ray that enters the water a metre earlier runs that metre at its slope in water instead of that in air:
-    ``tan a - tan b`` with ``sin a = n sin b``.
+    The most oblique ray of a view counts: one that enters the water a metre earlier runs that metre at its slope in
+    water instead of that in air, ``tan a - tan b`` with ``sin a = n sin b``.
     """
-    rays = view.camera.directions(view.camera.outline())
-    cosine = np.clip(-(rays @ np.array(water.up)), np.cos(np.radians(GRAZING_DEG)), 1.0)
-    sine = np.sqrt(1.0 - np.nanmin(cosine) ** 2)
-    in_water = sine / water.n_water
-    return float(sine / np.sqrt(1.0 - sine**2) - in_water / np.sqrt(1.0 - in_water**2))
+    shifts = [0.0]
+    for view in views:
+        rays = view.camera.directions(view.camera.outline())
+        cosine = np.nanmin(np.clip(-(rays @ np.array(water.up)), np.cos(np.radians(GRAZING_DEG)), 1.0))
+        in_air, in_water = np.sqrt(1.0 - cosine**2), np.sqrt(1.0 - cosine**2) / water.n_water
+        per_m = in_air / np.sqrt(1.0 - in_air**2) - in_water / np.sqrt(1.0 - in_water**2)
+        shifts.append(abs(tide.over[view.name]) * float(per_m))
+    return replace(tide, shift_px=max(shifts) / (metres_per_px(views, water) or np.inf))
 
 
 def _times(headers: Mapping[str, Exif], lack: str) -> dict[str, float]:
@@ -172,10 +167,6 @@ def _times(headers: Mapping[str, Exif], lack: str) -> dict[str, float]:
     if not taken:
         raise ConfigError(f"no image has its time in UTC (EXIF GPS time, DateTimeOriginal with an offset), so {lack}")
     return taken
-
-
-def _hours(taken: Mapping[str, float], start: float) -> dict[str, float]:
-    return {name: (moment - start) / 3600.0 for name, moment in taken.items()}
 
 
 def _completed(over: Mapping[str, float], headers: Mapping[str, Exif]) -> dict[str, float]:

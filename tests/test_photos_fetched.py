@@ -17,6 +17,8 @@ from survey.photos import images
 from survey.photos.images import fetch_images
 from survey.settings.config import parse_config
 
+pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
+
 
 @pytest.fixture
 def survey(tmp_path):
@@ -30,7 +32,6 @@ def survey(tmp_path):
 
 
 def test_a_survey_of_photographs_at_a_url_is_that_of_photographs_beside_it(survey):
-    pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
     folder, _, url, before = survey
     found, place = load_survey(folder), folder / local_name(url, "photographs")
     assert [view.name for view in found.views] == [view.name for view in before.views]
@@ -40,7 +41,6 @@ def test_a_survey_of_photographs_at_a_url_is_that_of_photographs_beside_it(surve
 
 
 def test_only_what_is_new_or_changed_is_fetched_and_what_is_gone_removed(survey, monkeypatch):
-    pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
     folder, there, url, _ = survey
     place, names_fetched = folder / local_name(url, "photographs"), []
     fetch = Remote.fetch
@@ -64,7 +64,6 @@ def test_only_what_is_new_or_changed_is_fetched_and_what_is_gone_removed(survey,
 
 @pytest.mark.parametrize("is_there", [False, True])
 def test_what_is_gone_is_removed_also_after_an_interrupted_fetch(survey, monkeypatch, is_there):
-    pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
     folder, there, url, _ = survey
     place = folder / local_name(url, "photographs")
     fetch_images(url, place)
@@ -87,7 +86,6 @@ def test_what_is_gone_is_removed_also_after_an_interrupted_fetch(survey, monkeyp
 
 
 def test_without_a_network_those_that_were_fetched_are_used(survey, monkeypatch):
-    pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
     folder, _, url, _ = survey
     place = folder / local_name(url, "photographs")
     fetch_images(url, place)
@@ -117,7 +115,6 @@ def test_photographs_come_from_s3(survey, monkeypatch):
 
 
 def test_a_url_without_images_and_masks_at_a_url_are_named(tmp_path):
-    pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
     with pytest.raises(ImageError, match=r"no images at .*, expected \.jpg.*put them there"):
         fetch_images(tmp_path.as_uri(), tmp_path / "here")
     with pytest.raises(ConfigError, match=r'masks is "s3://b/m", expected a folder; put masks beside the images'):

@@ -24,22 +24,14 @@ def whole(tmp_path_factory) -> dict[str, tuple[dict[str, bytes], str]]:
     return whole_pose_files(tmp_path_factory.mktemp("whole"))
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_the_files_are_whole_before_they_are_damaged(whole, tmp_path, name):
-    files, given_path = whole[name]
-    for file, data in files.items():
-        (tmp_path / file).write_bytes(data)
-    assert len(read_poses(tmp_path / given_path).poses) >= 4
-    assert len(find_poses(tmp_path)) == 1
-
-
 def test_every_format_has_a_whole_file(whole, tmp_path):
     read = set()
-    for files, given_path in whole.values():
-        folder = tmp_path / str(len(list(tmp_path.iterdir())))
-        folder.mkdir()
+    for name, (files, given_path) in whole.items():
+        (folder := tmp_path / name).mkdir()
         for file, data in files.items():
             (folder / file).write_bytes(data)
+        assert len(read_poses(folder / given_path).poses) >= 4
+        assert len(find_poses(folder)) == 1
         read.add(next(known.name for known in FORMATS if known.recognises(folder / given_path)))
     assert tuple(whole) == NAMES
     assert read == {known.name for known in FORMATS}

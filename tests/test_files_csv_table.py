@@ -18,15 +18,10 @@ def table(tmp_path, text: str, **options):
 
 @pytest.mark.parametrize(
     "text",
-    [
-        "easting,height\n1.5,2.25\n",
-        "\ufeffHeight, Name, Easting\n2.25, a, 1.5\n",
-        "# surveyed by level; in May\n\neasting;height\n1,5;2,25\n;\n",
-        "easting\theight\n1,5\t2.25\n",
-        '"easting; grid",easting,height\n"a, b",1.5,2.25\n# the end\n',
-        'name;easting;height\n"a; b";1,5;2,25\r\n',
-    ],
-)
+    ["easting,height\n1.5,2.25\n", "\ufeffHeight, Name, Easting\n2.25, a, 1.5\n",
+     "# surveyed by level; in May\n\neasting;height\n1,5;2,25\n;\n", "easting\theight\n1,5\t2.25\n",
+     '"easting; grid",easting,height\n"a, b",1.5,2.25\n# the end\n', 'name;easting;height\n"a; b";1,5;2,25\r\n'],
+)  # fmt: skip
 def test_comma_semicolon_and_tab_give_the_same_numbers_with_a_decimal_comma_where_no_comma_separates(tmp_path, text):
     assert table(tmp_path, text) == [[1.5, 2.25]]
 

@@ -64,6 +64,8 @@ def test_only_a_file_of_the_same_kind_is_replaced(tmp_path, cloud):
 def test_a_new_file_needs_a_folder_that_exists_and_nothing_is_made(tmp_path, cloud):
     require_json(None, ReadFiles())
     require_json(tmp_path / "new.json", ReadFiles())
+    # A device is written into.
+    require_json(Path(os.devnull), ReadFiles())
     for path, words in (
         (tmp_path / "no" / "deep" / "n.json", "whose folder does not exist; create the folder or correct the path"),
         (cloud / "n.json", "whose folder is a file"),
@@ -72,10 +74,6 @@ def test_a_new_file_needs_a_folder_that_exists_and_nothing_is_made(tmp_path, clo
         with pytest.raises(OutputError, match=words):
             require_json(path, ReadFiles())
     assert list(tmp_path.iterdir()) == [cloud]
-
-
-def test_a_device_is_written_into():
-    require_json(Path(os.devnull), ReadFiles())
 
 
 def test_a_folder_is_made_unless_a_file_is_in_the_way(tmp_path, cloud):

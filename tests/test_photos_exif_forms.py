@@ -157,14 +157,9 @@ def test_the_offset_of_the_clock_in_all_tags_that_exif_has_for_it(head, details,
 
 @pytest.mark.parametrize(
     "details",
-    [
-        {},
-        {BASE.OffsetTimeOriginal: "unset"},
-        {BASE.OffsetTimeDigitized: "+02:00", BASE.DateTimeDigitized: EARLIER},
-        {BASE.TimeZoneOffset: 99},
-        {BASE.TimeZoneOffset: "two"},
-    ],
-)
+    [{}, {BASE.OffsetTimeOriginal: "unset"}, {BASE.OffsetTimeDigitized: "+02:00", BASE.DateTimeDigitized: EARLIER},
+     {BASE.TimeZoneOffset: 99}, {BASE.TimeZoneOffset: "two"}],
+)  # fmt: skip
 def test_an_offset_that_says_nothing_of_the_exposure_is_none(head, details):
     assert head({}, {BASE.DateTimeOriginal: LOCAL} | details).taken is None
 
@@ -225,17 +220,9 @@ def test_a_calibration_of_another_size_is_not_used_and_said(film, xmp, expected,
 
 @pytest.mark.parametrize(
     ("value", "expected"),
-    [
-        ("Below Sea Level", 1),
-        ("above sea level", 0),
-        ("\x01", 1),
-        ((1,), 1),
-        ([3, 0], 3),
-        (1.0, 1),
-        ("", None),
-        ("?", None),
-    ],
-)
+    [("Below Sea Level", 1), ("above sea level", 0), ("\x01", 1), ((1,), 1), ([3, 0], 3), (1.0, 1), ("", None),
+     ("?", None)],
+)  # fmt: skip
 def test_the_reference_of_a_height_in_other_types(value, expected):
     assert altitude_reference({GPS.GPSAltitudeRef: value}) == expected
 
@@ -269,12 +256,9 @@ def test_the_prefix_of_a_namespace_is_free(head, prefix, quote):
 
 @pytest.mark.parametrize(
     ("latitude", "longitude"),
-    [
-        ("33,51.407064S", "151,12.917802W"),
-        ("33,51,24.42384S", "151,12,55.06812W"),
-        ("33,51.407064s", "151,12,55.06812w"),
-    ],
-)
+    [("33,51.407064S", "151,12.917802W"), ("33,51,24.42384S", "151,12,55.06812W"),
+     ("33,51.407064s", "151,12,55.06812w")],
+)  # fmt: skip
 @pytest.mark.parametrize(("reference", "height"), [("0", 12.5), ("1", -12.5), ("3", -12.5)])
 @pytest.mark.parametrize("form", ['exif:{}="{}"', "<exif:{0}>{1}</exif:{0}>"])
 def test_a_position_that_a_program_rewrote_as_xmp_is_read(head, latitude, longitude, reference, height, form):

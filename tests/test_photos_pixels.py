@@ -14,7 +14,7 @@ from refract.lens import Lens
 from survey.errors import ImageError
 from survey.photos.cameras import View
 from survey.photos.exif import read_exif
-from survey.photos.images import ImageStore, eight_bits, grey_levels, load_image, load_mask, load_pixels, read_mask
+from survey.photos.images import ImageStore, load_image, load_mask, load_pixels, read_mask
 from survey.photos.pixels import read_rgb
 
 LENS = Lens("PINHOLE", (100.0, 100.0, 32.0, 24.0), 64, 48)
@@ -75,12 +75,6 @@ def test_grey_of_sixteen_bits_has_steps_between_those_of_eight(tmp_path):
     assert len(np.unique(grey)) == 64
     assert len(np.unique(store.load(view))) == 2
     np.testing.assert_array_equal(store.load(view), load_image(view))
-
-
-def test_grey_of_eight_bits_is_whole_numbers(tmp_path, rng):
-    pixels = rng.integers(0, 255, (48, 64, 3), dtype=np.uint8)
-    np.testing.assert_array_equal(grey_levels(pixels), cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY))
-    assert eight_bits(pixels) is pixels
 
 
 def test_a_smaller_image_averages_all_sixteen_bits(tmp_path, deep):

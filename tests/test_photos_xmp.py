@@ -128,14 +128,9 @@ def test_older_autel_has_those_of_pix4d():
 
 @pytest.mark.parametrize(
     ("xmp", "expected"),
-    [
-        ('drone-dji:AltitudeType="RtkAlt"', "ellipsoidal"),
-        ('drone-dji:AltitudeType="GpsFusionAlt"', None),
-        (SENSEFLY, "EGM96"),
-        ('Camera:VertCS="ellipsoidal"', "ellipsoidal"),
-        ("", None),
-    ],
-)
+    [('drone-dji:AltitudeType="RtkAlt"', "ellipsoidal"), ('drone-dji:AltitudeType="GpsFusionAlt"', None),
+     (SENSEFLY, "EGM96"), ('Camera:VertCS="ellipsoidal"', "ellipsoidal"), ("", None)],
+)  # fmt: skip
 def test_xmp_may_say_what_heights_count_from(xmp, expected):
     assert height_datum(xmp) == expected
 

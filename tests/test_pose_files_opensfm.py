@@ -206,14 +206,10 @@ def test_the_points_of_berlin_fall_where_the_formulas_of_opensfm_put_them(data_d
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [
-        ("", "is not valid JSON"),
-        ("[" * 100_000, "is nested too deeply|is not valid JSON"),
-        ("[1]", "is not a list of reconstructions"),
-        ("[]", "is not a list of reconstructions"),
-        ('[{"shots": {"a": {"camera": "x"}}}]', "the camera of a is not in the file"),
-    ],
-)
+    [("", "is not valid JSON"), ("[" * 100_000, "is nested too deeply|is not valid JSON"),
+     ("[1]", "is not a list of reconstructions"), ("[]", "is not a list of reconstructions"),
+     ('[{"shots": {"a": {"camera": "x"}}}]', "the camera of a is not in the file")],
+)  # fmt: skip
 def test_a_file_that_is_no_reconstruction_is_refused(tmp_path, text, words):
     path = tmp_path / "reconstruction.json"
     path.write_text(text)

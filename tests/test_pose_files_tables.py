@@ -106,13 +106,10 @@ def test_a_table_in_any_order_and_with_any_angles_gives_the_same_cameras(tmp_pat
 
 @pytest.mark.parametrize(
     "angles",
-    [
-        lambda b, i: opk_deg(b, i)[::-1],
-        lambda b, i: -opk_deg(b, i),
-        lambda b, i: opk_deg(b, i) + np.array([0.0, 0.0, 0.8]),
-    ],
+    [lambda b, i: opk_deg(b, i)[::-1], lambda b, i: -opk_deg(b, i),
+     lambda b, i: opk_deg(b, i) + np.array([0.0, 0.0, 0.8])],
     ids=["order", "sign", "convergence"],
-)
+)  # fmt: skip
 def test_wrong_axes_do_not_pass(tmp_path, block, angles):
     header = "image,easting,northing,height,omega,phi,kappa"
     (tmp_path / "poses.csv").write_text(table(header, rows(block, angles)))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 
 import numpy as np
@@ -98,11 +96,6 @@ def test_footprints_are_where_corners_of_images_meet_the_bed_through_the_water()
         np.testing.assert_allclose(back[:4], [[0, 0], [1024, 0], [1024, 768], [0, 768]], atol=1e-6)
 
 
-def test_a_gap_in_the_plan_is_named():
-    cover = coverage(fly(patterns=("nadir",))[:4], SITE)
-    assert cover.unseen_share > 0.5
-
-
 def test_flights_deviate_by_chance_alike_for_the_same_seed():
     calm, shaken, again, other = fly(), fly(wobble=0.02), fly(wobble=0.02), fly(seed=2, wobble=0.02)
     move = np.array([a.centre - b.centre for a, b in zip(calm, shaken, strict=True)])
@@ -145,15 +138,3 @@ def test_the_picture_of_a_plan_is_a_png_that_shows_views_and_cameras(tmp_path):
     assert min(pixels.shape[:2]) > 500
     oblique = 255.0 * np.array(to_rgb(OBLIQUE))
     assert (np.abs(pixels - oblique).max(axis=-1) < 2.0).sum() > 50
-
-
-def test_planned_poses_are_read_back_from_cameras_csv():
-    from geo.crs import parse_crs
-    from geo.frames import LocalFrame
-    from survey.simulate.sidecars import cameras_csv
-
-    frame = LocalFrame(parse_crs("EPSG:25832+7837"), (676120.0, 5311480.0, 584.2))
-    cameras = fly()
-    rows = list(csv.DictReader(io.StringIO(cameras_csv([f"{k}.jpg" for k in range(len(cameras))], cameras, frame))))
-    centres = np.array([[float(row[axis]) for axis in ("easting", "northing", "height")] for row in rows])
-    np.testing.assert_allclose(frame.local_from_crs(centres), [camera.centre for camera in cameras], atol=1e-5)

@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 from PIL import Image
 from scene_files import SCENE, scene_file, staged, write_mesh
+from scipy.spatial import ConvexHull
 
+from geo import write_cloud
+from geo.crs import parse_crs
 from geo.errors import GeoError
 from refract import FlatWater
 from survey.errors import SurveyError
@@ -41,13 +44,17 @@ def test_rays_meet_any_mesh_where_they_meet_the_same_bed_as_a_grid(rng):
     np.testing.assert_allclose(mesh.height(0.31, 0.22), grid.height(0.31, 0.22), atol=1e-6)
 
 
+def one_triangle(corners) -> Ground:
+    """A white triangle for a bed."""
+    mesh = TriangleMesh(np.array(corners), np.array([[0, 1, 2]]))
+    white = VertexTexture(np.ones((3, 3)), mesh.vertices, mesh.faces)
+    return Ground(mesh, (), (Material(white, shade_of_normals(mesh.normals, Light())),))
+
+
 def test_a_ray_beside_a_bed_of_limited_extent_meets_nothing_and_is_black():
-    mesh = TriangleMesh(np.array([[0.0, 0, -1], [1, 0, -1], [0, 1, -1]]), np.array([[0, 1, 2]]))
-    material = Material(
-        VertexTexture(np.ones((3, 3)), mesh.vertices, mesh.faces), shade_of_normals(mesh.normals, Light())
-    )
+    ground = one_triangle([[0.0, 0, -1], [1, 0, -1], [0, 1, -1]])
     for water in (None, FlatWater((0.0, 0.0, 0.0))):
-        renderer = DirectRenderer(Ground(mesh, (), (material,)), water, WaterOptics(veil=(0.0, 0.0, 0.0), sky=0.0))
+        renderer = DirectRenderer(ground, water, WaterOptics(veil=(0.0, 0.0, 0.0), sky=0.0))
         origin = np.array([[0.2, 0.2, 3.0], [5.0, 5.0, 3.0]])
         down = np.tile([0.0, 0.0, -1.0], (2, 1))
         hits = renderer.trace_rays(origin, down)
@@ -97,8 +104,6 @@ def test_a_cloud_on_one_line_is_refused(tmp_path, num):
 
 def test_an_object_is_scaled_turned_heeled_and_stands_on_the_bed(tmp_path):
     corners = np.array([[x, y, z] for x in (0.0, 4.0) for y in (0.0, 1.0) for z in (0.0, 1.0)]) + 100.0
-    from scipy.spatial import ConvexHull
-
     write_mesh(tmp_path / "box.ply", corners, ConvexHull(corners).simplices)
     text = SCENE + '[[objects]]\nfile = "box.ply"\nat = [0.3, -0.2]\nscale = 0.1\nyaw_deg = 90.0\nabove_bed_m = 0.05\n'
     (body,) = staged(scene_file(tmp_path, text)).renderer.ground.solids
@@ -111,11 +116,8 @@ def test_an_object_is_scaled_turned_heeled_and_stands_on_the_bed(tmp_path):
 
 def test_depth_is_nan_where_a_pixel_sees_nothing(tmp_path):
     scene = staged(scene_file(tmp_path))
-    triangle = TriangleMesh(np.array([[-0.3, -9.0, -1.0], [9.0, -9.0, -1.0], [-0.3, 9.0, -1.0]]), np.array([[0, 1, 2]]))
-    material = Material(
-        VertexTexture(np.ones((3, 3)), triangle.vertices, triangle.faces), shade_of_normals(triangle.normals, Light())
-    )
-    renderer = dataclasses.replace(scene.renderer, ground=Ground(triangle, (), (material,)))
+    ground = one_triangle([[-0.3, -9.0, -1.0], [9.0, -9.0, -1.0], [-0.3, 9.0, -1.0]])
+    renderer = dataclasses.replace(scene.renderer, ground=ground)
     depth, wet = depth_map(renderer, scene.cameras[1], scene.lens)
     assert 0.1 < np.isnan(depth).mean() < 0.9
     assert np.nanmax(np.abs(depth - 1.0)) < 0.03  # the slope of the water over the picture
@@ -145,20 +147,12 @@ def test_a_bed_in_another_crs_or_without_faces_is_refused(tmp_path):
     write_mesh(tmp_path / "points.ply", np.zeros((4, 3)), [])
     with pytest.raises(SurveyError, match='no faces; give kind = "cloud"'):
         staged(scene_file(tmp_path, kind='kind = "mesh"\nfile = "points.ply"\nframe = "local"'))
-    from geo import write_cloud
-    from geo.crs import parse_crs
-
     points = np.array([[676110.0, 5311470.0, 583.0], [676130.0, 5311470.0, 583.0], [676120.0, 5311490.0, 583.0]])
+    zero = np.zeros(3)
+    others = {name: zero for name in ("depth_m", "std_m", "incidence_deg")}
+    others |= {"num_views": zero.astype(int), "is_wet": zero > 0, "rgb": np.zeros((3, 3), np.uint8)}
     for name, crs in (("here", "EPSG:25832+7837"), ("there", "EPSG:25833+7837")):
-        zero = np.zeros(3)
-        others = {
-            "depth_m": zero,
-            "std_m": zero,
-            "num_views": zero.astype(int),
-            "incidence_deg": zero,
-            "is_wet": zero > 0,
-        }
-        write_cloud(tmp_path / f"{name}.las", points, parse_crs(crs), rgb=np.zeros((3, 3), np.uint8), **others)
+        write_cloud(tmp_path / f"{name}.las", points, parse_crs(crs), **others)
     bed = staged(scene_file(tmp_path, kind='kind = "cloud"\nfile = "here.las"')).renderer.ground.bed
     # Heights of crs lie 1.2 m under the origin; millimetres are what LAS holds.
     assert bed.height(0.0, 0.0) == pytest.approx(-1.2, abs=1e-3)

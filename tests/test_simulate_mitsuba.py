@@ -9,10 +9,11 @@ import pytest
 from scipy.integrate import quad
 from slow_cases import slow
 
+from fields.device import choose_device
 from refract import FlatWater, PinholeCamera
 from refract.curved import BicubicWater, WavyWater
 from refract.lens import Lens
-from survey.errors import ConfigError
+from survey.errors import ConfigError, SurveyError
 from survey.simulate.conditions import Light, Sensor, WaterOptics
 from survey.simulate.direct import DirectRenderer
 from survey.simulate.ground import Ground, Material, shade_of_normals, texture_of_bed
@@ -47,19 +48,9 @@ ROUNDING = 1e-5
 
 @pytest.fixture(scope="module")
 def mi():
-    found = load_mitsuba("cpu")
-    if found.variant() == "scalar_rgb":
-        pytest.skip("without LLVM rays are followed one by one, hours of them here")
-    return found
-
-
-@pytest.fixture
-def scalar_mi():
-    """Mitsuba as it is used where neither CUDA nor LLVM is there."""
-    found = load_mitsuba("cpu")
-    variant = found.variant()
-    yield load_mitsuba("torch")
-    found.set_variant(variant)
+    if choose_device("cpu").name == "torch":
+        pytest.skip("the physical mode needs LLVM")
+    return load_mitsuba("cpu")
 
 
 def camera_at(x: float, y: float, z: float, tilt: float) -> PinholeCamera:
@@ -322,13 +313,6 @@ def test_the_same_seed_gives_the_same_light_and_another_seed_another(mi):
     assert np.abs(first - other).max() > 0.0
 
 
-def test_the_scalar_variant_sees_the_same_light(mi, scalar_mi):
-    water = WaterOptics(absorption=(0.2, 0.05, 0.02), scattering=0.5)
-
-    def light(count: int) -> np.ndarray:
-        eye = tracer(mi, checkered(albedo=0.5), WATER, colour=water, light=WIDE_SUN)
-        return eye(*rays_down(count, 0.3), 4)
-
-    found = light(1_000)
-    load_mitsuba("cpu")
-    assert_mean(found, None, light(50_000))
+def test_without_cuda_and_llvm_the_fast_mode_is_named():
+    with pytest.raises(SurveyError, match="needs CUDA or libLLVM; install one, or give --mode direct"):
+        load_mitsuba("torch")

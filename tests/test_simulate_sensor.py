@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scene_files import scene_file, staged
 
-from refract.lens import Lens, distorted, undistorted
+from refract.lens import Lens
 from survey.folder.survey import load_survey
 from survey.photos.images import load_image
 from survey.simulate.conditions import Light, Sensor
@@ -20,15 +20,6 @@ LENSES = [
     Lens("OPENCV", (160.0, 160.0, 47.0, 37.0, -0.12, 0.03, 1e-3, -2e-3), 96, 72),
     Lens("OPENCV_FISHEYE", (160.0, 160.0, 48.0, 36.0, 0.01, -0.02, 0.0, 0.0), 96, 72),
 ]
-
-
-@pytest.mark.parametrize("lens", LENSES, ids=lambda lens: lens.model)
-def test_distortion_is_undone_by_its_inverse(lens, rng):
-    pixels = rng.uniform((0.0, 0.0), (96.0, 72.0), (500, 2))
-    fx, fy = lens.focal
-    ideal = undistorted(lens, pixels) * (fx, fy) + (lens["cx"], lens["cy"])
-    np.testing.assert_allclose(distorted(lens, ideal), pixels, atol=1e-6)
-    assert np.abs(ideal - pixels).max() > 0.5
 
 
 @pytest.mark.slow

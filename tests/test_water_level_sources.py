@@ -91,13 +91,9 @@ def test_a_property_is_the_height_where_all_third_coordinates_are_zero(tmp_path,
 @pytest.mark.parametrize("third", [[], [0.0]])
 @pytest.mark.parametrize(
     ("properties", "named"),
-    [
-        ({"level": 2.0, "ELEV": 5.0}, ["level = 2", "elev = 5"]),
-        ({"z": 1.0, "height": "3"}, ["height = 3", "z = 1"]),
-        ({"depth": 2.5}, ["depth = 2.5"]),
-        ({"Wasserstand_Hoehe": 6.5}, ["Wasserstand_Hoehe = 6.5"]),
-    ],
-)
+    [({"level": 2.0, "ELEV": 5.0}, ["level = 2", "elev = 5"]), ({"z": 1.0, "height": "3"}, ["height = 3", "z = 1"]),
+     ({"depth": 2.5}, ["depth = 2.5"]), ({"Wasserstand_Hoehe": 6.5}, ["Wasserstand_Hoehe = 6.5"])],
+)  # fmt: skip
 def test_properties_that_may_be_heights_are_refused_by_name(tmp_path, properties, named, third):
     ring = [[e, n, *third] for e, n, _ in RING]
     with pytest.raises(ConfigError, match="keep one property level") as refused:

@@ -85,12 +85,6 @@ def test_beyond_a_rectangle_it_is_as_high_as_at_its_edge():
     assert np.abs(height(beyond)).max() > 0.09
 
 
-def test_few_points_are_a_plane():
-    xy = grid(8.0)[:8]
-    found, _ = departure(xy, 0.003 * xy[:, 0] - 0.001 * xy[:, 1], 0.02).at(PLACES)
-    np.testing.assert_allclose(found, 0.003 * PLACES[:, 0] - 0.001 * PLACES[:, 1], atol=1e-9)
-
-
 def test_the_tangent_of_a_part_has_its_level_and_slope():
     xy = grid(1.0)
     tangent = departure(xy, riffle(xy), 0.002).tangent(grid(0.5, 1.0, 1.0), PLANE)

@@ -22,13 +22,13 @@ _SLOPE_ERROR = 4e-4
 _PARTS_OF_PIECE = 4
 # Of the surface: some 400 bytes each.
 _MOST_POINTS = 4_000_000
-_VARIANTS = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "torch": "scalar_rgb"}
+_VARIANTS = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb"}
 
 
 def load_mitsuba(device: str = "auto") -> ModuleType:
-    """Mitsuba 3 with the fastest variant that runs here: CUDA, LLVM, or the scalar one, some hundred times slower."""
+    """Mitsuba 3 on CUDA or LLVM, as Dr.Jit runs here."""
     # First, because it sets the path of LLVM for Dr.Jit.
-    chosen = choose_device(device)
+    variant = _VARIANTS.get(choose_device(device).name)
     try:
         import mitsuba
     except ImportError as error:
@@ -36,7 +36,9 @@ def load_mitsuba(device: str = "auto") -> ModuleType:
             "render.mode is physical, which needs Mitsuba 3: pip install 'bathynerf[simulate]'; or give "
             "--mode direct, which needs nothing else"
         ) from error
-    mitsuba.set_variant(_VARIANTS[chosen.name])
+    if variant is None:
+        raise SurveyError("render.mode is physical, which needs CUDA or libLLVM; install one, or give --mode direct")
+    mitsuba.set_variant(variant)
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
     return mitsuba
 

@@ -84,7 +84,7 @@ class Sunlight:
             length = dr.maximum(dr.dot(mi.Point3f(*point.tolist()) - place, up), 0.0) / cosine
             start = dr.select(wet, place + dr.copysign(off, dr.dot(normal, bent)) * normal, start)
             # A point of the sun below a tilted surface does not shine into the water.
-            free = not_(wet) | ((rise > 0.0) & not_(self.solids.ray_test(mi.Ray3f(start, bent, length, 0.0, []), wet)))
+            free = ~wet | ((rise > 0.0) & ~self.solids.ray_test(mi.Ray3f(start, bent, length, 0.0, []), wet))
             passed = (1.0 - _fresnel(rise, cosine, n)) * rise / cosine
             lost = dr.exp(-length * self.scattering) * absorbed(mi, self.colour, length)
             power = dr.select(wet, power * passed * lost, power)
@@ -92,7 +92,7 @@ class Sunlight:
             toward = dr.select(wet, bent, in_air)
         else:
             foot = start
-        free &= not_(self.solids.ray_test(mi.Ray3f(foot, in_air)))
+        free &= ~self.solids.ray_test(mi.Ray3f(foot, in_air))
         return toward, dr.select(free, power, 0.0)
 
     def _of_disc(self, drawn):
@@ -106,11 +106,6 @@ def absorbed(mi: ModuleType, colour: WaterOptics, length):
     """Transmittance per channel of a path [m] through water; zero for an infinite one."""
     left = mi.Color3f(*(dr.exp(-a * length) for a in colour.absorption))
     return dr.select(dr.isfinite(length), left, mi.Color3f(0.0))
-
-
-def not_(mask):
-    """Logical not; ``~`` would turn the plain bool of the scalar variant into a number."""
-    return mask ^ True
 
 
 def _fresnel(cosine, inside, n: float):
@@ -139,19 +134,11 @@ class PathTracer:
         origin = np.broadcast_to(origin, direction.shape).astype(np.float32)
         direction = direction.astype(np.float32)
         sampler = mi.load_dict({"type": "independent"})
-        if self.is_scalar:
-            sampler.seed(seed)
-            rays = (mi.Ray3f(o, d) for o, d in zip(origin.tolist(), direction.tolist(), strict=True))
-            return np.array([np.array(self._follow(sampler, ray)).ravel() for ray in rays])
+
         sampler.seed(seed, len(direction))
         columns = (np.ascontiguousarray(part.T) for part in (origin, direction))
         ray = mi.Ray3f(mi.Point3f(next(columns)), mi.Vector3f(next(columns)))
         return np.array(self._follow(sampler, ray)).T.reshape(-1, 3)
-
-    @property
-    def is_scalar(self) -> bool:
-        """Whether rays are followed one by one."""
-        return self.mi.variant().startswith("scalar")
 
     @dr.syntax
     def _follow(self, sampler, ray):
@@ -173,18 +160,18 @@ class PathTracer:
             scattered = active & (flight < t)
             length = dr.minimum(t, flight)
             throughput = dr.select(wet, throughput * absorbed(mi, self.colour, length), throughput)
-            gone = active & not_(scattered) & not_(dr.isfinite(t))
-            light += dr.select(gone & not_(wet), throughput * self._above(ray.d, straight & not_(counted)), 0.0)
-            active &= not_(gone)
-            at_surface &= active & not_(scattered)
-            at_ground = active & not_(scattered) & not_(at_surface)
+            gone = active & ~scattered & ~dr.isfinite(t)
+            light += dr.select(gone & ~wet, throughput * self._above(ray.d, straight & ~counted), 0.0)
+            active &= ~gone
+            at_surface &= active & ~scattered
+            at_ground = active & ~scattered & ~at_surface
 
             next_ray = mi.Ray3f(ray)
             if at_surface:
-                light += dr.select(straight & not_(wet), throughput * self._glint(surface, straight & not_(wet)), 0.0)
+                light += dr.select(straight & ~wet, throughput * self._glint(surface, straight & ~wet), 0.0)
                 next_ray, through, bent = self._cross(sampler, surface, ray)
                 throughput *= through
-                counted = not_(wet) & not_(bent)
+                counted = ~wet & ~bent
                 wet ^= bent
             if at_ground:
                 next_ray, reflected, sun = self._leave_ground(sampler, ground, ray, wet)
@@ -215,7 +202,7 @@ class PathTracer:
         """Russian roulette: faint paths end and others are weighted up; the new throughputs, and which paths go on."""
         keep = dr.minimum(dr.max(throughput), 0.95)
         late = bounce > _SURE_BOUNCES
-        goes_on = active & (not_(late) | (sampler.next_1d(active) < keep))
+        goes_on = active & (~late | (sampler.next_1d(active) < keep))
         return dr.select(late, throughput / dr.maximum(keep, 1e-6), throughput), goes_on
 
     def _cross(self, sampler, surface, ray):
@@ -231,7 +218,7 @@ class PathTracer:
         toward = surface.to_world(mi.Vector3f(-surface.wi.x, -surface.wi.y, surface.wi.z))
         active &= self.sun.seen(toward)
         shadow_ray = surface.spawn_ray(toward)
-        active &= not_(self.solids.ray_test(shadow_ray, active)) & not_(self.surface.ray_test(shadow_ray, active))
+        active &= ~self.solids.ray_test(shadow_ray, active) & ~self.surface.ray_test(shadow_ray, active)
         mirrored = mi.fresnel(mi.Frame3f.cos_theta(surface.wi), self.n_water)[0]
         return mi.Color3f(dr.select(active, mirrored * self.sun.seen_radiance, 0.0))
 

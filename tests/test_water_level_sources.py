@@ -42,18 +42,6 @@ def test_the_ring_of_a_polygon_counts_each_vertex_once(tmp_path):
     assert "taken as crs" in notes[0]
 
 
-def test_longitude_and_latitude_are_taken_to_crs(tmp_path):
-    to_lonlat = Transformer.from_crs("EPSG:25832", "EPSG:4326", always_xy=True)
-    line = [[*to_lonlat.transform(e, n), h] for e, n, h in RING[:3]]
-    content = {
-        "type": "FeatureCollection",
-        "features": [feature("LineString", line), {"type": "Feature", "geometry": None}],
-    }
-    points, _ = points_of_features(written(tmp_path, content), CRS)
-    # Degrees of JSON have all their digits.
-    np.testing.assert_allclose(points, RING[:3], atol=1e-6)
-
-
 def test_an_older_file_names_its_crs_and_a_contour_line_its_height(tmp_path):
     to_utm31 = Transformer.from_crs("EPSG:25832", "EPSG:25831", always_xy=True)
     line = [list(to_utm31.transform(e, n)) for e, n, _ in RING[:3]]
@@ -106,15 +94,6 @@ def test_a_feature_without_the_property_is_refused_where_third_coordinates_are_z
     features = [feature("LineString", ring, level=2.0), feature("LineString", ring)]
     with pytest.raises(ConfigError, match="features without a height"):
         points_of_features(written(tmp_path, {"type": "FeatureCollection", "features": features}), CRS)
-
-
-def test_a_shoreline_in_geojson_gives_a_survey_its_level(tmp_path):
-    folder = small_survey(tmp_path / "s", toml=replaced((f"level_m = {LEVEL}", 'shoreline = "shore.geojson"')))
-    written(folder, feature("Polygon", [RING]))
-    survey = load_survey(folder)
-    assert survey.config.water.level_m == pytest.approx(LEVEL, abs=0.01)
-    # Three points of 3 cm each, and 2 cm that they share.
-    assert survey.config.water.level_std_m == pytest.approx((0.03**2 / 3 * 3 / 2 + 0.02**2) ** 0.5, rel=0.05)
 
 
 @pytest.mark.filterwarnings("ignore:.*crs.*:UserWarning")
@@ -351,18 +330,15 @@ def test_a_slope_beyond_that_of_a_rapid_is_refused_from_every_source(tmp_path, k
     assert with_level(tmp_path, config, {}, CRS)[0].water.slope_east != 0.0
 
 
-def test_points_of_bed_and_water_in_turn_are_refused(tmp_path):
-    rows = [f"{E0 + 3 * i},{N0 + (i * i) % 13},{LEVEL - (i % 2):.3f}" for i in range(16)]
-    (tmp_path / "rod.csv").write_text("easting,northing,height\n" + "\n".join(rows))
+def test_points_of_the_bed_among_those_of_the_water_are_named_and_refused_where_they_are_half(tmp_path):
+    def levelled(*of_bed):
+        rows = [f"{E0 + 3 * i},{N0 + (i * i) % 13},{LEVEL - (i in of_bed):.3f}" for i in range(16)]
+        (tmp_path / "rod.csv").write_text("easting,northing,height\n" + "\n".join(rows))
+        return with_level(tmp_path, parse_config('[water]\ngnss_points = "rod.csv"\n'), {}, CRS)[3].warnings
+
+    assert any("2 of 16 points" in text and "under it" in text for text in levelled(3, 8))
     with pytest.raises(ConfigError, match=r"gnss_points lie more than 5 .* they are not of one water"):
-        with_level(tmp_path, parse_config('[water]\ngnss_points = "rod.csv"\n'), {}, CRS)
-
-
-def test_points_of_the_bed_among_those_of_the_water_are_named(tmp_path):
-    rows = [f"{E0 + 3 * i},{N0 + (i * i) % 13},{LEVEL - (1.0 if i in (3, 8) else 0.0):.3f}" for i in range(16)]
-    (tmp_path / "rod.csv").write_text("easting,northing,height\n" + "\n".join(rows))
-    found = with_level(tmp_path, parse_config('[water]\ngnss_points = "rod.csv"\n'), {}, CRS)
-    assert any("2 of 16 points" in text and "under it" in text for text in found[3].warnings)
+        levelled(*range(1, 16, 2))
 
 
 @pytest.mark.parametrize(
@@ -400,10 +376,16 @@ def test_a_unit_of_a_drawing_that_nothing_decides_is_refused(tmp_path, code, is_
 )
 def test_what_geojson_without_crs_is_taken_for_is_said(tmp_path, name, note):
     line = lines_of({"a": LEVEL})["a"]
+    given = line
     if name == "lon":
         to_lonlat = Transformer.from_crs("EPSG:25832", "EPSG:4326", always_xy=True)
-        line = [[*to_lonlat.transform(e, n), h] for e, n, h in line]
-    assert note in points_of_features(written(tmp_path, feature("LineString", line)), CRS)[1][0]
+        given = [[*to_lonlat.transform(e, n), h] for e, n, h in line]
+    content = [feature("LineString", given), {"type": "Feature", "geometry": None}]
+    path = written(tmp_path, {"type": "FeatureCollection", "features": content})
+    points, notes = points_of_features(path, CRS)
+    assert note in notes[0]
+    # Degrees of JSON have all their digits.
+    np.testing.assert_allclose(points, line, atol=1e-6)
 
 
 def test_kml_on_the_ground_has_no_heights(tmp_path):

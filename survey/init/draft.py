@@ -24,7 +24,7 @@ from survey.pose_files import find_poses, read_poses
 from survey.settings.config import SurveyConfig, WaterConfig, parse_config, settings_of
 from survey.settings.tables import InitOptions
 from survey.sfm.gps import is_whole, positions_in_crs
-from survey.water.index import FRESH_WATER, SEA_WATER, SODIUM_NM
+from survey.water.level import FRESH_WATER, SEA_WATER, SODIUM_NM
 
 # The form in which TOML extensions of editors find a schema (Taplo, Even Better TOML, Tombi).
 SCHEMA_NAME = "survey.schema.json"

@@ -22,7 +22,7 @@ from survey.photos.cameras import View, projection_and_jacobian
 from survey.run.flight import FLIGHT, load_flight
 from survey.settings.config import SurveyConfig
 from survey.settings.tables import ControlConfig
-from survey.water.index import FRESH_WATER
+from survey.water.level import FRESH_WATER
 from survey.water.tides import with_tides
 from survey.words import RUN_FOLDER
 

@@ -1,4 +1,4 @@
-"""The water level from measurements on site: points of the surface, a gauge, a table, or clicks in photographs.
+"""The water by [water]: its level from measurements on site, and its refractive index.
 
     shoreline, gnss_points   CSV with easting, northing, height in crs, or GeoJSON: a plane is fitted
     surface                  the same or a raster: a plane under the photographs, and `survey.water.surface`
@@ -9,12 +9,18 @@
 Each is converted to level_m, its standard deviation and slopes of [water] when the survey is read; clicks once poses
 are known. The measurements themselves are in `survey.water.level_observation`, the level at each photograph in
 `survey.water.tides`.
+
+An index belongs to a wavelength (docs/light.md). The one that the program works with belongs to the light that is
+matched, a mixture of the channels of the photographs. ``refractive_index`` is that one, unless ``index_wavelength_nm``
+says to which wavelength it belongs: then, as from temperature and salinity, the index is that of the shares which red,
+green and blue have in the texture of the photographs.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,10 +31,12 @@ from evaluation.summary import HUBER_OF_MANY, huber_weights, std_by_median
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from geo.projection import metres_per_unit
+from refract.media import converted_index
 from survey.display.quantities import length
-from survey.errors import ConfigError, Findings
+from survey.errors import FILE_NAME, ConfigError, Findings
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
+from survey.photos.texture import MatchedLight
 from survey.settings.config import SurveyConfig
 from survey.settings.water import MOST_LEVEL_STD_M, MOST_SLOPE, LevelSources, WaterConfig, require_slope
 from survey.water.level_observation import COMMON_STD_M, LevelObservation, levels_of_clicks, points_of_surface
@@ -49,6 +57,10 @@ _FAR, _MOST_FAR = 5.0, 0.5
 _ONE_PLACE_M = 0.1
 # Points of a surface up to this far beyond the cameras, in flying heights, are used for its plane.
 _UNDER_VIEWS = 0.5
+# Wavelength of handbooks: the sodium line.
+FRESH_WATER, SEA_WATER, SODIUM_NM = 1.333, 1.340, 589.3
+# Std of an assumed index: any water from fresh to that of the sea, 0.007 above, is as likely.
+ASSUMED_INDEX_STD = 0.004
 
 
 @dataclass(frozen=True)
@@ -271,3 +283,32 @@ def _with_moving(
     level_std = water.level_std_m or min(std, MOST_LEVEL_STD_M)
     water = replace(water, level_m=moving.level_m, level_std_m=level_std, gauge_zero_m=None, sources=LevelSources())
     return replace(config, water=water), moving.observations, moving.tide, Findings((text,)) + moving.findings
+
+
+def refractive_index(given: WaterConfig, light: Callable[[], MatchedLight]) -> tuple[float, Findings]:
+    """Index of the water relative to air, for the light that is matched, and what is assumed.
+
+    ``light`` measures that of the photographs; it is called only where the index depends on it.
+    """
+    temperature_c, salinity_psu = given.medium.temperature_c, given.medium.salinity_psu
+    if temperature_c is None:
+        index, wavelength_nm, what = given.refractive_index, given.medium.index_wavelength_nm, ""
+        if index is None:
+            index, wavelength_nm = FRESH_WATER, SODIUM_NM
+            what = f"fresh water (the sea has {SEA_WATER:.3f}, 0.7 % more depth), "
+        if wavelength_nm is None:
+            return index, Findings()
+        matched = light()
+        found = round(converted_index(index, wavelength_nm, matched.shares), 6)
+        return found, Findings((f"refractive_index = {found}, {what}{index:g} at {wavelength_nm:g} nm for {matched}",))
+    matched, assumed = light(), () if salinity_psu is not None else ("salinity_psu = 0, fresh water",)
+    with warnings.catch_warnings(record=True) as fit_warnings:
+        warnings.simplefilter("always")
+        try:
+            index = round(matched.index(temperature_c, salinity_psu or 0.0), 6)
+        except ValueError as error:
+            raise ConfigError(f"[water] in {FILE_NAME}: {error}; or give refractive_index instead") from error
+    message = f"refractive_index = {index}, of water of {temperature_c:g} degrees for {matched}"
+    if fit_warnings:
+        message += f", although {' and '.join(dict.fromkeys(str(each.message) for each in fit_warnings))}"
+    return index, Findings((*assumed, message))

@@ -30,7 +30,7 @@ from survey.plan.area import ASSUMED_DEPTH_M, in_the_middle, places_of
 from survey.plan.check import CheckSection, Verdict, verdict_by_limits, verdict_text
 from survey.plan.choices import USUAL, Choices
 from survey.plan.plan import Plan, make_plan
-from survey.water.index import ASSUMED_INDEX_STD
+from survey.water.level import ASSUMED_INDEX_STD
 
 # What is assumed [px] of the windows of an adjustment and of the pixels of the cloud, in clear and still water: on
 # drawn surveys level and index are then found up to twice as well as foreseen (docs/adjustment.md).

@@ -92,72 +92,6 @@ def test_cameras_csv_and_colmap_text_and_binary_give_the_same_cameras(data_dir, 
             assert ours.camera.fx == theirs.camera.fx
 
 
-def test_text_and_binary_are_read_as_pycolmap_reads_them(tmp_path, rng):
-    text = tmp_path / "text"
-    text.mkdir()
-    lenses = [
-        f"{i} {model} 640 480 " + " ".join(str(v) for v in (500.0, 501.0, 320.0, 240.0, *[0.01] * 8)[: len(names)])
-        for i, (model, (number, names)) in enumerate(MODELS.items(), start=1)
-        if number is not None
-    ]
-    (text / "cameras.txt").write_text("# a comment\n\n" + "\n".join(lenses) + "\n")
-    images = []
-    for i in range(1, 15):
-        quaternion = rng.normal(size=4)
-        pose = [*quaternion / np.linalg.norm(quaternion), *rng.normal(size=3)]
-        numbers = " ".join(f"{v:.17g}" for v in pose)
-        points = "10.5 20.25 -1 30 40 -1" if i % 3 == 0 else ""
-        images.append(f"{i} {numbers} {(i - 1) % 7 + 1} flight{i % 2}/{i:04d}.jpg\n{points}")
-    (text / "images.txt").write_text("# a comment\n" + "\n".join(images) + "\n")
-    (text / "points3D.txt").write_text("")
-    theirs = pycolmap.Reconstruction(text)
-    binary = tmp_path / "binary"
-    binary.mkdir()
-    theirs.write_binary(binary)
-    expected = {image.name: image for image in theirs.images.values()}
-    for folder in (text, binary):
-        poses = colmap.read_model(folder).poses
-        assert {pose.name for pose in poses} == set(expected)
-        for pose in poses:
-            image = expected[pose.name]
-            # Some ten roundings of numbers of order one on either side.
-            assert pose.centre == pytest.approx(image.projection_center(), abs=1e-14)
-            rotation = image.cam_from_world().rotation.matrix()
-            assert pose.cam_from_world == pytest.approx(rotation, abs=1e-14)
-            assert pose.lens.model == image.camera.model.name
-            assert pose.lens.params == tuple(image.camera.params)
-
-
-def test_points_are_those_of_pycolmap_in_text_and_binary_and_a_cut_is_refused(tmp_path, rng):
-    text = write_model(tmp_path / "text", "".join(f"{i} 1 0 0 0 0 0 0 1 {i}.jpg\n1 2 1 3 4 2\n" for i in (1, 2, 3)))
-    xyz = rng.normal(size=(2, 3))
-    lines = [" ".join(f"{v:.17g}" for v in point) for point in xyz]
-    tracks = "1 0 2 0 3 0", "1 1 2 1"
-    (text / "points3D.txt").write_text(
-        "# a comment\n" + "".join(f"{i} {lines[i - 1]} 9 9 9 0.5 {tracks[i - 1]}\n" for i in (1, 2))
-    )
-    binary = tmp_path / "binary"
-    binary.mkdir()
-    pycolmap.Reconstruction(text).write_binary(binary)
-    for folder in (text, binary):
-        ties = read_ties(folder)
-        assert (ties.points == xyz).all()
-        assert list(ties.num_views) == [3, 2]
-        seen = list(zip(ties.point.tolist(), [ties.names[i] for i in ties.image], ties.pixel.tolist(), strict=True))
-        expected = [(p, f"{i}.jpg", place) for i in (1, 2, 3) for p, place in ((0, [1.0, 2.0]), (1, [3.0, 4.0]))]
-        assert seen == expected
-    data = (binary / "points3D.bin").read_bytes()
-    for length in range(len(data)):
-        (binary / "points3D.bin").write_bytes(data[:length])
-        with pytest.raises(PosesError, match=r"points3D\.bin is damaged"):
-            colmap.read_ties(binary)
-    (text / "points3D.txt").write_text("1 0 0 0 9 9 9 0.5 1\n")
-    with pytest.raises(PosesError, match=r"points3D\.txt is damaged"):
-        colmap.read_ties(text)
-    (text / "points3D.txt").unlink()
-    assert read_ties(text) is None
-
-
 def test_the_ids_of_our_models_are_those_of_colmap():
     for model, (number, names) in MODELS.items():
         if number is None:
@@ -218,18 +152,28 @@ def test_a_spoilt_model_is_refused_with_the_file_and_the_image(tmp_path, images,
     assert words in str(error.value)
 
 
-def test_a_binary_model_that_is_cut_off_is_refused_wherever_the_cut_is(tmp_path):
-    text = write_model(tmp_path / "text", "1 1 0 0 0 0 0 0 1 a.jpg\n1 2 -1 3 4 -1\n2 1 0 0 0 1 1 1 1 b.jpg\n\n")
-    (text / "points3D.txt").write_text("")
+@pytest.mark.parametrize("name", ["images", "points3D"])
+def test_a_binary_model_that_is_cut_off_is_refused_wherever_the_cut_is(tmp_path, name):
+    text = write_model(tmp_path / "text", "1 1 0 0 0 0 0 0 1 a.jpg\n1 2 1 3 4 -1\n2 1 0 0 0 1 1 1 1 b.jpg\n1 2 1\n")
+    (text / "points3D.txt").write_text("# a comment\n1 0.5 1.5 2.5 9 9 9 0.5 1 0 2 0\n")
     whole = tmp_path / "whole"
     whole.mkdir()
     pycolmap.Reconstruction(text).write_binary(whole)
-    data = (whole / "images.bin").read_bytes()
+    for folder in (text, whole):
+        ties = read_ties(folder)
+        assert (ties.points.tolist(), ties.num_views.tolist()) == ([[0.5, 1.5, 2.5]], [2])
+        assert (ties.image.tolist(), ties.pixel.tolist()) == ([0, 1], [[1.0, 2.0], [1.0, 2.0]])
+    data = (whole / f"{name}.bin").read_bytes()
     assert len(colmap.read_model(whole).poses) == 2
     for length in range(len(data)):
-        (whole / "images.bin").write_bytes(data[:length])
-        with pytest.raises(PosesError, match=r"images\.bin is damaged"):
-            colmap.read_model(whole)
+        (whole / f"{name}.bin").write_bytes(data[:length])
+        with pytest.raises(PosesError, match=rf"{name}\.bin is damaged"):
+            colmap.read_model(whole), read_ties(whole)
+    (text / "points3D.txt").write_text("1 0 0 0 9 9 9 0.5 1\n")
+    with pytest.raises(PosesError, match=r"points3D\.txt is damaged"):
+        read_ties(text)
+    (text / "points3D.txt").unlink()
+    assert read_ties(text) is None
 
 
 @pytest.mark.parametrize(

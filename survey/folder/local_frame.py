@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
-from survey.water.index import ASSUMED_INDEX_STD, refractive_index
 
 from geo.compatibility import crs_difference
 from geo.crs import (
@@ -36,6 +35,7 @@ from survey.photos.texture import matched_light
 from survey.settings.config import SurveyConfig, WaterConfig
 from survey.settings.water import MOST_LEVEL_STD_M, Medium
 from survey.sfm.gps import area_at, frame_about, height_transformer
+from survey.water.level import ASSUMED_INDEX_STD, refractive_index
 
 _WGS84 = CRS("EPSG:4979")
 _HEIGHTS = "the heights of the poses"

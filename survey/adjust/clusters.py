@@ -45,15 +45,9 @@ _PLACES = 8
 def cluster_design_effect(
     ties: TiePoints, residuals: np.ndarray, std_px: np.ndarray, kind: np.ndarray, sizes: Sizes
 ) -> np.ndarray:
-    """Factors (N,), at least 1, on the variances of observations.
+    """Factors (N,), at least 1, on the variances of observations of residuals (N, 2) [px]; each kind (N,) has one.
 
-    Parameters
-    ----------
-    residuals : (N, 2) [px]
-    std_px : (kinds,) [px]
-        Standard deviation of a pixel coordinate of each kind.
-    kind : (N,)
-        Each kind has one factor.
+    ``std_px`` (kinds,) is the standard deviation of a pixel coordinate of each kind.
     """
     length = np.linalg.norm(residuals, axis=1, keepdims=True)
     bound = _MOST * std_px[kind][:, None]
@@ -93,15 +87,7 @@ def _numbered(cells: np.ndarray) -> np.ndarray:
 def terrain_design_effect(problem: Problem, solution: Solution, sizes: Sizes, kinds: np.ndarray) -> float:
     """Design effect on the variance of height, tilt and shift of the whole block, over its normal equations.
 
-    Parameters
-    ----------
-    kinds : (N,) bool
-        Observations that count.
-
-    Returns
-    -------
-    float
-        One where too little ground is seen to tell.
+    Of observations of some kinds, (N,) bool; one where too little ground is seen to tell.
     """
     ties, state, layout = problem.ties, solution.state, problem.layout
     linear = linearise(layout, state, ties, problem.rise_design, problem.rows)
@@ -116,9 +102,13 @@ def terrain_design_effect(problem: Problem, solution: Solution, sizes: Sizes, ki
     changes = PredictionChanges(
         weights, residuals, _followed(ties, weights, by_point, change), design, layout.columns[ties.view]
     )
+    # What the longer side of a photograph shows on the ground [m], with straight rays.
+    distance = np.linalg.norm(state.points[ties.point] - state.centres[ties.view], axis=1)
+    longer = np.array([max(size) for size in sizes], dtype=np.float64)
+    footprint = float(np.median(distance * (longer / state.lenses[layout.lens_of, 0])[ties.view]))
     found = []
     for share in _SIDES_ON_GROUND:
-        side = share * _footprint(problem, state, sizes)
+        side = share * footprint
         square = _numbered(np.floor(state.points[:, :2] / side))[ties.point]
         if len(np.unique(square[used])) >= _FEWEST:
             found.append(float(np.mean(changes.ratios(square, solution.covariance))))
@@ -158,14 +148,6 @@ def _followed(ties: TiePoints, weights: np.ndarray, by_point: np.ndarray, change
     return change - by_point @ step[ties.point]
 
 
-def _footprint(problem: Problem, state: State, sizes: Sizes) -> float:
-    """Footprint of the longer side of a photograph on the ground [m], with straight rays."""
-    ties, layout = problem.ties, problem.layout
-    distance = np.linalg.norm(state.points[ties.point] - state.centres[ties.view], axis=1)
-    longer = np.array([max(size) for size in sizes], dtype=np.float64)
-    return float(np.median(distance * (longer / state.lenses[layout.lens_of, 0])[ties.view]))
-
-
 @dataclass(frozen=True)
 class PredictionChanges:
     """Changes of the predicted observations by C changes of the parameters."""
@@ -179,12 +161,8 @@ class PredictionChanges:
     def ratios(self, square: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         """Ratios (C,) of the squared sums over squares of ground to their expectation for independent errors.
 
-        Parameters
-        ----------
-        square : (N,) int64
-            Number of the square of each observation.
-        covariance : (P, P)
-            Of the parameters; of it, what belongs to the photographs of one square.
+        Each observation has the number of its square (N,); of the covariance (P, P) of the parameters what belongs to
+        the photographs of one square counts.
         """
         weighted = self.weights[:, None, None] * self.changes
         total, num = np.einsum("nac,nac->c", weighted, self.changes), weighted.shape[2]

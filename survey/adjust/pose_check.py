@@ -76,14 +76,7 @@ def check_of_windows(
 ) -> PoseCheck:
     """The check by windows of a sample of photographs.
 
-    Parameters
-    ----------
-    block : Block
-        The photographs of the survey, at the scale of the plan.
-    bound : (low, high) [m] over the water plane
-        In which the bed lies.
-    advance : callable
-        Called with the increment; increments sum to 1.
+    The block has all photographs at the scale of the plan; its bed lies between ``bound`` [m] over the water plane.
     """
     chosen = _of_middle(survey, plan.height_m)
     sample = replace(without_ties(survey), views=tuple(survey.views[i] for i in chosen))
@@ -139,10 +132,7 @@ def _of_middle(survey: Survey, height: float) -> list[int]:
 
 
 def deep_check(folder: Path, *, device: str = "auto") -> list[CheckSection]:
-    """Test of poses, lens and water against the photographs, without a point cloud.
-
-    Poses that structure from motion has to find are kept in ``folder/bathynerf``, for `process` to use.
-    """
+    """Test of poses, lens and water against the photographs, without a point cloud; poses that are found are kept."""
     progress = current()
     survey = load_survey(folder, report=progress.note)
     plan, checked = make_plan(survey, Choices(device=device)), PoseCheck(None)

@@ -40,13 +40,7 @@ def covariance_over_shore(problem: Problem, solution: Solution) -> np.ndarray:
     have none, and seem to determine it together with the wet ones; at a slightly higher level they would not.
     Over a bed that is all wet, photographs may determine the level to no better than a metre, and the adjustment ends
     where the first points come dry, with a standard deviation of centimetres. So the normal equations are taken with
-    the water raised by two standard deviations, until these no longer grow. Where no point is near the surface, the
-    covariance is that of the solution.
-
-    Parameters
-    ----------
-    solution : Solution
-        Of the problem; its weights are kept.
+    the water raised by two standard deviations, until these no longer grow.
     """
     state, widest = solution.state, solution.system
     std = std_over_points(widest, solution.covariance)
@@ -61,10 +55,7 @@ def covariance_over_shore(problem: Problem, solution: Solution) -> np.ndarray:
 
 
 def std_over_points(system: System, covariance: np.ndarray | None = None) -> float:
-    """Standard deviation [m] of the height of the water over the points, in the mean.
-
-    ``covariance`` (P, P) is that of the parameters, by default the inverse of the normal matrix.
-    """
+    """Standard deviation [m] of the mean height of the water over the points, by a covariance (P, P) if given."""
     depth = -system.heights_by_parameters()
     depth[0] += 1.0
     following = system.normal.factor().solve(depth) if covariance is None else covariance @ depth
@@ -86,15 +77,7 @@ class RobustSolution:
 
 
 def adjust(prior: PriorKnowledge, seen: Observed) -> RobustSolution:
-    """Adjust a block, and again without outliers until none is left.
-
-    Parameters
-    ----------
-    prior : PriorKnowledge
-        Start values and priors of the parameters.
-    seen : Observed
-        Tie points and control, with the std of marks [px] and the sizes of the photographs [px].
-    """
+    """Adjust a block from what is known, and again without outliers until none is left."""
     if not len(seen.kind):
         raise NotConvergedError("no tie point is left that three photographs show; the poses may be far off")
     state = replace(prior.state, points=seen.ties.start)

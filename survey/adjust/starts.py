@@ -43,53 +43,42 @@ _REJECTED = 3.0
 def better_of_two_starts(
     survey: Survey, prior: PriorKnowledge, first: Adjustment, adjusted: Callable[[Survey, PriorKnowledge], Adjustment]
 ) -> Adjustment:
-    """The adjustment as it is; of two photographs placed by control, the better of that and one from a level start.
-
-    Parameters
-    ----------
-    first : Adjustment
-        From the start as it is.
-    adjusted : callable
-        Adjusts a survey from what is known.
-    """
-    turn = None if not _needs_second_start(survey) else _turn_to_level(prior)
-    if turn is None:
-        return first
+    """The adjustment as it is; of two photographs placed by control, the better of that and one from a level start."""
+    turn = _turn_to_level(prior) if _needs_second_start(survey) else None
     ties = survey.observations.ties
-    assert ties is not None
+    if turn is None or ties is None:
+        return first
     middle = np.median(ties.start, axis=0)
     centres = middle + (prior.state.centres - middle) @ turn.T
     rotations = prior.state.rotations @ turn.T
-    lenses = [view.lens for view in survey.views]
-    cameras = [lens.camera(*pose) for lens, *pose in zip(lenses, centres, rotations, strict=True)]
-    level = replace(
-        survey,
-        views=tuple(replace(view, camera=camera) for view, camera in zip(survey.views, cameras, strict=True)),
-        observations=replace(survey.observations, ties=replace(ties, start=middle + (ties.start - middle) @ turn.T)),
+    views = tuple(
+        replace(view, camera=view.lens.camera(*pose))
+        for view, *pose in zip(survey.views, centres, rotations, strict=True)
     )
-    start = replace(prior, state=replace(prior.state, centres=centres, rotations=rotations))
+    ties = replace(ties, start=middle + (ties.start - middle) @ turn.T)
+    level = replace(survey, views=views, observations=replace(survey.observations, ties=ties))
+    state = replace(prior.state, centres=centres, rotations=rotations)
     mean = replace(prior.mean, rotations=prior.mean.rotations @ turn.T)
     try:
-        second = adjusted(level, replace(start, mean=mean))
+        second = adjusted(level, replace(prior, state=state, mean=mean))
     except SurveyError:
         # What contradicts the level start is not an error of the block.
         return first
-    if not _are_apart(first, second):
+    turns = first.poses.rotations @ second.poses.rotations.transpose(0, 2, 1)
+    apart = np.abs(Rotation.from_matrix(turns).as_rotvec(degrees=True))
+    if not (apart > _APART * np.hypot(first.poses.rotation_std_deg, second.poses.rotation_std_deg)).any():
         return first
     gain = _misfit(survey, first, second) - _misfit(survey, second, first)
     best, other = (second, first) if gain > 0.0 else (first, second)
     if abs(gain) > _SURE:
         return best
     difference = float(np.abs(np.median(first.points[:, 2]) - np.median(second.points[:, 2])))
-    return replace(
-        best,
-        warnings=(
-            *best.warnings,
-            f"two photographs are fitted about as well by another solution, whose cameras lie "
-            f"{np.linalg.norm(best.poses.centres - other.poses.centres, axis=1).max():.2f} m and whose heights "
-            f"{difference:.2f} m (median) off; give control farther apart, [cameras] position_std_m, or attitudes",
-        ),
+    warning = (
+        f"two photographs are fitted about as well by another solution, whose cameras lie "
+        f"{np.linalg.norm(best.poses.centres - other.poses.centres, axis=1).max():.2f} m and whose heights "
+        f"{difference:.2f} m (median) off; give control farther apart, [cameras] position_std_m, or attitudes"
     )
+    return replace(best, warnings=(*best.warnings, warning))
 
 
 def _needs_second_start(survey: Survey) -> bool:
@@ -110,12 +99,6 @@ def _turn_to_level(prior: PriorKnowledge) -> np.ndarray | None:
     if angle < math.radians(_TILTED_DEG):
         return None
     return Rotation.from_rotvec(angle * across / np.linalg.norm(across)).as_matrix()
-
-
-def _are_apart(one: Adjustment, other: Adjustment) -> bool:
-    turns = Rotation.from_matrix(one.poses.rotations @ other.poses.rotations.transpose(0, 2, 1)).as_rotvec(degrees=True)
-    std = np.hypot(one.poses.rotation_std_deg, other.poses.rotation_std_deg)
-    return bool((np.abs(turns) > _APART * std).any())
 
 
 def _misfit(survey: Survey, found: Adjustment, other: Adjustment) -> float:

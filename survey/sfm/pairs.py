@@ -130,16 +130,9 @@ def _by_direction(offsets: np.ndarray) -> np.ndarray:
 
 
 def similar_images(descriptors: Iterable[np.ndarray], num: int, of: Sequence[int]) -> Iterator[tuple[int, int]]:
-    """Pairs of photographs, by number: some of them with those that look most like them, the best first.
+    """Pairs of photographs, by number: some (``of``) with those that look most like them, the best first.
 
-    Parameters
-    ----------
-    descriptors : iterable of (F, 128) uint8
-        Of all photographs, those of the largest scale first; read one by one.
-    num : int
-        Of photographs.
-    of : sequence of int
-        The photographs whose partners are sought.
+    Descriptors (F, 128) uint8 of all photographs, those of the largest scale first, are read one by one.
     """
     every = np.zeros((num, VOTING, 128), np.float32)
     for number, own in enumerate(descriptors):

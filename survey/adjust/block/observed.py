@@ -85,14 +85,7 @@ class Observed:
 def observed(
     parts: list[tuple[int, TiePoints]], control: Control | None, survey: Survey, prior: PriorKnowledge
 ) -> Observed:
-    """All observations, in pixels that Brown's lens of the adjustment predicts.
-
-    Parameters
-    ----------
-    parts : list of (kind, TiePoints)
-    survey : Survey
-        Whose views the tie points are numbered by.
-    """
+    """All observations, parts of one kind each, in pixels that Brown's lens of the adjustment predicts."""
     if control is not None and control.points:
         parts = [*parts, (MARK, _marks(control, survey))]
     ties = TiePoints.together([replace(ties, pixel=_straightened(ties, prior)) for _, ties in parts])

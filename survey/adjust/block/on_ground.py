@@ -15,9 +15,8 @@ weights. Positions are known to some metres in plan.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.ndimage import minimum_filter
@@ -247,14 +246,6 @@ class GroundFit:
     reference: str  # File of the earlier survey
     moved: tuple[float, ...]  # Of each of `NAMES`: by how much, from where poses and positions had it
     is_against_positions: bool  # Whether it contradicts positions of a stated accuracy
-
-    @classmethod
-    def of_record(cls, record: Mapping[str, Any] | None) -> GroundFit | None:
-        """The fit of a stored record."""
-        if record is None:
-            return None
-        values: dict[str, Any] = {name: tuple(v) if isinstance(v, list | tuple) else v for name, v in record.items()}
-        return cls(**values)
 
     @property
     def is_determined_by_ground(self) -> tuple[bool, ...]:

@@ -178,13 +178,9 @@ def huber_loss(length: np.ndarray) -> np.ndarray:
 
 
 def std_of_kinds(problem: Problem, residuals: np.ndarray, taken: float) -> np.ndarray:
-    """Standard deviation [px] of a coordinate of each kind of observation, from the median of its residuals.
+    """Standard deviation [px] of a coordinate of each kind of observation, from the median of its residuals (N, 2).
 
-    Parameters
-    ----------
-    residuals : (N, 2) [px]
-    taken : float
-        How many coordinates the parameters take.
+    ``taken`` is how many coordinates the parameters take.
     """
     length = np.linalg.norm(residuals, axis=1)
     # Each point takes three of the coordinates that its observations have.

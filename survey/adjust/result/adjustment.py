@@ -243,20 +243,22 @@ def read_adjustment(folder: Path) -> Adjustment:
         attributes = {field.name: _file_name(prefix, field.name) for field in fields(kind)}
         records[name] = kind(**{key: values[stored] for key, stored in attributes.items() if stored in values})
     records |= {name: values.get(name) for name in ("points", "notes", "warnings", "readouts_s", "common_up_m")}
-    water = values["water"]
+    water, ground = values["water"], values.get("ground")
     return Adjustment(
         parameters=tuple(Parameter(**{**row, "status": Status(row["status"])}) for row in values["parameters"]),
         water=None if water is None else parse_values({k: v for k, v in water.items() if v is not None}, WaterConfig),
-        lenses=tuple(Lens(row["model"], tuple(row["params"]), row["width"], row["height"]) for row in record["lenses"]),
-        ground=GroundFit.of_record(record.get("ground")),
-        control=tuple(ControlResidual(**{**row, "residual_m": tuple(row["residual_m"])}) for row in record["control"]),
+        lenses=tuple(Lens(**row) for row in values["lenses"]),
+        ground=None if ground is None else GroundFit(**ground),
+        control=tuple(ControlResidual(**row) for row in values["control"]),
         **records,
     )
 
 
 def _tuples(value):
     """Lists of JSON as the tuples they were."""
-    return tuple(_tuples(v) for v in value) if isinstance(value, list) else value
+    if isinstance(value, dict):
+        return {key: _tuples(each) for key, each in value.items()}
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
 class Estimate(NamedTuple):

@@ -78,17 +78,10 @@ class Foreseen:
 
 
 def foresee(survey: Survey, *, depth_m: float = ASSUMED_DEPTH_M, chosen: Choices = USUAL) -> Foreseen | None:
-    """Expected accuracy of a survey over a level bed; None where too few views overlap.
+    """Expected accuracy of a survey over a level bed under so much water; None where too few views overlap.
 
-    Parameters
-    ----------
-    survey : Survey
-        Of a large one, the views in its middle count.
-    depth_m : [m]
-        Of the bed under the water.
-    chosen : Choices
-        Of the run: photographs that its quality halves are matched to larger pixels, and its plan adjusts the poses or
-        keeps them.
+    Of a large survey the views in its middle count. Photographs that the quality of the run halves are matched to
+    larger pixels, and its plan adjusts the poses or keeps them.
     """
     plan, survey = make_plan(survey, chosen), in_the_middle(survey)
     ties = _ties(survey, depth_m)

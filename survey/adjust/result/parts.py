@@ -38,13 +38,7 @@ class CommonError:
 
 
 def common_error(found: Adjustment, water: FlatWater | None) -> CommonError | None:
-    """Std of the mean height over an adjusted block, but for errors of single points; None without points.
-
-    Parameters
-    ----------
-    water : FlatWater or None
-        Local, as it was found.
-    """
+    """Std of the mean height over an adjusted block under local water, but for errors of single points."""
     jacobian = height_jacobian_over_area(found, water)
     if not len(jacobian):
         return None

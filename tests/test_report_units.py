@@ -92,7 +92,7 @@ def test_limits_are_those_of_the_run(plane_report):
     grid = Grid.northward_from(np.zeros(2), 10.0, (2, 2))
     cells = SeenCells(grid, np.eye(2, dtype=bool), np.full((2, 2), 3), np.zeros((2, 2)))
     coverage = coverage_of(cells, np.full((2, 2), 1.5), 0.03)
-    figures = figures_of(facts_of(survey, bed, coverage=coverage))
+    figures = figures_of(facts_of(survey, bed)) | {"coverage": coverage}
     page = render_page(figures, [])
     assert "Nothing independent was measured with it" in page
     assert f"within {length(1.96 * figures['height_std_m'].whole)} of the truth in 95 of 100 cases" in page

@@ -20,7 +20,7 @@ from survey.photos.texture import MatchedLight
 from survey.plan.plan import Plan
 from survey.report.checkpoints import CheckpointAccuracy, checkpoints_of
 from survey.report.photographs import PhotographFigures
-from survey.report.seen_cells import CoverageFigures, SeenCells
+from survey.report.seen_cells import SeenCells
 
 if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints
@@ -86,8 +86,7 @@ class ReportFacts:
     timings: dict[str, float]  # dict: seconds by stage [s], in order
     bed: BedPoints  # Local frame, N points
     points_crs: np.ndarray  # (N, 3) float64: the same points, in crs
-    # One of them is shown beside its photograph, see `survey.report.maps.representative`
-    height_maps: Sequence[HeightMap] | None = None
+    height_maps: Sequence[HeightMap] | None = None  # One of them is shown beside its photograph
     # Of the cloud of these points with a reference, from `survey.compare.comparison.compare_surfaces`
     comparison: Comparison | None = None
     # The same of the cloud that the sweep alone would have given; None where there is no field or no reference
@@ -101,8 +100,6 @@ class ReportFacts:
     photographs: tuple[PhotographFigures, ...] = ()  # Shares of each that were left out; empty where not computed
     # dict of name to Exif: image headers of the photographs that are used; empty where they were not read
     headers: Mapping[str, Exif] = field(default_factory=dict)
-    # What of the water was seen; None for a dry survey, or where nobody has looked
-    coverage: CoverageFigures | None = None
     waves: WaveFigures | None = None  # None where no solver ran
     surfaces: WaveSurfaces | None = None  # Of the water in each photograph; None where it was still
     cells: SeenCells | None = None  # Of the ground, with points and without; None where nobody has looked

@@ -5,6 +5,7 @@ A figure is named here, by its key with its unit (none: m, or [-] of an index), 
 
 from __future__ import annotations
 
+import math
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +28,8 @@ from survey.report.adjustment import adjustment_of
 from survey.report.checkpoints import checkpoint_warnings, stated_of
 from survey.report.facts import ReportFacts, dry_warnings, height_std
 from survey.report.photographs import photograph_warnings, taken_of
+from survey.report.seen_cells import CoverageFigures, coverage_of
+from survey.water.surface import height_above
 
 if TYPE_CHECKING:
     from survey.compare.figures import Comparison
@@ -76,7 +79,7 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
         "checkpoints": facts.checkpoints,
         "height_std_m": height_std(bed.std, facts.std_common) if len(bed) else None,
         "stated": stated_of(facts.stated, depth),
-        "coverage": facts.coverage,
+        "coverage": _coverage(facts),
         "waves": facts.waves,
         "adjustment": adjustment_of(survey, facts.adjustment),
         "baselines": baselines_of(facts),
@@ -194,6 +197,16 @@ def _cloud(facts: ReportFacts) -> dict[str, Any]:
         "views_per_point": _spread(finite(bed.num_views), "min", "median", "mean", "max"),
         "incidence_deg": _spread(np.degrees(finite(bed.incidence)), "median", "p95", "max"),
     }
+
+
+def _coverage(facts: ReportFacts) -> CoverageFigures | None:
+    """Coverage of the water; None for a dry survey, or where nobody has looked."""
+    survey, cells = facts.survey, facts.cells
+    if survey.water is None or cells is None:
+        return None
+    places, shared = cells.middles, math.nan if facts.std_common is None else median(facts.std_common)
+    above = height_above(survey.water, survey.observations.departure, places.reshape(-1, 3))
+    return coverage_of(cells, -above.reshape(places.shape[:2]), None if math.isnan(shared) else shared)
 
 
 def _spread(values: np.ndarray, *names: str) -> dict[str, float] | None:

@@ -67,11 +67,6 @@ _LEGEND = {
 _UNSEEN_PIXELS = 900
 
 
-def representative(height_maps: Sequence[HeightMap]) -> int:
-    """The height map to show: that with the most pixels that another view confirms."""
-    return int(np.argmax([np.count_nonzero(m.agreeing) for m in height_maps]))
-
-
 def draw_orthophoto(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     """The cloud in its colours, in plan, the highest point of each cell on top."""
     colours = without_pinholes(grid.highest(facts.points_crs[:, 2], facts.bed.rgb))
@@ -135,7 +130,8 @@ def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
 
 def draw_view(path: Path, facts: ReportFacts, height_maps: Sequence[HeightMap]) -> Picture:
     """A photograph next to its height map, shown as depths."""
-    height_map = height_maps[representative(height_maps)]
+    # That with the most pixels that another view confirms.
+    height_map = height_maps[int(np.argmax([np.count_nonzero(each.agreeing) for each in height_maps]))]
     view = facts.survey.views[height_map.view]
     share_confirmed = float((height_map.agreeing > 0).mean())
     # Large maps are subsampled: matplotlib takes some 100 bytes per pixel.

@@ -12,7 +12,7 @@ from evaluation import IhoS44
 from survey.compare import tables as of_comparison
 from survey.compare.figures import Figures
 from survey.display import palette
-from survey.display.blocks import Block, Rows, Section, Sentences, Text, png_data
+from survey.display.blocks import Block, Rows, Section, Sentences, Table, Text, png_data
 from survey.display.canvas import Picture
 from survey.display.quantities import (
     NO_BREAK,
@@ -27,6 +27,7 @@ from survey.display.quantities import (
     typeset,
     volume,
 )
+from survey.progress import clock
 from survey.report import checkpoints, photographs, tables
 from survey.report.adjustment import adjustment
 from survey.report.checkpoints import LE95
@@ -88,6 +89,8 @@ def _sections(figures: ReportFigures) -> list[Section]:
     """The parts of the page after the pictures, in their order; some may be empty."""
     comparison: Figures | None = figures["comparison"]
     uncertainty = None if comparison is None else comparison.uncertainty
+    decisions = [(decision.name, decision.choice, decision.reason) for decision in figures["plan"].decisions]
+    timings = [(name.replace("_", " "), clock(seconds)) for name, seconds in figures["timings_s"].items()]
     return [
         Section("Coverage of the water", _coverage(figures)),
         Section("Comparison with the reference", of_comparison.comparison(comparison)),
@@ -100,12 +103,12 @@ def _sections(figures: ReportFigures) -> list[Section]:
         Section("Point cloud", tables.cloud(figures["cloud"], figures["survey"]["crs"])),
         Section("Survey and water", tables.survey(figures["survey"], figures["water"], figures["plan"])),
         Section("Photographs", photographs.table(figures["photographs"], figures["photographs_left_out"])),
-        Section("Processing decisions", tables.decisions(figures["plan"].decisions)),
+        Section("Processing decisions", [Table(("decision", "choice", "reason"), decisions, num_texts=3)]),
         *(
             Section(name.capitalize(), [Sentences(figures[name])] if figures[name] else [])
             for name in ("assumptions", "warnings")
         ),
-        Section("Run time", tables.timings(figures["timings_s"])),
+        Section("Run time", [Table(("stage", "time"), timings)]),
         Section("Software versions", [Rows(list(figures["versions"].items()))] if figures["versions"] else []),
     ]
 

@@ -17,8 +17,7 @@ from survey.display.quantities import (
     number,
     share,
 )
-from survey.plan.plan import Decision, Plan
-from survey.progress import clock
+from survey.plan.plan import Plan
 from survey.report.checkpoints import CheckpointAccuracy
 from survey.report.facts import WaveFigures
 
@@ -110,18 +109,6 @@ def _light(light: dict[str, Any]) -> str:
     return (
         f"{message}; the index belongs to it. At 589 nm, as in handbooks, it is {light['over_sodium']:.4f} less{moved}"
     )
-
-
-def decisions(taken: tuple[Decision, ...]) -> list[Block]:
-    """The plan with its reasons."""
-    rows = [(decision.name, decision.choice, decision.reason) for decision in taken]
-    return [Table(("decision", "choice", "reason"), rows, num_texts=3)]
-
-
-def timings(seconds: dict[str, float]) -> list[Block]:
-    """Duration of each stage when it was computed, and all together."""
-    rows = [(name.replace("_", " "), clock(value)) for name, value in seconds.items()]
-    return [Table(("stage", "time"), rows)]
 
 
 def checkpoints(found: CheckpointAccuracy | None) -> list[Block]:

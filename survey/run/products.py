@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shlex
 import shutil
 import time
@@ -22,11 +21,9 @@ from geo.shapes import ComputedColumn
 from survey.adjust.applied import CAMERAS, MODEL_FOLDER
 from survey.adjust.result.adjustment import ARRAYS, JSON, Adjustment, read_adjustment
 from survey.compare.figures import Comparison
-from survey.display.plan_grid import median
 from survey.display.quantities import foot_m, length, lengths_in_feet
 from survey.files.json_values import read_json_object, write_json
 from survey.files.toml_table import table_of
-from survey.folder.survey import Survey
 from survey.photos.exif import read_exif
 from survey.photos.texture import matched_light
 from survey.plan.choices import option_of
@@ -35,7 +32,7 @@ from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.checkpoints import checkpoint_warnings
 from survey.report.facts import RunVerdict, WaveFigures, dry_warnings
 from survey.report.photographs import PhotographFigures, left_out_shares, photograph_warnings, photographs_of
-from survey.report.seen_cells import CoverageFigures, SeenCells, cells_of, coverage_of
+from survey.report.seen_cells import SeenCells, cells_of
 from survey.run.flight import save_flight
 from survey.run.folder import RunDir, seconds_of, versions, versions_of
 from survey.run.gate import gates_of_aim, verdict_of
@@ -232,25 +229,12 @@ def _facts(
         std_common=stored.std_common,
         photographs=_photographs(done),
         light=None if survey.water is None else matched_light(survey.views),
-        coverage=_coverage(survey, stored, cells),
         waves=WaveFigures(**read_json_object(done["solver"] / WAVES)) if "solver" in done else None,
         surfaces=load_surfaces(done["solver"], survey) if "solver" in done else None,
         cells=cells,
         headers={view.name: read_exif(view.path) for view in survey.views},
         warnings=tile_warnings(survey, plan),
     )
-
-
-def _coverage(survey: Survey, stored: StoredBed, cells: SeenCells) -> CoverageFigures | None:
-    """Coverage of the water; None for a dry survey."""
-    if survey.water is None:
-        return None
-    x, y, height = np.moveaxis(cells.middles, -1, 0)
-    depth, departure = np.asarray(survey.water.height(x, y)) - height, survey.observations.departure
-    if departure is not None:
-        depth = depth + departure.at(cells.middles[..., :2].reshape(-1, 2))[0].reshape(depth.shape)
-    std = math.nan if stored.std_common is None else median(stored.std_common)
-    return coverage_of(cells, depth, None if math.isnan(std) else std)
 
 
 def _photographs(done: Mapping[str, Path]) -> tuple[PhotographFigures, ...]:

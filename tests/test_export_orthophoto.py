@@ -29,7 +29,7 @@ from geo.grid import Grid, Window
 from survey.errors import SurveyError
 from survey.export.export import export
 from survey.export.loaded import Pixels
-from survey.export.orthophoto import BedPlaces, HeightBuffer, Mosaic, SeenWindow, common_exposure
+from survey.export.orthophoto import BedPlaces, HeightBuffer, Mosaic, common_exposure
 from survey.export.registry import ExportOptions
 from survey.folder.survey import Survey
 from survey.run.flight import Flight
@@ -88,12 +88,10 @@ def test_photographs_that_were_moved_are_found_by_the_folder_of_their_survey(tmp
     )
 
 
-def test_exposures_are_compared_however_many_cells_one_window_has():
-    window, points = Window(0, 190, 0, 200), np.zeros((190, 200, 3))
-    uv = np.stack(np.meshgrid(np.linspace(1.0, 99.0, 200), np.linspace(1.0, 99.0, 190)), axis=-1)
-    part = SeenWindow(window, points, uv)
-    bed = SimpleNamespace(windows=lambda: [(window, points)], seen_by=lambda _: [part])
-    hides_nothing = SimpleNamespace(visible=lambda part: part.uv)
+def test_photographs_are_brought_to_one_exposure():
+    points, uv = np.zeros((19_000, 3)), np.random.default_rng(1).uniform(1.0, 99.0, (19_000, 2))
+    bed = SimpleNamespace(some=lambda _: points, pixels_of=lambda *_: uv)
+    hides_nothing = SimpleNamespace(visible=lambda _, uv: uv)
     shown = [
         SimpleNamespace(camera=None, pixels=lambda grey=grey: Pixels(np.full((100, 100, 3), grey, np.uint8), None))
         for grey in (50, 200)
@@ -118,12 +116,12 @@ def test_what_stands_behind_something_is_hidden(tmp_path):
     flight = Flight(LocalFrame(CRS("EPSG:25832+5778"), (E0, N0, LEVEL)), None, (), None)
     bed = BedPlaces(flight, cells, lambda w: heights[w.slices], tmp_path / "places")
     buffer = HeightBuffer.of(camera, bed, cell_m=0.1, cell_px=300.0 * 0.1 / 11.3)
-    (part,) = bed.seen_by(camera)
-    seen = np.isfinite(buffer.visible(part)[..., 0])
+    ((_, points, uv),) = bed.seen_by(camera)
+    seen = np.isfinite(buffer.visible(points, uv)[..., 0])
     # The ray over the far edge of the deck comes down to the bed at x = 4; the deck's own edges are blurred.
     shadow = (x > 1.4) & (x < 3.4) & (np.abs(y) < 0.7)
     assert not seen[shadow].any()
-    clear = np.isfinite(part.uv[..., 0]) & ((x > 4.6) | (x < -1.4) | (np.abs(y) > 1.8) | (heights > LEVEL + 1.0))
+    clear = np.isfinite(uv[..., 0]) & ((x > 4.6) | (x < -1.4) | (np.abs(y) > 1.8) | (heights > LEVEL + 1.0))
     assert seen[clear].mean() > 0.99
 
 

@@ -92,17 +92,17 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
         factors = common_exposure(photographs, buffers, coarse, stage.advance)
         for photograph, buffer, factor in zip(photographs, buffers, factors, strict=True):
             pixels, camera = photograph.pixels(), photograph.camera
-            for part in fine.seen_by(camera):
-                uv = buffer.visible(part)
+            for window, points, uv in fine.seen_by(camera):
+                uv = buffer.visible(points, uv)
                 colour = pixels.at(uv[..., 0], uv[..., 1]) * factor
                 seen = np.isfinite(colour[..., 0])
                 if without_water is not None and flight.water is not None:
-                    depth = flight.level(part.points[..., :2]) - part.points[..., 2]
+                    depth = flight.level(points[..., :2]) - points[..., 2]
                     wet = seen & (depth > 0.0)
                     cosine = -(camera.directions(uv[wet]) @ np.array(flight.water.up))
                     incidence = np.arccos(np.clip(cosine, -1.0, 1.0))
                     colour[wet] = without_water(colour[wet], depth[wet], incidence)
-                mosaic.add(part.window, np.where(seen, log_weight(part.points, uv, camera), np.nan), colour)
+                mosaic.add(window, np.where(seen, log_weight(points, uv, camera), np.nan), colour)
             stage.advance()
     return mosaic
 
@@ -121,15 +121,6 @@ def _heights(grid: BedRaster, cells: Grid, window: Window) -> np.ndarray:
         total, weight = total + part * grid.height[row, column], weight + part
     known = (grid.origin[own[:, 1], own[:, 0]] > 0) & (weight > 0.0)
     return np.where(known, total / np.where(weight > 0.0, weight, 1.0), np.nan).reshape(window.shape)
-
-
-@dataclass(frozen=True)
-class SeenWindow:
-    """Cells of a window, as a camera sees them."""
-
-    window: Window
-    points: np.ndarray  # (rows, columns, 3) [m], local: places of the bed; NaN where it has no height
-    uv: np.ndarray  # (rows, columns, 2) [px]: NaN where the camera does not see them
 
 
 class BedPlaces:
@@ -153,21 +144,26 @@ class BedPlaces:
                 ends = np.stack([points[known].min(axis=0), points[known].max(axis=0)], axis=1)
                 self._points[window.slices], self._boxes[window] = points, np.array(list(product(*ends)))
 
-    def windows(self) -> Iterator[tuple[Window, np.ndarray]]:
-        """Each window in which the bed has a height, with its places (rows, columns, 3) [m], local."""
-        return ((window, self._points[window.slices].astype(np.float64)) for window in self._boxes)
+    def some(self, most: int) -> np.ndarray:
+        """About so many of the places (K, 3) [m], local, spread evenly over them."""
+        parts = [self._points[window.slices].reshape(-1, 3) for window in self._boxes]
+        known = np.concatenate([np.zeros((0, 3)), *(part[np.isfinite(part[:, 2])] for part in parts)])
+        return known[:: max(-(-len(known) // most), 1)]
 
-    def seen_by(self, camera: PinholeCamera) -> Iterator[SeenWindow]:
-        """The windows of which a camera may see something."""
+    def pixels_of(self, points: np.ndarray, camera: PinholeCamera) -> np.ndarray:
+        """Pixels (..., 2) of places (..., 3) [m], local; NaN for those that the camera does not see."""
+        uv = camera.project(points.reshape(-1, 3), self._water)
+        return np.where(camera.sees(uv)[:, None], uv, np.nan).reshape(*points.shape[:-1], 2)
+
+    def seen_by(self, camera: PinholeCamera) -> Iterator[tuple[Window, np.ndarray, np.ndarray]]:
+        """The windows of which a camera may see something, with their places (rows, columns, 3) and `pixels_of`."""
         size = np.array([camera.width, camera.height])
         for window, corners in self._boxes.items():
             around = camera.project(corners, self._water)
             # Comparisons with NaN, of corners that the camera does not see at all, are False.
             if not ((around < 0.0).all(axis=0) | (around > size).all(axis=0)).any():
                 points = self._points[window.slices].astype(np.float64)
-                uv = camera.project(points.reshape(-1, 3), self._water)
-                uv = np.where(camera.sees(uv)[:, None], uv, np.nan)
-                yield SeenWindow(window, points, uv.reshape(*window.shape, 2))
+                yield window, points, self.pixels_of(points, camera)
 
 
 @dataclass(frozen=True)
@@ -184,16 +180,16 @@ class HeightBuffer:
         block = max(_BLOCK_CELLS * cell_px, 1.0)
         highest = np.full((int(camera.height / block) + 1, int(camera.width / block) + 1), -np.inf)
         buffer = HeightBuffer(highest, block, _HIDDEN_CELLS * cell_m)
-        for part in bed.seen_by(camera):
-            seen, place = buffer._block_of(part.uv)
-            np.maximum.at(highest, tuple(at[seen] for at in place), part.points[..., 2][seen])
+        for _, points, uv in bed.seen_by(camera):
+            seen, place = buffer._block_of(uv)
+            np.maximum.at(highest, tuple(at[seen] for at in place), points[..., 2][seen])
         return buffer
 
-    def visible(self, part: SeenWindow) -> np.ndarray:
-        """Pixels (rows, columns, 2) of cells; NaN where something hides them."""
-        seen, place = self._block_of(part.uv)
-        seen &= np.where(seen, part.points[..., 2], -np.inf) >= self.height[place] - self.allowed
-        return np.where(seen[..., None], part.uv, np.nan)
+    def visible(self, points: np.ndarray, uv: np.ndarray) -> np.ndarray:
+        """Pixels (..., 2) of places (..., 3) [m], local; NaN where something hides them."""
+        seen, place = self._block_of(uv)
+        seen &= np.where(seen, points[..., 2], -np.inf) >= self.height[place] - self.allowed
+        return np.where(seen[..., None], uv, np.nan)
 
     def _block_of(self, uv: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
         """Cells in the photograph, and the row and column of their blocks."""
@@ -209,18 +205,12 @@ def common_exposure(
 
     `advance` is called after each photograph.
     """
-    known = {window: np.flatnonzero(np.isfinite(points[..., 2])) for window, points in bed.windows()}
-    # Rounded up: OpenCV looks up less than 32,768 places of a row at a time.
-    step = max(-(-sum(len(at) for at in known.values()) // _COMPARED), 1)
-    compared = {window: at[::step] for window, at in known.items()}
-    first = dict(zip(compared, np.cumsum([0, *map(len, compared.values())]).tolist(), strict=False))
-    shown = np.full((len(photographs), sum(map(len, compared.values())), 3), np.nan, dtype=np.float32)
+    # OpenCV looks up less than 32,768 places of a row at a time.
+    points = bed.some(_COMPARED)
+    shown = np.full((len(photographs), len(points), 3), np.nan, dtype=np.float32)
     for number, photograph in enumerate(photographs):
-        pixels = photograph.pixels()
-        for part in bed.seen_by(photograph.camera):
-            at, begin = compared[part.window], first[part.window]
-            u, v = buffers[number].visible(part).reshape(-1, 2)[at].T
-            shown[number, begin : begin + len(at)] = np.log(np.maximum(pixels.at(u[None], v[None])[0], 1.0))
+        u, v = buffers[number].visible(points, bed.pixels_of(points, photograph.camera)).T
+        shown[number] = np.log(np.maximum(photograph.pixels().at(u[None], v[None])[0], 1.0))
         advance()
     return np.exp(-exposure_gains(shown))
 

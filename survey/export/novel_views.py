@@ -42,11 +42,10 @@ def image_based_field(
     called after each of the photographs that are compared.
     """
     flight = flight_of(run, survey)
-    photographs = _Photographs(run, flight)
+    mapped, source = _photographs(run, flight)
     points_crs = run.columns("points_crs")["points_crs"]
     points = flight.frame.local_from_crs(points_crs[:: max(len(points_crs) // _COMPARED, 1)])
-    mapped = photographs.mapped
-    load = lru_cache(max(_MOST_BYTES // photographs.source(min(mapped)).num_bytes, _FEWEST))(photographs.source)
+    load = lru_cache(max(_MOST_BYTES // source(min(mapped)).num_bytes, _FEWEST))(source)
     field = ImageBasedField(
         cameras=[view.camera for view in flight.views],
         water=flight.water,
@@ -62,36 +61,32 @@ def image_based_field(
     return replace(field, gains=gains)
 
 
-class _Photographs:
-    """The photographs of a run with their height maps, in which the solver's heights are where it has them.
+def _photographs(run: LoadedRun, flight: Flight) -> tuple[dict[int, int], Callable[[int], Source]]:
+    """The place among the height maps of each view that has one, and the photograph of a number with its map.
 
-    `mapped` has the place among the maps of each view of the flight that has one.
+    Heights are those of the solver where it has them.
     """
+    swept, solved = Stored(run.folder.load_stage("sweep") / MAPS, HeightMap), None
+    if "solver" in run.stages:
+        solved = Stored(run.folder.load_stage("solver") / SOLVED, SolvedMap)
+    scale = float(read_json_object(run.folder.plan_path)["image_scale"])
+    mapped = {view: place for place, view in enumerate(swept.views)}
+    if not mapped:
+        raise SurveyError(f"the run {run.folder.path} has no height maps; run the same `bathynerf process` again")
 
-    def __init__(self, run: LoadedRun, flight: Flight):
-        self._flight = flight
-        self._swept = Stored(run.folder.load_stage("sweep") / MAPS, HeightMap)
-        solved = run.folder.load_stage("solver") / SOLVED if "solver" in run.stages else None
-        self._solved = None if solved is None else Stored(solved, SolvedMap)
-        self._scale = float(read_json_object(run.folder.plan_path)["image_scale"])
-        self.mapped = {view: place for place, view in enumerate(self._swept.views)}
-        if not self.mapped:
-            raise SurveyError(f"the run {run.folder.path} has no height maps; run the same `bathynerf process` again")
+    def source(number: int) -> Source:
+        view, heights = flight.views[number], None
+        if number in mapped:
+            height_map = swept[mapped[number]]
+            confirmed = trusted(height_map)
+            if solved is not None:
+                height_map, _ = solved[mapped[number]].over(height_map)
+            # Maps of smaller photographs are padded.
+            small = view.camera.scaled(scale)
+            heights = np.where(confirmed, height_map.height, np.float32(np.nan))[: small.height, : small.width]
+        return Source(view.camera, load_image(view), load_mask(view), scale, heights)
 
-    def source(self, number: int) -> Source:
-        """The photograph of a number."""
-        view = self._flight.views[number]
-        heights = self._heights(view.camera, self.mapped[number]) if number in self.mapped else None
-        return Source(view.camera, load_image(view), load_mask(view), self._scale, heights)
-
-    def _heights(self, camera: PinholeCamera, place: int) -> np.ndarray:
-        height_map = self._swept[place]
-        confirmed = trusted(height_map)
-        if self._solved is not None:
-            height_map, _ = self._solved[place].over(height_map)
-        # Maps of smaller photographs are padded.
-        small = camera.scaled(self._scale)
-        return np.where(confirmed, height_map.height, np.float32(np.nan))[: small.height, : small.width]
+    return mapped, source
 
 
 def _gains(

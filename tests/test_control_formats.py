@@ -46,8 +46,7 @@ def test_every_format_gives_the_same_points_and_marks(tmp_path, files):
 
 
 @pytest.mark.parametrize(
-    ("header", "code"),
-    [("EPSG:4326", 4326), ("WGS84", 4326), ("WGS84 UTM 33N", 32633), ("EPSG:3857", 3857)],
+    ("header", "code"), [("EPSG:4326", 4326), ("WGS84", 4326), ("WGS84 UTM 33N", 32633), ("EPSG:3857", 3857)]
 )
 def test_points_in_another_horizontal_crs_are_transformed_and_that_is_said(tmp_path, header, code):
     to_theirs = Transformer.from_crs("EPSG:25832", f"EPSG:{code}", always_xy=True)

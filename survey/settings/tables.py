@@ -65,9 +65,7 @@ class PlanOptions:
         None, "Adjust poses, lens and water together, or take the poses as they are; default: auto.", one_of=Poses
     )
     image_scale: float | None = _how(
-        "SCALE",
-        "Work on images at 1, 0.5, 0.25, ...; default: by size and quality.",
-        one_of=SCALES,
+        "SCALE", "Work on images at 1, 0.5, 0.25, ...; default: by size and quality.", one_of=SCALES
     )
 
 
@@ -178,9 +176,7 @@ class FieldConfig:
     """[field]: options of `bathynerf field`, as they are called there; None leaves one open."""
 
     model: str | None = _training(
-        "NAME",
-        f"{', '.join(MODELS)}, or package.module:Class; default: mdw.",
-        expected="a model of bathynerf field",
+        "NAME", f"{', '.join(MODELS)}, or package.module:Class; default: mdw.", expected="a model of bathynerf field"
     )
     steps: int | None = _training("N", "Training steps; default: 2000.", least=1)
     rays: int | None = _training("N", "Rays per step; default: 4096.", least=1)
@@ -215,10 +211,7 @@ class FieldConfig:
     # Default: half of the light is stopped within a cell
     density: float | None = _results("D", "Least density of the surface [1/m].", alone=True, above=0.0, most=LARGEST)
     drop: str | None = _results(
-        "HOW",
-        "How views drop submodules: geometry, network, none.",
-        expected="geometry, network or none",
-        one_of=Drop,
+        "HOW", "How views drop submodules: geometry, network, none.", expected="geometry, network or none", one_of=Drop
     )
     reference: Path | None = _results("FILE", "Mesh or cloud to compare with.", alone=True)  # noqa: RUF009
     cameras: Path | None = _results("FILE", "Poses of views to render.", alone=True)  # noqa: RUF009

@@ -58,10 +58,7 @@ class Medium:
     """Light or water that the index in [water] belongs to; nothing in a loaded survey."""
 
     index_wavelength_nm: float | None = key(
-        None,
-        "400 to 700, the wavelengths of light; an index from a handbook belongs to 589.3",
-        least=400.0,
-        most=700.0,
+        None, "400 to 700, the wavelengths of light; an index from a handbook belongs to 589.3", least=400.0, most=700.0
     )
     temperature_c: float | None = None
     salinity_psu: float | None = None

@@ -32,7 +32,6 @@ from survey.folder.survey import load_survey
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
 from survey.plan.plan import pose_choice
-from survey.settings.water import LevelRate
 from survey.water.tides import Tide
 from tests.block_state import state_of
 from tests.block_survey import survey_of, with_water
@@ -313,7 +312,7 @@ def found(tmp_path_factory):
     hours = np.linspace(-0.5, 0.5, len(block.cameras))
     survey = survey_of(risen(block, hours))
     names = [view.name for view in survey.views]
-    water = replace(survey.config.water, rate=LevelRate(0.0, STD))
+    water = replace(survey.config.water, level_rate_m_per_h=0.0, level_rate_std_m_per_h=STD)
     tide = Tide("level_rate_m_per_h", dict.fromkeys(names, 0.0), dict(zip(names, hours.tolist(), strict=True)))
     survey = changed(survey, config=replace(survey.config, water=water), tide=tide)
     folder = tmp_path_factory.mktemp("adjustment")

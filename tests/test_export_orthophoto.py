@@ -33,7 +33,6 @@ from survey.export.orthophoto import BedPlaces, HeightBuffer, Mosaic, common_exp
 from survey.export.registry import ExportOptions
 from survey.folder.survey import Survey
 from survey.run.flight import Flight
-from survey.settings.water import WaterColour
 
 
 def picture(path: Path, survey: Survey) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -63,7 +62,7 @@ def test_an_orthophoto_shows_the_bed_where_it_is_in_one_exposure(tmp_path):
 
 def test_a_run_in_true_colour_gives_an_orthophoto_in_the_bed_s_own_colours(tmp_path):
     survey = painted_survey(tmp_path / "s", exposures=(1.0,) * 4, coloured_water=True)
-    water = replace(survey.config.water, colour=WaterColour(ABSORPTION, VEIL))
+    water = replace(survey.config.water, absorption_per_m=ABSORPTION, veiling_light=VEIL)
     survey = replace(survey, config=replace(survey.config, water=water))
     run = run_over(survey, tmp_path / "s" / "bathynerf", true_colour="given")
     export(run, orthophoto=tmp_path / "o.tif")

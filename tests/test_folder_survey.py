@@ -64,7 +64,7 @@ def test_the_settings_that_took_effect_make_the_same_survey_again(tmp_path):
     toml = replaced((f"level_at = [{E0}, {N0}]\nrefractive_index = 1.333", "temperature_c = 12\nsalinity_psu = 7"))
     folder = small_survey(tmp_path / "s", toml=toml)
     first = load_survey(folder)
-    assert first.config.water.medium.temperature_c is None
+    assert first.config.water.temperature_c is None
     (folder / "survey.toml").write_text(dump_config(first.config))
     second = load_survey(folder)
     assert parse_config(dump_config(first.config)) == first.config == second.config

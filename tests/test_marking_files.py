@@ -63,7 +63,7 @@ def test_names_with_spaces_and_roles_are_read_back(tmp_path):
     path = tmp_path / "gcp_list.txt"
     path.write_text(with_marks(path, [mark("rod 4", IMAGES[2], is_check=True)], CRS, IMAGES))
     content = read_gcp_list(path)
-    assert (content.marks[0].image, content.points[0].name, content.points[0].is_check) == (IMAGES[2], "rod 4", True)
+    assert (content.marks[0].view, content.points[0].name, content.points[0].is_check) == (IMAGES[2], "rod 4", True)
 
 
 def test_points_without_names_are_marked_without(tmp_path):

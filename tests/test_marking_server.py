@@ -311,14 +311,14 @@ def test_clicks_in_a_real_browser_land_in_the_files(server, folder):
             page.click(*page.value(f"pageOf({pixel})"))
             page.until(f"Object.keys(pointOf(chosen).marks).length === {count}")
             marked[name] = pixel
-        written = {mark.image: mark.pixel for mark in read_gcp_list(folder / "gcp_list.txt").marks}
+        written = {mark.view: mark.pixel for mark in read_gcp_list(folder / "gcp_list.txt").marks}
         assert written.keys() == marked.keys()
         assert max(math.dist(written[name], marked[name]) for name in marked) < 0.1
         page.press("Delete")
         page.until("Object.keys(pointOf(chosen).marks).length === 2")
         page.press("u")
         page.until("Object.keys(pointOf(chosen).marks).length === 3")
-        assert {mark.image: mark.pixel for mark in read_gcp_list(folder / "gcp_list.txt").marks} == written
+        assert {mark.view: mark.pixel for mark in read_gcp_list(folder / "gcp_list.txt").marks} == written
         page.click(
             *page.value("(() => { const b = $('add-water').getBoundingClientRect(); return [b.x + 5, b.y + 5]; })()")
         )

@@ -104,7 +104,7 @@ def test_survey_toml_says_to_which_wavelength_its_index_belongs_and_the_settings
         for text in survey.findings.assumptions
     )
     again = parse_config(dump_config(survey.config)).water
-    assert (again.refractive_index, again.medium.index_wavelength_nm) == (survey.water.n_water, None)
+    assert (again.refractive_index, again.index_wavelength_nm) == (survey.water.n_water, None)
     # Without a wavelength it is that of the light that is matched.
     assert load_survey(small_survey(tmp_path / "t", toml=TOML)).water.n_water == 1.333
 

@@ -16,7 +16,6 @@ from survey.photos.xmp import Motion
 from survey.plan.check import DOWN_DEG, check_survey, level_warning, require_processable
 from survey.plan.choices import Choices
 from survey.settings.config import WaterConfig
-from survey.settings.water import LevelSources
 from tests.changed_survey import changed
 
 ANGLES = st.lists(st.one_of(st.floats(0.0, DOWN_DEG - 0.5), st.floats(DOWN_DEG + 0.5, 80.0)), min_size=3, max_size=40)
@@ -64,9 +63,7 @@ def test_blocks_that_look_straight_down_are_named_with_and_without_poses(posed, 
         assert "tilted" in by_poses
 
 
-@pytest.mark.parametrize(
-    "water", [None, WaterConfig(level_m=3.0), WaterConfig(sources=LevelSources(clicks="clicks.csv"))]
-)
+@pytest.mark.parametrize("water", [None, WaterConfig(level_m=3.0), WaterConfig(clicks="clicks.csv")])
 def test_a_level_that_is_given_in_any_way_and_a_dry_survey_leave_no_doubt(posed, found, water):
     told = flown(replace(found, config=replace(found.config, water=water)), [0.0] * 20, 0.0, 0)
     assert level_warning(told, None) is None

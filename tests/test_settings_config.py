@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from survey.errors import ConfigError, SurveyError
 from survey.settings.config import SurveyConfig, dump_config, parse_config, read_config
-from survey.settings.water import LevelSources
 
 FULL = """
 name = 'a "quoted" name'
@@ -65,7 +64,7 @@ device = "cpu"
 def test_every_known_key_is_read_and_written_back_to_the_same_settings():
     config = parse_config(FULL)
     assert (config.water.level_m, config.water.slope_north) == (12.34, -0.004)
-    assert (config.water.colour.absorption_per_m, config.water.colour.veiling_light) == (
+    assert (config.water.absorption_per_m, config.water.veiling_light) == (
         (0.3, 0.07, 0.05),
         (0, 0.1, 0.2),
     )
@@ -202,7 +201,7 @@ def test_a_level_that_stands_in_a_file_is_not_known_before_the_file_is_read():
         _ = water.known_level_m
     with pytest.raises(ValueError, match="before its default is filled in"):
         _ = water.known_level_at
-    read = dataclasses.replace(water, level_m=12.5, level_at=(1.0, 2.0), sources=LevelSources())
+    read = dataclasses.replace(water, level_m=12.5, level_at=(1.0, 2.0), gauge=None)
     assert (read.known_level_m, read.known_level_at) == (12.5, (1.0, 2.0))
 
 

@@ -71,7 +71,7 @@ def test_points_give_a_survey_its_level(tmp_path, key):
     assert survey.config.water.level_m == pytest.approx(LEVEL + 0.25, abs=2e-3)
     assert f"+- {survey.config.water.level_std_m:.3f} from" in survey.findings.assumptions[0]
     assert any(key in text for text in survey.findings.assumptions)
-    assert survey.config.water.sources.named == {}
+    assert survey.config.water.level_files == {}
 
 
 def gauge_config():
@@ -96,7 +96,7 @@ def test_a_gauge_is_interpolated_at_the_photographs(tmp_path):
     assert config.water.level_std_m == pytest.approx(np.hypot(2**0.5 * 0.01, bend))
     # A quarter of an hour into an hour that rises by 0.6 m.
     assert config.water.level_m == pytest.approx(1.15, abs=1e-9)
-    assert config.water.sources.gauge is None
+    assert config.water.gauge is None
     assert tide.over == pytest.approx({"10.jpg": -0.05, "20.jpg": 0.05})
     assert tide.hours == pytest.approx({"10.jpg": -1.0 / 12.0, "20.jpg": 1.0 / 12.0})
     assert "100 mm" in said.assumptions[0]

@@ -206,7 +206,7 @@ def _parameters_with_verdicts(
             limit, unit = MOST_STD_FOCAL * given if name == "f" else math.inf, " px" if i < 3 else ""
             judge(f"camera{number}.{name}", layout.lens(number).start + i, value, given, limit, unit)
     if layout.hours is not None:
-        given = survey.require_water()[1].rate.level_rate_m_per_h or 0.0
+        given = survey.require_water()[1].level_rate_m_per_h or 0.0
         # Of no use if it leaves the level of a photograph as uncertain as one that is of none.
         limit = MOST_STD_LEVEL_M / max(float(np.abs(layout.hours).max()), 1e-9)
         judge(RATE_NAME, layout.first_rate, given + state.rate, given, limit, " m/h")

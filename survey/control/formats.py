@@ -18,7 +18,7 @@ from pyproj import CRS
 from geo.crs import horizontal_crs
 from geo.errors import UnreadableFile
 from geo.features import read_features
-from survey.control.points import Content, ControlFormat, GivenMark, GivenPoint
+from survey.control.points import Content, ControlFormat, GivenPoint, Mark
 from survey.errors import ControlError
 from survey.files.csv_table import Row, Table, column_names, number_of, text_lines, words_of
 from survey.files.foreign import begins_with
@@ -94,7 +94,7 @@ def read_gcp_list(path: Path) -> Content:
         # Words after the name have no fixed meaning; only roles are recognised.
         is_check = len(words) > 1 and words[1].strip().casefold() in _CHECK
         points.append(GivenPoint(name, where, (x, y, z), crs, is_check=is_check))
-        marks.append(GivenMark(name, image, where, (px + _HALF_A_PIXEL, py + _HALF_A_PIXEL)))
+        marks.append(Mark(name, image, (px + _HALF_A_PIXEL, py + _HALF_A_PIXEL), where))
     return Content(tuple(points), tuple(marks))
 
 
@@ -165,14 +165,14 @@ def read_metashape_xml(path: Path) -> Content:
     return Content(tuple(points), tuple(marks))
 
 
-def _mark(location: Element, key: str, names: dict[str, str], images: dict[str, str], path: Path) -> GivenMark:
+def _mark(location: Element, key: str, names: dict[str, str], images: dict[str, str], path: Path) -> Mark:
     camera = location.get("camera_id") or ""
     where = f'{path}, marker "{names.get(key, key)}" in camera "{images.get(camera, camera)}"'
     if key not in names or not images.get(camera):
         lacking = "marker" if key not in names else "camera"
         raise ControlError(f"{where}: there is no such {lacking} with a label in the file; export the markers again")
     pixel = _attribute(location, "x", where), _attribute(location, "y", where)
-    return GivenMark(names[key], images[camera], where, pixel)
+    return Mark(names[key], images[camera], pixel, where)
 
 
 def _is_true(element: Element, key: str) -> bool:
@@ -238,8 +238,7 @@ def read_marks(path: Path) -> Content:
     rows = Table.read(path, _MARK_WORDS, ControlError).rows(_MARK_COLUMNS)
     return Content(
         marks=tuple(
-            GivenMark(row.text("name"), row.text("image"), row.where, (row.number("x"), row.number("y")))
-            for row in rows
+            Mark(row.text("name"), row.text("image"), (row.number("x"), row.number("y")), row.where) for row in rows
         )
     )
 

@@ -13,27 +13,34 @@ from survey.files.point_table import Units
 
 
 @dataclass(frozen=True, eq=False)
-class ControlPoint:
-    """A point of known coordinates."""
+class Checkpoint:
+    """A point of known coordinates, which no photograph needs to show."""
 
     name: str
     crs: tuple[float, float, float]  # (easting, northing, height)
     local: np.ndarray  # (3,) float64 [m]
+
+
+@dataclass(frozen=True, eq=False)
+class ControlPoint(Checkpoint):
+    """A point of known coordinates with marks."""
+
     std: np.ndarray  # (3,) float64 [m]: of `local`: east, north, up
-    is_check: bool = False  # Whether the file calls it a check point: it has marks, but is not to be adjusted to
+    is_check: bool = False  # Whether the file calls it a check point, which is not to be adjusted to
     # [m]: the part of `std` common to all points of its file, from a transformation of datums
     common_plan_std: float = 0.0
 
 
 @dataclass(frozen=True)
 class Mark:
-    """Mark of a control point in a photograph."""
+    """Mark of a point in a photograph, which files may call otherwise than the survey."""
 
     # point, view: Their names
     point: str
     view: str
     # (x, y): in the stored photograph as it was taken, with its distortion; the centre of the first pixel is 0.5, 0.5
     pixel: tuple[float, float]
+    where: str = ""  # File and line, for messages; not of marks in a `Control`
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,15 +50,6 @@ class Control:
     points: tuple[ControlPoint, ...]  # Each has a mark at least; whether a point lies under water is not known here
     marks: tuple[Mark, ...]  # In order of points and then of views; of views that have a pose only
     marks_std_px: float
-
-
-@dataclass(frozen=True, eq=False)
-class Checkpoint:
-    """A point of known coordinates that no photograph needs to show, and nothing is adjusted to."""
-
-    name: str
-    crs: tuple[float, float, float]  # (easting, northing, height)
-    local: np.ndarray  # (3,) float64 [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,22 +79,11 @@ class GivenPoint:
 
 
 @dataclass(frozen=True)
-class GivenMark:
-    """Mark of a point in a photograph, as a file has it."""
-
-    # point, image: As the file calls them
-    point: str
-    image: str
-    where: str  # File and line, for messages
-    pixel: tuple[float, float]  # (x, y): the centre of the first pixel is 0.5, 0.5
-
-
-@dataclass(frozen=True)
 class Content:
     """Contents of a file: points and marks; either may be empty."""
 
     points: tuple[GivenPoint, ...] = ()
-    marks: tuple[GivenMark, ...] = ()
+    marks: tuple[Mark, ...] = ()
     warnings: tuple[str, ...] = ()
 
 

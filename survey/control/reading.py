@@ -24,7 +24,7 @@ from geo.crs import (
 from geo.errors import GeoError
 from geo.transformation import Transformation, height_scale, lon_lat
 from survey.control.formats import FORMATS
-from survey.control.points import Content, GivenMark, GivenPoint, Mark
+from survey.control.points import Content, GivenPoint, Mark
 from survey.display.quantities import distance_text, named
 from survey.errors import ControlError, Findings
 from survey.files.csv_table import text_lines
@@ -186,7 +186,7 @@ def _points(given: Sequence[GivenPoint], crs: CRS) -> dict[str, GivenPoint]:
 
 
 def _marks(
-    files: Sequence[Sequence[GivenMark]], points: Mapping[str, GivenPoint], sizes: Mapping[str, tuple[int, int]]
+    files: Sequence[Sequence[Mark]], points: Mapping[str, GivenPoint], sizes: Mapping[str, tuple[int, int]]
 ) -> tuple[list[Mark], list[str]]:
     """Marks of points in photographs, and warnings about those of unknown names."""
     if not any(files):
@@ -194,13 +194,13 @@ def _marks(
             "[control] names points without marks, expected where photographs show them; name a table "
             "image,name,x,y or Metashape's XML in marks, or use a gcp_list.txt, which has both"
         )
-    marks: dict[tuple[str, str], GivenMark] = {}
-    unknown_images: dict[str, GivenMark] = {}
-    unknown_points: dict[str, GivenMark] = {}
+    marks: dict[tuple[str, str], Mark] = {}
+    unknown_images: dict[str, Mark] = {}
+    unknown_points: dict[str, Mark] = {}
     for mark, names in ((mark, names) for given in files for names in [ImageNames(sizes)] for mark in given):
-        image = names.find(mark.image, mark.where)
+        image = names.find(mark.view, mark.where)
         if image is None:
-            unknown_images.setdefault(mark.image, mark)
+            unknown_images.setdefault(mark.view, mark)
         elif mark.point not in points:
             unknown_points.setdefault(mark.point, mark)
         else:
@@ -219,7 +219,7 @@ def _marks(
     if not marks:
         example = next(iter((unknown_images or unknown_points).values()))
         what = (
-            f"photograph of the survey is called {example.image}"
+            f"photograph of the survey is called {example.view}"
             if unknown_images
             else f"point with coordinates is called {example.point}"
         )
@@ -232,7 +232,7 @@ def _marks(
     return [Mark(point, image, mark.pixel) for (point, image), mark in marks.items()], warnings
 
 
-def _left_out(marks: Mapping[str, GivenMark], noun: str, why: str) -> list[str]:
+def _left_out(marks: Mapping[str, Mark], noun: str, why: str) -> list[str]:
     """A warning about marks of unknown names, with the place of the first."""
     return [
         f"{warning} (first in {next(iter(marks.values())).where}): their marks are left out; correct the names or "

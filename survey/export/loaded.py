@@ -245,7 +245,7 @@ def colours_without_water(run: LoadedRun) -> Callable[[np.ndarray, np.ndarray, n
     from fields.colour.true_colour import stored_colours, without_water
     from fields.water_column import WaterColumn
 
-    column, n_water = WaterColumn(water.colour.absorption_per_m, water.colour.veiling_light), water.refractive_index
+    column, n_water = WaterColumn(water.absorption_per_m, water.veiling_light), water.refractive_index
     return lambda rgb, depth, incidence: stored_colours(without_water(rgb, depth, incidence, n_water, column))
 
 

@@ -41,8 +41,6 @@ _LIMITS: dict[str, tuple[Callable[[float, float], bool], str, str]] = {
 _NEAR = 0.6
 # Metadata of a field: see `key`.
 EXPECTED, ONE_OF, LIMITS, OPTION, OPTION_ALONE = "expected", "one_of", "limits", "option", "option_alone"
-# Metadata of a field whose record has keys of the table that it stands in, those that belong together.
-INLINE = {"inline": True}
 # A number in any form; signs that backslashes of a path become.
 _NUMBER, _CONTROL = re.compile(r"[+-]?[\d.,' ]*\d[\d.,' ]*(\s*[A-Za-z%°]+)?"), re.compile(r"[\x00-\x1f\x7f]")
 
@@ -131,24 +129,18 @@ def _require_valid(field: dataclasses.Field, name: str, value: Any) -> None:
         raise ConfigError(f"{name} is {shown}, expected {expected or f'a number {in_words}'}")
 
 
-def require_with(
-    table: str, record: Any, other: str, names: Iterable[str], remedy: str = "", given: Any = None
-) -> None:
-    """Raise ConfigError where one of some keys of `given`, by default `record`, is without another one of `record`."""
+def require_with(table: str, record: Any, other: str, names: Iterable[str], remedy: str = "") -> None:
+    """Raise ConfigError where one of some keys is given without another that it belongs to."""
     for name in names:
-        if getattr(record, other) is None and getattr(given or record, name) is not None:
+        if getattr(record, other) is None and getattr(record, name) is not None:
             remedies = f"give both{', ' * bool(remedy)}{remedy}"
             raise ConfigError(f"[{table}] {name} is given without {other}, to which it belongs; {remedies}")
 
 
 def fields_of(kind: type) -> Iterator[tuple[dataclasses.Field, Any]]:
-    """Fields of a table with their types, those of inline records among them."""
+    """Fields of a table with their types."""
     hints = typing.get_type_hints(kind)
-    for field in _keys_of(kind):
-        if field.metadata == INLINE:
-            yield from fields_of(hints[field.name])
-        else:
-            yield field, hints[field.name]
+    return ((field, hints[field.name]) for field in _keys_of(kind))
 
 
 def _keys_of(record: Any) -> Iterator[dataclasses.Field]:
@@ -157,12 +149,8 @@ def _keys_of(record: Any) -> Iterator[dataclasses.Field]:
 
 def table_of(record: Any) -> dict[str, Any]:
     """The values of a dataclass by the keys that they have in a file, those of inner tables as dicts."""
-    values: dict[str, Any] = {}
-    for field in _keys_of(record):
-        value = getattr(record, field.name)
-        value = table_of(value) if dataclasses.is_dataclass(value) else value
-        values |= value if field.metadata == INLINE else {field.name: value}
-    return values
+    values = {field.name: getattr(record, field.name) for field in _keys_of(record)}
+    return {name: table_of(value) if dataclasses.is_dataclass(value) else value for name, value in values.items()}
 
 
 def read_toml(path: Path, parse: Callable[[str], Any]) -> Any:
@@ -233,20 +221,11 @@ class _Reader:
         """A dataclass from a table whose dotted name is `where`; empty for the whole file."""
         if not isinstance(values, dict):
             raise ConfigError(f"{where} = {values!r} was found where the table [{where}] was expected")
-        known = [field.name for field, _ in fields_of(kind)]
+        known, arguments = dict((field.name, (field, hint)) for field, hint in fields_of(kind)), {}
         for name, value in values.items():
             if name not in known:
-                raise ConfigError(self._unknown(known, where, name, value))
-        return self._record(kind, where, values)
-
-    def _record(self, kind: type, where: str, values: Mapping[str, Any]) -> Any:
-        """A dataclass from the values of its keys, with the records whose keys stand in the same table."""
-        hints, arguments = typing.get_type_hints(kind), {}
-        for field in _keys_of(kind):
-            name, hint = field.name, hints[field.name]
-            if field.metadata == INLINE:
-                arguments[name] = self._record(hint, where, values)
-                continue
+                raise ConfigError(self._unknown(list(known), where, name, value))
+        for name, (field, hint) in known.items():
             dotted, expected = _join(where, name), field.metadata.get(EXPECTED) or _words(hint)
             if name in values:
                 arguments[name] = self._value(hint, dotted, values[name], expected)

@@ -196,7 +196,7 @@ def survey_inputs(folder: Path, config: SurveyConfig | None = None) -> ReadFiles
         return ReadFiles()
     config = config or settings_of(folder) or SurveyConfig(images=ImagesConfig(dir=image_folder_of(folder)))
     images, masks = folder / config.images.local_dir, config.images.masks
-    named = [FILE_NAME, *config.control.files, *(config.water.sources.named.values() if config.water else ())]
+    named = [FILE_NAME, *config.control.files, *(config.water.level_files.values() if config.water else ())]
     poses = find_poses(folder) if config.cameras.poses is None else [folder / config.cameras.poses]
     paths = [
         find_geo_txt(folder, images),

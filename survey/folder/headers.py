@@ -311,9 +311,9 @@ def _several_cameras(headers: Mapping[str, Exif]) -> list[str]:
 def _several_days(config: SurveyConfig, headers: Mapping[str, Exif]) -> list[str]:
     """A warning where one level is given for photographs of several days."""
     water = config.water
-    if water is None or not water.gives_level or water.rate.level_rate_m_per_h is not None:
+    if water is None or not water.gives_level or water.level_rate_m_per_h is not None:
         return []
-    if water.sources.gauge is not None or water.sources.image_levels is not None:
+    if water.gauge is not None or water.image_levels is not None:
         return []
     days: list[list[datetime]] = []
     for time in sorted(clock for header in headers.values() if (clock := header.clock) is not None):

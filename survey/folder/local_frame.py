@@ -32,8 +32,7 @@ from survey.folder.found import Found
 from survey.photos.cameras import View
 from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame
 from survey.photos.texture import matched_light
-from survey.settings.config import SurveyConfig, WaterConfig
-from survey.settings.water import MOST_LEVEL_STD_M, Medium
+from survey.settings.config import MOST_LEVEL_STD_M, NO_MEDIUM, SurveyConfig, WaterConfig
 from survey.sfm.gps import area_at, frame_about, height_transformer
 from survey.water.level import ASSUMED_INDEX_STD, refractive_index
 
@@ -272,7 +271,7 @@ def water_in_local(
     if not given.states_index:
         given = replace(given, index_std=ASSUMED_INDEX_STD)
     index, findings = refractive_index(given, lambda: matched_light(views))
-    given = replace(given, refractive_index=index, medium=Medium())
+    given = replace(given, refractive_index=index, **NO_MEDIUM)
     return replace(config, water=given), water_plane(frame, given), findings
 
 

@@ -227,7 +227,7 @@ def _with_clicked_level(found: Found, file: PoseFile, poses: list[Pose]) -> tupl
     The local frame of a survey lies at its level, which is not known before the poses are: another frame serves here.
     """
     water = found.config.water
-    if water is None or water.sources.clicks is None:
+    if water is None or water.clicks is None:
         return found, Findings()
     frame, views = views_in_local(replace(found, config=replace(found.config, water=None)), file, poses)
     config, clicked, findings = with_level_of_clicks(found.folder, found.config, views, frame)

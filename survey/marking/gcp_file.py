@@ -55,7 +55,7 @@ def with_marks(path: Path, marks: Iterable[ControlMark], crs: CRS, images: Itera
     file_crs = odm_crs(lines[head].strip(), str(path), path.name, ControlError)
     at = [i for i in range(head + 1, len(lines)) if is_of_content(lines[i])]
     names = ImageNames(images)
-    image_names = [names.find(mark.image, mark.where) for mark in content.marks]
+    image_names = [names.find(mark.view, mark.where) for mark in content.marks]
     marked = list(zip(at, (point.name for point in content.points), image_names, strict=True))
     marks = list(marks)
     removed = {(mark.point, mark.image) for mark in marks if mark.pixel is None}

@@ -114,7 +114,7 @@ def survey_to_mark(folder: Path) -> tuple[SurveyConfig, Found]:
     """The settings and contents of a survey folder, without control and clicks, which need not exist yet."""
     config = settings_or_draft(require_survey_folder(folder))
     bare = replace(config, control=ControlConfig())
-    clicks = None if config.water is None else config.water.sources.clicks
+    clicks = None if config.water is None else config.water.clicks
     if clicks is not None and not (folder / clicks).is_file():
         bare = replace(bare, water=None)
     return config, find_survey(folder, config=bare)
@@ -146,7 +146,7 @@ def _of_file(found: Found, path: Path) -> PosedSurvey:
     try:
         placed, *_ = read_file_poses(found, path)
     except SurveyError:
-        if found.config.water is None or found.config.water.sources.clicks is None:
+        if found.config.water is None or found.config.water.clicks is None:
             raise
         # Clicks that tell no level yet.
         found = replace(found, config=replace(found.config, water=None))

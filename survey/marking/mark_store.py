@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from geo.files import write_text
 from survey.control.formats import is_gcp_list, read_checkpoints, read_gcp_list
-from survey.control.points import Content, GivenMark, GivenPoint
+from survey.control.points import Content, GivenPoint, Mark
 from survey.control.reading import in_crs, read_control
 from survey.errors import SurveyError
 from survey.folder.found import Found
@@ -59,7 +59,7 @@ class MarkStore:
                 self.control_path = path
                 break
         water = config.water
-        named = None if water is None else water.sources.clicks
+        named = None if water is None else water.clicks
         self.clicks_path = found.folder / (CLICKS if named is None else named)
         self._cache: dict[Path, tuple[object, Any]] = {}
         self._done: list[Edit] = []
@@ -163,7 +163,7 @@ class MarkStore:
                 without = ", without marks" if control.marks is not None else ""
                 lines.append(f"[control] gcps = {named if len(gcp_files) == 1 else f'[{named}]'}{without}")
         water = self._config.water
-        if self.clicks_path.is_file() and (water is None or water.sources.clicks is None):
+        if self.clicks_path.is_file() and (water is None or water.clicks is None):
             instead = "" if water is None else ", in place of the level that is there"
             lines.append(f'[water] clicks = "{self.clicks_path.name}"{instead}')
         return lines
@@ -222,7 +222,7 @@ class MarkStore:
             found.setdefault(point.name, point)
         return found
 
-    def _of_photographs(self, marks: list[GivenMark] | tuple[GivenMark, ...]) -> dict[tuple[str, str], Pixel]:
+    def _of_photographs(self, marks: list[Mark] | tuple[Mark, ...]) -> dict[tuple[str, str], Pixel]:
         names = ImageNames(self._sizes)
-        images = [names.find(mark.image, mark.where) for mark in marks]
+        images = [names.find(mark.view, mark.where) for mark in marks]
         return {(mark.point, image): mark.pixel for mark, image in zip(marks, images, strict=True) if image is not None}

@@ -234,8 +234,8 @@ def _water_below(found: Found, heights: np.ndarray) -> str:
     water = found.config.water
     if water is None:
         return "none: a dry survey" if found.config.dry else "none was given"
-    if water.level_m is None and water.sources.clicks is not None:
-        return f"its level by the clicks in {water.sources.clicks}, once the poses are known"
+    if water.level_m is None and water.clicks is not None:
+        return f"its level by the clicks in {water.clicks}, once the poses are known"
     if water.level_m is None:
         return "of unknown level: the adjustment finds it, where oblique photographs or a dry shore determine it"
     level = water.level_m / height_unit_m(found.crs)
@@ -344,7 +344,7 @@ def level_warning(found: Found, survey: Survey | None) -> str | None:
     Where the poses are not known yet (``survey`` None), attitudes are those in XMP.
     """
     water = found.config.water
-    is_given = water is None or water.level_m is not None or water.sources.clicks is not None
+    is_given = water is None or water.level_m is not None or water.clicks is not None
     if is_given or (survey is not None and survey.provenance.is_level_known):
         return None
     if survey is None:

@@ -182,8 +182,8 @@ def _tide(survey: Survey) -> tuple[Decision, ...]:
     if tide is None:
         return ()
     water = survey.config.water
-    if water is not None and water.rate.level_rate_std_m_per_h is not None and not survey.provenance.is_adjusted:
-        known = f"{water.rate.level_rate_m_per_h:g} +- {water.rate.level_rate_std_m_per_h:g} m/h"
+    if water is not None and water.level_rate_std_m_per_h is not None and not survey.provenance.is_adjusted:
+        known = f"{water.level_rate_m_per_h:g} +- {water.level_rate_std_m_per_h:g} m/h"
         return (Decision("level", "per photograph", f"its rate, known to {known}, is estimated with the poses"),)
     moves = f"{tide.source}, moves by {length(tide.moves_m)} over the flight, images by up to {tide.shift_px:.2g} px"
     if tide.matters:
@@ -281,7 +281,7 @@ def _reason_to_refine(survey: Survey, *, free_water: bool) -> str | None:
         return "adjusted within the accuracy that survey.toml states for them"
     if cameras.rolling_shutter_std_s is not None:
         return "rolling_shutter_std_s asks to estimate the readout time of the shutter"
-    if water is not None and water.rate.level_rate_std_m_per_h is not None:
+    if water is not None and water.level_rate_std_m_per_h is not None:
         return "level_rate_std_m_per_h asks to estimate the rate of the level"
     if BY_FILE in sources:
         return "adjusted within the accuracy that the poses file states for the positions"

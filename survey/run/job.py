@@ -19,7 +19,6 @@ from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
 from survey.plan.sweep_block import camera_of, cameras_of_block, load_block
 from survey.run.stored import ArrayFiles
 from survey.run.windows import BedSearch, Outlines
-from survey.settings.water import WaterColour
 from survey.stage_key import code_hash, stage_key
 
 if TYPE_CHECKING:
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
 def colour_of(survey: Survey) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
     """Absorption [1/m] and veiling light (linear, 1 for white) of red, green and blue; None where not known."""
     water = survey.config.water
-    return (None, None) if water is None else (water.colour.absorption_per_m, water.colour.veiling_light)
+    return (None, None) if water is None else (water.absorption_per_m, water.veiling_light)
 
 
 def _water(job: Job) -> Any:
@@ -46,7 +45,9 @@ def _water(job: Job) -> Any:
 
 def _water_settings(job: Job) -> Any:
     water = job.survey.config.water
-    return None if water is None else replace(water, colour=WaterColour()), job.survey.observations.tide
+    return None if water is None else replace(
+        water, absorption_per_m=None, veiling_light=None
+    ), job.survey.observations.tide
 
 
 def _priors(job: Job) -> Any:

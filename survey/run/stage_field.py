@@ -23,7 +23,6 @@ from survey.progress import Step
 from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import MAPS
 from survey.run.stored_maps import Stored
-from survey.settings.water import WaterColour
 
 if TYPE_CHECKING:
     from fields.volume.layer import Layer
@@ -202,7 +201,7 @@ def use_colour(job: Job, folder: Path) -> None:
     """Give the job's survey the absorption that was found, and no veiling light."""
     red, green, blue = read_json_object(folder / COLOUR_FILE)["absorption_per_m"]
     _, given = job.survey.require_water()
-    water = replace(given, colour=WaterColour((red, green, blue), (0.0, 0.0, 0.0)))
+    water = replace(given, absorption_per_m=(red, green, blue), veiling_light=(0.0, 0.0, 0.0))
     listed = ", ".join(f"{a:.3f}" for a in (red, green, blue))
     note = f"absorption_per_m = [{listed}], from the photographs, and no veiling_light"
     findings = job.survey.findings + Findings(assumptions=(note,))

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import tomli_w
 
@@ -15,7 +17,6 @@ from survey.files.foreign import require_plain, require_plain_entries
 from survey.files.remote import is_url, local_name
 from survey.files.toml_table import key, parse_toml, read_toml, require_with, std_key, table_of
 from survey.settings.tables import ControlConfig, FieldConfig, ProcessConfig
-from survey.settings.water import WaterConfig, require_slope
 
 # The slowest sensors of drones read a whole frame in a tenth of a second.
 _LONGEST_READOUT_S = 0.25
@@ -35,6 +36,19 @@ _SYNONYMS = {
     "extent": "area.bounds", "bbox": "area.bounds", "no_water": "dry", "is_dry": "dry",
 }  # fmt: skip
 
+MOST_LEVEL_STD_M = 10.0
+# Slope of a water surface at most: steeper than 0.065 a stream is a cascade, white water that shows no bed
+# (D. R. Montgomery and J. M. Buffington, Channel-reach morphology in mountain drainage basins, 1997).
+MOST_SLOPE = 0.065
+# Filling locks and the largest tidal bores rise faster, and nobody flies there for the bed.
+MOST_RATE_M_PER_H = 10.0
+
+
+# Keys of the files that give the level, at most one; of the light or water that the index belongs to, none of which a
+# loaded survey has.
+LEVEL_FILES = ("shoreline", "gnss_points", "surface", "gauge", "image_levels", "clicks")
+NO_LEVEL_FILES: dict[str, Any] = dict.fromkeys(LEVEL_FILES)
+NO_MEDIUM: dict[str, Any] = dict.fromkeys(("index_wavelength_nm", "temperature_c", "salinity_psu"))
 METRES, FEET = "metres", "feet"
 # What editors and file managers make of the name of the settings.
 _NEAR_NAMES = (FILE_NAME, *(f"{FILE_NAME}{ending}" for ending in (".txt", ".toml", ".bak")), "survey.tml")
@@ -116,6 +130,127 @@ class CamerasConfig:
 
 
 @dataclass(frozen=True)
+class WaterConfig:
+    """[water]: a plane through ``level_m`` at ``level_at``, with its rise per metre along the grid axes."""
+
+    level_m: float | None = None  # None only until the file that is named instead is read
+    level_at: tuple[float, float] | None = key(None, "[easting, northing]")
+    slope_east: float = 0.0
+    slope_north: float = 0.0
+    # Of the light that is matched, unless index_wavelength_nm tells another
+    refractive_index: float | None = key(
+        None, "1.0 to 1.6 relative to air; fresh water has 1.333, sea water 1.340", least=1.0, most=1.6
+    )
+    index_wavelength_nm: float | None = key(
+        None, "400 to 700, the wavelengths of light; an index from a handbook belongs to 589.3", least=400.0, most=700.0
+    )
+    temperature_c: float | None = None
+    salinity_psu: float | None = None
+    absorption_per_m: tuple[float, float, float] | None = key(
+        None, "[red, green, blue], the absorption coefficient in 1/m, none below 0, e.g. [0.3, 0.07, 0.05]", least=0.0
+    )
+    veiling_light: tuple[float, float, float] | None = key(
+        None,
+        "[red, green, blue], linear light of endless water, 0 for none, 1 for white, e.g. [0.03, 0.17, 0.2]",
+        least=0.0,
+    )
+    shoreline: str | None = None  # CSV of points, easting, northing, height, or a vector file, where water meets land
+    gnss_points: str | None = None  # the same, of points anywhere on the surface
+    surface: str | None = None  # the same or a GeoTIFF, of water that is not a plane
+    gauge: str | None = None  # series of time and level: CSV, or a form of NOAA, PEGELONLINE or USGS
+    image_levels: str | None = None  # CSV of image, level
+    clicks: str | None = None  # CSV of image, x, y, name: places of the waterline in two photographs or more
+    # At which the level rises, which then holds at level_time; with a std, the adjustment finds it
+    level_rate_m_per_h: float | None = key(
+        None,
+        f"metres per hour, at most {MOST_RATE_M_PER_H:g} up or down; tides have up to 3",
+        least=-MOST_RATE_M_PER_H,
+        most=MOST_RATE_M_PER_H,
+    )
+    level_rate_std_m_per_h: float | None = std_key(
+        MOST_RATE_M_PER_H, "metres per hour", "0.3 if the tide is nearly unknown"
+    )
+    level_time: str | None = key(None, "a time with its zone, e.g. 2024-06-01T10:30:00Z")
+    gauge_zero_m: float | None = None  # height in crs from which the readings of the gauge count
+    layer: str | None = None  # of the file of points or lines, the one that is the water
+    # Standard deviations, for the adjustment
+    level_std_m: float | None = std_key(MOST_LEVEL_STD_M, "metres", "a staff has about 0.02, a gauge 0.01")
+    index_std: float | None = std_key(0.1, "", "temperature and salinity give the index to 0.0005")
+    slope_std: float | None = std_key(0.2, "metres per metre", "a river slopes by 0.001 to 0.01")
+
+    def __post_init__(self):
+        for other, names, remedy in (
+            ("level_rate_m_per_h", ("level_time", "level_rate_std_m_per_h"), "0 if unknown"),
+            ("temperature_c", ("salinity_psu",), "or refractive_index"),
+            ("veiling_light", ("absorption_per_m",), "veiling_light = [0, 0, 0] for water that scatters nothing"),
+            ("absorption_per_m", ("veiling_light",), ""),
+            ("gauge", ("gauge_zero_m",), "readings count from its zero"),
+            ("refractive_index", ("index_wavelength_nm",), "or temperature_c"),
+        ):
+            require_with("water", self, other, names, remedy)
+        levels, medium = [*(["level_m"] * (self.level_m is not None)), *self.level_files], self.medium
+        moving = [name for name in ("gauge", "image_levels") if name in levels]
+        if self.surface is not None and (self.level_at is not None or self.slope_east or self.slope_north):
+            raise ConfigError("[water] surface gives the level everywhere; remove level_at, slope_east and slope_north")
+        if self.layer is not None and not {*levels} & {*LEVEL_FILES[:3]}:
+            files = ", ".join(LEVEL_FILES[:3])
+            raise ConfigError(f"[water] has layer without {files}, one of whose files has it; give both")
+        if len(levels) > 1:
+            raise ConfigError(f"[water] has {' and '.join(levels)}, each of which gives the level; keep one")
+        if self.level_rate_m_per_h is not None and moving:
+            raise ConfigError(f"[water] has level_rate_m_per_h and {moving[0]}, both of a moving level; keep one")
+        if self.refractive_index is not None and medium:
+            raise ConfigError(f"[water] has both refractive_index and {' and '.join(medium)}; keep one")
+
+    @property
+    def level_files(self) -> dict[str, str]:
+        """The files of the level that are given, by their keys."""
+        return {name: path for name in LEVEL_FILES if (path := getattr(self, name)) is not None}
+
+    @property
+    def medium(self) -> list[str]:
+        """The keys of the water itself that are given."""
+        return [name for name in ("temperature_c", "salinity_psu") if getattr(self, name) is not None]
+
+    @property
+    def known_level_m(self) -> float:
+        """``level_m`` of settings for which the file that may be named instead was read."""
+        if self.level_m is None:
+            raise ValueError("level_m is not known before the file that [water] names instead is read")
+        return self.level_m
+
+    @property
+    def known_level_at(self) -> tuple[float, float]:
+        """``level_at`` of the settings of a loaded survey, which have its default filled in."""
+        if self.level_at is None:
+            raise ValueError("level_at is not known before its default is filled in from the cameras")
+        return self.level_at
+
+    @property
+    def states_index(self) -> bool:
+        """Whether the index is given; else it and its standard deviation are assumed."""
+        return not (self.refractive_index is None and self.temperature_c is None and self.index_std is None)
+
+    @property
+    def gives_level(self) -> bool:
+        """Whether a level, or a file of it, is given."""
+        return self.level_m is not None or bool(self.level_files)
+
+    def require_level(self) -> None:
+        """Raise ConfigError where neither a level nor a file of it is given.
+
+        Structure from motion can do without: the adjustment then finds the level, where the photographs tell it.
+        """
+        if not self.gives_level:
+            raise ConfigError(
+                "level_m is missing from [water]. Give the height of the water surface in the survey's vertical "
+                "datum, e.g. level_m = 12.34, or name a file in shoreline, gnss_points, surface, gauge, image_levels "
+                "or clicks. For a dry survey write dry = true above the first table, in place of [water]. Only a "
+                "survey without poses, with GPS positions in its photographs, can leave the level to the adjustment"
+            )
+
+
+@dataclass(frozen=True)
 class AreaConfig:
     """[area]: the region to reconstruct."""
 
@@ -175,6 +310,16 @@ class SurveyConfig:
     def __post_init__(self):
         if self.dry and self.water is not None:
             raise ConfigError("dry = true says that no ground is under water, and [water] describes one; keep one")
+
+
+def require_slope(slope: tuple[float, float], source: str, remedy: str) -> None:
+    """Raise ConfigError where a slope [-] east and north is steeper than `MOST_SLOPE`; ``source`` begins the error."""
+    steepness = math.hypot(*slope)
+    if steepness > MOST_SLOPE:
+        raise ConfigError(
+            f"{source} {slope[0]:.3g} and {slope[1]:.3g}, {math.degrees(math.atan(steepness)):.2g} degrees, expected a "
+            f"rise of at most {MOST_SLOPE:g} m in a metre (a river has 0.001 to 0.01, a rapid 0.03); {remedy}"
+        )
 
 
 def read_config(path: Path) -> SurveyConfig:

@@ -37,8 +37,14 @@ from survey.errors import FILE_NAME, ConfigError, Findings
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.photos.texture import MatchedLight
-from survey.settings.config import SurveyConfig
-from survey.settings.water import MOST_LEVEL_STD_M, MOST_SLOPE, LevelSources, WaterConfig, require_slope
+from survey.settings.config import (
+    MOST_LEVEL_STD_M,
+    MOST_SLOPE,
+    NO_LEVEL_FILES,
+    SurveyConfig,
+    WaterConfig,
+    require_slope,
+)
 from survey.water.level_observation import COMMON_STD_M, LevelObservation, levels_of_clicks, points_of_surface
 from survey.water.surface import SURFACE, plane_warning
 from survey.water.tides import MovingLevel, Tide, tide_of_gauge, tide_of_levels, tide_of_rate
@@ -85,21 +91,21 @@ def with_level(
     water = config.water
     if water is None:
         return config, (), None, Findings()
-    tide = None if water.rate.level_rate_m_per_h is None else tide_of_rate(water, headers)
+    tide = None if water.level_rate_m_per_h is None else tide_of_rate(water, headers)
     if water.level_m is not None:
         std = STAFF_STD_M if water.level_std_m is None else water.level_std_m
         return config, (LevelObservation(water.level_m, std, water.level_at, None, "level_m"),), tide, Findings()
-    sources, unit_m = water.sources, height_unit_m(crs)
-    if sources.gauge is not None:
-        moving = tide_of_gauge(folder / sources.gauge, water, headers, unit_m)
+    unit_m = height_unit_m(crs)
+    if water.gauge is not None:
+        moving = tide_of_gauge(folder / water.gauge, water, headers, unit_m)
         return _with_moving(config, water, moving, f"mean at {moving.num_images} of {len(headers)} images")
-    if sources.image_levels is not None:
-        moving = tide_of_levels(folder / sources.image_levels, headers, unit_m)
+    if water.image_levels is not None:
+        moving = tide_of_levels(folder / water.image_levels, headers, unit_m)
         return _with_moving(config, water, moving, f"mean of {moving.num_images} images")
-    name = next((source for source in (*_MEASURED, SURFACE) if source in sources.named), None)
+    name = next((source for source in (*_MEASURED, SURFACE) if source in water.level_files), None)
     if name is None:
         return config, (), tide, Findings()
-    path = folder / sources.named[name]
+    path = folder / water.level_files[name]
     points, found = points_of_surface(path, name, crs, water.layer)
     if name == SURFACE:
         _require_apart(path, points, crs)
@@ -148,9 +154,9 @@ def with_level_of_clicks(
 ) -> tuple[SurveyConfig, tuple[LevelObservation, ...], Findings]:
     """Settings with the water level where rays of clicks in the photographs meet, and the heights of all places."""
     water = config.water
-    if water is None or water.sources.clicks is None:
+    if water is None or water.clicks is None:
         return config, (), Findings()
-    places, findings = levels_of_clicks(folder / water.sources.clicks, views, frame)
+    places, findings = levels_of_clicks(folder / water.clicks, views, frame)
     water, of_level = _of_points(water, places, frame.crs)
     return replace(config, water=water), places, findings + of_level
 
@@ -191,7 +197,7 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS)
         warning = warning or _far_warning(residuals, stds, source)
     water = replace(
         water, level_m=level, level_at=level_at, slope_east=slope[0], slope_north=slope[1], level_std_m=level_std_m,
-        layer=None, sources=LevelSources(),
+        layer=None, **NO_LEVEL_FILES,
     )  # fmt: skip
     return water, Findings((message,), () if warning is None else (warning,))
 
@@ -281,7 +287,7 @@ def _with_moving(
         f"{1000.0 * moving.tide.moves_m:.0f} mm"
     )
     level_std = water.level_std_m or min(std, MOST_LEVEL_STD_M)
-    water = replace(water, level_m=moving.level_m, level_std_m=level_std, gauge_zero_m=None, sources=LevelSources())
+    water = replace(water, level_m=moving.level_m, level_std_m=level_std, gauge_zero_m=None, **NO_LEVEL_FILES)
     return replace(config, water=water), moving.observations, moving.tide, Findings((text,)) + moving.findings
 
 
@@ -290,9 +296,9 @@ def refractive_index(given: WaterConfig, light: Callable[[], MatchedLight]) -> t
 
     ``light`` measures that of the photographs; it is called only where the index depends on it.
     """
-    temperature_c, salinity_psu = given.medium.temperature_c, given.medium.salinity_psu
+    temperature_c, salinity_psu = given.temperature_c, given.salinity_psu
     if temperature_c is None:
-        index, wavelength_nm, what = given.refractive_index, given.medium.index_wavelength_nm, ""
+        index, wavelength_nm, what = given.refractive_index, given.index_wavelength_nm, ""
         if index is None:
             index, wavelength_nm = FRESH_WATER, SODIUM_NM
             what = f"fresh water (the sea has {SEA_WATER:.3f}, 0.7 % more depth), "

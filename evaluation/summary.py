@@ -56,11 +56,7 @@ class Scores:
 
 
 def scores(
-    distances: np.ndarray,
-    *,
-    tolerance_m: float,
-    is_reached: np.ndarray,
-    is_reached_visible: np.ndarray | None = None,
+    distances: np.ndarray, *, tolerance_m: float, is_reached: np.ndarray, is_reached_visible: np.ndarray | None = None
 ) -> Scores:
     """Accuracy and completeness at one tolerance, of distances (N,) [m], without NaN.
 

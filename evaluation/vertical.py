@@ -32,11 +32,7 @@ _MOST_OFF = 0.5
 
 
 def vertical_difference(
-    points: np.ndarray,
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    *,
-    advance: Callable[[int], object] | None = None,
+    points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, *, advance: Callable[[int], object] | None = None
 ) -> np.ndarray:
     """Height (N,) [m] of points over the surface of a mesh straight above or below them, positive above.
 

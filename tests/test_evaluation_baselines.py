@@ -61,10 +61,7 @@ def _errors(cameras, depth=DEPTH):
 
 @pytest.mark.parametrize(
     ("cameras", "straight", "times_n", "dietrich"),
-    [
-        (_block(4, 5, 8.0, 6.0), 0.897, 0.031, 0.008),
-        (_block(5, 5, 22.0, 22.0), 1.059, 0.246, 0.053),
-    ],
+    [(_block(4, 5, 8.0, 6.0), 0.897, 0.031, 0.008), (_block(5, 5, 22.0, 22.0), 1.059, 0.246, 0.053)],
     ids=["nadir block", "wide block"],
 )
 def test_networks_give_the_predicted_errors(cameras, straight, times_n, dietrich):

@@ -14,10 +14,7 @@ from survey.run.edits import DELETED, Edits
 from survey.viewer.page import address, write_page
 from survey.viewer.session import ViewOptions, _load
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(chromium.PROGRAM is None, reason="no chromium on this machine"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(chromium.PROGRAM is None, reason="no chromium on this machine")]
 SIZE = (1200, 800)
 CALLS_OUT = "https:", "wss:"
 # Not "10 points marked".

@@ -68,7 +68,9 @@ def crs_difference(a: CRS, b: CRS) -> str | None:
     if abs(height_unit_m(a) - height_unit_m(b)) > 1e-9 or axes[0].direction != axes[1].direction:
         names = [f"{name} ({axis.unit_name}, {axis.direction})" for name, axis in zip(names, axes, strict=True)]
         return f"heights {names[0]} against {names[1]}"
-    if _vertical_differs(vertical_crs(a), vertical_crs(b)):
+    first, second = vertical_crs(a), vertical_crs(b)
+    is_one_ellipsoidal = (first is None) != (second is None)
+    if is_one_ellipsoidal or (first and second and _names_differ(first.datum, second.datum)):
         return f"heights {names[0]} against {names[1]}"
     return None
 
@@ -161,12 +163,6 @@ def _grids_differ(a: CRS, b: CRS) -> bool:
     in_b = MapProjection(b.to_3d()).crs_from_geodetic(*MapProjection(a.to_3d()).geodetic_from_crs(in_a))
     distances = np.linalg.norm(in_a - in_b, axis=-1) * unit
     return not np.nanmax(distances, initial=np.inf if np.isnan(distances).all() else 0.0) <= _TOLERANCE_M
-
-
-def _vertical_differs(a: CRS | None, b: CRS | None) -> bool:
-    if a is None or b is None:
-        return (a is None) != (b is None)
-    return _names_differ(a.datum, b.datum)
 
 
 def _names_differ(a: Datum | None, b: Datum | None) -> bool:

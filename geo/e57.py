@@ -12,7 +12,7 @@ import numpy as np
 from pyproj import CRS
 
 from geo.crs import crs_named, horizontal_crs, wkt1
-from geo.errors import EmptyCloud, UnreadableFile, UnwritableFile
+from geo.errors import EmptyCloud, UnreadableFile, UnwritableFile, first_line
 from geo.files import existing_file, library_for, write_whole_at
 from geo.shapes import Cloud
 
@@ -31,8 +31,7 @@ def read_e57(path: str | Path) -> Cloud:
             named = "coordinateMetadata"
             stated = file.root[named].value().strip() if file.root.isDefined(named) else ""
     except Exception as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:100]
-        raise UnreadableFile(f"{path} cannot be read as E57 ({reason}); copy or export it again.") from error
+        raise UnreadableFile(f"{path} cannot be read as E57 ({first_line(error)}); copy or export it again.") from error
     points = [np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], axis=1) for scan in scans]
     cloud = np.concatenate([np.empty((0, 3)), *points])
     if not len(cloud):

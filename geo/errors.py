@@ -45,3 +45,8 @@ class MissingGrid(GeoError):
 
 class UnknownUnit(GeoError):
     """Nothing states the unit of heights."""
+
+
+def first_line(error: BaseException) -> str:
+    """What an error of a library says in its first line, or its kind."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0][:100]

@@ -104,10 +104,15 @@ def layers_of(path: Path) -> list[str | None]:
     if existing_file(path).suffix.lower() != ".gpkg":
         return [None]
     try:
-        layers = vector_library(path).list_layers(path.absolute()).tolist()
+        return list(_kinds(path))
     except RuntimeError as error:
         raise UnreadableFile(f"{path} has no layers that can be read ({str(error)[:80]}); export it again.") from error
-    return [str(name) for name, kind in layers if kind is not None]
+
+
+def _kinds(path: Path) -> dict[str, str]:
+    """Kinds of geometries by layer, of those that have geometries."""
+    layers = vector_library(path).list_layers(path.absolute()).tolist()
+    return {str(name): str(kind) for name, kind in layers if kind is not None}
 
 
 def read_features(path: str | Path, kind: str, layer: str | None = None) -> Features:
@@ -176,16 +181,12 @@ def _of_markup(path: Path) -> Iterator[Feature]:
     for element in root.iter():
         # Without the namespace, of which versions differ.
         element.tag = str(element.tag).rpartition("}")[2]
-    if f".{root.tag}" != path.suffix.lower():
-        raise UnreadableFile(
-            f"{path} begins with <{root.tag[:40]}>, expected <{path.suffix[1:].lower()}>; export it again."
-        )
+    suffix = path.suffix.lower()
+    if f".{root.tag}" != suffix:
+        raise UnreadableFile(f"{path} begins with <{root.tag[:40]}>, expected <{suffix[1:]}>; export it again.")
     # Of folders in each other the inner one counts, which comes later.
-    folders = {
-        item: (folder.findtext("name") or "").strip()
-        for folder in root.iter("Folder")
-        for item in folder.iter("Placemark")
-    }
+    pairs = [(item, folder.findtext("name")) for folder in root.iter("Folder") for item in folder.iter("Placemark")]
+    folders = {item: (name or "").strip() for item, name in pairs}
     for item in root.iter():
         named = {"name": (item.findtext("name") or "").strip(), "layer": folders.get(item, "")}
         if item.tag == "Placemark":
@@ -239,7 +240,7 @@ def vector_library(path: Path) -> ModuleType:
 
 def _by_gdal(path: Path, layer: str | None) -> Features:
     pyogrio = vector_library(path)
-    meta, _, shapes, columns = pyogrio.raw.read(path.absolute(), layer=_layer(pyogrio, path, layer))
+    meta, _, shapes, columns = pyogrio.raw.read(path.absolute(), layer=_layer(path, layer))
     values = zip(*(column.tolist() for column in columns), strict=True)
     rows = [dict(zip(meta["fields"], row, strict=True)) for row in values] or [{}] * len(shapes)
     # Solids and symbols of a drawing have no counterpart.
@@ -251,10 +252,9 @@ def _by_gdal(path: Path, layer: str | None) -> Features:
     return Features(tuple(features), crs, None if stated is None else UNITS_OF_DRAWINGS.get(int(stated[1])))
 
 
-def _layer(pyogrio: ModuleType, path: Path, layer: str | None) -> str:
+def _layer(path: Path, layer: str | None) -> str:
     """The layer of a file to read: the one of that name, or the only one with geometries."""
-    layers = pyogrio.list_layers(path.absolute())
-    kinds = {str(name): str(kind) for name, kind in layers.tolist() if kind is not None}
+    kinds = _kinds(path)
     if layer in kinds:
         return layer
     listed = ", ".join(f"{name} ({kind})" for name, kind in kinds.items())

@@ -19,7 +19,7 @@ from pyproj import CRS
 
 from geo import copc
 from geo.crs import is_geographic, wkt1
-from geo.errors import EmptyCloud, GeoError, UnreadableFile, UnwritableFile
+from geo.errors import EmptyCloud, GeoError, UnreadableFile, UnwritableFile, first_line
 from geo.files import existing_file, write_whole
 from geo.las_header import add_extra_bytes, crs_of_header, extra_of, length_fault, stored_extra
 from geo.shapes import Cloud, ComputedColumn, portions
@@ -149,7 +149,7 @@ def _write(records: copc.Records, count: int, header: laspy.LasHeader, path: Pat
         except (LazrsError, LaspyException, IndexError) as error:
             # The LAZ encoder hides the system's error.
             raise UnwritableFile(
-                f"cannot write {path} ({_first_line(error)}); most likely no space is left on the disk: free "
+                f"cannot write {path} ({first_line(error)}); most likely no space is left on the disk: free "
                 "some or write elsewhere."
             ) from error
 
@@ -210,7 +210,7 @@ def read_cloud(path: str | Path) -> Cloud:
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
         raise UnreadableFile(
-            f"{path} cannot be read as LAS or LAZ ({_first_line(error)}); it is damaged or cut short: copy or "
+            f"{path} cannot be read as LAS or LAZ ({first_line(error)}); it is damaged or cut short: copy or "
             "export it again."
         ) from error
     if las is None:
@@ -242,7 +242,3 @@ def _rgb(las: laspy.LasData) -> np.ndarray | None:
     rgb = np.stack([las.red, las.green, las.blue], axis=-1)
     # The upper byte is the colour, whether the writer multiplied by 256 or by 257.
     return (rgb >> 8 if rgb.max() > 255 else rgb).astype(np.uint8)
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0][:100]

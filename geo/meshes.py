@@ -15,7 +15,7 @@ import numpy as np
 from pyproj import CRS
 
 from geo.crs import crs_code, crs_named, has_height, height_unit_m, horizontal_unit, is_geographic
-from geo.errors import UnreadableFile, UnwritableFile
+from geo.errors import UnreadableFile, UnwritableFile, first_line
 from geo.files import existing_file, library_for, write_whole
 from geo.frames import LocalFrame
 from geo.projection import is_to_scale
@@ -116,8 +116,7 @@ def read_gltf(path: str | Path) -> Mesh | Cloud:
         meshes = [part for part in parts if hasattr(part, "faces")]
         vertices = [np.asarray(part.vertices, dtype=np.float64) for part in meshes or parts]
     except Exception as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:100]
-        raise UnreadableFile(f"{path} cannot be read as glTF ({reason}); export it again.") from error
+        raise UnreadableFile(f"{path} cannot be read as glTF ({first_line(error)}); export it again.") from error
     points = np.concatenate([np.empty((0, 3)), *vertices]) @ _Z_UP.T
     points, crs, notes = _placed(points, scene.metadata, path)
     if not meshes:

@@ -30,7 +30,7 @@ from geo.crs import (
     unit_named,
     vertical_crs,
 )
-from geo.errors import UnreadableFile, UnwritableFile
+from geo.errors import UnreadableFile, UnwritableFile, first_line
 from geo.files import disk_error_text, existing_file, write_whole_at
 from geo.shapes import Mesh
 
@@ -175,9 +175,8 @@ def _working_folder(part: Path, path: Path) -> Iterator[Path]:
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             yield Path(work)
     except RasterioError as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:120]
         # GDAL hides the system's error.
-        text = disk_error_text(OSError(reason), path) or f"cannot write {path} ({reason})"
+        text = disk_error_text(OSError(first_line(error)), path) or f"cannot write {path} ({first_line(error)})"
         raise UnwritableFile(f"{text}.") from error
 
 
@@ -238,8 +237,7 @@ def _read_band(path: Path) -> tuple[np.ndarray, rasterio.Affine, CRS | None, str
             unit = raster.units[0]
             name, is_picture = raster.descriptions[0] or "", raster.colorinterp[0] == ColorInterp.red
     except RasterioError as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:100]
-        raise UnreadableFile(f"{path} cannot be read as a GeoTIFF ({reason}); export it again.") from error
+        raise UnreadableFile(f"{path} cannot be read as a GeoTIFF ({first_line(error)}); export it again.") from error
     if transform == rasterio.Affine.identity():
         raise UnreadableFile(
             f"{path} has no georeference, expected a GeoTIFF that states where its cells lie; give it the bounds "

@@ -136,7 +136,7 @@ def test_a_file_beside_a_raster_brings_no_other_file(tmp_path, asked, beside, so
 
 def test_every_raster_and_vector_of_others_comes_by_the_one_door():
     """What `geo.raster` and `geo.vectors` open they have just written."""
-    openers = r"\b(rasterio\.open|pyogrio\.read|pyogrio\.raw\.read|Image\.open|cv2\.imread|pyogrio\.list_layers)\("
+    openers = r"\b(rasterio\.open|pyogrio\.read|pyogrio\.raw\.read|Image\.open|cv2\.imread|list_layers)\("
     opened = {
         (path.relative_to(ROOT).as_posix(), call)
         for room in ("geo", "survey", "evaluation", "fields", "refract", "bathynerf")
@@ -146,7 +146,7 @@ def test_every_raster_and_vector_of_others_comes_by_the_one_door():
     assert opened == {
         ("geo/raster.py", "rasterio.open"),
         ("geo/features.py", "pyogrio.raw.read"),
-        ("geo/features.py", "pyogrio.list_layers"),
+        ("geo/features.py", "list_layers"),
         ("survey/photos/pixels.py", "Image.open"),
         ("survey/volume/options.py", "cv2.imread"),
     }

@@ -57,10 +57,7 @@ def add_water(server: viser.ViserServer, shown: Shown) -> viser.MeshHandle | Non
 
 
 def add_cameras(server: viser.ViserServer, shown: Shown) -> tuple[viser.FrameHandle, Thumbnails | None]:
-    """The cameras, below one node, and the thread that adds their photographs, where the files exist.
-
-    A click on a camera looks through it.
-    """
+    """The cameras, which a click looks through, below one node, and the thread that adds their photographs."""
     height_m = float(np.median([view.camera.centre[2] for view in shown.views])) - shown.middle[2]
     top = server.scene.add_frame("/cameras", show_axes=False)
     handles = [(view, _add_camera(server, view, _CAMERA_SHARE * abs(height_m))) for view in shown.views]
@@ -71,18 +68,11 @@ def _add_camera(server: viser.ViserServer, view: View, size: float) -> viser.Cam
     from viser.transforms import SO3
 
     camera = view.camera
+    fov, wxyz = 2.0 * math.atan(0.5 * camera.height / camera.fy), SO3.from_matrix(camera.cam_from_local.T).wxyz
     handle = server.scene.add_camera_frustum(
-        f"/cameras/{printable(view.name)}",
-        fov=2.0 * math.atan(0.5 * camera.height / camera.fy),
-        aspect=camera.width / camera.height,
-        scale=size,
-        color=_CAMERA,
-        thickness=0.01 * size,
-        wxyz=SO3.from_matrix(camera.cam_from_local.T).wxyz,
-        position=camera.centre,
-        cast_shadow=False,
-        receive_shadow=False,
-    )
+        f"/cameras/{printable(view.name)}", fov=fov, aspect=camera.width / camera.height, scale=size, color=_CAMERA,
+        thickness=0.01 * size, wxyz=wxyz, position=camera.centre, cast_shadow=False, receive_shadow=False,
+    )  # fmt: skip
 
     @handle.on_click
     def look_through(event: viser.SceneNodePointerEvent) -> None:
@@ -118,26 +108,19 @@ class Thumbnails:
             current().warn(f"{len(lost)} photographs cannot be shown: {lost[0]}")
 
 
-def terrain(shown: Shown) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The terrain model as vertices (V, 3), local, faces (F, 3) and colours (V, 3) by height."""
+def terrain_node(server: viser.ViserServer, shown: Shown) -> viser.GlbHandle:
+    """The terrain model in the scene, coloured by height."""
+    import trimesh
+
     from survey.export.registry import ExportOptions
     from survey.handles.run import dem_mesh
 
     cell_m = max(_CELL_GSD * shown.gsd_m, shown.extent_m / _MOST_CELLS)
     surface = dem_mesh(shown.folder, ExportOptions(resolution_m=cell_m))
-    vertices, limits = shown.new_frame().local_from_crs(surface.vertices), shown.limits("height")
-    if limits is None:
-        raise RuntimeError("a cloud has heights")
-    return vertices, surface.faces, SCALES["height"].colours(vertices[:, 2] + shown.base_m, limits)
-
-
-def coloured_mesh(server: viser.ViserServer, name: str, parts: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Any:
-    """A mesh whose vertices have colours, in the scene."""
-    import trimesh
-
-    vertices, faces, colours = parts
-    made = trimesh.Trimesh(vertices, faces, vertex_colors=colours, process=False)
-    return server.scene.add_mesh_trimesh(name, made, cast_shadow=False, receive_shadow=False)
+    vertices, scale = shown.new_frame().local_from_crs(surface.vertices), SCALES["height"]
+    colours = scale.colours(vertices[:, 2] + shown.base_m, scale.limits(shown.columns["height"]))
+    made = trimesh.Trimesh(vertices, surface.faces, vertex_colors=colours, process=False)
+    return server.scene.add_mesh_trimesh("/terrain", made, cast_shadow=False, receive_shadow=False)
 
 
 def reference_node(server: viser.ViserServer, reference: LocalReference, size_m: float) -> Any:

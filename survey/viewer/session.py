@@ -22,10 +22,9 @@ from survey.viewer.layers import (
     add_cameras,
     add_field,
     add_water,
-    coloured_mesh,
     reference_node,
     set_initial_view,
-    terrain,
+    terrain_node,
 )
 from survey.viewer.page import Overlay, address, close_server, open_server, require_page, write_page
 from survey.viewer.shown import Shown, Style, load_shown
@@ -96,7 +95,11 @@ class CloudInBrowser:
                 self._nodes[node].colors = self._shown.colours(style.kind, self._shown.rows(node), style.limits)
             else:
                 # One of the same name is replaced.
-                self._add(node, style)
+                middle, points, colours = node_arrays(self._shown, node, style)
+                self._nodes[node] = self._client.scene.add_point_cloud(
+                    f"/cloud/{node}", points, colours, position=middle, point_size=style.size * self._shown.gsd_m,
+                    point_shape="circle", point_shading="flat",
+                )  # fmt: skip
             self._drawn[node] = wanted
             if self._wake.is_set():
                 break
@@ -105,14 +108,6 @@ class CloudInBrowser:
         for node, handle in self._nodes.items():
             if abs(handle.point_size - sizes[node]) > _SAME_SIZE * sizes[node]:
                 handle.point_size = float(sizes[node])
-
-    def _add(self, node: int, style: Style) -> None:
-        middle, points, colours = node_arrays(self._shown, node, style)
-        size = style.size * self._shown.gsd_m
-        self._nodes[node] = self._client.scene.add_point_cloud(
-            f"/cloud/{node}", points, colours, position=middle, point_size=size, point_shape="circle",
-            point_shading="flat",
-        )  # fmt: skip
 
     def _make_room(self, nodes: np.ndarray) -> None:
         """Remove nodes that are not wanted from the browser, as far as it would draw too many points."""
@@ -168,16 +163,13 @@ class ViewSession:
         if water is not None:
             self.panel.add_layer("water surface", is_on=True, show=lambda on: setattr(water, "visible", on))
         self.panel.add_layer("cameras", is_on=True, show=lambda on: setattr(cameras, "visible", on))
-        self._terrain = OnDemand(
-            self.server, "terrain model", lambda: coloured_mesh(self.server, "/terrain", terrain(self.shown))
-        )
+        self._terrain = OnDemand(self.server, "terrain model", lambda: terrain_node(self.server, self.shown))
         self._box_of_terrain = self.panel.add_layer("terrain model", is_on=False, show=self._terrain.show)
         if (reference := self.shown.reference) is not None:
             node = OnDemand(self.server, "reference", lambda: reference_node(self.server, reference, self.shown.gsd_m))
             self.panel.add_layer("reference", is_on=False, show=node.show)
 
     def _compare(self) -> None:
-        """Offer the errors of all points, which take a while."""
         self.shown.measure_errors()
         self.panel.offer_kinds()
 

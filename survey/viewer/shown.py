@@ -313,7 +313,14 @@ def load_shown(run: LoadedRun, survey: str | None, reference: Path | None = None
     points, rgb = arrays.pop("xyz"), arrays.pop("rgb")
     if not len(points):
         raise SurveyError(f"the cloud of the run {run.folder.path} has no points; its report says why")
-    flight, has_photographs = _flight(run, survey)
+    flight, has_photographs = run.flight, True
+    try:
+        flight = flight_of(run, survey)
+    except SurveyError as error:
+        if survey is not None:
+            raise
+        current().warn(f"cameras are shown without their photographs: {error}")
+        has_photographs = False
     columns = {name: values for name, values in arrays.items() if np.isfinite(values).any()}
     path, header = run.folder.path, run.bed_header
     shown = Shown(
@@ -328,14 +335,3 @@ def load_shown(run: LoadedRun, survey: str | None, reference: Path | None = None
         some = flight.frame.crs_from_local(points[:: len(points) // _SOME + 1])
         shown.reference = load_reference(reference, flight.frame, some)
     return shown
-
-
-def _flight(run: LoadedRun, survey: str | None) -> tuple[Flight, bool]:
-    flight = run.flight
-    try:
-        return flight_of(run, survey), True
-    except SurveyError as error:
-        if survey is not None:
-            raise
-        current().warn(f"cameras are shown without their photographs: {error}")
-        return flight, False

@@ -16,7 +16,7 @@ from geo.frames import LocalFrame
 from refract import FlatWater
 from refract.curved import CurvedWater
 from survey.folder.observations import Observations, PlacedViews
-from survey.folder.placed_views import shifted_above_water
+from survey.folder.survey import shifted_above_water
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
 from survey.run.stage_bed import through_surface

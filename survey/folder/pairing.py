@@ -1,4 +1,4 @@
-"""The poses file of a survey, and photographs paired with its poses by name, with their lenses.
+"""The poses file of a survey, and photographs paired with its poses by name, with their lenses and masks.
 
 A lens comes from the poses file, else from survey.toml, else from EXIF.
 """
@@ -16,7 +16,7 @@ from geo.frames import LocalFrame
 from refract.lens import MODELS, Lens, LensError, coefficients_of
 from survey.control.reading import require_near
 from survey.display.quantities import named
-from survey.errors import FILE_NAME, ConfigError, Findings, PosesError
+from survey.errors import FILE_NAME, ConfigError, Findings, ImageError, PosesError
 from survey.folder.found import MIN_VIEWS, Circumstances, Found, below, unused_keys
 from survey.folder.gps_placement import place_poses
 from survey.folder.local_frame import (
@@ -29,14 +29,20 @@ from survey.folder.local_frame import (
 from survey.folder.observations import Observations, PlacedViews, Provenance
 from survey.folder.pose_priors import priors_of_gps, priors_of_poses
 from survey.photos.cameras import View
-from survey.photos.exif import Exif
-from survey.photos.pixels import require_pixels
-from survey.photos.poses import DuplicatePose, ImageNames, Pose, PoseFile, least_track
+from survey.photos.exif import SUFFIXES, Exif
+from survey.photos.images import is_hidden, read_mask
+from survey.photos.pixels import open_image, require_pixels, stored_size
+from survey.photos.poses import MASK_ENDING, DuplicatePose, ImageNames, Pose, PoseFile, least_track
 from survey.pose_files import find_poses, read_poses, read_ties
 from survey.settings.config import CamerasConfig
 from survey.settings.tables import per_axis
 from survey.sfm.gps import EXACT, DatumStd, plan_std, require_accurate
 from survey.water.level import with_level_of_clicks
+
+# Masks that are checked for inversion; decoding thousands would take minutes.
+_NUM_LOOKED_AT = 5
+# Masks that exclude more than this share of a photograph are probably inverted.
+_MOST_LEFT_OUT = 0.8
 
 
 def pair(found: Found, poses: Sequence[Pose]) -> tuple[dict[str, Pose], Findings]:
@@ -78,6 +84,71 @@ def require_image(view: View, header: Exif) -> None:
     if header.orientation >= 5 and header.size_px == expected[::-1]:
         remedy = "EXIF marks it as rotated, which is ignored here: rotate the pixels and remove the orientation tag"
     require_pixels(view.path, header.size_px, expected, "its camera", remedy)
+
+
+def with_masks(found: Found, views: Sequence[View], own: Path | None) -> tuple[list[View], Findings]:
+    """The views with their masks, by name: that of the image, IMG.png, IMG.jpg.png, or IMG_mask with any suffix.
+
+    Names are those of `survey.photos.poses.ImageNames`: a mask is of one photograph alone. Masks are taken from the
+    folder in [images] masks; else, if there are any, from the folder that the program that made the poses used; else
+    from IMG_mask next to the images, as for OpenDroneMap.
+    """
+    given = None if found.config.images.masks is None else found.folder / found.config.images.masks
+    if given is not None and not given.is_dir():
+        raise ImageError(f"the mask folder {given} does not exist; correct [images] masks in survey.toml")
+    masks: dict[str, Path] = {}
+    folder: Path | None = given
+    for folder in [given] if given is not None else [own, None] if own is not None else [None]:
+        masks = _masks(found, folder)
+        if any(view.name in masks for view in views):
+            break
+    masked = [replace(view, mask_path=masks.get(view.name)) for view in views]
+    paths = [view.mask_path for view in masked if view.mask_path is not None]
+    if not paths:
+        if given is None:
+            return masked, Findings()
+        raise ImageError(f"no mask in {given} is named like an image, e.g. {Path(views[0].name).stem}.png; rename them")
+    for view in masked:
+        if view.mask_path is not None:
+            with open_image(view.mask_path) as image:
+                found_px, expected_px = stored_size(image), (view.lens.width, view.lens.height)
+            remedy = "make it from the photograph as it is stored"
+            require_pixels(f"the mask {view.mask_path}", found_px, expected_px, "its photograph", remedy)
+    where = "beside the images" if folder is None else f"in {folder}"
+    notes = () if given is not None else (f"the masks are those {where}, of {len(paths)} images; black is left out",)
+    warnings = named([view.name for view in masked if view.mask_path is None], "image", "without a mask, used whole")
+    some = np.unique(np.linspace(0, len(paths) - 1, _NUM_LOOKED_AT).astype(int))
+    left_out = float(np.median([1.0 - read_mask(paths[i]).mean() for i in some]))
+    if left_out > _MOST_LEFT_OUT:
+        warnings.append(
+            f"masks leave out {left_out:.0%} of their photographs (median of {len(some)}): black is what is left out; "
+            "if theirs is white, invert them"
+        )
+    return masked, Findings(notes, tuple(warnings))
+
+
+def _masks(found: Found, folder: Path | None) -> dict[str, Path]:
+    """The masks in a folder, or next to the images, by the name of the photograph."""
+    root = found.folder / found.config.images.local_dir if folder is None else folder
+    photographs, names, masks = set(found.images.values()), ImageNames(found.images), dict[str, tuple[int, Path]]()
+    folders = sorted({path.parent for path in photographs})
+    below = root.rglob("*") if folder is not None else (path for place in folders for path in place.iterdir())
+    for path in sorted(path for path in below if path.suffix.lower() in SUFFIXES and path not in photographs):
+        inside = path.relative_to(root)
+        if is_hidden(inside) or not path.is_file():
+            continue
+        # Names of the photograph that it may belong to, the longest match first.
+        stem = inside.with_suffix("").as_posix()
+        candidates = [stem[: -len(MASK_ENDING)]] if stem.lower().endswith(MASK_ENDING) else []
+        candidates = candidates if folder is None else [inside.as_posix(), stem, *candidates]
+        rank, name = next(((i, n) for i, c in enumerate(candidates) if (n := names.find(c, str(path)))), (0, None))
+        if name is None:
+            continue
+        before = masks.get(name, (rank + 1, path))
+        if before[0] == rank:
+            raise ImageError(f"{before[1]} and {path} are both masks of {name}; remove one of them")
+        masks[name] = min(before, (rank, path))
+    return {name: path for name, (_, path) in masks.items()}
 
 
 def lenses_from_config(cameras: CamerasConfig, headers: dict[str, Exif]) -> tuple[dict[str, Lens], Findings]:

@@ -14,11 +14,12 @@ from geo.frames import LocalFrame
 from geo.transformation import lon_lat
 from refract import FlatWater
 from survey.errors import FILE_NAME, Findings, SurveyError
-from survey.folder.control import checkpoint_warnings, mark_warnings, read_ground
+from survey.folder.checked_control import checked_parts
+from survey.folder.control import checkpoint_warnings, mark_warnings, place_control, read_ground
 from survey.folder.found import Found, find_survey
 from survey.folder.headers import far_from_others
 from survey.folder.heights import exif_height_warnings, low_flight_warnings, place_of, start_height_warnings
-from survey.folder.local_frame import water_in_local, with_level_of_points
+from survey.folder.local_frame import over_points, water_in_local, with_level_of_points
 from survey.folder.observations import (
     Observations,
     PlacedViews,
@@ -27,10 +28,18 @@ from survey.folder.observations import (
     velocities_of,
     with_motion,
 )
-from survey.folder.placed_views import shifted_above_water, views_of_file, views_of_photographs
-from survey.folder.plausible import place_warnings, require_apart, require_focal_lengths, require_plausible
-from survey.folder.pose_priors import common_plan_std
+from survey.folder.pairing import read_file_poses, require_image, with_masks
+from survey.folder.plausible import (
+    most_of_cameras,
+    place_warnings,
+    require_apart,
+    require_focal_lengths,
+    require_plausible,
+)
+from survey.folder.pose_priors import common_plan_std, common_up_std, priors_of_gps
+from survey.folder.sfm_views import solve_views
 from survey.photos.cameras import View, metres_per_px
+from survey.photos.images import require_all_complete
 from survey.settings.config import SurveyConfig, WaterConfig
 from survey.water.level import with_level_of_clicks, with_plane_of_surface
 from survey.water.level_observation import LevelObservation, water_place_warnings
@@ -94,9 +103,9 @@ def load_survey(
     """
     found = find_survey(Path(folder)) if found is None else found
     if found.poses_path is None:
-        placed, added = views_of_photographs(found, workspace, report)
+        placed, added = _views_of_photographs(found, workspace, report)
     else:
-        placed, added = views_of_file(found, found.poses_path)
+        placed, added = _views_of_file(found, found.poses_path)
     findings = found.findings + added
     found, cameras = placed.found, placed.found.config.cameras
     places = {view.name: view.camera.centre for view in placed.views}
@@ -139,6 +148,50 @@ def load_survey(
     )
 
 
+def _views_of_file(found: Found, path: Path) -> tuple[PlacedViews, Findings]:
+    """Views with the poses of a file."""
+    placed, masks, findings = read_file_poses(found, path)
+    placed, added = _with_images(placed, masks)
+    placed, of_control = _with_control(placed)
+    return placed, findings + added + of_control
+
+
+def _views_of_photographs(
+    found: Found, workspace: Path | None, report: Callable[[str], None] | None
+) -> tuple[PlacedViews, Findings]:
+    """The views that structure from motion places."""
+    solved, rejected, findings = solve_views(found, workspace, report)
+    placed, added = _with_images(PlacedViews(found, solved.frame, list(solved.views)), None)
+    priors = priors_of_gps(found, placed.frame, placed.views, rejected)
+    headers = {view.name: found.headers[view.name] for view in placed.views}
+    focals = {name: each.focal_px for name, each in headers.items() if each.focal_px and not each.focal_warning}
+    placed = replace(placed, observations=Observations(solved.ties.start, solved.ties, priors, focals))
+    placed, of_control = _with_control(placed)
+    placed, of_parts = checked_parts(placed)
+    return placed, findings + added + of_control + of_parts
+
+
+def _with_control(placed: PlacedViews) -> tuple[PlacedViews, Findings]:
+    """Views with their control and check points; where control places the block, priors are `held_by_control`."""
+    control, checkpoints, findings = place_control(
+        placed.found.control, placed.frame, [view.name for view in placed.views]
+    )
+    priors = placed.observations.priors
+    if control is not None:
+        priors = {name: prior.held_by_control() for name, prior in priors.items()}
+    seen = replace(placed.observations, priors=priors, control=control, checkpoints=checkpoints)
+    return replace(placed, observations=seen), findings
+
+
+def _with_images(placed: PlacedViews, masks: Path | None) -> tuple[PlacedViews, Findings]:
+    """Views by name with their masks; images must have the size of their lens."""
+    views, findings = with_masks(placed.found, sorted(placed.views, key=lambda view: view.name), masks)
+    for view in views:
+        require_image(view, placed.found.headers[view.name])
+    require_all_complete([path for view in views for path in (view.path, view.mask_path) if path is not None])
+    return replace(placed, views=views), findings
+
+
 @dataclass(frozen=True)
 class _LocalWater:
     """The water of a survey in its local frame."""
@@ -176,6 +229,38 @@ def _local_water(placed: PlacedViews) -> tuple[_LocalWater, Findings]:
     if departure is None and plane is not None:
         departure = still_water(frame, plane, _seen(placed))
     return _LocalWater(config, plane, departure, levels, is_level_known), findings + of_surface + of_plane
+
+
+def shifted_above_water(
+    placed: PlacedViews, water: FlatWater | None, departure: Departure | None
+) -> tuple[PlacedViews, Findings]:
+    """Views shifted in height where all cameras lie under the water, of known level, or far above it.
+
+    Only if positions share an unknown height error, which the adjustment estimates from the water. A warning says by
+    how much.
+    """
+    seen = placed.observations
+    if water is None or seen.ties is None or seen.control is not None or common_up_std(seen.priors) == 0.0:
+        return placed, Findings()
+    views = placed.views
+    centres = np.array([view.camera.centre for view in views])
+    over = height_above(water, departure, centres)
+    most_m = most_of_cameras([view.camera for view in views])
+    if over.min() > 0.0 and over.max() < most_m:
+        return placed, Findings()
+    x, y, _ = np.median(centres, axis=0).tolist()
+    level = float(water.height(x, y)) + (0.0 if departure is None else float(departure.at(np.array([[x, y]]))[0][0]))
+    up = level - over_points(seen.ties.start, centres)
+    message = "under the water" if over.min() <= 0.0 else f"more than {most_m:.0f} m over the water"
+    warning = (
+        f"the heights of their positions put the cameras {message} ({over.min():.1f} to {over.max():.1f} m over it): "
+        "the height of the block is taken from the water level; check level_m and its vertical datum"
+    )
+    shift = np.array([0.0, 0.0, up])
+    ties = replace(seen.ties, start=seen.ties.start + shift)
+    seen = replace(seen, points=ties.start, ties=ties)
+    views = [replace(view, camera=replace(view.camera, centre=view.camera.centre + shift)) for view in views]
+    return replace(placed, views=views, observations=seen), Findings(warnings=(warning,))
 
 
 def _centres(views: list[View]) -> np.ndarray:

@@ -15,7 +15,7 @@ from fields.sweep.maps import HeightMap
 from survey.plan.area import Tiling, inside
 from survey.run.stored import ArrayFiles
 from survey.run.stored_maps import load_masks, save_masks
-from survey.run.windows import Outlines, windows_of
+from survey.run.tile_job import Outlines, windows_of
 
 BED = PlaneBed(TILTED, -2.0)
 BOUND = (-2.4, -1.7)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from threading import Event
@@ -18,7 +18,6 @@ from survey.photos.images import ImageStore
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
 from survey.plan.sweep_block import camera_of, cameras_of_block, load_block
 from survey.run.stored import ArrayFiles
-from survey.run.windows import BedSearch, Outlines
 from survey.stage_key import code_hash, stage_key
 
 if TYPE_CHECKING:
@@ -30,6 +29,33 @@ if TYPE_CHECKING:
     from survey.plan.choices import Choices
     from survey.plan.plan import Plan
     from survey.progress import Progress
+
+
+@dataclass(frozen=True)
+class Window:
+    """Part of a photograph at the size that is worked on, by its first row and column."""
+
+    view: int
+    row: int
+    column: int
+    height: int
+    width: int
+
+    @property
+    def part(self) -> tuple[slice, slice]:
+        """Rows and columns."""
+        return slice(self.row, self.row + self.height), slice(self.column, self.column + self.width)
+
+
+@dataclass(frozen=True)
+class BedSearch:
+    """Heights and photographs of the search for the bed."""
+
+    bound: tuple[float, float]  # (low, high) [m]: heights over the water plane between which the bed lies
+    views: list[int]  # Those that get height maps
+    # Bound of each tile over a plane of its own [m], where tiles have ranges of their own
+    bounds: tuple[tuple[float, float], ...] | None = None
+    windows: tuple[list[Window], ...] | None = None  # Those of each tile, where they are known
 
 
 def colour_of(survey: Survey) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
@@ -116,6 +142,7 @@ class Job:
         self.waits_for_kernels = Event()
         self.bed_search: BedSearch | None = None  # Once heights and photographs of the search are known
         self.parts: Sequence[Job] = (self,)  # The tiles, once the search is known
+        self.outlines: Any = None  # Those of the photographs, for tiles: `survey.run.tile_job.Outlines`
         # The survey with the level that is asked for, while the bed is that of an earlier one.
         self.asked: Survey | None = None
         self._hashed: dict[str, str] = {}
@@ -129,8 +156,11 @@ class Job:
         before = [self.hash_of_part(name) for name in names]
         self.survey = survey
         self.plan = self.plan.again(survey, self.chosen)
+        for name in ("limits", "area", "ground", "own_ground"):
+            self.__dict__.pop(name, None)
         if [self.hash_of_part(name) for name in names] != before:
-            for name in ("block", "bound", "cameras", "outlines"):
+            self.outlines = None
+            for name in ("block", "bound", "cameras"):
                 self.__dict__.pop(name, None)
 
     def search_bed(self, search: BedSearch, tiles: Sequence[Job] = ()) -> None:
@@ -163,11 +193,6 @@ class Job:
         """Cameras of the block, at the scale of the plan."""
         return cameras_of_block(self.survey, self.plan)
 
-    @cached_property
-    def outlines(self) -> Outlines:
-        """Outlines of these photographs, for the tiles."""
-        return Outlines(self.cameras)
-
     def release(self) -> None:
         """Return memory that the last stage no longer uses to the system, so that the next one's comes not on top."""
         if "block" in self.__dict__:
@@ -199,28 +224,27 @@ class Job:
         """Whether too few views show a tile."""
         return False
 
-    @property
+    @cached_property
     def area(self) -> Area | None:
         """Rectangle (x0, y0, x1, y1) [m], local, that is wanted; None for all."""
         return local_area(self.survey)
 
-    @property
+    @cached_property
     def ground(self) -> Area | None:
-        """The same with a margin, for the points."""
-        area = self.area
-        return None if area is None else grown(area, AREA_MARGIN_M)
+        """The same with a margin, for the points; of a tile with its rim."""
+        return None if self.area is None else grown(self.area, AREA_MARGIN_M)
 
-    @property
+    @cached_property
     def own_ground(self) -> Area | None:
         """The same, without what a tile shares with others."""
         return self.ground
 
-    @property
+    @cached_property
     def limits(self) -> tuple[float, float]:
         """Heights [m] over the water plane between which the bed is searched; `survey.plan.area.limits`."""
         return limits(self.survey)
 
-    @property
+    @cached_property
     def views_to_match(self) -> list[int]:
         """Views that get a height map."""
         if self.bed_search is None:

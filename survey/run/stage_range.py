@@ -12,8 +12,8 @@ from survey.files.json_values import read_json_object, write_json
 from survey.plan.area import local_area
 from survey.plan.choices import required_views
 from survey.plan.tiling import SHARED
-from survey.run.tile_job import TileJob
-from survey.run.windows import BedSearch, has_own_ranges
+from survey.run.job import BedSearch
+from survey.run.tile_job import TileJob, has_own_ranges
 
 if TYPE_CHECKING:
     from survey.run.job import Job

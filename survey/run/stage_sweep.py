@@ -36,9 +36,8 @@ from survey.run.stored_maps import IN_MEMORY, Stored, StoredMasks, load_masks, m
 if TYPE_CHECKING:
     from fields.sweep.block import Block
     from fields.sweep.maps import OrderedMaps, StoreFactory
-    from survey.run.job import Job
+    from survey.run.job import Job, Window
     from survey.run.tile_job import TileJob
-    from survey.run.windows import Window
 
 MAPS = "maps.npz"
 # Of each photograph by its name: the share of white pixels, and whether it shows the bed that was found.

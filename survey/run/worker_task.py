@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from survey.photos.cameras import View
     from survey.plan.choices import Choices
     from survey.plan.plan import Plan
-    from survey.run.windows import BedSearch
+    from survey.run.job import BedSearch
 
 ANOTHER_VERSION = "another version of bathynerf than the run; install the same on all, and start the workers again"
 # URL and name of a file, and its tag where it may change there; else an empty one.

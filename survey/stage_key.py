@@ -7,6 +7,7 @@ import hashlib
 import json
 from functools import cache, lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pyproj import CRS
@@ -42,55 +43,35 @@ def stage_key(*parts) -> str:
     >>> stage_key(1) == stage_key(1.0)
     False
     """
-    digest = hashlib.sha256()
-    _feed(digest, parts)
-    return digest.hexdigest()
+    return _digest(json.dumps(parts, sort_keys=True, default=_plain).encode())
 
 
-def _feed(digest, part) -> None:
-    """Add a part, marked by its kind and length so that no two parts look alike."""
+def _plain(part: Any) -> Any:
+    """A part in terms that JSON has, marked by its kind so that no two parts look alike."""
     if isinstance(part, np.generic):
-        part = part.item()
+        return part.item()
     if dataclasses.is_dataclass(part) and not isinstance(part, type):
         values = {f.name: getattr(part, f.name) for f in dataclasses.fields(part) if f.compare}
-        _mark(digest, "dataclass", type(part).__name__)
-        _feed(digest, values)
-    elif isinstance(part, np.ndarray):
+        return {f"dataclass {type(part).__name__}": values}
+    if isinstance(part, np.ndarray):
         if part.dtype.hasobject:
             raise TypeError("stage_key got an array of objects, expected one of numbers")
-        _mark(digest, "array", part.dtype.str, part.shape)
-        digest.update(np.ascontiguousarray(part).tobytes())
-    elif isinstance(part, dict):
-        _mark(digest, "dict", len(part))
-        for key in sorted(part, key=str):
-            _feed(digest, str(key))
-            _feed(digest, part[key])
-    elif isinstance(part, list | tuple):
-        _mark(digest, "list", len(part))
-        for item in part:
-            _feed(digest, item)
-    elif isinstance(part, CRS):
-        _mark(digest, "crs", part.to_wkt())
-    elif isinstance(part, Path):
-        _feed_path(digest, part)
-    elif part is None or isinstance(part, bool | int | float | str):
-        _mark(digest, type(part).__name__, str(part) if isinstance(part, str) else repr(part))
-    else:
+        return {f"array {part.dtype.str}": [part.shape, _digest(np.ascontiguousarray(part).tobytes())]}
+    if isinstance(part, CRS):
+        return {"crs": part.to_wkt()}
+    if not isinstance(part, Path):
         raise TypeError(f"stage_key got {type(part).__name__}, expected numbers, texts, arrays, dataclasses or paths")
-
-
-def _feed_path(digest, path: Path) -> None:
     try:
-        if path.is_dir():
-            files = sorted(p for p in path.rglob("*") if p.is_file())
-            _mark(digest, "folder", len(files))
-            for file in files:
-                _mark(digest, "name", file.relative_to(path).as_posix())
-                _feed_path(digest, file)
-            return
+        if part.is_dir():
+            files = sorted(path for path in part.rglob("*") if path.is_file())
+            return {"folder": [[path.relative_to(part).as_posix(), path] for path in files]}
     except OSError as error:
-        raise _unread(path, error) from error
-    _mark(digest, "file", path.name, content_hash(path))
+        raise _unread(part, error) from error
+    return {"file": [part.name, content_hash(part)]}
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
 
 
 def content_hash(path: Path) -> str:
@@ -116,14 +97,10 @@ def _content(path: Path, _changed: int, _size: int) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _mark(digest, *words) -> None:
-    digest.update(json.dumps(words).encode() + b"\n")
-
-
 @cache
 def code_hash() -> str:
     """SHA-256 over the code of this project; taken once in a process, as files may change later."""
-    digest = hashlib.sha256()
-    for file in sorted(file for name in _PACKAGES for file in (_ROOT / name).rglob("*.py")):
-        _mark(digest, file.relative_to(_ROOT).as_posix(), hashlib.sha256(file.read_bytes()).hexdigest())
-    return digest.hexdigest()
+    files = sorted(path for name in _PACKAGES for path in (_ROOT / name).rglob("*.py"))
+    return _digest(
+        json.dumps([[path.relative_to(_ROOT).as_posix(), _digest(path.read_bytes())] for path in files]).encode()
+    )

@@ -16,7 +16,7 @@ from survey.adjust.pose_check import SAMPLE, _of_middle
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
 from survey.plan.plan import MOST_MISFIT_PX, pose_choice
-from survey.run.stage_adjust import MISFIT, use_misfit
+from survey.run.stage_start import MISFIT, use_misfit
 from tests.changed_survey import changed
 
 

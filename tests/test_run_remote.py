@@ -181,18 +181,6 @@ def test_a_result_leaves_what_another_run_has_begun(url, tmp_path):
     assert not {name for name in remote.files() if name.startswith((f"stages/{begun.name}", ".jobs", ".unfinished"))}
 
 
-def test_stages_that_another_machine_has_removed_are_put_again(url, tmp_path):
-    remote = Remote(url)
-    with RemoteRun(tmp_path / "laptop", remote) as laptop, RemoteRun(tmp_path / "cluster", remote) as cluster:
-        laptop.claim(Owner("quick", {"a.jpg": 1}), is_inside=True)
-        laptop.open_result("draft")
-        first = finish(laptop, "sweep", A, heights=[1.0])
-        publish(cluster, "other", quality="draft", sweep=finish(cluster, "sweep", B, heights=[2.0]))
-        assert f"stages/{first.name}/stage.json" not in remote.files()
-        publish(laptop, "draft", quality="draft", sweep=first)
-    assert {name.split("/")[1] for name in remote.files() if name.startswith("stages")} == {first.name}
-
-
 def test_of_two_results_of_another_quality_that_at_the_url_is_kept(url, tmp_path):
     remote = Remote(url)
     with RemoteRun(tmp_path / "laptop", remote) as run:

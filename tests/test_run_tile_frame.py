@@ -12,7 +12,7 @@ from survey.plan.area import Tiling, flattened, limits
 from survey.plan.choices import RECIPES, USUAL, required_views
 from survey.plan.plan import make_plan
 from survey.progress import Progress
-from survey.run import stage_range
+from survey.run import stage_start
 from survey.run.job import BedSearch, Job
 from survey.run.tile_job import TileJob, has_own_ranges
 
@@ -97,8 +97,8 @@ def test_tiles_choose_more_views_under_glitter(monkeypatch):
             release=int,
         )
 
-    monkeypatch.setattr(stage_range, "TileJob", tile)
+    monkeypatch.setattr(stage_start, "TileJob", tile)
     plan = SimpleNamespace(recipe=RECIPES["draft"], tiling=[0])
     job = SimpleNamespace(plan=plan, limits=(-3.0, 1.0), survey=SimpleNamespace(views=[]))
-    bounds, views = stage_range._of_tiles(job, lambda share: None)
+    bounds, views = stage_start._of_tiles(job, lambda share: None)
     assert (bounds, views, asked) == ([(-2.0, 0.0)], [7], [required_views((0.5, 0.5), RECIPES["draft"].times_seen)])

@@ -160,9 +160,9 @@ def test_a_worker_that_is_as_it_should_be_passes(run_and_photograph):
             {"answer": Exception("ModuleNotFoundError(\"No module named 'survey'\")")},
             "cannot load bathynerf .*No module named",
         ),
-        ({"answer": ("0" * 64, True, True, {})}, "has another version of bathynerf.*install the same"),
-        ({"answer": (code_hash(), False, True, {})}, "does not see .*name a run folder with -o"),
-        ({"answer": (code_hash(), True, False, {})}, r"does not see .*a\.jpg; put the survey where"),
+        ({"answer": ("0" * 64, True, True)}, "has another version of bathynerf.*install the same"),
+        ({"answer": (code_hash(), False, True)}, "does not see .*name a run folder with -o"),
+        ({"answer": (code_hash(), True, False)}, r"does not see .*a\.jpg; put the survey where"),
     ],
 )
 def test_a_worker_that_is_not_as_it_should_be_is_named(run_and_photograph, worker, said):
@@ -176,40 +176,6 @@ def test_a_worker_that_does_not_reach_the_url_of_the_run_is_named(run_and_photog
     client = ClientOfOne(answer=SurveyError("s3://bucket/run asks for keys, and there are none"))
     with pytest.raises(SurveyError, match=f"the worker {PLACE} finds that s3://bucket/run asks for keys"):
         workers_module._check(client, WorkerNeeds(*run_and_photograph, url="s3://bucket/run"))
-
-
-def test_on_cuda_a_worker_with_the_resource_of_a_gpu_is_asked_for(run_and_photograph):
-    workers_module._check(
-        ClientOfOne(answer=(code_hash(), True, True, {"GPU": 1})), WorkerNeeds(*run_and_photograph, takes_gpu=True)
-    )
-    with pytest.raises(SurveyError, match=r'no worker has the resource GPU; start one .* --resources "GPU=1", or give'):
-        workers_module._check(ClientOfOne(), WorkerNeeds(*run_and_photograph, takes_gpu=True))
-
-
-def test_tasks_on_cuda_go_to_workers_with_the_resource_of_a_gpu(tmp_path, monkeypatch):
-    distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("survey.run.workers.compute_task", where_computed)
-    workers = {0: {"cls": distributed.Worker, "options": {"nthreads": 1, "resources": {"GPU": 1}, "name": "gpu"}}}
-    workers |= {1: {"cls": distributed.Worker, "options": {"nthreads": 1, "name": "plain"}}}
-    scheduler = {"cls": distributed.Scheduler, "options": FREE_PORTS}
-    with (
-        distributed.SpecCluster(workers=workers, scheduler=scheduler, silence_logs="ERROR") as cluster,
-        distributed.Client(cluster) as client,
-    ):
-        workers_module._check(client, WorkerNeeds(tmp_path, Path(__file__), takes_gpu=True))
-        tasks = [Task(f"sweep_tile{number}", number, print, {}) for number in range(4)]
-        on_gpu = list(Workers(client, tmp_path, are_started=False, takes_gpu=True).computed(tmp_path, tasks))
-        with pytest.raises(SurveyError, match="no worker has the resource GPU"):
-            client.retire_workers(names=["gpu"]) and workers_module._check(
-                client, WorkerNeeds(tmp_path, Path(__file__), takes_gpu=True)
-            )
-    assert [str(each[1]) for each in on_gpu] == ["gpu"] * 4
-
-
-def where_computed(_job, _stages, _task, _code):
-    from distributed import get_worker
-
-    return Path(str(get_worker().name)), 0.0, []
 
 
 @pytest.fixture

@@ -154,10 +154,6 @@ class Remote:
                 for path in sorted((path for path in found if is_folder[path]), reverse=True):
                     self._store.rmdir(path)
 
-    def remove_files(self, names: Iterable[str]) -> None:
-        """Remove files side by side; those that are not there, too."""
-        self._at_once(self._remove_file, ((self._place(name), None) for name in names))
-
     def _place(self, name: str) -> str:
         return f"{self._root.rstrip('/')}/{name}" if name else self._root
 

@@ -42,7 +42,7 @@ NAMES = (
 )  # fmt: skip
 RECORD = "result.json"
 # A complete result on its way to its place, and the finished stages of results that are not finished, by quality.
-_COMPLETE, _UNFINISHED = ".result.whole", ".unfinished.json"
+_COMPLETE, UNFINISHED = ".result.whole", ".unfinished.json"
 # As a path has it, with one slash.
 _URL = re.compile(r"[a-z][a-z0-9+.-]+:/")
 _NAMED_VERSIONS = ("numpy", "scipy", "drjit", "torch", "opencv-python-headless", "pyproj", "laspy", "pycolmap")
@@ -205,7 +205,7 @@ class RunDir:
 
     def _unfinished(self) -> dict[str, list[str]]:
         """Finished stages of each result that is not finished, by its quality."""
-        return read_json_object(self.path / _UNFINISHED)
+        return read_json_object(self.path / UNFINISHED)
 
     def inputs(self) -> ReadFiles:
         """Files of the run that other commands read or must not overwrite."""
@@ -226,7 +226,7 @@ class RunDir:
         with reporting_disk_errors(folder):
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir()
-            write_json(self.path / _UNFINISHED, {quality: [], **self._unfinished()})
+            write_json(self.path / UNFINISHED, {quality: [], **self._unfinished()})
         self._quality = quality
         return folder
 
@@ -236,11 +236,13 @@ class RunDir:
         ``stages`` are the folders of the stages that it was made from, by name.
         """
         with reporting_disk_errors(self.path):
+            before = self.result()
+            others = {**before.get("others", {})} | ({before["quality"]: before["stages"]} if before else {})
             record = {
                 "quality": quality,
                 "finished": time.strftime("%Y-%m-%d %H:%M:%S"),
                 "stages": {name: place.name for name, place in stages.items()},
-                "others": results_of_other_qualities(self.result(), quality),
+                "others": {other: names for other, names in others.items() if other != quality},
                 "files": [name for name in NAMES if (folder / name).exists()] + [RECORD],
             }
             write_json(folder / RECORD, record)
@@ -256,9 +258,9 @@ class RunDir:
             new = json.loads((complete / RECORD).read_text(encoding="utf-8"))
             others = {name: stages for name, stages in self._unfinished().items() if name != new["quality"]}
             if others:
-                write_json(self.path / _UNFINISHED, others)
+                write_json(self.path / UNFINISHED, others)
             else:
-                (self.path / _UNFINISHED).unlink(missing_ok=True)
+                (self.path / UNFINISHED).unlink(missing_ok=True)
             for name in NAMES:
                 if (complete / name).exists() or name not in new["files"]:
                     _remove(self.path / name)
@@ -266,11 +268,14 @@ class RunDir:
                     (complete / name).rename(self.path / name)
         shutil.rmtree(complete, ignore_errors=True)
 
-    def _prune(self) -> None:
-        """Remove stages that belong neither to the latest result of a quality nor to one that is unfinished."""
+    def kept_stages(self) -> set[str]:
+        """Folders of the stages of the latest result of each quality, and of results that are not finished."""
         record = self.result()
-        kept = {name for of in (record["stages"], *record["others"].values()) for name in of.values()}
-        kept |= {name for names in self._unfinished().values() for name in names}
+        kept = {name for stages in (record["stages"], *record["others"].values()) for name in stages.values()}
+        return kept | {name for names in self._unfinished().values() for name in names}
+
+    def _prune(self) -> None:
+        kept = self.kept_stages()
         for folder in self.stages_path.iterdir():
             if folder.is_dir() and folder.name[0] != "." and folder.name not in kept:
                 shutil.rmtree(folder, ignore_errors=True)
@@ -322,7 +327,7 @@ class RunDir:
             # Kept for when the work goes on.
             others = self._unfinished()
             finished = [*others.get(self._quality, []), place.name]
-            write_json(self.path / _UNFINISHED, others | {self._quality: finished})
+            write_json(self.path / UNFINISHED, others | {self._quality: finished})
         return place
 
     def load_stage(self, name: str) -> Path:
@@ -364,12 +369,6 @@ def _remove(path: Path) -> None:
         shutil.rmtree(path)
     else:
         path.unlink(missing_ok=True)
-
-
-def results_of_other_qualities(record: Mapping, quality: str) -> dict[str, dict[str, str]]:
-    """Stages of the latest result of each quality but one, by quality, by the record of the result before."""
-    before = {record["quality"]: record["stages"]} if record else {}
-    return {of: stages for of, stages in ({**record.get("others", {})} | before).items() if of != quality}
 
 
 def run_in(path: Path) -> Path:

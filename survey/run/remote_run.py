@@ -2,16 +2,13 @@
 
 The URL has the files of a run folder, and a copy of it is a run folder. The record of a stage is its commit marker:
 uploaded last, deleted first. A stage without one is incomplete. The commit marker of a result is result.json. Complete
-stages are used again, whatever machine they come from. Marks in .unfinished/<quality>/ name the runs that have begun
-and the stages that they have finished: a result of another run leaves these. A result removes the marks of its quality
-that were there when its run began: as in a folder, it stands in for the runs that were interrupted.
+stages are used again, whatever machine they come from. A store has no lock: one machine at a time is to work at a run.
 """
 
 from __future__ import annotations
 
 import json
 import shutil
-import uuid
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
@@ -19,15 +16,14 @@ from pathlib import Path, PurePosixPath
 from geo.errors import GeoError
 from geo.files import reporting_disk_errors, write_text
 from survey.errors import SurveyError
-from survey.files.json_values import read_json_object, write_json
+from survey.files.json_values import read_json_object
 from survey.files.remote import Remote, files_below
-from survey.run.folder import MARKER, NAMES, RECORD, STAGE_RECORD, Key, Owner, RunDir, results_of_other_qualities
+from survey.run.folder import MARKER, NAMES, RECORD, STAGE_RECORD, UNFINISHED, Key, Owner, RunDir
 from survey.words import SFM_FOLDER
 
 _STAGES, _LOG = "stages", "log.txt"
 # What a run and its workers leave at the URL until the result is there: jobs, stages of tiles, photographs.
 JOBS, PARTS, PHOTOGRAPHS = ".jobs", ".parts", ".photographs"
-_UNFINISHED = ".unfinished"
 # That of structure from motion, put last.
 _SOLVED = "solved.json"
 
@@ -41,8 +37,6 @@ class RemoteRun(RunDir):
         self._is_claimed, self._has_put_poses = False, False
         # Folders at the URL where workers have left stages, by the names of these with their keys.
         self._results_of_workers: dict[str, str] = {}
-        # Marks at the URL that the result of this run removes.
-        self._marks: set[str] = set()
 
     def __enter__(self) -> RemoteRun:
         super().__enter__()
@@ -73,17 +67,17 @@ class RemoteRun(RunDir):
         self._is_claimed = True
 
     def _take_up(self) -> None:
-        """Fetch the mark of the run and the poses that structure from motion found."""
+        """Fetch the records of the run, and the poses that structure from motion found."""
         marker = self.remote.read(MARKER)
-        if marker is None:
-            others = [name for name in self.remote.files() if name[0] != "."]
-            if others:
-                raise SurveyError(
-                    f"{self.remote.url} is not empty and is no run (it has {others[0]}); name a new or empty place "
-                    "with -o"
-                )
-            return
-        write_text(self.path / MARKER, marker.decode())
+        if marker is None and (others := [name for name in self.remote.files() if name[0] != "."]):
+            raise SurveyError(
+                f"{self.remote.url} is not empty and is no run (it has {others[0]}); name a new or empty place with -o"
+            )
+        for name, content in ((MARKER, marker), *((name, self.remote.read(name)) for name in (RECORD, UNFINISHED))):
+            if content is not None:
+                write_text(self.path / name, content.decode())
+            elif name != MARKER:
+                (self.path / name).unlink(missing_ok=True)
         solved, solved_path = self.remote.read(f"{SFM_FOLDER}/{_SOLVED}"), self.sfm_path / _SOLVED
         if solved is not None and not (solved_path.is_file() and solved_path.read_bytes() == solved):
             # Stages at the URL are of the poses there.
@@ -100,12 +94,14 @@ class RemoteRun(RunDir):
         complete = [
             each for each in names if each.endswith(f"/{name}") and f"{each.split('/')[0]}/{STAGE_RECORD}" in names
         ]
-        return self._read_json(f"{_STAGES}/{complete[-1]}") if complete else {}
+        with suppress(ValueError):
+            content = json.loads(self.remote.read(f"{_STAGES}/{complete[-1]}") or b"{}") if complete else {}
+            return content if isinstance(content, dict) else {}
+        return {}
 
     def finished_stage(self, name: str, key: Key, leaves: Iterable[str] = ()) -> Path | None:
         """As `RunDir.finished_stage`; one that is only here is put to the URL, one that is only there fetched."""
         leaves, place = tuple(leaves), self.place(name, key)
-        self._mark_at_url(place.name)
         folder = super().finished_stage(name, key, leaves)
         record = self.remote.read(f"{_STAGES}/{place.name}/{STAGE_RECORD}")
         if folder is not None:
@@ -146,24 +142,20 @@ class RemoteRun(RunDir):
         """As `RunDir.finish_stage`, at the URL too."""
         folder = super().finish_stage(name, key, temp, seconds)
         self._put_stage(folder)
+        self._put_unfinished()
         return folder
 
     def open_result(self, quality: str) -> Path:
-        """As `RunDir.open_result`; that a run has begun is marked at the URL."""
+        """As `RunDir.open_result`; that a run has begun is noted at the URL."""
         folder = super().open_result(quality)
-        self._marks = {f"{_UNFINISHED}/{quality}/{name}" for name in self.remote.files(f"{_UNFINISHED}/{quality}")}
-        self._mark_at_url(f"run-{uuid.uuid4().hex}")
+        self._put_unfinished()
         return folder
 
-    def _mark_at_url(self, name: str) -> None:
-        """Let results that other machines put leave a stage of this run, and what its workers need."""
-        mark = f"{_UNFINISHED}/{self._quality}/{name}"
-        if self._quality is not None and mark not in self._marks:
-            self.remote.write(mark, b"")
-            self._marks.add(mark)
+    def _put_unfinished(self) -> None:
+        if (self.path / UNFINISHED).is_file():
+            self.remote.put({UNFINISHED: self.path / UNFINISHED})
 
     def _put_stage(self, folder: Path) -> None:
-        self._mark_at_url(folder.name)
         place = f"{_STAGES}/{folder.name}"
         left = self._results_of_workers.pop(folder.name, None)
         # Where it is put again, or what an interrupted put has left; the record first: half a stage is none.
@@ -177,51 +169,33 @@ class RemoteRun(RunDir):
 
     def publish(self, folder: Path, *, quality: str, stages: dict[str, Path]) -> None:
         """As `RunDir.publish`, at the URL too."""
-        before = self._read_json(RECORD)
         super().publish(folder, quality=quality, stages=stages)
-        record = read_json_object(self.path / RECORD)
-        # Results of other qualities may be from another machine, and later than those here.
-        record["others"] |= results_of_other_qualities(before, quality)
-        self._put_missing_stages(record)
-        write_json(self.path / RECORD, record)
+        record, at_url = read_json_object(self.path / RECORD), self.remote.files(_STAGES)
+        for name in {*record["stages"].values()}:
+            if f"{name}/{STAGE_RECORD}" not in at_url and (self.stages_path / name / STAGE_RECORD).is_file():
+                # Another machine has removed it meanwhile.
+                self._put_stage(self.stages_path / name)
         self.remote.remove([RECORD])
         names = [name for name in record["files"] if name != RECORD]
         for name in names:
-            place = self.path / name
-            if place.is_dir():
-                self.remote.put_folder(place, name)
+            if (self.path / name).is_dir():
+                self.remote.put_folder(self.path / name, name)
         self.remote.put({name: self.path / name for name in names if (self.path / name).is_file()})
-        self._remove_from_url(record)
+        self._remove_from_url()
+        self._put_unfinished()
         self.remote.put({RECORD: self.path / RECORD})
 
-    def _read_json(self, name: str) -> dict:
-        """An object at the URL; empty where it is not there or not whole."""
-        with suppress(ValueError):
-            found = json.loads(self.remote.read(name) or b"{}")
-            return found if isinstance(found, dict) else {}
-        return {}
+    def _remove_from_url(self) -> None:
+        """Remove files of an earlier result, stages that belong to none, and what runs and their workers have left.
 
-    def _put_missing_stages(self, record: dict) -> None:
-        """Put stages of a record that another machine has removed meanwhile; leave out results that lack one."""
-        names_at_url = self.remote.files(_STAGES)
-        for quality, stages in [(None, record["stages"]), *record["others"].items()]:
-            for name in {name for name in stages.values() if f"{name}/{STAGE_RECORD}" not in names_at_url}:
-                if (self.stages_path / name / STAGE_RECORD).is_file():
-                    self._put_stage(self.stages_path / name)
-                elif quality is not None:
-                    record["others"] = {each: found for each, found in record["others"].items() if each != quality}
-
-    def _remove_from_url(self, record: dict) -> None:
-        """Remove files of an earlier result, stages that belong to no result, and what this run and its workers left.
-
-        Where another run has begun, its stages stay, and what is to be worked on.
+        Where another run has not finished, its stages stay, and what is to be worked on.
         """
-        self.remote.remove_files(self._marks)
-        marks = [PurePosixPath(name).name for name in self.remote.files(_UNFINISHED)]
-        kept = {each for stages in (record["stages"], *record["others"].values()) for each in stages.values()}
-        kept |= {*marks}
-        own_names = {path.relative_to(self.path).as_posix() for path in files_below(self.path)}
-        gone = {} if marks else dict.fromkeys((JOBS, PARTS, PHOTOGRAPHS, _UNFINISHED))
+        kept, own_names = (
+            self.kept_stages(),
+            {path.relative_to(self.path).as_posix() for path in files_below(self.path)},
+        )
+        is_alone = not (self.path / UNFINISHED).exists()
+        gone = dict.fromkeys((JOBS, PARTS, PHOTOGRAPHS, UNFINISHED)) if is_alone else {}
         for name in self.remote.files():
             first, *parts = PurePosixPath(name).parts
             if first == _STAGES and parts[0] not in kept:

@@ -28,12 +28,11 @@ from survey.plan.tiling import SHARED
 from survey.run.folder import Key, RunDir
 from survey.run.job import PARTS, Job, colour_of
 from survey.run.remote_run import RemoteRun
-from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
-from survey.run.stage_adjust import MISFIT, adjust_block, check_poses, use_adjustment, use_misfit
 from survey.run.stage_bed import FILES, POINTS, find_points, make_bed, use_bed
 from survey.run.stage_field import COLOUR_FILE, estimate_colour, train_field, use_colour
-from survey.run.stage_range import find_range, use_range
 from survey.run.stage_solver import FIGURES, SIGHTINGS, SOLVED, WAVES, join_solved, learn_figures, solve_heights
+from survey.run.stage_start import FILES as ADJUSTMENT_FILES
+from survey.run.stage_start import MISFIT, adjust_block, check_poses, find_range, use_adjustment, use_misfit, use_range
 from survey.run.stage_sweep import CONSISTENCY, MAPS, SATURATED, join_sweeps, sweep_views
 from survey.run.stage_sweep import FILES as SWEEP_FILES
 from survey.run.stored import FIELD_FILES

@@ -35,8 +35,6 @@ Result = TypeVar("Result")
 
 # A task whose workers end so often is given up: most likely it takes more memory than there is.
 ALLOWED_FAILURES = 3
-# Resource of Dask that a worker with a GPU of its own has, and a task on one takes.
-GPU = "GPU"
 # Items of a sequence under way for each worker: results that wait for their turn are held.
 _AT_ONCE = 2
 # How long workers of a cluster may take to come, and the interval at which their number is checked [s].
@@ -63,21 +61,18 @@ class WorkerNeeds:
 
     stages: Path  # Folder of the stages of the run
     photograph: Path  # One of the survey
-    # Of a scheduler only workers with the resource GPU compute; those of this machine share its GPUs
-    takes_gpu: bool = False
+    takes_gpu: bool = False  # Whether workers of this machine share its GPUs
     url: str | None = None  # Of the run, where workers of a scheduler read and write
 
 
 class Workers:
     """Workers of the scheduler of a Dask client, for a run by the folder of its stages, or by its URL.
 
-    ``are_started`` says whether the run has started them, on this machine, ``takes_gpu`` whether only those with the
-    resource GPU compute.
+    ``are_started`` says whether the run has started them, on this machine.
     """
 
-    def __init__(self, client: Any, place: Path | str, *, are_started: bool, takes_gpu: bool = False):
+    def __init__(self, client: Any, place: Path | str, *, are_started: bool):
         self._client, self._place, self._are_started = client, place, are_started
-        self._resources = {GPU: 1} if takes_gpu else None
         # Results are fetched from a URL between two looks at the tasks: a worker has its next task already.
         self._tasks_of_worker = 1 if isinstance(place, Path) else _AT_ONCE
 
@@ -157,7 +152,7 @@ class Workers:
     def _submit(self, job: str, task: Task) -> Any:
         """The future of a task."""
         key, given = f"{task.name}-{uuid.uuid4().hex}", (job, self._place, task, code_hash())
-        return self._client.submit(compute_task, *given, pure=False, key=key, resources=self._resources)
+        return self._client.submit(compute_task, *given, pure=False, key=key)
 
     def _as_they_end(self, left: set[Any], begin: Callable[[], None]) -> Iterator[Any]:
         """The futures, as they end; raise where no worker is left to end one.
@@ -218,11 +213,11 @@ def workers_for(
         client = stack.enter_context(_client_of(distributed, cluster, scheduler, number))
         if are_started:
             client.register_plugin(_cores_plugin(distributed, number, gpus() if needs.takes_gpu else []))
-            needs = replace(needs, takes_gpu=False, url=None)
+            needs = replace(needs, url=None)
         note(f"workers: {len(client.nthreads())} of {scheduler or 'this machine'}")
         _check(client, needs)
         place = needs.stages.absolute() if needs.url is None else needs.url
-        yield Workers(client, place, are_started=are_started, takes_gpu=needs.takes_gpu)
+        yield Workers(client, place, are_started=are_started)
 
 
 def _local_cluster(distributed: Any, number: int, folder: str) -> Any:
@@ -289,7 +284,7 @@ def _check(client: Any, needs: WorkerNeeds) -> None:
         found = client.run(_seen, needs.url, token, photograph, on_error="return")
     finally:
         shutil.rmtree(token, ignore_errors=True)
-    left, has_gpu = client.nthreads(), False
+    left = client.nthreads()
     for place, seen in found.items():
         if isinstance(seen, Exception):
             if place not in left:
@@ -301,8 +296,7 @@ def _check(client: Any, needs: WorkerNeeds) -> None:
             raise SurveyError(
                 f"the worker {place} cannot load bathynerf ({seen}); install the same version on all"
             ) from seen
-        code, sees_run, sees_photograph, resources = seen
-        has_gpu |= resources.get(GPU, 0) >= 1
+        code, sees_run, sees_photograph = seen
         for is_met, fault in (
             (code == code_hash(), f"has {ANOTHER_VERSION}"),
             (
@@ -313,21 +307,13 @@ def _check(client: Any, needs: WorkerNeeds) -> None:
         ):
             if not is_met:
                 raise SurveyError(f"the worker {place} {fault}")
-    if needs.takes_gpu and not has_gpu:
-        raise SurveyError(
-            "the run computes on CUDA, and no worker has the resource GPU; start one for each GPU, with its number in "
-            f'CUDA_VISIBLE_DEVICES and --resources "{GPU}=1", or give --device cpu'
-        )
 
 
-def _seen(
-    url: str | None, token: Path, photograph: Path, dask_worker: Any = None
-) -> tuple[str, bool, bool, dict[str, float]]:
-    """Code of a worker, whether it sees a run and its photographs, or reaches the URL where they are, its resources."""
+def _seen(url: str | None, token: Path, photograph: Path) -> tuple[str, bool, bool]:
+    """Code of a worker, whether it sees a run and its photographs, or reaches the URL where they are."""
     if url is not None:
         require_reachable(url)
-    resources = {} if dask_worker is None else dict(dask_worker.state.total_resources)
-    return code_hash(), url is not None or token.is_dir(), url is not None or photograph.is_file(), resources
+    return code_hash(), url is not None or token.is_dir(), url is not None or photograph.is_file()
 
 
 def gpus() -> list[str]:

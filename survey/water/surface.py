@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
@@ -60,35 +59,26 @@ def curvature_drop(distance, radius: float = EARTH_RADIUS_M):
     return distance**2 / (radius + np.sqrt(radius**2 - distance**2))
 
 
-@dataclass(frozen=True, eq=False)
 class Departure:
-    """Height of the water over the plane of a survey, from points on it.
+    """Height of the water over the plane of a survey, from points on it; if an adjustment moves the plane, it moves.
 
-    If an adjustment moves the plane, the water moves with it.
+    Points (N, 3) float64 [m] are local x and y, and the height over the plane; stds (N,) [m] are those of these
+    heights, without what all share.
     """
 
-    source: ClassVar[str] = "[water] surface"  # str: what departs from the plane, in words
-    points: np.ndarray  # (N, 3) float64 [m]: local x and y, and the height over the plane
-    stds: np.ndarray  # (N,) [m]: of these heights, without what all share
-    _tree: KDTree = field(init=False, repr=False)
-    _plane: np.ndarray = field(init=False, repr=False)
-    _number: int = field(init=False, repr=False)
-    _factor: float = field(init=False, repr=False)
+    source = "[water] surface"  # What departs from the plane, in words
 
-    def __post_init__(self):
-        xy = self.points[:, :2]
-        object.__setattr__(self, "_tree", KDTree(xy))
-        object.__setattr__(self, "_plane", _plane_through(self.points, 1.0 / self.stds))
-        errors = {0: (self._over_plane(xy) - self.points[:, 2]) / self.stds}
+    def __init__(self, points: np.ndarray, stds: np.ndarray):
+        self.points, self.stds, xy = points, stds, points[:, :2]
+        self._tree, self._plane = KDTree(xy), _plane_through(points, 1.0 / stds)
+        errors = {0: (self._over_plane(xy) - points[:, 2]) / stds}
         errors |= {number: self._left_out(number) for number in _NUMBERS if 2 * number <= len(xy)}
         # Residuals are clipped at five standard deviations.
-        least = float(np.mean((_LEAST_STD_M / self.stds) ** 2))
+        least = float(np.mean((_LEAST_STD_M / stds) ** 2))
         squares = {number: least + float(np.mean(np.minimum(np.abs(errors[number]), 5.0) ** 2)) for number in errors}
         good = [number for number in errors if squares[number] <= _AS_GOOD * min(squares.values())]
-        best = 0 if 0 in good else max(good)
-        scatter = float(std_by_median(errors[best]))
-        object.__setattr__(self, "_number", best)
-        object.__setattr__(self, "_factor", max(scatter, 1.0))
+        self._number = 0 if 0 in good else max(good)
+        self._factor = max(float(std_by_median(errors[self._number])), 1.0)
 
     @staticmethod
     def of(levels: Sequence[LevelObservation], frame: LocalFrame, plane: FlatWater | None) -> Departure | None:
@@ -130,8 +120,7 @@ class Departure:
 
     def interpolated(self, area: Area) -> Callable[[np.ndarray], np.ndarray]:
         """Heights over the plane as a function of places (M, 2), beyond a rectangle (x0, y0, x1, y1) as at its edge."""
-        x, y, heights, _ = self._raster(area)
-        return _between(x, y, heights)
+        return _between(*self._raster(area)[:3])
 
     def interpolated_std(self, area: Area) -> Callable[[np.ndarray], np.ndarray]:
         """Standard deviations of these heights in the same form."""
@@ -257,8 +246,8 @@ class StillWater(Departure):
 
     source = EARTH
 
-    def __post_init__(self):
-        object.__setattr__(self, "_tree", KDTree(self.points[:, :2]))
+    def __init__(self, points: np.ndarray, stds: np.ndarray):
+        self.points, self.stds, self._tree = points, stds, KDTree(points[:, :2])
 
     def _near(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         known = self.points[:, :2]

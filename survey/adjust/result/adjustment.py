@@ -243,7 +243,7 @@ def read_adjustment(folder: Path) -> Adjustment:
         attributes = {field.name: _file_name(prefix, field.name) for field in fields(kind)}
         records[name] = kind(**{key: values[stored] for key, stored in attributes.items() if stored in values})
     records |= {name: values.get(name) for name in ("points", "notes", "warnings", "readouts_s", "common_up_m")}
-    water, ground = values["water"], values.get("ground")
+    water, ground = record["water"], values.get("ground")
     return Adjustment(
         parameters=tuple(Parameter(**{**row, "status": Status(row["status"])}) for row in values["parameters"]),
         water=None if water is None else parse_values({k: v for k, v in water.items() if v is not None}, WaterConfig),

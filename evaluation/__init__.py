@@ -3,8 +3,7 @@
 | measure | files |
 |---|---|
 | signed distance to a mesh (C2M), **positive above the mesh** | `c2m` |
-| vertical difference, positive above the mesh; height of a cloud at places | `vertical` |
-| height over a reference of points, with its uncertainty; M3C2, positive above the reference | `local_surface` |
+| height over a mesh or a cloud, positive above it; height of a cloud at places; M3C2 | `vertical` |
 | distance to a cloud, completeness, F-score, statistical outliers | `completeness` |
 | bias, spread and scores, also of parts as by depth; Huber's weights | `summary`; by blocks: `bootstrap` |
 | IHO S-44 and ASPRS | `standards` |
@@ -19,7 +18,6 @@ from evaluation.bootstrap import Blocks, mean_interval, spatial_blocks
 from evaluation.c2m import distance_to_mesh, weld
 from evaluation.completeness import distance_to_cloud, f_score, is_outlier, is_reached, sample_mesh
 from evaluation.images import image_quality, psnr, ssim
-from evaluation.local_surface import LocalSurface, local_surface, m3c2_distances
 from evaluation.standards import AsprsAccuracy, IhoS44, asprs_vertical, iho_s44
 from evaluation.summary import (
     Band,
@@ -33,4 +31,4 @@ from evaluation.summary import (
     reached_by_slope,
     scores,
 )
-from evaluation.vertical import height_at, vertical_difference
+from evaluation.vertical import LocalSurface, height_at, local_surface, m3c2_distances, vertical_difference

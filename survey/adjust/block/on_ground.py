@@ -1,7 +1,7 @@
 """Registration of a block to the dry ground of an earlier survey: robust point to plane, iterated with the adjustment.
 
 Tie points over the ground lie on it, each on the plane through the points around it, to the scatter of these
-(`evaluation.local_surface`). So the ground determines height and tilt of the block, scale by its extent, and its place
+(`evaluation.vertical`). So the ground determines height and tilt of the block, scale by its extent, and its place
 in plan where it is not flat. Whether a tie point is dry follows from the earlier survey, whose heights count from the
 datum of crs, and not from the block, which may lie metres off. Tie points off their plane by more than others (what
 grew, was washed away or built) are left out. Of each square one point counts, so that their errors are independent. The
@@ -22,8 +22,8 @@ import numpy as np
 from scipy.ndimage import minimum_filter
 from scipy.spatial.transform import Rotation
 
-from evaluation.local_surface import local_surface
 from evaluation.summary import std_by_median
+from evaluation.vertical import local_surface
 from survey.adjust.block.bundle import Solution
 from survey.adjust.block.normal_equations import System, system_with
 from survey.adjust.block.normal_matrix import propagated_variance

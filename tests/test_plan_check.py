@@ -26,12 +26,14 @@ from small_survey import (
 )
 
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
-from survey.folder.plausible import ground_below
+from survey.folder.plausible import angle_warnings, ground_below
 from survey.folder.survey import load_survey
+from survey.photos.poses import CAM_FROM_OPK_CAM, PoseFrame, grid_from_opk
 from survey.plan.check import check_survey, require_processable
 from survey.plan.choices import RECIPES, Choices
 from survey.plan.heights import dry_ground
 from survey.plan.plan import make_plan, pose_choice, require_placeable
+from survey.pose_files import read_poses
 from survey.words import Quality
 from tests.changed_survey import changed
 
@@ -203,6 +205,42 @@ def test_bounds_that_no_two_photographs_see_are_refused_with_the_extent_of_the_f
 )
 def test_bounds_that_two_photographs_see_a_part_of_are_fine(tmp_path, bounds):
     assert require_processable(small_survey(tmp_path / "s", toml=bounds_toml(*bounds))).warnings == ()
+
+
+def with_angles(folder, angles: np.ndarray) -> tuple[str, ...]:
+    """The warnings of a survey whose poses have these angles, as they are written."""
+    folder = small_survey(folder, num=len(angles))
+    rows = [line.split(",")[:4] for line in camera_lines(len(angles))]
+    lines = [",".join([*row, *(f"{a:.9f}" for a in three)]) for row, three in zip(rows, angles, strict=True)]
+    write_poses(folder, lines)
+    return load_survey(folder).findings.warnings
+
+
+@pytest.mark.parametrize("name", ["quick", "river", "wreck_water"])
+def test_the_angles_of_nadir_and_oblique_surveys_are_doubted_only_as_radians(data_dir, name):
+    poses = read_poses(data_dir / name / "cameras.csv").poses
+    angles = np.loadtxt(data_dir / name / "cameras.csv", delimiter=",", skiprows=1, usecols=(4, 5, 6))
+    turned = [
+        replace(p, cam_from_world=(grid_from_opk(*np.radians(a)) @ CAM_FROM_OPK_CAM).T)
+        for p, a in zip(poses, np.radians(angles), strict=True)
+    ]
+    # Of one strip too, along which nothing turns.
+    for num in (5, 9, len(poses)):
+        assert angle_warnings(poses[:num], PoseFrame.GRID) == []
+        assert len(angle_warnings(turned[:num], PoseFrame.GRID)) == 1
+
+
+def test_angles_in_radians_are_doubted_and_degrees_are_not(tmp_path):
+    # Strips flown to and fro on a gimbal that is good to a few tenths of a degree; strips that all look north.
+    strips = np.random.default_rng(3).normal(0.0, [0.3, 0.3, 1.0], (6, 3))
+    strips[3:, 2] += 180.0
+    assert with_angles(tmp_path / "degrees", strips) == ()
+    (warning,) = with_angles(tmp_path / "radians", np.radians(strips))
+    assert warning.startswith("omega, phi, kappa are at most 3.1")
+    assert "look like radians, expected degrees" in warning
+    for seed in range(5):
+        north = np.random.default_rng(seed).normal(0.0, [0.5, 0.5, 1.5], (8, 3))
+        assert with_angles(tmp_path / str(seed), north) == ()
 
 
 def test_a_size_of_the_settings_that_a_model_contradicts_is_said_not_to_be_used(tmp_path):

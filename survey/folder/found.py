@@ -198,11 +198,7 @@ def survey_inputs(folder: Path, config: SurveyConfig | None = None) -> ReadFiles
     images, masks = folder / config.images.local_dir, config.images.masks
     named = [FILE_NAME, *config.control.files, *(config.water.level_files.values() if config.water else ())]
     poses = find_poses(folder) if config.cameras.poses is None else [folder / config.cameras.poses]
-    paths = [
-        find_geo_txt(folder, images),
-        *(folder / name for name in named),
-        None if masks is None else folder / masks,
-    ]
+    paths = [find_geo_txt(folder, images), *(folder / name for name in named), folder / masks if masks else None]
     if config.images.dir == ".":
         paths += [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
     else:

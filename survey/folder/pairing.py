@@ -27,6 +27,7 @@ from survey.folder.local_frame import (
     views_in_local,
 )
 from survey.folder.observations import Observations, PlacedViews, Provenance
+from survey.folder.plausible import angle_warnings
 from survey.folder.pose_priors import priors_of_gps, priors_of_poses
 from survey.photos.cameras import View
 from survey.photos.exif import SUFFIXES, Exif
@@ -256,7 +257,7 @@ def read_file_poses(found: Found, path: Path) -> tuple[PlacedViews, Path | None,
         found.config, found.headers, below(found.folder, path), file.frame, placed.by_gps is not None, lens,
         len(find_poses(found.folder)) > 1,
     )  # fmt: skip
-    warnings = list(unused_keys(circumstances))
+    warnings = [*angle_warnings(poses, file.frame), *unused_keys(circumstances)]
     frame, views = views_in_local(found, file, poses)
     if file.tool is not None and found.config.water is not None:
         warnings.append(

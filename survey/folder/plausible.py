@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS, Geod
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 from geo.compatibility import bounds_in_other_order
 from geo.crs import height_unit_m
@@ -31,6 +32,7 @@ from survey.folder.heights import (
 )
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
+from survey.photos.poses import CAM_FROM_OPK_CAM, Pose, PoseFrame, grid_from_opk
 from survey.settings.config import SurveyConfig, WaterConfig
 
 # Diagonal field of view [degrees] of a pinhole of the same focal length: a fisheye lens of 180 degrees has 115, the
@@ -42,6 +44,13 @@ _NARROW_DEG = 12.0
 _DOUBTFUL_RATIO, _WRONG_RATIO = 1.5, 5.0
 # Cameras closer together than this show no parallax.
 _ONE_PLACE_M = 0.01
+# Angles in radians are below this; so may angles in degrees be, where all views look down and north.
+_FULL_TURN = 2.0 * math.pi + 0.01
+_LOOKS_DOWN = math.cos(math.radians(75.0))
+# A gimbal keeps the rows of an image level to this sine. Degrees read as radians tilt rows at random.
+_LEVEL_ROWS = 0.03
+# In simulated surveys rows are exactly level, to the written digits [degrees].
+_EXACT = 1e-4
 # Fewer pairs of axes do not determine a height.
 _FEWEST_PAIRS = 10
 # Usual overlap along the flight line; used only where nothing else determines the height of dry ground.
@@ -135,6 +144,27 @@ def _overlap_warnings(views: list[View], over_water: np.ndarray) -> list[str]:
         )
     names = [views[i].name for i in np.flatnonzero(alone).tolist()]
     return named(names, "view", "without overlap with another one at the water")
+
+
+def angle_warnings(poses: list[Pose], frame: PoseFrame) -> list[str]:
+    """Warning where omega, phi and kappa look like radians.
+
+    All are below a full turn in radians. Read as radians, all cameras look down with level image rows, as on a gimbal,
+    in nadir and oblique views alike. In addition they turn by more than a radian, or else rows would, as degrees, be
+    level to a thirtieth of a degree, which no gimbal achieves.
+    """
+    if frame is not PoseFrame.GRID:
+        return []
+    # Of intrinsic turns about x, y and z, the inverse of `survey.photos.poses.grid_from_opk`.
+    grid_from_opk_cam = np.array([pose.cam_from_world.T for pose in poses]) @ CAM_FROM_OPK_CAM
+    angles = Rotation.from_matrix(grid_from_opk_cam).as_euler("XYZ", degrees=True)
+    tilts, most = float(np.median(np.abs(angles[:, 1]))), np.abs(angles).max()
+    if most > _FULL_TURN or (np.ptp(angles[:, 2]) < 1.0 and not _EXACT < tilts < _LEVEL_ROWS):
+        return []
+    as_radians = np.array([grid_from_opk(*three) for three in angles])
+    if not (as_radians[:, 2, 2] > _LOOKS_DOWN).all() or np.median(np.abs(as_radians[:, 2, 0])) >= _LEVEL_ROWS:
+        return []
+    return [f"omega, phi, kappa are at most {most:.2f} and look like radians, expected degrees: multiply by 57.29578"]
 
 
 @dataclass(frozen=True)

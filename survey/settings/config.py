@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -335,7 +334,9 @@ def settings_of(folder: Path) -> SurveyConfig | None:
     toml = folder / FILE_NAME
     if toml.is_file():
         config = read_config(toml)
-        require_plain(folder / text for text in _texts_of(table_of(config)) if "\0" not in text)
+        levels = () if config.water is None else config.water.level_files.values()
+        named = (config.images.dir, config.images.masks, config.cameras.poses, config.field.monocular)
+        require_plain(folder / name for name in (*named, *config.control.files, *levels) if name is not None)
         return config
     if os.path.lexists(toml):
         what = "a link to a file that is not there" if toml.is_symlink() else "no file"
@@ -370,12 +371,3 @@ def _without_none(table: dict) -> dict:
     """Without what is not set, tables of which nothing is set included."""
     values = {name: _without_none(value) if isinstance(value, dict) else value for name, value in table.items()}
     return {name: value for name, value in values.items() if value is not None and value != {}}
-
-
-def _texts_of(value: object) -> Iterator[str]:
-    """All texts in a value of dicts and lists."""
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, dict | list | tuple):
-        for item in value.values() if isinstance(value, dict) else value:
-            yield from _texts_of(item)

@@ -24,8 +24,7 @@ from survey.export.render import render
 from survey.folder.survey import Survey as LoadedSurvey
 from survey.folder.survey import load_survey
 from survey.handles.field import Field, train_field
-from survey.handles.run import Dem, Run
-from survey.handles.survey import Survey
+from survey.handles.run import Dem, Run, Survey
 from survey.init.draft import write_settings as init
 from survey.photos.cameras import View
 from survey.plan.choices import Choices

@@ -134,38 +134,6 @@ def test_heights_above_the_cameras_are_refused_with_a_mend(tmp_path):
         limits(survey)
 
 
-def test_without_points_and_heights_the_plan_says_what_would_narrow_the_range(tmp_path):
-    survey = load_survey(small_survey(tmp_path / "s"))
-    decision = next(d for d in make_plan(survey, Choices(device="cpu")).decisions if d.name == "range of heights")
-    assert "[area] heights" in decision.reason
-    assert survey.observations.points is None
-
-
-def test_a_colmap_model_brings_its_points_along(tmp_path, rng):
-    folder = small_survey(tmp_path / "s", toml=TOML.replace('poses = "cameras.csv"', 'poses = "model"'))
-    cameras = load_survey(small_survey(tmp_path / "csv")).views
-    model = folder / "model"
-    model.mkdir()
-    (model / "cameras.txt").write_text("1 PINHOLE 64 48 100 100 32 24\n")
-    lines = []
-    for i, view in enumerate(cameras, start=1):
-        x, y, z = -view.camera.cam_from_local @ view.camera.centre
-        w, qx, qy, qz = quaternion(view.camera.cam_from_local)
-        lines.append(f"{i} {w} {qx} {qy} {qz} {x} {y} {z} 1 {view.name}\n\n")
-    (model / "images.txt").write_text("".join(lines))
-    xyz = np.column_stack([rng.uniform(-3.0, 3.0, (300, 2)), rng.uniform(-2.0, 0.5, 300)])
-    (model / "points3D.txt").write_text(
-        "".join(f"{i} {x} {y} {z} 9 9 9 0.4 1 0 2 0 3 0\n" for i, (x, y, z) in enumerate(xyz, start=1))
-    )
-    text = (folder / "survey.toml").read_text()
-    (folder / "survey.toml").write_text(text + f"[local]\norigin = [{E0}, {N0}, {LEVEL}]\n")
-    survey = load_survey(folder)
-    np.testing.assert_array_equal(survey.observations.points, xyz)
-    low, high = limits(survey)
-    assert low < -2.0 * 1.333
-    assert 0.5 < high < 5.0
-
-
 def test_structure_from_motion_brings_its_tie_points(tmp_path, monkeypatch, rng):
     posed = load_survey(small_survey(tmp_path / "posed", gps=True))
     ties = TiePoints(rng.normal(size=(6, 3)), np.repeat(np.arange(6), 3), np.tile(np.arange(3), 6), np.zeros((18, 2)))
@@ -175,10 +143,3 @@ def test_structure_from_motion_brings_its_tie_points(tmp_path, monkeypatch, rng)
     folder = small_survey(tmp_path / "bare", gps=True, toml=toml)
     (folder / "cameras.csv").unlink()
     np.testing.assert_array_equal(load_survey(folder).observations.points, ties.start)
-
-
-def quaternion(rotation: np.ndarray) -> tuple[float, ...]:
-    from scipy.spatial.transform import Rotation
-
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
-    return w, x, y, z

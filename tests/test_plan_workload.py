@@ -13,7 +13,6 @@ from fields.sweep.block import Overlap
 from survey import machine
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
-from survey.plan import check
 from survey.plan import workload as workload_module
 from survey.plan.area import local_area
 from survey.plan.check import check_survey
@@ -21,12 +20,10 @@ from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 from survey.plan.sweep_block import camera_of
 from survey.plan.workload import (
-    SFM_PARTS,
     Amounts,
     Workload,
     parts_s,
     room_warnings,
-    sfm_s,
     workload_of,
     workload_of_images,
 )
@@ -78,15 +75,6 @@ def test_the_parts_of_a_run_are_its_stages(poses, field):
         "mdw": ["Solver", "Field"],
     }.get(field, [])
     assert all(seconds >= 0.0 for seconds in parts.values())
-
-
-def test_structure_from_motion_grows_with_pixels_pairs_and_photographs():
-    parts = sfm_s(10.0, 20, 190, 2)
-    assert tuple(parts) == SFM_PARTS
-    assert sfm_s(20.0, 20, 190, 2)["Features"] == pytest.approx(2.0 * parts["Features"])
-    assert sfm_s(10.0, 20, 380, 2)["Matches"] == pytest.approx(2.0 * parts["Matches"])
-    assert sfm_s(10.0, 40, 190, 2)["Structure from motion"] == pytest.approx(2.0 * parts["Structure from motion"])
-    assert sfm_s(10.0, 20, 190, 8)["Features"] < parts["Features"]
 
 
 def test_the_maps_are_those_of_the_views_that_cover_the_area_and_better_qualities_take_more(tmp_path):
@@ -186,7 +174,7 @@ def test_without_poses_the_estimate_is_a_bound_that_refuses_nothing(tmp_path, mo
     assert "the run needs at most" in rows_of(sections, "Warnings")[""]
 
 
-def test_check_plans_for_the_image_scale_that_is_asked_for(tmp_path, monkeypatch):
+def test_check_plans_for_the_image_scale_that_is_asked_for(tmp_path):
     half = Choices(device="cpu", image_scale=0.5)
     sections = check_survey(small_survey(tmp_path / "s"), chosen=half)
     assert rows_of(sections, "Plan")["image scale"].startswith("0.5: set by --image-scale")
@@ -194,12 +182,3 @@ def test_check_plans_for_the_image_scale_that_is_asked_for(tmp_path, monkeypatch
         workload_of_images([(4000, 3000)] * 100, Choices(quality="fine", image_scale=each)) for each in (1.0, 0.5)
     )
     assert whole.disk_bytes > 3 * smaller.disk_bytes
-    asked = []
-
-    def listening(sizes, chosen):
-        asked.append(chosen.image_scale)
-        return workload_of_images(sizes, chosen)
-
-    monkeypatch.setattr(check, "workload_of_images", listening)
-    check_survey(unposed(tmp_path / "u"), chosen=half)
-    assert asked == [0.5]

@@ -12,7 +12,7 @@ from fields.sweep.bed import BedPoints
 from refract import FlatWater, PinholeCamera
 from refract.distortion import BROWN, Distortion
 from survey.folder.survey import Survey, load_survey
-from survey.plan.choices import MAX_STD_GSD, STRICTEST_ORDER_M, max_height_std
+from survey.plan.choices import MAX_STD_GSD, STRICTEST_ORDER_M
 from survey.report.seen_cells import CELL_GSD, cells_of
 from survey.run.gate import verdict_of
 from survey.run.stored import StoredBed
@@ -137,7 +137,3 @@ def test_what_heights_share_counts(survey, common, passed):
     assert gate.value == pytest.approx(1000.0 * np.hypot(0.01, np.nan_to_num(common)), rel=1e-3)
     assert ("the shared part limits it: give [water] level_std_m" in gate.sentence) == (not passed)
     assert gate.limit == pytest.approx(1000.0 * STRICTEST_ORDER_M)
-
-
-def test_over_coarse_pixels_a_height_may_be_as_uncertain_as_its_point():
-    assert max_height_std(0.2) == pytest.approx(0.3)

@@ -394,14 +394,6 @@ def test_an_error_of_a_worker_ends_the_run(two_workers, tmp_path, monkeypatch):
         list(workers.computed(tmp_path / "job", TASKS))
 
 
-def test_a_client_with_too_few_workers_is_closed():
-    client = ClientOfOne()
-    distributed = SimpleNamespace(Client=lambda _place, timeout: client)
-    with pytest.raises(SurveyError, match="gave no 3 workers within"):
-        workers_module._client_of(distributed, PLACE, PLACE, 3)
-    assert client.is_closed
-
-
 def test_a_script_that_is_run_again_by_its_processes_is_told_how_to_stand():
     def start(**_options):
         raise RuntimeError("Nanny failed to start.")

@@ -144,8 +144,7 @@ def _in_plan(run: LoadedRun, options: ExportOptions, local: np.ndarray) -> np.nd
 def write_contours(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     """Lines of equal depth; of equal height in a dry survey."""
     grid = bed_raster(run, options)
-    is_dry = grid.level is None
-    values = grid.heights(grid.cells.whole) if is_dry else grid.depths(grid.cells.whole)
+    values = (grid.heights if grid.level is None else grid.depths)(grid.cells.whole)
     step = options.interval_m
     if step is None:
         # A round number that gives about ten.
@@ -156,23 +155,17 @@ def write_contours(path: Path, run: LoadedRun, options: ExportOptions) -> None:
         raise SurveyError(
             f"--interval {step:g} makes over {_MOST_LEVELS} contours from {low:.2f} to {high:.2f} m; give a larger one"
         )
-    lines, depths = [], []
-    for number in range(math.ceil(low / step), math.floor(high / step) + 1):
-        at_level = _lines(grid, values, number * step)
-        lines += at_level
-        depths += [round(number * step, 6)] * len(at_level)
-    name = "height_m" if is_dry else "depth_m"
+    levels = [number * step for number in range(math.ceil(low / step), math.floor(high / step) + 1)]
     about = f"every {step:g} m, in cells of {grid.cells.side_m:g} m; depths count down from the water"
-    _write_lines(path, Layer("contours", "LineString", lines, grid.cells.crs, {name: depths}, about), grid)
+    _write_lines(path, Layer("contours", "LineString", [], grid.cells.crs, notes=about), grid, values, levels)
 
 
 def write_shoreline(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     """The line of depth zero, where the bed was found on both sides of it."""
     grid = bed_raster(run, options)
-    lines = _lines(grid, grid.depths(grid.cells.whole), 0.0)
     about = f"where the bed meets the water of the survey, in cells of {grid.cells.side_m:g} m"
-    columns: dict[str, list] = {"depth_m": [0.0] * len(lines)}
-    _write_lines(path, Layer("shoreline", "LineString", lines, grid.cells.crs, columns, about), grid)
+    layer = Layer("shoreline", "LineString", [], grid.cells.crs, notes=about)
+    _write_lines(path, layer, grid, grid.depths(grid.cells.whole), [0.0])
 
 
 def check_shoreline(path: Path, run: LoadedRun, options: ExportOptions) -> None:
@@ -182,25 +175,26 @@ def check_shoreline(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     check_layer(path, run, options)
 
 
-def _write_lines(path: Path, layer: Layer, grid: BedRaster) -> None:
-    """Write lines with the depth of each, or the height in a dry survey [m], in a column, and heights in crs."""
-    ((_, values),) = layer.columns.items()
-    heights = [
-        (np.full(len(line), value) if grid.level is None else grid.level(line) - value) / grid.height_unit_m
-        for line, value in zip(layer.shapes, values, strict=True)
-    ]
-    write_layer(path, replace(layer, heights=heights))
+def _write_lines(path: Path, layer: Layer, grid: BedRaster, values: np.ndarray, levels: list[float]) -> None:
+    """Write lines of equal values (rows, columns) [m], depths or, in a dry survey, heights, with heights in crs.
 
-
-def _lines(grid: BedRaster, values: np.ndarray, level: float) -> list[np.ndarray]:
-    """Lines (N, 2) in crs through the middles of cells; they end where cells have no height."""
-    if min(values.shape) < 2:
-        return []
-    found = [np.asarray(line) for line in contourpy.contour_generator(z=np.ma.masked_invalid(values)).lines(level)]
-    lengths = (np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line in found)
+    They run through the middles of cells, and end where cells have no height.
+    """
+    lines, of_line, heights = [], [], []
     step = np.array(grid.cells.step)
     corner = np.array(grid.cells.origin) + 0.5 * step
-    return [corner + line * step for line, length in zip(found, lengths, strict=True) if length >= SHORTEST]
+    # A raster of one row or column gets another without values.
+    generator = contourpy.contour_generator(z=np.ma.masked_invalid(np.pad(values, (0, 1), constant_values=np.nan)))
+    for level in levels:
+        for line in map(np.asarray, generator.lines(level)):
+            if np.linalg.norm(np.diff(line, axis=0), axis=1).sum() >= SHORTEST:
+                places = corner + line * step
+                lines.append(places)
+                of_line.append(round(level, 6))
+                height = np.full(len(line), level) if grid.level is None else grid.level(places) - level
+                heights.append(height / grid.height_unit_m)
+    name = "height_m" if grid.level is None else "depth_m"
+    write_layer(path, replace(layer, shapes=lines, columns={name: of_line}, heights=heights))
 
 
 @dataclass(frozen=True)

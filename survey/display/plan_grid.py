@@ -83,7 +83,7 @@ class PlanGrid(Grid):
         """Points in each cell, of those in a ``mask`` (N,) bool."""
         count = np.zeros(self.shape, dtype=np.int64)
         for part, number in self._portions():
-            _add(count, number[number >= 0 if mask is None else (number >= 0) & mask[part]])
+            np.add.at(count.reshape(-1), number[number >= 0 if mask is None else (number >= 0) & mask[part]], 1)
         return count
 
     def mean(self, values: np.ndarray | ComputedColumn, mask: np.ndarray | None = None) -> np.ndarray:
@@ -94,8 +94,8 @@ class PlanGrid(Grid):
             use = (number >= 0) & np.isfinite(portion)
             if mask is not None:
                 use &= mask[part]
-            _add(count, number[use])
-            _add(total, number[use], portion[use])
+            np.add.at(count.reshape(-1), number[use], 1)
+            np.add.at(total.reshape(-1), number[use], portion[use])
         with np.errstate(invalid="ignore"):
             total /= count
         return total
@@ -119,15 +119,6 @@ class PlanGrid(Grid):
             cell, point = cell[higher], point[higher]
             top[cell], found[cell] = portion[point], values[part][point]
         return found.reshape(*self.shape, *values.shape[1:])
-
-
-def _add(total: np.ndarray, number: np.ndarray, weights: np.ndarray | None = None) -> None:
-    """Add points, or their weights, to the cells (rows, columns) of these numbers (M,)."""
-    if len(number):
-        # Points that follow each other lie near each other.
-        first = int(number.min())
-        found = np.bincount(number - first, weights)
-        total.reshape(-1)[first : first + len(found)] += found
 
 
 def finite(values: np.ndarray | ComputedColumn, mask: np.ndarray | None = None) -> np.ndarray:

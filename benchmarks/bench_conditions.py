@@ -59,7 +59,9 @@ def say_otherwise(path: Path, keys: dict) -> None:
 
 def errors_of(cloud: Path, case: Case) -> dict:
     """Vertical errors of a cloud over the true bed, and what its std says of them."""
-    found = compare_surfaces(cloud, case.reference, CompareOptions((TOLERANCE_M,), case.visible, case.bounds))
+    found = compare_surfaces(
+        cloud, case.reference, CompareOptions((TOLERANCE_M,), visible=case.visible, bounds=case.bounds)
+    )
     frame, paths, inputs = found.inputs.frame, found.inputs.paths, found.inputs
     points = to_local(frame, found.points, paths.cloud)
     vertices = to_local(frame, inputs.reference.vertices, paths.reference)

@@ -143,7 +143,7 @@ def test_neighbours_are_others_that_overlap_at_most_as_many_as_asked_the_best_an
 
 
 def test_each_part_of_a_view_has_neighbours_where_any_view_sees_it():
-    cameras = [look((0.0, 0.0, 10.0), (0.0, 0.0, -2.0))] * 12
+    cameras = ring(11)
     # All but two see nine tenths of the first view, these two little more than the last tenth.
     seen = np.ones((12, 40), dtype=bool)
     seen[1:10, 36:] = False
@@ -152,6 +152,13 @@ def test_each_part_of_a_view_has_neighbours_where_any_view_sees_it():
     found = views.neighbours(cameras, csr_array(seen), cells, 0, list(range(12)), 8)
     assert {10, 11} & set(found)
     assert len(found) == 8
+
+
+def test_views_from_the_same_place_are_no_neighbours():
+    # A burst shows no parallax, and matches at every height.
+    cameras = [camera for camera in ring(4) for _ in range(3)]
+    seen, cells = views.coverage(cameras, WATER, -2.0)
+    assert set(views.neighbours(cameras, seen, cells, 0, list(range(15)), 20)) == set(range(3, 15))
 
 
 def test_neighbours_stand_around_the_view():

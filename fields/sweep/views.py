@@ -20,6 +20,7 @@ BEST_ANGLE_DEG = 18.0
 ANGLE_WIDTH_DEG = 10.0
 # Least share of a view that a neighbour sees; and weight of a cell for the next neighbour, by each that sees it.
 _LEAST_OVERLAP, _SEEN_AGAIN = 0.05, 0.7
+_LEAST_ANGLE_DEG = 1.5  # Views of one place, as in a burst, have a smaller angle
 STEEP_DEG = 25.0  # A view is steep where its ray is nearer to the vertical than this
 # Cells of the ground grid along each axis at least, and so many that a grid is whole; and across the narrow side of a
 # view.
@@ -192,21 +193,22 @@ def neighbours(
 ) -> list[int]:
     """The ``count`` best neighbours of a view among others by overlap, intersection angle and spread of directions.
 
-    Greedy: each is the best beside those before it, in directions and in the parts of the view that it sees.
+    Greedy: each is the best beside those before it, in directions and in the parts of the view that it sees. Without
+    those of a burst, taken from the same place: they match at every height.
     """
     own_cells = cells_of(seen, view)
     if not len(own_cells):
         return []
     overlap = overlaps(seen, view)
-    others = [o for o in candidates if o != view and overlap[o] >= _LEAST_OVERLAP]
-    shared = seen[others][:, own_cells].astype(np.float64)
-    # Cells that chosen neighbours see count less for the next ones: else corners of a view may have none.
-    weight = np.full(len(own_cells), 1.0 / len(own_cells))
     centres = np.array([c.centre for c in cameras])
     rays = centres - cells[own_cells].mean(axis=0)
     rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    angle = np.degrees(np.arccos(np.clip(rays[others] @ rays[view], -1.0, 1.0)))
-    suitable = np.exp(-0.5 * ((angle - BEST_ANGLE_DEG) / ANGLE_WIDTH_DEG) ** 2)
+    angles = np.degrees(np.arccos(np.clip(rays @ rays[view], -1.0, 1.0)))
+    others = [o for o in candidates if o != view and overlap[o] >= _LEAST_OVERLAP and angles[o] >= _LEAST_ANGLE_DEG]
+    shared = seen[others][:, own_cells].astype(np.float64)
+    # Cells that chosen neighbours see count less for the next ones: else corners of a view may have none.
+    weight = np.full(len(own_cells), 1.0 / len(own_cells))
+    suitable = np.exp(-0.5 * ((angles[others] - BEST_ANGLE_DEG) / ANGLE_WIDTH_DEG) ** 2)
     direction = rays[others] - rays[view]
     direction /= np.linalg.norm(direction, axis=1, keepdims=True) + 1e-12
     spread, chosen = np.ones(len(others)), list[int]()

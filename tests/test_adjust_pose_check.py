@@ -15,14 +15,32 @@ from survey.adjust.parameter_tests import misfit
 from survey.adjust.pose_check import SAMPLE, _of_middle
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
+from survey.photos.poses import TiePoints
 from survey.plan.plan import MOST_MISFIT_PX, pose_choice
 from survey.run.stage_start import MISFIT, use_misfit
 from tests.changed_survey import changed
 
 
+def ties_of(view: np.ndarray, pixel: np.ndarray | None = None) -> TiePoints:
+    """Observations in photographs, at pixels, or all over them."""
+    pixel = np.random.default_rng(3).uniform(0.0, 400.0, (len(view), 2)) if pixel is None else pixel
+    return TiePoints(np.zeros((1, 3)), np.zeros(len(view), dtype=int), view, pixel)
+
+
 def test_scatter_without_a_mean_over_a_photograph_is_no_misfit(rng):
     view = np.repeat(np.arange(10), 200)
-    assert misfit(rng.normal(0.0, 0.3, (2000, 2)), view) < 0.03
+    assert misfit(rng.normal(0.0, 0.3, (2000, 2)), ties_of(view)) < 0.03
+
+
+def test_waves_that_neighbours_share_are_no_misfit(rng):
+    view, pixel = np.repeat(np.arange(40), 200), rng.uniform(0.0, 400.0, (8000, 2))
+    shifts = 0.0
+    for length in (180.0, 220.0, 260.0):
+        turned = 2.0 * np.pi / length * pixel @ rng.normal(0.0, 1.0, (2, 1)) + rng.uniform(0.0, 7.0, (40, 1))[view]
+        shifts = shifts + 0.3 * np.sin(turned)
+    residuals = shifts + rng.normal(0.0, 0.1, (8000, 2))
+    means = np.array([residuals[view == k].mean(axis=0) for k in range(40)])
+    assert misfit(residuals, ties_of(view, pixel)) < 0.7 * np.sqrt(np.mean(means**2))
 
 
 def test_the_means_of_photographs_are_the_misfit_whatever_a_few_outliers_say(rng):
@@ -30,11 +48,11 @@ def test_the_means_of_photographs_are_the_misfit_whatever_a_few_outliers_say(rng
     residuals = rng.normal(0.0, 0.3, (400, 2))[view] + rng.normal(0.0, 0.1, (len(view), 2))
     residuals[::50] = 30.0
     # The root mean square of 800 deviates of 0.3 px is known to 2.5 %; five of these.
-    assert misfit(residuals, view) == pytest.approx(0.3, rel=0.125)
+    assert misfit(residuals, ties_of(view)) == pytest.approx(0.3, rel=0.125)
 
 
 def test_photographs_with_few_windows_tell_nothing():
-    assert misfit(np.ones((9, 2)), np.zeros(9, dtype=int)) is None
+    assert misfit(np.ones((9, 2)), ties_of(np.zeros(9, dtype=int))) is None
 
 
 @pytest.mark.parametrize(

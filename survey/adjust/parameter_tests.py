@@ -47,6 +47,7 @@ from survey.errors import GivenValueTest, SurveyError
 from survey.folder.local_frame import over_points
 from survey.folder.pose_priors import BAROMETER_STD_M
 from survey.folder.survey import Survey
+from survey.photos.poses import TiePoints
 from survey.plan.plan import MOST_MISFIT_PX
 
 # Tested parameters: of the water, and of each lens.
@@ -190,19 +191,26 @@ def release(prior: PriorKnowledge, found: GivenValueTest) -> PriorKnowledge:
     return replace(prior, std=std)
 
 
-def misfit(residuals: np.ndarray, view: np.ndarray) -> float | None:
+def misfit(residuals: np.ndarray, ties: TiePoints) -> float | None:
     """Reprojection misfit under fixed poses [px], less its noise: see `PoseCheck`.
 
-    ``residuals`` (N, 2) [px] are those of observations in photographs ``view`` (N,).
+    ``residuals`` (N, 2) [px] are those of ties. Waves displace neighbours alike: of their mean over a photograph its
+    quarters tell the noise.
     """
+    view, pixel = ties.view, ties.pixel
     squares = []
     for number in np.unique(view):
-        of_view = residuals[(view == number) & np.isfinite(residuals).all(axis=1)]
+        chosen = (view == number) & np.isfinite(residuals).all(axis=1)
+        of_view, right_below = residuals[chosen], pixel[chosen] > np.median(pixel[chosen], axis=0)
         if len(of_view) < _FEWEST_OF_VIEW:
             continue
         middle = np.median(of_view, axis=0)
         # The variance of a median is pi / 2 times that of a mean.
         noise = np.square(std_by_median(of_view - middle, axis=0)) * (0.5 * np.pi / len(of_view))
+        quarter = right_below @ (1, 2)
+        if np.bincount(quarter, minlength=4).min() >= _FEWEST_OF_VIEW:
+            of_quarters = [np.median(of_view[quarter == k], axis=0) for k in range(4)]
+            noise = np.maximum(noise, np.var(of_quarters, axis=0, ddof=1) / 4.0)
         squares.append(middle**2 - noise)
     return float(np.sqrt(max(float(np.mean(squares)), 0.0))) if squares else None
 
@@ -215,7 +223,7 @@ def check_dry_bed(survey: Survey, problem: Problem, state: State, gsd: float) ->
     if not _is_dry(state):
         return None
     found = solve_with_level(problem, state.with_level(over_points(state.points, state.centres)), np.inf)
-    missed = None if found is None else misfit(found.residuals, problem.ties.view)
+    missed = None if found is None else misfit(found.residuals, problem.ties)
     if found is None or missed is None or missed > MOST_MISFIT_PX:
         return None
     water = found.state.require_water()

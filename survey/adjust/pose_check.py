@@ -99,7 +99,7 @@ def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> Pos
     state = replace(prior.state, points=seen.ties.start)
     problem = seen.problem(held, state)
     solution = solve(replace(problem, holds_parameters=True), state)
-    found = misfit(solution.residuals, seen.ties.view)
+    found = misfit(solution.residuals, seen.ties)
     flooded = check_dry_bed(survey, problem, solution.state, plan.gsd_m)
     if flooded is not None:
         return PoseCheck(found, flooded=flooded)
@@ -107,7 +107,7 @@ def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> Pos
     if found is not None and found > MOST_MISFIT_PX and kind == WINDOW:
         # Under the level that fits best.
         best = solve_with_level(problem, solution.state, FREE_WATER[0])
-        of_poses = None if best is None else misfit(best.residuals, seen.ties.view)
+        of_poses = None if best is None else misfit(best.residuals, seen.ties)
     if of_poses is None or of_poses > MOST_MISFIT_PX:
         # Errors of poses look like those of the water; all is adjusted together then.
         return PoseCheck(found)

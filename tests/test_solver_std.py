@@ -145,17 +145,21 @@ def test_bends_of_noise_are_none_of_the_bed():
     tile, result = level(INFORMATION, ROUGHNESS, 120)
     expected = expected_variances(tile, result, RESPONSE)
     noisy = replace(result, height=heights(result, np.zeros(len(tile))))
-    differences = subpixel_relief(noisy, expected, 1.0, 1.0)
+    differences = subpixel_relief(tile, noisy, expected, 1.0, 1.0)
     assert np.mean(differences) == pytest.approx(np.mean(expected.differences_noise), rel=0.15)
-    assert np.mean(subpixel_relief(noisy, expected, 1.0, 0.0)) < 0.4 * np.mean(differences)
+    assert np.mean(subpixel_relief(tile, noisy, expected, 1.0, 0.0)) < 0.4 * np.mean(differences)
 
 
-def test_bends_beyond_noise_are_those_of_the_bed():
+def test_bends_beyond_noise_are_those_of_the_bed_about_a_height():
     tile, result = level(INFORMATION, ROUGHNESS, 120)
-    bent = 20.0 * heights(result, np.zeros(len(tile)))
-    found = subpixel_relief(replace(result, height=bent), expected_variances(tile, result, RESPONSE), 1.0, 0.0)
-    all_of_it = subpixel_relief(replace(result, height=bent), expected_variances(tile, result, RESPONSE), 1.0, 1.0)
+    expected, bent = (
+        expected_variances(tile, result, RESPONSE),
+        replace(result, height=20.0 * heights(result, np.zeros(len(tile)))),
+    )
+    found, all_of_it = (subpixel_relief(tile, bent, expected, 1.0, excess) for excess in (0.0, 1.0))
     assert np.mean(found) > 0.95 * np.mean(all_of_it)
+    # A few values are small by chance: of single heights a twentieth has a fifth of the mean.
+    assert np.quantile(found, 0.05) > 0.5 * np.mean(found)
 
 
 def test_shifts_are_no_noise():

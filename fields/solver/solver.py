@@ -233,7 +233,7 @@ def _solve_part(
     if waves is not None:
         of_height, of_place = waves.variances(found.ground.points)
         relief += of_height + of_place * (rise / found.ground.pixel) ** 2
-    relief += subpixel_relief(found, expected, noise.height_variance_ratio, noise.excess_relief)
+    relief += subpixel_relief(tile, found, expected, noise.height_variance_ratio, noise.excess_relief)
     by_noise = noise.height_variance_ratio * expected.noise
     values = (found.height, by_noise, relief, of_shift, rise)
     taken = tile.requested & ~rejects_update(

@@ -141,17 +141,19 @@ def effective_sample_weight(ratio: np.ndarray, requested: np.ndarray, number: fl
 
 
 def subpixel_relief(
-    solved: TileSolution, expected: ExpectedVariances, noise: float, excess_relief: float
+    tile: SolverTile, solved: TileSolution, expected: ExpectedVariances, noise: float, excess_relief: float
 ) -> np.ndarray:
     """Variance (N,) [m^2] of the bed within a pixel, from its second differences.
 
+    Those of a single height are a few values, small by chance as often as the bed is smooth: a mean about it counts.
     The share of noise in the second differences is subtracted as far as the photographs show no more relief of the
     pixels than what the prior should take from the bed (``noise`` and ``excess_relief`` of
     `fields.solver.noise.NoiseShares`): a bed that has none has none below the pixel.
     """
     differences = solved.differences.matrix @ solved.height
     by_noise = (1.0 - excess_relief) * noise * expected.differences_noise
-    return np.maximum(solved.differences.mean_at_heights(differences * differences) - by_noise, 0.0)
+    near = _local_mean(tile, solved.differences.mean_at_heights(differences * differences) - by_noise, _ALIKE_PX)
+    return np.maximum(near, 0.0)
 
 
 def local_slope(tile: SolverTile, height: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from fields.waves.waves import Waves
 from survey.errors import OutputError, SurveyError
 from survey.export.export import export
 from survey.folder.survey import load_survey
-from survey.report.maps import draw_waves
+from survey.report.maps import draw_wave_shifts, draw_waves
 from survey.run.flight import save_flight
 from survey.run.folder import RunDir
 from survey.run.stage_solver import SURFACES, WAVES, load_surfaces
@@ -28,6 +28,8 @@ SPACING, NODES, AMPLITUDE_M = 0.5, 72, 0.02
 # Wave vectors [rad/m], one for each photograph, of a whole number of periods over the nodes.
 TURNS = np.array([(3, 1), (-2, 4), (1, -3)])
 VECTORS = 2.0 * np.pi / (NODES * SPACING) * TURNS
+# Places [m], displacements by waves and what is left of them [m].
+SHIFTS = np.random.default_rng(1).uniform(-4.0, 4.0, (400, 6)) * ([1.0] * 2 + [0.01] * 2 + [0.002] * 2)
 SEA = {"significant_height_m": 0.06, "slope_rms": 0.01, "peak_length_m": 9.0, "axis_deg": 20.0}
 
 
@@ -63,6 +65,7 @@ def solved(block, path, *, sea=SEA, has_surfaces=True):
             corner = np.full(2, -0.5 * NODES * SPACING)
             names = np.array([view.name for view in survey.views])
             arrays = {"corner": np.tile(corner, (len(names), 1)), "spacing": np.asarray(SPACING)}
+            arrays |= {"shown": np.asarray(1), "shifts": SHIFTS}
             save_arrays(folder / SURFACES, names=names, coefficients=coefficients(corner), **arrays)
         folder = run.finish_stage("solver", {}, folder)
         stages = {"bed": run.load_stage("bed"), "solver": folder}
@@ -148,6 +151,18 @@ def test_the_picture_shows_the_surface_without_its_tilt(block, tmp_path):
     tilted = replace(surfaces, coefficients=surfaces.coefficients + tilt)
     for one, other in zip(surfaces.over(stored.bed.xyz), tilted.over(stored.bed.xyz), strict=True):
         np.testing.assert_allclose(one.without_tilt().height, other.without_tilt().height, atol=1e-5)
-    picture = draw_waves(tmp_path / "waves.png", facts_of(survey, stored.bed), surfaces)
-    with Image.open(picture.path) as image:
-        assert np.asarray(image.convert("L")).std() > 5.0
+    for draw in (draw_waves, draw_wave_shifts):
+        picture = draw(tmp_path / f"{draw.__name__}.png", facts_of(survey, stored.bed), surfaces)
+        with Image.open(picture.path) as image:
+            assert np.asarray(image.convert("L")).std() > 5.0
+
+
+def test_shifts_of_the_photograph_that_waves_displace_most_are_those_of_the_solver(block, tmp_path):
+    surfaces = load_surfaces(solved(block, tmp_path / "run")[1], block[1])
+    assert surfaces.shown == block[1].views[1].name
+    _, before, after = surfaces.shifts_in_crs(10**6)
+    # True to scale and north by 0.1 %, as far as the grid is.
+    for found, at in ((before, 2), (after, 4)):
+        turned = SHIFTS[:, at : at + 2]
+        np.testing.assert_allclose(np.sort(np.hypot(*found.T)), np.sort(np.hypot(*turned.T)), rtol=2e-3)
+    assert len(surfaces.shifts_in_crs(50)[0]) < 100

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy import ndimage, sparse
@@ -144,7 +144,11 @@ def waves_of(parts: Sequence[TileDisplacements], still: Waves, spacing: float, b
             found["measured"][at] += rays.displacement(*before.surface(each, place)).T
     displacements = Displacements(crossing=crossing, by_height=by_height, by_gradient=by_gradient, **found)
     posterior = find_surfaces(displacements, len(still.centres), spacing)
-    return still.with_surfaces(posterior, *_variances(point[first, :2], posterior.errors, spacing))
+    size = np.bincount(view, weights=(posterior.shifts[0] ** 2).sum(axis=1))
+    shown = int(size.argmax())
+    shifts = np.concatenate([point[:, :2], *posterior.shifts], axis=1)[view == shown]
+    variances = _variances(point[first, :2], posterior.errors, spacing)
+    return replace(still.with_surfaces(posterior, *variances), shown=shown, shifts=shifts)
 
 
 def _variances(place: np.ndarray, errors: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:

@@ -32,6 +32,8 @@ SPECTRUM_STD = 0.8
 # falls more steeply than that of the sea, a bend that all surfaces share stands in for the short waves that it leaves:
 # it scales displacements, as rays are those to displaced points.
 START_SLOPE, START_LENGTH = -4.5, 60.0
+# Of a normal distribution, the share within one standard deviation.
+_ONE_STD = 0.6827
 # Margin of a surface about the crossings, in spacings: surfaces are periodic.
 MARGIN = 6
 
@@ -79,10 +81,13 @@ class CellAdjustment:
         """What is free (C, 3) from weighted displacements (M, 2)."""
         return np.einsum("cab,cb->ca", self._inverse, self._sums @ np.einsum("mba,mb->ma", self._by, weighted))
 
+    def by_free(self, weighted: np.ndarray) -> np.ndarray:
+        """Displacements (M, 2) by what is free, from weighted displacements (M, 2)."""
+        return np.einsum("mab,mb->ma", self._by, self.free(weighted)[self._cell])
+
     def left(self, weighted: np.ndarray) -> np.ndarray:
         """Weighted displacements (M, 2) minus those by what is free."""
-        of_free = np.einsum("mab,mb->ma", self._by, self.free(weighted)[self._cell])
-        return weighted - self.weighted(of_free)
+        return weighted - self.weighted(self.by_free(weighted))
 
 
 class SurfaceGrid:
@@ -189,10 +194,14 @@ class Posterior:
     coefficients: np.ndarray  # (V, columns, rows) float32 [m]
     sea: Sea
     noise: float  # Variance of the displacements, over that by their information
-    displacement: np.ndarray  # (M, 2) [m]
+    displacement: np.ndarray  # (M, 2) [m]: by the surfaces
+    shifts: np.ndarray  # (2, M, 2) [m]: measured, less what is free: of still water, and of the surfaces
     # (draws, C, 3) [m]: height of a cell and shift of its photographs by the error of the surfaces, less `common_std`
     errors: np.ndarray
     common_std: float  # [m]: of the error of all heights alike, by a bend that all surfaces share
+    # still_std, left_std [m]: of heights by waves, were the water taken as still, and by what is wrong with surfaces
+    still_std: float
+    left_std: float
 
 
 def find_surfaces(d: Displacements, num_views: int, spacing: float) -> Posterior:
@@ -219,7 +228,15 @@ def find_surfaces(d: Displacements, num_views: int, spacing: float) -> Posterior
     common = errors[:, :, 0].mean(axis=1)
     errors[:, :, 0] -= common[:, None]
     std = float(np.sqrt(np.mean(common**2)))
-    return Posterior(grid, grid.coefficients(waves), Sea.of(grid, spectrum), noise, found, errors, std)
+    shifts = np.stack([each - cells.by_free(cells.weighted(each)) for each in (measured, measured - found)])
+    # Of cells that few photographs show, at the rim, errors are many times those of the others.
+    taken, left = (
+        np.quantile(np.abs(each), _ONE_STD) for each in (cells.free(cells.weighted(found))[:, 0], errors[..., 0])
+    )
+    return Posterior(
+        grid, grid.coefficients(waves), Sea.of(grid, spectrum), noise, found, shifts, errors, std,
+        float(np.hypot(taken, left)), float(left),
+    )  # fmt: skip
 
 
 def _start(d: Displacements, grid: SurfaceGrid, cells: CellAdjustment) -> np.ndarray:

@@ -36,6 +36,12 @@ class Waves:
     variance_corner: np.ndarray  # (2,) [m]: of its first node; they are at the same spacing
     sea: Sea | None = None
     common_std: float = 0.0  # [m]: of the error of all heights alike, by what is wrong with surfaces
+    # still_std, left_std [m]: of heights by waves, were the water taken as still, and by what is wrong with surfaces
+    still_std: float = 0.0
+    left_std: float = 0.0
+    shown: int = 0  # The photograph that waves displace most
+    # (N, 6) [m]: of places (2) of the bed in it, displacements (2) by waves, and what surfaces leave of them (2)
+    shifts: np.ndarray = field(default_factory=lambda: np.empty((0, 6)))
     _rasters: dict[int, np.ndarray] = field(default_factory=dict, compare=False, repr=False)
 
     @staticmethod
@@ -48,7 +54,8 @@ class Waves:
         """The cameras over the surfaces that were found."""
         return replace(
             self, corner=found.grid.corner, spacing=found.grid.spacing, coefficients=found.coefficients,
-            variance=variance, variance_corner=variance_corner, sea=found.sea, common_std=found.common_std, _rasters={},
+            variance=variance, variance_corner=variance_corner, sea=found.sea, common_std=found.common_std,
+            still_std=found.still_std, left_std=found.left_std, _rasters={},
         )  # fmt: skip
 
     def crossings(self, view: int, points: np.ndarray) -> Crossings:

@@ -62,6 +62,9 @@ class WaveFigures:
     # By the surfaces of all photographs, the fields of `fields.waves.surfaces.Sea`; None where water was taken as still
     sea: dict[str, float] | None
     common_std_m: float = 0.0  # Of the error of all heights alike, by what is wrong with surfaces
+    # Of the error of a height by waves: were the water taken as still, and by what surfaces leave
+    still_std_m: float = 0.0
+    left_std_m: float = 0.0
 
 
 def dry_warnings(survey: Survey, bed: BedPoints) -> list[str]:

@@ -63,6 +63,8 @@ _LEGEND = {
     TWO_VIEWS: (RED, "two or more views, no bed found"),
     ONE_VIEW: (OBLIQUE, "one view only"),
 }
+# Arrows of displacements, about.
+_MOST_ARROWS = 800
 # Pixels of the map of cells without a bed, along its longer side at most.
 _UNSEEN_PIXELS = 900
 
@@ -177,6 +179,27 @@ def draw_waves(path: Path, facts: ReportFacts, surfaces: WaveSurfaces) -> Pictur
     )
     subtitle = f"{figure_text(surface.name)}, standard deviation {length(surface.std)}"
     return finished(axes, path, "Surface of the water in a photograph", subtitle, words)
+
+
+def draw_wave_shifts(path: Path, facts: ReportFacts, surfaces: WaveSurfaces) -> Picture:
+    """How the photograph that waves displace most shows the bed displaced, before and after its surface was found."""
+    place, before, after = surfaces.shifts_in_crs(_MOST_ARROWS)
+    rms, left = (float(np.sqrt(np.mean(each**2))) for each in (before, after))
+    unit, (low, high) = LengthUnit.of([rms]), (limit(place, axis=0) for limit in (np.min, np.max))
+    _, axes = map_canvas((float(low[0]), float(high[0]), float(low[1]), float(high[1])), facts.survey.frame.crs)
+    for shift, colour, width in ((before, OBLIQUE, 0.002), (after, INK, 0.003)):
+        # An arrow of two standard deviations spans the distance to the next.
+        scale = 2.0 * rms / np.sqrt(np.prod(high - low) / len(place))
+        axes.quiver(*place.T, *shift.T, color=colour, width=width, angles="xy", scale_units="xy", scale=scale)
+    words = (
+        "Displacements of cells of the bed against the other photographs, less what heights explain: light as over "
+        "still water, dark with the surface that was found."
+    )
+    subtitle = (
+        f"{figure_text(surfaces.shown)}, {unit.number(rms)} {unit.name} before and {unit.number(left)} {unit.name} "
+        "after, along an axis"
+    )
+    return finished(axes, path, "Residual shifts of a photograph", subtitle, words)
 
 
 def _bar(axes: Axes, scale: ScalarMappable, label: str, *, is_depth: bool) -> None:

@@ -42,7 +42,7 @@ _GROUPS = (
     ("Uncertainty and coverage", ("unseen", "views", "std", "histograms")),
     ("Comparison with the reference", ("error", "completeness", "error_histogram", "error_bands")),
     ("Residuals of the adjustment", ("parts", "control", "residuals_ground", "residuals_image", "correlation")),
-    ("Waves", ("waves",)),
+    ("Waves", ("waves", "wave_shifts")),
     ("Flight", ("view", "plan")),
 )
 # These show several things side by side and take the whole width.

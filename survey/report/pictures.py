@@ -72,6 +72,7 @@ def _drawings(facts: ReportFacts) -> Iterator[tuple[str, Callable[[Path], Pictur
         yield "control", lambda path: flight_pictures.draw_residuals(path, survey, residuals)
     if (surfaces := facts.surfaces) is not None and has_points:
         yield "waves", lambda path: maps.draw_waves(path, facts, surfaces)
+        yield "wave_shifts", lambda path: maps.draw_wave_shifts(path, facts, surfaces)
     yield "plan", lambda path: flight_pictures.draw_plan(path, facts)
 
 

@@ -168,6 +168,10 @@ def waves(found: WaveFigures | None) -> list[Block]:
     axis_deg = found.sea["axis_deg"]
     rows = [
         ("photographs shifted by", f"{found.moved_px:.2f} px (one sigma), before a surface was found for each"),
+        (
+            "height of the bed, one sigma by waves",
+            f"{length(found.still_std_m)}, of which {length(found.left_std_m)} are left",
+        ),
         ("significant wave height", length(found.sea["significant_height_m"])),
         ("slope, root mean square", f"{found.sea['slope_rms']:.3f}"),
         ("wavelength at the peak", length(found.sea["peak_length_m"])),

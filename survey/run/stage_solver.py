@@ -20,6 +20,7 @@ from fields.waves.waves import Waves
 from survey.display.quantities import length
 from survey.files.json_values import read_json_object, write_json
 from survey.progress import shares
+from survey.report.facts import WaveFigures
 from survey.run.stage_sweep import (
     KEPT,
     MAPS,
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 FIGURES, SOLVED, SIGHTINGS, WAVES = "figures.json", "solved.npz", "sightings.json", "waves.json"
 # Where the water is not still.
 SURFACES = "surfaces.npz"
+_OF_SURFACES = ("corner", "spacing", "coefficients", "shown", "shifts")
 
 
 def learn_figures(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
@@ -99,7 +101,7 @@ def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     if not len(maps):
         save_maps(folder / SOLVED, SolvedMap, [])
         write_json(folder / SIGHTINGS, {})
-        write_json(folder / WAVES, {"moved_px": 0.0, "sea": None, "common_std_m": 0.0})
+        write_json(folder / WAVES, asdict(WaveFigures(0.0, None)))
         return
     kept, (before, moved_px) = solvable(job.block, maps, load_masks(swept / KEPT)), load_rough_water(swept)
     with job.progress.stage("Solver", 1.0) as stage, map_store(folder / SCRATCH, SolvedMap) as make_store:
@@ -116,18 +118,19 @@ def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 def _save_waves(job: Job, folder: Path, moved_px: float, waves: Waves | None) -> None:
     """What the waves of the survey are like, and the surface of each photograph, in the frame of the water."""
     sea, moved = None if waves is None else waves.sea, f"photographs shifted by {moved_px:.2f} px"
-    table = {"moved_px": moved_px, "sea": None if sea is None else asdict(sea)}
-    write_json(folder / WAVES, table | {"common_std_m": 0.0 if waves is None else waves.common_std})
     if waves is None or sea is None:
+        write_json(folder / WAVES, asdict(WaveFigures(moved_px, None)))
         if job.survey.water is not None:
             job.progress.detail(f"waves: off, {moved}")
         return
+    figures = WaveFigures(moved_px, asdict(sea), waves.common_std, waves.still_std, waves.left_std)
+    write_json(folder / WAVES, asdict(figures))
     job.progress.detail(
         f"waves: {moved}; a surface for each: significant wave height {length(sea.significant_height_m)}, slope "
         f"{sea.slope_rms:.3f} rms, peak at a wavelength of {length(sea.peak_length_m)}"
     )
     names = np.array([view.name for view in job.survey.views])
-    parts = {name: np.asarray(getattr(waves, name)) for name in ("corner", "spacing", "coefficients")}
+    parts = {name: np.asarray(getattr(waves, name)) for name in _OF_SURFACES}
     save_arrays(folder / SURFACES, names=names, **parts)
 
 
@@ -174,5 +177,5 @@ def load_surfaces(folder: Path, flight: Flight | Survey) -> WaveSurfaces | None:
     names = arrays["names"].tolist()
     return WaveSurfaces(
         names, arrays["corner"], float(arrays["spacing"]), arrays["coefficients"], [cameras[name] for name in names],
-        flight.water, flight.frame,
+        flight.water, flight.frame, names[int(arrays.get("shown", 0))], arrays.get("shifts", np.empty((0, 6))),
     )  # fmt: skip

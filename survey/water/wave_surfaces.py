@@ -52,6 +52,23 @@ class WaveSurfaces:
     cameras: Sequence[PinholeCamera]
     water: FlatWater
     frame: LocalFrame
+    shown: str  # The photograph that waves displace most
+    # (N, 6) [m]: of places (2) of the bed in it, displacements (2) by waves, and what surfaces leave of them (2)
+    shifts: np.ndarray
+
+    def shifts_in_crs(self, most: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Places, displacements and what is left of them (M, 2) each, easting and northing; about ``most`` of them."""
+        place, plane = self.shifts[:, :2], PlaneWater.of(self.water)
+        side = np.sqrt(np.prod(np.ptp(place, axis=0)) / most) + 1e-9
+        chosen = np.unique(np.floor(place / side), axis=0, return_index=True)[1]
+        place, before, after = (self.shifts[chosen, k : k + 2] for k in (0, 2, 4))
+
+        def in_crs(at: np.ndarray) -> np.ndarray:
+            local = np.pad(at, ((0, 0), (0, 1))) @ plane.from_local + plane.origin
+            return self.frame.crs_from_local(local)[:, :2]
+
+        found = in_crs(place)
+        return found, in_crs(place + before) - found, in_crs(place + after) - found
 
     def over(self, bed: np.ndarray) -> Iterator[WaveSurface]:
         """The surfaces of the photographs that show points (N, 3) [m], local, of the bed under water.

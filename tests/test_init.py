@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from command_line import bathynerf, fake_module
 from foreign_block import HEIGHT, SIZE, draw_block, in_utm, write_images
-from scipy.spatial.transform import Rotation
 from small_survey import unposed, write_image
+from test_folder_gps_placement import colmap_text
 from test_pose_files_metashape import cameras_xml
 from test_pose_files_opensfm import REFERENCE, block_json, tracks_csv
 
@@ -49,19 +49,10 @@ def metashape(folder):
 def colmap(folder, *, scale=1.0, gps=True):
     """A model in metres, east, north and up of the place of the block, with positions in EXIF."""
     block = draw_block()
-    lens = block.lens
-    numbers = (lens.fx, lens.fy, lens.cx, lens.cy, *lens.k[:2], lens.p1, lens.p2)
-    model = folder / "sparse" / "0"
-    model.mkdir(parents=True)
-    (model / "cameras.txt").write_text(f"1 OPENCV {SIZE[0]} {SIZE[1]} {' '.join(map(repr, numbers))}\n")
-    (model / "points3D.txt").write_text("")
-    lines = []
-    for i, (name, place) in enumerate(zip(block.names, in_utm(block.centres).tolist(), strict=True)):
-        x, y, z, w = Rotation.from_matrix(block.cams[i]).as_quat()
-        t = -block.cams[i] @ (scale * block.centres[i])
-        lines += [" ".join(map(str, (i + 1, w, x, y, z, *t, 1, name))), ""]
+    folder.mkdir(exist_ok=True)
+    colmap_text(folder, replace(block, centres=scale * block.centres, points=scale * block.points))
+    for name, place in zip(block.names, in_utm(block.centres).tolist(), strict=True):
         write_image(folder / "images" / name, size=SIZE, gps=place if gps else None)
-    (model / "images.txt").write_text("\n".join(lines) + "\n")
 
 
 @pytest.mark.parametrize("made", [photographs_alone, opendronemap, metashape, colmap])

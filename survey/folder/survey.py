@@ -102,10 +102,7 @@ def load_survey(
         What `find_survey` found in the folder, where it has looked already.
     """
     found = find_survey(Path(folder)) if found is None else found
-    if found.poses_path is None:
-        placed, added = _views_of_photographs(found, workspace, report)
-    else:
-        placed, added = _views_of_file(found, found.poses_path)
+    placed, added = _placed_views(found, workspace, report)
     findings = found.findings + added
     found, cameras = placed.found, placed.found.config.cameras
     places = {view.name: view.camera.centre for view in placed.views}
@@ -148,48 +145,31 @@ def load_survey(
     )
 
 
-def _views_of_file(found: Found, path: Path) -> tuple[PlacedViews, Findings]:
-    """Views with the poses of a file."""
-    placed, masks, findings = read_file_poses(found, path)
-    placed, added = _with_images(placed, masks)
-    placed, of_control = _with_control(placed)
-    return placed, findings + added + of_control
-
-
-def _views_of_photographs(
+def _placed_views(
     found: Found, workspace: Path | None, report: Callable[[str], None] | None
 ) -> tuple[PlacedViews, Findings]:
-    """The views that structure from motion places."""
-    solved, rejected, findings = solve_views(found, workspace, report)
-    placed, added = _with_images(PlacedViews(found, solved.frame, list(solved.views)), None)
-    priors = priors_of_gps(found, placed.frame, placed.views, rejected)
-    headers = {view.name: found.headers[view.name] for view in placed.views}
-    focals = {name: each.focal_px for name, each in headers.items() if each.focal_px and not each.focal_warning}
-    placed = replace(placed, observations=Observations(solved.ties.start, solved.ties, priors, focals))
-    placed, of_control = _with_control(placed)
-    placed, of_parts = checked_parts(placed)
-    return placed, findings + added + of_control + of_parts
-
-
-def _with_control(placed: PlacedViews) -> tuple[PlacedViews, Findings]:
-    """Views with their control and check points; where control places the block, priors are `held_by_control`."""
-    control, checkpoints, findings = place_control(
-        placed.found.control, placed.frame, [view.name for view in placed.views]
-    )
-    priors = placed.observations.priors
-    if control is not None:
-        priors = {name: prior.held_by_control() for name, prior in priors.items()}
-    seen = replace(placed.observations, priors=priors, control=control, checkpoints=checkpoints)
-    return replace(placed, observations=seen), findings
-
-
-def _with_images(placed: PlacedViews, masks: Path | None) -> tuple[PlacedViews, Findings]:
-    """Views by name with their masks; images must have the size of their lens."""
-    views, findings = with_masks(placed.found, sorted(placed.views, key=lambda view: view.name), masks)
+    """Views by name with masks and control, by the poses file or structure from motion; images fit their lenses."""
+    solved = None
+    if found.poses_path is not None:
+        placed, masks, findings = read_file_poses(found, found.poses_path)
+    else:
+        solved, rejected, findings = solve_views(found, workspace, report)
+        placed, masks = PlacedViews(found, solved.frame, list(solved.views)), None
+    views, added = with_masks(placed.found, sorted(placed.views, key=lambda view: view.name), masks)
+    headers, seen = {view.name: found.headers[view.name] for view in views}, placed.observations
     for view in views:
-        require_image(view, placed.found.headers[view.name])
+        require_image(view, headers[view.name])
     require_all_complete([path for view in views for path in (view.path, view.mask_path) if path is not None])
-    return replace(placed, views=views), findings
+    if solved is not None:
+        priors = priors_of_gps(found, placed.frame, views, rejected)
+        focals = {name: head.focal_px for name, head in headers.items() if head.focal_px and not head.focal_warning}
+        seen = Observations(solved.ties.start, solved.ties, priors, focals)
+    control, checkpoints, of_control = place_control(placed.found.control, placed.frame, list(headers))
+    if control is not None:
+        seen = replace(seen, priors={name: prior.held_by_control() for name, prior in seen.priors.items()})
+    seen = replace(seen, control=control, checkpoints=checkpoints)
+    placed, of_parts = checked_parts(replace(placed, views=views, observations=seen))
+    return placed, findings + added + of_control + of_parts
 
 
 @dataclass(frozen=True)

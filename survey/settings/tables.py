@@ -220,7 +220,7 @@ class FieldConfig:
 
     def over(self, lower: FieldConfig) -> FieldConfig:
         """These, and what `lower` says of those that are open."""
-        names = [each.name for each in dataclasses.fields(self)]
+        names = [field.name for field in dataclasses.fields(self)]
         return dataclasses.replace(self, **{n: getattr(lower, n) for n in names if getattr(self, n) is None})
 
 

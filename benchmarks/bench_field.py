@@ -336,8 +336,8 @@ def steps_of(options, step_s: float) -> int:
     return options.steps if options.seconds is None else max(round(options.seconds / step_s), LEAST_STEPS)
 
 
-def options_of(arguments: list[str] | None = None) -> argparse.Namespace:
-    """The command line, with the folder of the surveys."""
+def parser_of() -> argparse.ArgumentParser:
+    """The options."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("work", type=Path, help="folder for rows and pictures")
     parser.add_argument("--objects", nargs="+", default=NAMES, choices=NAMES)
@@ -352,7 +352,12 @@ def options_of(arguments: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda", "torch"))
     parser.add_argument("--draw", action="store_true", help="the pictures of docs/field.md")
     parser.add_argument("--memory", nargs=2, help=argparse.SUPPRESS)
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def parsed(parser: argparse.ArgumentParser) -> argparse.Namespace:
+    """The command line, with the folder of the surveys."""
+    options = parser.parse_args()
     folder = os.environ.get("BATHYNERF_DATA")
     options.data = Path(folder) if folder else Path(__file__).resolve().parents[2] / "shared" / "data"
     return options
@@ -360,7 +365,7 @@ def options_of(arguments: list[str] | None = None) -> argparse.Namespace:
 
 def main() -> None:
     """Measure and print, and draw with --draw."""
-    options = options_of()
+    options = parsed(parser_of())
     options.work.mkdir(parents=True, exist_ok=True)
     if options.memory:
         print_memory(*options.memory, options)

@@ -25,6 +25,7 @@ SMALLEST = {
     "bench_field": "{work} --objects ship --models vm --steps 5 --scale 0.05 --cells 16 --rays 64 --samples 8",
     "bench_mesh": "{run} {survey} --methods delaunay",
     "bench_methods": "{survey} --methods sweep --qualities draft -o {work}",
+    "bench_nerfstudio": "{work} --objects ship --models vm --seconds 0.1 --scale 0.05 --cells 16 --rays 64 --samples 8",
     "bench_optics": "--plain",
     "bench_random": "--seeds 102-102 -o {work} --quality draft",
     "bench_reach": "{work} --kilometre",

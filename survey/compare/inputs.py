@@ -157,8 +157,8 @@ def load_inputs(paths: InputPaths, bounds: Bounds | None, water_level: float | N
     compared, given = _read_shapes(paths, water_level)
     shapes = {paths.cloud: compared} | given
     notes = [note for shape in (compared, *given.values()) for note in shape.notes]
-    crs, of_crs = common_crs({path: shape.crs for path, shape in shapes.items()})
-    notes += of_crs
+    crs, crs_notes = common_crs({path: shape.crs for path, shape in shapes.items()})
+    notes += crs_notes
     for path, shape in shapes.items():
         if shape.crs is None and crs is not None and is_geographic(crs):
             # Check the rounding again as degrees, in which a tenth of a metre is six decimals.
@@ -177,8 +177,8 @@ def load_inputs(paths: InputPaths, bounds: Bounds | None, water_level: float | N
         require_same_place(cloud.points, vertices_of(others[path]), str(paths.cloud), str(path))
     reference = others[paths.reference]
     cropped = _cropped(cloud, bounds, paths.cloud)
-    of_cloud: list[str] = []
-    inside = ~cropped & _is_ground(cloud, paths.cloud, of_cloud)
+    cloud_notes: list[str] = []
+    inside = ~cropped & _is_ground(cloud, paths.cloud, cloud_notes)
     kept = cloud.points[inside]
     if not len(kept):
         raise CompareError(f"no point of {paths.cloud} within the bounds is of the ground, by its class or flag")
@@ -186,7 +186,7 @@ def load_inputs(paths: InputPaths, bounds: Bounds | None, water_level: float | N
     east, north, height = (float(v) for v in 0.5 * (kept.min(axis=0) + kept.max(axis=0)))
     origin = (east, north, height)
     frame = ShiftedFrame(origin) if crs is None else LocalFrame(crs, origin)
-    notes += of_cloud + _height_warnings(kept, vertices_of(reference), paths, frame)
+    notes += cloud_notes + _height_warnings(kept, vertices_of(reference), paths, frame)
     visible = None if paths.visible is None else others[paths.visible]
     return Inputs(paths, cloud, inside, int(cropped.sum()), reference, visible, crs, frame, tuple(notes))
 

@@ -180,7 +180,7 @@ def _write_lines(path: Path, layer: Layer, grid: BedRaster, values: np.ndarray, 
 
     They run through the middles of cells, and end where cells have no height.
     """
-    lines, of_line, heights = [], [], []
+    lines, depths, heights = [], [], []
     step = np.array(grid.cells.step)
     corner = np.array(grid.cells.origin) + 0.5 * step
     # A raster of one row or column gets another without values.
@@ -190,11 +190,11 @@ def _write_lines(path: Path, layer: Layer, grid: BedRaster, values: np.ndarray, 
             if np.linalg.norm(np.diff(line, axis=0), axis=1).sum() >= SHORTEST:
                 places = corner + line * step
                 lines.append(places)
-                of_line.append(round(level, 6))
+                depths.append(round(level, 6))
                 height = np.full(len(line), level) if grid.level is None else grid.level(places) - level
                 heights.append(height / grid.height_unit_m)
     name = "height_m" if grid.level is None else "depth_m"
-    write_layer(path, replace(layer, shapes=lines, columns={name: of_line}, heights=heights))
+    write_layer(path, replace(layer, shapes=lines, columns={name: depths}, heights=heights))
 
 
 @dataclass(frozen=True)

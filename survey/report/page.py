@@ -9,7 +9,7 @@ from functools import cache
 import jinja2
 
 from evaluation import IhoS44
-from survey.compare import tables as of_comparison
+from survey.compare import tables as compare_tables
 from survey.compare.figures import Figures
 from survey.display import palette
 from survey.display.blocks import Block, Rows, Section, Sentences, Table, Text, png_data
@@ -93,10 +93,10 @@ def _sections(figures: ReportFigures) -> list[Section]:
     timings = [(name.replace("_", " "), clock(seconds)) for name, seconds in figures["timings_s"].items()]
     return [
         Section("Coverage of the water", _coverage(figures)),
-        Section("Comparison with the reference", of_comparison.comparison(comparison)),
+        Section("Comparison with the reference", compare_tables.comparison(comparison)),
         Section("Waves", tables.waves(figures["waves"])),
         Section("Check points", tables.checkpoints(figures["checkpoints"])),
-        Section("Vertical uncertainty (IHO S-44)", of_comparison.iho_s44(uncertainty)),
+        Section("Vertical uncertainty (IHO S-44)", compare_tables.iho_s44(uncertainty)),
         Section("Stated uncertainty of the cloud", checkpoints.table(figures["stated"])),
         Section("Adjustment", adjustment(figures["adjustment"])),
         Section("Baselines: refraction ignored or approximated", tables.baselines(figures["baselines"])),
@@ -220,7 +220,7 @@ def _card_of_orders(iho: IhoS44) -> Card:
     detail = "strictest order whose TVU is met at every depth"
     if pooled is not None and pooled is not strictest:
         worst = min(pooled.failing + pooled.undecided, key=lambda band: band.share_within)
-        depth = of_comparison.limits_label(worst.low_m, worst.high_m, "m")
+        depth = compare_tables.limits_label(worst.low_m, worst.high_m, "m")
         detail += f"; at {depth} only {share(worst.share_within)} are within {pooled.name}"
     doubtful = next((order for order in iho.orders if order.is_undecided), None)
     if doubtful is not None:

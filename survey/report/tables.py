@@ -36,26 +36,20 @@ def cloud(found: dict[str, Any], crs: dict[str, Any]) -> list[Block]:
 
 def _distributions(found: dict[str, Any]) -> list[Table]:
     """A row for each quantity that is known; a statistic without it is left empty."""
-    shift, rows = found.get("plan_std_common_m"), []
-    for name, values, is_small in (
-        ("true depth", found["depth_m"], False),
-        ("standard deviation", found["std_m"], True),
-        ("common standard deviation: water, lens, poses", found["std_common_m"], True),
-        ("common shift in plan: datum transformation", shift and {"median": shift, "p95": shift}, False),
-        ("views per point", found["views_per_point"], False),
-        ("incidence", found["incidence_deg"], False),
+    shift, heights, rows = found.get("plan_std_common_m"), LengthUnit.of_heights(), []
+    for name, values, given_unit in (
+        ("true depth", found["depth_m"], heights),
+        ("standard deviation", found["std_m"], None),
+        ("common standard deviation: water, lens, poses", found["std_common_m"], None),
+        ("common shift in plan: datum transformation", shift and {"median": shift, "p95": shift}, heights),
+        ("views per point", found["views_per_point"], LengthUnit("", 1.0, 0)),
+        ("incidence", found["incidence_deg"], LengthUnit("°", 1.0, 1)),
     ):
-        if not values:
-            continue
-        shown = [values.get(statistic) for statistic in ("min", "median", "p95", "max")]
-        unit = LengthUnit.of(shown) if is_small else LengthUnit.of_heights()
-        if name == "views per point":
-            label, texts = name, [number(value, 0) for value in shown]
-        elif name == "incidence":
-            label, texts = f"{name} [°]", [number(value, 1) for value in shown]
-        else:
-            label, texts = f"{name} [{unit.name}]", [unit.number(value) for value in shown]
-        rows.append((label, *("" if value is None else text for value, text in zip(shown, texts, strict=True))))
+        if values:
+            shown = [values.get(statistic) for statistic in ("min", "median", "p95", "max")]
+            unit = given_unit or LengthUnit.of(shown)
+            label = f"{name} [{unit.name}]" if unit.name else name
+            rows.append((label, *("" if value is None else unit.number(value) for value in shown)))
     return [Table(("over all points", "lowest", "median", "95 % below", "highest"), rows)] if rows else []
 
 

@@ -40,7 +40,7 @@ from survey.compare.inputs import (
 )
 from survey.compare.measure import ComparedScene, read_checkpoints
 from survey.compare.options import Bounds, CompareOptions, as_text, check_options, outlier_filter
-from survey.compare.pictures import write_report
+from survey.compare.pictures import drawings_of
 from survey.files.json_values import write_json
 from survey.files.outputs import ReadFiles, is_json, require_file, require_folder
 from survey.files.point_table import Units
@@ -74,7 +74,8 @@ def compare_files(cloud: str | Path, reference: str | Path, *, options: CompareO
         with current().stage("Pictures"):
             with reporting_disk_errors(report_dir):
                 report_dir.mkdir(parents=True, exist_ok=True)
-            write_report(comparison, report_dir)
+            for name, draw in drawings_of(comparison):
+                draw(report_dir / f"{name}.png")
     if json_path is not None:
         write_json(json_path, numbers_of(comparison.figures))
     return comparison.figures

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,11 +46,8 @@ _NOWHERE = np.full((1, 1), np.nan), (0.0, 1.0, 0.0, 1.0)
 _FEWEST, _SHOWN_WHOLE = 20, 0.001
 
 
-def write_report(comparison: Comparison, folder: Path) -> list[Path]:
-    """Write histogram.png, map.png, completeness.png and, where parts are known, bands.png into a folder that exists.
-
-    Returns their paths.
-    """
+def drawings_of(comparison: Comparison) -> Iterator[tuple[str, Callable[[Path], Picture]]]:
+    """Names of the pictures of a comparison, and functions that draw them; bands where parts are known."""
     figures, crs = comparison.figures, comparison.inputs.crs
     scores, distances = figures.tolerances[0], figures.distances
     tolerance_m, is_visible = scores.tolerance_m, scores.completeness_visible is not None
@@ -58,15 +57,12 @@ def write_report(comparison: Comparison, folder: Path) -> list[Path]:
         f"{reached} complete at {tolerance_m:g} m{' (visible)' if is_visible else ''}"
     )
     of = f"{reached} of {'the visible points' if is_visible else 'the reference'} closer than {tolerance_m:g} m"
-    path, targets, is_reached = folder / "completeness.png", comparison.targets, comparison.is_reached
-    pictures = [
-        histogram(comparison.distances, folder / "histogram.png", tolerance_m=tolerance_m),
-        error_map(comparison.points, comparison.distances, folder / "map.png", crs=crs, subtitle=in_short),
-        completeness_map(targets, is_reached, path, crs=crs, tolerance_m=tolerance_m, subtitle=of),
-    ]
-    if has_bands(figures.parts):
-        pictures.append(draw_bands(figures.parts, folder / "bands.png"))
-    return [picture.path for picture in pictures]
+    yield "histogram", lambda path: histogram(comparison.distances, path, tolerance_m=tolerance_m)
+    yield "map", lambda path: error_map(comparison.points, comparison.distances, path, crs=crs, subtitle=in_short)
+    of_targets = partial(completeness_map, comparison.targets, comparison.is_reached)
+    yield "completeness", partial(of_targets, crs=crs, tolerance_m=tolerance_m, subtitle=of)
+    if _panels(figures.parts):
+        yield "bands", lambda path: draw_bands(figures.parts, path)
 
 
 def histogram(distances: np.ndarray, path: Path, *, tolerance_m: float | None = None) -> Picture:
@@ -148,11 +144,6 @@ def _map_of_means(
         grid = PlanGrid.over(points, crs, max_cells=_CELLS, per_cell=per_cell)
         image, extent = grid.mean(values), grid.extent
     return map_canvas(extent, crs)[1], image, extent
-
-
-def has_bands(parts: Parts) -> bool:
-    """Whether there is anything to draw."""
-    return bool(_panels(parts))
 
 
 def _panels(parts: Parts) -> list[tuple[tuple[Band, ...], str, str]]:

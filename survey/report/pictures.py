@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from geo.crs import height_unit_m
 from survey.adjust.result.parts import part_numbers
-from survey.compare import pictures as compared
+from survey.compare.pictures import drawings_of
 from survey.display.canvas import Picture, empty_figure, plain_log_ticks, save
 from survey.display.palette import INK, SERIES, SOFT
 from survey.display.plan_grid import PlanGrid, finite, median
@@ -23,7 +23,7 @@ from survey.report.adjustment import correlations
 from survey.report.facts import ReportFacts
 
 if TYPE_CHECKING:
-    from survey.compare.figures import Comparison
+    pass
 
 # Cells of a map along the longer side, at most: a picture has some 800 pixels for them.
 _MAP_CELLS = 900
@@ -52,7 +52,8 @@ def _drawings(facts: ReportFacts) -> Iterator[tuple[str, Callable[[Path], Pictur
         if cut is not None:
             yield "profile", lambda path: profile.draw_profile(path, facts, cut)
     if comparison is not None:
-        yield from _of_comparison(facts, comparison)
+        names = {"map": "error", "histogram": "error_histogram", "bands": "error_bands"}
+        yield from ((names.get(name, name), draw) for name, draw in drawings_of(comparison))
     if facts.height_maps:
         yield "view", lambda path: maps.draw_view(path, facts, facts.height_maps or ())
     if has_points:
@@ -74,18 +75,6 @@ def _drawings(facts: ReportFacts) -> Iterator[tuple[str, Callable[[Path], Pictur
         yield "waves", lambda path: maps.draw_waves(path, facts, surfaces)
         yield "wave_shifts", lambda path: maps.draw_wave_shifts(path, facts, surfaces)
     yield "plan", lambda path: flight_pictures.draw_plan(path, facts)
-
-
-def _of_comparison(facts: ReportFacts, found: Comparison) -> Iterator[tuple[str, Callable[[Path], Picture]]]:
-    crs, tolerance_m = facts.survey.frame.crs, found.figures.tolerances[0].tolerance_m
-    yield "error", lambda path: compared.error_map(found.points, found.distances, path, crs=crs)
-    yield "error_histogram", lambda path: compared.histogram(found.distances, path, tolerance_m=tolerance_m)
-    yield (
-        "completeness",
-        lambda path: compared.completeness_map(found.targets, found.is_reached, path, crs=crs, tolerance_m=tolerance_m),
-    )
-    if compared.has_bands(found.figures.parts):
-        yield "error_bands", lambda path: compared.draw_bands(found.figures.parts, path)
 
 
 def draw_histograms(path: Path, facts: ReportFacts) -> Picture:

@@ -220,7 +220,10 @@ def _16_bits(path: Path, image: Image.Image, bits: int) -> np.ndarray:
         raise ImageError(f"{message} in separate planes, expected the channels of a pixel together; convert it")
     pixels = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None or pixels.dtype != np.uint16:
-        raise ImageError(f"{message} in a form that cannot be read; convert it to PNG or TIFF of 16 bits")
+        raise ImageError(
+            f"{message} in a form that cannot be read, or is cut off; copy it again, or convert it to PNG or TIFF of "
+            "16 bits"
+        )
     pixels = pixels[:, :, None].repeat(3, axis=2) if pixels.ndim == 2 else pixels[:, :, 2::-1]
     return np.ascontiguousarray(_STORED.get(tags.get(_ORIENTATION, 1), np.asarray)(pixels))
 

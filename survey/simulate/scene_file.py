@@ -14,8 +14,6 @@ BEDS = ("drawn", "plane", "mesh", "cloud")
 TEXTURES = ("sand", "checker", "image", "vertex")
 MODES = ("direct", "physical")
 
-_ONE_FOCAL = "camera: give focal_px, or focal_mm and sensor_mm, and not both"
-
 
 @dataclass(frozen=True)
 class BedSettings:
@@ -32,12 +30,9 @@ class BedSettings:
     smoothing: int = key(0, "a number of passes, zero or more", least=0)  # cloud: passes of Laplacian smoothing
 
     def __post_init__(self):
-        from_file = self.kind in ("mesh", "cloud")
-        if from_file != (self.file is not None):
-            remedy = (
-                f'give file = "..." for kind = "{self.kind}"' if from_file else 'remove file, or give kind = "mesh"'
-            )
-            raise ConfigError(f"bed.kind {self.kind} does not go with bed.file {self.file}; {remedy}")
+        if (self.kind in ("mesh", "cloud")) != (self.file is not None):
+            remedy = f'give file = "..." for kind = "{self.kind}"' if self.file is None else 'give kind = "mesh"'
+            raise ConfigError(f"bed.kind {self.kind} does not go with bed.file {self.file}; {remedy}, or remove it")
 
 
 @dataclass(frozen=True)
@@ -148,18 +143,14 @@ class CameraSettings:
     distortion: tuple[float, ...] = ()
 
     def __post_init__(self):
-        by_mm = self.focal_mm is not None and self.sensor_mm is not None
-        if (self.focal_px is None) != by_mm:
-            raise ConfigError(_ONE_FOCAL)
+        if (self.focal_px is None) == (self.focal_mm is None or self.sensor_mm is None):
+            raise ConfigError("camera: give focal_px, or focal_mm and sensor_mm, and not both")
 
     @property
     def known_focal_px(self) -> float:
         """The focal length [px], as given or from millimetres."""
-        if self.focal_px is not None:
-            return self.focal_px
-        if self.focal_mm is None or self.sensor_mm is None:
-            raise ConfigError(_ONE_FOCAL)
-        return self.focal_mm / self.sensor_mm * self.size_px[0]
+        by_mm = 0.0 if self.focal_mm is None or self.sensor_mm is None else self.focal_mm / self.sensor_mm
+        return by_mm * self.size_px[0] if self.focal_px is None else self.focal_px
 
 
 @dataclass(frozen=True)

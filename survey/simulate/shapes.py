@@ -64,7 +64,10 @@ class BedGrid:
         does not come before. Between crossings of the lines x = i, y = j and x + y = k of the triangulation the bed is
         linear along the ray: the sign of ray minus bed at these crossings brackets the root, which is then exact.
         """
-        ray = self._rays(origin, direction)
+        u, v = (origin[:, 0] - self.west) / self.cell, (origin[:, 1] - self.south) / self.cell
+        du, dv = direction[:, 0] / self.cell, direction[:, 1] / self.cell
+        with np.errstate(divide="ignore"):
+            ray = _Rays(u, v, origin[:, 2], du, dv, direction[:, 2], 1.0 / np.hypot(du, dv))
         t = np.maximum((self.top - ray.z) / ray.dz, 0.0)
         self._fall(ray, t, t_end)
         found = np.full(len(t), np.inf)
@@ -80,13 +83,6 @@ class BedGrid:
             live, ray, t, gap = live[on], ray.take(on), (t + step)[on], gap_next[on]
         return np.where(found <= t_end, found, np.inf), np.zeros(len(found), dtype=np.int64)
 
-    def _rays(self, origin: np.ndarray, direction: np.ndarray) -> _Rays:
-        u, v = (origin[:, 0] - self.west) / self.cell, (origin[:, 1] - self.south) / self.cell
-        du, dv = direction[:, 0] / self.cell, direction[:, 1] / self.cell
-        with np.errstate(divide="ignore"):
-            reach = 1.0 / np.hypot(du, dv)
-        return _Rays(u, v, origin[:, 2], du, dv, direction[:, 2], reach)
-
     def _fall(self, ray: _Rays, t: np.ndarray, t_end: np.ndarray) -> None:
         """Advance `t`, in place, through air above the highest vertices nearby."""
         for size, highest in self._highest:
@@ -94,7 +90,11 @@ class BedGrid:
             rays, at = ray.take(live), t[live]
             while live.size:
                 u, v, z = rays.at(at)
-                gap = z - highest[_index(v, size, highest.shape[0]), _index(u, size, highest.shape[1])]
+                block = [
+                    np.clip((c / size).astype(np.int64), 0, count - 1)
+                    for c, count in zip((v, u), highest.shape, strict=True)
+                ]
+                gap = z - highest[tuple(block)]
                 at = at + np.maximum(np.minimum(-gap / rays.dz, size * rays.reach), 0.0)
                 t[live] = at
                 on = (gap > _TOUCH_M) & (at < t_end[live])
@@ -149,21 +149,10 @@ class _Rays(NamedTuple):
         return np.where(np.isfinite(step), step, 1.0)
 
 
-def _index(c: np.ndarray, size: int, count: int) -> np.ndarray:
-    return np.clip((c / size).astype(np.int64), 0, count - 1)
-
-
 def _highest_around(heights: np.ndarray, size: int) -> np.ndarray:
     """Highest vertex in each block of cells and its eight neighbours: one block of way stays inside."""
-    ny, nx = heights.shape
-    rows, columns = -(-(ny - 1) // size), -(-(nx - 1) // size)
-    padded = np.pad(heights, ((0, rows * size + 1 - ny), (0, columns * size + 1 - nx)), mode="edge")
-    # A block owns the vertices of both its borders.
-    highest = np.maximum.reduce(
-        [padded[dy : dy + rows * size : 1, dx : dx + columns * size] for dy in (0, 1) for dx in (0, 1)]
-    )
-    highest = highest.reshape(rows, size, columns, size).max(axis=(1, 3))
-    return maximum_filter(highest, size=3, mode="nearest")
+    rows, columns = (np.minimum(np.arange(size // 2, n - 1 + size // 2, size), n - 1) for n in heights.shape)
+    return maximum_filter(heights, size=3 * size + 1, mode="nearest")[np.ix_(rows, columns)]
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ _FOCAL_NAMES = ("f", "fx", "fy")
 # Fewer focal lengths that differ are those of several cameras, not the scatter of one.
 LEAST_FOCALS = 5
 # Of ratios of both focal lengths, of thousands of pixels written with three decimals.
-_DIGITS_OF_RATIO = 5
+_DIGITS_OF_RATIO = 6
 
 
 def is_held(lens: Lens) -> bool:

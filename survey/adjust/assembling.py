@@ -133,7 +133,7 @@ def _statistics(done: RobustSolution, total: int) -> FitStatistics:
     solution, used = done.solution, done.used
     counts = {name: int((used.kind == kind).sum()) for kind, name in enumerate(KINDS)}
     factors = mean_by_kind(done.variance_factor, used.kind)
-    of_gps = done.prior.std[done.prior.layout.first_pose :].reshape(-1, 6)[:, :3]
+    of_gps = done.prior.pose_std[:, :3]
     of_gps = of_gps[np.isfinite(of_gps).all(axis=1)]
     return FitStatistics(
         std_px={name: float(solution.std_px[kind]) for kind, name in enumerate(KINDS) if counts[name]},

@@ -63,7 +63,7 @@ def water_start(prior: PriorKnowledge, seen: Observed) -> tuple[PriorKnowledge, 
         return prior, points
     std_px = found[0][1].std_px
     least = min((solution for _, solution in found), key=lambda each: cost(found[0][0], each.state, std_px))
-    return replace(prior, state=replace(least.state, points=np.zeros((0, 3)))), least.state.points
+    return replace(prior, state=least.state.without_points()), least.state.points
 
 
 def height_warnings(survey: Survey, done: RobustSolution) -> list[str]:
@@ -82,7 +82,7 @@ def height_warnings(survey: Survey, done: RobustSolution) -> list[str]:
 
 def _is_corrected(done: RobustSolution) -> bool:
     """Whether positions of unknown accuracy scatter in plan as little as those of a receiver with corrections."""
-    std = done.prior.std[done.prior.layout.first_pose :].reshape(-1, NUM_POSE)[:, :2]
+    std = done.prior.pose_std[:, :2]
     # Photographs without a position, and positions that are blunders, tell nothing of the others.
     scatter = std[done.prior.unknown_positions & np.isfinite(std).all(axis=1)]
     return len(scatter) > 0 and bool(np.median(scatter) <= WELL_KNOWN_M)
@@ -96,7 +96,7 @@ def drop_common_height(prior: PriorKnowledge, done: RobustSolution) -> PriorKnow
     placed, common = apply_level_datum(done)
     if common is None or not _is_corrected(done) or abs(common.error) > MOST_SIGMAS * common.std:
         return None
-    state = replace(done.solution.state, points=np.zeros((0, 3)))
+    state = done.solution.state.without_points()
     std = prior.std.copy()
     std[0] = placed.prior.std[0]
     return replace(prior, state=state, std=std, common_up_std=0.0)

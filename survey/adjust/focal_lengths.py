@@ -30,7 +30,7 @@ from refract.lens import MODELS, Lens
 from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.normal_equations import system_with
 from survey.adjust.block.priors import PriorKnowledge
-from survey.adjust.block.state import LEAST_FOCALS, NUM_POSE, is_held
+from survey.adjust.block.state import LEAST_FOCALS, is_held
 from survey.adjust.rounds import RobustSolution
 from survey.folder.survey import Survey
 
@@ -129,19 +129,19 @@ def with_focal_std(prior: PriorKnowledge, done: RobustSolution, std: float) -> P
     Positions that were stated are as good as that, but for those that the block contradicts.
     """
     count, layout = len(prior.layout.lens_of), replace(prior.layout, finds_focals=True)
-    poses = prior.std[prior.layout.first_pose :].reshape(-1, NUM_POSE).copy()
-    found = done.prior.std[done.prior.layout.first_pose :].reshape(-1, NUM_POSE)
+    poses = prior.pose_std.copy()
+    found = done.prior.pose_std
     poses[prior.unknown_positions, :3] = found[prior.unknown_positions, :3]
     poses[prior.unknown_rotations, 3:] = found[prior.unknown_rotations, 3:]
     poses = np.where(np.isfinite(found), poses, np.inf)
     first = prior.layout.first_focal
     values = np.concatenate([prior.std[:first], np.full(count, std), poses.ravel()])
-    state, none = done.solution.state, np.zeros((0, 3))
+    state = done.solution.state.without_points()
     focals = state.focals if len(state.focals) else np.zeros(count)
     return replace(
         prior,
         layout=layout,
-        state=replace(state, points=none, focals=focals),
+        state=replace(state, focals=focals),
         mean=replace(prior.mean, focals=np.zeros(count)),
         std=values,
     )

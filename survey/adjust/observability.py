@@ -95,7 +95,7 @@ def adjust_free(
         )
         held = done.prior.std.copy()
         held[worst] = _HELD_STD[worst]
-        start = replace(done.solution.state, points=np.zeros((0, 3)))
+        start = done.solution.state.without_points()
         done = adjust(replace(done.prior, std=held, state=start), done.used)
         std = water_std(survey, done)
     return done, unobservable

@@ -22,7 +22,7 @@ from survey.adjust.block.control_check import control_contradiction, has_uncheck
 from survey.adjust.block.observed import CELLS, KINDS, MATCH, PER_CELL, WINDOW, Observed, observed, sizes_of, thinned
 from survey.adjust.block.on_ground import ground_fit, shift_onto
 from survey.adjust.block.priors import PriorKnowledge, SharedShift, prior_of
-from survey.adjust.block.state import NUM_POSE, NUM_WATER, WATER_PARAMETERS
+from survey.adjust.block.state import NUM_WATER, WATER_PARAMETERS
 from survey.adjust.block.windows import measure_windows
 from survey.adjust.common_height import apply_level_datum, drop_common_height, height_warnings, water_start, with_common
 from survey.adjust.focal_lengths import FocalDrift, with_focal_std, with_focals, with_square_pixels
@@ -223,79 +223,68 @@ class StagedAdjustment:
 
     def __init__(self, survey: Survey, prior: PriorKnowledge, free_water: bool):
         self.survey, self.prior, self.free_water = survey, prior, free_water
-        self._parts: list[tuple[int, TiePoints]] = []
+        self._parts: dict[int, TiePoints] = {}
         self._unobservable: dict[str, Unobservable] = {}
         self._is_against_positions = False
 
     def first_ties(self, kind: int, ties: TiePoints) -> RobustSolution:
         """Adjust with the first tie points, which place the block on ground or water if these tell its height."""
-        start, part = self.prior, (kind, self._thinned(ties))
-        ground = self.survey.observations.ground
+        start, ground = self.prior, self.survey.observations.ground
+        self._parts = {kind: self._thinned(ties)}
         if ground is not None:
-            start, part = self._onto_ground(ground, part)
+            start = self._onto_ground(ground)
         elif start.shifts:
-            start, part = self._onto_stated_positions(part)
-        self._parts = [part]
+            # As high as stated positions have it: others have moved structure from motion too.
+            stated = np.isfinite(start.pose_std[:, :3]).all(axis=1) & ~start.unknown_positions
+            shift = np.median((start.mean.centres - start.state.centres)[stated], axis=0)
+            start = replace(start, state=replace(start.state, centres=start.state.centres + shift))
+            self._shift(shift)
         if start.common_up_std > 0.0:
-            done, self.prior, part = self._at_level(part)
-            self._parts = [part]
-            return done
+            return self._at_level()
         done = self._adjust(start)
         if self.survey.provenance.is_level_known and not self.free_water:
-            level = check_dry_block(self.survey, start, self._observed, done)
+            level = check_dry_block(self.survey, start, self._observed(), done)
             if level is not None:
                 raise dry_bed_error(level, "leave out [water] if the bed is dry")
         return done
 
     def with_ties(self, kind: int, ties: TiePoints, start: PriorKnowledge) -> RobustSolution:
         """Adjust with tie points in place of those of their kind, beside others."""
-        self._parts = [part for part in self._parts if part[0] != kind] + [(kind, self._thinned(ties))]
+        self._parts[kind] = self._thinned(ties)
         return self._adjust(start)
 
     def _thinned(self, ties: TiePoints) -> TiePoints:
         return ties.only(np.isin(ties.point, thinned(ties, sizes_of(self.survey), CELLS, PER_CELL)))
 
-    @property
-    def _observed(self) -> Observed:
-        return self._seen(self._parts, self.prior)
+    def _shift(self, by: np.ndarray) -> None:
+        self._parts = {kind: replace(ties, start=ties.start + by) for kind, ties in self._parts.items()}
 
-    def _seen(self, parts: list[tuple[int, TiePoints]], prior: PriorKnowledge) -> Observed:
+    def _observed(self) -> Observed:
         """Tie points with control and ground."""
-        return observed(parts, self.survey.observations.control, self.survey, prior)
+        return observed([*self._parts.items()], self.survey.observations.control, self.survey, self.prior)
 
     def _adjust(self, start: PriorKnowledge) -> RobustSolution:
         if not self.free_water:
-            return adjust(start, self._observed)
-        done, self._unobservable = adjust_free(self.survey, start, self._observed)
+            return adjust(start, self._observed())
+        done, self._unobservable = adjust_free(self.survey, start, self._observed())
         return done
 
-    def _onto_stated_positions(self, part: tuple[int, TiePoints]) -> tuple[PriorKnowledge, tuple[int, TiePoints]]:
-        """Block and tie points as high as stated positions have them: others have moved structure from motion too."""
-        prior, (kind, ties) = self.prior, part
-        std = prior.std[prior.layout.first_pose :].reshape(-1, NUM_POSE)[:, :3]
-        stated = np.isfinite(std).all(axis=1) & ~prior.unknown_positions
-        shift = np.median((prior.mean.centres - prior.state.centres)[stated], axis=0)
-        state = replace(prior.state, centres=prior.state.centres + shift)
-        return replace(prior, state=state), (kind, replace(ties, start=ties.start + shift))
-
-    def _onto_ground(
-        self, ground: StableGround, part: tuple[int, TiePoints]
-    ) -> tuple[PriorKnowledge, tuple[int, TiePoints]]:
-        """Block and tie points shifted onto the ground, after an adjustment without it; positions too, where it shows.
+    def _onto_ground(self, ground: StableGround) -> PriorKnowledge:
+        """Shift block and tie points onto the ground, after an adjustment without it; positions too, where it shows.
 
         Positions of unknown accuracy may share an error of metres, those of a stated one an error as large as that,
         unless the ground contradicts it: the prior of later stages says so.
         """
-        (kind, ties), unknown = part, self.prior.unknown_positions
-        stated = self.prior.std[self.prior.layout.first_pose :].reshape(-1, NUM_POSE)[~unknown, :3]
+        unknown, (ties,) = self.prior.unknown_positions, self._parts.values()
+        stated = self.prior.pose_std[~unknown, :3]
         stated = stated[np.isfinite(stated).all(axis=1)]
         are_stated = len(stated) > 0 and not unknown.any()
         shared = np.median(stated, axis=0) if are_stated else np.full(3, GPS_STD_M)
         every = np.ones(len(unknown), dtype=bool)
-        prior = replace(self.prior, shifts=(SharedShift(every, shared),))
+        self.prior = prior = replace(self.prior, shifts=(SharedShift(every, shared),))
         try:
-            done = adjust(prior, replace(self._seen([part], prior), ground=None))
-            state, points = replace(done.solution.state, points=np.zeros((0, 3))), done.solution.state.points
+            done = adjust(prior, replace(self._observed(), ground=None))
+            state, points = done.solution.state.without_points(), done.solution.state.points
             points = points[: len(done.used.ties) - len(done.used.control)]
         except NotConvergedError:
             state, points = prior.state, ties.start
@@ -306,33 +295,28 @@ class StagedAdjustment:
         self._is_against_positions = are_stated and bool((np.abs(off) > MOST_SIGMAS * of_both).any())
         if not are_stated or self._is_against_positions:
             shifts = (SharedShift(every, np.maximum(shared, GPS_STD_M)),)
-            prior = replace(prior, mean=replace(prior.mean, centres=prior.mean.centres + off), shifts=shifts)
-        self.prior = prior
-        start = replace(prior, state=replace(state, centres=state.centres + shift))
-        return start, (kind, replace(ties, start=ties.start + shift))
+            self.prior = replace(prior, mean=replace(prior.mean, centres=prior.mean.centres + off), shifts=shifts)
+        self._shift(shift)
+        return replace(self.prior, state=replace(state, centres=state.centres + shift))
 
-    def _at_level(self, part: tuple[int, TiePoints]) -> tuple[RobustSolution, PriorKnowledge, tuple[int, TiePoints]]:
-        """Adjust a block whose height the level of the water determines, or else the positions.
-
-        Also returns the prior of later stages, and the tie points where the level puts them.
-        """
-        start, points = water_start(self.prior, self._seen([part], self.prior))
-        kind, ties = part
+    def _at_level(self) -> RobustSolution:
+        """Adjust a block whose height the level of the water determines, or else the positions, as later stages do."""
+        start, points = water_start(self.prior, self._observed())
         # Without those of check points, which come last.
-        part = kind, replace(ties, start=points[: len(ties)])
-        done = adjust(start, self._seen([part], self.prior))
+        self._parts = {kind: replace(ties, start=points[: len(ties)]) for kind, ties in self._parts.items()}
+        done = adjust(start, self._observed())
         are_stated = any(each.position_std is not None for each in self.survey.observations.priors.values())
         held = None if are_stated else drop_common_height(self.prior, done)
         if held is None:
-            return done, self.prior, part
-        prior = replace(held, state=self.prior.state)
-        return adjust(held, self._seen([part], prior)), prior, part
+            return done
+        self.prior = replace(held, state=self.prior.state)
+        return adjust(held, self._observed())
 
     def with_focals(self, done: RobustSolution) -> tuple[RobustSolution, FocalDrift | None]:
         """Adjust with a focal length for each photograph, where they differ."""
         if self.survey.observations.ground is not None:
             return done, None
-        seen = self._observed
+        seen = self._observed()
         done, drift = with_focals(self.prior, done, lambda start: adjust(start, seen))
         if drift is not None:
             self.prior = with_focal_std(self.prior, done, drift.std)
@@ -361,7 +345,7 @@ class StagedAdjustment:
         # A block with an undetermined roll cannot test control.
         if prior.rolls:
             return []
-        kind, ties = self._parts[0]
+        kind, ties = next(iter(self._parts.items()))
         try:
             free = apply_level_datum(StagedAdjustment(alone, prior, free_water=False).first_ties(kind, ties))[0]
         except NotConvergedError:
@@ -372,7 +356,7 @@ class StagedAdjustment:
     def result(self, done: RobustSolution, contradictions: Sequence[GivenValueTest]) -> Adjustment:
         """The adjustment in the terms of the survey."""
         control = self.survey.observations.control
-        total = sum(len(ties.view) for _, ties in self._parts) + (0 if control is None else len(control.marks))
+        total = sum(len(ties.view) for ties in self._parts.values()) + (0 if control is None else len(control.marks))
         if self.free_water:
             return self._on_ground(assemble_result(self.survey, done, total, unobservable=self._unobservable), done)
         placed, common = apply_level_datum(done)
@@ -401,6 +385,5 @@ class StagedAdjustment:
 
 def restarted(prior: PriorKnowledge, done: RobustSolution) -> PriorKnowledge:
     """Priors that start from an adjusted state, with the std of positions that the adjustment estimated."""
-    none = np.zeros((0, 3))
     std = np.concatenate([prior.std[:NUM_WATER], done.prior.std[NUM_WATER:]])
-    return replace(prior, state=replace(done.solution.state, points=none), std=std)
+    return replace(prior, state=done.solution.state.without_points(), std=std)

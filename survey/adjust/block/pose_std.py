@@ -51,7 +51,7 @@ def reestimate_pose_std(
     The prior is the same object where nothing changed; else the block is to be adjusted again. Blunders (V, 2) bool are
     the positions and rotations that the block contradicts, with those found before; positions count for nothing then.
     """
-    std = _of_poses(prior, prior.std)
+    std = prior.pose_std
     used = np.isfinite(std[:, :3]).all(axis=1)
     if used.sum() < _FEWEST:
         return prior, blunders
@@ -86,7 +86,7 @@ def reestimate_pose_std(
 
 def positions_left_out(prior: PriorKnowledge) -> np.ndarray:
     """Positions (V,) bool that are given and count for nothing."""
-    std = _of_poses(prior, prior.std)[:, :3]
+    std = prior.pose_std[:, :3]
     return np.isfinite(prior.given_std).all(axis=1) & ~np.isfinite(std).all(axis=1)
 
 
@@ -96,7 +96,7 @@ def agreeing_positions(prior: PriorKnowledge, solution: Solution) -> np.ndarray:
     What left them out was another block: that of structure from motion, on straight rays and with another lens, or one
     with other errors in it.
     """
-    std = _of_poses(prior, prior.std)[:, :3]
+    std = prior.pose_std[:, :3]
     used, left_out = np.isfinite(std).all(axis=1), positions_left_out(prior)
     if used.sum() < _FEWEST or not left_out.any():
         return np.zeros(len(used), dtype=bool)
@@ -118,7 +118,7 @@ def with_positions(prior: PriorKnowledge, again: np.ndarray) -> PriorKnowledge:
 
 def _own_std(prior: PriorKnowledge) -> np.ndarray:
     """Standard deviations (V, 3) [m] of positions: as given, or, where it is not, as others proved to be."""
-    std = _of_poses(prior, prior.std)[:, :3]
+    std = prior.pose_std[:, :3]
     alike = np.isfinite(std).all(axis=1) & prior.unknown_positions
     found = np.median(std[alike], axis=0) if alike.any() else prior.given_std
     return np.where(prior.unknown_positions[:, None], found, prior.given_std)
@@ -127,7 +127,7 @@ def _own_std(prior: PriorKnowledge) -> np.ndarray:
 def _components(prior: PriorKnowledge, solution: Solution, estimated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Variance components: standard deviations (V, 6) of poses, and their normalised residuals."""
     deviation = Priors(prior.mean, prior.std, np.empty((0, 3))).deviation(prior.layout, solution.state)
-    first, std = prior.std**-2.0, _of_poses(prior, prior.std).copy()
+    first, std = prior.std**-2.0, prior.pose_std.copy()
     kinds = [estimated & np.isin(np.arange(NUM_POSE), kind) for kind in _KINDS]
     kinds = [kind for kind in kinds if kind.any()]
     miss, normal = deviation, solution.system.normal

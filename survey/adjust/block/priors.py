@@ -87,6 +87,11 @@ class PriorKnowledge:
     shifts: tuple[SharedShift, ...] = ()  # Without one of theirs, positions count as independent
 
     @property
+    def pose_std(self) -> np.ndarray:
+        """Standard deviations (V, 6) of the poses."""
+        return self.std[self.layout.first_pose :].reshape(-1, NUM_POSE)
+
+    @property
     def place_of_water(self) -> tuple[float, float]:
         """Reference point (x, y) [m], local, of the height of the water; the origin for a dry survey."""
         water = self.mean.water

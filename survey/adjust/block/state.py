@@ -227,6 +227,10 @@ class State:
         assert self.water is not None
         return self.water
 
+    def without_points(self) -> State:
+        """The state of the parameters alone."""
+        return replace(self, points=np.zeros((0, 3)))
+
     def with_level(self, height: float) -> State:
         """The state with the water at another height [m] of its reference point."""
         water = self.require_water()

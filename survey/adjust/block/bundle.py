@@ -113,7 +113,7 @@ def _taken(problem: Problem, system: System) -> float:
     With the covariance C and the normal matrix W of the priors that is the trace of ``1 - C W``.
     """
     priors, taken = problem.priors, np.sum(1.0 - system.normal.inverse_diagonal() / problem.priors.std**2)
-    if priors.rows is not None and priors.signs is not None:
+    if len(priors.signs):
         taken -= priors.signs @ np.sum(priors.rows * system.normal.factor().solve(priors.rows.T).T, axis=1)
     return float(taken)
 

@@ -155,7 +155,7 @@ def _system(problem: Problem, state: State, linear: LinearisedObservations) -> S
         gradient[shift] -= to_plane.sum(axis=0)
     matrix = _reduced(problem.layout, by_view, of_shift, coupling, is_dense=problem.order is None)
     normal = NormalMatrix.of(matrix, problem.order).with_precision(precision)
-    if priors.rows is not None and priors.signs is not None:
+    if len(priors.signs):
         normal = normal.with_rows(priors.rows, priors.signs)
         gradient -= priors.rows.T @ (priors.signs * (priors.rows @ deviation))
     return System(normal, gradient, point_root, point_right_side, coupling)

@@ -188,11 +188,9 @@ def _start(survey: Survey, layout: Layout, lenses: tuple[Lens, ...], focals: np.
 def priors_for(prior: PriorKnowledge, ties: TiePoints, point_std: np.ndarray | None = None) -> Priors:
     """The priors of an adjustment with these points, known to (M, 3) [m] where any are."""
     free = np.full((len(ties), 3), np.inf) if point_std is None else point_std
-    rows, signs = roll_priors(prior.rolls, prior.layout, prior.std) if prior.rolls else (None, None)
-    if prior.shifts:
-        shared = without_shifts(prior, prior.std**-2.0)
-        rows = shared if rows is None else np.concatenate([rows, shared])
-        signs = np.concatenate([np.zeros(0) if signs is None else signs, np.full(len(shared), -1.0)])
+    rows, signs = roll_priors(prior.rolls, prior.layout, prior.std)
+    shared = without_shifts(prior, prior.std**-2.0)
+    rows, signs = np.concatenate([rows, shared]), np.concatenate([signs, np.full(len(shared), -1.0)])
     return Priors(replace(prior.mean, points=ties.start), prior.std, free, rows, signs)
 
 

@@ -7,7 +7,7 @@ deviation of their kind (P. J. Huber, Annals of Mathematical Statistics 35(1), 1
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -62,8 +62,8 @@ class Priors:
     std: np.ndarray  # (P,): of the parameters
     point_std: np.ndarray  # (M, 3) [m]
     # rows, signs (K, P), (K,): joint priors on several parameters: ``sign (row deviation)^2`` is added to the squares
-    rows: np.ndarray | None = None
-    signs: np.ndarray | None = None
+    rows: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    signs: np.ndarray = field(default_factory=lambda: np.zeros(0))
     planes: Planes | None = None  # optional: on which points lie
 
     def deviation(self, layout: Layout, state: State) -> np.ndarray:
@@ -82,9 +82,8 @@ class Priors:
         """The sum of squares of the parameters, in units of variances."""
         deviation = self.deviation(layout, state)
         single = deviation / self.std
-        if self.rows is None or self.signs is None:
-            return float(single @ single)
-        return float(single @ single + self.signs @ (self.rows @ deviation) ** 2)
+        joint = self.signs @ (self.rows @ deviation) ** 2 if len(self.signs) else 0.0
+        return float(single @ single + joint)
 
 
 class AlikeObservations(NamedTuple):

@@ -201,12 +201,6 @@ _FILE_NAMES = {
     "velocity_per_row": "flow",
     "variance_factor": "factor",
 }
-# What is in adjustment.npz, some of it only where shutters roll or water moves; all else is in adjustment.json.
-_ARRAYS = {
-    "lens_of", "centres", "rotations", "position_std", "rotation_std_deg", "covariance", "residual_view",
-    "residual_px", "residual_at_px", "residual_point", "points", "flow", "tides", "hours",
-    "focals",
-}  # fmt: skip
 
 
 def _file_name(prefix: str, attribute: str) -> str:
@@ -224,10 +218,10 @@ def write_adjustment(folder: Path, found: Adjustment) -> None:
         else:
             values[name] = value
     values["water"] = None if found.water is None else table_of(found.water)
+    arrays: dict[str, Any] = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
     with write_whole(folder / ARRAYS) as stream:
-        arrays = {name: values[name] for name in values if name in _ARRAYS and values[name] is not None}
         np.savez_compressed(stream, names=np.array(found.covariance.names), **arrays)
-    write_json(folder / JSON, {name: value for name, value in values.items() if name not in _ARRAYS})
+    write_json(folder / JSON, {name: value for name, value in values.items() if name not in arrays})
 
 
 def read_adjustment(folder: Path) -> Adjustment:
@@ -237,7 +231,7 @@ def read_adjustment(folder: Path) -> Adjustment:
         raise SurveyError(f"{folder} has no adjustment; run process again with --no-resume")
     with np.load(folder / ARRAYS, allow_pickle=False) as arrays:
         values = {name: _tuples(value) for name, value in record.items()}
-        values |= {name: arrays[name] for name in _ARRAYS if name in arrays}
+        values |= {name: arrays[name] for name in arrays if name != "names"}
     records: dict[str, Any] = {}
     for name, (kind, prefix) in _RECORDS.items():
         attributes = {field.name: _file_name(prefix, field.name) for field in fields(kind)}

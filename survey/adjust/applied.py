@@ -88,12 +88,10 @@ def _views(survey: Survey, lenses: Sequence[Lens], layout: Layout, state: State)
 def write_cameras(folder: Path, survey: Survey, found: Adjustment | None = None) -> None:
     """Write cameras.csv (positions in crs; omega, phi, kappa) and a COLMAP model (topocentric) into a folder.
 
-    The points of the model are those of the adjustment, if it is there, with their tracks, but where straight rays from
-    the adjusted cameras meet: programs that read the model know no others, and would find the true places of points
-    under water several pixels off. The true ones are in adjustment.npz.
-
-    The model says in its first lines how survey.toml gives it back. Where shutters roll, cameras.csv has further
-    columns, how far each camera flew from the first row to the last [m], true east, north and up.
+    The points of the model are those of the adjustment, where straight rays from the adjusted cameras meet: programs
+    that read the model know no others, and would find the true places of points under water, which are in
+    adjustment.npz, several pixels off. The model says in its first lines how survey.toml gives it back. Where shutters
+    roll, cameras.csv has how far each camera flew from the first row to the last [m], true east, north and up.
     """
     (folder / MODEL_FOLDER).mkdir(exist_ok=True)
     ties = None if found is None else _straight_ties(survey, found)

@@ -76,18 +76,11 @@ def assemble_result(
     contradicted: Sequence[int] = (),
     hold: Callable[[np.ndarray], RobustSolution] | None = None,
 ) -> Adjustment:
-    """Assemble the result of an adjustment.
+    """Assemble the result of an adjustment of so many observations in total, before any was left out.
 
-    Parameters
-    ----------
-    total : int
-        Observations before any was left out.
-    unobservable : optional
-        Of water of which nothing was known: what is not observable, and why, by name.
-    contradicted : sequence of int
-        Parameters of the water that the block contradicts: their estimates are used, however uncertain.
-    hold : callable, optional
-        Adjusts again with the parameters (P,) bool held that are not observable.
+    ``unobservable``, of water of which nothing was known, has what is not observable, and why, by name. The estimates
+    of ``contradicted`` parameters of the water are used, however uncertain. ``hold`` adjusts again with the parameters
+    (P,) bool held that are not observable.
     """
     layout, first = done.prior.layout, done.solution.covariance
     held = np.zeros(len(layout), dtype=bool)

@@ -98,19 +98,11 @@ def most_contradicted(tests: Sequence[GivenValueTest]) -> GivenValueTest | None:
 def check_given_values(
     survey: Survey, problem: Problem, state: State, misfit_px: float, gsd: float, *, fewest_wet: int = FEWEST_WET
 ) -> list[GivenValueTest]:
-    """Tests of level, index and lenses against the photographs.
+    """Tests of level, index and lenses of measured photographs, whose ``problem`` holds everything but points.
 
     Parameters that they do not determine are left out: of the water where fewer windows than ``fewest_wet`` are wet, or
-    the index where its std exceeds the limit of use.
-
-    Parameters
-    ----------
-    survey : Survey
-        Of the photographs that were measured.
-    problem, state : Problem, State
-        Of their windows, with everything held but points, and its solution.
-    misfit_px, gsd : [px], [m]
-        See `misfit`; ground sampling distance.
+    the index where its std exceeds the limit of use. ``state`` is the solution, ``misfit_px`` as of `misfit`, ``gsd``
+    the ground sampling distance [m].
     """
     prior = prior_of(survey, gsd, free_water=True)
     std = prior.std.copy()

@@ -188,15 +188,10 @@ def _features_in(opened: pycolmap.Database, image: pycolmap.Image) -> ImageFeatu
 
 
 def features_of(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Features of a photograph, those of the largest scale first, and no more than ``most``.
+    """Features of a photograph as it is stored, those of the largest scale first, and no more than ``most``.
 
-    Returns
-    -------
-    (N, 4) float32
-        x, y, scale [px] and orientation [rad], in the stored photograph.
-    (N, 128) uint8
-        Roots of the shares (R. Arandjelovic and A. Zisserman, Three things everyone should know to improve object
-        retrieval, 2012), as pycolmap has them.
+    (N, 4) float32, x, y, scale [px] and orientation [rad], and (N, 128) uint8, roots of the shares as pycolmap has them
+    (R. Arandjelovic and A. Zisserman, Three things everyone should know to improve object retrieval, 2012).
     """
     pixels = cv2.cvtColor(eight_bits(read_rgb(path)), cv2.COLOR_RGB2GRAY)
     whole = min(1.0, FEATURES_PX / max(pixels.shape))

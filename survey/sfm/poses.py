@@ -71,18 +71,10 @@ def solve_poses(
 ) -> SfmResult:
     """Poses, lenses and points of photographs with GPS positions, or with control points.
 
-    The same images on the same kind of computer give the same poses: seeds and threads are fixed.
-
-    Parameters
-    ----------
-    cameras : CamerasConfig
-        A focal length that it has is kept; without it, the one in EXIF is where the search starts.
-    workspace : Path
-        Keeps the solved block, which is used again while images and settings are the same.
-    level_m : float, optional
-        Of the water or the ground, about, in the heights of crs; it tells footprints.
-    control, spare_control : BlockControl, optional
-        Places blocks instead of GPS positions; places the blocks that GPS positions cannot.
+    The same images on the same kind of computer give the same poses: seeds and threads are fixed. A focal length that
+    ``cameras`` has is kept; without it, the one in EXIF is where the search starts. The workspace keeps the solved
+    block, which is used again while images and settings are the same. ``level_m`` of the water or the ground, about,
+    tells footprints. ``control`` places blocks instead of GPS positions, ``spare_control`` those that these cannot.
     """
     note = report or (lambda _text: None)
     images = dict(sorted(images.items()))

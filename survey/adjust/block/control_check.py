@@ -123,8 +123,10 @@ def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int, gi
         return np.inf
     place = solution.state.points[point]
     rows = None if problem.rows is None else problem.rows[marks]
-    at = seen.ties.view[marks], seen.ties.pixel[marks], problem.rise_design[marks], rows
-    residuals, by_point, by_parameters = _linearised_marks(problem.layout, solution.state, place, *at)
+    ties = TiePoints(place[None], np.zeros_like(marks), seen.ties.view[marks], seen.ties.pixel[marks])
+    residuals, by_point, by_parameters = _linearised_marks(
+        problem.layout, solution.state, ties, problem.rise_design[marks], rows
+    )
     if not np.isfinite(residuals).all():
         return np.inf
     std_px, moved = float(solution.std_px[problem.kind[marks[0]]]), place - given.place
@@ -144,19 +146,12 @@ def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int, gi
 
 
 def _linearised_marks(
-    layout: Layout,
-    state: State,
-    place: np.ndarray,
-    view: np.ndarray,
-    pixel: np.ndarray,
-    rise_design: np.ndarray,
-    rows: np.ndarray | None,
+    layout: Layout, state: State, ties: TiePoints, rise_design: np.ndarray, rows: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Residuals (2 N,) of marks of a point at a place (3,), derivatives by it (2 N, 3) and by parameters (2 N, P)."""
-    ties = TiePoints(place[None], np.zeros(len(view), dtype=np.int64), view, pixel)
-    linear = linearise(layout, replace(state, points=place[None]), ties, rise_design, rows)
-    design = design_matrix(layout, view, linear.by_parameters).toarray()
-    return (pixel - linear.pixels).ravel(), linear.by_point.reshape(-1, 3), design
+    """Residuals (2 N,) of marks of one point at its start, derivatives by it (2 N, 3) and by parameters (2 N, P)."""
+    linear = linearise(layout, replace(state, points=ties.start), ties, rise_design, rows)
+    design = design_matrix(layout, ties.view, linear.by_parameters).toarray()
+    return (ties.pixel - linear.pixels).ravel(), linear.by_point.reshape(-1, 3), design
 
 
 def _normalised_residual(solution: Solution, point: int, moved: np.ndarray, stated: np.ndarray) -> float:
@@ -225,8 +220,8 @@ def control_contradiction(
         place, view = np.asarray(point.local, dtype=np.float64), np.array([number[mark.view] for mark in marks])
         ties = TiePoints(place[None], np.zeros_like(view), view, np.array([mark.pixel for mark in marks]))
         rows = original_rows(ties, prior.lenses, prior.layout.lens_of)
-        at = view, ties.pixel, np.zeros((len(marks), NUM_RELIEF)), rows
-        residual, by_point, by_parameters = _linearised_marks(prior.layout, solution.state, place, *at)
+        flat = np.zeros((len(marks), NUM_RELIEF))
+        residual, by_point, by_parameters = _linearised_marks(prior.layout, solution.state, ties, flat, rows)
         if not np.isfinite(residual).all():
             continue
         variance = (by_point * np.asarray(point.std) ** 2) @ by_point.T

@@ -97,14 +97,8 @@ def measure_tie_points(
 ) -> TiePoints:
     """Tie points of a block, in pixels of its images, of three photographs or more, of two both.
 
-    Parameters
-    ----------
-    block : Block
-        Its water is only the start.
-    bound : (low, high) [m] over the water plane
-        Range of heights searched for the bed; `fields.sweep.sweep.find_range` gives it.
-    area : (x0, y0, x1, y1) [m], local, or None
-        Where windows are chosen, to one pixel of the sweep.
+    Its water is only the start; the bed is searched between ``bound`` [m] over the water plane, as of
+    `fields.sweep.height_range.find_range`, and windows are chosen in the area (x0, y0, x1, y1) [m], local.
     """
     block.set_overlap_height(0.5 * (bound[0] + bound[1]))
     chosen, shares = block.cover(*_TIMES_SEEN, area), [0.0]

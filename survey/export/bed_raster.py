@@ -186,7 +186,12 @@ def _bed_raster(run: LoadedRun, options: ExportOptions) -> BedRaster:
     incidence, height = columns["incidence"], points[:, 2]
     _fill_in(grid, {"at": at, "height": height, "std": std, "placed": placed, "common": common, "incidence": incidence})
     if not grid.origin.any():
-        raise SurveyError(too_coarse(grid.cells.side_m, points, crs, pixel))
+        east_m, north_m = np.ptp(points[:, :2], axis=0) / ground_units_m(crs, points[:, :2].mean(axis=0))
+        raise SurveyError(
+            f"--resolution {cells.side_m:g} (metres): points cover no cell of that side well enough for a height; the "
+            f"cloud extends over {east_m:.1f} x {north_m:.1f} m, a pixel covers {length(pixel)}; give e.g. "
+            f"--resolution {round_side(_DEFAULT_PX * pixel):g}"
+        )
     if options.fill_m > 0.0:
         fill_gaps(grid, options.fill_m)
     return grid
@@ -203,16 +208,6 @@ def _with_std(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         f"{int((~known).sum())} of {len(known)} points have no standard deviation and are left out of rasters"
     )
     return {name: column[known] for name, column in columns.items()}
-
-
-def too_coarse(side_m: float, points_crs: np.ndarray, crs: CRS, pixel_m: float) -> str:
-    """The message for cells of a side [m] of which points cover none well enough for a height."""
-    extent = np.ptp(points_crs[:, :2], axis=0) / ground_units_m(crs, points_crs[:, :2].mean(axis=0))
-    return (
-        f"--resolution {side_m:g} (metres): points cover no cell of that side well enough for a height; the cloud "
-        f"extends over {extent[0]:.1f} x {extent[1]:.1f} m, a pixel covers {length(pixel_m)}; give e.g. --resolution "
-        f"{round_side(_DEFAULT_PX * pixel_m):g}"
-    )
 
 
 def _fill_in(grid: BedRaster, points: dict[str, np.ndarray]) -> None:

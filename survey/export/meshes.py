@@ -129,21 +129,17 @@ def oriented_normals(points: np.ndarray) -> np.ndarray:
         local = points[found] - points[found].mean(axis=1, keepdims=True)
         normals[part] = np.linalg.eigh(np.einsum("nki,nkj->nij", local, local))[1][:, :, 0]
     normals[normals[:, 2] < 0.0] *= -1.0
-    own = normals[:, 2] ** 2
-    vote, voters = own, _agreements(normals, near)
+    # Weights of points in each other's vote: signed squares of the cosine between their normals.
+    point, other = np.repeat(np.arange(len(near), dtype=np.int32), near.shape[1]), near.ravel()
+    cosine = np.einsum("ij,ij->i", normals[point], normals[other])
+    weights = cosine * np.abs(cosine) / near.shape[1]
+    voters = csr_array((weights, (point, other)), shape=(len(near), len(near)))
+    voters = 0.5 * (voters + voters.T)
+    vote = own = normals[:, 2] ** 2
     for _ in range(_ROUNDS):
         vote = np.clip(own + voters @ vote, -1.0, 1.0)
     normals[vote < 0.0] *= -1.0
     return normals
-
-
-def _agreements(normals: np.ndarray, near: np.ndarray) -> csr_array:
-    """Weights (N, N) of points in each other's vote: signed squares of the cosine between their normals."""
-    point = np.repeat(np.arange(len(near), dtype=np.int32), near.shape[1])
-    other = near.ravel()
-    cosine = np.einsum("ij,ij->i", normals[point], normals[other])
-    weights = csr_array((cosine * np.abs(cosine) / near.shape[1], (point, other)), shape=(len(near), len(near)))
-    return 0.5 * (weights + weights.T)
 
 
 def poisson_surface(points: np.ndarray, spacing_m: float, path: str | Path) -> tuple[np.ndarray, np.ndarray]:

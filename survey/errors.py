@@ -62,12 +62,10 @@ class GivenValueTest:
 
     @property
     def found(self) -> float:
-        """Estimate from the photographs."""
         return self.given + self.difference
 
     @property
     def sigmas(self) -> float:
-        """Difference in standard deviations."""
         return abs(self.difference) / math.hypot(self.std, self.given_std)
 
     @property

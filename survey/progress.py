@@ -85,7 +85,6 @@ class Step:
 
     @property
     def title(self) -> str:
-        """Name with the part."""
         number, count = self.part
         return self.name if count == 1 else f"{self.name}, tile {number + 1} of {count}"
 
@@ -288,7 +287,6 @@ class Progress:
         self._line("\n".join(printable(line) for line in text.splitlines()), at_verbosity=math.inf)
 
     def close(self) -> None:
-        """Close the log."""
         if self._log is not None:
             # A full disk has already raised an error when the line was written.
             with suppress(OSError):

@@ -12,7 +12,7 @@ import pytest
 from fields.sweep.bed import BedPoints
 from refract import FlatWater, PinholeCamera
 from refract.curved import WavyWater
-from survey.run.stage_bed import bed_per_level, through_surface
+from survey.run.points import bed_per_level, through_surface
 from survey.run.tile_job import TileJob
 from survey.water.surface import Departure
 

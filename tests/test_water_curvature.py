@@ -19,7 +19,7 @@ from survey.folder.observations import Observations, PlacedViews
 from survey.folder.survey import shifted_above_water
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
-from survey.run.stage_bed import through_surface
+from survey.run.points import through_surface
 from survey.water.surface import EARTH, curvature_drop, still_water
 
 N, LATITUDE = 1.333, math.radians(46.9)

@@ -201,7 +201,6 @@ def _ground(survey: Survey, height_m: float) -> tuple[Decision, ...]:
 
 
 def _refraction(survey: Survey) -> Decision:
-    """Decision on refraction."""
     if survey.water is None:
         return Decision("refraction", "off", "a dry survey, without [water]")
     water, given = survey.require_water()
@@ -218,7 +217,6 @@ def _refraction(survey: Survey) -> Decision:
 
 
 def _pixels(survey: Survey) -> Decision:
-    """Decision on the pixels that get a height."""
     if survey.bounds is None:
         return Decision("pixels", "all", "there are no [area] bounds")
     return Decision(
@@ -229,7 +227,6 @@ def _pixels(survey: Survey) -> Decision:
 
 
 def _image_scale(camera: PinholeCamera, scale: float, chosen: Choices) -> Decision:
-    """Line of the plan on the working size."""
     size = f"images of {camera.width} x {camera.height} px"
     if chosen.image_scale is not None:
         by = "chosen for the aim" if chosen.has_aim else "set by --image-scale"

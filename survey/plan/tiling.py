@@ -3,7 +3,7 @@
 The number of tiles is chosen by the memory that is free, with that of the processes that compute them.
 
 Where the water is not a plane, each tile has its own plane. Rays that are bent at a plane a distance d away from the
-water intersect (n - 1) d too high or low, which is corrected when points are made (`survey.run.stage_bed`). In addition
+water intersect (n - 1) d too high or low, which is corrected when points are made (`survey.run.points`). In addition
 they shift sideways by ``d (tan a - n tan b)``, with ``sin a = n sin b``, oblique rays more than steep ones. Where that
 exceeds a share of a pixel, photographs no longer match.
 """

@@ -161,7 +161,6 @@ def _in_time(left_s: float, candidates: Sequence[Candidate], reason: str, *, ref
 
 
 def _std_warnings(std_m: float, reached_m: float, common_m: float) -> list[str]:
-    """Reasons against reaching a standard deviation, as sentences."""
     asked, sentences = f"asked is a standard deviation of {length(std_m)}", []
     if reached_m > std_m:
         sentences.append(

@@ -79,7 +79,6 @@ class Edits:
         self._add(rows, kind)
 
     def delete(self, rows: np.ndarray) -> None:
-        """Delete points."""
         self._add(rows, DELETED)
 
     def undo(self) -> np.ndarray:

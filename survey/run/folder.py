@@ -73,7 +73,6 @@ class Owner:
         return cls(record["survey"], record["photographs"], record.get("contents", {})) if "survey" in record else None
 
     def as_record(self) -> dict:
-        """Plain values."""
         return {"survey": self.name, "photographs": self.photographs, "contents": self.contents}
 
     def require_unchanged(self, name: str, path: Path) -> None:

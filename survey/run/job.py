@@ -43,7 +43,6 @@ class Window:
 
     @property
     def part(self) -> tuple[slice, slice]:
-        """Rows and columns."""
         return slice(self.row, self.row + self.height), slice(self.column, self.column + self.width)
 
 
@@ -170,7 +169,6 @@ class Job:
             self.block.set_overlap_height(0.5 * sum(search.bound))
 
     def stage_name(self, name: str) -> str:
-        """The name of a stage of the job."""
         return name
 
     @cached_property

@@ -139,7 +139,6 @@ class RemoteRun(RunDir):
         return folder
 
     def finish_stage(self, name: str, key: Key, temp: Path, seconds: float | None = None) -> Path:
-        """As `RunDir.finish_stage`, at the URL too."""
         folder = super().finish_stage(name, key, temp, seconds)
         self._put_stage(folder)
         self._put_unfinished()
@@ -168,7 +167,6 @@ class RemoteRun(RunDir):
         self.remote.remove([left])
 
     def publish(self, folder: Path, *, quality: str, stages: dict[str, Path]) -> None:
-        """As `RunDir.publish`, at the URL too."""
         super().publish(folder, quality=quality, stages=stages)
         record, at_url = read_json_object(self.path / RECORD), self.remote.files(_STAGES)
         for name in {*record["stages"].values()}:

@@ -157,7 +157,6 @@ class _OwnPoints:
 
 
 def _trusted_points(camera: PinholeCamera, height_map: HeightMap, water: FlatWater | None) -> _OwnPoints:
-    """Points of the trusted pixels of a map."""
     keep = trusted(height_map)[: camera.height, : camera.width]
     path = camera.paths(camera.pixel_centres()[keep], water)
     rows, columns = np.nonzero(keep)

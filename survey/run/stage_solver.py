@@ -70,7 +70,6 @@ def learn_figures(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 
 
 def _sample_of(job: Job, swept: Path, squares: list[tuple[int, int]]) -> list:
-    """Solved squares of the maps of a part."""
     maps, (waves, _) = Stored(swept / MAPS, HeightMap), load_rough_water(swept)
     return solve_sample(job.block, maps, learned_from(job, swept), squares, job.plan.gsd_m, waves)
 

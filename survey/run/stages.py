@@ -9,7 +9,7 @@ and what the solver has to know are found once for all tiles.
 A level that has changed by little since the bed was searched (read again, of another gauge, in another datum) needs no
 new search, which takes most of a run. Where nothing else has changed, its results under the earlier plane are used
 again, and the stage of the bed intersects the points anew along the rays of their photographs, bent at the plane that
-is asked for (`survey.run.stage_bed.through_raised`); how near that is to a search under it is in docs/decisions.md.
+is asked for (`survey.run.points.through_raised`); how near that is to a search under it is in docs/decisions.md.
 """
 
 from __future__ import annotations

@@ -146,7 +146,6 @@ class StoredArrays(Mapping[str, np.ndarray]):
         return len(self._members)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """The array of a name."""
         with self._at_member(name) as (stream, size):
             content = np.empty(size, dtype=np.uint8)
             if stream.readinto(content.data) != size:

@@ -125,7 +125,6 @@ class Stored(Sequence[Kind]):
         return len(self.views)
 
     def __getitem__(self, number):
-        """The map at a place in the order."""
         if number in self._held:
             return self._held[number]
         found = _made(self._kind, self.views[number], lambda name: self._arrays[f"{name}_{number}"])
@@ -155,7 +154,6 @@ class StoredMasks(Sequence[np.ndarray]):
         return len(self.shapes)
 
     def __getitem__(self, number):
-        """The mask of a number."""
         height, width = self.shapes[number]
         return np.unpackbits(self._arrays[str(number)], count=height * width).reshape(height, width).view(bool)
 
@@ -174,6 +172,5 @@ def _names(kind: type) -> list[str]:
 
 
 def _made(kind: type[Kind], view: int, array: Callable[[str], np.ndarray]) -> Kind:
-    """A map of arrays by their names."""
     arrays: dict[str, Any] = {name: array(name) for name in _names(kind)}
     return kind(**({"view": view} if kind is HeightMap else {}), **arrays)

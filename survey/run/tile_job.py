@@ -94,7 +94,6 @@ class TileJob(Job):
         self.views_to_match = [number_of[view] for view in search.views if view in number_of]
 
     def _windows(self, water: FlatWater | None) -> list[Window]:
-        """Windows of the photographs that show the tile."""
         survey_job, own = self.survey_job, self._own
         if survey_job.outlines is None:
             survey_job.outlines = Outlines(survey_job.cameras)
@@ -111,17 +110,14 @@ class TileJob(Job):
         return bool(np.isnan(ground_points([view.camera for view in self.survey.views], 0.0)).all())
 
     def stage_name(self, name: str) -> str:
-        """The name of a stage of the tile."""
         return f"{name}_tile{self.number + 1}"
 
     @property
     def hashes(self) -> dict[str, tuple[str, str, str | None]]:
-        """Hashes of the photographs of the whole survey."""
         return self.survey_job.hashes
 
     @cached_property
     def photographs(self) -> Any:
-        """Windows in colour."""
         views = {
             view.name: (self.survey_job.survey.views[window.view], window)
             for view, window in zip(self.survey.views, self.windows, strict=True)
@@ -130,7 +126,6 @@ class TileJob(Job):
 
     @cached_property
     def block(self) -> Block:
-        """The windows in grey, in memory."""
         of_survey = self.survey_job.block
         images = (of_survey.images.window(window.view, *window.part) for window in self.windows)
         cameras = [view.camera for view in self.survey.views]

@@ -90,7 +90,6 @@ def save_job(job: Job, folder: Path, stage: str, remote: Remote | None = None) -
 
 
 def _with_paths(survey: Survey, place: Callable[[Path], Path]) -> Survey:
-    """The survey with its photographs and masks elsewhere."""
     views = [
         replace(view, path=place(view.path), mask_path=None if view.mask_path is None else place(view.mask_path))
         for view in survey.views
@@ -252,7 +251,6 @@ class _Decoded(GreyImages):
         return len(self._views)
 
     def window(self, view: int, rows: slice, columns: slice) -> np.ndarray:
-        """`GreyImages.window`."""
         if view not in self._decoded:
             grey, _ = grey_image(self._views[view], self.scale, self.size, ImageStore(0))
             self._folder.mkdir(exist_ok=True)
@@ -260,7 +258,6 @@ class _Decoded(GreyImages):
         return self._decoded[view].window(0, rows, columns)
 
     def keep(self, views: Sequence[int]) -> None:
-        """Remove the images of all other views."""
         for view in set(self._decoded) - set(views):
             del self._decoded[view]
             shutil.rmtree(self._folder / str(view), ignore_errors=True)

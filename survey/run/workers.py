@@ -150,7 +150,6 @@ class Workers:
             self._client.cancel([future for _, future in under_way])
 
     def _submit(self, job: str, task: Task) -> Any:
-        """The future of a task."""
         key, given = f"{task.name}-{uuid.uuid4().hex}", (job, self._place, task, code_hash())
         return self._client.submit(compute_task, *given, pure=False, key=key)
 

@@ -21,7 +21,7 @@ from refract.lens import Lens
 from survey.folder.local_frame import water_plane
 from survey.folder.observations import Observations
 from survey.folder.pose_priors import BAROMETER_STD_M, PosePrior
-from survey.folder.sfm_views import _rejected_positions
+from survey.folder.sfm_views import _heights_by_focals
 from survey.folder.survey import Survey
 from survey.photos.cameras import View
 from survey.settings.config import CamerasConfig, SurveyConfig, WaterConfig
@@ -29,6 +29,7 @@ from survey.sfm import block as sfm_block
 from survey.sfm.absolute_orientation import place_by_gps
 from survey.sfm.features import CameraBody
 from survey.sfm.gps import GpsPositions
+from survey.sfm.gps_fit import is_contradicted
 from survey.sfm.poses import SfmResult
 from survey.sfm.settings import solver
 from survey.sfm.solve import FreeBlocks, reset_focals
@@ -216,7 +217,8 @@ def _survey(
         views.append(View(shot.name, Path(shot.name), camera, lens))
     ties = sfm_block.tracks_of(block, [view.name for view in views])
     residuals = np.array([view.camera.centre for view in views]) - gps
-    rejected = _rejected_positions(SfmResult(frame, tuple(views), (), residuals, ties))
+    off = residuals - _heights_by_focals(SfmResult(frame, tuple(views), (), residuals, ties))
+    rejected = {view.name for view, is_wrong in zip(views, is_contradicted(off), strict=True) if is_wrong}
     priors = {}
     for view, place, std in zip(views, gps, stds, strict=True):
         prior = PosePrior(place, std, None, "XMP RTK")

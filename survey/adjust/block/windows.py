@@ -98,7 +98,7 @@ def measure_tie_points(
     """Tie points of a block, in pixels of its images, of three photographs or more, of two both.
 
     Its water is only the start; the bed is searched between ``bound`` [m] over the water plane, as of
-    `fields.sweep.height_range.find_range`, and windows are chosen in the area (x0, y0, x1, y1) [m], local.
+    `fields.sweep.sweep.find_range`, and windows are chosen in the area (x0, y0, x1, y1) [m], local.
     """
     block.set_overlap_height(0.5 * (bound[0] + bound[1]))
     chosen, shares = block.cover(*_TIMES_SEEN, area), [0.0]

@@ -69,13 +69,10 @@ class Blocks:
 def spatial_blocks(plan: np.ndarray, errors: np.ndarray) -> Blocks:
     """Blocks whose edge is ten correlation lengths of the errors (N,) [m], if the extent has room for 30 of them.
 
-    ``plan`` (N, 2) [m] are horizontal coordinates in a Cartesian frame; errors that are NaN are left out.
-
-    Notes
-    -----
-    The variance of the mean from blocks of an edge b is too small by about c / b. Twice that of b less that of
-    b / 2 is not (D. Politis, J. Romano, Bias-corrected nonparametric spectral estimation, Journal of Time Series
-    Analysis 16, 1995); intervals are widened by the root of the ratio.
+    ``plan`` (N, 2) [m] are horizontal coordinates in a Cartesian frame; errors that are NaN are left out. The variance
+    of the mean from blocks of an edge b is too small by about c / b. Twice that of b less that of b / 2 is not (D.
+    Politis, J. Romano, Bias-corrected nonparametric spectral estimation, Journal of Time Series Analysis 16, 1995);
+    intervals are widened by the root of the ratio.
     """
     known = np.isfinite(errors)
     plan = np.asarray(plan, dtype=np.float64)
@@ -97,8 +94,6 @@ def spatial_blocks(plan: np.ndarray, errors: np.ndarray) -> Blocks:
 def mean_interval(values: np.ndarray, blocks: Blocks) -> tuple[float, float]:
     """Interval that holds the mean of values (N,) with 95 % confidence; NaN where fewer than ten blocks have any.
 
-    Notes
-    -----
     The percentiles of the means of 1000 sets of blocks, each drawn with replacement from those that hold points
     (P. Hall, Resampling a coverage pattern, Stochastic Processes and their Applications 20, 1985, with fixed blocks),
     moved away from the mean by `Blocks.widening` and by the ratio of Student's quantile to the normal one.

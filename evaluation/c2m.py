@@ -157,24 +157,16 @@ def distance_to_mesh(
     sign: Sign = "up",
     advance: Callable[[int], object] | None = None,
 ) -> MeshDistances:
-    """Signed distance of points to the nearest point of a mesh.
+    """Signed distance of points (N, 3) [m] to the nearest point of a mesh, or of its rim, in one frame, z up.
 
     Parameters
     ----------
-    points : (N, 3) [m]
-    vertices : (V, 3) [m], same Cartesian frame, z up
-    faces : (F, 3) int
     sign : {"up", "winding"}
         ``"up"``: positive above. Triangles whose normal points down (n_z below -0.05) are reversed first,
         the winding is kept where |n_z| is at most 0.05. ``"winding"``: positive on the side from which the
         corners run counter-clockwise, as CloudCompare signs.
     advance : callable, optional
         Called with the number of points that were finished since the last call.
-
-    Returns
-    -------
-    MeshDistances
-        Points beyond the rim of an open mesh have the distance to the rim.
 
     Notes
     -----

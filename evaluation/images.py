@@ -1,8 +1,7 @@
 """Quality of images (H, W) or (H, W, 3), 0 to 1: PSNR, and SSIM over the largest rectangle of a mask.
 
-SSIM is written out after its paper: that of torchmetrics 1.9 averages windows that reach beyond the image, too, where
-it mirrors the image (0.002 apart on the test image, equal to 1e-12 over the windows inside, as a test checks), and
-takes about forty times as long on a CPU.
+SSIM is written out after its paper: that of torchmetrics 1.9 averages windows that reach beyond the image, too (0.002
+apart on the test image), and takes about forty times as long on a CPU.
 """
 
 from __future__ import annotations
@@ -41,8 +40,6 @@ def psnr(reference: np.ndarray, image: np.ndarray, mask: np.ndarray | None = Non
 def ssim(reference: np.ndarray, image: np.ndarray) -> float:
     """Structural similarity, the mean over channels and over all windows that lie inside the image.
 
-    Notes
-    -----
     Z. Wang, A. Bovik, H. Sheikh, E. Simoncelli, Image quality assessment: from error visibility to structural
     similarity, IEEE Transactions on Image Processing 13 (2004), equation 13, at full resolution.
     """
@@ -81,16 +78,11 @@ def _checked_pair(reference, image, *, smallest: int) -> tuple[np.ndarray, np.nd
 def largest_rectangle(mask: np.ndarray) -> tuple[slice, slice]:
     """Rows and columns of the largest rectangle of a mask (H, W) bool whose pixels are all true, the first of equals.
 
-    Notes
-    -----
-    Row by row, the columns of true pixels that end there are the bars of a histogram; each bar is extended to both
-    sides until a shorter one.
-
-    Examples
-    --------
     >>> largest_rectangle(np.array([[True, False, True], [True, True, True], [True, True, False]]))
     (slice(1, 3, None), slice(0, 2, None))
     """
+    # Row by row, the columns of true pixels that end there are the bars of a histogram; each bar is extended to both
+    # sides until a shorter one.
     best, found = 0, (slice(0, 0), slice(0, 0))
     bars = np.zeros(mask.shape[1] + 1, dtype=np.int64)
     for row, line in enumerate(mask):

@@ -114,15 +114,9 @@ class AsprsAccuracy:
 def iho_s44(errors: np.ndarray, depth_m: np.ndarray, reference_std_m: np.ndarray | None = None) -> IhoS44 | None:
     """Orders of IHO S-44 whose total vertical uncertainty the points under water meet; None if there is no such point.
 
-    Parameters
-    ----------
-    errors : (N,) [m]
-        Vertical, of either sign; NaN is left out.
-    depth_m : (N,) [m]
-        Of the bed, positive below the water; other points are left out.
-    reference_std_m : (N,) [m], optional
-        Standard deviation of the reference heights. An order that is missed by no more than 1.96 of it is undecided.
-        An order that is met stays met, since errors of the reference only widen the differences.
+    Vertical errors (N,) [m] that are NaN, and depths (N,) [m] that are not positive, are left out. An order that is
+    missed by no more than 1.96 of the standard deviation of the reference heights (N,) [m] is undecided; one that is
+    met stays met, since errors of the reference only widen the differences.
     """
     use = np.isfinite(errors) & (depth_m > 0.0)
     if not use.any():
@@ -165,19 +159,11 @@ def _order(name: str, a: float, b: float, size: np.ndarray, depth: np.ndarray, r
 
 
 def asprs_vertical(residuals: np.ndarray, sigma_m: np.ndarray) -> AsprsAccuracy:
-    """Vertical accuracy by check points.
+    """Vertical accuracy by residuals (K,) [m], product minus check point, NaN where it does not cover the point.
 
-    Parameters
-    ----------
-    residuals : (K,) [m]
-        Height of the product minus height of each check point; NaN where the product does not cover it.
-    sigma_m : (K,) [m]
-        Standard deviation of each check point's own height.
-
-    Notes
-    -----
-    ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2: the survey error of the check points is
-    part of the accuracy of the product, which is stated as a root mean square and no longer at 95 %.
+    ``sigma_m`` (K,) [m] is the standard deviation of each check point's own height. ASPRS Positional Accuracy Standards
+    for Digital Geospatial Data, Edition 2: the survey error of the check points is part of the accuracy of the product,
+    which is stated as a root mean square and no longer at 95 %.
     """
     covered = np.isfinite(residuals)
     r, sigma = residuals[covered], sigma_m[covered]

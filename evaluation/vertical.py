@@ -286,23 +286,12 @@ class M3C2Distances:
 def m3c2_distances(
     reference: np.ndarray, cloud: np.ndarray, core_points: np.ndarray, *, radius_m: float, reach_m: float
 ) -> M3C2Distances:
-    """Multiscale model to model cloud comparison.
+    """Multiscale model to model cloud comparison, at core points (K, 3) [m], usually some of the reference.
 
-    Parameters
-    ----------
-    reference, cloud : (N, 3), (M, 3) [m]
-        In one Cartesian frame near its origin, z up.
-    core_points : (K, 3) [m]
-        Where distances are computed, usually a subset of the reference.
-    radius_m : float [m]
-        Of the cylinders along the normals, and of the spheres in which normals are found.
-    reach_m : float [m]
-        Half the length of the cylinders.
-
-    Notes
-    -----
-    D. Lague, N. Brodu, J. Leroux, Accurate 3D comparison of complex topography with terrestrial laser scanner, ISPRS
-    Journal 82 (2013); normals point up.
+    Both clouds are in one Cartesian frame near its origin, z up. ``radius_m`` is that of the cylinders along the
+    normals, and of the spheres in which normals are found, ``reach_m`` half the length of the cylinders. D. Lague, N.
+    Brodu, J. Leroux, Accurate 3D comparison of complex topography with terrestrial laser scanner, ISPRS Journal 82
+    (2013); normals point up.
     """
     import py4dgeo
 

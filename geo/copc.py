@@ -1,10 +1,8 @@
-"""Cloud-optimised LAZ (COPC 1.0): an octree of points, and a LAZ 1.4 file whose chunks are its nodes.
+"""Cloud-optimised LAZ (COPC 1.0, https://copc.io): an octree of points, and a LAZ 1.4 file whose chunks are its nodes.
 
-The specification is https://copc.io. No library for Python both keeps the descriptors of extra bytes and writes a cloud
-without an object for each point, so the octree and the two records of COPC are made here; lazrs
-compresses.
-
-Integer arithmetic throughout, on the stored steps of LAS, so that no point lies on the wrong side of a node.
+No library for Python both keeps the descriptors of extra bytes and writes a cloud without an object for each point: the
+octree and the two records of COPC are made here, lazrs compresses. Integer arithmetic throughout, on the stored steps
+of LAS, so that no point lies on the wrong side of a node.
 """
 
 from __future__ import annotations

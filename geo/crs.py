@@ -219,11 +219,7 @@ def degrees_outside_area(crs: CRS, lon: float, lat: float) -> float:
 
 
 def wkt1(crs: CRS) -> str:
-    """The CRS as OGC WKT 1 (2001), the only dialect that LAS 1.4 admits.
-
-    It has no 3D systems: ellipsoidal heights are a compound with VERT_CS "Ellipsoid (metre)", as GDAL writes them and
-    PROJ reads them back.
-    """
+    """The CRS as OGC WKT 1 (2001), the only dialect that LAS 1.4 admits; ellipsoidal heights as GDAL writes them."""
     try:
         if has_height(crs) and not _unbound(crs).is_compound:
             horizontal = horizontal_crs(crs)

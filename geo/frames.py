@@ -32,9 +32,8 @@ _DRAWS = 500
 _MEDIAN_LENGTH = 1.538
 # The parameters of a similarity.
 _PARAMETERS = 7
-# A position is a gross error beyond this many std, or, where few points determine the std, beyond the quantile of one
-# in a million. Residuals of deformed blocks have longer tails than noise, so the limits are wide, and never below the
-# difference between a fixed and a float RTK solution.
+# A position is a gross error beyond this many std, or, where few points determine it, beyond the quantile of one in a
+# million: residuals of deformed blocks have long tails. Never below the difference of a fixed and a float RTK solution.
 _WRONG_STD, _WRONG_PROBABILITY, _WRONG_AT_LEAST_M = 6.0, 1e-6, 0.6
 
 

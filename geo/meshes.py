@@ -102,11 +102,7 @@ _Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def read_gltf(path: str | Path) -> Mesh | Cloud:
-    """Read a glTF or GLB file: a mesh if it has triangles, else a cloud.
-
-    The format has no CRS. `write_glb` stores it with the origin in the ``extras`` of the scene; such files are returned
-    in coordinates of that CRS.
-    """
+    """Read a glTF or GLB file: a mesh if it has triangles, else a cloud; in the CRS that `write_glb` stored, if any."""
     path = existing_file(path)
     trimesh = library_for(path, "trimesh", "gltf")
     # trimesh raises errors of many kinds for damaged files (KeyError, struct.error, JSONDecodeError, ...).

@@ -52,10 +52,9 @@ def seen_at(view: View, place: np.ndarray, water: FlatWater | None) -> tuple[flo
 
 
 def epipolar_curve(source: View, pixel: tuple[float, float], target: View, water: FlatWater | None) -> Curve:
-    """Epipolar curve of a pixel of `source`: the places along its ray, as `target` shows them, inside its photograph.
+    """Epipolar curve of a pixel of `source`: the places along its ray, bent at the water, as `target` shows them.
 
-    The ray is bent at the water, if any, and each place is projected back up through it, so that the part below the
-    water is a curve. Samples are spaced evenly in the inverse of the distance above the water, evenly in length below.
+    Samples are spaced evenly in the inverse of the distance above the water, evenly in length below.
     """
     path = source.camera.paths(np.array(pixel), water)
     baseline = float(np.linalg.norm(target.camera.centre - source.camera.centre))
@@ -79,10 +78,7 @@ def crossing(view: View, pixel: tuple[float, float], water: FlatWater) -> np.nda
 def by_gain(
     views: Iterable[View], place: np.ndarray, water: FlatWater | None, marked: Sequence[View], std_px: float
 ) -> list[str]:
-    """Names of photographs that show a place without a mark of it, those whose mark would inform most first.
-
-    The first is the one after whose mark the trace of the covariance of the place is smallest.
-    """
+    """Names of photographs that show a place without a mark, by the trace of its covariance after one there."""
 
     def information(view: View) -> np.ndarray:
         """Information of a mark in a photograph about a place (3, 3) [1/m^2]."""
@@ -161,10 +157,7 @@ def _of_file(found: Found, path: Path) -> PosedSurvey:
 
 
 def _water(found: Found, frame: LocalFrame, views: list[View]) -> FlatWater | None:
-    """The water plane, whose index is that of fresh water unless survey.toml gives it as a number.
-
-    The light in the photographs, which `process` measures for it, changes a prediction by a thousandth of the depth.
-    """
+    """The water plane, whose index is that of fresh water unless survey.toml gives it: a thousandth of the depth."""
     given = found.config.water
     if given is None or given.level_m is None:
         return None

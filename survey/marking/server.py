@@ -50,11 +50,7 @@ _KEPT = 4
 
 
 class PhotographTiles:
-    """Image tiles of photographs, with a cache of decoded photographs; thread-safe.
-
-    Level 0 has the pixels of the file; each further level has half as many along each side, every pixel of it the mean
-    of four of the level before, so that pixel x of level k begins at ``2**k * x``.
-    """
+    """Image tiles of photographs, with a cache of decoded ones; thread-safe. Pixel x of level k begins at 2^k x."""
 
     def __init__(self, images: Mapping[str, Path]):
         self._images, self._decoding = images, threading.Lock()

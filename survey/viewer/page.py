@@ -37,10 +37,7 @@ _SUFFIX, _MARK, _TITLE = ".html", b"Viser client", "<title>Viser</title>"
 
 
 def open_server(host: str, port: int, title: str, overlay: Overlay | None = None) -> viser.ViserServer:
-    """A server at an address of this machine; the next free port, where the one that is asked for is taken.
-
-    Its page has the script of the overlay, if there is one, which answers it.
-    """
+    """A server at an address of this machine, or the next free port; its page has the script of the overlay, if any."""
     try:
         import viser
     except ModuleNotFoundError as error:
@@ -74,8 +71,7 @@ def open_server(host: str, port: int, title: str, overlay: Overlay | None = None
 def _own_pages_only(host: str, overlay: Overlay | None) -> Iterator[list[Any]]:
     """Context in which a server of viser starts that answers its own pages only, below a path that others do not know.
 
-    viser accepts all and has no hook to refuse. Its page opens the WebSocket at its own address. Yields the list of
-    guarded servers, which is empty if viser no longer serves by this function.
+    viser has no hook to refuse. Yields the guarded servers: none if viser no longer serves by this function.
     """
     from websockets.asyncio import server as websockets
 

@@ -119,10 +119,7 @@ def sightings_of(views: Sequence[View], point: np.ndarray, water: FlatWater | No
 
 
 def unhidden(seen: Sequence[PointSighting], tree: CloudTree, gsd_m: float) -> list[PointSighting]:
-    """The sightings whose rays are not occluded by points of the cloud, in water or air.
-
-    Points within some ground sampling distances of the end of the ray are ignored: they are the bed itself.
-    """
+    """The sightings whose rays are not occluded, in water or air, by points of the cloud beyond the bed itself."""
     width, free = _BLOCKS_GSD * gsd_m, _FREE_GSD * gsd_m
 
     def is_free(sighting: PointSighting) -> bool:

@@ -114,10 +114,9 @@ def pick(tree: CloudTree, origin: np.ndarray, direction: np.ndarray, *, angle: f
 
 
 def is_blocked(tree: CloudTree, start: np.ndarray, end: np.ndarray, *, width_m: float, free_m: float) -> bool:
-    """Whether points of a cloud occlude the line between two places (3,) [m], local.
+    """Whether three points or more within ``width_m`` occlude the line between two places (3,) [m], local.
 
-    Points within ``width_m`` of the line count, farther than ``free_m`` from its start, which lies on the surface;
-    fewer than three are taken as outliers.
+    They count farther than ``free_m`` from its start, which lies on the surface.
     """
     vector = end - start
     length = float(np.linalg.norm(vector))
@@ -193,8 +192,7 @@ def spacing_px(tree: CloudTree, camera: PinholeCamera) -> np.ndarray:
 def select_nodes(tree: CloudTree, camera: PinholeCamera, most_points: int = MOST_POINTS) -> np.ndarray:
     """Nodes (K,) int to draw, the most needed first; with a node come all nodes above it.
 
-    A node is drawn where its parent is too coarse for the screen; a parent is nearer and coarser than its children, so
-    that a limit on the number of points cuts off the finest ones.
+    A node is drawn where its parent is too coarse for the screen; a limit on the points cuts off the finest ones.
     """
     coarseness = spacing_px(tree, camera)
     needed = np.where(tree.parent < 0, np.inf, coarseness[tree.parent])
@@ -205,10 +203,7 @@ def select_nodes(tree: CloudTree, camera: PinholeCamera, most_points: int = MOST
 
 
 def point_sizes(tree: CloudTree, nodes: np.ndarray, camera: PinholeCamera, finest_m: float) -> np.ndarray:
-    """Sizes (M,) [m] of points that leave no gap, where some nodes are drawn: the spacing of the finest ones there.
-
-    Leaves have the spacing of the cloud, ``finest_m``. Of nodes that are not drawn the size means nothing.
-    """
+    """Sizes (M,) [m] of points that leave no gap: the spacing of the finest nodes there, of leaves ``finest_m``."""
     drawn = np.zeros(len(tree), dtype=bool)
     drawn[nodes] = True
     size = np.maximum(tree.spacing, finest_m)

@@ -144,8 +144,6 @@ def quoted_crs(crs: CRS) -> str:
 def crs_name(crs: CRS) -> str:
     """The name of a CRS, or a description where its text gives none, as for a PROJ string.
 
-    Examples
-    --------
     >>> crs_name(CRS("EPSG:32632")), crs_name(CRS("+proj=utm +zone=17 +units=us-ft"))
     ('WGS 84 / UTM zone 32N', 'a CRS without a name (UTM zone 17N, US survey foot)')
     """
@@ -281,8 +279,6 @@ _SAME_UNIT = 1e-9
 def unit_named(name: str | None) -> float | None:
     """Metres of a unit of length by its name, as people, programs or PROJ write it; None for an unknown name.
 
-    Examples
-    --------
     >>> unit_named("US survey foot") == 1200 / 3937, unit_named("Centimetre"), unit_named("kelvin")
     (True, 0.01, None)
     >>> round(unit_named("British foot (Sears 1922)"), 9)

@@ -59,6 +59,7 @@ def write_cloud(
     Coordinates are rounded to 0.001 of the unit of crs (1e-8 for longitude and latitude); offsets are whole units. An
     empty cloud is written as a valid file without points, except as COPC. Values that are NaN (no water, a single view)
     are written as the declared "no data" value, which `read_cloud` turns back into NaN. The CRS is written as WKT 1.
+    Raises GeoError if the suffix is another, the cloud is too wide for the format, or the file cannot be written.
 
     Parameters
     ----------
@@ -193,7 +194,8 @@ def read_cloud(path: str | Path) -> Cloud:
     """Read LAS or LAZ, version 1.0 to 1.4, any point format; colours come as 8 bits.
 
     The CRS and the unit of heights are taken from WKT, else from GeoTIFF keys; where there is none, or none that is
-    understood, it is None and `Cloud.notes` says so.
+    understood, it is None and `Cloud.notes` says so. Raises EmptyCloud if the file has no points; UnreadableFile if it
+    does not exist, is cut short, is not LAS, or has coordinates that are not finite.
     """
     path = existing_file(path)
     fault = length_fault(path)

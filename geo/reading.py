@@ -203,13 +203,11 @@ _READERS = {
 
 
 def read_reference(path: str | Path) -> Mesh | Cloud:
-    """Read a mesh or cloud in crs coordinates, by the suffix of its name.
+    """Read a mesh or cloud in crs coordinates, float64, by the suffix of its name.
 
     PLY, OBJ and glTF give a `Mesh` where they have faces, else a `Cloud`; a GeoTIFF gives a `Mesh`, LAS, LAZ and E57 a
-    `Cloud`. Coordinates are float64 throughout. Raises EmptyCloud if the file has no points; UnreadableFile if it does
-    not exist, has another suffix, needs a library that is not installed, is damaged, has coordinates that are not
-    finite, or faces that name vertices it does not have; if its values were rounded, or have undeclared no-data values,
-    see `geo.reading`.
+    `Cloud`. Raises EmptyCloud if the file has no points; UnreadableFile if it does not exist, has another suffix, needs
+    a library that is not installed, is damaged, or its values were rounded or have undeclared no-data values.
     """
     path = existing_file(path)
     reader = _READERS.get(path.suffix.lower())

@@ -50,7 +50,6 @@ LAS_STEP_M = 0.001
 KILLED = """
 import os, signal
 from survey.commands.app import main
-from survey.run import stage_bed
 from survey.run.folder import RunDir
 
 finish_stage = RunDir.finish_stage

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import TYPE_CHECKING, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -20,9 +20,6 @@ from survey.folder.survey import Survey
 from survey.photos.cameras import View
 from survey.photos.poses import least_track
 from survey.plan.heights import dry_ground, height_range
-
-if TYPE_CHECKING:
-    from geo.frames import LocalFrame
 
 # x0, y0, x1, y1 [m], local.
 Area = tuple[float, float, float, float]
@@ -94,18 +91,8 @@ def limits(survey: Survey) -> tuple[float, float]:
     return found.low, found.high
 
 
-class Georeferenced(Protocol):
-    """Protocol of what has a place on the map: a survey, or the flight of a run."""
-
-    @property
-    def frame(self) -> LocalFrame: ...
-
-    @property
-    def bounds(self) -> tuple[float, float, float, float] | None: ...
-
-
-def local_area(survey: Georeferenced) -> Area | None:
-    """The bounds of the survey as (x0, y0, x1, y1) [m], local, that hold them; None where it has none."""
+def local_area(survey: Any) -> Area | None:
+    """Bounds of a survey, or of the flight of a run, as (x0, y0, x1, y1) [m], local, that hold them; None without."""
     if survey.bounds is None:
         return None
     e0, n0, e1, n1 = survey.bounds

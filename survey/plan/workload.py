@@ -120,15 +120,6 @@ def parts_s(amounts: Amounts, num_cores: int) -> dict[str, float]:
     return parts | {"Report": _REPORT_S + 0.5 * _POINT_S * amounts.points}
 
 
-def sfm_s(features_mpx: float, num_views: int, num_pairs: int, num_cores: int) -> dict[str, float]:
-    """Times [s] of the parts of structure from motion, by the names of their stages, in order.
-
-    ``features_mpx`` [Mpx] are those of the photographs at the size at which features are looked for.
-    """
-    seconds = _FEATURES_S * features_mpx / num_cores, _PAIR_S * num_pairs / num_cores, _PLACING_S * num_views
-    return dict(zip(SFM_PARTS, seconds, strict=True))
-
-
 @dataclass(frozen=True)
 class Workload:
     """Estimated time, memory and disk space of a run."""
@@ -180,9 +171,9 @@ def workload_of_images(sizes_px: Sequence[tuple[int, int]], chosen: Choices) -> 
     points = _OWN_GROUND * float(pixels.sum())
     amounts = Amounts(areas, pixels, pixels, points, "refine", field, has_boxes=field == "solver", is_bound=True)
     features_mpx = sum(w * h * min(1.0, FEATURES_PX / max(w, h)) ** 2 for w, h in sizes_px) / 1e6
-    cores = machine.num_cores()
-    parts = sfm_s(features_mpx, len(sizes_px), pairs_about(len(sizes_px)), cores) | parts_s(amounts, cores)
-    found = _workload(amounts, parts)
+    cores, count = machine.num_cores(), len(sizes_px)
+    of_sfm = _FEATURES_S * features_mpx / cores, _PAIR_S * pairs_about(count) / cores, _PLACING_S * count
+    found = _workload(amounts, dict(zip(SFM_PARTS, of_sfm, strict=True)) | parts_s(amounts, cores))
     return replace(found, disk_bytes=found.disk_bytes + int(_DISK_OF_SFM * len(sizes_px)))
 
 

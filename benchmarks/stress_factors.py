@@ -207,7 +207,7 @@ class SidewaysScene(DrawnScene):
         """A ring of views about the middle."""
         rng = np.random.default_rng([self.seed, 1])
         tilt = math.radians(self.incidence_deg) - math.atan(0.5 * self.image_px[1] / self.focal_px)
-        return [self._look_in(tilt, _GOLDEN_ANGLE * number, rng) for number in range(self.num_views)]
+        return [self.look_in(tilt, _GOLDEN_ANGLE * number, rng) for number in range(self.num_views)]
 
 
 def sideways(scene: DrawnScene, incidence_deg: float) -> DrawnScene:

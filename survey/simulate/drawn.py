@@ -134,12 +134,8 @@ class DrawnScene:
             heading = math.pi * (row % 2) + 0.03 * rng.standard_normal()
             cameras.append(self._camera(x, y, np.array([*shake, -1.0]), heading, rng))
         tilts = np.linspace(*_TILTS, self.num_views - nadir)
-        for tilt, azimuth in zip(tilts, _GOLDEN_ANGLE * np.arange(len(tilts)), strict=True):
-            toward = np.array([math.sin(azimuth), math.cos(azimuth)])
-            target = rng.uniform(-0.18, 0.18, 2) * self.size_m
-            x, y = target - (self.flying_m + 0.7 * self.depth_m) * math.tan(tilt) * toward
-            forward = np.array([*(math.sin(tilt) * toward), -math.cos(tilt)])
-            cameras.append(self._camera(x, y, forward, azimuth, rng, 0.05))
+        azimuths = _GOLDEN_ANGLE * np.arange(len(tilts))
+        cameras += [self.look_in(tilt, azimuth, rng) for tilt, azimuth in zip(tilts, azimuths, strict=True)]
         if self.rise_m != 0.0 and self.water:
             tides = self.rise_m * np.linspace(-0.5, 0.5, self.num_views)
             cameras = [replace(camera, tide=tide) for camera, tide in zip(cameras, tides.tolist(), strict=True)]
@@ -147,6 +143,14 @@ class DrawnScene:
             return cameras
         motions = self.velocities() * self.readout_s / (self.image_px[1] - 1)
         return [replace(camera, motion=motion) for camera, motion in zip(cameras, motions, strict=True)]
+
+    def look_in(self, tilt: float, azimuth: float, rng: np.random.Generator) -> PinholeCamera:
+        """A camera that looks at a place about the middle, tilted from the plumb line toward an azimuth [rad]."""
+        toward = np.array([math.sin(azimuth), math.cos(azimuth)])
+        target = rng.uniform(-0.18, 0.18, 2) * self.size_m
+        x, y = target - (self.flying_m + 0.7 * self.depth_m) * math.tan(tilt) * toward
+        forward = np.array([*(math.sin(tilt) * toward), -math.cos(tilt)])
+        return self._camera(x, y, forward, azimuth, rng, 0.05)
 
     def velocities(self) -> np.ndarray:
         """Velocities of the cameras (views, 3) [m/s], local: level, in any direction."""

@@ -4,8 +4,7 @@ from geo.las import read_cloud, write_cloud
 from geo.reading import read_reference
 from geo.shapes import Cloud, Mesh
 from refract.camera import PinholeCamera
-from refract.curved.bicubic import BicubicWater
-from refract.curved.wavy import WavyWater
+from refract.curved.surfaces import BicubicWater, WavyWater
 from refract.distortion import Distortion
 from refract.media import water_index
 from refract.paths import project, trace

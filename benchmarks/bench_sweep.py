@@ -27,7 +27,7 @@ from fields.sweep import views
 from fields.sweep.bed import BedPoints, unique_pixels
 from fields.sweep.fusion import remove_free_space_violations
 from fields.sweep.maps import HeightMap, trusted
-from fields.sweep.passes import PASSES, Pass
+from fields.sweep.matching import PASSES, Pass
 from fields.sweep.sweep import find_range, sweep
 from fields.sweep.view_pass import SweepSettings
 from survey.compare.comparison import CompareOptions, compare_surfaces

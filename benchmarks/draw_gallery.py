@@ -52,7 +52,7 @@ from refract import (
     tangential_shift,
     trace,
 )
-from refract.curved.wavy import WavyWater
+from refract.curved.surfaces import WavyWater
 
 IMAGES = Path(__file__).resolve().parent.parent / "docs" / "img"
 N_WATER = 1.333

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from evaluation.baselines import apparent_points
 from evaluation.completeness import is_outlier
 from fields.sweep import views
-from fields.sweep.passes import PASSES
+from fields.sweep.matching import PASSES
 from refract import FlatWater, PinholeCamera
 from survey.folder.survey import Survey
 

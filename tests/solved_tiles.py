@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from fields.solver.appearance import brightness_of
 from fields.solver.gauss_newton import Start, TileSolution, gradients_of, second_differences_of, stiffness_of
-from fields.solver.tile import SolverTile
+from fields.solver.tile import SolverTile, brightness_of
 from fields.solver.visibility import Ground
 
 

@@ -17,7 +17,7 @@ from pyproj import CRS
 from slow_cases import slow
 from typer.testing import CliRunner
 
-from fields.sweep.passes import PASSES
+from fields.sweep.matching import PASSES
 from fields.sweep.sweep import sweep
 from fields.sweep.view_pass import SweepSettings
 from geo import read_cloud, read_reference

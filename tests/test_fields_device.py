@@ -23,7 +23,7 @@ sys.modules["drjit"] = None
 from fields.sweep.bed import unique_pixels
 from fields.sweep.maps import trusted
 from fields.device import choose_device
-from fields.sweep.passes import Pass
+from fields.sweep.matching import Pass
 from fields.sweep.sweep import sweep
 from fields.sweep.view_pass import SweepSettings
 from plane_survey import TILTED, PlaneBed, ring

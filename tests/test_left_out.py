@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from fields.solver.appearance import brightness_of
+from fields.solver.tile import brightness_of
 from fields.sweep.block import downsample, fill_small_holes
 from fields.sweep.photo_consistency import Consistency
 from survey.photos.texture import saturated_pixels

@@ -16,7 +16,6 @@ from solved_tiles import nowhere, plain_tile
 
 from fields.device import choose_device
 from fields.image_store import GreyImages
-from fields.solver.appearance import appearance_of, brightness_of
 from fields.solver.gauss_newton import Start, TileSolution, second_differences_of, stiffness_of
 from fields.solver.moving_water import bed_of, still_photograph, without_waves
 from fields.solver.roughness import roughness_of
@@ -30,7 +29,7 @@ from fields.solver.solver import (
     solve_sample,
     spread,
 )
-from fields.solver.tile import SolverTile, tiles_of
+from fields.solver.tile import SolverTile, appearance_of, brightness_of, tiles_of
 from fields.solver.views import Views
 from fields.solver.visibility import Occluder, Projector, lookup, lookup_window, project_tiles
 from fields.sweep.block import Block

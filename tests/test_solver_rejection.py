@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from solved_tiles import level, residuals, white
 
-from fields.solver.appearance import brightness_of, log_likelihood_ratio
 from fields.solver.gauss_newton import Start
 from fields.solver.noise import NoiseShares
 from fields.solver.solver import rejects_update, sweep_slope_noise_ratio
+from fields.solver.tile import brightness_of, log_likelihood_ratio
 from fields.solver.uncertainty import expected_variances
 
 TOLERANCE = 0.05

@@ -10,11 +10,10 @@ import pytest
 from plane_survey import PlaneBed, look, ring, texture
 
 from fields.sweep import matching
-from fields.sweep.discontinuities import search_discontinuities
 from fields.sweep.kernels.arrays import run_job
 from fields.sweep.kernels.stack import ViewStack
-from fields.sweep.matching import Reference
-from fields.sweep.passes import DiscontinuitySearch
+from fields.sweep.matching import DiscontinuitySearch, Reference
+from fields.sweep.view_pass import search_discontinuities
 from refract import FlatWater
 
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.34)

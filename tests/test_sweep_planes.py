@@ -7,8 +7,8 @@ import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
 from fields.sweep import fusion
+from fields.sweep.images import SIDE_PX, extrapolate_planes, slope_of, steep_and_wall_pixels
 from fields.sweep.maps import HeightMap
-from fields.sweep.planes import SIDE_PX, extrapolate_planes, slope_of, steep_and_wall_pixels
 
 # Of heights of some metres in float32.
 ROUNDING_M = 2e-6

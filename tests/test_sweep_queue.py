@@ -7,7 +7,7 @@ import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
 from fields.sweep.kernels.arrays import Launch, floats, run_job, run_jobs
-from fields.sweep.passes import DiscontinuitySearch, Pass
+from fields.sweep.matching import DiscontinuitySearch, Pass
 from fields.sweep.view_pass import SweepSettings, match_pass, view_passes
 
 BED = PlaneBed(TILTED, -2.0, slope=0.1)

@@ -12,7 +12,7 @@ from fields.sweep.fusion import agreement
 from fields.sweep.kernels.arrays import run_job
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import HeightMap, trusted
-from fields.sweep.passes import Pass, before_solver
+from fields.sweep.matching import Pass, before_solver
 from fields.sweep.sweep import predict_selected_pixels, sweep
 from fields.sweep.tiles import PART_SIDE_PX, ImageTiles
 from fields.sweep.view_pass import SweepSettings, match_pass, refine_part, view_passes

@@ -10,7 +10,7 @@ from plane_survey import SIZE, TILTED, ring
 
 from fields.image_store import Masks
 from fields.sweep.kernels.arrays import floats
-from fields.sweep.kernels.lookups import vote_on_points
+from fields.sweep.kernels.rays import vote_on_points
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.map_points import (
     SteepPixels,

@@ -14,7 +14,7 @@ from fields.device import choose_device
 from fields.sweep.bed import unique_pixels
 from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap, trusted
-from fields.sweep.passes import PASSES, Pass
+from fields.sweep.matching import PASSES, Pass
 from fields.sweep.sweep import sweep
 from fields.sweep.view_pass import SweepSettings
 from refract import FlatWater

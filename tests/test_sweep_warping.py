@@ -10,7 +10,7 @@ from plane_survey import TILTED, PlaneBed, held_in, look, ring, windows_of
 
 from fields.device import choose_device
 from fields.sweep.kernels.arrays import floats, host
-from fields.sweep.kernels.lookups import project_rays, rays_of_rows, sample
+from fields.sweep.kernels.rays import project_rays, rays_of_rows, sample
 from fields.sweep.kernels.stack import Hypotheses, ViewStack
 from fields.sweep.matching import kernels
 from refract import FlatWater, PinholeCamera

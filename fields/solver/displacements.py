@@ -8,9 +8,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from scipy import ndimage, sparse
 
-from fields.solver.appearance import Brightness
 from fields.solver.gauss_newton import TileSolution, gradients_of
-from fields.solver.tile import SolverTile
+from fields.solver.tile import Brightness, SolverTile
 from fields.solver.visibility import TileProjection
 from fields.waves.crossings import LEAST_DEPTH
 from fields.waves.surfaces import CellAdjustment, Displacements, find_surfaces

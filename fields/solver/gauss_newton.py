@@ -14,10 +14,9 @@ import numpy as np
 from scipy import ndimage, sparse
 
 from fields.image_store import GreyImages
-from fields.solver.appearance import Appearance, Brightness, appearance_of, brightness_of, log_likelihood_ratio
-from fields.solver.tile import SolverTile
+from fields.solver.tile import Appearance, Brightness, SolverTile, appearance_of, brightness_of, log_likelihood_ratio
 from fields.solver.visibility import Ground, TileProjection
-from fields.sweep.planes import slope_of
+from fields.sweep.images import slope_of
 
 ITERATIONS = 3
 APPEARANCE_ITERATIONS = 2  # Gain and offset are estimated in the first steps

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fields.image_store import GreyImages
-from fields.solver.appearance import appearance_of, brightness_of
 from fields.solver.displacements import CELL_PX, TileDisplacements, displacements_of, moved, waves_of
 from fields.solver.gauss_newton import Start
+from fields.solver.tile import appearance_of, brightness_of
 from fields.solver.views import WORKERS, TileTask, Views
 from fields.solver.visibility import Ground, TileProjection, lookup
 from fields.sweep.block import Block

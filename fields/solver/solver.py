@@ -36,9 +36,9 @@ from fields.solver.uncertainty import (
 from fields.solver.views import WORKERS, TileTask, Views
 from fields.solver.visibility import visibility_counts
 from fields.sweep.block import Block
+from fields.sweep.images import gradient_of
 from fields.sweep.kernels.arrays import sharing_cores
 from fields.sweep.maps import HeightMap, OrderedMaps, small_sample_factor, views_of
-from fields.sweep.planes import gradient_of
 from fields.waves.waves import Waves
 
 # What a survey is like is learned from so many tiles of this side, spread over those that hold this share of the kept

@@ -12,8 +12,7 @@ import numpy as np
 
 from fields.device import Device
 from fields.image_store import GreyImages
-from fields.solver.appearance import Brightness
-from fields.solver.tile import SolverTile
+from fields.solver.tile import Brightness, SolverTile
 from fields.sweep.kernels.arrays import constant, floats, host
 from fields.sweep.kernels.rays import point_at, project, refracted_rays
 from fields.sweep.kernels.stack import CameraTerms, camera_table, kernel_water

@@ -11,13 +11,12 @@ from scipy.spatial import cKDTree
 
 from fields.image_store import Masks
 from fields.sweep.block import Block
-from fields.sweep.images import median
+from fields.sweep.images import half_range, median, steep_and_wall_pixels
 from fields.sweep.kernels.arrays import free_unused
-from fields.sweep.kernels.lookups import find_duplicates, rays_and_heights
+from fields.sweep.kernels.rays import find_duplicates, rays_and_heights
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.map_points import SteepPixels, add_points_beneath, filter_steep_pixels, pixels_beside_steps
 from fields.sweep.maps import HeightMap, height_std, is_confirmed, trusted, views_of
-from fields.sweep.planes import half_range, steep_and_wall_pixels
 from fields.sweep.views import Footprint
 from refract import FlatWater, PinholeCamera
 
@@ -97,7 +96,7 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
     every later view, the four pixels around its projection whose heights agree with it; claimed pixels are duplicates.
     On walls, where neighbouring pixels lie far apart, it claims only those within the ground sampling distance ``gsd``
     [m] of it. Only trusted pixels are kept. Steep pixels are tested once more in space, which adds pixels on walls and
-    drops wrong ones (`fields.sweep.planes`). So are pixels beneath overhangs (`fields.sweep.map_points`), where one
+    drops wrong ones (`fields.sweep.images`). So are pixels beneath overhangs (`fields.sweep.map_points`), where one
     confirming view is enough.
 
     Returns Masks (height, width), in the order of `maps`.

@@ -11,13 +11,12 @@ import cv2
 import numpy as np
 
 from fields.sweep.block import Block
-from fields.sweep.images import median
+from fields.sweep.images import extrapolate_planes, median
 from fields.sweep.kernels.arrays import Job, Launch, host, run_jobs
-from fields.sweep.kernels.lookups import compare_heights, count_seeing_through
+from fields.sweep.kernels.rays import compare_heights, count_seeing_through
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import HeightMap, Maps, OrderedMaps, StoreFactory, trusted, views_of
-from fields.sweep.passes import MATCHED_NCC
-from fields.sweep.planes import extrapolate_planes
+from fields.sweep.matching import MATCHED_NCC
 
 _Agreement = tuple[np.ndarray, np.ndarray, np.ndarray]  # Number of agreeing peers, fused heights and their spread
 PEERS = 12  # Number of height maps that each is compared with

@@ -20,8 +20,7 @@ from scipy.spatial import cKDTree
 from fields.image_store import Masks
 from fields.sweep.block import Block
 from fields.sweep.kernels.arrays import floats, host
-from fields.sweep.kernels.lookups import rays_and_heights, rays_of_rows, vote_on_points
-from fields.sweep.kernels.rays import point_at
+from fields.sweep.kernels.rays import point_at, rays_and_heights, rays_of_rows, vote_on_points
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import HeightMap, trusted, views_of
 

@@ -20,11 +20,10 @@ from fields.sweep.block import Block
 from fields.sweep.fusion import PEERS, ComparedViews, fuse
 from fields.sweep.images import masked_means, median_above, newly_visible
 from fields.sweep.kernels.arrays import Job, host, run_job, run_jobs
-from fields.sweep.kernels.lookups import compare_heights
+from fields.sweep.kernels.rays import compare_heights
 from fields.sweep.kernels.stack import Hypotheses, ViewStack
 from fields.sweep.maps import HeightMap, Maps, OrderedMaps, StoreFactory, trusted
-from fields.sweep.matching import Reference, match_with_adaptive_windows
-from fields.sweep.passes import MATCHED_NCC, POINTS_SHARE, Pass
+from fields.sweep.matching import MATCHED_NCC, POINTS_SHARE, Pass, Reference, match_with_adaptive_windows
 from fields.sweep.tiles import PART_SIDE_PX
 from fields.sweep.view_pass import MatchedView, SweepSettings, ViewPass, match_pass, pixels_of, refine_part, view_passes
 from fields.sweep.views import Footprint

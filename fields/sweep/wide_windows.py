@@ -17,7 +17,7 @@ import numpy as np
 from fields.sweep.block import Block
 from fields.sweep.fusion import PEERS
 from fields.sweep.maps import HeightMap, OrderedMaps, StoreFactory, small_sample_factor, trusted, upsample_map
-from fields.sweep.passes import Pass
+from fields.sweep.matching import Pass
 from fields.sweep.sweep import sweep
 from fields.sweep.view_pass import Area, SweepSettings
 

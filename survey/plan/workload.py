@@ -18,7 +18,7 @@ from fields.models import IN_LAYER
 from fields.occluded.holes import SIDE_GSD
 from fields.sweep.block import Overlap
 from fields.sweep.kernels.stack import FEWEST_KEPT, KEPT_BYTES
-from fields.sweep.passes import PASSES, POINTS_SHARE, before_solver
+from fields.sweep.matching import PASSES, POINTS_SHARE, before_solver
 from survey import machine
 from survey.display.quantities import room, size
 from survey.errors import SurveyError

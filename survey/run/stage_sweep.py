@@ -20,7 +20,7 @@ from fields.sweep.bed import unique_pixels
 from fields.sweep.fusion import remove_free_space_violations
 from fields.sweep.map_points import places_in_plan
 from fields.sweep.maps import HeightMap, views_of
-from fields.sweep.passes import PASSES, before_solver, in_area
+from fields.sweep.matching import PASSES, before_solver, in_area
 from fields.sweep.photo_consistency import Consistency, photo_consistency
 from fields.sweep.sweep import sweep
 from fields.sweep.view_pass import SweepSettings

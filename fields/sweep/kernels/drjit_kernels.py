@@ -19,9 +19,11 @@ import numpy as np
 
 from fields.sweep.kernels import drjit_scoring as scoring
 from fields.sweep.kernels.arrays import Buffer, constant, floats, hypothesis_and_pixel, indices
-from fields.sweep.kernels.lookups import bilinear, corner_of, groups
 from fields.sweep.kernels.rays import (
+    bilinear,
+    corner_of,
     fit_curve,
+    groups,
     in_front_of_camera,
     point_at,
     point_on_curve,

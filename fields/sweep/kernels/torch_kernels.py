@@ -11,8 +11,9 @@ from torch import Tensor
 
 from fields.device import Device
 from fields.sweep.kernels.arrays import floats, indices
-from fields.sweep.kernels.lookups import bilinear, corner_of
 from fields.sweep.kernels.rays import (
+    bilinear,
+    corner_of,
     fit_curve,
     in_front_of_camera,
     point_at,

@@ -22,7 +22,7 @@ from scipy.ndimage import distance_transform_edt, map_coordinates, spline_filter
 
 from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap, trusted
-from fields.sweep.passes import PASSES
+from fields.sweep.matching import PASSES
 from fields.sweep.sweep import sweep
 from fields.sweep.view_pass import SweepSettings
 from fields.sweep.views import cells_of, overlaps

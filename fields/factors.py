@@ -91,7 +91,12 @@ class Factors(nn.Module):
         """
         if self.device.module is None or len(u) == 0:  # Dr.Jit launches nothing over nothing
             return lookup_torch(self, u.detach())
-        return lookup_drjit(self, u)
+        if self.channels % PACKET:
+            raise ValueError(
+                f"the field has {self.channels} channels, but the fused lookup reads packets of {PACKET}: "
+                f"take a multiple of {PACKET}, or the device torch"
+            )
+        return _Lookup.apply(self.planes, self.vectors, u, self)
 
 
 def nodes_of(u: Tensor, cells: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -134,19 +139,6 @@ PACKET = 4  # Numbers that a kernel reads and writes at once
 def axes_of(direction: str) -> tuple[int, int, int]:
     """Axes of the vector and of the plane's columns and rows, for a direction "x", "y" or "z"."""
     return _AXES[direction]
-
-
-def lookup_drjit(factors, u: Tensor) -> Tensor:
-    """Features (samples, scales * directions * channels); see `Factors.forward`.
-
-    Raises ValueError if the number of channels is not a multiple of the kernel's packets.
-    """
-    if factors.channels % PACKET:
-        raise ValueError(
-            f"the field has {factors.channels} channels, but the fused lookup reads packets of {PACKET}: "
-            f"take a multiple of {PACKET}, or the device torch"
-        )
-    return _Lookup.apply(factors.planes, factors.vectors, u, factors)
 
 
 class _Lookup(torch.autograd.Function):

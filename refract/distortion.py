@@ -132,9 +132,8 @@ def distort(kinds, x, y, row) -> tuple:
 def brown_with_derivatives(x, y, k1, k2, k3, p1, p2) -> tuple:
     """Coordinates (x, y) distorted by Brown's polynomial, the derivatives of both by x and y, and by the coefficients.
 
-    Returns
-    -------
-    (x_d, y_d), (of x_d by x and by y, of y_d by x and by y), two tuples of five: of x_d and of y_d by k1 k2 k3 p1 p2
+    Returns (x_d, y_d), (of x_d by x and by y, of y_d by x and by y), two tuples of five: of x_d and of y_d by k1 k2 k3
+    p1 p2.
     """
     distorted, by_xy = _misfit(x, y, (0.0, 0.0), (k1, k2, p1, p2, k3), {BROWN})
     xx, yy, mixed = x * x, y * y, 2.0 * x * y

@@ -116,10 +116,7 @@ class Lens:
 def normalised(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
     """Normalised coordinates of pixels, at depth 1 in cam, and their change across a pixel.
 
-    Returns
-    -------
-    (pixels, 2), (pixels, 2, 2)
-        Row by row; the second is d(x, y) / d(u, v) [1/px].
+    Returns (pixels, 2), (pixels, 2, 2): row by row; the second is d(x, y) / d(u, v) [1/px].
     """
     u, v = np.meshgrid(np.arange(lens.width) + 0.5, np.arange(lens.height) + 0.5)
     pixels = np.stack([u.ravel(), v.ravel()], axis=-1)

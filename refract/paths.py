@@ -97,7 +97,7 @@ def trace(origin, direction, surface: WaterSurface | None) -> BentPaths:
     require_surface(surface)
     origin, direction = common(origin=origin, direction=direction)
     given = components(origin), components(direction)
-    o, d = given
+    (o, d), xp = given, namespace(*given[0])
     valid = kernels.is_unit(d) & kernels.in_reach(o)
     if derivable(surface, *o, *d):
         # Through zeros, a ray that is not a number leaves the gradients of the others alone.
@@ -119,13 +119,8 @@ def trace(origin, direction, surface: WaterSurface | None) -> BentPaths:
         bent = kernels.chosen(meets, kernels.bend(d, facing, 1.0, n_water), straight)
     crossing = kernels.chosen(wet, at, math.nan)
     air_length = kernels.selector(valid)(kernels.selector(wet)(reach, math.inf), math.nan)
-    return _paths(origin, direction, (crossing, air_length, bent), wet)
-
-
-def _paths(origin, direction, refracted, wet) -> BentPaths:
-    """Paths in the precision of the rays and in one shape; ``refracted`` is crossing, length in air, direction."""
-    crossing, air_length, bent = refracted
-    xp, like = namespace(air_length), components(direction)[0]
+    # In the precision of the rays and in one shape.
+    like = given[1][0]
     air_length = xp.like(air_length, like)
     crossing, bent = (stack(*(xp.like(v, like) for v in c)) for c in (crossing, bent))
     air_length, wet = spread(air_length, wet, bent[..., 0])[:2]

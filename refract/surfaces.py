@@ -87,20 +87,6 @@ def _up(slope_x, slope_y) -> tuple[Any, Any, Any]:
     return -slope_x / length, -slope_y / length, 1.0 / length
 
 
-def _require_broadcast(like, numbers) -> None:
-    """ValueError unless the numbers of a water broadcast against an array of rays without their last axis."""
-    if all(isinstance(v, float) for v in numbers):
-        return
-    shapes = [tuple(v.shape) for v in (like, *numbers) if hasattr(v, "shape")]
-    try:
-        np.broadcast_shapes(*shapes)
-    except ValueError:
-        raise ValueError(
-            f"expected numbers of the water that broadcast against rays {shapes[0]} (without their last axis), got "
-            f"{shapes[1:]}; give rays one more axis for an index per channel: rays[..., None, :]"
-        ) from None
-
-
 @final
 @dataclass(frozen=True)
 class FlatWater:
@@ -159,25 +145,28 @@ class FlatWater:
         point, up, _ = self.plane(position)
         return -kernels.height_over_plane(position, point, up)
 
-    def _require_library_of(self, *triples) -> None:
-        """TypeError unless rays come from where the numbers of the water do, if those are not plain."""
-        own = {namespace(v).name for v in self._numbers} - {"numpy"}
-        given = {namespace(v).name for triple in triples for v in triple}
-        if own and own != given:
-            raise TypeError(
-                f"numbers of this FlatWater are arrays of {', '.join(sorted(own))}, rays and points of "
-                f"{', '.join(sorted(given))}; take both from one library"
-            )
-
     def plane(self, *triples) -> tuple:
         """Point, unit normal and index, as the kernels take them together with triples of arrays.
 
         Raises TypeError if the numbers of the water and the triples are arrays of different libraries; ValueError if
         shapes of numbers do not broadcast against those of numpy or torch rays.
         """
-        self._require_library_of(*triples)
-        like = triples[0][0]
-        _require_broadcast(like, self._numbers)
+        own, like = {namespace(v).name for v in self._numbers} - {"numpy"}, triples[0][0]
+        if own and own != (given := {namespace(v).name for triple in triples for v in triple}):
+            raise TypeError(
+                f"numbers of this FlatWater are arrays of {', '.join(sorted(own))}, rays and points of "
+                f"{', '.join(sorted(given))}; take both from one library"
+            )
+        if self.is_plain:
+            return self.point, self.up, self.n_water
+        shapes = [tuple(v.shape) for v in (like, *self._numbers) if hasattr(v, "shape")]
+        try:
+            np.broadcast_shapes(*shapes)
+        except ValueError:
+            raise ValueError(
+                f"expected numbers of the water that broadcast against rays {shapes[0]} (without their last axis), got "
+                f"{shapes[1:]}; give rays one more axis for an index per channel: rays[..., None, :]"
+            ) from None
         if not any(isinstance(v, np.ndarray) for v in self._numbers):
             return self.point, self.up, self.n_water
         x, y, z, n_water, slope_x, slope_y = (in_library(v, like) for v in self._numbers)

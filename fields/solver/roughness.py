@@ -109,11 +109,20 @@ def roughness_of(samples: list[tuple[SolverTile, TileSolution]], gsd: float, poo
     known: dict[int, np.ndarray] = {}
 
     def cost(step: int) -> np.ndarray:
+        """Prediction errors of each half by the other, summed over blocks of pixels."""
         if step not in known:
             roughness = START_GSD * gsd * FACTOR**step
-            known[step] = np.concatenate(
-                list(pool.map(lambda each: _prediction_errors(each[0], each[1], each[2], roughness), split))
-            )
+
+            def errors(tile: SolverTile, solved: TileSolution, halves: tuple[Half, Half]) -> np.ndarray:
+                total = sum(
+                    other.cost(heights_from_half(solved, half, roughness) - solved.height)
+                    for half, other in (halves, halves[::-1])
+                )
+                rows, columns = (index // _BLOCK_PX for index in tile.places)
+                block, number = np.unique(rows * 1000 + columns, return_inverse=True)
+                return np.bincount(number, np.where(tile.requested, total, 0.0), len(block))
+
+            known[step] = np.concatenate(list(pool.map(lambda each: errors(*each), split)))
         return known[step]
 
     best = 0
@@ -139,18 +148,6 @@ def _trimmed_mean(values: np.ndarray) -> float:
     """Trimmed mean; scipy.stats has it, and takes half a second to import."""
     out = int(TRIM * len(values))
     return float(np.sort(values)[out : len(values) - out].mean())
-
-
-def _prediction_errors(
-    tile: SolverTile, solved: TileSolution, halves: tuple[Half, Half], roughness: float
-) -> np.ndarray:
-    """Prediction errors of each half by the other, summed over blocks of pixels."""
-    total = sum(
-        other.cost(heights_from_half(solved, half, roughness) - solved.height) for half, other in (halves, halves[::-1])
-    )
-    rows, columns = (index // _BLOCK_PX for index in tile.places)
-    block, number = np.unique(rows * 1000 + columns, return_inverse=True)
-    return np.bincount(number, np.where(tile.requested, total, 0.0), len(block))
 
 
 def spectral_slope_of(samples: list[tuple[SolverTile, TileSolution]], roughness: float, response: float) -> float:

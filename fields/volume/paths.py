@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from refract import BentPaths, PinholeCamera, WaterSurface, fresnel_coefficients, trace
+from refract import PinholeCamera, WaterSurface, fresnel_coefficients, trace
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,15 @@ def paths_along(
     wet = np.where(bent.wet[:, None], bent.water_direction, bent.air_direction)
     near, far = np.zeros(len(origin)), np.full(len(origin), np.inf)
     if box is not None:
-        near, far = _between_faces(box, origin, bent, crossing, wet)
+        near, far = box.crossed(origin, bent.air_direction)
+        near, far = np.maximum(near, 0.0), np.minimum(far, crossing)
+        near, far = np.where(near < far, near, np.inf), np.where(near < far, far, -np.inf)
+        if bent.wet.any():
+            enters, leaves = box.crossed(np.where(bent.wet[:, None], bent.crossing, origin), wet)
+            enters = np.maximum(enters, 0.0)
+            under = bent.wet & (enters < leaves)
+            near = np.where(under, np.minimum(near, crossing + enters), near)
+            far = np.where(under, np.maximum(far, crossing + leaves), far)
     meets = (near < far) & np.isfinite(wet).all(axis=-1)
     near, far = np.where(meets, near, 0.0), np.where(meets, far, 0.0)
     reflectance, cos_wet = np.zeros(len(origin)), np.zeros(len(origin))
@@ -181,22 +189,6 @@ def paths_along(
         _single(reflectance), _single(cos_wet), rgb, view, torch.empty(len(origin), 0),
     )  # fmt: skip
     return paths if box is None else box.clipped(paths)
-
-
-def _between_faces(
-    box: Box, origin: np.ndarray, bent: BentPaths, crossing: np.ndarray, wet: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Path lengths (N,), (N,) [m] at which paths enter and leave a box; entry not before leaving where they miss."""
-    near, far = box.crossed(origin, bent.air_direction)
-    near, far = np.maximum(near, 0.0), np.minimum(far, crossing)
-    near, far = np.where(near < far, near, np.inf), np.where(near < far, far, -np.inf)
-    if bent.wet.any():
-        enters, leaves = box.crossed(np.where(bent.wet[:, None], bent.crossing, origin), wet)
-        enters = np.maximum(enters, 0.0)
-        under = bent.wet & (enters < leaves)
-        near = np.where(under, np.minimum(near, crossing + enters), near)
-        far = np.where(under, np.maximum(far, crossing + leaves), far)
-    return near, far
 
 
 def _single(values: np.ndarray) -> Tensor:

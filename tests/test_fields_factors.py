@@ -142,19 +142,6 @@ def crowded():
         thread.join()
 
 
-@pytest.mark.usefixtures("crowded")
-@pytest.mark.parametrize(("directions", "channels"), [("xyz", 4), ("z", 8)])
-def test_gradients_are_the_same_to_the_last_bit_whoever_runs_when(device, directions, channels, rng):
-    in_order(device)
-    factors = factors_of(device, directions, channels=channels)
-    # A few hundred samples to a cell, not a multiple of any packet: many lanes of a packet meet in one row.
-    u = torch.from_numpy(rng.uniform(0.0, 1.0, (20_011, 3)).astype(np.float32))
-    weights = torch.from_numpy(rng.standard_normal((len(u), factors.num_features)).astype(np.float32))
-    first = gradients(factors, u, weights)
-    for _ in range(20):
-        assert all(torch.equal(a, b) for a, b in zip(first, gradients(factors, u, weights), strict=True))
-
-
 def test_gradients_are_the_same_to_the_last_bit_on_any_number_of_threads(device, rng):
     in_order(device)
     import drjit as dr
@@ -215,18 +202,6 @@ def test_outside_the_box_the_value_is_that_of_its_border(device, rng):
     factors = factors_of(device, "xyz")
     u = torch.from_numpy(rng.uniform(-3.0, 4.0, (200, 3)).astype(np.float32))
     assert torch.equal(factors(u), factors(u.clamp(0.0, 1.0)))
-
-
-def test_no_gradient_flows_to_the_coordinates(device):
-    factors = factors_of(device, "z")
-    u = torch.rand(5, 3, requires_grad=True)
-    factors(u).sum().backward()
-    assert u.grad is None or not u.grad.any()
-
-
-def test_vectors_begin_near_one_so_that_planes_alone_speak_at_first():
-    torch.manual_seed(0)
-    assert (Factors(GRIDS, "z", 4, TORCH).vectors - 1.0).abs().max() < 0.1
 
 
 def test_the_fused_lookup_refuses_other_packets_than_its_kernel_reads(device):

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from fields.device import choose_device
-from fields.heads import GATE_OF_ONE, PART, ColourHead, DensityHead, spherical_harmonics
+from fields.heads import PART, ColourHead, DensityHead, spherical_harmonics
 
 L, D, F = 3, 2, 4
 # Of the largest: normal laws within 1e-7 and sums of a few hundred rows in float32; measured 6e-7.
@@ -62,18 +62,6 @@ def test_fine_density_gates_the_features_of_each_scale_by_a_weighting_network(rn
             weighted = (gate * a).reshape(D, F)
             total += [sum(weighted[m, k] for m in range(D)) for k in range(F)]
         assert value == pytest.approx(linear(head.fine, np.array(total))[0], rel=1e-12)
-
-
-def test_an_untrained_density_is_zero_in_both_stages(rng):
-    head = DensityHead(L, D, F)
-    features = torch.from_numpy(features_of(rng)).float()
-    assert not head(features).any()
-    head.switch_to_fine()
-    assert not head(features).any()
-
-
-def test_gelu_is_one_at_the_bias_of_an_open_gate():
-    assert gelu(GATE_OF_ONE) == pytest.approx(1.0, abs=2e-16)
 
 
 @pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float64, 1e-14), (torch.float32, 1e-6)])
@@ -192,12 +180,6 @@ def test_colours_and_their_gradients_do_not_depend_on_how_many_are_regressed_at_
 def test_a_bed_that_shines_needs_the_directions_it_is_seen_along(rng):
     with pytest.raises(ValueError, match="harmonics of degree 2 expect the directions"):
         ColourHead(L, D, F, degree=2)(torch.from_numpy(features_of(rng)).float(), None)
-
-
-def test_a_matt_bed_looks_the_same_from_everywhere(rng):
-    head = ColourHead(L, D, F)
-    assert torch.equal(head.weights, torch.ones(L * D * F))
-    assert head(torch.from_numpy(features_of(rng)).float(), None).shape == (6, 3)
 
 
 def test_spherical_harmonics_are_orthonormal_over_the_sphere():

@@ -13,7 +13,7 @@ from torch import nn
 from fields.volume.paths import Box, paths_along
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
-from fields.volume.shell import Shell, inverted, octaves
+from fields.volume.shell import Shell, inverted
 from refract import PinholeCamera
 
 LONG_BOX = Box(np.array([-3.0, -1.0, -2.0]), np.array([5.0, 2.0, 1.0]))
@@ -53,13 +53,6 @@ def test_paths_that_pass_outside_begin_at_their_closest_point():
     ahead = torch.tensor([[1.0, 0.0, 0.0]]).expand(3, 3)
     found = Shell.first(origin, ahead)
     assert found.tolist() == pytest.approx([1 / 2, 1 / math.sqrt(29.0), 1.0])
-
-
-def test_at_infinity_only_the_direction_is_left(rng):
-    origin, direction = random_paths(rng)
-    found = inverted(origin, direction, torch.zeros(len(origin), 1, dtype=torch.float64))[:, 0]
-    assert torch.equal(found[:, :3], direction)
-    assert not found[:, 3].any()
 
 
 def test_coordinates_are_continuous_across_the_ellipsoid(rng):
@@ -113,13 +106,6 @@ def test_an_empty_shell_shows_the_sky_of_each_direction_and_no_parallax():
     view = torch.zeros(5, dtype=torch.int64)
     seen = shell(paths_along(origins, direction.numpy(), None, torch.zeros(5, 3), BOX, view))
     torch.testing.assert_close(seen, seen[:1].expand_as(seen), rtol=1e-5, atol=1e-6)
-
-
-def test_octaves_are_sines_and_cosines_of_doubled_coordinates():
-    found = octaves(torch.tensor([[0.3, -0.2]]))[0].tolist()
-    turned = [2**k * v for v in (0.3, -0.2) for k in range(5)]
-    expected = [0.3, -0.2, *(math.sin(v) for v in turned), *(math.cos(v) for v in turned)]
-    assert found == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_shell_learns_a_distant_backdrop_behind_an_empty_box():

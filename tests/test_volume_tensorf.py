@@ -98,14 +98,6 @@ def test_cells_become_smaller_at_their_shares_of_the_training():
     assert {id(p) for g in model.rates() for p in g.parameters} == {id(p) for p in model.parameters()}
 
 
-def test_the_published_sizes():
-    model = volume(TensorfSettings(n_min=8, n_max=16))
-    assert model.basis.weight.shape == (27, 144)
-    assert [k.in_features for k in model.network if hasattr(k, "weight")] == [150, 128, 128]
-    assert [round(30_000 * share) for share in TensorfSettings().refined_at] == [2000, 3000, 4000, 5500, 7000]
-    assert [g.rate for g in model.rates()] == [0.02, 0.001]
-
-
 def test_a_state_comes_back_at_any_level():
     first = volume(seed=1)
     first.observe([1.0] * 5)

@@ -1,4 +1,4 @@
-"""Training of volumes from photographs of a painted bed under water: it is found; what is drawn is what is there."""
+"""Training of volumes from photographs of a painted bed under water, and its parts."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from contextlib import suppress
 import numpy as np
 import pytest
 import torch
+from torch import nn
 from volume_models import Interrupted, Kept
 from volume_scenes import BOX, WATER, Slab, bed_photographs, looking_down
 
 from fields.device import choose_device
+from fields.volume.model import Rates, has_converged
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
@@ -18,9 +20,13 @@ from fields.volume.tensor import TensorSettings, TensorVolume
 from fields.volume.train import (
     POOL_STEPS,
     Training,
+    adam,
+    descend,
     proxy_of,
+    set_rates,
     train_volume,
 )
+from fields.water_column import WaterColumn
 
 BED_M = -1.5
 SMALL = {"n_min": 8, "n_max": 32, "channels": 4, "degree": 0, "hidden": 16, "switch_window": 20}
@@ -132,3 +138,55 @@ def test_the_proxy_of_a_field_is_where_it_stops_light():
     assert not proxy.occupied[z > BED_M + 0.1].any()
     fog = proxy_of(VolumeRenderer(Slab(1.0 / BOX.edge)), cells, margin=0.04)
     assert not fog.occupied.any()
+
+
+def test_groups_move_by_their_share():
+    bed, colour = (nn.Parameter(torch.zeros(1)) for _ in range(2))
+    optimiser = adam([Rates([bed], 0.1), Rates([], 1.0), Rates([colour], 0.4)], eps=1e-15)
+    set_rates(optimiser, 0.5)
+    descend(optimiser, (bed - 1.0).square().sum() + (colour - 1.0).square().sum())
+    # The first step of Adam is its rate, whatever the slope.
+    assert (bed.item(), colour.item()) == (pytest.approx(0.05), pytest.approx(0.2))
+    set_rates(optimiser, 1.0)
+    assert [group["lr"] for group in optimiser.param_groups] == [0.1, 0.4]
+
+
+def test_losses_have_converged_once_they_vary_little_against_the_first_ones():
+    falling, even = [1.0 - 0.1 * k for k in range(10)], [0.1, 0.11] * 5
+    assert not has_converged(falling + even[:-1], 10, 0.01)  # too few to compare
+    assert has_converged(falling + even, 10, 0.01)
+    assert not has_converged(falling + falling, 10, 0.01)
+
+
+def test_the_water_column_absorbs_and_veils_and_its_surface_reflects(rng):
+    column = WaterColumn().double()
+    with torch.no_grad():
+        for parameter in column.parameters():
+            parameter.copy_(torch.from_numpy(rng.standard_normal(3)))
+    bed, length, r = torch.tensor([[0.6, 0.4, 0.2]]).double(), torch.tensor([2.5]).double(), torch.tensor([0.03])
+    a, veil, sky = (
+        np.log1p(np.exp(p.detach().numpy())) for p in (column.raw_absorption, column.raw_veil, column.raw_sky)
+    )
+    kept = np.exp(-a * 2.5)
+    below = kept * (0.6, 0.4, 0.2) + (1.0 - kept) * veil
+    np.testing.assert_allclose(column(bed, length, r.double())[0].detach(), 0.97 * below + 0.03 * sky, rtol=1e-6)
+
+
+def test_of_each_pair_what_is_given_is_a_constant_and_what_is_not_is_learned():
+    known = {"absorption": (0.2, 0.1, 0.3), "veil": (0.0, 0.1, 0.2)}
+    for given in ({}, {"absorption": known["absorption"]}, {"veil": known["veil"]}, known):
+        column = WaterColumn(**given)
+        learned = {f"raw_{name}" for name in known.keys() - given.keys()} | {"raw_sky"}
+        assert {name for name, _ in column.named_parameters()} == learned
+        assert column.state_dict().keys() == learned | {f"given_{name}" for name in given}
+        for name, value in given.items():
+            torch.testing.assert_close(getattr(column, name), torch.tensor(value))
+
+
+def test_no_water_shows_the_bed_and_endless_water_the_veil():
+    column = WaterColumn()
+    bed = torch.rand(4, 3)
+    dark = torch.zeros(4)
+    torch.testing.assert_close(column(bed, torch.zeros(4), dark), bed)
+    veil = torch.nn.functional.softplus(column.raw_veil).expand(4, 3)
+    torch.testing.assert_close(column(bed, torch.full((4,), 1e4), dark), veil)

@@ -59,67 +59,57 @@ class GreyImages(LazyImages):
         *,
         of_one_size: bool = True,
     ):
-        kept = [_GreyImage(image, store_array) for image in images]
-        shapes = {each.levels.shape for each in kept}
+        kept = [_stored(image, store_array or (lambda array: array)) for image in images]
+        shapes = {each[0].shape for each in kept}
         if of_one_size and len(shapes) > 1:
             raise ValueError(f"expected images of one size, got {sorted(shapes)}")
         self._hold(kept)
 
-    def _hold(self, kept: list[_GreyImage]) -> None:
+    def _hold(self, kept: list[tuple[Any, Any, bool]]) -> None:
         self._kept = kept
-        largest = tuple(max(sides) for sides in zip(*(each.levels.shape for each in kept), strict=True)) or (0, 0)
-        super().__init__(lambda view: kept[view].whole(), len(kept), largest)
+        largest = tuple(max(sides) for sides in zip(*(each[0].shape for each in kept), strict=True)) or (0, 0)
+        super().__init__(lambda view: _window(kept[view], slice(None), slice(None), write=False), len(kept), largest)
 
-    def __getstate__(self) -> list[_GreyImage]:
+    def __getstate__(self) -> list[tuple[Any, Any, bool]]:
         """State for pickling: images kept in files are pickled by path, without pixels."""
         return self._kept
 
-    def __setstate__(self, kept: list[_GreyImage]) -> None:
+    def __setstate__(self, kept: list[tuple[Any, Any, bool]]) -> None:
         self._hold(kept)
 
     def window(self, view: int, rows: slice, columns: slice) -> np.ndarray:
         """Window of an image."""
-        return self._kept[view].window(rows, columns)
+        return _window(self._kept[view], rows, columns)
 
     def is_masked(self, view: int) -> bool:
         """Whether any pixel of an image is masked."""
-        return self._kept[view].is_masked
+        return self._kept[view][2]
 
     @property
     def are_unmasked(self) -> bool:
         """Whether no pixel is masked."""
-        return not any(each.is_masked for each in self._kept)
+        return not any(is_masked for _, _, is_masked in self._kept)
 
 
-class _GreyImage:
-    """Grey image: its levels as int8 and a mask where that loses nothing, as float32 otherwise."""
+def _stored(image: np.ndarray, store_array: Callable[[np.ndarray], Any]) -> tuple[Any, Any, bool]:
+    """Levels of a grey image, bits of its mask, and whether it has one: int8 where that loses nothing, or float32."""
+    levels = np.asarray(image, dtype=np.float32)
+    masked = np.isnan(levels)
+    is_masked = bool(masked.any())
+    known = np.where(masked, np.float32(0.0), levels) if is_masked else levels
+    if known.min() < -128.0 or known.max() > 127.0 or not np.array_equal(small := known.astype(np.int8), known):
+        return store_array(levels), None, is_masked
+    return store_array(small), store_array(np.packbits(masked, axis=1)) if is_masked else None, is_masked
 
-    def __init__(self, image: np.ndarray, store_array: Callable[[np.ndarray], Any] | None = None):
-        levels = np.asarray(image, dtype=np.float32)
-        masked = np.isnan(levels)
-        self.is_masked = bool(masked.any())
-        self.levels: Any = levels
-        self.masked: Any | None = None
-        known = np.where(masked, np.float32(0.0), levels) if self.is_masked else levels
-        if known.min() >= -128.0 and known.max() <= 127.0 and np.array_equal(small := known.astype(np.int8), known):
-            self.levels, self.masked = small, np.packbits(masked, axis=1) if self.is_masked else None
-        if store_array is not None:
-            self.levels = store_array(self.levels)
-            self.masked = None if self.masked is None else store_array(self.masked)
 
-    def whole(self) -> np.ndarray:
-        """The whole image."""
-        image = self.window(slice(None), slice(None))
-        image.flags.writeable = False
-        return image
-
-    def window(self, rows: slice, columns: slice) -> np.ndarray:
-        """Window of the image."""
-        image = self.levels[rows, columns].astype(np.float32)
-        if self.masked is not None:
-            bits = np.unpackbits(self.masked[rows, :], axis=1, count=self.levels.shape[1])
-            image[bits[:, columns].view(bool)] = np.nan
-        return image
+def _window(of: tuple[Any, Any, bool], rows: slice, columns: slice, *, write: bool = True) -> np.ndarray:
+    levels, masked, _ = of
+    image = levels[rows, columns].astype(np.float32)
+    if masked is not None:
+        bits = np.unpackbits(masked[rows, :], axis=1, count=levels.shape[1])
+        image[bits[:, columns].view(bool)] = np.nan
+    image.flags.writeable = write
+    return image
 
 
 class Masks(Sequence):

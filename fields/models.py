@@ -32,22 +32,15 @@ class Entry:
     field: str  # What it is made of, for docs/field.md
     source: str
     made_by: str  # "module:callable" that makes it, untrained, of a `fields.volume.model.Setup`; imported when built
-    in_layer: bool = False  # Whether `bathynerf process --field` offers it, in a layer about the bed
 
 
 MODELS = {
     "mdw": Entry(
-        "MDW",
-        "planes times vectors at several scales, with weighted density",
-        "MDW-NeRF",
-        "fields.volume.tensor:mdw",
-        in_layer=True,
+        "MDW", "planes times vectors at several scales, with weighted density", "MDW-NeRF", "fields.volume.tensor:mdw"
     ),
-    "m": Entry("M", "mdw without the weighting", "its ablation", "fields.volume.tensor:m", in_layer=True),
-    "dw": Entry("DW", "mdw at one scale", "its ablation", "fields.volume.tensor:dw", in_layer=True),
-    "vm": Entry(
-        "VM", "mdw at one scale without the weighting", "its ablation", "fields.volume.tensor:vm", in_layer=True
-    ),
+    "m": Entry("M", "mdw without the weighting", "its ablation", "fields.volume.tensor:m"),
+    "dw": Entry("DW", "mdw at one scale", "its ablation", "fields.volume.tensor:dw"),
+    "vm": Entry("VM", "mdw at one scale without the weighting", "its ablation", "fields.volume.tensor:vm"),
     "tensorf": Entry(
         "TensoRF",
         "planes times vectors of density and of colour apart, cells refined in five steps, total variation",
@@ -79,10 +72,10 @@ MODELS = {
         "ground planes",
         "experimental: planes over the ground, and a perceptron beside them",
         "Grid-NeRF",
-        "fields.volume.ground_plane:ground",
+        "fields.volume.mlp:ground",
     ),
 }
-IN_LAYER = tuple(name for name, entry in MODELS.items() if entry.in_layer)
+IN_LAYER = ("mdw", "m", "dw", "vm")  # Those that `bathynerf process --field` offers, in a layer about the bed
 
 
 def maker(name: str) -> Callable[[Any], Any]:

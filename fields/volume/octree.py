@@ -148,23 +148,25 @@ class OctreeVolume(VolumeModel):
     def inconsistency(self, parent: Tensor, child: Tensor) -> Tensor:
         """Equation (4) of parents (P,) and their children (P,), at points drawn a cell inside the children."""
         counts = torch.tensor(self.counts, device=self.place)
-        edge = 2.0 ** -self.level[child].to(torch.float32)[:, None, None]
         cell, inner = 1.0 / counts, counts >= 3
-        margin = torch.where(inner, cell, 0.0)
-        u = self.low[child][:, None] + edge * (
-            margin + (1.0 - 2.0 * margin) * torch.rand(1, POINTS, 3, device=self.place)
-        )
         axes = (torch.eye(3, device=self.place) * cell)[inner]
-        offsets = torch.cat([axes.new_zeros(1, 3), axes, -axes])
+        u, fine = self._drawn_in(child, 1, torch.where(inner, cell, 0.0), axes)
+        length = (self.box.edge / self.settings.cells) * 2.0 ** -self.level[parent].to(torch.float32)[:, None]
+        coarse = self._density(self.features(u.reshape(-1, 3), parent.repeat_interleave(POINTS))).view(-1, POINTS)
+        kept = torch.exp(-fine * length[..., None]).mean(dim=2)
+        return ((kept - torch.exp(-coarse * length)) ** 2).mean()
+
+    def _drawn_in(self, node: Tensor, different: int, margin: Tensor, axes: Tensor) -> tuple[Tensor, Tensor]:
+        """Points (P, `POINTS`, 3) drawn a margin inside nodes (P,), and densities there and at offsets by +-axes.
+
+        The offsets and the margin are shares of a node, in which the points are the same unless P are ``different``.
+        """
+        share = margin + (1.0 - 2.0 * margin) * torch.rand(different, POINTS, 3, device=self.place)
+        edge = 2.0 ** -self.level[node].to(torch.float32)[:, None, None]
+        u, offsets = self.low[node][:, None] + edge * share, torch.cat([torch.zeros_like(axes[:1]), axes, -axes])
         near = (u[:, :, None] + edge[..., None] * offsets).reshape(-1, 3)
-        length = (self.box.edge / self.settings.cells) * 2.0 ** -self.level[parent].to(torch.float32)
-        fine = self._density(self.features(near, child.repeat_interleave(len(offsets) * POINTS)))
-        fine = fine.view(len(child), POINTS, len(offsets))
-        coarse = self._density(self.features(u.reshape(-1, 3), parent.repeat_interleave(POINTS))).view(
-            len(child), POINTS
-        )
-        kept = torch.exp(-fine * length[:, None, None]).mean(dim=2)
-        return ((kept - torch.exp(-coarse * length[:, None])) ** 2).mean()
+        density = self._density(self.features(near, node.repeat_interleave(POINTS * len(offsets))))
+        return u, density.view(len(node), POINTS, -1)
 
     def observe(self, losses: list[float]) -> bool:
         of, self._step = self.settings, len(losses)
@@ -191,17 +193,12 @@ class OctreeVolume(VolumeModel):
         if not len(leaves):
             return
         node = leaves[torch.randperm(len(leaves), device=leaves.device)[:SCORED]]
-        edge = 2.0 ** -self.level[node].to(torch.float32)
         counts = torch.tensor(self.counts, device=self.place)
         # Along axes of one or two cells half a cell to each side of a point has to lie in the node.
         margin = torch.where(counts < 3, 0.5 / counts, 0.0)
-        share = margin + (1.0 - 2.0 * margin) * torch.rand(len(node), POINTS, 3, device=self.place)
-        u = self.low[node][:, None] + edge[:, None, None] * share
-        axes = torch.eye(3, device=self.place) / counts
-        offsets = 0.5 * torch.cat([torch.zeros_like(axes[:1]), axes, -axes])
-        near = (u[:, :, None] + edge[:, None, None, None] * offsets).reshape(-1, 3)
-        density = self._density(self.features(near, node.repeat_interleave(7 * POINTS))).view(len(node), POINTS, 7)
-        a = -torch.expm1(-density * (self.box.edge / self.settings.cells) * edge[:, None, None])
+        _, density = self._drawn_in(node, len(node), margin, 0.5 * torch.eye(3, device=self.place) / counts)
+        length = (self.box.edge / self.settings.cells) * 2.0 ** -self.level[node].to(torch.float32)
+        a = -torch.expm1(-density * length[:, None, None])
         gradient = (a[..., 1:4] - a[..., 4:]).mean(dim=1).norm(dim=1)
         fresh = gradient + a[..., 0].var(dim=1, correction=0)
         self.score[node] = self.settings.decay * self.score[node] + (1.0 - self.settings.decay) * fresh

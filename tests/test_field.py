@@ -314,15 +314,6 @@ def test_normals_turn_with_the_camera_whatever_file_holds_them(tmp_path, suffix)
     np.testing.assert_allclose(found.normal[20, 60], -turn[2], atol=0.01)
 
 
-def test_normals_that_point_away_are_refused_where_few_are_known(tmp_path):
-    normals = np.full((48, 64, 3), np.nan, dtype=np.float32)
-    normals[:, 50:] = (0.0, 0.0, 1.0)
-    np.save(tmp_path / "a_normal.npy", normals)
-    camera = PinholeCamera(np.zeros(3), np.eye(3), 50.0, 50.0, 32.0, 24.0, 64, 48)
-    with pytest.raises(SurveyError, match="100 % of its normals point away from the camera"):
-        monocular_priors(tmp_path, ["a.jpg"], [camera])
-
-
 def test_losses_on_priors_need_priors():
     with pytest.raises(SurveyError, match="name their folder with --monocular DIR"):
         VolumeOptions(losses=Losses(depth=0.1))

@@ -177,16 +177,6 @@ def test_no_samples_give_no_features_and_no_gradient(device):
     assert not to_vectors.any()
 
 
-def test_samples_that_all_meet_in_one_cell_add_up(device):
-    factors = factors_of(device, "xyz", grids=[Grid(2, 2, 2)])
-    u = torch.full((1000, 3), 0.25)  # on the first node
-    to_planes, to_vectors = gradients(factors, u, torch.ones(1000, factors.num_features))
-    # Sums of a thousand equal numbers in float32: each addition rounds by half a step, 1000 * 6e-8 at the worst.
-    torch.testing.assert_close(to_planes[0], 1000.0 * factors.vectors[0].detach(), rtol=6e-5, atol=0.0)
-    torch.testing.assert_close(to_vectors[0], 1000.0 * factors.planes[0].detach(), rtol=6e-5, atol=0.0)
-    assert not to_planes[1].any()
-
-
 @pytest.mark.parametrize("directions", ["z", "xyz"])
 def test_gradients_of_the_twin_are_those_of_differences(directions, rng):
     factors = factors_of(TORCH, directions, grids=GRIDS[:2], channels=2).double()

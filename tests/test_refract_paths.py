@@ -41,18 +41,6 @@ def test_crossing_lies_on_the_surface_and_on_the_air_leg(rng, water):
     np.testing.assert_allclose(path.crossing[:, 2], height, atol=LENGTH_M)
 
 
-@pytest.mark.parametrize("water", [LEVEL, TILTED])
-def test_both_legs_meet_at_the_crossing(rng, water):
-    path = trace(CENTRE, falling_rays(rng, steepest=60.0), water)
-    np.testing.assert_allclose(path.at_height(0.0, water), path.crossing, atol=LENGTH_M)
-    np.testing.assert_allclose(path.at(path.air_length), path.crossing, atol=LENGTH_M)
-    for tiny in (1e-9, 1e-6):
-        above, below = path.at_height(tiny, water), path.at_height(-tiny, water)
-        # 60 deg and a tilt of 7 deg: a height h takes at most h / cos(67 deg) of path
-        assert np.linalg.norm(above - path.crossing, axis=-1).max() < 3 * tiny + LENGTH_M
-        assert np.linalg.norm(below - path.crossing, axis=-1).max() < 3 * tiny + LENGTH_M
-
-
 @pytest.mark.parametrize("water", [LEVEL, TILTED, None])
 def test_heights_are_measured_along_the_normal_of_the_plane(rng, water):
     path = trace(CENTRE, falling_rays(rng, steepest=60.0), water)

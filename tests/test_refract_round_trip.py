@@ -257,12 +257,6 @@ def test_crossings_of_another_package_are_met(data_dir):
         np.testing.assert_allclose(path.water_direction, xyz("dx", "dy", "dz"), atol=1e-12)
 
 
-def test_a_point_straight_below_is_seen_straight_below():
-    water = FlatWater((0.0, 0.0, 1.0), n_water=1.333)
-    found = crossing_point(np.array([4.0, 5.0, -3.0]), np.array([4.0, 5.0, 30.0]), water)
-    np.testing.assert_array_equal(found, [4.0, 5.0, 1.0])
-
-
 @pytest.mark.parametrize(
     ("water", "camera_z", "heights"),
     [(WATER, 35.0, (0.0, 9.0)), (None, 35.0, (-9.0, 9.0)), *((WATER, z, (-9.0, 3.0)) for z in (0.0, -0.5, -20.0))],

@@ -132,26 +132,6 @@ def test_the_caustic_lies_at_the_tangential_depth_and_shift(angle_deg):
     assert -(x + depth * slope) == pytest.approx(tangential_shift(DEPTH, angle, n_water=N), abs=CLOSED * H)
 
 
-@pytest.mark.parametrize(
-    ("angle_deg", "sagittal", "tangential", "shift", "small_angle"),
-    [
-        (0, 0.7502, 0.7502, 0.0, 1.000),
-        (10, 0.7451, 0.7351, 0.0018, 0.9933),
-        (20, 0.7294, 0.6894, 0.0145, 0.9722),
-        (30, 0.7009, 0.6117, 0.0515, 0.9342),
-        (40, 0.6560, 0.5016, 0.1296, 0.8744),
-        (45, 0.6258, 0.4354, 0.1904, 0.8341),
-        (60, 0.4934, 0.2134, 0.4849, 0.6577),
-    ],
-)
-def test_published_table_for_fresh_water(angle_deg, sagittal, tangential, shift, small_angle):
-    angle, rounded = math.radians(angle_deg), 5.1e-5
-    assert apparent_depth(1.0, angle, n_water=N) == pytest.approx(sagittal, abs=rounded)
-    assert apparent_depth_tangential(1.0, angle, n_water=N) == pytest.approx(tangential, abs=rounded)
-    assert tangential_shift(1.0, angle, n_water=N) == pytest.approx(shift, abs=rounded)
-    assert N * apparent_depth(1.0, angle, n_water=N) == pytest.approx(small_angle, abs=rounded)
-
-
 def sample_camera(row) -> PinholeCamera:
     """A camera of the sample of pyBathySfM: its Euler angles turn north, east, up; 8.8 mm over 13.2 x 8.8 mm."""
     yaw = row["yaw"] if row["yaw"] <= 180.0 else row["yaw"] - 360.0
@@ -233,13 +213,6 @@ def test_reflectance_is_that_of_fresnels_sine_and_tangent_laws():
     np.testing.assert_allclose(found.reflectance_s, (np.sin(angle - other) / np.sin(angle + other)) ** 2, rtol=1e-11)
     tangents = (np.tan(angle - other) / np.tan(angle + other)) ** 2
     np.testing.assert_allclose(found.reflectance_p, tangents, rtol=1e-11, atol=1e-15)
-
-
-def test_at_brewsters_angle_only_one_polarisation_is_reflected():
-    found = into_water(BREWSTER)
-    assert math.degrees(BREWSTER) == pytest.approx(53.12, abs=0.005)
-    assert found.reflectance_p == pytest.approx(0.0, abs=1e-30)
-    assert found.reflectance_s == pytest.approx(((1.0 - N_FRESNEL**2) / (1.0 + N_FRESNEL**2)) ** 2, rel=1e-13)
 
 
 def test_light_along_the_surface_is_reflected_and_none_at_equal_indices():

@@ -63,11 +63,6 @@ def test_a_steep_pixel_goes_if_more_maps_are_sure_to_look_through_it_than_have_i
     assert found == [stays, False, False, False]
 
 
-def test_a_pixel_that_is_not_steep_stays_whatever_looks_through_it(device):
-    stack = level_stack(device, [HEIGHT, *[-2.5] * 3])
-    assert settled(stack, masks(4), masks(4), masks(4, m0=True)) == [True, False, False, False]
-
-
 @pytest.mark.parametrize(
     ("others", "added"),
     [([HEIGHT] * 4, True), ([HEIGHT] * 3, False), ([HEIGHT] * 4 + [-2.5], True), ([HEIGHT] * 4 + [-2.5] * 2, False)],
@@ -191,12 +186,6 @@ def test_far_from_all_points_one_map_is_enough_unless_more_see_through_it(device
 
 def test_without_a_kept_point_above_nothing_is_added(device):
     assert not added(device, [level(HEIGHT)] * 3 + [level(OVER)], masks(4))
-
-
-def test_where_a_kept_point_is_near_nothing_is_added(device):
-    kept = last_map_kept(4)
-    kept[1] = np.ones(SHAPE, bool)
-    assert not added(device, [level(HEIGHT)] * 3 + [level(OVER)], kept)
 
 
 def test_beside_a_step_is_what_lies_below_it_within_six_pixels():

@@ -107,13 +107,6 @@ def test_cover_sees_every_cell_as_often_as_asked_or_as_it_can_be(times):
         assert len(chosen) < len(cameras)
 
 
-def test_cover_takes_one_of_views_that_see_the_same():
-    cameras = [flight(1)[0]] * 5
-    seen, cells = views.coverage(cameras, WATER, -2.0)
-    assert len(views.cover(seen, cells, cameras, 1, 0)) == 1
-    assert len(views.cover(seen, cells, cameras, 3, 0)) == 3
-
-
 def test_cover_looks_at_each_place_from_the_four_quarters_too():
     around = [look((9.0 * x, 9.0 * y, 10.0), (0.0, 0.0, -2.0)) for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
     cameras = [*ring(6), *around, *around]

@@ -26,9 +26,8 @@ def weighted_drjit(
 ) -> Tensor:
     """Density (samples,) of features (samples, L D F), without the bias of the last map.
 
-    Raises ValueError if F is not a multiple of the kernel's packets.
-
-    ``layers``: weight and bias of the three maps of the gate; ``fine`` (1, L F); ``shape`` (L, D, F).
+    Raises ValueError if F is not a multiple of the kernel's packets. ``layers``: weight and bias of the three maps of
+    the gate; ``fine`` (1, L F); ``shape`` (L, D, F).
     """
     if shape[2] % PACKET:
         raise ValueError(

@@ -101,9 +101,8 @@ def tensor_place(device: Device) -> str:
 def choose_device(wanted: str = "auto") -> Device:
     """The backend for the inner loops.
 
-    Raises ValueError if CUDA is requested but not available, or the word is unknown.
-
-    ``wanted``: "auto" takes CUDA, then LLVM, then torch; "cpu" LLVM, then torch.
+    Raises ValueError if CUDA is requested but not available, or the word is unknown. ``wanted``: "auto" takes CUDA,
+    then LLVM, then torch; "cpu" LLVM, then torch.
     """
     if wanted not in ("auto", "cpu", "cuda", "torch"):
         raise ValueError(f"device is {wanted!r}, expected auto, cpu, cuda or torch")

@@ -81,9 +81,8 @@ IN_LAYER = ("mdw", "m", "dw", "vm")  # Those that `bathynerf process --field` of
 def maker(name: str) -> Callable[[Any], Any]:
     """What makes a model of a `fields.volume.model.Setup`.
 
-    Raises ValueError if there is none of that name, or it cannot be imported.
-
-    ``name``: a key of `MODELS`, an entry point of `GROUP`, or "package.module:Class".
+    Raises ValueError if there is none of that name, or it cannot be imported. ``name``: a key of `MODELS`, an entry
+    point of `GROUP`, or "package.module:Class".
     """
     place = MODELS[name].made_by if name in MODELS else name
     if ":" not in place:

@@ -184,15 +184,12 @@ def air_share(D_squared, H, h, n, steps, like=None):
     """Root ``u`` of ``u + h u / S = 1``, ``S^2 = a^2 + b^2 u^2``: the part of D that lies in air.
 
     With ``a = n H`` and ``b^2 = (n^2 - 1) D^2`` that is Snell's law: ``u D / H`` is the tangent in air, ``u D / S``
-    that in water, and the two legs together cover D. The left side rises and is concave. `_start` and ``steps``
-    steps of Halley find the root; four reach the last bits of float64 for any H, h and D (docs/optics.md).
-
-    With an array ``like`` in float32 and the others in float64, only the residual of the equation is computed in
-    float64, and that only in the last step, which triples the digits of float32: three steps are enough.
-
-    Only ``D^2`` enters, so all is smooth where the camera is straight above. The derivatives are those of the implicit
-    function: the last step carries them, and no step before is differentiated. Being of third order, it has the first
-    two to the last bits.
+    that in water, and the two legs together cover D. The left side rises and is concave. `_start` and ``steps`` steps
+    of Halley find the root; four reach the last bits of float64 for any H, h and D (docs/optics.md). With an array
+    ``like`` in float32 and the others in float64, only the residual of the equation is computed in float64, and that
+    only in the last step, which triples the digits of float32: three steps are enough. Only ``D^2`` enters, so all is
+    smooth where the camera is straight above. The derivatives are those of the implicit function: the last step carries
+    them, and no step before is differentiated. Being of third order, it has the first two to the last bits.
     """
     terms = n * H, (n - 1.0) * (n + 1.0) * D_squared, h
     xp = namespace(*terms)

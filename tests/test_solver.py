@@ -16,22 +16,11 @@ from solved_tiles import level, nowhere, plain_tile, residuals, white
 
 from fields.device import choose_device
 from fields.image_store import GreyImages
+from fields.solver import solver
 from fields.solver.gauss_newton import Start, TileSolution, second_differences_of, stiffness_of
 from fields.solver.moving_water import bed_of, still_photograph, without_waves
 from fields.solver.noise import NoiseShares
 from fields.solver.roughness import roughness_of
-from fields.solver.solver import (
-    SolvedMap,
-    SolverFigures,
-    count_in_squares,
-    figures_of,
-    rejects_update,
-    sampled,
-    solve_maps,
-    solve_sample,
-    spread,
-    sweep_slope_noise_ratio,
-)
 from fields.solver.tile import SolverTile, appearance_of, brightness_of, log_likelihood_ratio, tiles_of
 from fields.solver.uncertainty import expected_variances
 from fields.solver.views import Views
@@ -136,20 +125,20 @@ def middle(margin: int = 14) -> np.ndarray:
     return wanted
 
 
-def learned(block, maps, kept) -> SolverFigures:
+def learned(block, maps, kept) -> solver.SolverFigures:
     """What a sample of the kept pixels of a block tells of its survey."""
-    places = spread(count_in_squares(block, maps, kept))
-    return figures_of(solve_sample(block, maps, kept, places, GSD), GSD, is_wet=block.water is not None)
+    places = solver.spread(solver.count_in_squares(block, maps, kept))
+    return solver.figures_of(solver.solve_sample(block, maps, kept, places, GSD), GSD, is_wet=block.water is not None)
 
 
 def solved(
     noise: float, slope: float, wrong_gsd: float = 0.6
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, SolverFigures]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, solver.SolverFigures]:
     """Errors of the sweep and of the solver in the first map, the std, and what was learned."""
     block, maps, truth = survey(noise, slope, wrong_gsd)
     kept = [middle() if m.view == 0 else np.zeros((SIZE, SIZE), dtype=bool) for m in maps]
     figures = learned(block, maps, kept)
-    found, _, _ = solve_maps(block, maps, kept, figures, GSD, lambda share: None)
+    found, _, _ = solver.solve_maps(block, maps, kept, figures, GSD, lambda share: None)
     start = (maps[0].height - truth).flat[found[0].pixels]
     return start, found[0].height - truth.flat[found[0].pixels], found[0].std, figures
 
@@ -158,7 +147,7 @@ def errors_in_waves(amplitude: float) -> tuple[np.ndarray, np.ndarray, Waves | N
     """Errors of the solver in the first map, their std, and the surfaces."""
     block, maps, truth = survey(1.0, 0.1, 0.6, amplitude)
     kept = [middle(6) if m.view == 0 else np.zeros((SIZE, SIZE), dtype=bool) for m in maps]
-    found, _, waves = solve_maps(block, maps, kept, learned(block, maps, kept), GSD, lambda share: None)
+    found, _, waves = solver.solve_maps(block, maps, kept, learned(block, maps, kept), GSD, lambda share: None)
     return found[0].height - truth.flat[found[0].pixels], found[0].std, waves
 
 
@@ -190,7 +179,7 @@ def still_block(block: Block, maps: list[HeightMap]) -> Block | None:
     """A block as it would be over still water."""
     kept = [middle(6) if m.view == 0 else np.zeros(m.height.shape, dtype=bool) for m in maps]
     views = Views.of(block, maps)
-    sample = sampled(views, kept, spread(count_in_squares(block, maps, kept)))
+    sample = solver.sampled(views, kept, solver.spread(solver.count_in_squares(block, maps, kept)))
     found = without_waves(block, views, kept, sample, GSD)
     return None if found is None else found[0]
 
@@ -279,7 +268,7 @@ def test_pixels_that_look_along_a_wall_keep_the_heights_of_the_sweep():
     height[:, SIZE // 2 :] += 20.0 * GSD
     maps = [replace(maps[0], height=height), *maps[1:]]
     kept = [middle() if m.view == 0 else np.zeros((SIZE, SIZE), dtype=bool) for m in maps]
-    found, _, _ = solve_maps(block, maps, kept, learned(block, maps, kept), GSD, lambda share: None)
+    found, _, _ = solver.solve_maps(block, maps, kept, learned(block, maps, kept), GSD, lambda share: None)
     columns = np.arange(14, SIZE - 14)
     beside = (columns == SIZE // 2 - 1) | (columns == SIZE // 2)
     np.testing.assert_array_equal(np.unique(found[0].pixels % SIZE), columns[~beside])
@@ -372,7 +361,7 @@ def test_tiles_hold_every_wanted_pixel_once():
 def test_a_map_takes_solved_heights_and_keeps_the_others():
     level = np.zeros((4, 5), dtype=np.float32)
     height_map = HeightMap(0, level, level, level.astype(np.uint8), level)
-    refined, std = SolvedMap(np.array([7]), np.array([-1.5]), np.array([0.01])).over(height_map)
+    refined, std = solver.SolvedMap(np.array([7]), np.array([-1.5]), np.array([0.01])).over(height_map)
     assert refined.height[1, 2] == -1.5
     assert np.count_nonzero(refined.height) == 1
     assert np.isfinite(std).sum() == 1
@@ -381,8 +370,8 @@ def test_a_map_takes_solved_heights_and_keeps_the_others():
 def test_nothing_kept_is_nothing_solved():
     block, maps, _ = survey(4.0, 0.2)
     nothing = [np.zeros((SIZE, SIZE), dtype=bool)] * 9
-    assert count_in_squares(block, maps, nothing) == [[]] * 9
-    found, visibility, _ = solve_maps(block, maps, nothing, None, GSD, lambda share: None)
+    assert solver.count_in_squares(block, maps, nothing) == [[]] * 9
+    found, visibility, _ = solver.solve_maps(block, maps, nothing, None, GSD, lambda share: None)
     assert [len(each.pixels) for each in found] == [0] * 9
     assert not visibility.any()
 
@@ -456,7 +445,7 @@ def kept(slope: float = 0.0, gain: float = 0.0, by_noise: float = 1e-8, noise: N
     of_middle = middle.ravel()
     start = Start(solved.height, slope * of_middle)
     solved = replace(solved, start=start, improvement=gain * of_middle)
-    found = rejects_update(tile, solved, np.full(len(tile), by_noise), noise, 1.0, TOLERANCE)
+    found = solver.rejects_update(tile, solved, np.full(len(tile), by_noise), noise, 1.0, TOLERANCE)
     assert not found[middle.ravel() == 0.0].any() or gain < 0.0
     return found.reshape(40, 40)[19:21, 19:21]
 
@@ -488,7 +477,7 @@ def test_a_pixel_of_which_no_second_photograph_has_a_say_keeps_the_height_of_the
         solved, brightness=replace(solved.brightness, weight=weight), improvement=np.zeros(len(tile), np.float32)
     )
     solved = replace(solved, start=Start(solved.height, np.zeros(len(tile), np.float32)))
-    found = rejects_update(tile, solved, np.full(len(tile), 1e-8), NOISE, 1.0, TOLERANCE)
+    found = solver.rejects_update(tile, solved, np.full(len(tile), 1e-8), NOISE, 1.0, TOLERANCE)
     assert found[:5].all()
     assert not found[5:].any()
 
@@ -500,7 +489,7 @@ def test_slopes_by_noise_are_those_of_heights_that_are_noise_alone(rng):
     noisy[tile.number[30:33, 30:33].ravel()] = 5.0
     moved = replace(solved, start=Start(solved.height - noisy, noisy))
     # Of the plane through nine independent heights each component is known to the root of a sixth of their variance.
-    assert sweep_slope_noise_ratio([(tile, moved)], 0.01, NOISE) == pytest.approx(3.0 / np.sqrt(6.0), rel=0.06)
+    assert solver.sweep_slope_noise_ratio([(tile, moved)], 0.01, NOISE) == pytest.approx(3.0 / np.sqrt(6.0), rel=0.06)
 
 
 def test_gain_is_large_where_photographs_came_to_agree_and_leaves_out_what_only_one_time_shows():

@@ -9,18 +9,10 @@ import pytest
 from plane_survey import SIZE, TILTED, ring
 
 from fields.image_store import Masks
+from fields.sweep import map_points
 from fields.sweep.kernels.arrays import floats
 from fields.sweep.kernels.rays import vote_on_points
 from fields.sweep.kernels.stack import ViewStack
-from fields.sweep.map_points import (
-    SteepPixels,
-    add_points_beneath,
-    are_off_surface,
-    filter_steep_pixels,
-    pixels_beside_steps,
-    thin_out,
-    without_ghosts,
-)
 from fields.sweep.maps import HeightMap
 
 SHAPE, HEIGHT, GSD = SIZE[::-1], -2.0, 0.02
@@ -52,7 +44,7 @@ def level_stack(device, heights: list[float]) -> ViewStack:
 
 def settled(stack: ViewStack, steep: Masks, fit: Masks, kept: Masks, sure: bool = True) -> list[bool]:
     """Whether `PIXEL` of each map is kept in the end."""
-    filter_steep_pixels(stack, SteepPixels(steep, fit, everywhere(len(kept), sure)), kept, GSD)
+    map_points.filter_steep_pixels(stack, map_points.SteepPixels(steep, fit, everywhere(len(kept), sure)), kept, GSD)
     return [bool(keep[PIXEL]) for keep in kept]
 
 
@@ -121,8 +113,8 @@ def test_points_spread_out_are_those_that_taking_turns_takes(rng):
     for index, point in enumerate(points):
         if all(np.linalg.norm(point - points[other]) > 0.15 for other in gather):
             gather.append(index)
-    np.testing.assert_array_equal(np.flatnonzero(thin_out(points, 0.15)), gather)
-    assert thin_out(points[:0], 0.15).shape == (0,)
+    np.testing.assert_array_equal(np.flatnonzero(map_points.thin_out(points, 0.15)), gather)
+    assert map_points.thin_out(points[:0], 0.15).shape == (0,)
 
 
 OVER = HEIGHT + 0.4
@@ -135,7 +127,7 @@ def added(device, maps: list[np.ndarray], kept, near: bool = True) -> bool:
         beside[PIXEL[0] + 1, PIXEL[1] + 1] = True
         kept[0] = beside
     stack = ViewStack.build(device, ring(len(maps) - 1), maps, TILTED)
-    add_points_beneath(stack, masks(len(maps), m0=True), everywhere(len(maps), True), kept, GSD)
+    map_points.add_points_beneath(stack, masks(len(maps), m0=True), everywhere(len(maps), True), kept, GSD)
     return bool(kept[0][PIXEL])
 
 
@@ -191,7 +183,7 @@ def test_without_a_kept_point_above_nothing_is_added(device):
 def test_beside_a_step_is_what_lies_below_it_within_six_pixels():
     height = np.zeros((3, 30), np.float32)
     height[:, 20:] = 13.0 * GSD
-    assert np.flatnonzero(pixels_beside_steps(height, GSD)[1]).tolist() == list(range(14, 20))
+    assert np.flatnonzero(map_points.pixels_beside_steps(height, GSD)[1]).tolist() == list(range(14, 20))
 
 
 # A level square of 13 points on each side, one ground sampling distance apart, and its middle.
@@ -202,7 +194,9 @@ MIDDLE = 6.0, 6.0
 
 def is_off(place, matching: int = 0, surface: np.ndarray = SURFACE, matching_about: int = 10) -> bool:
     return bool(
-        are_off_surface(np.array([place]), np.array([matching]), surface, np.full(len(surface), matching_about))[0]
+        map_points.are_off_surface(
+            np.array([place]), np.array([matching]), surface, np.full(len(surface), matching_about)
+        )[0]
     )
 
 
@@ -244,7 +238,7 @@ def test_pixels_beneath_a_step_go_where_they_stand_off_what_the_other_maps_hold(
     kept = masks(len(maps), m0=True)
     kept[1] = kept[len(maps) - 1] = np.ones(SHAPE, bool)
     block = SimpleNamespace(cameras=ring(len(maps) - 1), water=TILTED, device=device)
-    left = without_ghosts(block, maps, kept, GSD)
+    left = map_points.without_ghosts(block, maps, kept, GSD)
     assert bool(left[0][PIXEL]) == stays
     assert left[1].all()
     assert left[len(maps) - 1].all()

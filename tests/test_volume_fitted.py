@@ -12,14 +12,7 @@ from volume_scenes import Slab
 
 from fields.device import choose_device
 from fields.image_store import GAMMA
-from fields.volume.fitted import (
-    Visibility,
-    appearance_vectors,
-    coarse_paths,
-    match_appearance,
-    train_visibility,
-    transmittance,
-)
+from fields.volume import fitted
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
@@ -33,7 +26,7 @@ def tensor_renderer(photographs: int = 3, length: int = 4) -> VolumeRenderer:
     settings = TensorSettings(scales=2, n_min=4, n_max=8)
     model = TensorVolume(BOX, settings, choose_device("torch"), appearance=length)
     torch.nn.init.normal_(model.regression.coarse.weight)
-    return VolumeRenderer(model, appearance=appearance_vectors(photographs, length))
+    return VolumeRenderer(model, appearance=fitted.appearance_vectors(photographs, length))
 
 
 def test_another_vector_changes_colour_and_not_a_bit_of_density_or_depth():
@@ -61,7 +54,7 @@ def test_no_gradient_of_density_reaches_the_vectors_and_none_of_colour_those_of_
 
 def exposed(gains: list[float]) -> tuple[VolumeRenderer, Photographs]:
     """A floor whose look is known, and photographs of it with gains in linear light."""
-    renderer = VolumeRenderer(floor_at(0.0), appearance=appearance_vectors(2, 3))
+    renderer = VolumeRenderer(floor_at(0.0), appearance=fitted.appearance_vectors(2, 3))
     cameras = [looking_down(0.1 * k) for k in range(len(gains))]
     images = []
     for camera, gain in zip(cameras, gains, strict=True):
@@ -78,7 +71,7 @@ def test_matching_finds_the_exposure_of_new_photographs_and_leaves_the_volume_al
     gains = [0.5, 0.8, 1.0]
     renderer, photographs = exposed(gains)
     own, before = renderer.appearance, {k: v.clone() for k, v in renderer.state_dict().items()}
-    vectors = match_appearance(renderer, photographs, CELLS, steps=100, rays=512)
+    vectors = fitted.match_appearance(renderer, photographs, CELLS, steps=100, rays=512)
     # The analytic volume brightens by exp of the mean of the vector; 2 % is one grey value of 100 in linear light.
     assert torch.exp(vectors.weight.detach().mean(dim=1)).tolist() == pytest.approx(gains, rel=0.02)
     assert renderer.appearance is own
@@ -88,10 +81,10 @@ def test_matching_finds_the_exposure_of_new_photographs_and_leaves_the_volume_al
 
 def test_a_volume_without_vectors_has_none_to_match():
     with pytest.raises(ValueError, match="no appearance vectors"):
-        match_appearance(VolumeRenderer(floor_at(0.0)), exposed([1.0])[1], CELLS)
+        fitted.match_appearance(VolumeRenderer(floor_at(0.0)), exposed([1.0])[1], CELLS)
 
 
-def slow_loss(network: Visibility, volume: AnalyticVolume, paths, samples) -> float:
+def slow_loss(network: fitted.Visibility, volume: AnalyticVolume, paths, samples) -> float:
     """Equation (1) transcribed: path by path, sample by sample, with T_i = exp(-sum_{j<i} sigma_j l_j)."""
     errors = []
     for n in range(len(paths)):
@@ -108,7 +101,7 @@ def slow_loss(network: Visibility, volume: AnalyticVolume, paths, samples) -> fl
 
 def test_the_loss_is_that_of_the_equation_and_leaves_the_density_alone():
     torch.manual_seed(1)
-    volume, network = floor_at(0.0, width=0.2, density=4.0), Visibility(BOX)
+    volume, network = floor_at(0.0, width=0.2, density=4.0), fitted.Visibility(BOX)
     # The outer paths pass the box by.
     paths = seen_by(looking_down(0.8, size=8))
     samples = CELLS.samples(paths, 6, jitter=False)
@@ -126,7 +119,7 @@ def test_it_learns_what_lies_before_and_behind_an_opaque_floor():
     cameras = [looking_down(0.2 * k) for k in range(3)]
     pixels = [np.arange(camera.width * camera.height) for camera in cameras]
     images = [np.zeros((24, 24, 3), dtype=np.uint8)] * 3
-    network = train_visibility(renderer, Photographs(cameras, images, pixels), CELLS, steps=100, rays=64)
+    network = fitted.train_visibility(renderer, Photographs(cameras, images, pixels), CELLS, steps=100, rays=64)
     places = torch.tensor([[0.0, 0.0, 0.4], [0.2, -0.1, -0.4]])
     down = torch.tensor([[0.0, 0.0, -1.0]]).expand(2, 3)
     before, behind = network(places, down).tolist()
@@ -135,10 +128,10 @@ def test_it_learns_what_lies_before_and_behind_an_opaque_floor():
 
 
 def test_a_view_beside_a_volume_sees_nothing_of_it_and_one_over_it_half_of_what_is_clear():
-    network = Visibility(BOX)
+    network = fitted.Visibility(BOX)
     assert network.of_view(looking_down(40.0), None, CELLS) == 0.0
     camera = looking_down(size=64)
-    share = float((coarse_paths(camera, None, BOX).far > 0.0).float().mean())
+    share = float((fitted.coarse_paths(camera, None, BOX).far > 0.0).float().mean())
     torch.nn.init.zeros_(network.network[-1].weight)
     torch.nn.init.zeros_(network.network[-1].bias)
     # A network of zeros says a half everywhere.
@@ -148,4 +141,4 @@ def test_a_view_beside_a_volume_sees_nothing_of_it_and_one_over_it_half_of_what_
 def test_empty_boxes_are_clear_to_their_floor():
     paths = seen_by(looking_down())
     rendered = VolumeRenderer(Slab(0.0, box=BOX)).render(paths, CELLS.samples(paths, 8, jitter=False))
-    assert (transmittance(rendered.weights)[paths.far > paths.near] == 1.0).all()
+    assert (fitted.transmittance(rendered.weights)[paths.far > paths.near] == 1.0).all()

@@ -13,20 +13,11 @@ from volume_scenes import BOX
 
 from fields.device import choose_device
 from fields.heads import spherical_harmonics
-from fields.volume.mlp import (
-    GRID_EVERY,
-    GroundPlaneSettings,
-    GroundPlaneVolume,
-    MlpSettings,
-    MlpVolume,
-    encoded_length,
-    frequency_encoding,
-    tinynerf,
-)
+from fields.volume import mlp
 from fields.volume.model import density_of
 
-SMALL = MlpSettings(layers=3, width=48, skip=1, frequencies=5, direction_frequencies=2)
-TINY = replace(tinynerf.keywords["settings"], width=64)
+SMALL = mlp.MlpSettings(layers=3, width=48, skip=1, frequencies=5, direction_frequencies=2)
+TINY = replace(mlp.tinynerf.keywords["settings"], width=64)
 
 
 def encoded(p, frequencies: int) -> np.ndarray:
@@ -40,8 +31,8 @@ def linear(layer: torch.nn.Linear, x: np.ndarray) -> np.ndarray:
 
 def test_the_encoding_is_the_position_and_its_waves(rng):
     p = rng.uniform(-1.0, 1.0, (20, 3))
-    found = frequency_encoding(torch.from_numpy(p), 4).numpy()
-    assert found.shape == (20, encoded_length(4)) == (20, 27)
+    found = mlp.frequency_encoding(torch.from_numpy(p), 4).numpy()
+    assert found.shape == (20, mlp.encoded_length(4)) == (20, 27)
     for value, one in zip(found, p, strict=True):
         np.testing.assert_allclose(value, encoded(one, 4), atol=1e-14)  # of sines of up to 8 pi
 
@@ -49,7 +40,7 @@ def test_the_encoding_is_the_position_and_its_waves(rng):
 @pytest.mark.parametrize("settings", [SMALL, TINY], ids=["nerf", "tiny"])
 def test_density_and_colour_are_those_of_a_slow_twin(settings):
     torch.manual_seed(0)
-    model = MlpVolume(BOX, settings, appearance=2).double()
+    model = mlp.MlpVolume(BOX, settings, appearance=2).double()
     x, d = positions(5, dtype=torch.float64), directions(5, dtype=torch.float64)
     look = torch.tensor([[0.5, -1.0]]).double().expand(5, -1)
     density, features = model.evaluate(x)
@@ -83,21 +74,21 @@ def test_raw_numbers_of_zero_let_a_share_of_one_by_e_through_the_edge(cells):
 
 @pytest.mark.parametrize("settings", [SMALL, TINY], ids=["nerf", "tiny"])
 def test_it_is_a_volume_model(settings):
-    check_interface(lambda appearance: MlpVolume(BOX, settings, appearance=appearance))
+    check_interface(lambda appearance: mlp.MlpVolume(BOX, settings, appearance=appearance))
 
 
 @pytest.mark.parametrize("settings", [SMALL, TINY], ids=["nerf", "tiny"])
 def test_it_learns_a_bed_under_water(settings):
-    check_learning(lambda appearance: MlpVolume(BOX, settings, appearance=appearance), steps=60, share=0.5)
+    check_learning(lambda appearance: mlp.MlpVolume(BOX, settings, appearance=appearance), steps=60, share=0.5)
 
 
 SMALL_GROUND = {"scales": 2, "channels": 4, "n_min": 4, "n_max": 8, "hidden": 6, "steps": 10}
 
 
-def volume(appearance: int = 0, **changes) -> GroundPlaneVolume:
+def volume(appearance: int = 0, **changes) -> mlp.GroundPlaneVolume:
     torch.manual_seed(0)
-    model = GroundPlaneVolume(
-        BOX, GroundPlaneSettings(**(SMALL_GROUND | changes)), choose_device("torch"), appearance=appearance
+    model = mlp.GroundPlaneVolume(
+        BOX, mlp.GroundPlaneSettings(**(SMALL_GROUND | changes)), choose_device("torch"), appearance=appearance
     )
     for parameter in model.parameters():
         torch.nn.init.normal_(parameter, std=0.3)
@@ -117,7 +108,7 @@ def test_both_branches_are_their_equations():
     model = volume(appearance=2)
     x, way, looks = positions(10), directions(10), torch.randn(10, 2)
     planes = model.factors(BOX.unit(x)).detach().numpy()
-    sines = frequency_encoding(BOX.centred(x), 6).numpy()
+    sines = mlp.frequency_encoding(BOX.centred(x), 6).numpy()
     harmonics = spherical_harmonics(-way, 2).numpy()
     for joint in (False, True):
         model.is_joint = joint
@@ -142,7 +133,7 @@ def test_planes_lie_over_the_ground_with_a_vector_along_z():
 
 def test_the_second_stage_begins_where_the_first_ends_and_planes_are_rendered_alone_now_and_then():
     torch.manual_seed(0)
-    model = GroundPlaneVolume(BOX, GroundPlaneSettings(**SMALL_GROUND), choose_device("torch"))
+    model = mlp.GroundPlaneVolume(BOX, mlp.GroundPlaneSettings(**SMALL_GROUND), choose_device("torch"))
     x = positions(20)
     before = model.evaluate(x)[0]
     assert [model.observe([0.1] * step) for step in range(1, 6)] == [False, False, False, True, False]
@@ -150,11 +141,11 @@ def test_the_second_stage_begins_where_the_first_ends_and_planes_are_rendered_al
     for parameter in model.nerf_density.parameters():
         torch.nn.init.normal_(parameter)
     alone = []
-    for step in range(4, 4 + 2 * GRID_EVERY):
+    for step in range(4, 4 + 2 * mlp.GRID_EVERY):
         model.observe([0.1] * step)
         thickness = model.thickness(x, directions(20), torch.ones(20))[0]
         alone.append(torch.allclose(thickness, before))
-    assert alone == [step % GRID_EVERY == 0 for step in range(4, 4 + 2 * GRID_EVERY)]
+    assert alone == [step % mlp.GRID_EVERY == 0 for step in range(4, 4 + 2 * mlp.GRID_EVERY)]
     with torch.no_grad():
         assert not torch.allclose(model.thickness(x, directions(20), torch.ones(20))[0], before)
 
@@ -170,8 +161,8 @@ def test_every_parameter_has_a_rate_and_learns_in_the_second_stage():
 
 
 def test_it_learns_a_bed_in_both_stages():
-    def make(appearance: int) -> GroundPlaneVolume:
-        settings = GroundPlaneSettings(scales=2, n_min=8, n_max=24, hidden=16, degree=0, steps=60)
-        return GroundPlaneVolume(BOX, settings, choose_device("torch"), appearance=appearance)
+    def make(appearance: int) -> mlp.GroundPlaneVolume:
+        settings = mlp.GroundPlaneSettings(scales=2, n_min=8, n_max=24, hidden=16, degree=0, steps=60)
+        return mlp.GroundPlaneVolume(BOX, settings, choose_device("torch"), appearance=appearance)
 
     assert check_learning(make, steps=60, share=0.5).model.is_joint

@@ -10,23 +10,15 @@ from volume_scenes import BOX
 
 from fields.device import choose_device
 from fields.factors import Factors, Grid
-from fields.volume.tensorf import (
-    TensorfSettings,
-    TensorfVolume,
-    mean_magnitude,
-    planes_of,
-    resampled,
-    total_variation,
-    vectors_of,
-)
+from fields.volume import tensorf
 
 TORCH = choose_device("torch")
-SMALL = TensorfSettings(4, 8, features=5, hidden=16, n_min=6, n_max=24, refined_at=(0.25, 0.5), steps=8)
+SMALL = tensorf.TensorfSettings(4, 8, features=5, hidden=16, n_min=6, n_max=24, refined_at=(0.25, 0.5), steps=8)
 
 
-def volume(settings: TensorfSettings = SMALL, *, appearance: int = 0, seed: int = 0) -> TensorfVolume:
+def volume(settings: tensorf.TensorfSettings = SMALL, *, appearance: int = 0, seed: int = 0) -> tensorf.TensorfVolume:
     torch.manual_seed(seed)
-    return TensorfVolume(BOX, settings, TORCH, appearance=appearance)
+    return tensorf.TensorfVolume(BOX, settings, TORCH, appearance=appearance)
 
 
 def linear(table: np.ndarray, at: float) -> np.ndarray:
@@ -39,7 +31,7 @@ def linear(table: np.ndarray, at: float) -> np.ndarray:
 def products(factors: Factors, u: np.ndarray) -> np.ndarray:
     """v_m(x_m) M_m(x_a, x_b) of each direction (3, channels)."""
     found = []
-    for m, plane, vector in zip(range(3), planes_of(factors), vectors_of(factors), strict=True):
+    for m, plane, vector in zip(range(3), tensorf.planes_of(factors), tensorf.vectors_of(factors), strict=True):
         a, b = (k for k in range(3) if k != m)
         rows = linear(plane.detach().double().numpy(), u[b])
         found.append(linear(vector.detach().double().numpy(), u[m]) * linear(rows, u[a]))
@@ -69,11 +61,11 @@ def test_density_and_colour_are_those_of_the_equations():
 def test_the_penalties_are_those_of_the_equations():
     torch.manual_seed(3)
     factors = Factors([Grid(3, 4, 5)], "xyz", 4, TORCH)
-    planes, vectors = ([t.detach().numpy() for t in of(factors)] for of in (planes_of, vectors_of))
+    planes, vectors = ([t.detach().numpy() for t in of(factors)] for of in (tensorf.planes_of, tensorf.vectors_of))
     expected = sum(np.abs(p).mean() + np.abs(v).mean() for p, v in zip(planes, vectors, strict=True))
-    assert mean_magnitude(factors).item() == pytest.approx(expected, rel=1e-5)
+    assert tensorf.mean_magnitude(factors).item() == pytest.approx(expected, rel=1e-5)
     expected = 0.01 * sum(2.0 * (((p[1:] - p[:-1]) ** 2).mean() + ((p[:, 1:] - p[:, :-1]) ** 2).mean()) for p in planes)
-    assert total_variation(factors).item() == pytest.approx(expected, rel=1e-5)
+    assert tensorf.total_variation(factors).item() == pytest.approx(expected, rel=1e-5)
 
 
 def test_smaller_cells_hold_the_same_linear_function():
@@ -81,10 +73,10 @@ def test_smaller_cells_hold_the_same_linear_function():
     with torch.no_grad():
         middle = (torch.arange(6) + 0.5) / 6
         factors.vectors.fill_(1.0)
-        for plane in planes_of(factors):
+        for plane in tensorf.planes_of(factors):
             plane.copy_((2.0 * middle[:, None] - middle[None, :])[..., None].expand(-1, -1, 4))
     u = torch.rand(50, 3, generator=torch.Generator().manual_seed(0)) * 0.6 + 0.2
-    torch.testing.assert_close(resampled(factors, Grid(12, 15, 18))(u), factors(u), rtol=0, atol=1e-5)
+    torch.testing.assert_close(tensorf.resampled(factors, Grid(12, 15, 18))(u), factors(u), rtol=0, atol=1e-5)
 
 
 def test_cells_become_smaller_at_their_shares_of_the_training():
@@ -113,16 +105,18 @@ def test_a_state_comes_back_at_any_level():
     [((0.5,), {"l1": (1.0, 0.5), "tv_density": 0.0, "tv_colour": 0.0}, 5, 0.5), ((), {"tv_colour": 0.0}, 10, 0.1)],
 )
 def test_weights_fall_and_change_with_the_first_refinement(refined_at, others, steps, left):
-    model = volume(TensorfSettings(4, 4, n_min=6, n_max=6, refined_at=refined_at, steps=10, **others))
+    model = volume(tensorf.TensorfSettings(4, 4, n_min=6, n_max=6, refined_at=refined_at, steps=10, **others))
     before = model.penalty(positions(1)).item()
     model.observe([1.0] * steps)
     assert model.penalty(positions(1)).item() == pytest.approx(left * before, rel=1e-6)
 
 
 def test_it_is_a_volume_model():
-    check_interface(lambda appearance: TensorfVolume(BOX, SMALL, TORCH, appearance=appearance))
+    check_interface(lambda appearance: tensorf.TensorfVolume(BOX, SMALL, TORCH, appearance=appearance))
 
 
 def test_it_learns_a_bed_under_water():
-    settings = TensorfSettings(4, 12, n_min=12, n_max=24, steps=40)
-    check_learning(lambda appearance: TensorfVolume(BOX, settings, TORCH, appearance=appearance), steps=40, share=0.6)
+    settings = tensorf.TensorfSettings(4, 12, n_min=12, n_max=24, steps=40)
+    check_learning(
+        lambda appearance: tensorf.TensorfVolume(BOX, settings, TORCH, appearance=appearance), steps=40, share=0.6
+    )

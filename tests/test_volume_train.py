@@ -12,20 +12,12 @@ from volume_models import Interrupted, Kept
 from volume_scenes import BOX, WATER, Slab, bed_photographs, looking_down
 
 from fields.device import choose_device
+from fields.volume import train
 from fields.volume.model import Rates, has_converged
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.tensor import TensorSettings, TensorVolume
-from fields.volume.train import (
-    POOL_STEPS,
-    Training,
-    adam,
-    descend,
-    proxy_of,
-    set_rates,
-    train_volume,
-)
 from fields.water_column import WaterColumn
 
 BED_M = -1.5
@@ -50,14 +42,14 @@ def heights(renderer: VolumeRenderer, cells: Cells, photographs) -> np.ndarray:
 
 # Over five seeds the median height is 7 to 73 mm off, half of the heights lie within 32 to 79 mm, and colours agree to
 # 32 to 37 dB; the finest cells measure 62 mm. An even grey has 14 dB.
-SHORT = Training(steps=300, rays=384, samples=24, cells=32, refresh=(0.6,))
+SHORT = train.Training(steps=300, rays=384, samples=24, cells=32, refresh=(0.6,))
 
 
 @pytest.mark.slow
 def test_training_finds_a_bed_under_water_from_nothing_coarse_to_fine():
     photographs = bed_photographs(BED_M, views=9)
     renderer, shares = tensor_renderer(), []
-    cells, figures = train_volume(renderer, photographs, SHORT, lambda share, errors: shares.append(share))
+    cells, figures = train.train_volume(renderer, photographs, SHORT, lambda share, errors: shares.append(share))
     found = heights(renderer, cells, photographs)
     cell = BOX.edge / 32
     assert abs(np.median(found) - BED_M) < cell
@@ -73,7 +65,7 @@ def test_without_water_the_same_photographs_put_the_bed_too_high():
     photographs = bed_photographs(BED_M, views=9)
     renderer = tensor_renderer()
     photographs.water = None
-    cells, _ = train_volume(renderer, photographs, SHORT, quietly)
+    cells, _ = train.train_volume(renderer, photographs, SHORT, quietly)
     # At small angles depth appears divided by the index: 1.5 m as 1.13 m.
     assert np.median(heights(renderer, cells, photographs)) == pytest.approx(BED_M / WATER.n_water, abs=0.06)
 
@@ -109,16 +101,16 @@ def test_a_bed_in_a_box_is_seen_by_the_pixels_whose_path_leaves_through_the_floo
 def test_an_interrupted_training_goes_on_to_the_same_volume():
     photographs = bed_photographs(views=3)
     # The model switches to weighted density at step 20; the proxy is renewed before and after the interruptions.
-    training = Training(steps=36, rays=16, samples=6, cells=4, refresh=(0.5, 0.95))
+    training = train.Training(steps=36, rays=16, samples=6, cells=4, refresh=(0.5, 0.95))
     early = {"switch_window": 10, "switch_ratio": 1e9, "n_min": 4, "n_max": 8, "scales": 2}
     found = []
-    for stop_at in (None, POOL_STEPS, POOL_STEPS + 3):
+    for stop_at in (None, train.POOL_STEPS, train.POOL_STEPS + 3):
         kept = Kept(stop_at)
         for _ in range(2):
             renderer = tensor_renderer(**early)
             renderer.model.factors.device = choose_device("torch")
             with suppress(Interrupted):
-                cells, figures = train_volume(renderer, photographs, training, quietly, seed=5, checkpoints=kept)
+                cells, figures = train.train_volume(renderer, photographs, training, quietly, seed=5, checkpoints=kept)
                 break
             kept.stop_at = None
         found.append((renderer.state_dict(), cells, figures))
@@ -132,22 +124,22 @@ def test_an_interrupted_training_goes_on_to_the_same_volume():
 
 def test_the_proxy_of_a_field_is_where_it_stops_light():
     cells = Cells.everywhere(BOX, 40)
-    proxy = proxy_of(VolumeRenderer(Slab(100.0, top=BED_M)), cells, margin=0.04)
+    proxy = train.proxy_of(VolumeRenderer(Slab(100.0, top=BED_M)), cells, margin=0.04)
     z = cells.centres()[:, 2].view(cells.occupied.shape)
     assert proxy.occupied[z < BED_M].all()
     assert not proxy.occupied[z > BED_M + 0.1].any()
-    fog = proxy_of(VolumeRenderer(Slab(1.0 / BOX.edge)), cells, margin=0.04)
+    fog = train.proxy_of(VolumeRenderer(Slab(1.0 / BOX.edge)), cells, margin=0.04)
     assert not fog.occupied.any()
 
 
 def test_groups_move_by_their_share():
     bed, colour = (nn.Parameter(torch.zeros(1)) for _ in range(2))
-    optimiser = adam([Rates([bed], 0.1), Rates([], 1.0), Rates([colour], 0.4)], eps=1e-15)
-    set_rates(optimiser, 0.5)
-    descend(optimiser, (bed - 1.0).square().sum() + (colour - 1.0).square().sum())
+    optimiser = train.adam([Rates([bed], 0.1), Rates([], 1.0), Rates([colour], 0.4)], eps=1e-15)
+    train.set_rates(optimiser, 0.5)
+    train.descend(optimiser, (bed - 1.0).square().sum() + (colour - 1.0).square().sum())
     # The first step of Adam is its rate, whatever the slope.
     assert (bed.item(), colour.item()) == (pytest.approx(0.05), pytest.approx(0.2))
-    set_rates(optimiser, 1.0)
+    train.set_rates(optimiser, 1.0)
     assert [group["lr"] for group in optimiser.param_groups] == [0.1, 0.4]
 
 

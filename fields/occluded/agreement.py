@@ -49,11 +49,9 @@ def explained_above(
 ) -> np.ndarray:
     """Cells bool whose agreement an object above the bed explains: non-members see the same colours there.
 
-    Only of a ``part`` of the rows and columns.
-
-    ``slopes`` (K, 2): how far the rays of each photograph move over the ground with the height [m/m]. ``on_layer``: at
-    the cells. ``on_trial``: at the `trial_heights` over the layer. ``members`` (K, rows, columns) bool: photographs
-    that agree on each cell. ``gsd`` [m]: side of a cell.
+    Only of a ``part`` of the rows and columns. ``slopes`` (K, 2): how far the rays of each photograph move over the
+    ground with the height [m/m]. ``on_layer``: at the cells. ``on_trial``: at the `trial_heights` over the layer.
+    ``members`` (K, rows, columns) bool: photographs that agree on each cell. ``gsd`` [m]: side of a cell.
     """
     row, column = (each[part] for each in np.mgrid[: members.shape[1], : members.shape[2]])
     members = members[:, *part]

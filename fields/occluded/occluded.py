@@ -49,11 +49,9 @@ def find_occluded(
     """Points of the bed in holes of a cloud beside depth steps.
 
     There the windows of the sweep cover both the edge and the bed beside it. The bed about a hole is carried on as a
-    smooth layer; where three photographs show the same colours on it, it is seen, and its height over the layer is
-    that at which they agree best.
-
-    ``maps``: with the heights of the solver. ``photograph``: RGB (height, width, 3) uint8 of a view by its number.
-    ``advance``: gets the share of the work that is done since the last call.
+    smooth layer; where three photographs show the same colours on it, it is seen, and its height over the layer is that
+    at which they agree best. ``maps``: with the heights of the solver. ``photograph``: RGB (height, width, 3) uint8 of
+    a view by its number. ``advance``: gets the share of the work that is done since the last call.
     """
     views = views_of(maps)
     places = (part for m in maps for part in step_places(block.cameras[m.view], block.water, m, known.gsd))

@@ -16,25 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fields.solver.gauss_newton import (
-    CG_RESIDUAL,
-    CG_RESIDUAL_BEFORE,
-    LEAST_INFORMATION,
-    TileSolution,
-    conjugate_gradients,
-    normal_matrix,
-    stiffness_of,
-)
+from fields.solver import gauss_newton, uncertainty
 from fields.solver.noise import null_solution_of
 from fields.solver.tile import SolverTile
-from fields.solver.uncertainty import (
-    ONE_STD,
-    PRIOR_SPECTRAL_SLOPE,
-    effective_information,
-    residual_step,
-    smoothing_change,
-    spectral_means,
-)
 
 # The search starts at this share of the ground sampling distance and goes in steps of this factor, this far at most.
 START_GSD, FACTOR, MOST_STEPS = 0.5, np.sqrt(2.0), 6
@@ -62,7 +46,7 @@ class Half:
         return self.information * change * change + 2.0 * self.gradient * change
 
 
-def split_halves(solved: TileSolution) -> tuple[Half, Half]:
+def split_halves(solved: gauss_newton.TileSolution) -> tuple[Half, Half]:
     """Costs by every other photograph and by the rest, each with an albedo of its own."""
     found = []
     for first in (0, 1):
@@ -78,32 +62,30 @@ def split_halves(solved: TileSolution) -> tuple[Half, Half]:
     return found[0], found[1]
 
 
-def heights_from_half(solved: TileSolution, half: Half, roughness: float) -> np.ndarray:
+def heights_from_half(solved: gauss_newton.TileSolution, half: Half, roughness: float) -> np.ndarray:
     """Heights (N,) [m] from half of the photographs, linearised about those of all."""
     height = solved.height
     for number in range(_ROUNDS):
-        stiffness = stiffness_of(solved.differences.matrix @ height, roughness)
+        stiffness = gauss_newton.stiffness_of(solved.differences.matrix @ height, roughness)
         right = (
             -half.gradient
             - half.information * (height - solved.height)
             - solved.differences.gradient(stiffness, height)
         )
-        diagonal = half.information + solved.differences.squared @ stiffness + LEAST_INFORMATION
-        matrix = normal_matrix(half.information, solved.differences, stiffness)
-        residual = CG_RESIDUAL if number + 1 == _ROUNDS else CG_RESIDUAL_BEFORE
-        height = height + conjugate_gradients(matrix, right, diagonal, residual)
+        diagonal = half.information + solved.differences.squared @ stiffness + gauss_newton.LEAST_INFORMATION
+        matrix = gauss_newton.normal_matrix(half.information, solved.differences, stiffness)
+        residual = gauss_newton.CG_RESIDUAL if number + 1 == _ROUNDS else gauss_newton.CG_RESIDUAL_BEFORE
+        height = height + gauss_newton.conjugate_gradients(matrix, right, diagonal, residual)
     return height
 
 
-def roughness_of(samples: list[tuple[SolverTile, TileSolution]], gsd: float, pool: Executor) -> float:
+def roughness_of(samples: list[tuple[SolverTile, gauss_newton.TileSolution]], gsd: float, pool: Executor) -> float:
     """Roughness [m] with which each half of the photographs predicts the other best.
 
     Of those that are worse by less than one standard error the smoothest is taken, as is usual in cross-validation.
     Where that is the best itself, it is the least of a parabola through the best and its neighbours, so that the scale
-    does not jump by a step where two of them are as good.
-
-    ``samples``: tiles that were solved with `START_GSD` times the ground sampling distance. ``gsd`` [m]: ground
-    sampling distance. ``pool``: solves the samples side by side.
+    does not jump by a step where two of them are as good. ``samples``: tiles that were solved with `START_GSD` times
+    the ground sampling distance. ``gsd`` [m]: ground sampling distance. ``pool``: solves the samples side by side.
     """
     split = [(tile, solved, split_halves(solved)) for tile, solved in samples]
     known: dict[int, np.ndarray] = {}
@@ -113,7 +95,7 @@ def roughness_of(samples: list[tuple[SolverTile, TileSolution]], gsd: float, poo
         if step not in known:
             roughness = START_GSD * gsd * FACTOR**step
 
-            def errors(tile: SolverTile, solved: TileSolution, halves: tuple[Half, Half]) -> np.ndarray:
+            def errors(tile: SolverTile, solved: gauss_newton.TileSolution, halves: tuple[Half, Half]) -> np.ndarray:
                 total = sum(
                     other.cost(heights_from_half(solved, half, roughness) - solved.height)
                     for half, other in (halves, halves[::-1])
@@ -150,7 +132,9 @@ def _trimmed_mean(values: np.ndarray) -> float:
     return float(np.sort(values)[out : len(values) - out].mean())
 
 
-def spectral_slope_of(samples: list[tuple[SolverTile, TileSolution]], roughness: float, response: float) -> float:
+def spectral_slope_of(
+    samples: list[tuple[SolverTile, gauss_newton.TileSolution]], roughness: float, response: float
+) -> float:
     """Spectral slope of the bed: the exponent of its power over frequency in `fields.solver.uncertainty`.
 
     ``samples``: solved tiles, with the stiffness of any roughness. ``roughness`` [m]: with which the survey is solved.
@@ -162,24 +146,26 @@ def spectral_slope_of(samples: list[tuple[SolverTile, TileSolution]], roughness:
         _, null_solution, known = null_solution_of(solved, response)
         use = known & tile.requested
         squares = []
-        for heights in (solved.height + residual_step(solved, response)[1], null_solution):
-            once = smoothing_change(solved, heights, response)
-            squares.append(np.square([once, smoothing_change(solved, once, response)])[:, use])
-        parts.append((*squares, effective_information(tile, solved, response)[1][use]))
+        for heights in (solved.height + uncertainty.residual_step(solved, response)[1], null_solution):
+            once = uncertainty.smoothing_change(solved, heights, response)
+            squares.append(np.square([once, uncertainty.smoothing_change(solved, once, response)])[:, use])
+        parts.append((*squares, uncertainty.effective_information(tile, solved, response)[1][use]))
     # (2, N) [m^2]: squared changes by smoothing once more, and of these by smoothing them in turn.
     bed, noise, log_ratio = (np.concatenate(each, axis=-1) for each in zip(*parts, strict=True))
     if len(log_ratio) < _LEAST_PIXELS:
-        return PRIOR_SPECTRAL_SLOPE
+        return uncertainty.PRIOR_SPECTRAL_SLOPE
     # Steps and edges do not move the rest.
-    power, by_noise = (np.quantile(each, ONE_STD, axis=-1) for each in (bed, noise))
+    power, by_noise = (np.quantile(each, uncertainty.ONE_STD, axis=-1) for each in (bed, noise))
     middle = float(np.median(log_ratio))
-    chance = np.sqrt(2.0 * spectral_means(middle, PRIOR_SPECTRAL_SLOPE).correlated_px / len(log_ratio))
+    chance = np.sqrt(
+        2.0 * uncertainty.spectral_means(middle, uncertainty.PRIOR_SPECTRAL_SLOPE).correlated_px / len(log_ratio)
+    )
     known = np.hypot(chance * power, np.hypot(chance, _NOISE_KNOWN) * by_noise)
     residual, costs = (power - by_noise) / known, []
     for spectral_slope in _SPECTRAL_SLOPES:
-        means = spectral_means(middle, float(spectral_slope))
+        means = uncertainty.spectral_means(middle, float(spectral_slope))
         relief = np.array([means.changed_relief, means.twice_changed_relief]) / known
         size = max(float(relief @ residual / (relief @ relief)), 0.0)
         misfit = residual - size * relief
-        costs.append(misfit @ misfit + ((spectral_slope - PRIOR_SPECTRAL_SLOPE) / _BEDS_DIFFER) ** 2)
+        costs.append(misfit @ misfit + ((spectral_slope - uncertainty.PRIOR_SPECTRAL_SLOPE) / _BEDS_DIFFER) ** 2)
     return float(_SPECTRAL_SLOPES[int(np.argmin(costs))])

@@ -201,9 +201,7 @@ def _is_occluded(occluder: Occluder, at: np.ndarray, height: np.ndarray) -> np.n
 class Projector:
     """Projection of points through the water into photographs, on the device of the sweep.
 
-    Dr.Jit is not meant for several threads: only one may use it, the one that made it.
-
-    ``cameras``: by number.
+    Dr.Jit is not meant for several threads: only one may use it, the one that made it. ``cameras``: by number.
     """
 
     def __init__(self, device: Device, cameras: Mapping[int, PinholeCamera], water: FlatWater | None):

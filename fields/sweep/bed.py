@@ -97,9 +97,7 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
     On walls, where neighbouring pixels lie far apart, it claims only those within the ground sampling distance ``gsd``
     [m] of it. Only trusted pixels are kept. Steep pixels are tested once more in space, which adds pixels on walls and
     drops wrong ones (`fields.sweep.images`). So are pixels beneath overhangs (`fields.sweep.map_points`), where one
-    confirming view is enough.
-
-    Returns Masks (height, width), in the order of `maps`.
+    confirming view is enough. Returns Masks (height, width), in the order of `maps`.
     """
     chosen = views_of(maps)
     cameras = [block.cameras[view] for view in chosen]
@@ -139,9 +137,8 @@ def is_supported(height: np.ndarray, confirmed: np.ndarray, tolerance: float) ->
     """Confirmed pixels (height, width) bool of a map that agree with the surface around them.
 
     A check for heights that only one other view can confirm: two photographs, of which a moving surface or a repeating
-    texture may give the same wrong height to single windows, but not to a whole neighbourhood.
-
-    ``height`` (height, width) [m]. ``confirmed`` (height, width) bool. ``tolerance`` [m]: within which heights agree.
+    texture may give the same wrong height to single windows, but not to a whole neighbourhood. ``height`` (height,
+    width) [m]. ``confirmed`` (height, width) bool. ``tolerance`` [m]: within which heights agree.
     """
     radius = _SUPPORT_PX // 2
     known = np.pad(np.where(confirmed, height, np.nan).astype(np.float32), radius, constant_values=np.nan)

@@ -27,10 +27,9 @@ _REACH_PX = 1.5  # Standard deviation of the weights of the mean [px]
 class Overlap:
     """Overlap of cameras on a level bed, in the local frame; needs no images.
 
-    Raises ValueError if no camera looks down.
-
-    ``height`` [m]: rough height of the bed over the water plane (over local z = 0 in a dry survey): overlap is judged
-    there. ``ground`` (x0, y0, x1, y1) [m], local, optional: where overlap counts; by default everywhere.
+    Raises ValueError if no camera looks down. ``height`` [m]: rough height of the bed over the water plane (over local
+    z = 0 in a dry survey): overlap is judged there. ``ground`` (x0, y0, x1, y1) [m], local, optional: where overlap
+    counts; by default everywhere.
     """
 
     def __init__(
@@ -114,12 +113,10 @@ class Overlap:
 class Block(Overlap):
     """Grey images of one size with their cameras, in the local frame.
 
-    Raises ValueError if fewer than two views are given, or none looks down.
-
-    ``cameras``: all of the images' size; smaller images are padded with NaN, as are masked and saturated pixels.
-    ``images`` (height, width) float32 each: grey levels about zero; read once and kept as `GreyImages`. ``water``,
-    ``height``, ``ground``: as `Overlap`. ``saturated``: share of each photograph that is masked as saturated; empty
-    where it was not measured.
+    Raises ValueError if fewer than two views are given, or none looks down. ``cameras``: all of the images' size;
+    smaller images are padded with NaN, as are masked and saturated pixels. ``images`` (height, width) float32 each:
+    grey levels about zero; read once and kept as `GreyImages`. ``water``, ``height``, ``ground``: as `Overlap`.
+    ``saturated``: share of each photograph that is masked as saturated; empty where it was not measured.
     """
 
     def __init__(

@@ -96,13 +96,11 @@ def agreement(
 ) -> Job[_Agreement]:
     """Agreement of the height map of one view with those of its peers.
 
-    The bed point of each pixel is projected into each peer, whose own height there (bilinear) is compared.
-
-    ``heights``: a stack of height maps [m] over the water plane. ``view``, ``peers``: indices into the
-    stack. ``tolerance`` [m]: heights closer than this agree. ``pixels`` (P,) flat indices, optional: of the view; all
-    of them by default. Returns ``agreeing`` (height, width) uint8, or (P,): number of peers that agree; ``fused``
-    float32 [m]: mean of the view's own height and those that agree; ``spread`` float32 [m]: standard deviation
-    (population) of the same.
+    The bed point of each pixel is projected into each peer, whose own height there (bilinear) is compared. ``heights``:
+    a stack of height maps [m] over the water plane. ``view``, ``peers``: indices into the stack. ``tolerance`` [m]:
+    heights closer than this agree. ``pixels`` (P,) flat indices, optional: of the view; all of them by default. Returns
+    ``agreeing`` (height, width) uint8, or (P,): number of peers that agree; ``fused`` float32 [m]: mean of the view's
+    own height and those that agree; ``spread`` float32 [m]: standard deviation (population) of the same.
     """
     own = heights.images[view] if pixels is None else heights.images[view].ravel()[pixels]
 
@@ -152,9 +150,7 @@ def remove_free_space_violations(
 
     A view sees through a point where its own trusted heights, in all four pixels about the point, are lower by more
     than what counts as agreement. Beside an edge views from one side may err alike; those from the other side see what
-    lies behind.
-
-    ``maps``: of `fields.sweep.sweep.sweep`. ``make_store``: factory of the store of the maps returned.
+    lies behind. ``maps``: of `fields.sweep.sweep.sweep`. ``make_store``: factory of the store of the maps returned.
     """
     chosen, found = views_of(maps), make_store()
     cameras = [block.cameras[view] for view in chosen]

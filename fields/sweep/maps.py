@@ -132,11 +132,10 @@ def height_std(
     The variance has two estimates: that of a mean of heights, from their disagreement around the pixel (with waves and
     errors of the poses as far as views disagree by them); and the squared second differences of the map over the width
     of a window, which are its noise and the relief that windows flatten. Noise is in both: the larger one counts. Added
-    is the disagreement of views that see another height there: they agree near the pixel, but not with it.
-
-    ``height``, ``agreeing``, ``spread`` (height, width): as `HeightMap` has them. ``tolerance`` [m]: heights of views
-    that differ by less agree. ``num_comparable`` (height, width), optional: number of views that may see another height
-    there; by default all. A photograph that is masked or white there shows none (`fields.sweep.fusion.num_comparable`).
+    is the disagreement of views that see another height there: they agree near the pixel, but not with it. ``height``,
+    ``agreeing``, ``spread`` (height, width): as `HeightMap` has them. ``tolerance`` [m]: heights of views that differ
+    by less agree. ``num_comparable`` (height, width), optional: number of views that may see another height there; by
+    default all. A photograph that is masked or white there shows none (`fields.sweep.fusion.num_comparable`).
     """
     views = agreeing.astype(np.float32) + 1.0
     confirmed = views > 1.0

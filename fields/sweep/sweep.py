@@ -47,12 +47,10 @@ _PARTS, _CHANCE, _SIGMAS = 60, 0.25, 4.0
 def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]:
     """Heights [m] over the water plane between which the bed lies.
 
-    Raises ValueError if too few pixels match.
-
-    ``limits`` (low, high) [m]: range of heights searched. Returns (low, high) [m]: the 0.5 and 99.5 % quantiles of the
-    heights that match well and continue around, without those that are no more frequent than chance, widened by a
-    quarter of their distance and one step. The limits themselves, where thumbnails resolve too few heights between
-    them.
+    Raises ValueError if too few pixels match. ``limits`` (low, high) [m]: range of heights searched. Returns (low,
+    high) [m]: the 0.5 and 99.5 % quantiles of the heights that match well and continue around, without those that are
+    no more frequent than chance, widened by a quarter of their distance and one step. The limits themselves, where
+    thumbnails resolve too few heights between them.
     """
     scale = min(1.0, THUMBNAIL_PX / block.cameras[0].width)
     stack = block.stack(scale)

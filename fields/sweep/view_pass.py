@@ -104,12 +104,10 @@ def wall_slopes(
     """Gradient of the height of a vertical wall along the rows and columns of an image.
 
     The foot of the wall is normal to the gradient of the height map, and its face lies along the image of the plumb
-    line: both define its plane.
-
-    ``gradients`` (rows, columns, 2): direction in which the heights of each tile rise, of any length:
-    `fields.sweep.images.tile_gradients`. ``extent`` (rows, columns) each [m]: lowest and highest height of the tiles.
-    ``size`` [px]: of a tile. ``width_px`` [px]: walls are seen so wide, or left out. Returns (rows, columns, 2) float
-    [m/px]: of each tile of `fields.sweep.tiles`; NaN where no wall faces the view.
+    line: both define its plane. ``gradients`` (rows, columns, 2): direction in which the heights of each tile rise, of
+    any length: `fields.sweep.images.tile_gradients`. ``extent`` (rows, columns) each [m]: lowest and highest height of
+    the tiles. ``size`` [px]: of a tile. ``width_px`` [px]: walls are seen so wide, or left out. Returns (rows, columns,
+    2) float [m/px]: of each tile of `fields.sweep.tiles`; NaN where no wall faces the view.
     """
     length = np.linalg.norm(gradients, axis=-1)
     facing = np.argwhere(np.isfinite(extent[0]) & (length > 0.0))

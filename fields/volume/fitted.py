@@ -57,10 +57,9 @@ def match_appearance(
     """Appearance vectors with which a trained volume matches other photographs; all else is unchanged.
 
     Appearance matching of a submodule to its neighbour in the NeRF of tidal flats: about 100 steps, from the mean of
-    the volume's own vectors. Raises ValueError if the renderer has no appearance vectors.
-
-    ``photographs``: of the same place, not those that it was trained with. ``cells``: the proxy that training left.
-    Returns a vector for each of the photographs; give it to the renderer as its ``appearance`` to see it with them.
+    the volume's own vectors. Raises ValueError if the renderer has no appearance vectors. ``photographs``: of the same
+    place, not those that it was trained with. ``cells``: the proxy that training left. Returns a vector for each of the
+    photographs; give it to the renderer as its ``appearance`` to see it with them.
     """
     rng, count = np.random.default_rng(seed), len(photographs.cameras)
     return fitted_vectors(

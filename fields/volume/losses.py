@@ -162,9 +162,8 @@ def gaussian_density_loss(
 ) -> Tensor:
     """Equation (3) at points drawn uniformly in the box; neighbours at a standard deviation of ``length`` [m].
 
-    With `density_per_half` it is that of (4).
-
-    Neighbours come in pairs about the point, so that density that changes linearly costs nothing.
+    With `density_per_half` it is that of (4). Neighbours come in pairs about the point, so that density that changes
+    linearly costs nothing.
     """
     place = model.place
     x = _placed(model, torch.rand(points, 1, 3, device=place))

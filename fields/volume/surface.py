@@ -37,7 +37,6 @@ def distance_of(rendered: Rendered, rule: Rule, density: float) -> Tensor:
     """Path lengths (N,) [m] to the surface; NaN where a path meets none.
 
     The last sample of a path is opaque where nothing lies behind the box (`with_opaque_end`): it is no surface.
-
     ``density`` [1/m]: of ``Rule.density``.
     """
     samples, weights = rendered.samples, rendered.weights

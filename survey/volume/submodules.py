@@ -17,24 +17,11 @@ import torch
 from fields.device import choose_device
 from fields.image_based import NovelView
 from fields.sweep.kernels.arrays import free_unused
+from fields.volume import submodules
 from fields.volume.fitted import Visibility, train_visibility
 from fields.volume.paths import Box
 from fields.volume.photographs import Photographs
 from fields.volume.sampling import Cells
-from fields.volume.submodules import (
-    RIM,
-    Grid,
-    Submodule,
-    counts_of,
-    ground_shares,
-    kept,
-    match_submodule,
-    matching_pairs,
-    pose_weights,
-    render_submodules,
-    single_vector,
-    vectors_of,
-)
 from fields.volume.surface import Surface
 from geo.files import write_whole
 from refract import FlatWater, PinholeCamera
@@ -45,17 +32,9 @@ from survey.progress import current
 from survey.run.flight import Flight
 from survey.run.stored import FIELD_STATE
 from survey.run.stored_field import VolumeRecipe, novel_view, read_state
+from survey.volume import scene
 from survey.volume.folder import SUBMODULES
 from survey.volume.options import VolumeOptions
-from survey.volume.scene import (
-    REPORT,
-    BedBox,
-    TooFewPhotographs,
-    VolumeFolder,
-    held_photographs,
-    photographs_of,
-    training_photographs,
-)
 from survey.volume.training import FieldResult, Trained, surface_in, train
 from survey.words import Drop
 
@@ -74,13 +53,13 @@ class SubmoduleViews:
         self,
         folder: Path,
         recipe: VolumeRecipe,
-        ground: BedBox,
+        ground: scene.BedBox,
         counts: tuple[int, int],
         device: str,
         drop: str = Drop.geometry,
     ):
         self.recipe, self.ground, self.device, self.drop = recipe, ground, device, drop
-        self.grid = Grid(ground.box, counts)
+        self.grid = submodules.Grid(ground.box, counts)
         self.folder = folder
         self._with_bed: list[str] = []
         self.folders: dict[int, Path] = {}
@@ -102,7 +81,7 @@ class SubmoduleViews:
 
     def unfinished(self) -> list[str]:
         """Notes on missing training: cells with a bed that have none, and steps."""
-        parts, report = [], self.folder / REPORT
+        parts, report = [], self.folder / scene.REPORT
         left_out = read_json_object(report).get("left_out", {}) if report.is_file() else {}
         cells = sum(name not in left_out for name in self._with_bed)
         if len(self.folders) < cells:
@@ -112,7 +91,7 @@ class SubmoduleViews:
                 parts.append(f"the training of {folder} has done {step} of {self.recipe.steps} steps so far")
         return parts
 
-    def load(self, number: int) -> Submodule:
+    def load(self, number: int) -> submodules.Submodule:
         """A submodule, with the matched appearance where there is one."""
         folder = self.folders[number]
         field = self.recipe.restored(folder / FIELD_STATE, self.boxes[number], self.ground.water, self.device)
@@ -120,8 +99,8 @@ class SubmoduleViews:
         vectors = folder.parent / VECTORS
         if self.recipe.appearance and vectors.is_file():
             vector = torch.tensor(read_json_object(vectors)[folder.name], dtype=torch.float32)
-            renderer.appearance = single_vector(vector.to(renderer.model.place))
-        return Submodule(number, renderer, field.cells)
+            renderer.appearance = submodules.single_vector(vector.to(renderer.model.place))
+        return submodules.Submodule(number, renderer, field.cells)
 
     def _load_visibility(self, number: int) -> tuple[Visibility, Cells]:
         saved = read_state(self.folders[number] / VISIBILITY)
@@ -133,7 +112,7 @@ class SubmoduleViews:
     def visible(self, camera: PinholeCamera, water: FlatWater | None) -> np.ndarray:
         """Visibilities (M,) of the submodules to a camera; 1 where none is left out."""
         if self.drop == Drop.geometry:
-            return ground_shares(self.grid, self.ground.bed, camera, water)[list(self.folders)]
+            return submodules.ground_shares(self.grid, self.ground.bed, camera, water)[list(self.folders)]
         if self.drop == Drop.network:
             each = [self._visibility(number) for number in self.folders]
             return np.array([network.of_view(camera, water, cells) for network, cells in each])
@@ -142,15 +121,17 @@ class SubmoduleViews:
     def dropped(self, camera: PinholeCamera) -> dict[str, float]:
         """Visibilities of the submodules that are left out of the view of a camera, by their names."""
         visible, folders = self.visible(camera, self.ground.bent), list(self.folders.values())
-        return {folders[k].name: float(visible[k]) for k in np.setdiff1d(np.arange(len(visible)), kept(visible))}
+        return {
+            folders[k].name: float(visible[k]) for k in np.setdiff1d(np.arange(len(visible)), submodules.kept(visible))
+        }
 
     def view(self, camera: PinholeCamera, dry: bool = False) -> NovelView:
         """View of a camera, with the water or, ``dry``, without it."""
         water = None if dry else self.ground.bent
-        weights = pose_weights(camera.centre, list(self.boxes.values()))
+        weights = submodules.pose_weights(camera.centre, list(self.boxes.values()))
         numbers = list(self.folders)
-        chosen = ((weights[k], self._kept(numbers[k])) for k in kept(self.visible(camera, water)))
-        seen = render_submodules(chosen, self.grid, camera, water, samples=self.recipe.samples, dry=dry)
+        chosen = ((weights[k], self._kept(numbers[k])) for k in submodules.kept(self.visible(camera, water)))
+        seen = submodules.render_submodules(chosen, self.grid, camera, water, samples=self.recipe.samples, dry=dry)
         return novel_view(seen, self.ground.water, has_background=self.recipe.shell)
 
 
@@ -159,17 +140,17 @@ VISIBILITY_STEPS = 0.1  # Steps of the training of a network of visibility, of t
 MOST_CELLS_PER_PIXEL = 4
 
 
-def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, folder: VolumeFolder) -> FieldResult:
+def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, folder: scene.VolumeFolder) -> FieldResult:
     """A field for each cell on the ground that has a bed and photographs, each in a folder of its own.
 
     A cell is read, trained and made a surface of before the next, so that one of them is in memory; a training that was
     stopped goes on with the cell it was at. Cells of which too little is known are named and left out.
     """
-    ground = BedBox.of_run(run, flight, options)
+    ground = scene.BedBox.of_run(run, flight, options)
     grid = _grid_of(ground, options)
     # Photographs are as large as the largest cell needs them.
     ground = ground.read_for(max(grid.box_of(number).size[:2].max() for number in range(len(grid))), options)
-    held = held_photographs(ground, flight, options)
+    held = scene.held_photographs(ground, flight, options)
     surfaces: list[Surface] = []
     reports, left_out = {}, {}
     for number, name in enumerate(grid.names()):
@@ -177,7 +158,7 @@ def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, fol
         message = f"{name}, {number + 1} of {len(grid)}"
         try:
             trained = _trained(part, flight, options, partial(folder.part, f"{SUBMODULES}/{name}"), held, message)
-        except TooFewPhotographs as error:
+        except scene.TooFewPhotographs as error:
             left_out[name] = str(error)
             current().note(f"submodule {name} is left out: {error}")
             continue
@@ -201,9 +182,9 @@ def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, fol
     return FieldResult(joined, ground.scene(held, held).bed, held, views.view, held_views, report)
 
 
-def _grid_of(ground: BedBox, options: VolumeOptions) -> Grid:
-    grid = Grid(ground.box, counts_of(str(options.submodules), ground.box.size))
-    least = options.cells * ground.gsd_m / MOST_CELLS_PER_PIXEL / (1 + 2 * RIM)
+def _grid_of(ground: scene.BedBox, options: VolumeOptions) -> submodules.Grid:
+    grid = submodules.Grid(ground.box, submodules.counts_of(str(options.submodules), ground.box.size))
+    least = options.cells * ground.gsd_m / MOST_CELLS_PER_PIXEL / (1 + 2 * submodules.RIM)
     if grid.size.min() < least:
         most = "x".join(str(max(int(edge / least), 1)) for edge in ground.box.size[:2])
         raise SurveyError(
@@ -215,20 +196,20 @@ def _grid_of(ground: BedBox, options: VolumeOptions) -> Grid:
 
 
 def _trained(
-    part: BedBox | None,
+    part: scene.BedBox | None,
     flight: Flight,
     options: VolumeOptions,
-    begun: Callable[[], VolumeFolder],
+    begun: Callable[[], scene.VolumeFolder],
     held: Photographs,
     what: str,
 ) -> Trained:
     """The field of a cell, by the photographs that show its box and are not held; ``begun`` makes its folder."""
     if part is None:
-        raise TooFewPhotographs("the run has no bed there")
+        raise scene.TooFewPhotographs("the run has no bed there")
     names = set(held.names)
     with current().stage(f"Photographs of {what}", len(flight.views)) as stage:
-        shown = photographs_of(part, flight, stage.advance, lambda name: name not in names)
-    learned = training_photographs(shown, part, options, len(flight.views))
+        shown = scene.photographs_of(part, flight, stage.advance, lambda name: name not in names)
+    learned = scene.training_photographs(shown, part, options, len(flight.views))
     folder = begun()
     trained = train(part.scene(learned, held), flight, options, folder)
     if options.drop == Drop.network and not (folder.path / VISIBILITY).is_file():
@@ -245,27 +226,27 @@ def _save_visibility(trained: Trained, path: Path) -> None:
         torch.save({"network": network.cpu().state_dict(), "occupied": trained.cells.occupied.cpu()}, stream)
 
 
-def _matched_vectors(views: SubmoduleViews, flight: Flight, ground: BedBox) -> dict[str, list[float]]:
+def _matched_vectors(views: SubmoduleViews, flight: Flight, ground: scene.BedBox) -> dict[str, list[float]]:
     """Appearance vectors (A,) of all submodules, matched to that of the middle one in its first photograph."""
     numbers, boxes = list(views.boxes), list(views.boxes.values())
     middle = 0.5 * (ground.box.low + ground.box.high)
     root = int(np.argmin([np.linalg.norm(0.5 * (box.low + box.high) - middle) for box in boxes]))
-    vectors = {root: vectors_of(views.load(numbers[root]))[0]}
+    vectors = {root: submodules.vectors_of(views.load(numbers[root]))[0]}
     cameras = [view.camera for view in flight.views]
     with current().stage("Appearance", len(numbers) - 1) as stage:
         # Two are in memory at a time.
-        for m, n in matching_pairs(boxes, root, ground.bed):
+        for m, n in submodules.matching_pairs(boxes, root, ground.bed):
             source, target = views.load(numbers[n]), views.load(numbers[m])
-            source.renderer.appearance = single_vector(vectors[n])
-            match_submodule(target, source, cameras, ground.bed, ground.bent)
-            vectors[m] = vectors_of(target)[0]
+            source.renderer.appearance = submodules.single_vector(vectors[n])
+            submodules.match_submodule(target, source, cameras, ground.bed, ground.bent)
+            vectors[m] = submodules.vectors_of(target)[0]
             del source, target
             free_unused(choose_device(views.device))
             stage.advance()
     return {views.folders[number].name: vectors[k].tolist() for k, number in enumerate(numbers)}
 
 
-def _summary(reports: dict[str, dict[str, Any]], ground: BedBox) -> dict[str, Any]:
+def _summary(reports: dict[str, dict[str, Any]], ground: scene.BedBox) -> dict[str, Any]:
     """Figures of all submodules together, with the keys of those of one field."""
     trainings = [each["training"] for each in reports.values()]
     return {

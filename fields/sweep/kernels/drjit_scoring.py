@@ -247,10 +247,9 @@ def best_half(device: Device, scores: list):
 def best_height(device: Device, mean, start, step: float, count: int):
     """Best height per pixel by a parabola through the best score and its two neighbours, its score and curvature.
 
-    ``mean`` (J * P - 2 M) has lost M values at either end; so have the results, of P - 2 M.
-
-    Returns ``height`` [m]; ``score`` of the best hypothesis; ``curvature`` [1/m^2], minus the second derivative of the
-    score; 0 where the best hypothesis is at an end.
+    ``mean`` (J * P - 2 M) has lost M values at either end; so have the results, of P - 2 M. Returns ``height`` [m];
+    ``score`` of the best hypothesis; ``curvature`` [1/m^2], minus the second derivative of the score; 0 where the best
+    hypothesis is at an end.
     """
     Float, UInt = device.module.Float, device.module.UInt
     lost = dr.width(start) * count - dr.width(mean)

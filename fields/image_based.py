@@ -231,7 +231,9 @@ class ImageBasedField:
                 rays = source.camera.paths(uv[wet].astype(np.float64), self.water).air_direction
                 incidence = np.arccos(np.clip(-(rays @ np.asarray(self.water.up)), -1.0, 1.0))
                 colour[wet] = without_water(colour[wet], -height[use][wet], incidence)
-            w = _weight(_angle(own[use], _directions(points[use], source.camera.centre)), uv, source.camera)
+            angle = _angle(own[use], _directions(points[use], source.camera.centre))
+            border = np.minimum(uv, (source.camera.width, source.camera.height) - uv).min(axis=1)
+            w = np.clip(border / _BORDER_PX, 1e-3, 1.0) / (1.0 + (angle / _ANGLE) ** 2) ** 2
             total[use] += w[:, None] * colour
             weight[use] += w
         return total / np.maximum(weight, 1e-12)[:, None], weight > 0.0
@@ -252,11 +254,6 @@ def _tiles(surface: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
 def _centres(row: np.ndarray, column: np.ndarray) -> np.ndarray:
     """Middles (N, 2) [px] of pixels."""
     return np.column_stack([column + 0.5, row + 0.5])
-
-
-def _weight(angle: np.ndarray, uv: np.ndarray, camera: PinholeCamera) -> np.ndarray:
-    border = np.minimum(uv, (camera.width, camera.height) - uv).min(axis=1)
-    return np.clip(border / _BORDER_PX, 1e-3, 1.0) / (1.0 + (angle / _ANGLE) ** 2) ** 2
 
 
 def normals_of(place: np.ndarray) -> np.ndarray:

@@ -113,8 +113,11 @@ class Views:
         waiting: deque[tuple[TileTask, Future[Used]]] = deque()
         pixels = 0
         for batch in _batches(jobs):
-            for job, projected in zip(batch, self._projected(batch), strict=True):
-                start = Start.of(job.tile, self._occluder(self.views[job.index]).height)
+            view, tolerance, tiles = self.views[batch[0].index], batch[0].tolerance, [job.tile for job in batch]
+            others, occluder, waves = batch[0].others, self._occluder, self.waves
+            together = project_tiles(tiles, view, others, occluder, self.projector, tolerance, waves)
+            for job, projected in zip(batch, together, strict=True):
+                start = Start.of(job.tile, occluder(view).height)
                 waiting.append((job, pool.submit(one, job, projected, start)))
                 pixels += len(job.tile)
             while pixels > AHEAD_PX:
@@ -123,12 +126,6 @@ class Views:
                 yield first, found.result()
         for job, found in waiting:
             yield job, found.result()
-
-    def _projected(self, batch: list[TileTask]) -> list[TileProjection]:
-        """Projections of the tiles of one map."""
-        index = batch[0].index
-        view, tolerance, tiles = self.views[index], batch[0].tolerance, [job.tile for job in batch]
-        return project_tiles(tiles, view, batch[0].others, self._occluder, self.projector, tolerance, self.waves)
 
 
 def _batches(jobs: Iterable[TileTask]) -> Iterator[list[TileTask]]:

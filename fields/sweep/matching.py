@@ -162,14 +162,20 @@ def match_view(reference: Reference, hypotheses: Hypotheses, columns: np.ndarray
         spans = columns[rows_to_match[(rows_to_match >= first) & (rows_to_match < last)]]
         if not len(spans):
             continue
-        left, right = _span(int(spans[:, 0].min()), int(spans[:, 1].max()), width, radius)
-        inner = slice(max(int(spans[:, 0].min()), radius), min(int(spans[:, 1].max()), width - radius))
+        begin, end = int(spans[:, 0].min()), int(spans[:, 1].max())
+        # With a halo, at least one window wide, and whole vectors where there is room: which rows of a window begin a
+        # vector in memory is a part of the kernel, and other widths would need other kernels.
+        left = max(begin - radius, 0)
+        right = max(min(end + radius, width), left + 2 * radius + 1)
+        right = left + _VECTOR * -(-(right - left) // _VECTOR)
+        left, right = max(left - max(right - width, 0), 0), min(right, width)
+        inner = slice(max(begin, radius), min(end, width - radius))
         strip = np.s_[first - radius : last + radius, left:right]
-        grey, begin = stack.images[view][strip], start[strip]
+        grey, heights = stack.images[view][strip], start[strip]
         rays = partial(rays_of_rows, stack, view, first - radius, last - first + 2 * radius)
         if right - left < width:
             rays = partial(rays_of_pixels, stack, view, strip_indices(strip, width))
-        results = yield partial(_launch, reference, rays, grey, replace(hypotheses, start=begin), right - left)
+        results = yield partial(_launch, reference, rays, grey, replace(hypotheses, start=heights), right - left)
         for target, result in zip(found, results, strict=True):
             put_strip(target, width, result, (slice(first, last), inner), strip[1], radius)
     best, score, curvature = (each.reshape(height, width) for each in found)
@@ -217,19 +223,6 @@ def _launch(reference: Reference, rays: Callable[[], Any], grey: Any, hypotheses
     mean = backend.best_half(device, backend.ncc(windows, radius, reference.least_known))
     found = backend.best_height(device, mean, start, hypotheses.step, hypotheses.count)
     return Launch(list(found), (paths, levels, windows, start))
-
-
-def _span(first: int, last: int, width: int, radius: int) -> tuple[int, int]:
-    """Columns of a strip for the wanted ones: with a halo, and whole vectors where there is room.
-
-    Which rows of a window begin a vector in memory is a part of the kernel: other widths would need other kernels.
-    """
-    left = max(first - radius, 0)
-    # At least one window wide, where no column is wanted too.
-    right = max(min(last + radius, width), left + 2 * radius + 1)
-    right = left + _VECTOR * -(-(right - left) // _VECTOR)
-    left = max(left - max(right - width, 0), 0)
-    return left, min(right, width)
 
 
 def match_with_adaptive_windows(

@@ -67,18 +67,15 @@ class Grid:
         column, row = np.moveaxis(np.clip(np.nan_to_num(at), 0, np.array(self.counts) - 1).astype(int), -1, 0)
         number = np.asarray(row * self.counts[0] + column)
         without = ~np.isin(number, self.trained or range(len(self)))
-        number[without] = self._nearest_trained(xy[without][..., :2])
-        return number
-
-    def _nearest_trained(self, xy: np.ndarray) -> np.ndarray:
-        """Numbers (N,) of the trained cells whose edges are nearest to places (N, 2) [m]."""
-        nearest, least = np.zeros(len(xy), int), np.full(len(xy), np.inf)
-        for number in self.trained:
-            low = self.box.low[:2] + self.size * divmod(number, self.counts[0])[::-1]
-            distance = np.linalg.norm(xy - np.clip(xy, low, low + self.size), axis=-1)
-            nearest[distance < least] = number
+        beside = xy[without][..., :2]
+        nearest, least = np.zeros(len(beside), int), np.full(len(beside), np.inf)
+        for trained in self.trained:
+            low = self.box.low[:2] + self.size * divmod(trained, self.counts[0])[::-1]
+            distance = np.linalg.norm(beside - np.clip(beside, low, low + self.size), axis=-1)
+            nearest[distance < least] = trained
             least = np.fmin(least, distance)
-        return nearest
+        number[without] = nearest
+        return number
 
     def box_of(self, number: int) -> Box:
         """The box of a cell with its rim, inside that of all."""

@@ -213,17 +213,12 @@ def _trained(
     folder = begun()
     trained = train(part.scene(learned, held), flight, options, folder)
     if options.drop == Drop.network and not (folder.path / VISIBILITY).is_file():
-        _save_visibility(trained, folder.path / VISIBILITY)
+        with current().stage("Visibility"):
+            steps = max(round(VISIBILITY_STEPS * options.steps), 1)
+            network = train_visibility(trained.renderer, learned, trained.cells, steps=steps, seed=options.seed)
+        with write_whole(folder.path / VISIBILITY) as stream:
+            torch.save({"network": network.cpu().state_dict(), "occupied": trained.cells.occupied.cpu()}, stream)
     return trained
-
-
-def _save_visibility(trained: Trained, path: Path) -> None:
-    with current().stage("Visibility"):
-        of, photographs = trained.options, trained.scene.train
-        steps = max(round(VISIBILITY_STEPS * of.steps), 1)
-        network = train_visibility(trained.renderer, photographs, trained.cells, steps=steps, seed=of.seed)
-    with write_whole(path) as stream:
-        torch.save({"network": network.cpu().state_dict(), "occupied": trained.cells.occupied.cpu()}, stream)
 
 
 def _matched_vectors(views: SubmoduleViews, flight: Flight, ground: scene.BedBox) -> dict[str, list[float]]:

@@ -202,20 +202,13 @@ def _moments(window: list, others: list, scale: float) -> tuple[Any, Any, Any]:
     for first in range(0, len(window), side):  # rows, then their sums: less rounding than in one long chain
         pixels = list(zip(window[first : first + side], others[first : first + side], strict=True))
         if first and first % (_ROWS_IN_REGISTERS * side) == 0:
-            pixels[0] = _after(pixels[0][0], sums), pixels[0][1]
+            # A kernel computes the operands of a result one after the other: of three sums over a window each in turn,
+            # with all pixels of the window in more registers than there are. So the value comes after the three.
+            value, (a, b, c) = pixels[0][0], sums
+            always = dr.opaque(dr.mask_t(value), True)
+            pixels[0] = dr.select(always, value, dr.select(always, a, dr.select(always, b, c))), pixels[0][1]
         sums = [total + part for total, part in zip(sums, _row(pixels), strict=True)]
     return _central(sums, scale)
-
-
-def _after(value, sums: list):
-    """The value, which a kernel computes after three sums.
-
-    A kernel computes the operands of a result one after the other: of three sums over a window each in turn, with all
-    pixels of the window in more registers than there are.
-    """
-    always = dr.opaque(dr.mask_t(value), True)
-    first, second, third = sums
-    return dr.select(always, value, dr.select(always, first, dr.select(always, second, third)))
 
 
 def best_half(device: Device, scores: list):

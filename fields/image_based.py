@@ -167,6 +167,7 @@ class ImageBasedField:
             for number in without_map.intersection(chosen):
                 sources[number] = replace(sources[number], scale=1.0 / _COARSE, heights=coarse[number])
             colour, known = self._blended(path, points, height, sources, without_water)
+            del sources  # Not beside those of the next tile
             at = at[0][known], at[1][known]
             rgb[at] = np.clip(np.round(colour[known]), 0, 255)
             bed[at], place[at] = height[known], points[known]

@@ -57,8 +57,8 @@ def view(
     """
     with command(verbose, quiet, run, reads=run) as results:
         from survey.run.folder import run_in
+        from survey.run.stored import is_field, run_of
         from survey.viewer.session import ViewOptions, export_page, serve
-        from survey.volume.folder import is_field, run_of
 
         if is_field(run):
             run, field = run_of(run), run
@@ -141,7 +141,7 @@ def render(
     """
     with command(verbose, quiet, output, reads=run) as results:
         from survey.export.render import render
-        from survey.volume.folder import is_field
+        from survey.run.stored import is_field
 
         if is_field(run):
             from survey.volume.stored import render_field

@@ -10,9 +10,9 @@ from geo.las import read_cloud
 from geo.shapes import Cloud
 from survey.display.blocks import picture_html, table_html
 from survey.files.json_values import read_json_object
+from survey.run.stored import run_of
 from survey.volume.field import CLOUD, CURVE, rows_of
 from survey.volume.field import train_field as train
-from survey.volume.folder import run_of
 from survey.volume.options import VolumeOptions
 from survey.volume.scene import REPORT
 from survey.volume.stored import render_field

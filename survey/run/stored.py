@@ -27,7 +27,7 @@ from pyproj import CRS
 from geo.files import reporting_disk_errors, write_whole
 from geo.shapes import ComputedColumn
 from survey.errors import SurveyError
-from survey.files.json_values import write_json
+from survey.files.json_values import read_json_object, write_json
 
 if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints
@@ -41,6 +41,7 @@ BED_FILE, SURVEY_FILE = "bed.npz", "survey.json"
 OF_PLACES = ("std_common", "std_placed", "std_plan")
 # Of a trained field; `survey.run.stored_field` reads and writes them.
 FIELD_FILES = FIELD_STATE, FIELD_SETTINGS = "state.pt", "settings.json"
+SUBMODULES = "submodules"  # Folder of the submodules of a field, where there are some
 
 
 @dataclass(frozen=True)
@@ -289,3 +290,21 @@ class ArrayFiles:
     def __call__(self, array: np.ndarray) -> FileArray:
         self._count += 1
         return FileArray(self._folder / f"{self._count}.raw", array)
+
+
+def is_field(folder: Path) -> bool:
+    """Whether a folder is one of `bathynerf field`."""
+    return (folder / FIELD_SETTINGS).is_file() and ((folder / FIELD_STATE).is_file() or (folder / SUBMODULES).is_dir())
+
+
+def run_of(folder: Path) -> Path:
+    """The run that the field in a folder was trained on."""
+    if not is_field(folder):
+        raise SurveyError(f"{folder} holds no trained field ({FIELD_SETTINGS} and {FIELD_STATE}); expected one")
+    run = read_json_object(folder / FIELD_SETTINGS).get("run")
+    if not isinstance(run, str) or not Path(run).is_dir():
+        raise SurveyError(
+            f"the field in {folder} was trained on the run {run}, which is not there; give the same options to "
+            "bathynerf field with its present folder, which writes that down"
+        )
+    return Path(run)

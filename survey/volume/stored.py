@@ -14,9 +14,8 @@ from survey.export.loaded import LoadedRun
 from survey.export.render import targets_of, write_seen
 from survey.files.json_values import read_json_object
 from survey.progress import current
-from survey.run.stored import FIELD_SETTINGS, FIELD_STATE
+from survey.run.stored import FIELD_SETTINGS, FIELD_STATE, is_field, run_of
 from survey.run.stored_field import VolumeRecipe
-from survey.volume.folder import is_field, run_of
 from survey.volume.options import VolumeOptions
 from survey.volume.scene import BedBox
 from survey.volume.submodules import SubmoduleViews

@@ -30,10 +30,9 @@ from survey.export.loaded import LoadedRun
 from survey.files.json_values import read_json_object, write_json
 from survey.progress import current
 from survey.run.flight import Flight
-from survey.run.stored import FIELD_STATE
+from survey.run.stored import FIELD_STATE, SUBMODULES
 from survey.run.stored_field import VolumeRecipe, novel_view, read_state
 from survey.volume import scene
-from survey.volume.folder import SUBMODULES
 from survey.volume.options import VolumeOptions
 from survey.volume.training import FieldResult, Trained, surface_in, train
 from survey.words import Drop

@@ -15,7 +15,6 @@ from level_field import NAME
 from painted_survey import painted_survey, run_over
 from PIL import Image
 
-import survey.volume.submodules as submodules
 from bathynerf import Field
 from fields.volume.submodules import Grid, match_submodule
 from geo import read_cloud
@@ -109,7 +108,7 @@ def test_all_submodules_get_the_look_of_the_one_in_the_middle(folder, monkeypatc
         return match_submodule(*of, steps=2, rays=64)
 
     monkeypatch.setattr(SubmoduleViews, "load", counted)
-    monkeypatch.setattr(submodules, "match_submodule", give)
+    monkeypatch.setattr("fields.volume.submodules.match_submodule", give)
     options = replace(OPTIONS, model="vm", appearance=True, shell=True, drop="geometry", submodules="3x1", steps=1)
     train_field(folder / "run", folder / "looks", options)
     assert in_memory == [2, 2]

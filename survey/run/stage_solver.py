@@ -20,7 +20,6 @@ from fields.waves.waves import Waves
 from survey.display.quantities import length
 from survey.files.json_values import read_json_object, write_json
 from survey.progress import shares
-from survey.report.facts import WaveFigures
 from survey.run.stage_sweep import (
     KEPT,
     MAPS,
@@ -95,6 +94,8 @@ def _known(numbers: Mapping[str, Any]) -> dict[str, Any]:
 
 def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Solve the heights of the points with what the solver has learned of the whole survey."""
+    from survey.report.facts import WaveFigures  # Imports matplotlib
+
     swept = needs["sweep"]
     maps, figures = Stored(swept / MAPS, HeightMap), load_figures(needs["figures"])
     if not len(maps):
@@ -116,6 +117,8 @@ def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 
 def _save_waves(job: Job, folder: Path, moved_px: float, waves: Waves | None) -> None:
     """What the waves of the survey are like, and the surface of each photograph, in the frame of the water."""
+    from survey.report.facts import WaveFigures  # Imports matplotlib
+
     sea, moved = None if waves is None else waves.sea, f"photographs shifted by {moved_px:.2f} px"
     if waves is None or sea is None:
         write_json(folder / WAVES, asdict(WaveFigures(moved_px, None)))

@@ -208,15 +208,6 @@ def test_at_the_solution_no_parameter_moves_by_more_than_a_fifth_of_its_standard
     assert np.abs(step / np.sqrt(np.diag(solution.covariance))).max() < 0.2
 
 
-def test_normal_equations_and_covariance_are_those_at_the_state_and_the_weights_of_a_solution(solved):
-    problem, solution = solved
-    expected = system_with(problem, solution.state, solution.weights).normal.dense()
-    scale = 1.0 / np.sqrt(np.diag(expected))
-    scaled = expected * np.outer(scale, scale)
-    np.testing.assert_allclose(solution.system.normal.dense() * np.outer(scale, scale), scaled, atol=1e-12)
-    np.testing.assert_allclose(scaled @ (solution.covariance / np.outer(scale, scale)), np.eye(len(scale)), atol=1e-6)
-
-
 @dataclass(frozen=True)
 class WorseElsewhere(Problem):
     """A problem whose residuals are of some size [px] at the state of its priors and far larger at any other."""
@@ -381,7 +372,7 @@ def test_a_photograph_that_nothing_ties_is_refused_in_words():
     problem = problem_of(block)
     ties = problem.ties.only(problem.ties.view != 5)
     std = problem.priors.std.copy()
-    std[problem.layout.pose(5)] = np.inf
+    std[problem.layout.first_pose + 30 : problem.layout.first_pose + 36] = np.inf
     # Numbers of points change: none is known.
     priors = Priors(replace(truth_of(block), points=ties.start), std, np.full((len(ties), 3), np.inf))
     count = len(ties.view)

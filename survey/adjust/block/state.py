@@ -192,10 +192,6 @@ class Layout:
         """Parameters of a lens."""
         return slice(self.first_lens + NUM_LENS * number, self.first_lens + NUM_LENS * (number + 1))
 
-    def pose(self, view: int) -> slice:
-        """Parameters of a pose."""
-        return slice(self.first_pose + NUM_POSE * view, self.first_pose + NUM_POSE * (view + 1))
-
 
 @dataclass(frozen=True)
 class State:

@@ -23,14 +23,42 @@ _FILES_OF_2 = (("memory.max", "memory.high"), "memory.current", "inactive_file")
 _FILES_OF_1 = (("memory.limit_in_bytes",), "memory.usage_in_bytes", "total_inactive_file")
 
 
+# Limits of a process as psutil has them, what they are called, what of them libraries and kernels map and do not fill,
+# and below how much Dr.Jit's kernels crash instead of ending with an error [bytes].
+_LIMITS = (("RLIMIT_AS", "ulimit -v", 2.4e9, 3e9), ("RLIMIT_DATA", "ulimit -d", 0.0, 4e8))
+
+
 def memory_bytes() -> int:
     """Memory that this process may take at most: of the machine, or of the job or container that it runs in."""
     return min([psutil.virtual_memory().total, *(group.limit for group in group_memories())])
 
 
 def free_memory_bytes() -> int:
-    """Memory available without swapping, of the machine and of the job."""
-    return min([psutil.virtual_memory().available, *(group.free for group in group_memories())])
+    """Memory available without swapping, of the machine, of the job and by the limits of this process."""
+    allowed = (int(max(limit - mapped, 0.0)) for _, limit, mapped, _ in _process_limits())
+    return min([psutil.virtual_memory().available, *(group.free for group in group_memories()), *allowed])
+
+
+def memory_shortage() -> str | None:
+    """The message where limits of this process leave less memory than kernels need; else None."""
+    for command, limit, _, least in _process_limits():
+        if limit < least:
+            return (
+                f"the memory of this process is limited to {limit / 1e9:.1f} GB ({command}), expected at least "
+                f"{least / 1e9:.1g} GB; raise the limit"
+            )
+    return None
+
+
+def _process_limits() -> list[tuple[str, float, float, float]]:
+    """Limits that are set: command, limit, mapped and least bytes; none on systems other than Linux and FreeBSD."""
+    numbered = [(getattr(psutil, name, None), *others) for name, *others in _LIMITS]
+    known = [(psutil.Process().rlimit(number)[0], *others) for number, *others in numbered if number is not None]
+    return [
+        (command, limit, mapped, least)
+        for limit, command, mapped, least in known
+        if limit not in (-1, getattr(psutil, "RLIM_INFINITY", -1))
+    ]
 
 
 def num_cores() -> int:

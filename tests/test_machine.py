@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 import os
+import shlex
+import subprocess
+import sys
+
+import psutil
+import pytest
 
 from survey import machine
 from survey.machine import GroupMemory
@@ -20,3 +26,16 @@ def test_free_memory_is_part_of_all_memory_and_limits_of_the_job_count(monkeypat
 def test_room_on_the_disk_is_that_of_the_nearest_folder_that_exists(tmp_path):
     assert machine.free_disk_bytes(tmp_path / "a" / "b" / "c") > 0
     assert 1 <= machine.num_cores() <= os.cpu_count()
+
+
+@pytest.mark.skipif(not hasattr(psutil, "RLIMIT_AS"), reason="a system without limits of processes")
+@pytest.mark.parametrize(("limit", "free", "said"), [
+    ("-d 700000", 716_800_000, None),
+    ("-d 300000", 307_200_000, "limited to 0.3 GB (ulimit -d), expected at least 0.4 GB; raise the limit"),
+    ("-v 2000000", 0, "limited to 2.0 GB (ulimit -v), expected at least 3 GB; raise the limit"),
+])  # fmt: skip
+def test_limits_of_the_process_leave_memory_or_are_named(limit, free, said):
+    code = "from survey import machine; print(machine.free_memory_bytes(), machine.memory_shortage())"
+    command = f"ulimit {limit}; {shlex.join([sys.executable, '-c', code])}"
+    ended = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=True).stdout
+    assert ended == f"{free} {said and 'the memory of this process is ' + said}\n"

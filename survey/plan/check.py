@@ -21,6 +21,7 @@ from survey.folder.observations import shutter_text
 from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors, common_up_std_of_exif
 from survey.folder.sfm_views import placing_control, require_solvable
 from survey.folder.survey import Survey, load_survey
+from survey.machine import memory_shortage
 from survey.photos.exif import position_sources
 from survey.photos.poses import enu_from_yaw_pitch_roll
 from survey.plan.area import require_seen
@@ -66,8 +67,9 @@ class Checked:
 
     @property
     def ordered_warnings(self) -> tuple[str, ...]:
-        """All warnings; first the one about a run that would end without a cloud."""
-        return self.warnings if self.level_warning is None else (self.level_warning, *self.warnings)
+        """All warnings; first those about a run that would end without a cloud."""
+        fatal = (text for text in (memory_shortage(), self.level_warning) if text is not None)
+        return (*fatal, *self.warnings)
 
 
 def require_processable(folder: Path, chosen: Choices = USUAL, config: SurveyConfig | None = None) -> Checked:

@@ -33,7 +33,7 @@ from geo.crs import (
     prime_meridian_rad,
     vertical_crs,
 )
-from geo.errors import CRSMismatch, GeoError, PlaceMismatch, UnsupportedCRS
+from geo.errors import GeoError, PlaceMismatch
 from geo.grid import plan_box
 from geo.projection import MapProjection
 from geo.transformation import area_about, lon_lat, middle_of, operations
@@ -79,7 +79,7 @@ def require_same_crs(a: CRS | None, b: CRS | None, a_name: str, b_name: str) -> 
     """Refuse two data sets whose CRSs are known and differ."""
     difference = crs_difference(a, b) if a is not None and b is not None else None
     if difference:
-        raise CRSMismatch(
+        raise GeoError(
             f"{a_name} and {b_name} are in different coordinate reference systems: {difference}; convert one "
             "to the system of the other first, with the grid of the vertical datum where heights differ."
         )
@@ -152,7 +152,7 @@ def _grids_differ(a: CRS, b: CRS) -> bool:
     """Whether places around the origin of the grid of a have other coordinates in b, whatever their notations."""
     unit, projection = horizontal_unit(a), a.coordinate_operation
     if projection is None:
-        raise UnsupportedCRS(f"{a.name} has no map projection; expected a projected CRS.")
+        raise GeoError(f"{a.name} has no map projection; expected a projected CRS.")
     false_origin = [
         # Lengths, though pyproj's stubs say str: only names of grid files are text.
         sum(float(p.value) * p.unit_conversion_factor for p in projection.params if word in p.name.lower())

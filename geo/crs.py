@@ -19,7 +19,7 @@ from pyproj.crs import Ellipsoid, PrimeMeridian
 from pyproj.database import get_units_map
 from pyproj.exceptions import CRSError, ProjError
 
-from geo.errors import MissingVerticalDatum, UnknownCRS, UnreadableFile, UnsupportedCRS
+from geo.errors import GeoError, UnreadableFile
 
 # Radius of the sphere with the volume of the Earth: for lengths of degrees to a part in three hundred.
 EARTH_RADIUS_M = 6.371e6
@@ -39,7 +39,7 @@ def parse_crs(text: str | CRS, *, where: str = "crs") -> CRS:
     try:
         crs = crs_of(text)
     except CRSError as error:
-        raise UnknownCRS(
+        raise GeoError(
             f"{where} is {_short(text)}, which is not a known coordinate reference system; give an EPSG code "
             f'with a vertical part such as "{_EXAMPLE}", WKT or a PROJ string.'
         ) from error
@@ -59,28 +59,26 @@ def _crs_of_text(text: str) -> CRS:
 
 
 def _require_fit(crs: CRS, text: str, where: str) -> None:
-    """Raise UnsupportedCRS unless the coordinates of a CRS are easting, northing and height."""
+    """Raise GeoError unless the coordinates of a CRS are easting, northing and height."""
     message = f"{where} is {_short(text)} ({crs.name})"
     if crs.is_vertical and not crs.is_compound:
-        raise UnsupportedCRS(
-            f'{message}, which has heights only; put the horizontal code before it, e.g. "{_EXAMPLE}".'
-        )
+        raise GeoError(f'{message}, which has heights only; put the horizontal code before it, e.g. "{_EXAMPLE}".')
     kind = horizontal_crs(crs).type_name
     if kind not in _HORIZONTAL_KINDS:
-        raise UnsupportedCRS(
+        raise GeoError(
             f"{message}, of kind {kind}; expected a projected or geographic CRS with heights, "
             f'e.g. "{_EXAMPLE}" or "EPSG:4979".'
         )
     axes = crs.axis_info
     if any(axis.direction == "west" for axis in axes[:2]):
-        raise UnsupportedCRS(
+        raise GeoError(
             f"{message}, whose axes point {axes[0].direction} and {axes[1].direction}; expected easting and "
             "northing: convert the coordinates to a CRS with these axes, e.g. the UTM zone."
         )
     if len(axes) < 3:
-        raise MissingVerticalDatum(f"{message}, which has no vertical part; {_vertical_remedy(crs)}.")
+        raise GeoError(f"{message}, which has no vertical part; {_vertical_remedy(crs)}.")
     if axes[2].direction != "up":
-        raise UnsupportedCRS(
+        raise GeoError(
             f"{message}, whose third axis counts {axes[2].direction} ({axes[2].name}); give heights that count "
             'upwards in the matching height CRS, e.g. "+5714" (MSL height) in place of "+5715" (MSL depth).'
         )
@@ -174,7 +172,7 @@ def geodetic_crs(crs: CRS) -> CRS:
     """The geographic system under a projected or geographic CRS."""
     geodetic = horizontal_crs(crs).geodetic_crs
     if geodetic is None:
-        raise UnsupportedCRS(f"{crs.name} is not placed on the Earth; expected a projected or geographic CRS.")
+        raise GeoError(f"{crs.name} is not placed on the Earth; expected a projected or geographic CRS.")
     return geodetic
 
 
@@ -225,7 +223,7 @@ def wkt1(crs: CRS) -> str:
             return f'COMPD_CS["{name}",{horizontal.to_wkt("WKT1_GDAL")},{ellipsoidal_wkt1(crs)}]'
         return _unbound(crs).to_wkt("WKT1_GDAL")
     except (CRSError, ProjError) as error:
-        raise UnsupportedCRS(
+        raise GeoError(
             f"the CRS {_short(crs.name)} cannot be written as WKT 1, which LAS 1.4 requires; process the "
             "survey in a CRS of common EPSG codes, e.g. the UTM zone with a vertical part."
         ) from error

@@ -12,7 +12,7 @@ import numpy as np
 from pyproj import CRS
 
 from geo.crs import crs_named, horizontal_crs, wkt1
-from geo.errors import EmptyCloud, UnreadableFile, UnwritableFile, first_line
+from geo.errors import UnreadableFile, UnwritableFile, first_line
 from geo.files import existing_file, library_for, write_whole_at
 from geo.shapes import Cloud
 
@@ -35,7 +35,7 @@ def read_e57(path: str | Path) -> Cloud:
     points = [np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], axis=1) for scan in scans]
     cloud = np.concatenate([np.empty((0, 3)), *points])
     if not len(cloud):
-        raise EmptyCloud(f"{path} has no points; expected a cloud with at least one.")
+        raise UnreadableFile(f"{path} has no points; expected a cloud with at least one.")
     crs, notes = crs_named(stated, path) if stated else (None, ())
     return Cloud(cloud, crs=crs, notes=notes)
 

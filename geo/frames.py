@@ -120,9 +120,9 @@ _STEP_M = 10.0
 class LocalFrame:
     """Topocentric Cartesian frame whose horizontal plane touches the ellipsoid at one point of a survey.
 
-    Use one frame per thread: PROJ's transformations must not be shared between threads. Raises MissingVerticalDatum or
-    UnsupportedCRS as `geo.crs.parse_crs`; PlaceMismatch if the origin is not finite, not on the map, or more than 10
-    degrees outside the area that the CRS is made for.
+    Use one frame per thread: PROJ's transformations must not be shared between threads. Raises GeoError as
+    `geo.crs.parse_crs`; PlaceMismatch if the origin is not finite, not on the map, or more than 10 degrees outside the
+    area that the CRS is made for.
     """
 
     crs: CRS  # Compound (horizontal + vertical) or 3D, see `geo.crs.parse_crs`

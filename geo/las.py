@@ -19,7 +19,7 @@ from pyproj import CRS
 
 from geo import copc
 from geo.crs import is_geographic, wkt1
-from geo.errors import EmptyCloud, GeoError, UnreadableFile, UnwritableFile, first_line
+from geo.errors import GeoError, UnreadableFile, UnwritableFile, first_line
 from geo.files import existing_file, write_whole
 from geo.las_header import add_extra_bytes, crs_of_header, extra_of, length_fault, stored_extra
 from geo.shapes import Cloud, ComputedColumn, portions
@@ -87,7 +87,7 @@ def write_cloud(
         raise UnwritableFile(f"cannot write {path}: its suffix must be .las or .laz.")
     points = np.asarray(points_crs, dtype=np.float64)
     if not len(points) and path.name.lower().endswith(copc.SUFFIX):
-        raise EmptyCloud(f"cannot write {path}: COPC needs one point at least; write LAZ.")
+        raise GeoError(f"cannot write {path}: COPC needs one point at least; write LAZ.")
     common = np.full(len(points), np.nan) if std_common_m is None else std_common_m
     extra = {
         "depth": depth_m, "std": std_m, "std_common": common, "num_views": num_views, "incidence": incidence_deg,
@@ -194,8 +194,8 @@ def read_cloud(path: str | Path) -> Cloud:
     """Read LAS or LAZ, version 1.0 to 1.4, any point format; colours come as 8 bits.
 
     The CRS and the unit of heights are taken from WKT, else from GeoTIFF keys; where there is none, or none that is
-    understood, it is None and `Cloud.notes` says so. Raises EmptyCloud if the file has no points; UnreadableFile if it
-    does not exist, is cut short, is not LAS, or has coordinates that are not finite.
+    understood, it is None and `Cloud.notes` says so. Raises UnreadableFile if the file has no points, does not
+    exist, is cut short, is not LAS, or has coordinates that are not finite.
     """
     path = existing_file(path)
     fault = length_fault(path)
@@ -216,7 +216,7 @@ def read_cloud(path: str | Path) -> Cloud:
             "export it again."
         ) from error
     if las is None:
-        raise EmptyCloud(f"{path} has no points; expected a cloud with at least one.")
+        raise UnreadableFile(f"{path} has no points; expected a cloud with at least one.")
     with np.errstate(over="ignore", invalid="ignore"):
         points = np.stack([las.x, las.y, las.z], axis=-1)
     if not np.isfinite(points).all():

@@ -27,7 +27,7 @@ from geo.crs import (
     horizontal_crs,
     horizontal_unit,
 )
-from geo.errors import UnsupportedCRS
+from geo.errors import GeoError
 
 # Bowring's iteration gains about five digits a step below 10 km of height; three steps reach the last bit.
 _BOWRING_STEPS = 3
@@ -89,7 +89,7 @@ class MapProjection:
             try:
                 self._lonlat_from_grid = Transformer.from_crs(horizontal, geodetic_crs(crs), always_xy=True)
             except ProjError as error:
-                raise UnsupportedCRS(
+                raise GeoError(
                     f"{crs_name(crs)} has a map projection that PROJ cannot compute ({str(error)[:120]}); give one of "
                     "EPSG, e.g. EPSG:25832"
                 ) from error

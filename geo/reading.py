@@ -14,7 +14,7 @@ from pyproj import CRS
 
 from geo.crs import has_height, height_unit_m
 from geo.e57 import read_e57
-from geo.errors import EmptyCloud, UnreadableFile
+from geo.errors import UnreadableFile
 from geo.files import existing_file
 from geo.las import read_cloud
 from geo.meshes import read_gltf, read_obj
@@ -206,8 +206,8 @@ def read_reference(path: str | Path) -> Mesh | Cloud:
     """Read a mesh or cloud in crs coordinates, float64, by the suffix of its name.
 
     PLY, OBJ and glTF give a `Mesh` where they have faces, else a `Cloud`; a GeoTIFF gives a `Mesh`, LAS, LAZ and E57 a
-    `Cloud`. Raises EmptyCloud if the file has no points; UnreadableFile if it does not exist, has another suffix, needs
-    a library that is not installed, is damaged, or its values were rounded or have undeclared no-data values.
+    `Cloud`. Raises UnreadableFile if the file has no points, does not exist, has another suffix, needs a
+    library that is not installed, is damaged, or its values were rounded or have undeclared no-data values.
     """
     path = existing_file(path)
     reader = _READERS.get(path.suffix.lower())
@@ -217,7 +217,7 @@ def read_reference(path: str | Path) -> Mesh | Cloud:
     shape = reader(path)
     points = vertices_of(shape)
     if not len(points):
-        raise EmptyCloud(f"{path} has no points; expected a mesh or a cloud with at least one.")
+        raise UnreadableFile(f"{path} has no points; expected a mesh or a cloud with at least one.")
     bad = int((~np.isfinite(points).all(axis=1)).sum())
     if bad:
         raise UnreadableFile(

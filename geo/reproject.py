@@ -19,7 +19,7 @@ from shapely.ops import split
 
 from geo.compatibility import require_in_area
 from geo.crs import crs_of, has_height, height_unit_m, horizontal_crs, is_geographic, parse_crs, vertical_crs
-from geo.errors import UnknownCRS, UnsupportedCRS
+from geo.errors import GeoError
 from geo.projection import nan_unless_finite
 from geo.transformation import Transformation, best_operation
 
@@ -106,7 +106,7 @@ class Reprojection:
             east, north, height = self._transformer.transform(*points.T)
         turned = nan_unless_finite(np.stack([east, north, height], axis=-1))
         if is_geographic(self.crs) and crosses(turned):
-            raise UnsupportedCRS(
+            raise GeoError(
                 f"the survey lies on the meridian of 180 degrees, where the longitudes of {self.crs.name} jump; choose "
                 "a projected CRS of the place, e.g. UTM zone 1 or 60; GeoJSON of lines and areas is cut there."
             )
@@ -131,7 +131,7 @@ def _with_height(source: CRS, target: str | CRS, where: str) -> CRS:
     try:
         target_crs = crs_of(target)
     except CRSError as error:
-        raise UnknownCRS(
+        raise GeoError(
             f'{where} is "{str(target)[:80]}", which is not a known coordinate reference system; give an EPSG code '
             'such as "EPSG:32632", WKT or a PROJ string.'
         ) from error

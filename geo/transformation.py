@@ -33,7 +33,7 @@ from geo.crs import (
     middle_lon_lat,
     vertical_crs,
 )
-from geo.errors import CRSMismatch, MissingGrid, UnknownUnit, UnsupportedCRS
+from geo.errors import GeoError, UnknownUnit
 
 
 def operations(source: CRS | str, target: CRS | str, area: AreaOfInterest | None) -> TransformerGroup:
@@ -121,14 +121,14 @@ class Transformation:
         return self._transformer.transform(x, y)
 
     def require_best(self, subject: str, remedy: str) -> None:
-        """Raise MissingGrid where a grid of the best operation is missing; ``remedy`` says what else would help."""
+        """Raise GeoError where a grid of the best operation is missing; ``remedy`` says what else would help."""
         if self.missing_grids:
             raise _missing(subject, self.source, self.target, self.missing_grids, remedy)
 
     def require_known(self, subject: str, remedy: str) -> None:
-        """Raise UnsupportedCRS where PROJ has no operation: two datums may lie hundreds of metres apart."""
+        """Raise GeoError where PROJ has no operation: two datums may lie hundreds of metres apart."""
         if not self.is_known:
-            raise UnsupportedCRS(
+            raise GeoError(
                 f"{subject}: PROJ knows no operation between the datums of {crs_name(self.source)} and "
                 f"{crs_name(self.target)}, which may lie hundreds of metres apart; name the datum (an EPSG code, or "
                 f"+towgs84 in a PROJ string), {remedy}"
@@ -173,7 +173,7 @@ def height_scale(source: CRS, target: CRS, subject: str, *, unit_m: float | None
         is_one = first is not None and second is not None and (first.equals(second) or first.datum == second.datum)
         if not is_one and not first is second is None:
             names = [part.name if part is not None else "the ellipsoid" for part in (first, second)]
-            raise CRSMismatch(
+            raise GeoError(
                 f"{subject} are above {names[0]}, expected above {names[1]}; convert them, or correct the vertical "
                 "part of the CRS"
             )
@@ -204,17 +204,17 @@ def best_operation(source: CRS, target: CRS, where: str, remedy: str, places: np
         group = operations(source, target, None if middle is None else area_about(*middle.tolist()))
     except ProjError as error:
         why = str(error)[:80]
-        raise UnsupportedCRS(f"{subject} is not known to PROJ ({why}); choose another CRS, {remedy}") from error
+        raise GeoError(f"{subject} is not known to PROJ ({why}); choose another CRS, {remedy}") from error
     if group.best_available and group.transformers:
         return group.transformers[0]
     missing = [grid.short_name for op in group.unavailable_operations[:1] for grid in op.grids if not grid.available]
     if missing:
         raise _missing(where, source, target, missing, remedy)
-    raise UnsupportedCRS(f"{subject} is not known to PROJ; choose another CRS, {remedy}")
+    raise GeoError(f"{subject} is not known to PROJ; choose another CRS, {remedy}")
 
 
-def _missing(subject: str, source: CRS, target: CRS, grids: Sequence[str], remedy: str) -> MissingGrid:
-    return MissingGrid(
+def _missing(subject: str, source: CRS, target: CRS, grids: Sequence[str], remedy: str) -> GeoError:
+    return GeoError(
         f"{subject}: the transformation from {crs_name(source)} to {crs_name(target)} needs {' and '.join(grids)}, "
         f"which PROJ does not have; fetch it into its data folder (pyproj sync --file {grids[0]}), {remedy}"
     )
@@ -288,7 +288,7 @@ def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> Transformation:
         transformer = Transformer.from_crs(source, target, always_xy=True, area_of_interest=area)
         return chosen(transformer, None, is_known=bool(missing))
     except ProjError as error:
-        raise UnsupportedCRS(
+        raise GeoError(
             f"the transformation from {crs_name(source)} to {crs_name(target)} is not known to PROJ "
             f"({str(error)[:80]}); choose another CRS"
         ) from error

@@ -82,7 +82,7 @@ def write_geojson(path: str | Path, layer: Layer) -> str | None:
 
 
 def require_wgs84(path: str | Path, crs: CRS, places: np.ndarray) -> Transformation:
-    """The transformation to WGS 84 at places (N, 2) in crs; raises MissingGrid where its grid is not there."""
+    """The transformation to WGS 84 at places (N, 2) in crs; raises GeoError where its grid is not there."""
     operation = Transformation.between(crs, WGS84, places)
     operation.require_best(str(path), "or write a GeoPackage, which keeps the CRS of the survey.")
     return operation

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from command_line import bathynerf, fake_module, raising
 
-from geo.errors import EmptyCloud, GeoError
+from geo.errors import GeoError, UnreadableFile
 from survey import progress as progress_room
 from survey.errors import SurveyError
 
@@ -30,7 +30,7 @@ def caused_by(error: Exception, cause: BaseException) -> Exception:
     ("error", "code", "words"),
     [
         (SurveyError("a survey is wrong; correct it"), 2, "a survey is wrong; correct it"),
-        (EmptyCloud("cloud.las has no points"), 2, "cloud.las has no points"),
+        (UnreadableFile("cloud.las has no points"), 2, "cloud.las has no points"),
         (OSError(errno.ENOSPC, "No space left on device"), 2, "cannot write run: no space is left on the disk"),
         (
             OSError(errno.ENOSPC, "No space left", "run/a.npy"),

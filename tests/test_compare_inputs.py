@@ -9,7 +9,7 @@ from compare_plane import FRAME, compared, grid, write_las, write_plane
 from pyproj import CRS
 
 from geo import read_reference, write_ply
-from geo.errors import CRSMismatch
+from geo.errors import GeoError
 from geo.las import WITHHELD_STD_M, write_cloud
 from geo.shapes import NOT_GROUND, Cloud, excluded_points, used_as_ground
 from survey.compare.inputs import InputPaths, load_inputs, read_shape
@@ -83,7 +83,7 @@ def test_check_points_have_the_crs_and_the_units_that_their_file_says(tmp_path):
     cloud = CRS("EPSG:25832+7837")
     path = tmp_path / "rods.csv"
     path.write_text("# CoordinateSystem: EPSG:25833\ne,n,h\n1,2,3\n")
-    with pytest.raises(CRSMismatch, match=r"rods\.csv are in different coordinate reference systems"):
+    with pytest.raises(GeoError, match=r"rods\.csv are in different coordinate reference systems"):
         read_checkpoints(path, None, cloud, Units.of(cloud))
     path.write_text("# CoordinateSystem: EPSG:25832\ne,n,h_ft,std_cm\n1,2,3,4\n")
     assert read_checkpoints(path, None, cloud, Units.of(cloud)) == pytest.approx(np.array([[1, 2, 3 * 0.3048, 0.04]]))

@@ -10,7 +10,7 @@ from PIL import Image
 from pyproj import Transformer
 from small_survey import CRS, E0, LEVEL, N0, TOML, camera_lines, replaced, small_survey, write_image, write_poses
 
-from geo.errors import GeoError, MissingVerticalDatum
+from geo.errors import GeoError
 from refract.media import converted_index
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
 from survey.folder.found import NO_WATER
@@ -232,7 +232,7 @@ def test_heights_of_aircraft_are_taken_where_the_overlap_of_photographs_allows_t
 @pytest.mark.parametrize(
     ("pairs", "kind", "words"),
     [
-        ([(CRS, "EPSG:25832")], MissingVerticalDatum, "has no vertical part; add a vertical CRS"),
+        ([(CRS, "EPSG:25832")], GeoError, "has no vertical part; add a vertical CRS"),
         ([(CRS, "EPSG:9999999")], GeoError, "not a known coordinate reference system"),
         ([(f'crs = "{CRS}"', "")], ConfigError, "survey.toml: crs is missing; give that of all positions and heights"),
         ([(f"{LEVEL}", "2605.0")], ConfigError, "the cameras are at 2125.0 to 2125.0 m, all of them under the water"),

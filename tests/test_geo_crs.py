@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from geo.compatibility import bounds_in_other_order, crs_difference, require_same_crs, require_same_place
 from geo.crs import degrees_outside_area, height_unit_m, horizontal_crs, is_geographic, parse_crs, vertical_crs, wkt1
-from geo.errors import CRSMismatch, GeoError, MissingVerticalDatum, PlaceMismatch, UnknownCRS, UnsupportedCRS
+from geo.errors import GeoError, PlaceMismatch
 
 COMPOUND = [
     "EPSG:25832+5778", "EPSG:4326+5773", "EPSG:32733+5773", "EPSG:2230+6360", "EPSG:2992+6360", "EPSG:32661+3855",
@@ -69,33 +69,33 @@ def test_parts_and_units_are_found_in_compound_3d_and_bound_systems():
 
 
 @pytest.mark.parametrize(
-    ("text", "kind", "words"),
+    ("text", "words"),
     [
-        ("EPSG:25832", MissingVerticalDatum, ["no vertical part", "EPSG:25832+5778", "EPSG:25832+4937"]),
-        ("EPSG:4326", MissingVerticalDatum, ["no vertical part", "EPSG:4979"]),
-        (CRS("EPSG:25832").to_wkt(), MissingVerticalDatum, ["no vertical part"]),
-        ("+proj=utm +zone=32 +ellps=GRS80 +units=m", MissingVerticalDatum, ["no vertical part", "EPSG:25832+5778"]),
-        ("EPSG:32632+5715", UnsupportedCRS, ["counts down", "+5714"]),
-        ("EPSG:25832+5831", UnsupportedCRS, ["counts down", "upwards"]),
-        ("EPSG:2046+9279", UnsupportedCRS, ["west and south", "easting and northing"]),
-        ("EPSG:2065+5705", UnsupportedCRS, ["south and west", "easting and northing"]),
-        ("EPSG:5778", UnsupportedCRS, ["heights only", "EPSG:25832+5778"]),
-        ("EPSG:4978", UnsupportedCRS, ["Geocentric CRS", "EPSG:4979"]),
-        ('LOCAL_CS["site",UNIT["metre",1]]', UnsupportedCRS, ["Engineering CRS"]),
-        ("+proj=ob_tran +o_proj=longlat +o_lat_p=30 +lon_0=10 +ellps=GRS80", UnsupportedCRS, ["Derived Geographic"]),
-        ("EPSG:8857+3855", UnsupportedCRS, ["cannot be written as WKT 1", "UTM zone"]),
-        ("EPSG:99999", UnknownCRS, ["not a known coordinate reference system", "EPSG:25832+5778"]),
-        ("EPSG:25832+25833", UnknownCRS, ["not a known coordinate reference system"]),
-        ("gauss", UnknownCRS, ['crs in survey.toml is "gauss"']),
-        ("", UnknownCRS, ["EPSG code with a vertical part"]),
+        ("EPSG:25832", ["no vertical part", "EPSG:25832+5778", "EPSG:25832+4937"]),
+        ("EPSG:4326", ["no vertical part", "EPSG:4979"]),
+        (CRS("EPSG:25832").to_wkt(), ["no vertical part"]),
+        ("+proj=utm +zone=32 +ellps=GRS80 +units=m", ["no vertical part", "EPSG:25832+5778"]),
+        ("EPSG:32632+5715", ["counts down", "+5714"]),
+        ("EPSG:25832+5831", ["counts down", "upwards"]),
+        ("EPSG:2046+9279", ["west and south", "easting and northing"]),
+        ("EPSG:2065+5705", ["south and west", "easting and northing"]),
+        ("EPSG:5778", ["heights only", "EPSG:25832+5778"]),
+        ("EPSG:4978", ["Geocentric CRS", "EPSG:4979"]),
+        ('LOCAL_CS["site",UNIT["metre",1]]', ["Engineering CRS"]),
+        ("+proj=ob_tran +o_proj=longlat +o_lat_p=30 +lon_0=10 +ellps=GRS80", ["Derived Geographic"]),
+        ("EPSG:8857+3855", ["cannot be written as WKT 1", "UTM zone"]),
+        ("EPSG:99999", ["not a known coordinate reference system", "EPSG:25832+5778"]),
+        ("EPSG:25832+25833", ["not a known coordinate reference system"]),
+        ("gauss", ['crs in survey.toml is "gauss"']),
+        ("", ["EPSG code with a vertical part"]),
     ],
 )
-def test_an_unfit_crs_is_refused_with_its_name_and_the_mend(text, kind, words):
-    with pytest.raises(kind) as caught:
+def test_an_unfit_crs_is_refused_with_its_name_and_the_mend(text, words):
+    with pytest.raises(GeoError) as caught:
         parse_crs(text, where="crs in survey.toml")
-    assert issubclass(kind, GeoError)
     assert issubclass(GeoError, ValueError)
-    for word in ["crs in survey.toml", *words] if kind is not UnsupportedCRS else words:
+    assert str(caught.value).startswith(("crs in survey.toml", "the CRS"))
+    for word in words:
         assert word in str(caught.value)
     assert len(str(caught.value)) < 300
 
@@ -150,7 +150,7 @@ def test_a_crs_is_the_same_after_wkt_1_and_differs_from_all_others(text):
     ],
 )
 def test_what_differs_is_said_and_refused(a, b, words):
-    with pytest.raises(CRSMismatch, match=rf"cloud\.las and ref\.las are in different .*{words}.*; convert one"):
+    with pytest.raises(GeoError, match=rf"cloud\.las and ref\.las are in different .*{words}.*; convert one"):
         require_same_crs(CRS(a), CRS(b), "cloud.las", "ref.las")
 
 

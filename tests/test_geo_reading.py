@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-from geo.errors import EmptyCloud, UnreadableFile
+from geo.errors import UnreadableFile
 from geo.ply import write_ply
 from geo.reading import read_reference
 from geo.shapes import Cloud, Mesh, triangulated
@@ -241,7 +241,7 @@ def test_paths_that_cannot_be_a_reference_are_named(tmp_path):
     (tmp_path / "e.ply").write_bytes(ply_bytes([], form="ascii", corners=CORNERS[:0]))
     write_ply(tmp_path / "c.ply", np.empty((0, 3)), rgb=np.empty((0, 3), np.uint8), scalars={})
     for name in ("e.obj", "e.ply", "c.ply"):
-        with pytest.raises(EmptyCloud, match=f"{name} has no points"):
+        with pytest.raises(UnreadableFile, match=f"{name} has no points"):
             read_reference(tmp_path / name)
 
 

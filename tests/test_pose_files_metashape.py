@@ -22,7 +22,7 @@ from foreign_block import (
 from pyproj import CRS
 from scipy.spatial.transform import Rotation
 
-from geo.errors import CRSMismatch
+from geo.errors import GeoError
 from survey.errors import PosesError
 from survey.folder.found import NO_WATER
 from survey.folder.pose_priors import BY_FILE
@@ -293,7 +293,7 @@ def test_a_geoid_that_the_program_added_is_taken_away_again(tmp_path, block, mon
 
 def test_a_chunk_over_another_vertical_datum_is_refused(tmp_path, block):
     text = cameras_xml(block, wkt=CRS("EPSG:25832+5773").to_wkt("WKT1_GDAL"))
-    with pytest.raises(CRSMismatch, match=r"the heights of the poses are above EGM96 height, expected above"):
+    with pytest.raises(GeoError, match=r"the heights of the poses are above EGM96 height, expected above"):
         loaded(tmp_path, block, text)
 
 

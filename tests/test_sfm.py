@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from synthetic_block import synthetic_block
 
 from geo.crs import parse_crs
-from geo.errors import MissingVerticalDatum, UnwritableFile
+from geo.errors import GeoError, UnwritableFile
 from geo.frames import fit_similarity, robust_similarity
 from refract import PinholeCamera
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
@@ -128,7 +128,7 @@ def test_gps_distances_are_kept_in_local():
 
 
 def test_a_crs_without_heights_is_refused():
-    with pytest.raises(MissingVerticalDatum):
+    with pytest.raises(GeoError):
         gps_positions(some_heads(), CRS("EPSG:32632"), "crs")
 
 

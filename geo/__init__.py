@@ -2,8 +2,8 @@
 
 | subject | files |
 |---|---|
-| coordinate reference systems and units | `crs`, `projection`; from one into another: `transformation`, `reproject` |
-| whether data sets and places fit together | `compatibility` |
+| coordinate reference systems and units | `crs`, `projection`, `transformation` |
+| whether data sets and places fit together, and reprojection | `compatibility` |
 | the local frame, and fitted transforms | `frames` |
 | cells of rasters in plan | `grid` |
 | clouds and meshes in memory | `shapes` |

@@ -1,4 +1,7 @@
-"""Whether two data sets share a coordinate system and a place; areas of use and height systems at a place.
+"""Whether two data sets share a coordinate system and a place, and points of one in the system of another.
+
+`Reprojection` transforms horizontal coordinates by PROJ; heights stay as they are where both systems count them from
+the same datum. Between two vertical datums the grid of one of them is needed, and without it an error is raised.
 
 The approximate geoid undulation recognises which vertical datums were mixed up, where heights differ by tens of metres;
 nothing is transformed with it. It is EGM96 (National Geospatial-Intelligence Agency, public domain) at every fifth
@@ -8,20 +11,22 @@ degree, in whole metres: interpolated, it is within 2 m (rms) of the model, and 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from typing import Any, cast
 
 import numpy as np
-from pyproj import CRS, Geod
+from pyproj import CRS, Geod, Transformer
 from pyproj.crs import CompoundCRS, Datum
 from pyproj.database import query_crs_info
 from pyproj.enums import PJType
-from pyproj.exceptions import ProjError
+from pyproj.exceptions import CRSError, ProjError
 from scipy.ndimage import map_coordinates
 
 from geo.crs import (
     AREA_MARGIN_DEG,
+    crs_of,
     degrees_outside_area,
     ellipsoid,
     geodetic_crs,
@@ -29,14 +34,16 @@ from geo.crs import (
     height_unit_m,
     horizontal_crs,
     horizontal_unit,
+    is_geographic,
     middle_lon_lat,
+    parse_crs,
     prime_meridian_rad,
     vertical_crs,
 )
 from geo.errors import GeoError, PlaceMismatch
 from geo.grid import plan_box
-from geo.projection import MapProjection
-from geo.transformation import area_about, lon_lat, middle_of, operations
+from geo.projection import MapProjection, nan_unless_finite
+from geo.transformation import Transformation, area_about, best_operation, lon_lat, middle_of, operations
 
 # Two statements of one system differ by rounded parameters, e.g. feet to nine digits (0.4 mm at 1,300 km),
 # and GRS 80 from WGS 84 by 0.1 mm; really different systems do so by decimetres and more.
@@ -278,3 +285,92 @@ def approximate_undulation_m(lat_deg: float, lon_deg: float) -> float:
     at = [[(lat_deg + 90.0) / _STEP_DEG], [(lon_deg + 180.0) % 360.0 / _STEP_DEG]]
     # After the last meridian comes the first.
     return float(map_coordinates(np.column_stack([grid, grid[:, 0]]), at, order=1, mode="nearest")[0])
+
+
+def crosses(lonlat: np.ndarray) -> bool:
+    """Whether places (N, 2 or more) [deg] of a survey lie on both sides of the meridian of 180 degrees."""
+    longitude = lonlat[np.isfinite(lonlat[:, 0]), 0]
+    return len(longitude) > 0 and float(np.ptp(longitude)) > 180.0
+
+
+@dataclass(frozen=True)
+class Reprojection:
+    """Transformation from one CRS with heights to another: places by PROJ, and heights where their datum changes."""
+
+    crs: CRS  # In which points come out, with a vertical part
+    keeps_height: bool  # Whether heights stay as they are
+    warning: str | None  # A sentence: where places or heights are less well known in it, as PROJ states
+    _transformer: Transformer = field(repr=False, compare=False)
+    _where: str | None = field(repr=False, compare=False)  # In errors about places off the area; None: places stay
+
+    @staticmethod
+    def between(
+        source: CRS, target: str | CRS, *, where: str = "crs", places: np.ndarray | None = None
+    ) -> Reprojection:
+        """Transformation from a CRS with heights to one with heights, or to a horizontal one, which keeps the heights.
+
+        Errors name ``where``; places (N, 2 or 3) of the survey, in the source, decide between regional operations.
+        """
+        target = _with_height(source, target, where)
+        plan = horizontal_crs(source), horizontal_crs(target)
+        keeps_height = has_same_heights(source, target)
+        remedy = "or name a horizontal CRS alone, which keeps the heights as they are."
+        operation = best_operation(*(plan if keeps_height else (source, target)), where, remedy, places)
+        warning = None
+        if places is not None:
+            in_plan = Transformation.between(source, target, places)
+            warning = in_plan.warning(f"{where}: places")
+            if in_plan.accuracy_m == 0.0 and not keeps_height and operation.accuracy > 0.0:
+                warning = (
+                    f"{where}: heights are transformed by {operation.description} with an accuracy of "
+                    f"{operation.accuracy:.2g} m by PROJ: an error common to all of them"
+                )
+        stays = plan[0].equals(plan[1], ignore_axis_order=True)
+        return Reprojection(target, keeps_height, warning, operation, None if stays else where)
+
+    @property
+    def height_std_m(self) -> float:
+        """Accuracy of heights that PROJ states for the operation; 0 where they stay, or nothing is stated."""
+        return 0.0 if self.keeps_height else max(self._transformer.accuracy, 0.0)
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Points (N, 3) in the source CRS as points (N, 3) float64 in `crs`; NaN where PROJ has no answer."""
+        east, north, height = np.asarray(points, dtype=np.float64).T
+        if self.keeps_height:
+            east, north = self._transformer.transform(east, north)
+        else:
+            east, north, height = self._transformer.transform(east, north, height)
+        turned = nan_unless_finite(np.stack([east, north, height], axis=-1))
+        if is_geographic(self.crs) and crosses(turned):
+            raise GeoError(
+                f"the survey lies on the meridian of 180 degrees, where the longitudes of {self.crs.name} jump; choose "
+                "a projected CRS of the place, e.g. UTM zone 1 or 60; GeoJSON of lines and areas is cut there."
+            )
+        if self._where is not None:
+            require_in_area(self.crs, turned, "the points", self._where)
+        return turned
+
+
+def _with_height(source: CRS, target: str | CRS, where: str) -> CRS:
+    """The target as a CRS with heights: its own, else those of the source."""
+    try:
+        target_crs = crs_of(target)
+    except CRSError as error:
+        raise GeoError(
+            f'{where} is "{str(target)[:80]}", which is not a known coordinate reference system; give an EPSG code '
+            'such as "EPSG:32632", WKT or a PROJ string.'
+        ) from error
+    if not has_height(target_crs) and (target_crs.is_projected or target_crs.is_geographic):
+        vertical = vertical_crs(source)
+        compound = vertical and CompoundCRS(f"{target_crs.name} + {vertical.name}", [target_crs, vertical])
+        target_crs = compound or target_crs.to_3d()
+    return parse_crs(target_crs, where=where)
+
+
+def has_same_heights(source: CRS, target: CRS) -> bool:
+    """Whether both count heights from the same surface and in the same unit."""
+    before, after = vertical_crs(source), vertical_crs(target)
+    if before is None or after is None:
+        same_ellipsoid = horizontal_crs(source).geodetic_crs == horizontal_crs(target).geodetic_crs
+        return before is after is None and same_ellipsoid and height_unit_m(source) == height_unit_m(target)
+    return before.equals(after)

@@ -20,17 +20,18 @@ from pyproj import CRS
 from shapely import LineString, MultiLineString, MultiPolygon, Polygon
 from shapely.geometry import mapping
 from shapely.geometry.polygon import orient
+from shapely.ops import split
 
-from geo.compatibility import crs_difference
+from geo.compatibility import crosses, crs_difference
 from geo.crs import crs_code, crs_name, height_unit_m, horizontal_crs, horizontal_unit, is_geographic
 from geo.errors import UnwritableFile
 from geo.features import UNITS_OF_DRAWINGS
 from geo.files import library_for, write_text, write_whole
-from geo.reproject import cut_line, cut_polygon
 from geo.transformation import WGS84, Transformation
 
 # Of a degree: a tenth of a millimetre.
 _DECIMALS = 9
+_MERIDIAN = LineString([(180.0, -90.0), (180.0, 90.0)])
 # Characters that DXF does not allow in names of layers.
 _NOT_IN_NAMES = re.compile(r"[<>/\\\":;?*|=`\x00-\x1f]")
 
@@ -79,6 +80,36 @@ def write_geojson(path: str | Path, layer: Layer) -> str | None:
     collection = {"type": "FeatureCollection", "name": layer.name, "bathynerf": about, "features": features}
     write_text(path, json.dumps(collection, ensure_ascii=False, allow_nan=False))
     return operation.warning(f"places in {path}") if layer.shapes else None
+
+
+def cut_line(line: np.ndarray) -> list[np.ndarray]:
+    """The parts of a line (N, 2) [deg] on both sides of 180 degrees, in their order (RFC 7946, section 3.1.9)."""
+    return [part[0] for part in _cut(LineString(_unwrapped(line)))] if crosses(line) else [line]
+
+
+def cut_polygon(rings: list[np.ndarray]) -> list[list[np.ndarray]]:
+    """The parts of a polygon on both sides, each as its closed rings (N, 2) [deg] with the outer one first."""
+    if not crosses(np.concatenate(rings)):
+        return [rings]
+    outer, *holes = (_unwrapped(ring) for ring in rings)
+    return _cut(Polygon(outer, holes))
+
+
+def _unwrapped(line: np.ndarray) -> np.ndarray:
+    """The line with longitudes from 0 to 360 degrees, without a jump at the meridian."""
+    line = np.array(line, dtype=np.float64)
+    line[line[:, 0] < 0.0, 0] += 360.0
+    return line
+
+
+def _cut(shape: LineString | Polygon) -> list[list[np.ndarray]]:
+    """The parts of a shape on both sides of 180 degrees, each as its lines (N, 2) with longitudes of -180 to 180."""
+    parts = []
+    for part in split(shape, _MERIDIAN).geoms:
+        east = 360.0 if part.representative_point().x > 180.0 else 0.0
+        lines = [part] if isinstance(part, LineString) else [part.exterior, *part.interiors]
+        parts.append([np.array(line.coords) - [east, 0.0] for line in lines])
+    return parts
 
 
 def require_wgs84(path: str | Path, crs: CRS, places: np.ndarray) -> Transformation:

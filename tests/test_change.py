@@ -13,8 +13,8 @@ from command_line import bathynerf
 from pyproj import CRS
 from slow_cases import slow
 
+from geo.compatibility import Reprojection
 from geo.las import read_cloud, write_cloud
-from geo.reproject import Reprojection
 from geo.vectors import Layer, write_geojson, write_geopackage
 from survey.change.change import align, change_between
 from survey.change.differences import (
@@ -25,8 +25,8 @@ from survey.change.differences import (
     shared_photographs,
     volume_of,
 )
-from survey.change.options import ChangeOptions
 from survey.change.series import change_series
+from survey.change.options import ChangeOptions
 from survey.files.json_values import write_json
 from survey.run.folder import RunDir
 

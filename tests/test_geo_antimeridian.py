@@ -11,12 +11,11 @@ import shapely
 from pyproj import CRS, Transformer
 from shapely import Polygon
 
-from geo.compatibility import require_at
+from geo.compatibility import Reprojection, crosses, require_at
 from geo.crs import middle_lon_lat, parse_crs
 from geo.errors import GeoError, PlaceMismatch
-from geo.reproject import Reprojection, crosses, cut_line, cut_polygon
 from geo.transformation import WGS84, Transformation
-from geo.vectors import Layer, write_geojson
+from geo.vectors import Layer, cut_line, cut_polygon, write_geojson
 from survey.photos.exif import Exif, utm_code_of
 
 FIJI = CRS("EPSG:3460")

@@ -10,10 +10,10 @@ from pyproj import CRS, Geod, Transformer
 from stored_run import run_of, stored_points
 
 from geo import transformation
+from geo.compatibility import Reprojection
 from geo.crs import horizontal_unit, parse_crs
 from geo.errors import GeoError, PlaceMismatch
 from geo.projection import ground_units_m, is_to_scale
-from geo.reproject import Reprojection
 from survey.export.export import export
 from survey.export.registry import ExportOptions
 

@@ -31,14 +31,13 @@ from evaluation.bootstrap import cell_numbers
 from evaluation.standards import TO_95
 from evaluation.summary import MAD_TO_STD
 from geo import Cloud, read_reference, require_same_place
-from geo.compatibility import crs_difference
+from geo.compatibility import Reprojection, crs_difference
 from geo.crs import has_height, height_unit_m
 from geo.grid import Grid
 from geo.projection import ground_units_m
-from geo.reproject import Reprojection
 from geo.shapes import ground_of, in_height_unit
-from survey.change.options import ChangeOptions
 from survey.compare.inputs import common_crs
+from survey.change.options import ChangeOptions
 from survey.errors import SurveyError
 from survey.export.bed_raster import cells_over, round_side
 from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells

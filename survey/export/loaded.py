@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from pyproj import CRS
 
+from geo.compatibility import Reprojection
 from geo.las import WITHHELD_STD_M, classes_of, is_withheld
-from geo.reproject import Reprojection
 from refract import PinholeCamera
 from survey.adjust.result.adjustment import read_adjustment
 from survey.errors import SurveyError
@@ -123,7 +123,7 @@ class LoadedRun:
         return found if self.edits is None else {name: values[self.edits.is_bed] for name, values in found.items()}
 
     def transformation_to(self, crs: str) -> Reprojection:
-        """Transformation from the CRS of the survey to another one; see `geo.reproject.Reprojection`."""
+        """Transformation from the CRS of the survey to another one; see `geo.compatibility.Reprojection`."""
         # One place of the survey restricts the choice of the operation to those that hold there.
         place, own = self._some_place, self.bed_header.crs
         return self.once(("crs", crs), lambda: Reprojection.between(own, crs, where="--crs", places=place))

@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
+from geo.compatibility import Reprojection
 from geo.crs import height_unit_m, horizontal_crs
 from geo.files import scratch_array
 from geo.grid import Grid, Window
 from geo.raster import RasterBand, RasterForm, write_cog
-from geo.reproject import Reprojection
 from refract import PinholeCamera
 from survey.errors import SurveyError
 from survey.export.bed_raster import BedRaster, bed_raster, cells_over, round_side

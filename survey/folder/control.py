@@ -15,7 +15,7 @@ from pyproj import CRS
 from pyproj.crs import CompoundCRS
 from scipy.spatial import KDTree
 
-from geo.compatibility import crs_difference
+from geo.compatibility import Reprojection, crs_difference
 from geo.crs import has_height, height_unit_m, vertical_crs
 from geo.features import assumed_crs, layer_of, points_inside, read_polygons
 from geo.files import existing_file
@@ -23,7 +23,6 @@ from geo.frames import LocalFrame
 from geo.grid import plan_box
 from geo.projection import metres_per_unit
 from geo.reading import read_reference
-from geo.reproject import Reprojection
 from geo.shapes import Cloud, Mesh, ground_of, in_height_unit, masked_cloud, vertices_of
 from geo.transformation import Transformation
 from refract import FlatWater

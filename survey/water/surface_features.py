@@ -10,12 +10,11 @@ import numpy as np
 import shapely
 from pyproj import CRS
 
-from geo.compatibility import require_in_area
+from geo.compatibility import has_same_heights, require_in_area
 from geo.crs import crs_name, has_height, height_unit_m, horizontal_crs, horizontal_unit, is_geographic
 from geo.errors import PlaceMismatch, UnreadableFile
 from geo.features import GEOJSON, Feature, layers_of, read_features
 from geo.reading import is_no_data_value
-from geo.reproject import has_same_heights
 from geo.transformation import WGS84, middle_of, transformed
 from survey.display.quantities import listed
 from survey.errors import ConfigError

@@ -11,10 +11,9 @@ from refract.paths import project, trace
 from refract.surfaces import FlatWater, WaterSurface
 from survey.adjust.waterline import estimate_water
 from survey.change.change import change_between as change
-from survey.change.options import ChangeOptions
 from survey.change.series import change_series
 from survey.compare.comparison import compare_files as compare
-from survey.compare.options import CompareOptions
+from survey.compare.options import ChangeOptions, CompareOptions
 from survey.errors import SurveyError
 from survey.export.export import export
 from survey.export.profiles import Profile, profiles_along

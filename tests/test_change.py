@@ -26,7 +26,7 @@ from survey.change.differences import (
     volume_of,
 )
 from survey.change.series import change_series
-from survey.change.options import ChangeOptions
+from survey.compare.options import ChangeOptions
 from survey.files.json_values import write_json
 from survey.run.folder import RunDir
 

@@ -29,7 +29,7 @@ from survey.change.differences import (
     measured_correlation,
     volume_of,
 )
-from survey.change.options import ChangeOptions
+from survey.compare.options import ChangeOptions
 from survey.display.quantities import MINUS, length, share
 from survey.export.export import cloud_of
 from survey.files.json_values import write_json
@@ -189,15 +189,8 @@ def rows_of(change: Change) -> list[tuple[str, str]]:
 def numbers_of(change: Change, first: Path, second: Path) -> dict:
     """The result as ``--json`` holds it."""
     known, differences = change.inside, change.differences
-    volumes = {
-        name: {
-            "volume_m3": volume.volume_m3,
-            "std_m3": volume.std_m3,
-            "interval95_m3": volume.interval95_m3,
-            "area_m2": volume.area_m2,
-        }
-        for name, volume in (("net", change.net), ("cut", change.cut), ("fill", change.fill))
-    }
+    keys = ("volume_m3", "std_m3", "interval95_m3", "area_m2")
+    volumes = {name: {key: getattr(getattr(change, name), key) for key in keys} for name in ("net", "cut", "fill")}
     return {
         "first": str(first),
         "second": str(second),

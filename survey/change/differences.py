@@ -37,7 +37,7 @@ from geo.grid import Grid
 from geo.projection import ground_units_m
 from geo.shapes import ground_of, in_height_unit
 from survey.compare.inputs import common_crs
-from survey.change.options import ChangeOptions
+from survey.compare.options import ChangeOptions
 from survey.errors import SurveyError
 from survey.export.bed_raster import cells_over, round_side
 from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells

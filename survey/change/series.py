@@ -20,7 +20,7 @@ from geo.features import cells_inside
 from geo.files import reporting_disk_errors, write_text
 from survey.change.change import changes_in, polygons_for, require_cells, require_surveys, volume_text
 from survey.change.differences import ChangeError, Volume, differences_of
-from survey.change.options import ChangeOptions
+from survey.compare.options import ChangeOptions
 from survey.display.quantities import MINUS, length
 from survey.files.json_values import read_json_object
 from survey.files.outputs import ReadFiles, is_png, require_file, require_folder

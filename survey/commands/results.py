@@ -11,9 +11,8 @@ from typing import Annotated
 
 import typer
 
-from survey.change.options import ChangeOptions
 from survey.commands.console import DeviceOption, Quiet, RunFolder, Verbose, command, verb
-from survey.compare.options import CompareOptions
+from survey.compare.options import ChangeOptions, CompareOptions
 from survey.errors import SurveyError
 from survey.export.registry import FAMILIES, PRODUCTS, ExportOptions
 from survey.words import FILES, Device

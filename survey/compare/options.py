@@ -1,4 +1,4 @@
-"""Options of `bathynerf compare`, and their checks."""
+"""Options of `bathynerf compare` and `change`, and their checks."""
 
 # ruff: noqa: RUF009 (calls that make fields)
 
@@ -18,6 +18,7 @@ from survey.words import COMPARED, FILES
 
 Bounds = tuple[float, float, float, float]
 _measured, _compared, _written = (partial(option, panel) for panel in ("What is measured", COMPARED, FILES))
+_where, _uncertainty = partial(option, "Where"), partial(option, "Uncertainty")
 
 _LENGTH: dict[str, Any] = {"expected": "metres above zero, e.g. 0.2", "above": 0.0, "most": LARGEST}
 
@@ -59,6 +60,43 @@ class CompareOptions:
     outliers: str | None = _compared("sor:K,S", "Remove statistical outliers; default: keep all.")
     json_path: Path | None = _written("FILE", "JSON file for the numbers.", name="--json")
     report_dir: Path | None = _written("DIR", "Folder for pictures.", name="--report")
+
+
+@dataclass(frozen=True)
+class ChangeOptions:
+    """Options of a comparison of two surveys."""
+
+    area: Path | None = _where("FILE", "Polygons in a vector file; default: all in common.")
+    stable: Path | None = _where(
+        "FILE", "Polygons of unchanged ground, to which the later survey is aligned in height."
+    )
+    resolution_m: float | None = _where(
+        "M", "Side of a cell [m]; default: by the spacing of the points.", name="--resolution", **_LENGTH
+    )
+    correlation_length_m: float | None = _uncertainty(
+        "M", "Correlation length of errors [m]; default: measured.", name="--correlation-length", **_LENGTH
+    )
+    shared: float = _uncertainty(
+        "R",
+        "Correlation of the two std_common: 0 independent, 1 with shared level and control.",
+        name="--common-correlation",
+        default=0.0,
+        expected="-1 to 1; 0 where nothing is shared",
+        least=-1.0,
+        most=1.0,
+    )
+    std_m: float | None = _uncertainty("M", "std of heights, for clouds without one [m].", name="--std", **_LENGTH)
+    std_common_m: float | None = _uncertainty(
+        "M",
+        "std common to all heights, for clouds without std_common [m].",
+        name="--std-common",
+        expected="metres, at least 0, e.g. 0.02",
+        least=0.0,
+        most=LARGEST,
+    )
+    json_path: Path | None = _written("FILE", "JSON file for the numbers.", name="--json")
+    tif_path: Path | None = _written("FILE", "GeoTIFF of differences and detection.", name="--tif")
+    picture_path: Path | None = _written("FILE", "PNG of the differences.", name="--picture")
 
 
 def check_options(options: CompareOptions) -> None:

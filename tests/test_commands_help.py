@@ -66,7 +66,6 @@ def test_the_package_runs_as_a_module(tmp_path):
 
 
 def test_units_in_brackets_are_shown():
-    assert "this level [m]" in bathynerf("waterline", "--help").stdout
     assert "F-score [m]" in bathynerf("compare", "--help").stdout
 
 

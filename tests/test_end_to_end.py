@@ -298,7 +298,7 @@ def test_a_changed_setting_is_not_served_from_what_was_finished(noisy, monkeypat
     asked = []
 
     def note(self, name, key, leaves=()):
-        asked.append((name, key.digest))
+        asked.append((name, dict(key)))
         raise SurveyError("seen enough")
 
     monkeypatch.setattr(RunDir, "finished_stage", note)

@@ -128,7 +128,7 @@ def photographs(**headers) -> Photographs:
     head = {"size_px": (4000, 3000), "lat_lon_height": None, "focal_px": 3000.0, "orientation": 1, "camera": ""}
     each = Exif(**{**head, "above_start_m": None, **headers})
     positions = {name: np.array([10.0 * k, 0.0, 60.0]) for k, name in enumerate(names)}
-    return Photographs({}, dict.fromkeys(names, each), positions, None, "auto")
+    return Photographs({}, dict.fromkeys(names, each), positions, None)
 
 
 def test_footprints_are_those_of_the_larger_height_that_is_known():
@@ -137,13 +137,13 @@ def test_footprints_are_those_of_the_larger_height_that_is_known():
     assert given.places["3.jpg"].spread == pytest.approx(2.0 / 3.0)
     started = photographs(above_start_m=40.0).places["3.jpg"].height_m
     assert started == 40.0
-    levels = [Photographs({}, given.headers, given.positions, None, "auto", level) for level in (0.0, 0.5, -200.0)]
+    levels = [Photographs({}, given.headers, given.positions, None, level) for level in (0.0, 0.5, -200.0)]
     heights = [each.places["3.jpg"].height_m for each in levels]
     assert heights[0] == heights[1]
     # Rounded up, by a tenth at most.
     assert 60.0 <= heights[0] < 66.1
     assert heights[2] >= 260.0
-    under = Photographs({}, given.headers, given.positions, None, "auto", 80.0)
+    under = Photographs({}, given.headers, given.positions, None, 80.0)
     assert under.places["3.jpg"].height_m is None
 
 
@@ -167,7 +167,7 @@ def test_photographs_of_two_heights_are_tied_to_those_of_their_own_height_first(
     above = {name: float(at[2]) - 100.0 for name, at in positions.items()}
     told = {"level": [], "start": list(positions), "start of half": list(positions)[::2]}[told_by]
     headers = {name: replace(one, above_start_m=above[name] if name in told else None) for name in positions}
-    given = Photographs({}, headers, positions, None, "auto", 100.0 if told_by == "level" else None)
+    given = Photographs({}, headers, positions, None, 100.0 if told_by == "level" else None)
     places = given.places
     # A level's height is rounded up, by a tenth of that of most at most.
     assert all(above[name] - 1e-9 <= place.height_m < above[name] + 3.1 for name, place in places.items())
@@ -182,12 +182,12 @@ def test_photographs_of_two_heights_are_tied_to_those_of_their_own_height_first(
 def test_a_photograph_of_the_take_off_does_not_touch_all_others():
     given = photographs(above_start_m=40.0)
     headers = {**given.headers, "0.jpg": replace(given.headers["0.jpg"], above_start_m=0.1)}
-    places = Photographs({}, headers, given.positions, None, "auto").places
+    places = Photographs({}, headers, given.positions, None).places
     assert places["0.jpg"].height_m == LEAST_HEIGHT_M
     assert places["1.jpg"].height_m == 40.0
 
 
 def test_a_focal_length_of_a_calibration_counts_before_that_of_exif():
     given = photographs()
-    calibrated = Photographs({}, given.headers, given.positions, 1500.0, "auto")
+    calibrated = Photographs({}, given.headers, given.positions, 1500.0)
     assert calibrated.places["3.jpg"].spread == pytest.approx(4.0 / 3.0)

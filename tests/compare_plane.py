@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import laspy
 import numpy as np
+from laspy.vlrs.known import GeoKeyDirectoryVlr, GeoKeyEntryStruct
 from pyproj import CRS
 
 from geo import LocalFrame, write_cloud
@@ -51,6 +53,19 @@ def write_las(path, points, crs=UTM32, depth=None, num_views=0, incidence_deg=0.
         incidence_deg=np.broadcast_to(incidence_deg, n),
         is_wet=depth > 0,
     )
+    return path
+
+
+def keyed_las(path, keys, points):
+    """A LAS 1.2 file of points whose CRS is that of GeoTIFF keys."""
+    header, table = laspy.LasHeader(version="1.2", point_format=3), GeoKeyDirectoryVlr()
+    table.geo_keys_header.number_of_keys = len(keys)
+    table.geo_keys = [GeoKeyEntryStruct(id=k, tiff_tag_location=0, count=1, value_offset=v) for k, v in keys.items()]
+    header.scales, header.offsets = [0.001] * 3, np.floor(points[0])
+    header.vlrs.append(table)
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = points.T
+    las.write(path)
     return path
 
 

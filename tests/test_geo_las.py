@@ -8,8 +8,8 @@ import struct
 import laspy
 import numpy as np
 import pytest
-from compare_plane import write_las
-from laspy.vlrs.known import GeoKeyDirectoryVlr, GeoKeyEntryStruct, WktCoordinateSystemVlr
+from compare_plane import keyed_las, write_las
+from laspy.vlrs.known import WktCoordinateSystemVlr
 from pyproj import CRS
 from small_disk import file_size_limit
 
@@ -174,20 +174,22 @@ def test_a_disk_that_fills_leaves_the_old_file_and_no_scraps(tmp_path, rng, crs,
     assert path.read_bytes() == b"an older result"
 
 
-def test_clouds_that_las_cannot_hold_are_refused(tmp_path, rng, crs):
-    path = tmp_path / "cloud.las"
-    far = ORIGIN + np.array([[0.0, 0.0, 0.0], [0.0, 1e7, 0.0]])
-    with pytest.raises(GeoError, match=r"more than LAS holds .* give \[area\] bounds"):
-        write_cloud(path, far, crs, **values_for(2, rng))
+@pytest.mark.parametrize(
+    ("points", "number", "kind", "words"),
+    [
+        (ORIGIN + np.array([[0.0, 0.0, 0.0], [0.0, 1e7, 0.0]]), 2, GeoError,
+         r"more than LAS holds .* give \[area\] bounds"),
+        ([[0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]], 2, ValueError, "1 of 2 points have coordinates that are not finite"),
+        (np.zeros((2, 3)), 3, ValueError, r"rgb has shape \(3, 3\), expected \(2, 3\)"),
+        (np.zeros(3), 1, ValueError, r"expected points of shape \(N, 3\)"),
+    ],
+)  # fmt: skip
+def test_clouds_that_las_cannot_hold_are_refused(tmp_path, rng, crs, points, number, kind, words):
+    with pytest.raises(kind, match=words):
+        write_cloud(tmp_path / "cloud.las", points, crs, **values_for(number, rng))
     with pytest.raises(UnwritableFile, match=r"suffix must be \.las or \.laz"):
         write_cloud(tmp_path / "cloud.txt", ORIGIN[None], crs, **values_for(1, rng))
-    with pytest.raises(ValueError, match="1 of 2 points have coordinates that are not finite"):
-        write_cloud(path, [[0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]], crs, **values_for(2, rng))
-    with pytest.raises(ValueError, match=r"rgb has shape \(3, 3\), expected \(2, 3\)"):
-        write_cloud(path, np.zeros((2, 3)), crs, **values_for(3, rng))
-    with pytest.raises(ValueError, match=r"expected points of shape \(N, 3\)"):
-        write_cloud(path, np.zeros(3), crs, **values_for(1, rng))
-    assert not path.exists()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_every_cut_of_a_file_is_an_error_that_names_it(written, tmp_path):
@@ -245,18 +247,6 @@ def test_paths_that_are_no_las_files_are_named(tmp_path):
             read_cloud(tmp_path / name)
 
 
-def las_with_keys(path, keys: dict[int, int]) -> None:
-    header = laspy.LasHeader(version="1.2", point_format=3)
-    table = GeoKeyDirectoryVlr()
-    table.geo_keys_header.key_directory_version, table.geo_keys_header.key_revision = 1, 1
-    table.geo_keys = [GeoKeyEntryStruct(id=k, tiff_tag_location=0, count=1, value_offset=v) for k, v in keys.items()]
-    table.geo_keys_header.number_of_keys = len(keys)
-    header.vlrs.append(table)
-    las = laspy.LasData(header)
-    las.x, las.y, las.z = np.zeros((3, 2))
-    las.write(path)
-
-
 @pytest.mark.parametrize(
     ("keys", "codes", "note"),
     [
@@ -270,8 +260,7 @@ def las_with_keys(path, keys: dict[int, int]) -> None:
     ],
 )
 def test_geotiff_keys_give_the_crs_or_say_why_not(tmp_path, keys, codes, note):
-    las_with_keys(tmp_path / "keys.las", keys)
-    cloud = read_cloud(tmp_path / "keys.las")
+    cloud = read_cloud(keyed_las(tmp_path / "keys.las", keys, np.zeros((2, 3))))
     parts = None if cloud.crs is None else [part.to_epsg() for part in cloud.crs.sub_crs_list or [cloud.crs]]
     assert parts == codes
     assert (note is None and cloud.notes == ()) or note in cloud.notes[0]
@@ -358,18 +347,19 @@ def test_files_made_elsewhere_are_read_with_their_true_units(data_dir, name, num
         assert cloud.extra["Time"].dtype == np.uint64
 
 
-def test_a_laz_table_that_promises_more_chunks_than_there_are_is_refused(tmp_path, rng, crs):
+@pytest.mark.parametrize(
+    ("kind", "of_table", "value", "words"),
+    [("<I", 4, 0x4C000000, "promises 1275068416 chunks, for 50 points"), ("<q", None, 2**40, "lies outside")],
+)
+def test_a_laz_table_that_promises_more_chunks_than_there_are_is_refused(
+    tmp_path, rng, crs, kind, of_table, value, words
+):
     """The decoder would take 16 bytes for each, and end the process where there are none."""
-    path = tmp_path / "c.laz"
-    write_cloud(path, ORIGIN + rng.uniform(-20.0, 20.0, (50, 3)), crs, **values_for(50, rng))
+    path = write_las(tmp_path / "c.laz", ORIGIN + rng.uniform(-20.0, 20.0, (50, 3)), crs)
     data = bytearray(path.read_bytes())
-    start = struct.unpack_from("<I", data, 96)[0]
-    table = struct.unpack_from("<q", data, start)[0]
-    struct.pack_into("<I", data, table + 4, 0x4C000000)
+    (start,) = struct.unpack_from("<I", data, 96)
+    (table,) = struct.unpack_from("<q", data, start)
+    struct.pack_into(kind, data, start if of_table is None else table + of_table, value)
     path.write_bytes(data)
-    with pytest.raises(UnreadableFile, match="promises 1275068416 chunks, for 50 points"):
-        read_cloud(path)
-    struct.pack_into("<q", data, start, 2**40)
-    path.write_bytes(data)
-    with pytest.raises(UnreadableFile, match="lies outside"):
+    with pytest.raises(UnreadableFile, match=words):
         read_cloud(path)

@@ -69,8 +69,7 @@ def test_an_index_that_is_stated_is_not_said_to_be_assumed_however_uncertain_it_
     assert rows_of(sections, "Found")["water"].endswith(f"known: index to 0.004 (survey.toml){ASKED}")
 
 
-def test_check_says_that_structure_from_motion_would_run_and_does_not_run_it(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "survey.sfm.poses", None)  # importing it fails
+def test_check_says_that_structure_from_motion_would_run_and_does_not_run_it(tmp_path):
     folder = small_survey(tmp_path / "s", gps=True, toml=TOML.replace('poses = "cameras.csv"', ""))
     (folder / "cameras.csv").unlink()
     before = sorted(folder.rglob("*"))
@@ -94,8 +93,7 @@ def test_check_says_that_structure_from_motion_would_run_and_does_not_run_it(tmp
         ([("100.0", "8.8")], ConfigError, "8.8 px, so that its 64 x 48 px span 155.2 degrees from corner to corner"),
     ],
 )
-def test_what_structure_from_motion_would_refuse_is_refused_before_it_starts(tmp_path, monkeypatch, pairs, kind, words):
-    monkeypatch.setitem(sys.modules, "survey.sfm.poses", None)  # importing it fails
+def test_what_structure_from_motion_would_refuse_is_refused_before_it_starts(tmp_path, pairs, kind, words):
     folder = unposed(tmp_path / "s", *pairs)
     for look in (check_survey, load_survey, require_processable):
         with pytest.raises(kind) as error:

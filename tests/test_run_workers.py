@@ -9,7 +9,7 @@ import sys
 import time
 import urllib.error
 import urllib.request
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import CancelledError
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +18,7 @@ from types import SimpleNamespace
 
 import psutil
 import pytest
+from command_line import raising
 from drawn_runs import drawn
 
 from survey.errors import SurveyError
@@ -110,6 +111,7 @@ def test_a_scheduler_that_does_not_answer_is_named(tmp_path, monkeypatch):
 
 
 PLACE = "tcp://10.0.0.7:41"
+TASKS = [Task(f"sweep_tile{number}", number, print, {}) for number in range(4)]
 # Of a scheduler in this process: any, as others may run beside it.
 FREE_PORTS = {"dashboard": False, "dashboard_address": "127.0.0.1:0", "protocol": "inproc://", "port": 0}
 
@@ -118,7 +120,7 @@ class ClientOfOne:
     """Client of a scheduler with one worker, which is this process or answers as it is told."""
 
     def __init__(self, threads: int = 1, answer: object = None):
-        self.threads, self.answer, self.cancelled, self.is_closed = threads, answer, None, False
+        self.threads, self.answer, self.cancelled = threads, answer, None
 
     def nthreads(self):
         return {PLACE: self.threads}
@@ -132,12 +134,6 @@ class ClientOfOne:
 
     def cancel(self, futures):
         self.cancelled = futures
-
-    def wait_for_workers(self, number, timeout):
-        raise TimeoutError(f"{number} in {timeout}")
-
-    def close(self):
-        self.is_closed = True
 
 
 @pytest.fixture
@@ -274,25 +270,15 @@ def test_workers_of_this_machine_share_its_gpus(monkeypatch):
 
 
 @pytest.mark.parametrize("lost", ["cancelled", "closed"])
-def test_a_scheduler_that_is_lost_is_named(tmp_path, monkeypatch, lost):
-    distributed = pytest.importorskip("distributed")
+def test_a_scheduler_that_is_lost_is_named(tmp_path, lost):
+    comm = pytest.importorskip("distributed.comm.core")
+    error = {"cancelled": CancelledError("scheduler-connection-lost"), "closed": comm.CommClosedError("is closed")}[
+        lost
+    ]
     client = ClientOfOne()
-    client.submit = lambda *given, **named: named["key"]
-
-    def close():
-        raise distributed.comm.core.CommClosedError("the stream is closed")
-
-    def cancel(_self, _futures, _begin):
-        yield from ()
-        raise CancelledError("scheduler-connection-lost")
-
-    if lost == "closed":
-        client.nthreads = close
-    else:
-        monkeypatch.setattr(Workers, "_as_they_end", cancel)
-    tasks = [Task("sweep_tile1", 0, print, {})]
+    client.submit = raising(error)
     with pytest.raises(SurveyError, match="scheduler of the workers was lost; 1 of 1 tiles are missing: start it"):
-        list(Workers(client, tmp_path, are_started=False).computed(tmp_path, tasks))
+        list(Workers(client, tmp_path, are_started=False).computed(tmp_path, TASKS[:1]))
     assert client.cancelled is not None
 
 
@@ -307,7 +293,7 @@ def test_a_worker_that_ends_while_it_is_looked_at_is_left_out(run_and_photograph
 
 def test_a_task_of_other_code_is_refused(tmp_path):
     with pytest.raises(SurveyError, match="has another version of bathynerf than the run"):
-        compute_task(tmp_path / "job.pickle", tmp_path, Task("sweep_tile1", 0, print, {}), "of the run")
+        compute_task(tmp_path / "job.pickle", tmp_path, TASKS[1], "of the run")
 
 
 def test_each_job_is_saved_under_a_name_of_its_own_with_absolute_paths(shallow_survey, tmp_path, monkeypatch):
@@ -322,22 +308,6 @@ def test_each_job_is_saved_under_a_name_of_its_own_with_absolute_paths(shallow_s
     assert (stored.path, stored.mask_path) == (tmp_path / "images" / "a.jpg", tmp_path / "masks" / "a.png")
 
 
-@pytest.mark.parametrize(
-    ("are_started", "advice"), [(True, "fewer --workers, or more --tiles"), (False, "with more --tiles")]
-)
-def test_a_task_that_ends_its_workers_is_named_with_their_number(tmp_path, monkeypatch, are_started, advice):
-    distributed = pytest.importorskip("distributed")
-    client = ClientOfOne()
-    future = Future()
-    future.set_exception(distributed.KilledWorker("sweep_tile1", None, 1))
-    client.submit = lambda *_args, **_options: future
-    monkeypatch.setattr(distributed, "wait", lambda futures, **_options: SimpleNamespace(done=set(futures)))
-    tasks = [Task("sweep_tile1", 0, print, {})]
-    with pytest.raises(SurveyError, match=f"sweep_tile1: 2 workers that computed it .* {advice}$"):
-        list(Workers(client, tmp_path, are_started=are_started).computed(tmp_path / "job.pickle", tasks))
-    assert len(client.cancelled) == 1
-
-
 @pytest.fixture(scope="module")
 def two_workers():
     distributed = pytest.importorskip("distributed")
@@ -349,13 +319,22 @@ def two_workers():
         yield client
 
 
-TASKS = [Task(f"sweep_tile{number}", number, print, {}) for number in range(4)]
+class Computing(Workers):
+    """Workers whose tasks are a function of these tests; costs of the tasks as they begin."""
+
+    def __init__(self, client, function, *, are_started=True):
+        super().__init__(client, Path(), are_started=are_started)
+        self.function, self.begun = function, []
+
+    def _submit(self, job, task):
+        self.begun.append(task.cost)
+        return self._client.submit(self.function, task, pure=False)
 
 
 HELD: list[int] = []
 
 
-def recorded(_job, _place, task, _code):
+def recorded(task):
     """Record how many tasks the worker holds beside this one."""
     from distributed import get_worker
 
@@ -364,50 +343,50 @@ def recorded(_job, _place, task, _code):
     return Path(task.name), 0.0, []
 
 
-def test_tasks_begin_by_cost_where_a_worker_is_free_and_none_waits_at_another(two_workers, tmp_path, monkeypatch):
-    begun = []
-
-    class Recording(Workers):
-        def _submit(self, job, task):
-            begun.append(task.cost)
-            return super()._submit(job, task)
-
-    workers = Recording(two_workers, tmp_path, are_started=True)
-    monkeypatch.setattr("survey.run.workers.compute_task", recorded)
-    HELD.clear()
-    costs = [3, 9, 1, 7, 5, 2, 8, 6]
+def test_tasks_begin_by_cost_where_a_worker_is_free_and_none_waits_at_another(two_workers):
+    workers, costs = Computing(two_workers, recorded), [3, 9, 1, 7, 5, 2, 8, 6]
     tasks = [replace(TASKS[0], name=f"sweep_tile{number}", cost=cost) for number, cost in enumerate(costs)]
-    found = list(workers.computed(tmp_path / "job", tasks))
-    assert {number: place for number, place, *_ in found} == {n: Path(f"sweep_tile{n}") for n in range(len(costs))}
-    assert begun == sorted(costs, reverse=True)
+    places = {number: place for number, place, *_ in workers.computed("job", tasks)}
+    assert places == {n: Path(f"sweep_tile{n}") for n in range(len(costs))}
+    assert workers.begun == sorted(costs, reverse=True)
     assert set(HELD) == {0}
 
 
-def without_disk(_job, place, _task, _code):
-    raise SurveyError(f"{place} cannot be written (No space left on device)")
+def without_disk(task):
+    raise SurveyError(f"{task.name} cannot be written (No space left on device)")
 
 
-def test_an_error_of_a_worker_ends_the_run(two_workers, tmp_path, monkeypatch):
-    workers = Workers(two_workers, tmp_path, are_started=True)
-    monkeypatch.setattr("survey.run.workers.compute_task", without_disk)
-    with pytest.raises(SurveyError, match="No space left on device"):
-        list(workers.computed(tmp_path / "job", TASKS))
+def killed(task):
+    from distributed import KilledWorker
+
+    raise KilledWorker(task.name, SimpleNamespace(address="here"), 1)
+
+
+@pytest.mark.parametrize(
+    ("function", "are_started", "said"),
+    [
+        (without_disk, True, "No space left on device"),
+        (killed, True, r"sweep_tile\d: 2 workers that computed it .* fewer --workers, or more --tiles$"),
+        (killed, False, r"sweep_tile\d: 2 workers that computed it .* with more --tiles$"),
+    ],
+)
+def test_an_error_of_a_worker_and_a_task_that_ends_its_workers_end_the_run(two_workers, function, are_started, said):
+    with pytest.raises(SurveyError, match=said):
+        list(Computing(two_workers, function, are_started=are_started).computed("job", TASKS))
 
 
 def test_a_script_that_is_run_again_by_its_processes_is_told_how_to_stand():
-    def start(**_options):
-        raise RuntimeError("Nanny failed to start.")
-
-    Security = SimpleNamespace(temporary=object)
+    start = raising(RuntimeError("Nanny failed to start."))
+    distributed = SimpleNamespace(LocalCluster=start, Security=SimpleNamespace(temporary=object))
     with pytest.raises(SurveyError, match='`if __name__ == "__main__":` around what it does; else take workers=1'):
-        workers_module._local_cluster(SimpleNamespace(LocalCluster=start, Security=Security), 2, "/tmp")
+        workers_module._local_cluster(distributed, 2, "/tmp")
 
 
 # Set when the other worker has computed five of six tasks, which is all that one slow worker leaves it.
 OTHERS_ARE_DONE, COMPUTED = Event(), []
 
 
-def slow_on_one(_job, _folder, task, _code):
+def slow_on_one(task):
     from distributed import get_worker
 
     name = get_worker().name
@@ -419,9 +398,8 @@ def slow_on_one(_job, _folder, task, _code):
     return Path(task.name), 0.0, []
 
 
-def test_a_slow_worker_holds_up_no_task_but_its_own(tmp_path, monkeypatch):
+def test_a_slow_worker_holds_up_no_task_but_its_own():
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("survey.run.workers.compute_task", slow_on_one)
     workers = {name: {"cls": distributed.Worker, "options": {"nthreads": 1, "name": name}} for name in ("slow", "fast")}
     scheduler = {"cls": distributed.Scheduler, "options": FREE_PORTS}
     with (
@@ -429,13 +407,13 @@ def test_a_slow_worker_holds_up_no_task_but_its_own(tmp_path, monkeypatch):
         distributed.Client(cluster) as client,
     ):
         tasks = [Task(f"sweep_tile{number}", number, print, {}) for number in range(6)]
-        found = list(Workers(client, tmp_path, are_started=False).computed(tmp_path, tasks))
-    assert {number for number, *_ in found} == set(range(6))
+        numbers = {number for number, *_ in Computing(client, slow_on_one).computed("job", tasks)}
+    assert numbers == set(range(6))
     assert COMPUTED.count("slow") == 1
 
 
 class ClientOfThisProcess(ClientOfOne):
-    """Client whose worker computes at once; what it is asked to cancel is recorded."""
+    """Client whose worker computes at once, or fails."""
 
     def __init__(self, error: Exception | None = None):
         super().__init__()
@@ -444,10 +422,8 @@ class ClientOfThisProcess(ClientOfOne):
     def submit(self, function, *given, pure):
         assert not pure
         self.submitted += 1
-        if self.error is not None:
-            raised = self.error
-            return SimpleNamespace(result=lambda: (_ for _ in ()).throw(raised))
-        return SimpleNamespace(result=lambda: function(*given))
+        compute = function if self.error is None else raising(self.error)
+        return SimpleNamespace(result=lambda: compute(*given))
 
 
 def test_a_function_of_many_items_keeps_their_order_and_a_few_under_way(tmp_path):

@@ -17,8 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evaluation.c2m import distance_to_mesh
-from evaluation.completeness import is_reached, sample_mesh
+from evaluation.c2m import distance_to_mesh, is_reached, sample_mesh
 from geo.reading import read_reference
 from survey.export.meshes import bed_surface
 from survey.plan.area import within

@@ -15,7 +15,7 @@ from scipy.ndimage import binary_dilation, median_filter
 from scipy.spatial import cKDTree
 
 from evaluation.baselines import apparent_points
-from evaluation.completeness import is_outlier
+from evaluation.c2m import is_outlier
 from fields.sweep import views
 from fields.sweep.matching import PASSES
 from refract import FlatWater, PinholeCamera

@@ -2,9 +2,8 @@
 
 | measure | files |
 |---|---|
-| signed distance to a mesh (C2M), **positive above the mesh** | `c2m` |
+| signed distance to a mesh (C2M), **positive above the mesh**; completeness, statistical outliers | `c2m` |
 | height over a mesh or a cloud, positive above it; height of a cloud at places; M3C2 | `vertical` |
-| distance to a cloud, completeness, F-score, statistical outliers | `completeness` |
 | bias, spread and scores, also of parts as by depth; Huber's weights | `summary`; by blocks: `bootstrap` |
 | IHO S-44 and ASPRS | `standards` |
 | what straight rays would give | `baselines` |
@@ -15,8 +14,7 @@
 
 from evaluation.baselines import apparent_points, per_camera, times_index
 from evaluation.bootstrap import Blocks, mean_interval, spatial_blocks
-from evaluation.c2m import distance_to_mesh, weld
-from evaluation.completeness import distance_to_cloud, f_score, is_outlier, is_reached, sample_mesh
+from evaluation.c2m import distance_to_cloud, distance_to_mesh, f_score, is_outlier, is_reached, sample_mesh, weld
 from evaluation.images import image_quality, psnr, ssim
 from evaluation.standards import AsprsAccuracy, IhoS44, asprs_vertical, iho_s44
 from evaluation.summary import (

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from evaluation.bootstrap import Blocks, mean_interval
-from evaluation.completeness import f_score
+from evaluation.c2m import f_score
 
 DEPTH_EDGES_M = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, math.inf)
 INCIDENCE_EDGES_DEG = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0, 50.0, 60.0, 90.0)

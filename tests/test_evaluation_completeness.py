@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.stats import chi2
 
-from evaluation import completeness, distance_to_cloud, f_score, is_reached, sample_mesh
+from evaluation import c2m, distance_to_cloud, f_score, is_reached, sample_mesh
 
 # A random test that is right fails once in 10^6 seeds; this one has a fixed seed and passes for good.
 CHANCE = 1e-6
@@ -114,7 +114,7 @@ def test_a_cloud_of_equal_points_is_searched_as_one(rng, monkeypatch):
         return cKDTree(points, **options)
 
     # Equal points cannot be split: every query would look at all of them.
-    monkeypatch.setattr(completeness, "cKDTree", tree_of)
+    monkeypatch.setattr(c2m, "cKDTree", tree_of)
     reached = is_reached(samples, cloud, tolerance_m=3.0)
     assert searched == [1]
     np.testing.assert_array_equal(reached, np.linalg.norm(samples - cloud[0], axis=1) < 3.0)

@@ -64,23 +64,11 @@ class Epoch:
 def change_series(
     surveys: Sequence[str | Path], output: str | Path | None = None, options: ChangeOptions = ChangeOptions()
 ) -> list[Epoch]:
-    """Changes of surveys, runs or clouds in the order of time, against the first.
+    """Changes of three or more surveys, runs or clouds in the order of time, against the first, the earliest.
 
-    Raises SurveyError or GeoError as `change_between`, and where an option is for two surveys alone.
-
-    Parameters
-    ----------
-    surveys : sequence of str or Path
-        Three or more, the earliest first.
-    output : str or Path, optional
-        Folder for series.csv and series.png.
-    options : ChangeOptions, optional
-        Each polygon of its area is an area of its own, beside all of them.
-
-    Returns
-    -------
-    list of Epoch
-        Area by area; in each the surveys after the first.
+    Area by area; in each the surveys after the first. Each polygon of the area of the options is one of its own, beside
+    all of them. The output is a folder for series.csv and series.png. Raises SurveyError or GeoError as
+    `change_between`, and where an option is for two surveys alone.
     """
     paths, folder = [Path(survey) for survey in surveys], None if output is None else Path(output)
     for field in fields(options):

@@ -21,8 +21,7 @@ from evaluation import (
 )
 from evaluation.bootstrap import LEVEL, NUM_DRAWS
 from evaluation.bootstrap import SEED as BOOTSTRAP_SEED
-from evaluation.c2m import Sign
-from evaluation.completeness import SEED
+from evaluation.c2m import SEED, Sign
 from geo import Mesh
 from geo.files import existing_file, reporting_disk_errors
 from geo.shapes import vertices_of
@@ -55,12 +54,8 @@ _BESIDE_SHARE = 0.01
 def compare_files(cloud: str | Path, reference: str | Path, *, options: CompareOptions | None = None) -> Figures:
     """Compare a cloud with a reference, and write JSON and pictures where the options say.
 
-    Raises GeoError or SurveyError if a file or an option cannot be used; see `survey.compare.inputs.load_inputs`.
-
-    Parameters
-    ----------
-    cloud, reference : as `geo.read_reference`
-        The reference a mesh, or points: then the comparison is by heights over a surface through them.
+    Files are read as by `geo.read_reference`. With a reference of points the comparison is by heights over a surface
+    through them. Raises GeoError or SurveyError if a file or an option cannot be used.
     """
     options = options or CompareOptions()
     cloud, reference = Path(cloud), Path(reference)

@@ -29,8 +29,7 @@ from evaluation import (
     sample_mesh,
     scores,
 )
-from evaluation.c2m import Sign, num_inconsistent_edges
-from evaluation.completeness import NUM_SAMPLES, SEED
+from evaluation.c2m import NUM_SAMPLES, SEED, Sign, num_inconsistent_edges
 from evaluation.standards import MIN_CHECKPOINTS
 from evaluation.summary import INCIDENCE_EDGES_DEG, SLOPE_EDGES_DEG, VIEWS_EDGES
 from geo import Cloud, Mesh

@@ -31,7 +31,9 @@ _EDITED = (".gpkg", ".geojson", ".dxf", ".csv", ".xyz")
 
 
 def export(run: str | Path, *, options: ExportOptions | None = None, **files: str | Path | None) -> list[Path]:
-    """Write products of a run.
+    """Write products of a run; returns their files, whether written now or unchanged since an earlier export.
+
+    Each is named by its option, e.g. ``laz="bed.laz"``; see `survey.export.registry`.
 
     Raises SurveyError if a length is unusable, nothing is asked for, a name does not end as its product does, an option
     has no effect on any of them, the folder is not a run, or the run has not come as far as the cloud; or if a product
@@ -39,20 +41,6 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
     must not be written, see `survey.files.outputs`: a file that is there is replaced only where an export of this run
     wrote it, and one that people edit only as it was written; GeoError if a file cannot be written, or the CRS is
     unusable.
-
-    Parameters
-    ----------
-    run : Path
-        Folder that `bathynerf process` made.
-    options : ExportOptions, optional
-        Options of the products.
-    **files : Path, optional
-        The file of each wanted product, by its option, e.g. ``laz="bed.laz"``; see `survey.export.registry`.
-
-    Returns
-    -------
-    list of Path
-        The files, whether written now or unchanged since an earlier export.
     """
     options = options or ExportOptions()
     require_options(options)

@@ -209,22 +209,11 @@ def profiles_along(
     picture_path: str | Path | None = None,
     dxf_path: str | Path | None = None,
 ) -> list[Profile]:
-    """Profiles of a run or a cloud along the lines of a file.
+    """Profiles of a run, LAS, LAZ or COPC along the lines of a file, at places ``step_m`` apart, written where asked.
 
-    Raises SurveyError or GeoError if a file cannot be read or written, or is of another place.
-
-    Parameters
-    ----------
-    path : str or Path
-        Run folder, LAS, LAZ or COPC.
-    lines : str or Path
-        GeoJSON, GeoPackage, shapefile or DXF; a DXF is in the CRS of the cloud.
-    step_m : [m], optional
-        Between places; by default some spacings of the points.
-    reference : str or Path, optional
-        Mesh, GeoTIFF or points.
-    csv_path, picture_path, dxf_path : str or Path, optional
-        Where the table, the picture and the drawing go.
+    Lines are GeoJSON, GeoPackage, shapefile or DXF, which is in the CRS of the cloud; the step is by default some
+    spacings of the points; the reference is a mesh, GeoTIFF or points. Raises SurveyError or GeoError if a file cannot
+    be read or written, or is of another place.
     """
     path, lines = Path(path), Path(lines)
     given = (reference, csv_path, picture_path, dxf_path)

@@ -75,27 +75,16 @@ def render(
 
     Parameters
     ----------
-    run : Path
-        Folder that `bathynerf process` made.
     cameras : Path
         Poses, in a format that surveys may have; a lens that it does not carry is that of the survey.
-    output : Path
-        Folder, made if need be.
     dry : bool
         Without water: straight rays, and the colour of the bed where the run has it (``--true-colour``).
     trained : bool
-        Render the field that ``process --field mdw`` trained, instead of the photographs.
+        Render the field that ``process --field mdw`` trained, on a device, instead of the photographs.
     survey : str, optional
         Folder of the survey, if it was moved since the run.
-    device : "auto", "cpu", "cuda" or "torch"
-        For a trained field.
     video_s : [s], optional
         Write one video of a flight along the cameras, flight.mp4, in place of pictures.
-
-    Returns
-    -------
-    list of Path
-        The pictures, or the video.
     """
     folder, output = RunDir(run), Path(output)
     folder.require_run()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,9 +20,6 @@ from survey.display.quantities import NO_BREAK, LengthUnit, number
 from survey.report import flight_pictures, maps, profile
 from survey.report.adjustment import correlations
 from survey.report.facts import ReportFacts
-
-if TYPE_CHECKING:
-    pass
 
 # Cells of a map along the longer side, at most: a picture has some 800 pixels for them.
 _MAP_CELLS = 900

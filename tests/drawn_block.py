@@ -14,6 +14,7 @@ import numpy as np
 
 from refract import FlatWater, PinholeCamera
 from refract.lens import Lens, distorted
+from survey.photos.poses import TiePoints
 
 # Of what is stated: level [m], slopes [-] (known to be zero where the true ones are), index [-].
 LEVEL_STD_M, INDEX_STD = 0.04, 0.001
@@ -23,55 +24,38 @@ START_POINT_STD_M, START_ROTATION_STD = 0.2, math.radians(0.1)
 
 
 @dataclass(frozen=True)
-class DrawnBlock:
-    """A block and its truth, local; V views, M points, N observations, K control points.
+class Truth:
+    """What is true of a block, local."""
 
-    Attributes
-    ----------
-    start : (M, 3) [m]
-        Where the points are about.
-    point, view : (N,) int64
-        Observations are sorted by point; every point has three at least.
-    pixel : (N, 2) [px]
-        In the distorted photographs.
-    start_cameras : tuple of PinholeCamera
-        Poses to start from, with the stated lens.
-    positions, position_std : (V, 3) [m], (3,) [m]
-        From GPS.
-    control, control_points, control_std : (K,) int64, (K, 3) [m], (3,) [m]
-        Which points are surveyed marks, and where they were measured.
-    stated_lens, stated_water, water_std
-        A data sheet without distortion; (4,) level at the origin [m], slopes along x and y [-], index [-], and their
-        standard deviations.
-    velocities, readout : (V, 3) [m/s], [s]
-        Of the cameras, local, and of their rolling shutter from the first to the last row.
-    pixel_std, seed : [px], int
-    points, cameras, lens, water
-        The truth: (M, 3), views with the true focal length and principal point, OPENCV lens, and (4,) like
-        `stated_water`.
-    """
+    points: np.ndarray  # (M, 3) [m]
+    cameras: tuple[PinholeCamera, ...]  # V, with the true focal length and principal point
+    lens: Lens
+    water: np.ndarray  # level at the origin [m], slopes along x and y, index
+    velocities: np.ndarray  # (V, 3) [m/s], of the cameras
 
-    start: np.ndarray
+
+@dataclass(frozen=True)
+class DrawnBlock(Truth):
+    """A block and its truth, local; V views, M points, N observations, K control points."""
+
+    start: np.ndarray  # (M, 3) [m], where the points are about
+    # (N,), (N,), (N, 2) [px]: observations, sorted by point, in the distorted photographs; three at least of a point.
     point: np.ndarray
     view: np.ndarray
     pixel: np.ndarray
-    start_cameras: tuple[PinholeCamera, ...]
-    positions: np.ndarray
+    start_cameras: tuple[PinholeCamera, ...]  # poses to start from, with the stated lens
+    positions: np.ndarray  # (V, 3) [m], from GPS
     position_std: np.ndarray
+    # (K,), (K, 3) [m]: which points are surveyed marks, and where they were measured.
     control: np.ndarray
     control_points: np.ndarray
     control_std: np.ndarray
-    stated_lens: Lens
-    stated_water: np.ndarray
+    stated_lens: Lens  # a data sheet without distortion
+    stated_water: np.ndarray  # as `water`
     water_std: np.ndarray
-    velocities: np.ndarray
-    readout: float
+    readout: float  # of the rolling shutter from the first to the last row [s]
     pixel_std: float
     seed: int
-    points: np.ndarray
-    cameras: tuple[PinholeCamera, ...]
-    lens: Lens
-    water: np.ndarray
 
     @property
     def plane(self) -> FlatWater:
@@ -87,47 +71,24 @@ def water_plane(water: np.ndarray) -> FlatWater:
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a block should be like; None is drawn.
-
-    Attributes
-    ----------
-    num_points, num_views, num_control : int
-    nadir_only : bool
-        No views tilted by 12 to 38 degrees.
-    dry_share : [-]
-        Of the points, on a bank; control points lie there.
-    pixel_std, position_std : [px], (3,) [m]
-        Of the observations and of GPS.
-    wrong : [-]
-        Share of the observations that are up to 15 px off.
-    shared : [-]
-        Standard deviation of errors that neighbours in a photograph share, over `pixel_std`: a moving wave bends their
-        rays alike, see `_waves`.
-    height, depth : [m]
-        Of the cameras over the water, and of the deepest water.
-    strip : bool
-        All strips lie on one line.
-    spacing : [-]
-        From photograph to photograph along and across the strips, as a share of the width on the ground.
-    speed, readout : [m/s], [s]
-        Of the cameras, each in a direction of its own, and of their rolling shutter.
-    """
+    """What a block should be like; None is drawn."""
 
     num_points: int = 600
     num_views: int | None = None
-    nadir_only: bool | None = None
-    dry_share: float | None = None
+    nadir_only: bool | None = None  # no views tilted by 12 to 38 degrees
+    dry_share: float | None = None  # of the points, on a bank; control points lie there
     num_control: int | None = None
     pixel_std: float | None = None
-    position_std: tuple[float, float, float] = (0.02, 0.02, 0.03)
-    wrong: float = 0.0
+    position_std: tuple[float, float, float] = (0.02, 0.02, 0.03)  # of GPS [m]
+    wrong: float = 0.0  # share of the observations that are up to 15 px off
+    # Standard deviation over `pixel_std` of errors that neighbours in a photograph share: waves bend their rays alike.
     shared: float = 0.0
-    height: float | None = None
-    depth: float | None = None
-    strip: bool = False
-    spacing: float | None = None
-    speed: float = 0.0
-    readout: float = 0.0
+    height: float | None = None  # of the cameras over the water [m]
+    depth: float | None = None  # of the deepest water [m]
+    strip: bool = False  # all strips lie on one line
+    spacing: float | None = None  # from photograph to photograph, as a share of the width on the ground
+    speed: float = 0.0  # of the cameras, each in a direction of its own [m/s]
+    readout: float = 0.0  # of their rolling shutter [s]
 
 
 def draw_block(seed: int, *, bed: Callable[..., np.ndarray] | None = None, **settings) -> DrawnBlock:
@@ -170,20 +131,9 @@ def draw_block(seed: int, *, bed: Callable[..., np.ndarray] | None = None, **set
         waves = _waves(np.random.default_rng([seed, 31]), view, pixel, lens.width)
         pixel = pixel + wanted.shared * pixel_std * waves
     points, point, view, pixel = _of_three_views(points, point, view, pixel)
-    truth = _Truth(points, tuple(cameras), lens, water, velocities)
+    truth = Truth(points, tuple(cameras), lens, water, velocities)
     observed = {"point": point, "view": view, "pixel": pixel, "pixel_std": float(pixel_std), "seed": seed}
     return DrawnBlock(**observed, **_stated(rng, truth, stated_lens, num_control, wanted), **vars(truth))
-
-
-@dataclass(frozen=True)
-class _Truth:
-    """As `DrawnBlock`."""
-
-    points: np.ndarray
-    cameras: tuple[PinholeCamera, ...]
-    lens: Lens
-    water: np.ndarray
-    velocities: np.ndarray
 
 
 def _seen(rng, lens: Lens, cameras, path: np.ndarray, points: np.ndarray, plane: FlatWater):
@@ -226,7 +176,7 @@ def _of_three_views(points: np.ndarray, point: np.ndarray, view: np.ndarray, pix
     return points[enough], number[point[keep]].astype(np.int64), view[keep].astype(np.int64), pixel[keep]
 
 
-def _stated(rng, truth: _Truth, lens: Lens, num_control: int, wanted: Wanted) -> dict:
+def _stated(rng, truth: Truth, lens: Lens, num_control: int, wanted: Wanted) -> dict:
     """What a survey would state about a block, a lens among it, with the errors that it would have."""
     points, plane = truth.points, water_plane(truth.water)
     dry = np.flatnonzero(points[:, 2] > plane.height(*points.T[:2]) + 0.05)
@@ -338,3 +288,72 @@ def _turned(axes: np.ndarray, vector: np.ndarray) -> np.ndarray:
     x, y, z = vector / angle
     across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return (np.eye(3) + math.sin(angle) * across + (1.0 - math.cos(angle)) * across @ across) @ axes
+
+
+# A block of photographs over known water: the oracle of the self-calibration.
+TRUTH = np.array([0.3, 0.002, -0.001, 1.335])
+SIZE, FOCAL, HEIGHT = (1024, 768), 1750.0, 40.0
+
+
+def looking_at_origin(centre, turn: float) -> PinholeCamera:
+    """A camera whose axis meets the origin, turned about it."""
+    forward = -np.asarray(centre) / np.linalg.norm(centre)
+    right = np.cross(forward, [np.sin(turn), np.cos(turn), 0.0])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    return PinholeCamera(np.asarray(centre), rotation, FOCAL, FOCAL, SIZE[0] / 2, SIZE[1] / 2, *SIZE)
+
+
+def convergent() -> list[PinholeCamera]:
+    """Five views from above and two rings of eight, 25 and 45 degrees off nadir."""
+    cameras = nadir()[:5]
+    for off in np.radians([25.0, 45.0]):
+        for azimuth in 2.0 * np.pi * np.arange(8) / 8:
+            side = HEIGHT * np.tan(off)
+            centre = (side * np.cos(azimuth), side * np.sin(azimuth), HEIGHT)
+            cameras.append(looking_at_origin(centre, azimuth))
+    return cameras
+
+
+def nadir() -> list[PinholeCamera]:
+    """Nine views straight down, 5 m apart."""
+    rotation = np.diag([1.0, -1.0, -1.0])
+    places = [(0, 0), (5, 0), (-5, 0), (0, 5), (0, -5), (5, 5), (-5, 5), (5, -5), (-5, -5)]
+    return [
+        PinholeCamera(np.array([x, y, HEIGHT]), rotation, FOCAL, FOCAL, SIZE[0] / 2, SIZE[1] / 2, *SIZE)
+        for x, y in places
+    ]
+
+
+def meeting_of_straight_rays(cameras, ties: TiePoints) -> np.ndarray:
+    """Points (M, 3) nearest to their lines of sight, as if there were no water."""
+    normal, right = np.zeros((len(ties), 3, 3)), np.zeros((len(ties), 3))
+    for view, camera in enumerate(cameras):
+        mine = ties.view == view
+        ray = (ties.pixel[mine] - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+        ray = np.column_stack([ray, np.ones(len(ray))]) @ camera.cam_from_local
+        ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+        across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
+        np.add.at(normal, ties.point[mine], across)
+        np.add.at(right, ties.point[mine], across @ camera.centre)
+    return np.linalg.solve(normal, right[..., None])[..., 0]
+
+
+def tie_points(cameras, rng, *, count=300, std_px=0.1, low=-5.0, high=-0.5, wrong=0.0) -> TiePoints:
+    """Points of a bed between two heights [m], seen by every camera that has them in its image.
+
+    ``wrong`` is the share of measurements that are up to 20 px off.
+    """
+    points = np.column_stack([rng.uniform(-9.0, 9.0, (count, 2)), rng.uniform(low, high, count)])
+    rows = []
+    for view, camera in enumerate(cameras):
+        pixels = camera.project(points, water_plane(TRUTH))
+        seen = np.flatnonzero((pixels > 0.0).all(axis=1) & (pixels < SIZE).all(axis=1))
+        noise = std_px * rng.normal(size=(len(seen), 2))
+        noise += (rng.random((len(seen), 1)) < wrong) * rng.uniform(-20.0, 20.0, (len(seen), 2))
+        rows.append((seen, np.full(len(seen), view), pixels[seen] + noise))
+    point, view, pixel = (np.concatenate(column) for column in zip(*rows, strict=True))
+    order = np.argsort(point, kind="stable")
+    start = points + rng.normal(0.0, 0.2, points.shape)
+    ties = TiePoints(start, point[order], view[order], pixel[order])
+    return ties.only(np.ones(len(ties.view), dtype=bool))

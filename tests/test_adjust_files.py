@@ -19,8 +19,7 @@ from survey.folder.survey import Survey, load_survey
 from survey.photos.poses import PoseFrame
 from survey.pose_files import read_poses, read_ties
 from survey.run import products
-from tests.adjusted_block import assert_same, drawn_adjustment
-from tests.block_survey import survey_of
+from tests.block_survey import assert_same, drawn_adjustment, survey_of
 from tests.drawn_block import draw_block
 
 

@@ -21,9 +21,7 @@ from survey.adjust.result.adjustment import read_adjustment, write_adjustment
 from survey.adjust.result.std_common import place_jacobian, seen_places
 from survey.adjust.rounds import adjust
 from survey.pose_files.colmap import read_model
-from tests.adjusted_block import assert_same
-from tests.block_state import require_derivatives, state_of
-from tests.block_survey import pose_errors, rms, survey_of
+from tests.block_survey import assert_same, pose_errors, require_derivatives, rms, state_of, survey_of
 from tests.drawn_block import DrawnBlock, draw_block
 
 SHARE = 0.002

@@ -13,7 +13,7 @@ from survey.adjust.result.adjustment import Adjustment, Residuals
 from survey.adjust.result.parts import parts_of_adjustment, parts_warning
 from survey.display.quantities import length
 from survey.photos.poses import connected_parts
-from tests.adjusted_block import drawn_adjustment
+from tests.block_survey import drawn_adjustment
 
 
 @given(st.lists(st.integers(-1, 4), min_size=1, max_size=30), st.integers(0, 2**32 - 1))

@@ -12,7 +12,7 @@ from refract import FlatWater
 from survey.adjust.block.prediction import Crossing, apparent_rise_design, lines_of_sight, predict
 from survey.adjust.block.state import NUM_RELIEF, NUM_WATER, Layout, State, distort, with_parameters
 from survey.photos.poses import TiePoints
-from tests.block_state import require_derivatives, state_of
+from tests.block_survey import require_derivatives, state_of
 from tests.drawn_block import draw_block
 
 LEVEL = FlatWater((1.0, -2.0, 0.3), n_water=1.34)

@@ -16,8 +16,7 @@ from survey.adjust.block.state import NUM_POSE, NUM_RELIEF, with_parameters
 from survey.adjust.refine import adjust_survey
 from survey.adjust.rounds import covariance_over_shore
 from survey.folder.pose_priors import PosePrior
-from tests.block_state import state_of
-from tests.block_survey import pose_errors, rms, survey_of
+from tests.block_survey import pose_errors, rms, state_of, survey_of
 from tests.changed_survey import changed
 from tests.drawn_block import draw_block
 

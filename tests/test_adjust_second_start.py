@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from survey.adjust.block.priors import prior_of
 from survey.adjust.starts import better_of_two_starts
-from tests.adjusted_block import drawn_adjustment
-from tests.block_survey import survey_of
+from tests.block_survey import drawn_adjustment, survey_of
 from tests.changed_survey import changed
 
 TURN = Rotation.from_euler("xyz", (17.0, 6.0, 0.0), degrees=True).as_matrix()

@@ -17,9 +17,7 @@ from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Status, read_adjustment, write_adjustment
 from survey.adjust.result.parts import common_error
 from survey.photos.poses import TiePoints
-from tests.adjusted_block import assert_same
-from tests.block_state import require_derivatives, state_of
-from tests.block_survey import pose_errors, rms, survey_of
+from tests.block_survey import assert_same, pose_errors, require_derivatives, rms, state_of, survey_of
 from tests.drawn_block import DrawnBlock, draw_block
 
 READOUT = 0.03

@@ -14,8 +14,7 @@ from survey.adjust.block.state import Layout, State
 from survey.adjust.result.adjustment import Residuals
 from survey.adjust.result.parts import _places_of_mean, common_error
 from survey.adjust.result.std_common import place_jacobian, shift_std, std_common
-from tests.adjusted_block import drawn_adjustment
-from tests.block_survey import survey_of
+from tests.block_survey import drawn_adjustment, survey_of
 from tests.changed_survey import changed
 
 GSD = 0.02

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from survey.adjust.result.std_common import BedCells, std_of_block
-from tests.adjusted_block import drawn_adjustment
-from tests.block_survey import survey_of
+from tests.block_survey import drawn_adjustment, survey_of
 from tests.changed_survey import changed
 
 GSD = 0.05

@@ -33,11 +33,9 @@ from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
 from survey.plan.plan import pose_choice
 from survey.water.tides import Tide
-from tests.block_state import state_of
-from tests.block_survey import survey_of, with_water
+from tests.block_survey import state_of, survey_of, with_water
 from tests.changed_survey import changed
-from tests.drawn_block import DrawnBlock, draw_block
-from tests.small_water_block import FOCAL, SIZE, TRUTH, convergent, nadir, tie_points
+from tests.drawn_block import FOCAL, SIZE, TRUTH, DrawnBlock, convergent, draw_block, nadir, tie_points
 
 STD_PX = 0.05
 NONE = TiePoints(np.zeros((0, 3)), np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 2)))

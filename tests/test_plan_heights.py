@@ -19,8 +19,7 @@ from survey.plan.plan import make_plan
 from survey.settings.config import parse_config
 from survey.sfm.poses import SfmResult
 from tests.changed_survey import changed
-from tests.drawn_block import water_plane
-from tests.small_water_block import HEIGHT, TRUTH, convergent, meeting_of_straight_rays, nadir, tie_points
+from tests.drawn_block import HEIGHT, TRUTH, convergent, meeting_of_straight_rays, nadir, tie_points, water_plane
 
 BED = (-5.0, -0.5)
 

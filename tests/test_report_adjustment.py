@@ -33,7 +33,7 @@ from survey.report.flight_pictures import (
     residuals_of,
 )
 from survey.report.page import render_page
-from tests.adjusted_block import drawn_adjustment
+from tests.block_survey import drawn_adjustment
 from tests.changed_survey import changed
 
 OFF = np.array([0.03, -0.02, 0.05])

@@ -21,8 +21,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Task, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
 
-from survey.escaping import printable
-from survey.words import wrap_for
+from survey.words import printable, wrap_for
 
 # Seconds between plain lines, where there is no terminal, and between looks whether one is due.
 _LINE_EVERY_S, _TICK_S = 60.0, 5.0

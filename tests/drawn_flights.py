@@ -27,11 +27,10 @@ from survey.photos.cameras import View
 from survey.settings.config import CamerasConfig, SurveyConfig, WaterConfig
 from survey.sfm import block as sfm_block
 from survey.sfm.absolute_orientation import place_by_gps
-from survey.sfm.features import CameraBody
+from survey.sfm.features import CameraBody, solver
 from survey.sfm.gps import GpsPositions
 from survey.sfm.gps_fit import is_contradicted
 from survey.sfm.poses import SfmResult
-from survey.sfm.settings import solver
 from survey.sfm.solve import FreeBlocks, reset_focals
 from tests.block_survey import CRS, ORIGIN
 

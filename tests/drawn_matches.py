@@ -14,10 +14,9 @@ from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
 from survey.sfm import block as sfm_block
 from survey.sfm.absolute_orientation import place_by_gps
-from survey.sfm.features import MODEL, CameraBody
+from survey.sfm.features import MODEL, SEED, CameraBody
 from survey.sfm.gps import GpsPositions
 from survey.sfm.pairs import Place, image_pairs
-from survey.sfm.settings import SEED
 from survey.sfm.solve import FreeBlocks, without_shared_images
 from tests.block_survey import CRS, ORIGIN, survey_of
 from tests.changed_survey import changed

@@ -10,7 +10,7 @@ from fields.sweep.maps import HeightMap, Sources
 from fields.volume.layer import Layer
 from fields.volume.sampling import Cells
 from refract import FlatWater, PinholeCamera
-from survey.run.stored_field import RestoredField, VolumeRecipe
+from survey.run.trained_field import RestoredField, VolumeRecipe
 
 ABSORPTION = np.array([0.3, 0.07, 0.05])  # 1/m
 

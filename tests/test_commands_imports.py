@@ -115,7 +115,7 @@ def test_help_check_and_the_lock_of_a_run_need_nothing_of_unix(tmp_path):
     assert "compare" in run(MAIN, "--help")
     assert "water" in run(MAIN, "check", small_survey(tmp_path / "s"))
     held = (
-        "from pathlib import Path; from survey.files.outputs import locked; from survey.errors import SurveyError\n"
+        "from pathlib import Path; from survey.files.paths import locked; from survey.errors import SurveyError\n"
         "folder = Path(sys.argv[1])\n"
         "with locked(folder, busy='{pid}'):\n"
         "    try:\n"

@@ -21,12 +21,12 @@ from small_survey import TOML, small_survey
 
 from survey.commands.faults import BAD_INPUT, say_error
 from survey.errors import SurveyError
-from survey.escaping import MOST_CHARACTERS, figure_text, markdown, printable
 from survey.marking.server import page
 from survey.marking.session import MarkingSession
 from survey.progress import Progress
 from survey.report.page import render_page
 from survey.viewer.page import write_page
+from survey.words import MOST_CHARACTERS, figure_text, markdown, printable
 
 NAMES = (
     '<iframe srcdoc="<script>parent.ran = 1</script>">',

@@ -29,8 +29,8 @@ from survey.progress import Progress
 from survey.run.flight import save_flight
 from survey.run.folder import RunDir
 from survey.run.stage_sweep import MAPS
-from survey.run.stored_field import save_layer_field
 from survey.run.stored_maps import save_maps
+from survey.run.trained_field import save_layer_field
 from survey.settings.config import CamerasConfig, SurveyConfig, dump_config
 
 ORIGIN = (691000.0, 5334000.0, 500.0)

@@ -13,7 +13,7 @@ from geo.files import write_whole
 from geo.raster import RasterBand, RasterForm, write_cog
 from survey.errors import OutputError
 from survey.export.registry import PRODUCTS
-from survey.files.outputs import ReadFiles, require_file
+from survey.files.paths import ReadFiles, require_file
 
 # Behind the name, or in place of the suffix; by the program that reads them: GDAL, QGIS and ArcGIS, SQLite, LAStools.
 BESIDE = {

@@ -11,7 +11,7 @@ from small_survey import small_survey
 
 from survey.adjust.waterline import estimate_water
 from survey.errors import OutputError
-from survey.files.outputs import ReadFiles, is_json, require_file, require_folder
+from survey.files.paths import ReadFiles, is_json, require_file, require_folder
 from survey.run.process import process
 
 require_json = partial(require_file, "--json", kind="a JSON file", is_of_kind=is_json)

@@ -14,6 +14,7 @@ from small_survey import E0, HEADER, LEVEL, N0, replaced, small_survey, unposed,
 from geo.errors import GeoError
 from geo.frames import LocalFrame
 from geo.transformation import WGS84, Transformation
+from survey.errors import ImageError
 from survey.folder.found import find_survey
 from survey.folder.pose_priors import (
     PosePrior,
@@ -152,6 +153,11 @@ def is_grid_missing() -> bool:
 
 
 needs_no_grid = pytest.mark.skipif(not is_grid_missing(), reason="the grid of OSTN15 is installed")
+
+
+def test_photographs_without_poses_have_the_size_of_the_settings(tmp_path):
+    with pytest.raises(ImageError, match=r"0000\.jpg has 64 x 48 pixels, expected 800 x 600"):
+        require_solvable(find_survey(british(tmp_path / "s", "size_px = [800, 600]")))
 
 
 @needs_no_grid

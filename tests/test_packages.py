@@ -58,7 +58,6 @@ LAYERS = (
 SURVEY_SHARED = {
     "__init__.py",
     "errors.py",
-    "escaping.py",
     "machine.py",
     "progress.py",
     "stage_key.py",

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from whole_pose_files import NAMES, whole_pose_files
 
 from survey.errors import PosesError
-from survey.escaping import MOST_CHARACTERS, printable
 from survey.pose_files import FORMATS, find_poses, read_poses, read_ties
+from survey.words import MOST_CHARACTERS, printable
 
 # What damages files: other kinds of values, ends of texts and blocks, and numbers that nobody can mean.
 PIECES = (

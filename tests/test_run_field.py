@@ -11,9 +11,8 @@ from plane_survey import TILTED, PlaneBed, ring
 from fields.models import IN_LAYER
 from fields.sweep.maps import Sources
 from survey.errors import SurveyError
-from survey.run.stage_field import fit, layer_about, steps_for
 from survey.run.stored import FIELD_SETTINGS, FIELD_STATE
-from survey.run.stored_field import RestoredField, load_layer_field, save_layer_field
+from survey.run.trained_field import RestoredField, fit, layer_about, load_layer_field, save_layer_field, steps_for
 
 BED, DRY = PlaneBed(TILTED, -2.0, 0.1), PlaneBed(None, -2.0, 0.1)
 GSD = 0.03

@@ -137,7 +137,8 @@ def test_the_number_of_tiles_that_a_run_began_with_is_known_elsewhere(url, tmp_p
         run.finish_stage("tiles", A, temp)
     with RemoteRun(tmp_path / "cluster", Remote(url)) as run:
         # One that is not whole does not count.
-        run.remote.write("stages/tiles-zz/shared.json", b'{"tiles": 8}')
+        write_json(tmp_path / "shared.json", {"tiles": 8})
+        run.remote.put({"stages/tiles-zz/shared.json": tmp_path / "shared.json"})
         assert run.latest_stage_json("shared.json") == {"tiles": 6}
         assert run.latest_stage_json("other.json") == {}
 

@@ -93,7 +93,8 @@ def test_a_photograph_that_has_changed_at_the_url_during_a_run_is_refused(tmp_pa
     remote.put({"a.jpg": path})
     source = remote.url, "a.jpg", remote.files()["a.jpg"]
     worker_task._require_same(remote, source, path)
-    remote.write("a.jpg", b"after it")
+    path.write_bytes(b"after it")
+    remote.put({"a.jpg": path})
     with pytest.raises(SurveyError, match=r"flight/a\.jpg has changed since the run began .*run the same `bathynerf"):
         worker_task._require_same(remote, source, path)
     assert not path.exists()
@@ -103,7 +104,8 @@ def test_a_photograph_that_was_put_in_part_is_put_again(tmp_path):
     survey, remote = load_survey(small_survey(tmp_path / "survey")), Remote(f"memory://{tmp_path.name}/run")
     of_path = worker_task._sources(survey, remote)
     path, (_, name, _) = next(iter(of_path.items()))
-    remote.write(name, path.read_bytes()[:100])
+    (tmp_path / "part").write_bytes(path.read_bytes()[:100])
+    remote.put({name: tmp_path / "part"})
     worker_task._sources(survey, remote)
     assert remote.read(name) == path.read_bytes()
 

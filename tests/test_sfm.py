@@ -22,7 +22,7 @@ from geo.crs import parse_crs
 from geo.errors import GeoError, UnwritableFile
 from geo.frames import fit_similarity, robust_similarity
 from refract import PinholeCamera
-from survey.errors import ConfigError, ImageError, PosesError, SurveyError
+from survey.errors import ConfigError, PosesError, SurveyError
 from survey.photos.exif import Exif, read_exif
 from survey.photos.poses import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.settings.config import CamerasConfig
@@ -31,7 +31,6 @@ from survey.sfm import solve as sfm_solve
 from survey.sfm.gps import gps_positions
 from survey.sfm.gps_fit import MIN_STD_M, gps_std, line_of
 from survey.sfm.poses import SfmResult, seconds_of_solve, solve_poses
-from survey.sfm.settings import one_focal, require_size
 
 # Some hundred roundings of coordinates of 1e3.
 EXACT = 1e-10
@@ -328,12 +327,9 @@ def test_stored_poses_that_do_not_belong_to_the_photographs_are_not_used_without
     assert "has poses of other photographs, settings" in told[0]
 
 
-def test_settings_that_cannot_be_are_named(tmp_path, rng):
-    images = {path.name: path for path in noise_images(tmp_path, rng)}
-    with pytest.raises(ImageError, match=r"0\.jpg has 160 x 120 pixels, expected 800 x 600"):
-        require_size(images, {name: read_exif(path) for name, path in images.items()}, (800, 600))
+def test_pixels_that_are_not_square_are_refused():
     with pytest.raises(SurveyError, match="square pixels; give one number"):
-        one_focal((900.0, 910.0))
+        _ = CamerasConfig(focal_px=(900.0, 910.0)).square_focal_px
 
 
 def test_a_workspace_that_cannot_be_written_is_named(tmp_path, rng):

@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from survey.photos.exif import Exif
 from survey.sfm.features import _similar_pairs
-from survey.sfm.pairs import LEAST_HEIGHT_M, VOTING, Place, image_pairs, similar_images
-from survey.sfm.settings import NEIGHBOURS, pairs_about
+from survey.sfm.pairs import LEAST_HEIGHT_M, NEIGHBOURS, VOTING, Place, image_pairs, pairs_about, similar_images
 from survey.sfm.solve import Photographs
 
 # A lens of 28 mm on full frame from 50 m: 64 x 43 m of the ground.

@@ -13,7 +13,7 @@ from small_survey import small_survey
 
 from geo.errors import GeoError
 from survey.errors import OutputError, SurveyError
-from survey.files.outputs import ReadFiles
+from survey.files.paths import ReadFiles
 from survey.folder.survey import load_survey
 from survey.viewer.layers import OnDemand
 from survey.viewer.page import require_page, thinned, write_page

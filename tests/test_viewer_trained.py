@@ -13,7 +13,7 @@ from plane_field import field_over, level_layer
 from shown_run import served, shown_of
 
 from refract import FlatWater
-from survey.run.stored_field import save_layer_field
+from survey.run.trained_field import save_layer_field
 from survey.viewer.shown import TrainedField, field_of_run
 from survey.viewer.tree import camera_of_screen
 

@@ -17,12 +17,12 @@ from bathynerf import Field, train_field
 from survey.commands.faults import BAD_INPUT
 from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun
-from survey.files.outputs import ReadFiles
+from survey.files.paths import ReadFiles
 from survey.viewer.shown import load_shown
 from survey.viewer.tree import camera_of_screen
 from survey.volume.options import VolumeOptions
 from survey.volume.scene import VolumeFolder
-from survey.volume.submodules import StoredVolume
+from survey.volume.stored import StoredVolume
 
 OPTIONS = VolumeOptions(model="vm", steps=3, rays=64, samples=8, cells=16, image_scale=0.5, appearance=True)
 

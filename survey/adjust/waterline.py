@@ -17,7 +17,7 @@ from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Adjustment, Parameter, unobservable_verdict
 from survey.errors import SurveyError
 from survey.files.json_values import json_text
-from survey.files.outputs import is_json, require_file
+from survey.files.paths import is_json, require_file
 from survey.folder.found import survey_inputs
 from survey.folder.local_frame import water_plane
 from survey.folder.survey import Survey, load_survey

@@ -33,7 +33,7 @@ from survey.compare.options import ChangeOptions
 from survey.display.quantities import MINUS, length, share
 from survey.export.export import cloud_of
 from survey.files.json_values import write_json
-from survey.files.outputs import ReadFiles, is_json, is_png, require_file
+from survey.files.paths import ReadFiles, is_json, is_png, require_file
 from survey.files.toml_table import require_options
 from survey.progress import current
 

@@ -23,7 +23,7 @@ from survey.change.differences import ChangeError, Volume, differences_of
 from survey.compare.options import ChangeOptions
 from survey.display.quantities import MINUS, length
 from survey.files.json_values import read_json_object
-from survey.files.outputs import ReadFiles, is_png, require_file, require_folder
+from survey.files.paths import ReadFiles, is_png, require_file, require_folder
 from survey.files.toml_table import option_name
 from survey.progress import current
 from survey.run.folder import RunDir
@@ -154,7 +154,7 @@ def _draw(path: Path, first: Path, epochs: Sequence[Epoch]) -> None:
     """Volume and mean height over time, with intervals of 95 %; by their order where a date is not known."""
     from survey.display.canvas import empty_figure, save, write_title
     from survey.display.palette import INK, SOFT
-    from survey.escaping import figure_text
+    from survey.words import figure_text
 
     by_area: dict[str, list[Epoch]] = {}
     for epoch in epochs:

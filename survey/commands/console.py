@@ -19,10 +19,9 @@ import typer
 
 from survey.commands.faults import STANDARD_OUTPUT, disk_error, fault_of, say_error
 from survey.display.blocks import Rows, Section, Sentences, Table, Text, aligned
-from survey.escaping import printable
 from survey.files.toml_table import ONE_OF, OPTION, Option
 from survey.settings.tables import HOW, InitOptions
-from survey.words import COMPARED, Device, wrap_for
+from survey.words import COMPARED, Device, printable, wrap_for
 
 # One -q silences the progress, two silence the results as well.
 _NO_RESULTS = -2

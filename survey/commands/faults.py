@@ -137,8 +137,7 @@ def flush_all() -> OSError | None:
 def say_error(message: str) -> None:
     """Write a message to standard error, unless it is empty or standard error cannot be written."""
     if message:
-        from survey.escaping import printable
-        from survey.words import wrap_for
+        from survey.words import printable, wrap_for
 
         with suppress(OSError):
             sys.stderr.write(f"{wrap_for(printable(message), sys.stderr, label='error: ')}\n")

@@ -93,7 +93,7 @@ def check(
     """
     with command(verbose, quiet, json or survey, reads=survey) as results:
         from survey.files.json_values import write_json
-        from survey.files.outputs import ReadFiles, is_json, require_file
+        from survey.files.paths import ReadFiles, is_json, require_file
         from survey.folder.found import survey_inputs
 
         is_plan = survey.suffix.lower() == ".toml"

@@ -41,7 +41,7 @@ from survey.compare.measure import ComparedScene, read_checkpoints
 from survey.compare.options import Bounds, CompareOptions, as_text, check_options, outlier_filter
 from survey.compare.pictures import drawings_of
 from survey.files.json_values import write_json
-from survey.files.outputs import ReadFiles, is_json, require_file, require_folder
+from survey.files.paths import ReadFiles, is_json, require_file, require_folder
 from survey.files.point_table import Units
 from survey.progress import current
 

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from survey.errors import SurveyError
-from survey.files.foreign import LARGEST
 from survey.files.toml_table import option, require_options
-from survey.words import COMPARED, FILES
+from survey.words import COMPARED, FILES, LARGEST
 
 Bounds = tuple[float, float, float, float]
 _measured, _compared, _written = (partial(option, panel) for panel in ("What is measured", COMPARED, FILES))

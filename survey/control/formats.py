@@ -21,8 +21,8 @@ from geo.features import read_features
 from survey.control.points import Content, ControlFormat, GivenPoint, Mark
 from survey.errors import ControlError
 from survey.files.csv_table import Row, Table, column_names, number_of, text_lines, words_of
-from survey.files.foreign import begins_with
 from survey.files.foreign_text import crs_of_chunk, crs_of_comment, is_odm_crs, odm_lines, read_chunk
+from survey.files.paths import begins_with
 from survey.files.point_table import (
     PLACE,
     STDS,

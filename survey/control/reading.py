@@ -28,7 +28,7 @@ from survey.control.points import Content, GivenPoint, Mark
 from survey.display.quantities import distance_text, named
 from survey.errors import ControlError, Findings
 from survey.files.csv_table import text_lines
-from survey.files.foreign import instead_of
+from survey.files.paths import instead_of
 from survey.files.point_table import Units
 from survey.photos.poses import ImageNames
 

@@ -26,7 +26,7 @@ from geo.crs import EARTH_RADIUS_M, is_geographic
 from geo.projection import ground_units_m
 from survey.display.palette import EMPTY, INK, SOFT
 from survey.display.quantities import round_up
-from survey.escaping import figure_text
+from survey.words import figure_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -18,7 +18,7 @@ from survey.export.loaded import LoadedRun
 from survey.export.registry import PRODUCTS, ExportOptions, Product, require_makeable
 from survey.export.styles import write_style
 from survey.files.json_values import read_json_object, write_json
-from survey.files.outputs import ReadFiles, require_file, require_folder
+from survey.files.paths import ReadFiles, require_file, require_folder
 from survey.files.toml_table import option_name, require_options
 from survey.progress import current
 from survey.run.edits import FOLDER, edits_of
@@ -38,7 +38,7 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
     Raises SurveyError if a length is unusable, nothing is asked for, a name does not end as its product does, an option
     has no effect on any of them, the folder is not a run, or the run has not come as far as the cloud; or if a product
     cannot be made of the run with these options: all are checked before the first is computed; OutputError if a file
-    must not be written, see `survey.files.outputs`: a file that is there is replaced only where an export of this run
+    must not be written, see `survey.files.paths`: a file that is there is replaced only where an export of this run
     wrote it, and one that people edit only as it was written; GeoError if a file cannot be written, or the CRS is
     unusable.
     """

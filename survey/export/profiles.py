@@ -33,7 +33,7 @@ from survey.display.quantities import length, named, share
 from survey.errors import SurveyError
 from survey.export.bed_raster import LevelFit, round_side
 from survey.export.export import cloud_of
-from survey.files.outputs import ReadFiles, is_png, require_file
+from survey.files.paths import ReadFiles, is_png, require_file
 from survey.progress import current
 from survey.report.profile import draw_section
 from survey.run.folder import RunDir

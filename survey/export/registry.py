@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from survey.errors import SurveyError
-from survey.files.foreign import LARGEST
 from survey.files.toml_table import option
+from survey.words import LARGEST
 
 if TYPE_CHECKING:
     from survey.export.loaded import LoadedRun

@@ -23,7 +23,7 @@ from refract import PinholeCamera
 from survey.errors import FILE_NAME, ConfigError, OutputError, SurveyError
 from survey.export.loaded import LoadedRun, colours_without_water
 from survey.export.novel_views import image_based_field
-from survey.files.outputs import ReadFiles, require_file, require_folder
+from survey.files.paths import ReadFiles, require_file, require_folder
 from survey.folder.found import poses_inputs, survey_inputs
 from survey.folder.local_frame import poses_in_local
 from survey.folder.pairing import lens_from_config
@@ -32,7 +32,7 @@ from survey.pose_files import read_poses
 from survey.progress import current
 from survey.run.flight import load_flight
 from survey.run.folder import RunDir
-from survey.run.stored_field import load_layer_field
+from survey.run.trained_field import load_layer_field
 from survey.settings.config import SurveyConfig, read_config
 
 FIELD_STAGE = "field"
@@ -71,7 +71,7 @@ def render(
     north, up as red, green, blue, -1 to 1 as 0 to 255). They are seen through the lens of the camera: at the pose of a
     photograph, they fit it pixel by pixel. Raises SurveyError or GeoError if the run has no height maps or no field,
     its photographs are not there, or the cameras are unusable; OutputError if the pictures must not be written there,
-    see `survey.files.outputs`: a picture that is there is replaced only where render wrote it.
+    see `survey.files.paths`: a picture that is there is replaced only where render wrote it.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from geo.crs import unit_named
 from survey.errors import SurveyError
-from survey.files.foreign import LARGEST
+from survey.words import LARGEST
 
 _SPACE = " "
 # Lines of these alone are empty.

@@ -20,7 +20,7 @@ from pyproj.exceptions import CRSError
 from geo.crs import crs_of
 from survey.errors import SurveyError
 from survey.files.csv_table import number_of, text_lines
-from survey.files.foreign import LARGEST
+from survey.words import LARGEST
 
 # No file of a program is nested further; a tree is walked by recursion.
 _DEEPEST = 100

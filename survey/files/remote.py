@@ -113,13 +113,6 @@ class Remote:
             except (FileNotFoundError, NotADirectoryError):
                 return None
 
-    def write(self, name: str, content: bytes) -> None:
-        """Write a file."""
-        place = self._place(name)
-        with self._refusals_of(name):
-            self._make_folder(place)
-            self._store.pipe_file(place, content)
-
     def fetch(self, names: Mapping[str, Path], *, last: str | None = None) -> None:
         """Fetch files, each whole or not at all, to paths; the ``last`` after all others."""
         self._at_once(self._fetch, names.items(), last)

@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from survey.errors import ConfigError
-from survey.files.foreign import LARGEST
-from survey.words import instead_of_word
+from survey.words import LARGEST, instead_of_word
 
 # Bytes of settings at most; those with all keys and comments have 10 kB.
 _MOST_BYTES = 1_000_000

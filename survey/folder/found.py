@@ -17,8 +17,7 @@ from geo.crs import EGM96_HEIGHT, height_unit_m, parse_crs
 from geo.transformation import use_grids
 from refract.lens import MODELS, Lens, coefficients_of
 from survey.errors import FILE_NAME, ConfigError, Findings, PosesError, SurveyError
-from survey.files.foreign import require_plain_entries
-from survey.files.outputs import ReadFiles
+from survey.files.paths import ReadFiles, require_plain_entries
 from survey.files.remote import is_url
 from survey.files.toml_table import table_of
 from survey.folder.control import FoundControl, find_control

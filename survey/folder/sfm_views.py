@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,7 @@ from geo.crs import EARTH_RADIUS_M, height_unit_m, middle_lon_lat
 from refract.lens import Lens
 from survey.control.reading import require_near
 from survey.display.quantities import distance_text, named
-from survey.errors import ControlError, Findings, ImageError, PosesError
+from survey.errors import FILE_NAME, ControlError, Findings, ImageError, PosesError, SurveyError
 from survey.folder.checked_control import control_of_block, may_hold_roll, require_placing_control, with_two_marks
 from survey.folder.found import Found
 from survey.folder.heights import (
@@ -30,12 +31,11 @@ from survey.folder.observations import shutter_warnings
 from survey.folder.plausible import height_by_overlap, most_over_water, require_focal_lengths
 from survey.folder.pose_priors import GPS_STD_M, best_plan_std, common_up_std_of_exif
 from survey.photos.images import require_all_complete
-from survey.photos.pixels import HEIC_SUFFIXES
+from survey.photos.pixels import HEIC_SUFFIXES, require_pixels
 from survey.photos.poses import least_track
 from survey.sfm.control_fit import BlockControl, line_of_control
 from survey.sfm.gps import gps_positions, is_whole, positions_in_crs, require_accurate, transforms_into_crs
 from survey.sfm.gps_fit import FOCAL_SHARE, MIN_STD_M, ROLL_REMEDY, is_contradicted, line_of
-from survey.sfm.settings import one_focal, require_size, require_solver
 from survey.words import RUN_FOLDER, SFM_FOLDER
 
 if TYPE_CHECKING:
@@ -74,6 +74,16 @@ def require_level_fits_exif(found: Found) -> None:
     require_level_fits(water, "EXIF has the cameras", heights, over_water, like, most_m=most_m)
 
 
+def require_solver(module: str = "pycolmap") -> None:
+    """Raise SurveyError where structure from motion is not installed: there is no pycolmap for every machine."""
+    if find_spec(module) is None:
+        raise SurveyError(
+            "the survey has no poses, and pycolmap, which finds them from the photographs, is not installed; it has no "
+            "package for Linux on ARM (aarch64). Name a file of poses in [cameras] poses, e.g. of Metashape, "
+            "OpenDroneMap or COLMAP, or run structure from motion on another machine"
+        )
+
+
 def require_solvable(found: Found) -> list[str]:
     """Warnings about a survey without poses that structure from motion can start with."""
     require_solver()
@@ -82,8 +92,11 @@ def require_solvable(found: Found) -> list[str]:
     for transform in transforms_into_crs(headers, crs, cameras.gps_height):
         std = best_plan_std(cameras, [headers[name] for name in transform.names])
         require_accurate(transform.plan, std, transform.label, len(found.control.given))
-    require_size(found.images, headers, cameras.size_px)
-    focal = one_focal(cameras.focal_px)
+    if cameras.size_px is not None:
+        remedy = f"correct it in {FILE_NAME}, or leave the image out"
+        for name, header in headers.items():
+            require_pixels(found.images[name], header.size_px, cameras.size_px, "[cameras] size_px", remedy)
+    focal = cameras.square_focal_px
     _require_focal(found)
     if placing_control(found) is None:
         _require_scale(found)
@@ -194,7 +207,7 @@ def _heights_by_focals(result: SfmResult) -> np.ndarray:
 def _require_focal(found: Found) -> None:
     """Raise ImageError where two photographs have no focal length: over flat ground they do not determine it."""
     lacking = [name for name, header in found.headers.items() if header.focal_px is None]
-    if len(found.headers) == 2 and lacking and one_focal(found.config.cameras.focal_px) is None:
+    if len(found.headers) == 2 and lacking and found.config.cameras.square_focal_px is None:
         raise ImageError(f"{lacking[0]} has no focal length in EXIF and two images tell none; give [cameras] focal_px")
 
 

@@ -28,7 +28,6 @@ from geo.crs import (
 from geo.transformation import lon_lat
 from survey.control.points import GivenPoint
 from survey.errors import ConfigError, PosesError
-from survey.escaping import printable
 from survey.folder.found import Found
 from survey.folder.gps_placement import place_poses
 from survey.folder.headers import SAME_PLACE_M
@@ -40,7 +39,7 @@ from survey.photos.poses import ImageNames, PoseFile, PoseFrame
 from survey.photos.xmp import ELLIPSOIDAL
 from survey.settings.tables import InitOptions
 from survey.sfm.gps import area_at, height_transformer
-from survey.words import GEO_TXT
+from survey.words import GEO_TXT, printable
 
 _WGS84_3D = 4979
 # Control points of a survey lie this near to its photographs [m].

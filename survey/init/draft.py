@@ -12,7 +12,6 @@ from geo.files import write_text
 from survey.control.points import GivenPoint
 from survey.control.reading import read_control
 from survey.errors import FILE_NAME, ConfigError, ControlError, OutputError
-from survey.escaping import printable
 from survey.files.json_values import write_json
 from survey.files.toml_table import schema_of
 from survey.folder.found import Found, find_survey, image_folder_of, require_survey_folder
@@ -25,6 +24,7 @@ from survey.settings.config import SurveyConfig, WaterConfig, parse_config, sett
 from survey.settings.tables import InitOptions
 from survey.sfm.gps import is_whole, positions_in_crs
 from survey.water.level import FRESH_WATER, SEA_WATER, SODIUM_NM
+from survey.words import printable
 
 # The form in which TOML extensions of editors find a schema (Taplo, Even Better TOML, Tombi).
 SCHEMA_NAME = "survey.schema.json"

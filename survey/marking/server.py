@@ -24,13 +24,12 @@ import numpy as np
 
 from geo.errors import GeoError
 from survey.errors import ImageError, SurveyError
-from survey.escaping import printable
-from survey.files.foreign import LARGEST
 from survey.files.foreign_text import finite_numbers
 from survey.marking.mark_store import PointKey
 from survey.marking.session import MarkingSession
 from survey.photos.images import eight_bits
 from survey.photos.pixels import read_rgb
+from survey.words import LARGEST, printable
 
 TOKEN_HEADER = "X-Bathynerf-Token"
 _LONGEST_REQUEST = 100_000

@@ -29,7 +29,8 @@ from survey.plan.heights import dry_ground
 from survey.plan.plan import Plan
 from survey.plan.sweep_block import camera_of
 from survey.progress import rough
-from survey.sfm.settings import FEATURES_PX, pairs_about
+from survey.sfm.features import FEATURES_PX
+from survey.sfm.pairs import pairs_about
 
 # Imports and hashes of any run.
 _START_S = 2.5

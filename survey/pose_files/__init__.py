@@ -10,7 +10,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from survey.errors import PosesError
-from survey.files.foreign import instead_of
+from survey.files.paths import instead_of
 from survey.photos.poses import DuplicatePose, FileTies, PoseFile
 from survey.pose_files import colmap, metashape, nerfstudio, opensfm, pix4d, tables
 from survey.pose_files.format import Format

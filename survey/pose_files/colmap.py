@@ -15,7 +15,7 @@ import numpy as np
 
 from refract.lens import MODELS, Lens, LensError
 from survey.errors import PosesError
-from survey.files.foreign import begins_with
+from survey.files.paths import begins_with
 from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame, rotation_from_quaternion
 from survey.pose_files.format import Format
 

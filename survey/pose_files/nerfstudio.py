@@ -9,8 +9,8 @@ import numpy as np
 
 from refract.lens import Lens, LensError
 from survey.errors import PosesError
-from survey.files.foreign import begins_with
 from survey.files.foreign_text import finite_number, finite_numbers, read_foreign_json
+from survey.files.paths import begins_with
 from survey.photos.poses import Pose, PoseFile, PoseFrame, is_rotation, nearest_rotation
 from survey.pose_files.format import Format, brown_lens, lens_number, lens_size, require_understood
 

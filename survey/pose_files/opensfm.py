@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 from geo.projection import enu_from_geocentric, geocentric_from_geodetic
 from refract.lens import Lens, LensError
 from survey.errors import PosesError
-from survey.files.foreign import begins_with
 from survey.files.foreign_text import finite_numbers, read_foreign_json
+from survey.files.paths import begins_with
 from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame
 from survey.pose_files.format import Format, brown_lens, lens_number, lens_size, require_understood
 

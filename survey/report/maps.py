@@ -42,11 +42,11 @@ from survey.display.palette import (
 )
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, length, share
-from survey.escaping import figure_text
 from survey.photos.images import load_image
 from survey.report.facts import ReportFacts
 from survey.report.profile import Cut, draw_line
 from survey.report.seen_cells import ONE_VIEW, TWO_VIEWS, SeenCells, cells_of
+from survey.words import figure_text
 
 if TYPE_CHECKING:
     from fields.sweep.maps import HeightMap

@@ -27,9 +27,8 @@ from pathlib import Path
 
 from geo.files import reporting_disk_errors
 from survey.errors import SurveyError
-from survey.files.foreign import require_plain_entries
 from survey.files.json_values import read_json_object, write_json
-from survey.files.outputs import ReadFiles, locked
+from survey.files.paths import ReadFiles, locked, require_plain_entries
 from survey.progress import current
 from survey.stage_key import code_hash, content_hash, stage_key
 from survey.words import RUN_FOLDER, SFM_FOLDER

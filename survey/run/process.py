@@ -17,7 +17,7 @@ from typing import Any
 
 from survey.display.quantities import length
 from survey.errors import SurveyError
-from survey.files.outputs import ReadFiles, require_folder
+from survey.files.paths import ReadFiles, require_folder
 from survey.files.remote import Remote, is_url, local_run
 from survey.folder.found import survey_inputs
 from survey.folder.survey import Survey, load_survey

@@ -1,12 +1,13 @@
 """The stage of the sweep: a height map of each view that is needed to cover the bed, and its pixels that become points.
 
-A survey in tiles has a sweep for each; their maps are joined to those of whole photographs.
+A survey in tiles has a sweep for each; their maps are joined to those of whole photographs. From these the absorption
+of the water is estimated where survey.toml does not say it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -26,7 +27,7 @@ from fields.sweep.sweep import sweep
 from fields.sweep.view_pass import SweepSettings
 from fields.sweep.wide_windows import wet_pairs, with_wide_windows
 from fields.waves.waves import Waves
-from survey.errors import SurveyError
+from survey.errors import Findings, SurveyError
 from survey.files.json_values import read_json_object, write_json
 from survey.plan.area import grown, inside, plane_name
 from survey.progress import shares
@@ -52,6 +53,8 @@ ROUGH_WATER = "rough_water.npz"
 _OF_WAVES = ("centres", "tides", "n_water", "corner", "spacing", "coefficients", "variance", "variance_corner")
 # In the folder of the stage, while it lasts: maps that are worked on.
 SCRATCH = "scratch"
+# The absorption of the water, of a survey that does not state it.
+COLOUR_FILE = "water_colour.json"
 # Points so far beyond a tile count as neighbours of its own [ground sampling distances].
 _BESIDE_GSD = 6.0
 
@@ -226,3 +229,31 @@ def _joined_consistency(of_tiles: Sequence[Mapping[str, dict]], name: str) -> Co
     correlation = float(np.average([part.correlation or 0.0 for part in parts], weights=count * known))
     contrast = float(np.sqrt(np.average([part.contrast**2 for part in parts], weights=np.maximum(count, 1.0))))
     return Consistency(int(count.sum()), correlation, contrast)
+
+
+def estimate_colour(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+    """Estimate the absorption of the water from the photographs that have a height map."""
+    # Imported where it is needed: it takes torch, whose import takes seconds.
+    from fields.colour.true_colour import estimate_absorption
+
+    with job.progress.stage("Water colour"):
+        try:
+            absorption = estimate_absorption(job.sources(Stored(needs["sweep"] / MAPS, HeightMap)))
+        except ValueError as error:
+            raise SurveyError(
+                f"the absorption of the water cannot be estimated from the photographs: {error}; give [water] "
+                "absorption_per_m and veiling_light in survey.toml, or leave --true-colour out"
+            ) from error
+        write_json(folder / COLOUR_FILE, {"absorption_per_m": absorption})
+
+
+def use_colour(job: Job, folder: Path) -> None:
+    """Give the job's survey the absorption that was found, and no veiling light."""
+    red, green, blue = read_json_object(folder / COLOUR_FILE)["absorption_per_m"]
+    _, given = job.survey.require_water()
+    water = replace(given, absorption_per_m=(red, green, blue), veiling_light=(0.0, 0.0, 0.0))
+    listed = ", ".join(f"{a:.3f}" for a in (red, green, blue))
+    note = f"absorption_per_m = [{listed}], from the photographs, and no veiling_light"
+    findings = job.survey.findings + Findings(assumptions=(note,))
+    job.survey = replace(job.survey, config=replace(job.survey.config, water=water), findings=findings)
+    job.progress.detail(f"water colour: {note}")

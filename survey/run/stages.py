@@ -29,11 +29,19 @@ from survey.run.folder import Key, RunDir
 from survey.run.job import PARTS, Job, colour_of
 from survey.run.remote_run import RemoteRun
 from survey.run.stage_bed import FILES, POINTS, find_points, make_bed, use_bed
-from survey.run.stage_field import COLOUR_FILE, estimate_colour, train_field, use_colour
 from survey.run.stage_solver import FIGURES, SIGHTINGS, SOLVED, WAVES, join_solved, learn_figures, solve_heights
 from survey.run.stage_start import FILES as ADJUSTMENT_FILES
 from survey.run.stage_start import MISFIT, adjust_block, check_poses, find_range, use_adjustment, use_misfit, use_range
-from survey.run.stage_sweep import CONSISTENCY, MAPS, SATURATED, join_sweeps, sweep_views
+from survey.run.stage_sweep import (
+    COLOUR_FILE,
+    CONSISTENCY,
+    MAPS,
+    SATURATED,
+    estimate_colour,
+    join_sweeps,
+    sweep_views,
+    use_colour,
+)
 from survey.run.stage_sweep import FILES as SWEEP_FILES
 from survey.run.stored import FIELD_FILES
 from survey.run.tile_job import TileJob
@@ -74,6 +82,13 @@ class Stage:
         """Dependencies of the result, given the folders of the stages that it reads, whose names end in their keys."""
         parts = {name: job.hash_of_part(name) for name in (*self.depends_on, "code")}
         return parts | {name: place.name for name, place in folders.items()}
+
+
+def _train_field(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+    # Imported where it is needed: it takes torch, whose import takes seconds.
+    from survey.run.trained_field import train_field
+
+    train_field(job, folder, needs)
 
 
 # What decides the rays of the photographs, and the size and the pixels that are worked on.
@@ -148,7 +163,7 @@ STAGES = (
         needs=("sweep", "solver"),
         depends_on=(*_VIEWS, "area", "frame", "gsd", "rays", "water_colour"),
         files=FIELD_FILES,
-        compute=train_field,
+        compute=_train_field,
         is_on=lambda job: job.plan.field in IN_LAYER,
     ),
     Stage(

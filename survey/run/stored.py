@@ -39,7 +39,7 @@ _PORTION, _MOST_HEADER = 4_000_000, 1 << 16
 BED_FILE, SURVEY_FILE = "bed.npz", "survey.json"
 # Columns of a stored bed beside those of its points.
 OF_PLACES = ("std_common", "std_placed", "std_plan")
-# Of a trained field; `survey.run.stored_field` reads and writes them.
+# Of a trained field; `survey.run.trained_field` reads and writes them.
 FIELD_FILES = FIELD_STATE, FIELD_SETTINGS = "state.pt", "settings.json"
 SUBMODULES = "submodules"  # Folder of the submodules of a field, where there are some
 

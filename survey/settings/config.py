@@ -11,8 +11,8 @@ from typing import Any
 
 import tomli_w
 
-from survey.errors import FILE_NAME, ConfigError
-from survey.files.foreign import require_plain, require_plain_entries
+from survey.errors import FILE_NAME, ConfigError, SurveyError
+from survey.files.paths import require_plain, require_plain_entries
 from survey.files.remote import is_url, local_name
 from survey.files.toml_table import key, parse_toml, read_toml, require_with, std_key, table_of
 from survey.settings.tables import ControlConfig, FieldConfig, ProcessConfig
@@ -121,6 +121,18 @@ class CamerasConfig:
                 f"[cameras] principal_point_px {list(point)} lies outside the image of size_px {list(size)}; expected "
                 "pixels from the upper left corner"
             )
+
+    @property
+    def square_focal_px(self) -> float | None:
+        """The focal length [px] of square pixels, for structure from motion; raises where they are not square."""
+        if not isinstance(self.focal_px, tuple | list):
+            return self.focal_px
+        if self.focal_px[0] != self.focal_px[1]:
+            raise SurveyError(
+                f"[cameras] focal_px in {FILE_NAME} is {list(self.focal_px)}, and structure from motion solves for "
+                "square pixels; give one number, or poses made elsewhere in [cameras] poses"
+            )
+        return self.focal_px[0]
 
     @property
     def rolls(self) -> bool:

@@ -16,9 +16,8 @@ from pathlib import Path
 
 from fields.models import MODELS, Losses, Rule
 from survey.errors import ConfigError
-from survey.files.foreign import LARGEST
 from survey.files.toml_table import key, option, require_with, std_key
-from survey.words import FIELDS, SCALES, Device, Drop, Poses, Quality
+from survey.words import FIELDS, LARGEST, SCALES, Device, Drop, Poses, Quality
 
 # Of three numbers each counts for one axis.
 Std = float | tuple[float, float, float]

@@ -18,12 +18,15 @@ from geo.frames import Similarity
 from refract.lens import Lens
 from survey.photos.poses import TiePoints, least_track
 from survey.progress import current
-from survey.sfm.features import MatchedPhotographs
-from survey.sfm.settings import MIN_IMAGES, SEED, THREADS, solver
+from survey.sfm.features import SEED, MatchedPhotographs, solver
 
 if TYPE_CHECKING:
     import pycolmap
 
+# More threads would be faster; with two, most repeated runs of a block agree in all significant digits.
+_THREADS = 2
+# Images of a block, at least, but for those of two photographs.
+_MIN_IMAGES = 3
 # Up to so many images COLMAP's pipeline has direct solvers.
 DIRECT_UP_TO = 1000
 # All images are adjusted whenever their number, or that of the points, has grown by this factor.
@@ -64,7 +67,7 @@ def adjust_with_focals(block: pycolmap.Reconstruction) -> None:
     """Adjust a block with its focal lengths as they are; in place."""
     options = solver().BundleAdjustmentOptions()
     options.refine_focal_length, options.print_summary = False, False
-    options.ceres.solver_options.num_threads = THREADS
+    options.ceres.solver_options.num_threads = _THREADS
     solver().bundle_adjustment(block, options)
 
 
@@ -115,7 +118,7 @@ def reconstruct(matched: MatchedPhotographs, *, direct_up_to: int = DIRECT_UP_TO
 def pipeline_options(num: int) -> pycolmap.IncrementalPipelineOptions:
     """Options of COLMAP's pipeline for a number of images."""
     options = solver().IncrementalPipelineOptions()
-    options.num_threads, options.random_seed, options.min_model_size = THREADS, SEED, MIN_IMAGES
+    options.num_threads, options.random_seed, options.min_model_size = _THREADS, SEED, _MIN_IMAGES
     options.ba_global_frames_ratio = options.ba_global_points_ratio = _GROWN
     options.mapper.ba_global_ignore_redundant_points3D = True
     options.extract_colors = False

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import cv2
@@ -23,12 +24,15 @@ from survey import machine
 from survey.photos.images import eight_bits
 from survey.photos.pixels import read_rgb
 from survey.progress import current
-from survey.sfm.pairs import VOTING, Place, image_pairs, similar_images
-from survey.sfm.settings import ALL_PAIRS_UP_TO, FEATURES_PX, SEED, solver
+from survey.sfm.pairs import ALL_PAIRS_UP_TO, VOTING, Place, image_pairs, similar_images
 
 if TYPE_CHECKING:
     import pycolmap
 
+# Longest side [px] of a photograph for the detection of features; larger ones are reduced.
+FEATURES_PX = 3200
+SEED = 0
+_ERRORS_ONLY = 2
 # f, cx, cy, k1, k2. With one coefficient a real block is bent by decimetres; more than two gain nothing (see tests).
 MODEL = "RADIAL"
 # Most features of an image. The adjustment uses a few hundred of them (`survey.adjust.block.observed`), and twice
@@ -45,9 +49,16 @@ _STEPS = 512.0
 # Angle [rad] between the descriptors of a match at most, and as a share of that to the second nearest (as COLMAP).
 _MOST_ANGLE, _MOST_RATIO = 0.7, 0.8
 
-
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+
+def solver() -> ModuleType:
+    """pycolmap, which prints errors only."""
+    import pycolmap
+
+    pycolmap.logging.minloglevel = _ERRORS_ONLY
+    return pycolmap
 
 
 class Workers(Protocol):

@@ -19,8 +19,10 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from survey.sfm.settings import ALL_PAIRS_UP_TO, NEIGHBOURS
-
+# Up to so many images every pair is tried, beyond it each image with its nearest neighbours.
+ALL_PAIRS_UP_TO, NEIGHBOURS = 40, 20
+# Of two neighbours, most have each other: so many pairs come of a neighbour.
+_PAIRS_OF_NEIGHBOUR = 0.65
 # Directions in which partners are sought in turn, so that dense photographs of a strip do not displace those of the
 # strips beside it. So many of the nearest are looked at, four times as many while a direction has none, and most.
 _SECTORS = 8
@@ -74,6 +76,11 @@ class _Footprints:
         reach = np.where(unknown, math.inf, [(place.spread or 0.0) * (place.height_m or 0.0) for place in places])
         centres = positions[:, :2] + (heights / falling)[:, None] * axes[:, :2]
         return cls(centres, reach / falling, heights[:, None] * axes)
+
+
+def pairs_about(num: int) -> int:
+    """Approximate number of pairs that are matched of so many images."""
+    return num * (num - 1) // 2 if num <= ALL_PAIRS_UP_TO else round(_PAIRS_OF_NEIGHBOUR * NEIGHBOURS * num)
 
 
 def image_pairs(names: Sequence[str], places: Mapping[str, Place]) -> list[tuple[str, str]]:

@@ -24,7 +24,7 @@ from geo.files import reporting_disk_errors
 from geo.frames import LocalFrame
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object, write_json
-from survey.files.outputs import locked
+from survey.files.paths import locked
 from survey.photos.cameras import View
 from survey.photos.exif import Exif, read_exif
 from survey.photos.poses import TiePoints
@@ -32,10 +32,10 @@ from survey.settings.config import CamerasConfig
 from survey.sfm import block as sfm_block
 from survey.sfm.absolute_orientation import PlacedBlocks, place_by_control, place_by_gps
 from survey.sfm.control_fit import BlockControl
+from survey.sfm.features import solver
 from survey.sfm.gps import gps_positions, positions_in_crs
 from survey.sfm.gps_fit import attitudes_of
 from survey.sfm.pairs import image_pairs
-from survey.sfm.settings import one_focal, solver
 from survey.sfm.solve import FreeBlocks, Photographs, sensors_of, solve
 from survey.stage_key import code_hash, stage_key
 
@@ -79,7 +79,7 @@ def solve_poses(
     note = report or (lambda _text: None)
     images = dict(sorted(images.items()))
     headers = {name: headers[name] for name in images}
-    focal_px, attitudes = one_focal(cameras.focal_px), attitudes_of(headers)
+    focal_px, attitudes = cameras.square_focal_px, attitudes_of(headers)
     place: Callable[..., PlacedBlocks]
     if control is None:
         gps = gps_positions(headers, crs, cameras.gps_height)

@@ -21,7 +21,7 @@ from refract import PinholeCamera
 from refract.lens import MODELS, Lens, LensError, coefficients_of
 from refract.surfaces import WaterSurface
 from survey.errors import ConfigError, OutputError, SurveyError
-from survey.files.outputs import ReadFiles, require_folder
+from survey.files.paths import ReadFiles, require_folder
 from survey.folder.heights import place_of
 from survey.folder.local_frame import poses_in_local, water_plane
 from survey.pose_files import read_poses

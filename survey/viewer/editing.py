@@ -11,12 +11,12 @@ import numpy as np
 from refract import PinholeCamera
 from survey.display.quantities import count
 from survey.errors import SurveyError
-from survey.escaping import markdown
 from survey.export.export import cloud_of
 from survey.run.edits import CLASSES, Edits
 from survey.viewer.shown import MARKED, Shown
 from survey.viewer.sightings import row_under, telling
 from survey.viewer.tree import camera_in_browser, seen_nodes
+from survey.words import markdown
 
 if TYPE_CHECKING:
     import viser

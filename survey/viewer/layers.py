@@ -12,12 +12,12 @@ import numpy as np
 
 from survey.display.quantities import count
 from survey.errors import SurveyError
-from survey.escaping import markdown, printable
 from survey.photos.cameras import View
 from survey.progress import current
 from survey.viewer.shown import CLASS, SCALES, LocalReference, Shown, Style, TrainedField
 from survey.viewer.sightings import telling, thumbnail
 from survey.viewer.tree import camera_in_browser
+from survey.words import markdown, printable
 
 if TYPE_CHECKING:
     import viser

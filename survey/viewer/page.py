@@ -20,13 +20,13 @@ import numpy as np
 from geo.files import write_text
 from refract import PinholeCamera
 from survey.errors import OutputError, SurveyError
-from survey.escaping import printable
-from survey.files.outputs import ReadFiles, require_file
+from survey.files.paths import ReadFiles, require_file
 from survey.marking.server import is_own_page
 from survey.viewer.layers import add_cameras, add_water, set_initial_view
 from survey.viewer.shown import SCALES, Shown
 from survey.viewer.sightings import AIM_PX, facts_of
 from survey.viewer.tree import CloudTree, camera_in_browser, pick
+from survey.words import printable
 
 if TYPE_CHECKING:
     import viser

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from survey.export.loaded import LoadedRun
-from survey.files.outputs import ReadFiles
+from survey.files.paths import ReadFiles
 from survey.progress import current
 from survey.run.folder import RunDir
 from survey.viewer.editing import Editing

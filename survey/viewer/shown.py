@@ -69,15 +69,15 @@ class TrainedField:
 
 def field_of_run(folder: Path, water: FlatWater | None) -> TrainedField:
     """The field that `process --field` left in the folder of its stage."""
-    from survey.run.stored_field import load_layer_field
+    from survey.run.trained_field import load_layer_field
 
     return TrainedField("field", lambda _note: load_layer_field(folder, water, "auto").view)
 
 
 def field_of_volume(folder: Path, run: LoadedRun) -> TrainedField:
-    """The field that `bathynerf field` left in a folder; see `survey.volume.submodules.StoredVolume`."""
+    """The field that `bathynerf field` left in a folder; see `survey.volume.stored.StoredVolume`."""
     # It takes torch.
-    from survey.volume.submodules import StoredVolume
+    from survey.volume.stored import StoredVolume
 
     stored = StoredVolume.of_run(folder, run)
     return TrainedField(stored.recipe.model, lambda note: stored.load(note=note))

@@ -22,13 +22,13 @@ from geo.vectors import Layer, write_geojson
 from refract import FlatWater
 from survey.display.quantities import MINUS, length, number
 from survey.errors import SurveyError
-from survey.escaping import markdown
 from survey.export.profiles import Bed, Profile, figure_of, write_csv
 from survey.photos.cameras import View
 from survey.photos.images import load_image
 from survey.photos.pixels import damage_named, open_image
 from survey.viewer.shown import SCALES, Shown
 from survey.viewer.tree import CloudTree, camera_in_browser, is_blocked, pick
+from survey.words import markdown
 
 if TYPE_CHECKING:
     import viser

@@ -21,7 +21,7 @@ from refract import PinholeCamera
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun, survey_folder
 from survey.files.toml_table import require_valid
-from survey.run.stored_field import VolumeRecipe
+from survey.run.trained_field import VolumeRecipe
 from survey.settings.config import SurveyConfig, settings_of
 from survey.settings.tables import FieldConfig
 from survey.stage_key import content_hash

@@ -20,8 +20,7 @@ from fields.volume.train import Checkpoints, Training, VolumeFigures, train_volu
 from refract import PinholeCamera
 from survey.progress import current
 from survey.run.flight import Flight
-from survey.run.stage_field import reporting
-from survey.run.stored_field import RestoredField
+from survey.run.trained_field import RestoredField, reporting
 from survey.volume.options import VolumeOptions
 from survey.volume.scene import Scene
 

@@ -1,4 +1,6 @@
-"""Checks of output paths, one rule for every command, and a lock file: one process at a time works in a folder.
+"""Checks of paths: of what others bring, of outputs, one rule for every command; and the lock of a folder.
+
+No pipe or device is read; a file that is not read by its name says what to give instead. Of outputs:
 
 - The folder of a named file has to exist; a folder that is named (-o DIR) is made, with those above it.
 - No output is a file that the command reads, under whatever name, nor lies in a folder of them.
@@ -9,9 +11,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 from tempfile import TemporaryFile
 
@@ -25,6 +28,32 @@ _HEAD_BYTES = 2048
 # The file that the system locks, and beside it the number of the process: where a lock keeps others from reading
 # (Windows), the file itself cannot tell.
 LOCK_FILE, LOCK_OWNER = ".lock", ".lock.pid"
+
+
+def require_plain_entries(folder: Path) -> None:
+    """Raise SurveyError where a folder holds, at any depth, something that is neither a file nor a folder."""
+    for place, folders, files in os.walk(folder):
+        require_plain(Path(place, name) for name in (*folders, *files))
+
+
+def require_plain(paths: Iterable[Path]) -> None:
+    """Raise SurveyError where one of paths exists and is, or leads to, neither a file nor a folder."""
+    for path in paths:
+        # Reading a pipe or a device may not end.
+        if not path.is_file() and not path.is_dir() and path.exists():
+            raise SurveyError(f"{path} is a pipe, a socket or a device, expected a file or folder; remove it")
+
+
+def instead_of(path: Path, not_read: Mapping[str, str]) -> str | None:
+    """What to do instead of giving a file or folder, by patterns of names in lower case; None for other names."""
+    name = path.name.casefold()
+    return next((instead for pattern, instead in not_read.items() if fnmatchcase(name, pattern)), None)
+
+
+def begins_with(path: Path, sign: bytes) -> bool:
+    """Whether a file begins with a sign, behind a byte order mark and blanks."""
+    with path.open("rb") as file:
+        return file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(sign)
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,16 @@
-"""A trained radiance field on disk: the recipe and the state from which it is rebuilt and rendered.
+"""A trained radiance field: the recipe and the state on disk from which it is rebuilt and rendered, and that of a run.
 
-That of a run (`process --field`) and those of `bathynerf field` are stored and read alike. A run's has its layer in the
-state; the box of the others follows from the bed of their run.
+That of a run (`process --field`) and those of `bathynerf field` are stored and read alike. A run's is trained in a
+layer about the heights of the solver, which is in its state; the box of the others follows from the bed of their run.
 """
 
 from __future__ import annotations
 
 import pickle
 import zipfile
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -18,25 +20,48 @@ import torch
 from fields.device import choose_device, tensor_place
 from fields.image_based import NovelView, heights_over, normals_of
 from fields.models import APPEARANCE
+from fields.solver.solver import SolvedMap
+from fields.sweep.maps import HeightMap, Sources, trusted
 from fields.volume.fitted import appearance_vectors
 from fields.volume.layer import Layer
 from fields.volume.model import Setup, build_model
 from fields.volume.paths import Box
+from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeImage, VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.shell import Shell
 from fields.volume.surface import LEAST_OPACITY
+from fields.volume.tensor import COLOUR_FIRST
+from fields.volume.train import LAST_STEPS, Training, VolumeFigures, psnr_db, train_volume
 from fields.water_column import WaterColumn
 from geo.files import write_whole
 from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object, write_json
+from survey.plan.area import within
+from survey.plan.sweep_block import device_word
+from survey.progress import Step
+from survey.run.stage_solver import SOLVED
+from survey.run.stage_sweep import MAPS
 from survey.run.stored import FIELD_SETTINGS, FIELD_STATE
+from survey.run.stored_maps import Stored
 
 if TYPE_CHECKING:
     from fields.volume.nerfacto import Proposal
+    from survey.plan.area import Area
+    from survey.run.job import Job
 
 _DAMAGE = (OSError, RuntimeError, KeyError, TypeError, ValueError, EOFError, pickle.UnpicklingError, zipfile.BadZipFile)
+# Of each path inside the layer: the paper samples within +-s of the proxy surface.
+SAMPLES = 8
+# Half of the layer: so many cells, or so many times the median spread of the heights where that is more.
+HALF_CELLS, HALF_SPREADS = 2.0, 3.0
+# A pixel is used if its own height lies within this share of half of the layer.
+INSIDE = 0.7
+# Learning rates fall to this share of their start.
+FINAL_RATE = 0.05
+# Paths of a step: the more, the larger the layer, and fewer where there are not enough for this many steps.
+BATCH, LARGE_BATCH, SMALL_BATCH, LARGE_LAYER, LEAST_STEPS = 16384, 65536, 2048, 500_000, 300
 
 
 @dataclass(frozen=True)
@@ -169,3 +194,118 @@ def read_state(path: Path) -> dict[str, Any]:
         return torch.load(path, weights_only=True, map_location="cpu")
     except _DAMAGE as error:
         raise SurveyError(f"{path} cannot be read ({str(error)[:80]}); delete it, and training begins anew") from error
+
+
+def train_field(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+    """Train the field on the photographs that have a height map."""
+    swept, solved = Stored(needs["sweep"] / MAPS, HeightMap), Stored(needs["solver"] / SOLVED, SolvedMap)
+    maps = [of_map.over(height_map)[0] for of_map, height_map in zip(solved, swept, strict=True)]
+    plan, sources = job.plan, job.sources(maps)
+    with job.progress.stage("Field", 1.0) as stage:
+        layer, photographs = layer_about(sources, plan.gsd_m, job.ground)
+        steps, rays = steps_for(plan.recipe.rays_per_cell, int(layer.known.sum()))
+        given = {"absorption": sources.absorption, "veil": sources.veil}
+        told = reporting(stage, rays)
+        field, figures = fit(layer, photographs, plan.field, steps, rays, device_word(plan), told, given)
+    job.progress.note(f"field: {figures.psnr_db:.1f} dB after {figures.steps:,} steps")
+    save_layer_field(folder, field)
+
+
+def fit(
+    layer: Layer,
+    photographs: Photographs,
+    model: str,
+    steps: int,
+    rays: int,
+    device: str,
+    progress: Callable[[float, list[float]], None] = lambda share, errors: None,
+    given: dict[str, Any] | None = None,
+) -> tuple[RestoredField, VolumeFigures]:
+    """A field of a model in a layer, fitted to photographs in so many steps of so many paths, and its figures.
+
+    ``given`` are absorption and veil of the water, where they are known.
+    """
+    water = cast("FlatWater | None", photographs.water)
+    recipe = VolumeRecipe(model, 1, steps, seed=0, samples=SAMPLES, **(given or {}))
+    renderer = recipe.renderer(layer, water, len(photographs.cameras), device)
+    training = Training(
+        steps=steps, rays=rays, samples=SAMPLES, refresh=(), final_rate=FINAL_RATE, falls_from=COLOUR_FIRST
+    )
+    cells, figures = train_volume(renderer, photographs, training, progress, cells=Cells.everywhere(layer, 1))
+    return RestoredField(renderer, cells, recipe, water, steps), figures
+
+
+def reporting(stage: Step, rays: int) -> Callable[[float, list[float]], None]:
+    """Progress of a training of so many rays a step in a stage whose total is 1, with its error and pace in words."""
+    steps = count(1)
+
+    def report(share: float, errors: list[float]) -> None:
+        pace = next(steps) * rays / max(stage.seconds, 1e-9)
+        detail = f"{psnr_db(errors[-LAST_STEPS:]):.1f} dB, {pace:,.0f} rays/s"
+        stage.advance(share - stage.done, detail=detail)
+
+    return report
+
+
+def steps_for(rays_per_cell: float, cells: int) -> tuple[int, int]:
+    """Steps, and paths of each, for a number of known cells."""
+    rays = rays_per_cell * cells
+    batch = LARGE_BATCH if cells >= LARGE_LAYER else BATCH
+    batch = min(batch, max(int(np.ceil(rays / LEAST_STEPS)), SMALL_BATCH))
+    return max(int(np.ceil(rays / batch)), LEAST_STEPS), batch
+
+
+def layer_about(sources: Sources, gsd: float, ground: Area | None) -> tuple[Layer, Photographs]:
+    """The layer about the trusted heights over an area (x0, y0, x1, y1) [m], in cells of one GSD, and its photographs.
+
+    Of the photographs count the pixels whose own height lies in it.
+    """
+    found = [_trusted_points(*each, sources.water) for each in zip(sources.cameras, sources.maps, strict=True)]
+    if ground is not None:
+        found = [each[within(each.xyz, ground)] for each in found]
+    points, spreads = (np.concatenate([getattr(each, name) for each in found]) for name in ("xyz", "spread"))
+    if not len(points):
+        raise SurveyError("no confirmed height lies inside the area: a field has nothing to train on")
+    layer = Layer.of_points(points, gsd, max(HALF_CELLS * gsd, HALF_SPREADS * float(np.median(spreads))))
+    pixels, starts = [], []
+    for each in found:
+        start, is_inside = _meetings(each, layer)
+        pixels.append(each.flat[is_inside])
+        starts.append(start[is_inside])
+    return layer, Photographs(sources.cameras, sources.images, pixels, sources.water, starts=starts)
+
+
+@dataclass(frozen=True)
+class _OwnPoints:
+    """Points (n) of pixels of a height map, and the paths on which they lie."""
+
+    flat: np.ndarray  # (n,): index of the pixel in its image
+    xyz: np.ndarray  # (n, 3) float32 [m], local
+    direction: np.ndarray  # (n, 3) float32 unit: of travel, in the medium of the point
+    length: np.ndarray  # (n,) float32 [m]: of the path from the camera
+    spread: np.ndarray  # (n,) [m]: of the heights that agree
+
+    def __getitem__(self, keep: np.ndarray) -> _OwnPoints:
+        return _OwnPoints(*(getattr(self, each.name)[keep] for each in fields(self)))
+
+
+def _trusted_points(camera: PinholeCamera, height_map: HeightMap, water: FlatWater | None) -> _OwnPoints:
+    keep = trusted(height_map)[: camera.height, : camera.width]
+    path = camera.paths(camera.pixel_centres()[keep], water)
+    rows, columns = np.nonzero(keep)
+    xyz = path.at_height(height_map.height[rows, columns].astype(np.float64), water)
+    in_water = path.wet & (((xyz - path.crossing) * path.water_direction).sum(axis=1) > 0.0)
+    from_crossing = np.linalg.norm(path.crossing - path.origin, axis=1) + np.linalg.norm(xyz - path.crossing, axis=1)
+    length = np.where(in_water, from_crossing, np.linalg.norm(xyz - path.origin, axis=1))
+    direction = np.where(in_water[:, None], path.water_direction, path.air_direction)
+    xyz, direction, length = (each.astype(np.float32) for each in (xyz, direction, length))
+    return _OwnPoints(np.flatnonzero(keep), xyz, direction, length, height_map.spread[rows, columns])
+
+
+def _meetings(own: _OwnPoints, layer: Layer) -> tuple[np.ndarray, np.ndarray]:
+    """Path lengths (n,) [m] at which paths meet the bed of a layer, and which of their points lie in it, (n,) bool."""
+    xyz, direction = torch.from_numpy(own.xyz), torch.from_numpy(own.direction)
+    moved = layer.meeting_near(xyz, direction)
+    is_inside = (moved * direction[:, 2]).abs() < INSIDE * layer.half
+    is_inside &= layer.holds(xyz + moved[:, None] * direction)
+    return own.length + moved.numpy(), is_inside.numpy()

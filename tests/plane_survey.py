@@ -19,7 +19,7 @@ from refract import FlatWater, PinholeCamera
 FOCAL, SIZE = 800.0, (96, 72)
 TILTED = FlatWater((0.3, -0.2, 0.1), n_water=1.34, slope_x=0.03, slope_y=-0.05)
 WAVES = 24
-SHORTEST, LONGEST = 0.12, 0.5  # m; a pixel is 1.5 cm
+LENGTHS = (0.12, 0.5)  # m; a pixel is 1.5 cm
 
 
 def look(centre, target, *, focal: float = FOCAL, size: tuple[int, int] = SIZE, heading: float = 0.0) -> PinholeCamera:
@@ -39,11 +39,11 @@ def ring(num: int = 6, *, height: float = 10.0, radius: float = 3.0, target=(0.0
     return [look(place, target, heading=0.3 * i, **kwargs) for i, place in enumerate(places)]
 
 
-def texture(x, y, seed: int = 3) -> np.ndarray:
-    """Grey levels about zero at local x, y [m], about -128 to 127."""
+def texture(x, y, seed: int = 3, lengths: tuple[float, float] = LENGTHS) -> np.ndarray:
+    """Grey levels about zero at local x, y [m], about -128 to 127, of waves of two lengths [m] and between."""
     rng = np.random.default_rng(seed)
     angle, phase = rng.uniform(0.0, 2.0 * np.pi, (2, WAVES))
-    number = 2.0 * np.pi / rng.uniform(SHORTEST, LONGEST, WAVES)
+    number = 2.0 * np.pi / rng.uniform(*lengths, WAVES)
     way = np.multiply.outer(x, number * np.cos(angle)) + np.multiply.outer(y, number * np.sin(angle))
     return 12.0 * np.sin(way + phase).sum(axis=-1)
 
@@ -67,6 +67,7 @@ class PlaneBed:
     water: FlatWater | None
     level: float
     slope: float = 0.0
+    lengths: tuple[float, float] = LENGTHS  # of its texture [m]
 
     def true_height(self, camera: PinholeCamera) -> np.ndarray:
         """Height [m] over the water plane, along its normal, at which each pixel's path meets the bed."""
@@ -85,7 +86,7 @@ class PlaneBed:
         """Image (height, width) float32: the texture at the bed point of each pixel centre."""
         path = camera.paths(camera.pixel_centres(), self.water)
         points = path.at_height(self.true_height(camera), self.water)
-        return texture(points[..., 0], points[..., 1]).astype(np.float32)
+        return texture(points[..., 0], points[..., 1], lengths=self.lengths).astype(np.float32)
 
     def stack(self, device: Device, cameras: list[PinholeCamera]) -> ViewStack:
         """The photographs of all cameras."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import errno
-import sys
 
 import pytest
+from command_line import raising
 from s3_server import served
 
 from geo.errors import UnwritableFile
@@ -13,6 +13,7 @@ from survey.errors import SurveyError
 from survey.files.remote import Remote, is_url, local_name, local_run
 
 fsspec = pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
+from fsspec.implementations.memory import MemoryFileSystem  # noqa: E402
 
 
 @pytest.fixture(params=["file", "memory", "s3"])
@@ -24,18 +25,37 @@ def url(request, tmp_path, monkeypatch):
     yield f"file://{tmp_path}/there/run" if request.param == "file" else f"memory://{tmp_path.name}/run"
 
 
-def test_a_folder_is_fetched_as_it_was_put_and_its_mark_is_put_last(url, tmp_path, monkeypatch):
+class Recording(Remote):
+    """A folder at a URL, and the names that were put there in their order."""
+
+    def _put(self, file):
+        vars(self).setdefault("order", []).append(file[0])
+        super()._put(file)
+
+
+class Store(MemoryFileSystem):
+    """A store of which one instance is not that of others with its URL: what it answers is given."""
+
+    cachable = False
+
+
+def store_of(remote: Remote, **answers) -> Remote:
+    """The remote with a store of its own, and functions of it."""
+    remote._store = Store()
+    vars(remote._store).update(answers)
+    return remote
+
+
+def test_a_folder_is_fetched_as_it_was_put_and_its_mark_is_put_last(url, tmp_path):
     here, back = tmp_path / "here", tmp_path / "back"
     for name, text in (("a.txt", "first"), ("deep/b.bin", "second"), ("stage.json", "{}")):
         (here / name).parent.mkdir(parents=True, exist_ok=True)
         (here / name).write_text(text)
-    remote, order = Remote(url), []
+    remote = Recording(url)
     assert remote.files() == {}
     assert remote.read("stages/a/stage.json") is None
-    put = remote._put
-    monkeypatch.setattr(remote, "_put", lambda file: (order.append(file[0]), put(file)))
     remote.put_folder(here, "stages/a", last="stage.json")
-    assert order[-1] == "stages/a/stage.json"
+    assert remote.order[-1] == "stages/a/stage.json"
     # A folder beside it whose name begins alike is another one.
     Remote(f"{url}2").put({"else.txt": here / "a.txt"})
     assert set(remote.files()) == {"stages/a/a.txt", "stages/a/deep/b.bin", "stages/a/stage.json"}
@@ -64,10 +84,9 @@ def test_a_name_is_no_pattern_where_it_is_removed(url, tmp_path):
     assert patterns[0].files() == {}
 
 
-def test_no_name_leads_out_of_the_folder(monkeypatch, tmp_path):
-    remote = Remote(f"memory://{tmp_path.name}")
-    found = {f"/{tmp_path.name}/{name}": {"size": 1} for name in ("a", "b/../../c", "..", "/c", "a//b", "./d")}
-    monkeypatch.setattr(remote._store, "find", lambda *_given, **_named: found)
+def test_no_name_leads_out_of_the_folder(tmp_path):
+    listed = {f"/{tmp_path.name}/{name}": {"size": 1} for name in ("a", "b/../../c", "..", "/c", "a//b", "./d")}
+    remote = store_of(Remote(f"memory://{tmp_path.name}"), find=lambda *_given, **_named: listed)
     assert set(remote.files()) == {"a"}
 
 
@@ -87,14 +106,9 @@ def test_a_bucket_that_is_not_there_is_named(monkeypatch, tmp_path):
         (OSError("no route"), r"was not reached \(OSError: no route\); check the URL, the network"),
     ],
 )
-def test_what_a_store_refuses_is_said_in_a_sentence(monkeypatch, tmp_path, error, said):
-    remote = Remote(f"memory://{tmp_path.name}")
-
-    def refuse(*_given, **_named):
-        raise error
-
-    for name in ("find", "cat_file", "put_file", "rm_file"):
-        monkeypatch.setattr(remote._store, name, refuse)
+def test_what_a_store_refuses_is_said_in_a_sentence(tmp_path, error, said):
+    refused = dict.fromkeys(("find", "cat_file", "put_file"), raising(error))
+    remote = store_of(Remote(f"memory://{tmp_path.name}"), **refused)
     (tmp_path / "a").touch()
     for ask in (remote.files, lambda: remote.read("a"), lambda: remote.put({"a": tmp_path / "a"})):
         with pytest.raises(SurveyError, match=said):
@@ -115,15 +129,10 @@ def test_a_store_of_one_connection_moves_one_file_at_a_time(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["get_file", "put_file"])
-def test_a_full_disk_is_named_as_such(monkeypatch, tmp_path, name):
-    remote, path = Remote(f"memory://{tmp_path.name}"), tmp_path / "a"
+def test_a_full_disk_is_named_as_such(tmp_path, name):
+    path, full = tmp_path / "a", raising(OSError(errno.ENOSPC, "No space left on device"))
     path.touch()
-    remote.put({"a": path})
-
-    def full(*_given, **_named):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(remote._store, name, full)
+    remote = store_of(Remote(f"memory://{tmp_path.name}"), **{name: full})
     move = remote.fetch if name == "get_file" else remote.put
     with pytest.raises(UnwritableFile, match=r"cannot write .*/a: no space is left on the disk; free some or"):
         move({"a": path})
@@ -136,12 +145,9 @@ def test_a_file_url_is_read_as_it_is_written(tmp_path):
     assert set(Remote(folder.as_uri()).files()) == set(Remote(f"file://{folder}").files()) == {"a"}
 
 
-def test_what_is_missing_or_unknown_is_named(monkeypatch):
+def test_a_url_of_an_unknown_kind_is_named():
     with pytest.raises(SurveyError, match=r"nope://x is of an unknown kind .*name e\.g\. s3://"):
         Remote("nope://x")
-    monkeypatch.setitem(sys.modules, "fsspec", None)
-    with pytest.raises(SurveyError, match=r"pip install 'bathynerf\[remote\]'"):
-        Remote("s3://bucket/run")
 
 
 def test_urls_are_told_from_paths_and_have_a_folder_of_their_own(tmp_path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 
 import numpy as np
@@ -14,33 +13,12 @@ from pyproj import CRS
 from geo import Cloud, Mesh, read_reference
 from geo.crs import parse_crs
 from geo.e57 import write_e57
-from geo.errors import UnreadableFile, UnwritableFile
+from geo.errors import UnreadableFile
 from geo.meshes import write_glb
 
 # What the libraries themselves warn about on import or writing is not ours.
 pytestmark = pytest.mark.filterwarnings("ignore")
 ORIGIN = np.array([589012.0, 5194736.0, 2105.0])
-
-
-def write_point(path):
-    write_e57(path, ORIGIN[None], CRS("EPSG:25832"), rgb=np.zeros((1, 3), np.uint8))
-
-
-@pytest.mark.parametrize(
-    ("name", "module", "use", "words"),
-    [
-        ("r.glb", "trimesh", read_reference, r"is read by trimesh, .*pip install 'bathynerf\[gltf\]'"),
-        ("r.e57", "pye57", read_reference, r"is read by pye57, .*pip install 'bathynerf\[e57\]'"),
-        ("r.e57", "pye57", write_point, r"is written by pye57, .*bathynerf\[e57\]', or name another format"),
-    ],
-)
-def test_a_format_whose_library_is_missing_is_refused_with_the_extra_that_brings_it(
-    tmp_path, monkeypatch, name, module, use, words
-):
-    (tmp_path / name).write_bytes(b"")
-    monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises((UnreadableFile, UnwritableFile), match=f"{name} {words}"):
-        use(tmp_path / name)
 
 
 @pytest.mark.parametrize(("name", "module"), [("r.glb", "trimesh"), ("r.tif", "rasterio"), ("r.e57", "pye57")])

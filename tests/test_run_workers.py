@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 import pickle
-import sys
 import time
 import urllib.error
 import urllib.request
@@ -88,15 +87,6 @@ def workers_here() -> list[psutil.Process]:
             if "spawn_main" in " ".join(each.cmdline()) and each.children() == []:
                 found.append(each)
     return found
-
-
-def test_without_dask_the_extra_is_named(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with (
-        pytest.raises(SurveyError, match=r"pip install 'bathynerf\[cluster\]'"),
-        workers_for(2, None, WorkerNeeds(tmp_path, tmp_path), print),
-    ):
-        pass
 
 
 def test_a_scheduler_that_does_not_answer_is_named(tmp_path, monkeypatch):

@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import cv2
 import numpy as np
-import plane_survey
 import pytest
 from plane_survey import TILTED, PlaneBed, ring
 from rippled_pair import SIZE, rippled_pair
@@ -100,14 +99,9 @@ def test_ripples_that_moved_leave_the_bed_in_its_place():
     assert np.concatenate(inside).mean() > 0.8
 
 
-BED, OTHERS, STEP, NUM_HYPOTHESES = PlaneBed(TILTED, -2.0), [1, 2, 3, 4, 5, 6], 0.04, 41
-
-
-@pytest.fixture(autouse=True)
-def fine_texture(monkeypatch):
-    """Waves of 3 to 10 px: windows hold as many independent values as pixels, nearly."""
-    monkeypatch.setattr(plane_survey, "SHORTEST", 0.04)
-    monkeypatch.setattr(plane_survey, "LONGEST", 0.15)
+# Waves of 3 to 10 px: windows hold as many independent values as pixels, nearly.
+BED = PlaneBed(TILTED, -2.0, lengths=(0.04, 0.15))
+OTHERS, STEP, NUM_HYPOTHESES = [1, 2, 3, 4, 5, 6], 0.04, 41
 
 
 def matched(device, images, match):

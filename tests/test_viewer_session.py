@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 import time
 import urllib.error
 import urllib.request
@@ -105,12 +104,6 @@ def test_a_session_listens_on_this_machine_alone_and_leaves_nothing(shown):
 def test_an_address_of_another_machine_is_refused():
     with pytest.raises(SurveyError, match=r"--host 192\.0\.2\.1 is not an address of this machine"):
         open_server("192.0.2.1", 0, "test")
-
-
-def test_without_viser_the_extra_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "viser", None)
-    with pytest.raises(SurveyError, match=r"pip install 'bathynerf\[viewer\]'"):
-        open_server("localhost", 0, "test")
 
 
 @pytest.fixture

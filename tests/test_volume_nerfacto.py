@@ -216,9 +216,9 @@ def test_the_loss_is_that_of_the_paper_and_zero_under_a_bound(rng):
     assert interlevel_loss(own, half).item() == pytest.approx(0.25, rel=1e-12)
 
 
-def test_samples_follow_the_weights_but_for_an_even_share(monkeypatch):
+def test_samples_follow_the_weights_but_for_an_even_share():
     made, paths = proposal(), falling(3)
-    monkeypatch.setattr(made, "density", lambda index, x: 200.0 * ((x[:, 2] + 1.25).abs() < 0.1))
+    made.density = lambda index, x: 200.0 * ((x[:, 2] + 1.25).abs() < 0.1)
     drawn = made.samples(paths, 200, jitter=False)
     # Light is stopped between 1.15 and 1.35 m, 2/15 of the way, give or take the first pieces of 0.04 m.
     inside = ((drawn.s[:-1] > 1.11) & (drawn.s[:-1] < 1.39)).float().mean().item()
@@ -227,9 +227,9 @@ def test_samples_follow_the_weights_but_for_an_even_share(monkeypatch):
     assert drawn.length[:-1].max() < 1.5 / (200 * EVEN_SHARE) * 1.1
 
 
-def test_an_empty_box_is_sampled_evenly_and_pieces_cover_the_path(monkeypatch):
+def test_an_empty_box_is_sampled_evenly_and_pieces_cover_the_path():
     made, paths = proposal(), falling(3)
-    monkeypatch.setattr(made, "density", lambda index, x: torch.zeros(len(x)))
+    made.density = lambda index, x: torch.zeros(len(x))
     drawn = made.samples(paths, 16, jitter=False)
     torch.testing.assert_close(drawn.length[:-1], torch.full((2, 16), 1.5 / 16), atol=1e-6, rtol=0.0)  # of sums to 2
     torch.testing.assert_close(drawn.edges[:-1, [0, -1]], torch.tensor([[0.5, 2.0]] * 2))

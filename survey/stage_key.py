@@ -21,23 +21,12 @@ _PACKAGES = ("refract", "geo", "evaluation", "fields", "survey")
 
 
 def stage_key(*parts) -> str:
-    """SHA-256 over inputs and settings.
+    """SHA-256, 64 hexadecimal digits, over inputs and settings.
 
-    Parameters
-    ----------
-    parts
-        None, bool, int, float, str; lists, tuples and dicts of parts; dataclasses, by the fields that take
-        part in comparison; numpy arrays and scalars; `pyproj.CRS`; `Path` for what a file holds, by its name
-        and content (not by where it lies or when it was written, so that a survey may be moved and copied), or
-        for what all files of a folder hold.
+    Parts are None, bool, int, float, str; lists, tuples and dicts of parts; dataclasses, by the fields that take part
+    in comparison; numpy arrays and scalars; `pyproj.CRS`; `Path` for what a file holds, by its name and content (not by
+    where it lies or when it was written, so that a survey may be moved and copied), or all files of a folder.
 
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
-
-    Examples
-    --------
     >>> stage_key("sweep", {"hypotheses": 64}) == stage_key("sweep", {"hypotheses": 64})
     True
     >>> stage_key(1) == stage_key(1.0)

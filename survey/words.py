@@ -80,17 +80,7 @@ _LEAST_COLUMNS = 20
 
 
 def wrap_for(text: str, stream: IO[str], *, label: str = "", indent: str = "  ") -> str:
-    """Text behind its label, wrapped between words to the width of a terminal; as it is for other streams.
-
-    Parameters
-    ----------
-    stream : text file
-        Only a terminal has a width.
-    label : str
-        What stands before the text.
-    indent : str
-        What stands before the lines that follow.
-    """
+    """Text behind its label, wrapped to the width of a terminal, further lines indented; as it is for other streams."""
     if not stream.isatty():
         return f"{label}{text}"
     width = max(shutil.get_terminal_size().columns, len(indent) + _LEAST_COLUMNS)
@@ -116,10 +106,7 @@ _SPACE = "Zs"
 def printable(text: str, most: int | None = MOST_CHARACTERS) -> str:
     """A text in one line that no terminal obeys: control, direction and line characters as escapes (``\\x1b``).
 
-    Parameters
-    ----------
-    most : int, optional
-        Characters that are kept of a longer text, from its start and its end; words are shortened likewise.
+    Of a text with more than ``most`` characters start and end are kept; words are shortened likewise.
     """
     if most is not None:
         text = _shortened(_LONG_WORD.sub(lambda word: _shortened(word[0], _MOST_IN_WORD), text), most)

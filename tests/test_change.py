@@ -18,7 +18,6 @@ from geo.las import read_cloud, write_cloud
 from geo.vectors import Layer, write_geojson, write_geopackage
 from survey.change.change import align, change_between
 from survey.change.differences import (
-    ChangeError,
     Correlation,
     Differences,
     measured_correlation,
@@ -27,6 +26,7 @@ from survey.change.differences import (
 )
 from survey.change.series import change_series
 from survey.compare.options import ChangeOptions
+from survey.errors import SurveyError
 from survey.files.json_values import write_json
 from survey.run.folder import RunDir
 
@@ -345,5 +345,5 @@ def test_a_series_that_cannot_be_is_refused(epochs, tmp_path, monkeypatch, optio
 
 
 def test_a_survey_named_twice_in_a_series_is_refused(epochs):
-    with pytest.raises(ChangeError, match="hold the same points"):
+    with pytest.raises(SurveyError, match="hold the same points"):
         change_series([*epochs, epochs[1]])

@@ -18,7 +18,8 @@ from geo.crs import height_unit_m, horizontal_crs
 from geo.errors import UnreadableFile
 from geo.features import Line, read_lines
 from geo.las import write_cloud
-from survey.export.profiles import COLUMNS, Bed, ProfileError, profiles_along, write_picture
+from survey.errors import SurveyError
+from survey.export.profiles import COLUMNS, Bed, profiles_along, write_picture
 from survey.progress import Progress
 
 UTM = CRS("EPSG:25832+7837")
@@ -119,7 +120,7 @@ def test_a_reference_stands_beside_the_bed(tmp_path, is_mesh):
 )
 def test_a_line_without_length_and_a_step_that_is_unusable_are_refused(tmp_path, end, step_m, words):
     bed = Bed(plane_cloud(tmp_path / "bed.las"))
-    with pytest.raises(ProfileError, match=re.escape(words)):
+    with pytest.raises(SurveyError, match=re.escape(words)):
         bed.along(Line("1", places_of("EPSG:25832+7837", [[0.0, 0.0], end])), step_m=step_m)
 
 
@@ -243,7 +244,7 @@ def test_a_drawing_has_bed_and_water_of_each_profile(tmp_path):
 def test_lines_that_miss_the_cloud_are_an_error_or_a_warning(tmp_path, capsys):
     cloud, path = plane_cloud(tmp_path / "c.las"), tmp_path / "l.gpkg"
     far = {"far": places_of("EPSG:25832+7837", [[900.0, 0.0], [950.0, 0.0]])}
-    with pytest.raises(ProfileError, match=r"no line of .* runs over the cloud"):
+    with pytest.raises(SurveyError, match=r"no line of .* runs over the cloud"):
         profiles_along(cloud, lines_file(path, far))
     near = {"near": places_of("EPSG:25832+7837", LINES["A-B"])}
     with Progress(verbosity=0):

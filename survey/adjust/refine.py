@@ -79,18 +79,10 @@ def adjust_survey(
     free_water: bool = False,
     search: PoseRecovery | None = None,
 ) -> Adjustment:
-    """Adjust a survey.
+    """Adjust a survey, by windows too, not by matches alone; free water is found as if nothing were known of it.
 
-    Parameters
-    ----------
-    advance : callable
-        Called with the increment; increments sum to 1.
-    use_windows : bool
-        Measure windows too, not matches alone.
-    free_water : bool
-        Find the water as if nothing were known of it.
-    search : callable, optional
-        Estimates poses of a file again that are too inaccurate for windows; without it they are refused.
+    ``advance`` is called with increments that sum to 1. ``search`` estimates poses of a file again that are too
+    inaccurate for windows; without it they are refused.
     """
     survey, note = with_square_pixels(survey)
     prior = prior_of(survey, gsd_m(survey), free_water=free_water)

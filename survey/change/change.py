@@ -21,7 +21,6 @@ from geo.grid import Grid
 from geo.raster import RasterBand, RasterForm, is_our_tiff, write_cog
 from survey.change.differences import (
     CHANGED_STDS,
-    ChangeError,
     Correlation,
     Differences,
     Volume,
@@ -31,6 +30,7 @@ from survey.change.differences import (
 )
 from survey.compare.options import ChangeOptions
 from survey.display.quantities import MINUS, length, share
+from survey.errors import SurveyError
 from survey.export.export import cloud_of
 from survey.files.json_values import write_json
 from survey.files.paths import ReadFiles, is_json, is_png, require_file
@@ -123,7 +123,7 @@ def changes_in(
         try:
             correlation = measured_correlation(differences, areas[0])
         except ValueError as error:
-            raise ChangeError(
+            raise SurveyError(
                 f"how errors of cells are correlated cannot be measured ({error}); give --correlation-length METRES"
             ) from error
         if correlation.scatter is not None and correlation.scatter > _NOTABLE_SCATTER:
@@ -137,7 +137,7 @@ def changes_in(
             differences, alignment = align(differences, stable, correlation)
         except ValueError as error:
             message = f"--stable {options.stable}: {error}; draw larger polygons, or correct their CRS"
-            raise ChangeError(message) from error
+            raise SurveyError(message) from error
     changes = []
     for inside in areas:
         is_beyond = differences.is_significant & inside
@@ -148,9 +148,9 @@ def changes_in(
 
 
 def require_cells(inside: np.ndarray, options: ChangeOptions) -> None:
-    """Raise ChangeError where no cell that all surveys cover lies in the polygons."""
+    """Raise SurveyError where no cell that all surveys cover lies in the polygons."""
     if not inside.any():
-        raise ChangeError(f"no cell that both surveys cover lies in {options.area}; correct the polygon or its CRS")
+        raise SurveyError(f"no cell that both surveys cover lies in {options.area}; correct the polygon or its CRS")
 
 
 def rows_of(change: Change) -> list[tuple[str, str]]:
@@ -231,12 +231,12 @@ def require_surveys(paths: Sequence[Path], options: ChangeOptions) -> dict[Path,
     require_file("--picture", options.picture_path, read, kind="a PNG", is_of_kind=is_png)
     if (tif := options.tif_path) is not None:
         if tif.suffix.lower() not in (".tif", ".tiff"):
-            raise ChangeError(f"--tif names {tif}, expected a name that ends in .tif")
+            raise SurveyError(f"--tif names {tif}, expected a name that ends in .tif")
         kind = "a raster that bathynerf wrote"
         require_file("--tif", tif, read, kind=kind, is_of_kind=lambda head: not head or is_our_tiff(tif))
     if len(surveys) < len(paths):
         twice = next(path for path in paths if list(paths).count(path) > 1)
-        raise ChangeError(f"{twice} and {twice} hold the same points: give two surveys")
+        raise SurveyError(f"{twice} and {twice} hold the same points: give two surveys")
     return surveys
 
 

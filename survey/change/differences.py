@@ -165,10 +165,6 @@ def _autocorrelation(values: np.ndarray, side_m: float) -> tuple[np.ndarray, np.
     return sums, side_m * np.hypot(rows[:, None], columns[None, :])
 
 
-class ChangeError(SurveyError):
-    """Two surveys whose difference cannot be computed, or an option whose value makes no sense."""
-
-
 @dataclass(frozen=True)
 class _SurveyPoints:
     """A cloud of the bed with the standard deviations of its heights."""
@@ -190,10 +186,10 @@ def differences_of(
     clouds = {path: _cloud(path, file) for path, file in surveys.items()}
     for path in others:
         if np.array_equal(clouds[first].points, clouds[path].points):
-            raise ChangeError(f"{first} and {path} hold the same points: give two surveys")
+            raise SurveyError(f"{first} and {path} hold the same points: give two surveys")
     crs, notes = common_crs({path: cloud.crs for path, cloud in clouds.items()})
     if crs is None:
-        raise ChangeError(
+        raise SurveyError(
             f"neither {first} nor {others[0]} states its CRS, in which the differences are written; write it into the "
             "files, e.g. by pdal translate --writers.las.a_srs=EPSG:25832+7837"
         )
@@ -213,7 +209,7 @@ def differences_of(
         Differences(h - height, np.hypot(std, s), np.stack([common, c]), options.shared, side) for h, s, c in later
     ]
     if not np.logical_and.reduce([each.is_known for each in differences]).any():
-        raise ChangeError(
+        raise SurveyError(
             f"{', '.join(map(str, others))} and {first} have no cell of {side:g} m in common that points of all cover; "
             "give a larger --resolution, or surveys that overlap"
         )
@@ -239,7 +235,7 @@ def shared_photographs(first: Path, second: Path) -> list[str]:
 def _cloud(path: Path, file: Path) -> Cloud:
     shape = read_reference(file)
     if not isinstance(shape, Cloud):
-        raise ChangeError(f"{path} is a mesh, expected a run folder or a cloud as LAS, LAZ or COPC")
+        raise SurveyError(f"{path} is a mesh, expected a run folder or a cloud as LAS, LAZ or COPC")
     cloud, notes = ground_of(shape, path)
     current().note(*notes)
     return cloud
@@ -259,7 +255,7 @@ def _survey_points(cloud: Cloud, path: Path, crs: CRS, options: ChangeOptions, n
         notes.append(f"{path} is in {own.name}: transformed to {crs.name}")
         notes += [] if reprojection.warning is None else [reprojection.warning]
     else:
-        raise ChangeError(
+        raise SurveyError(
             f"{path} is in {own.name} without heights, and the other survey in {crs.name}; give both in one"
         )
     columns = []
@@ -274,13 +270,13 @@ def _survey_points(cloud: Cloud, path: Path, crs: CRS, options: ChangeOptions, n
             columns.append(np.full(len(cloud.points), stated))
             notes.append(f"{path} carries no {name}: taken as {stated:g} m ({option})")
         else:
-            raise ChangeError(
+            raise SurveyError(
                 f"{path} carries no {name}, the standard deviation {what}; give it in metres, {option} 0.02"
             )
     std, common = columns
     keep = np.isfinite(std) & np.isfinite(common) & np.isfinite(cloud.points).all(axis=1)
     if not keep.any():
-        raise ChangeError(f"no point of {path} has a standard deviation; give --std and --std-common")
+        raise SurveyError(f"no point of {path} has a standard deviation; give --std and --std-common")
     return _SurveyPoints(cloud.points[keep], std[keep], common[keep])
 
 

@@ -19,9 +19,10 @@ from evaluation.standards import TO_95
 from geo.features import cells_inside
 from geo.files import reporting_disk_errors, write_text
 from survey.change.change import changes_in, polygons_for, require_cells, require_surveys, volume_text
-from survey.change.differences import ChangeError, Volume, differences_of
+from survey.change.differences import Volume, differences_of
 from survey.compare.options import ChangeOptions
 from survey.display.quantities import MINUS, length
+from survey.errors import SurveyError
 from survey.files.json_values import read_json_object
 from survey.files.paths import ReadFiles, is_png, require_file, require_folder
 from survey.files.toml_table import option_name
@@ -73,7 +74,7 @@ def change_series(
     paths, folder = [Path(survey) for survey in surveys], None if output is None else Path(output)
     for field in fields(options):
         if field.name in _OF_TWO and getattr(options, field.name) is not None:
-            raise ChangeError(
+            raise SurveyError(
                 f"{option_name(field)} shows two surveys, and {len(paths)} are given; give -o DIR instead"
             )
     files = require_surveys(paths, options)

@@ -93,16 +93,9 @@ def command(
 ) -> Iterator[ConsoleResults]:
     """The body of a verb: an error in it becomes one sentence on standard error and an exit code.
 
-    Parameters
-    ----------
-    verbose, quiet : int
-        How often -v and -q were given after the verb.
-    place : Path
-        Named when a disk error does not name a file.
-    stopped : str
-        Sentence on unfinished work after Ctrl-C, if the folder ``place`` exists by then.
-    reads : Path, optional
-        The first input, announced at once, since loading libraries takes seconds.
+    -v and -q were given so often after the verb. A disk error that names no file names the place; ``stopped`` is the
+    sentence on unfinished work after Ctrl-C, if that folder exists by then; ``reads`` is the first input, announced at
+    once, since loading libraries takes seconds.
     """
     from survey.progress import Progress
 

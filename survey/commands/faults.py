@@ -46,12 +46,7 @@ class Fault:
 def fault_of(error: BaseException, place: Path | None = None, *, stopped: str = "") -> Fault:
     """The message and the exit code for an error.
 
-    Parameters
-    ----------
-    place : Path, optional
-        Named when a system error does not name a file.
-    stopped : str
-        What happens to unfinished work after Ctrl-C.
+    A system error that names no file names the place; ``stopped`` says what happens to unfinished work after Ctrl-C.
     """
     if is_caused_by(error, KeyboardInterrupt):
         return Fault(STOPPED, f"stopped; {stopped}" if stopped else "stopped")

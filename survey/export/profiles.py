@@ -46,10 +46,6 @@ _STEP_SPACINGS, _MOST_PLACES = 4.0, 200_000
 _SAMPLE = 2000
 
 
-class ProfileError(SurveyError):
-    """A profile that cannot be computed."""
-
-
 @dataclass(frozen=True)
 class Profile:
     """Heights along a line; arrays are over its places, NaN where nothing is known."""
@@ -96,7 +92,7 @@ class Bed:
             notes = inputs.notes
         current().note(*notes)
         if crs is None:
-            raise ProfileError(f"{file} names no CRS, which places the lines in it; give the run folder instead")
+            raise SurveyError(f"{file} names no CRS, which places the lines in it; give the run folder instead")
         self.crs = crs if has_height(crs) else crs.to_3d()
         # A file alone may give its heights in another unit than metres beside its CRS.
         self._cloud = in_height_unit(self._cloud, height_unit_m(self.crs))
@@ -121,7 +117,7 @@ class Bed:
         nearest = self._tree.query(some, k=2)[0][:, 1] if self._tree.n > 1 else np.empty(0)
         nearest = nearest[(nearest > 0.0) & np.isfinite(nearest)]
         if not len(nearest):
-            raise ProfileError("all points of the cloud lie at one place, expected a bed with an extent")
+            raise SurveyError("all points of the cloud lie at one place, expected a bed with an extent")
         return float(np.median(nearest))
 
     @cached_property
@@ -133,14 +129,14 @@ class Bed:
     def along(self, line: Line, step_m: float | None = None) -> Profile:
         """The profile of a line, at places ``step_m`` apart; by default some spacings of the points."""
         if step_m is not None and not (math.isfinite(step_m) and step_m > 0.0):
-            raise ProfileError(f"--step is {step_m:g}, expected metres between places, above 0, e.g. 0.5")
+            raise SurveyError(f"--step is {step_m:g}, expected metres between places, above 0, e.g. 0.5")
         corners = self._plan(line.corners)
         lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
         if not lengths[-1] > 0.0:
-            raise ProfileError(f"the line {line.name} has no length, expected two different places at least")
+            raise SurveyError(f"the line {line.name} has no length, expected two different places at least")
         step = step_m if step_m is not None else max(_STEP_SPACINGS * self.spacing_m, lengths[-1] / _MOST_PLACES)
         if lengths[-1] / step > _MOST_PLACES * (1.0 + 1e-9):
-            raise ProfileError(
+            raise SurveyError(
                 f"--step {step:g} makes more than {_MOST_PLACES:,} places along the {lengths[-1]:.0f} m of the line "
                 f"{line.name}; give --step {round_side(lengths[-1] / _MOST_PLACES):g} or more"
             )
@@ -231,7 +227,7 @@ def profiles_along(
     profiles = [bed.along(line, step_m) for line in read_lines(lines, bed.crs, bed.box)]
     missed = [profile.name for profile in profiles if not profile.num_points.any()]
     if len(missed) == len(profiles):
-        raise ProfileError(
+        raise SurveyError(
             f"no line of {lines} runs over the cloud; draw the lines over it, and check that they are in the CRS that "
             "the file states (a drawing: that of the cloud, in its unit; GeoJSON without one: WGS 84)"
         )

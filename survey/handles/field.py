@@ -23,14 +23,8 @@ def train_field(run: str | Path, output: str | Path, **options: Any) -> Field:
 
     >>> field = train_field("harbour/bathynerf", "mdw", model="mdw", steps=3000)        # doctest: +SKIP
 
-    Raises SurveyError or GeoError as `bathynerf field` does.
-
-    Parameters
-    ----------
-    run : str or Path
-        Folder that `process` made.
-    output : str or Path
-        A new folder, or one with the same training in it.
+    The output is a new folder, or one with the same training in it. Raises SurveyError or GeoError as `bathynerf field`
+    does.
     """
     train(run, output, VolumeOptions(**options))
     return Field(output)

@@ -35,20 +35,9 @@ CLOUD, VIEWS, HELD, CURVE = "cloud.las", "views", "held out", "training.png"
 def train_field(run: str | Path, output: str | Path, options: VolumeOptions | None = None) -> dict[str, Any]:
     """Train a radiance field on a run, or continue its training, and write its surface, figures and views.
 
-    Into the folder go the state of the training, from which an interrupted one continues, ``cloud.las`` with the
-    surface, ``report.json`` with all figures, and pictures of views and of the photographs that were held out.
-
-    Parameters
-    ----------
-    run : Path
-        Folder that `bathynerf process` made.
-    output : Path
-        A new folder, or one with the same training in it.
-
-    Returns
-    -------
-    dict
-        The figures.
+    Into the folder, a new one or one with the same training in it, go the state of the training, from which an
+    interrupted one continues, ``cloud.las`` with the surface, ``report.json`` with all figures, which are returned, and
+    pictures of views and of the photographs that were held out.
     """
     options, output = options or VolumeOptions(), Path(output)
     if options.reference is not None:

@@ -305,14 +305,8 @@ def window() -> tuple[np.ndarray, np.ndarray]:
 def match(image: PreparedImage, templates, slopes, expected, offsets) -> tuple[np.ndarray, np.ndarray]:
     """Least-squares matching of K windows in another photograph: positions (K, 2) [px], and which of them match, (K,).
 
-    Parameters
-    ----------
-    templates, slopes : (K, S*S), (K, S*S, 2)
-        The windows and their gradients per pixel along x and y.
-    expected : (K, 2) [px]
-        Approximate positions of the middle of each window.
-    offsets : (K, 2, S*S) [px]
-        Positions of the samples of each window relative to its middle.
+    Templates (K, S*S) and slopes (K, S*S, 2) are the windows and their gradients per pixel along x and y, expected are
+    the approximate positions (K, 2) [px] of their middles, offsets (K, 2, S*S) [px] those of their samples from these.
     """
     x, y = window()
     affine = np.einsum("kas,bs->kab", offsets, np.stack([x / (x @ x), y / (y @ y)]))

@@ -100,23 +100,12 @@ def std_common(
     out: np.ndarray | None = None,
     in_plan: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Standard deviation (N,) float32 [m] of heights by water, lens and poses.
+    """Standard deviation (N,) float32 [m] of heights by water, lens and poses, of points (N, 3) [m], local.
 
-    NaN where no place of the same kind, wet or dry, is seen by two views.
-
-    Parameters
-    ----------
-    xyz, wet : (N, 3) [m], local; (N,) bool
-    survey : Survey
-        As the points were made with it.
-    found : Adjustment or None
-        None where poses and water were used as they came.
-    gsd : [m]
-        Ground sampling distance.
-    out : (N,) float32, optional
-        Where the result goes, which may lie in a file.
-    in_plan : (N,) float32, optional
-        Gets that of places in plan, along one axis [m]: the root mean square of east and north.
+    NaN where no place of the same kind, wet (N,) bool or dry, is seen by two views. The survey is the one that the
+    points were made with; no adjustment was found where poses and water were used as they came. The result goes into
+    ``out`` (N,) float32, which may lie in a file, and that of places in plan, along one axis [m] (the root mean square
+    of east and north), into ``in_plan``.
     """
     std = np.empty(len(xyz), dtype=np.float32) if out is None else out
     stds = [std] if in_plan is None else [std, in_plan]

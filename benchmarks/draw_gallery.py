@@ -43,15 +43,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from refract import (
-    FlatWater,
-    apparent_depth,
-    apparent_depth_tangential,
-    bend,
-    crossing_point,
-    tangential_shift,
-    trace,
-)
+from refract import FlatWater, apparent_depth, apparent_depth_tangential, bend, crossing_point, tangential_shift, trace
 from refract.curved.surfaces import WavyWater
 
 IMAGES = Path(__file__).resolve().parent.parent / "docs" / "img"

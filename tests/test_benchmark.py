@@ -12,15 +12,7 @@ import pytest
 from bench_methods import Settings, benchmark
 from method_cases import case_of, drawn_names, variant
 from method_records import Cost, Errors, Record, Results, read_results, write_results
-from method_text import (
-    changes,
-    comparison,
-    draw_pareto_front,
-    legend_of,
-    over_surveys,
-    pareto_front,
-    table,
-)
+from method_text import changes, comparison, draw_pareto_front, legend_of, over_surveys, pareto_front, table
 
 from geo import read_cloud
 from survey.errors import SurveyError

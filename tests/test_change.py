@@ -17,13 +17,7 @@ from geo.compatibility import Reprojection
 from geo.las import read_cloud, write_cloud
 from geo.vectors import Layer, write_geojson, write_geopackage
 from survey.change.change import align, change_between
-from survey.change.differences import (
-    Correlation,
-    Differences,
-    measured_correlation,
-    shared_photographs,
-    volume_of,
-)
+from survey.change.differences import Correlation, Differences, measured_correlation, shared_photographs, volume_of
 from survey.change.series import change_series
 from survey.compare.options import ChangeOptions
 from survey.errors import SurveyError

@@ -9,15 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import rasterio
-from painted_survey import (
-    ABSORPTION,
-    DEPTH_M,
-    VEIL,
-    painted_survey,
-    pattern,
-    run_over,
-    through_water,
-)  # fmt: skip
+from painted_survey import ABSORPTION, DEPTH_M, VEIL, painted_survey, pattern, run_over, through_water  # fmt: skip
 from plane_survey import look
 from pyproj import CRS
 from rio_cogeo.cogeo import cog_validate

@@ -9,16 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from survey.photos.exif import read_exif
-from survey.photos.xmp import (
-    Motion,
-    Rtk,
-    gimbal_from_pix4d,
-    height_datum,
-    motion_of,
-    rtk_of,
-    stated_std,
-    xmp_number,
-)
+from survey.photos.xmp import Motion, Rtk, gimbal_from_pix4d, height_datum, motion_of, rtk_of, stated_std, xmp_number
 
 FIXED = 'drone-dji:RtkFlag="50" drone-dji:RtkStdLon="0.01234" drone-dji:RtkStdLat="0.02" drone-dji:RtkStdHgt="0.035"'
 

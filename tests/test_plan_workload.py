@@ -19,14 +19,7 @@ from survey.plan.check import check_survey
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 from survey.plan.sweep_block import camera_of
-from survey.plan.workload import (
-    Amounts,
-    Workload,
-    parts_s,
-    room_warnings,
-    workload_of,
-    workload_of_images,
-)
+from survey.plan.workload import Amounts, Workload, parts_s, room_warnings, workload_of, workload_of_images
 
 GIGA = 1e9
 

@@ -10,16 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from small_bed import SLOPE, SPACING_M, plane_bed
-from small_report import (
-    CURVATURE_M,
-    LAS_BIAS_M,
-    LAS_STD_M,
-    MET,
-    MISSED,
-    PLAN,
-    RAISED_M,
-    facts_of,
-)
+from small_report import CURVATURE_M, LAS_BIAS_M, LAS_STD_M, MET, MISSED, PLAN, RAISED_M, facts_of
 from small_survey import TOML, small_survey
 
 from evaluation import DistanceStatistics, iho_s44

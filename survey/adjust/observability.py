@@ -28,13 +28,7 @@ from survey.adjust.block.observed import Observed
 from survey.adjust.block.priors import FREE_WATER, PriorKnowledge
 from survey.adjust.block.problem import huber_weights
 from survey.adjust.block.roll import Roll, spans_area
-from survey.adjust.block.state import (
-    HELD_SHARE,
-    NUM_WATER,
-    WATER_PARAMETERS,
-    State,
-    settings_by_local,
-)
+from survey.adjust.block.state import HELD_SHARE, NUM_WATER, WATER_PARAMETERS, State, settings_by_local
 from survey.adjust.result.adjustment import water_limits
 from survey.adjust.rounds import RobustSolution, adjust
 from survey.errors import SurveyError

@@ -11,14 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from evaluation import (
-    Blocks,
-    distance_statistics,
-    is_outlier,
-    reached_by_slope,
-    spatial_blocks,
-    vertical_difference,
-)
+from evaluation import Blocks, distance_statistics, is_outlier, reached_by_slope, spatial_blocks, vertical_difference
 from evaluation.bootstrap import LEVEL, NUM_DRAWS
 from evaluation.bootstrap import SEED as BOOTSTRAP_SEED
 from evaluation.c2m import SEED, Sign

@@ -6,17 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from survey.display.blocks import Block, Rows, Table, Text
-from survey.display.quantities import (
-    LengthUnit,
-    area,
-    count,
-    density,
-    distance,
-    height,
-    length,
-    number,
-    share,
-)
+from survey.display.quantities import LengthUnit, area, count, density, distance, height, length, number, share
 from survey.plan.plan import Plan
 from survey.report.checkpoints import CheckpointAccuracy
 from survey.report.facts import WaveFigures

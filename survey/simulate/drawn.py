@@ -32,16 +32,7 @@ from survey.simulate.direct import DirectRenderer, SunOnWaves, suns_of
 from survey.simulate.ground import Ground, Material, seen_area, shade_beside_bed, shade_of_map
 from survey.simulate.shapes import BedGrid, Solid, rotation
 from survey.simulate.sidecars import StagedScene
-from survey.simulate.textures import (
-    ROCK,
-    ImageTexture,
-    draped_texture,
-    in_texels,
-    light_of_bed,
-    noise,
-    periodic,
-    sand,
-)
+from survey.simulate.textures import ROCK, ImageTexture, draped_texture, in_texels, light_of_bed, noise, periodic, sand
 from survey.simulate.writing import write_survey
 
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))

@@ -105,13 +105,7 @@ class ColourHead(nn.Module):
         ``directions`` may be None for a matt bed; ``appearance`` (samples, extra) is the vector of the photograph of
         each sample.
         """
-        known = []
-        if self.degree > 0:
-            if directions is None:
-                raise ValueError(f"harmonics of degree {self.degree} expect the directions of the samples, got None")
-            known.append(spherical_harmonics(directions, self.degree))
-        if appearance is not None:
-            known.append(appearance)
+        known = conditions_of(directions, self.degree, appearance)
         conditions = torch.cat(known, dim=1) if known else features.new_empty(len(features), 0)
         # The colour weights go into the map that follows them: no pass over all features for them alone.
         width = len(self.weights)
@@ -133,19 +127,12 @@ def perceptron(*widths: int, activation: type[nn.Module] = nn.ReLU) -> nn.Sequen
     return nn.Sequential(*maps[:-1])
 
 
-def seen_radiance(
-    colour: nn.Module, features: Tensor, direction: Tensor, degree: int, appearance: Tensor | None
-) -> Tensor:
-    """Radiance (N, 3) that a network makes of features (N, C), seen along directions (N, 3), and appearance vectors.
-
-    Directions enter as harmonics up to a degree; with 0 the radiance is the same from all sides.
-    """
-    seen = [features]
-    if degree:
-        seen.append(spherical_harmonics(-direction, degree))
-    if appearance is not None:
-        seen.append(appearance)
-    return nn.functional.softplus(colour(torch.cat(seen, dim=1)), beta=4.0)
+def conditions_of(direction: Tensor | None, degree: int, appearance: Tensor | None) -> list[Tensor]:
+    """What radiance depends on beside features: harmonics of directions (N, 3) to a degree, and appearance vectors."""
+    if degree and direction is None:
+        raise ValueError(f"harmonics of degree {degree} expect the directions of the samples, got None")
+    harmonics = [] if direction is None or not degree else [spherical_harmonics(direction, degree)]
+    return harmonics if appearance is None else [*harmonics, appearance]
 
 
 def spherical_harmonics(d: Tensor, degree: int) -> Tensor:
@@ -153,13 +140,8 @@ def spherical_harmonics(d: Tensor, degree: int) -> Tensor:
     x, y, z = d.unbind(-1)
     terms = [0.4886025 * y, 0.4886025 * z, 0.4886025 * x]
     if degree > 1:
-        terms += [
-            1.0925484 * x * y,
-            1.0925484 * y * z,
-            0.3153916 * (3.0 * z * z - 1.0),
-            1.0925484 * x * z,
-            0.5462742 * (x * x - y * y),
-        ]
+        terms += [1.0925484 * x * y, 1.0925484 * y * z, 0.3153916 * (3.0 * z * z - 1.0)]
+        terms += [1.0925484 * x * z, 0.5462742 * (x * x - y * y)]
     if degree > 2:
         terms += [
             0.5900436 * y * (3.0 * x * x - y * y),

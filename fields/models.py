@@ -31,50 +31,37 @@ class Entry:
     label: str  # In tables and pictures of benchmarks
     field: str  # What it is made of, for docs/field.md
     source: str
-    made_by: str  # "module:callable" that makes it, untrained, of a `fields.volume.model.Setup`; imported when built
+    made_by: str  # "module:callable" in fields.volume that makes it, untrained, of a `Setup`; imported when built
 
 
 MODELS = {
-    "mdw": Entry(
-        "MDW", "planes times vectors at several scales, with weighted density", "MDW-NeRF", "fields.volume.tensor:mdw"
-    ),
-    "m": Entry("M", "mdw without the weighting", "its ablation", "fields.volume.tensor:m"),
-    "dw": Entry("DW", "mdw at one scale", "its ablation", "fields.volume.tensor:dw"),
-    "vm": Entry("VM", "mdw at one scale without the weighting", "its ablation", "fields.volume.tensor:vm"),
+    "mdw": Entry("MDW", "planes times vectors at several scales, with weighted density", "MDW-NeRF", "tensor:mdw"),
+    "m": Entry("M", "mdw without the weighting", "its ablation", "tensor:m"),
+    "dw": Entry("DW", "mdw at one scale", "its ablation", "tensor:dw"),
+    "vm": Entry("VM", "mdw at one scale without the weighting", "its ablation", "tensor:vm"),
     "tensorf": Entry(
-        "TensoRF",
-        "planes times vectors of density and of colour apart, cells refined in five steps, total variation",
-        "Chen et al. 2022",
-        "fields.volume.tensorf:tensorf",
+        "TensoRF", "planes times vectors of density and of colour apart, cells refined in five steps, total variation",
+        "Chen et al. 2022", "tensorf:tensorf",
     ),
-    "nerf": Entry("NeRF", "a multilayer perceptron of sines", "Mildenhall et al. 2020", "fields.volume.mlp:nerf"),
-    "tinynerf": Entry("TinyNeRF", "the same, small and matt", "Mildenhall et al. 2020", "fields.volume.mlp:tinynerf"),
+    "nerf": Entry("NeRF", "a multilayer perceptron of sines", "Mildenhall et al. 2020", "mlp:nerf"),
+    "tinynerf": Entry("TinyNeRF", "the same, small and matt", "Mildenhall et al. 2020", "mlp:tinynerf"),
     "nerfacto": Entry(
-        "Nerfacto",
-        "a hash grid with two rounds of proposals, at its published size",
-        "Tancik et al. 2023; Müller et al. 2022",
-        "fields.volume.nerfacto:nerfacto",
+        "Nerfacto", "a hash grid with two rounds of proposals, at its published size",
+        "Tancik et al. 2023; Müller et al. 2022", "nerfacto:nerfacto",
     ),
     "hash": Entry(
-        "hash grid, proposals",
-        "the same with one round, at a size for processors",
-        "Tancik et al. 2023; Müller et al. 2022",
-        "fields.volume.nerfacto:hash_grid",
+        "hash grid, proposals", "the same with one round, at a size for processors",
+        "Tancik et al. 2023; Müller et al. 2022", "nerfacto:hash_grid",
     ),
     "octree": Entry(
         "octree of fields",
         "experimental: grids of an octree's nodes, which grows where density has detail; places the bed four times as "
-        "far off as mdw",
-        "Inf-NeRF",
-        "fields.volume.octree:octree",
+        "far off as mdw", "Inf-NeRF", "octree:octree",
     ),
     "ground": Entry(
-        "ground planes",
-        "experimental: planes over the ground, and a perceptron beside them",
-        "Grid-NeRF",
-        "fields.volume.mlp:ground",
+        "ground planes", "experimental: planes over the ground, and a perceptron beside them", "Grid-NeRF", "mlp:ground"
     ),
-}
+}  # fmt: skip
 IN_LAYER = ("mdw", "m", "dw", "vm")  # Those that `bathynerf process --field` offers, in a layer about the bed
 
 
@@ -84,7 +71,7 @@ def maker(name: str) -> Callable[[Any], Any]:
     Raises ValueError if there is none of that name, or it cannot be imported. ``name``: a key of `MODELS`, an entry
     point of `GROUP`, or "package.module:Class".
     """
-    place = MODELS[name].made_by if name in MODELS else name
+    place = f"fields.volume.{MODELS[name].made_by}" if name in MODELS else name
     if ":" not in place:
         found = {point.name: point for point in entry_points(group=GROUP)}
         if place not in found:

@@ -17,21 +17,7 @@ from refract.snell import (
 from refract.surfaces import FlatWater, WaterSurface
 
 __all__ = [
-    "BentPaths",
-    "FlatWater",
-    "OutsideFit",
-    "PinholeCamera",
-    "Projection",
-    "WaterSurface",
-    "apparent_depth",
-    "apparent_depth_tangential",
-    "bend",
-    "channel_indices",
-    "crossing_point",
-    "fresnel_coefficients",
-    "project",
-    "tangential_shift",
-    "trace",
-    "true_depth",
-    "water_index",
-]
+    "BentPaths", "FlatWater", "OutsideFit", "PinholeCamera", "Projection", "WaterSurface", "apparent_depth",
+    "apparent_depth_tangential", "bend", "channel_indices", "crossing_point", "fresnel_coefficients", "project",
+    "tangential_shift", "trace", "true_depth", "water_index",
+]  # fmt: skip

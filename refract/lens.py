@@ -124,10 +124,7 @@ def normalised(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
     if not lens.is_distorted:
         change = np.broadcast_to(np.diag([1.0 / fx, 1.0 / fy]), (len(pixels), 2, 2))
         return (pixels - (lens["cx"], lens["cy"])) / (fx, fy), change
-    half = 0.5
-    across, down = (
-        undistorted(lens, pixels + step) - undistorted(lens, pixels - step) for step in ((half, 0.0), (0.0, half))
-    )
+    across, down = (undistorted(lens, pixels + step) - undistorted(lens, pixels - step) for step in 0.5 * np.eye(2))
     return undistorted(lens, pixels), np.stack([across, down], axis=-1)
 
 

@@ -150,10 +150,8 @@ def fresnel_coefficients(cos_from, *, n_from, n_to) -> Fresnel:
     nothing = xp.where(cos_from >= 0.0, zero, zero + float("nan"))
     shares = []
     for incident, transmitted in ((n_from * cos_from, n_to * cos_to), (n_to * cos_from, n_from * cos_to)):
-        reflected, passed = (
-            (incident - transmitted) / (incident + transmitted),
-            4.0 * incident * transmitted / ((incident + transmitted) * (incident + transmitted)),
-        )
+        both = incident + transmitted
+        reflected, passed = (incident - transmitted) / both, 4.0 * incident * transmitted / (both * both)
         shares.append(xp.where(passes, reflected * reflected, zero + 1.0) + nothing)
         shares.append(xp.where(passes, passed, zero) + nothing)
     r_s, t_s, r_p, t_p = shares

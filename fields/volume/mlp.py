@@ -36,7 +36,7 @@ from torch import Tensor, nn
 
 from fields.device import Device
 from fields.factors import Factors, geometric_scales
-from fields.heads import perceptron, spherical_harmonics
+from fields.heads import conditions_of, perceptron
 from fields.volume.model import Rates, Setup, VolumeModel, density_of
 from fields.volume.paths import Box
 from fields.volume.tensor import grid_of
@@ -187,9 +187,7 @@ class GroundPlaneVolume(VolumeModel):
     def radiance(self, features: Tensor, direction: Tensor, appearance: Tensor | None) -> Tensor:
         width = self.factors.num_features
         planes, hidden, counts = features[:, :width], features[:, width:-1], features[:, -1:]
-        conditions = [] if appearance is None else [appearance]
-        if self.settings.degree:
-            conditions.insert(0, spherical_harmonics(-direction, self.settings.degree))
+        conditions = conditions_of(-direction, self.settings.degree, appearance)
         raw = self.colour(torch.cat([planes, *conditions], dim=1))
         raw = raw + counts * self.nerf_colour(torch.cat([hidden, *conditions], dim=1))
         return nn.functional.softplus(raw, beta=4.0)

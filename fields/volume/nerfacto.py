@@ -29,7 +29,7 @@ import torch
 from torch import Tensor, nn
 
 from fields.factors import geometric_scales
-from fields.heads import perceptron, seen_radiance
+from fields.heads import conditions_of, perceptron
 from fields.volume.model import Rates, Setup, VolumeModel, density_of
 from fields.volume.paths import Box, Paths
 from fields.volume.sampling import Samples, render_weights, samples_by_mass
@@ -253,7 +253,8 @@ class HashVolume(VolumeModel):
         return Proposal(self.box, ProposalSettings(of.proposed, rounds, annealed=annealed))
 
     def radiance(self, features: Tensor, direction: Tensor, appearance: Tensor | None) -> Tensor:
-        return seen_radiance(self.colour, features, direction, self.settings.degree, appearance)
+        conditions = conditions_of(-direction, self.settings.degree, appearance)
+        return nn.functional.softplus(self.colour(torch.cat([features, *conditions], dim=1)), beta=4.0)
 
     def rates(self) -> list[Rates]:
         return [Rates(list(self.parameters()), self.RATE)]

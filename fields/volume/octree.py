@@ -24,7 +24,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from fields.heads import perceptron, seen_radiance
+from fields.heads import conditions_of, perceptron
 from fields.volume.model import Rates, Setup, VolumeModel, density_of
 from fields.volume.paths import Box
 
@@ -135,7 +135,8 @@ class OctreeVolume(VolumeModel):
         return self.cell(int(torch.randint(deepest, ())))
 
     def radiance(self, features: Tensor, direction: Tensor, appearance: Tensor | None) -> Tensor:
-        return seen_radiance(self.colour, features, direction, self.settings.degree, appearance)
+        conditions = conditions_of(-direction, self.settings.degree, appearance)
+        return nn.functional.softplus(self.colour(torch.cat([features, *conditions], dim=1)), beta=4.0)
 
     def penalty(self, x: Tensor) -> Tensor:
         """Equation (4) of some pairs, times its weight."""

@@ -196,9 +196,7 @@ def _residuals_by_height(
 def gradients_of(tile: SolverTile, albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gradients along columns and rows (N,) each [grey/px] of an albedo (N,), extended by its border values."""
     nearest = ndimage.distance_transform_edt(~tile.inside, return_distances=False, return_indices=True)
-    image = np.zeros(tile.inside.shape, dtype=np.float32)
-    image[tile.inside] = albedo
-    return _gradients(tile, image[tuple(nearest)], albedo)
+    return _gradients(tile, tile.image(albedo)[tuple(nearest)], albedo)
 
 
 def _gradients(tile: SolverTile, image: np.ndarray, albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -112,9 +112,7 @@ def _in_tile(tile: SolverTile, solved: TileSolution, noise_share: float) -> tupl
 
 def _local_mean(tile: SolverTile, values: np.ndarray) -> np.ndarray:
     """Local mean of values (N,) by a Gauss filter; 0 where there are none."""
-    image = np.zeros(tile.inside.shape, dtype=np.float32)
-    image[tile.inside] = values
-    return ndimage.gaussian_filter(image, WINDOW_PX, truncate=2.5)[tile.inside]
+    return ndimage.gaussian_filter(tile.image(values), WINDOW_PX, truncate=2.5)[tile.inside]
 
 
 @dataclass(frozen=True)

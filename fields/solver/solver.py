@@ -271,9 +271,7 @@ def rejects_update(
     by more than noise explains, or of which too few photographs keep their weight (glint).
     """
     steep = solved.start.height_slope > np.maximum(tolerance, _SIGNIFICANT * slope_noise_ratio * np.sqrt(by_noise))
-    image = np.zeros(tile.inside.shape, dtype=np.float32)
-    image[tile.inside] = solved.improvement
-    side = (_WINDOW_PX, _WINDOW_PX)
+    image, side = tile.image(solved.improvement), (_WINDOW_PX, _WINDOW_PX)
     window = cv2.boxFilter(image, -1, side, normalize=False, borderType=cv2.BORDER_CONSTANT)[tile.inside]
     silent = np.count_nonzero(solved.brightness.weight > 0.0, axis=0) < _FEWEST
     # Noise that neighbours share counts several times in a sum over pixels.
@@ -290,8 +288,7 @@ def sweep_slope_noise_ratio(
     """
     found = []
     for tile, each in samples:
-        moved = np.zeros(tile.inside.shape, dtype=np.float32)
-        moved[tile.inside] = each.height - each.start.height
+        moved = tile.image(each.height - each.start.height)
         interior = cv2.erode(tile.inside.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)[tile.inside] > 0
         solved = each.with_roughness(roughness)
         by_noise = noise.height_variance_ratio * expected_variances(tile, solved, noise.response).noise

@@ -58,6 +58,12 @@ class SolverTile:
         """The N pixels of an image."""
         return self.window(image)[self.inside]
 
+    def image(self, values: np.ndarray) -> np.ndarray:
+        """Values (N,) as an image of the window (rows, columns) float32; 0 outside."""
+        image = np.zeros(self.inside.shape, dtype=np.float32)
+        image[self.inside] = values
+        return image
+
     def window(self, image: np.ndarray) -> np.ndarray:
         """The part of an image in which the tile lies."""
         return image[self._window]

@@ -166,15 +166,12 @@ def local_slope(tile: SolverTile, height: np.ndarray) -> np.ndarray:
 
 def _local_mean(tile: SolverTile, values: np.ndarray, alike_px: float) -> np.ndarray:
     """Mean of values (N,) around each pixel of the tile."""
-    total, weight = (_gaussian(tile, part, alike_px) for part in (values, np.ones(len(tile))))
-    return total / np.maximum(weight, 1e-9)
-
-
-def _gaussian(tile: SolverTile, values: np.ndarray, alike_px: float) -> np.ndarray:
-    image = np.zeros(tile.inside.shape, dtype=np.float32)
-    image[tile.inside] = values
     side = 2 * round(_TRUNCATED * alike_px) + 1
-    return cv2.GaussianBlur(image, (side, side), alike_px, borderType=cv2.BORDER_REFLECT)[tile.inside]
+    total, weight = (
+        cv2.GaussianBlur(tile.image(part), (side, side), alike_px, borderType=cv2.BORDER_REFLECT)[tile.inside]
+        for part in (values, np.ones(len(tile)))
+    )
+    return total / np.maximum(weight, 1e-9)
 
 
 @dataclass(frozen=True)

@@ -321,19 +321,18 @@ def test_surveys_of_a_series_count_in_the_cells_that_all_cover(epochs, tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("option", "name", "words"),
     [
-        (("--tif", "d.tif"), "--tif shows two surveys, and 3 are given"),
-        (("-o", "taken"), "exists and is not a series"),
-        (("--area", "far.geojson"), "no cell that both surveys cover"),
+        ("--tif", "d.tif", "--tif shows two surveys, and 3 are given"),
+        ("-o", "taken", "exists and is not a series"),
+        ("--area", "far.geojson", "no cell that both surveys cover"),
     ],
 )
-def test_a_series_that_cannot_be_is_refused(epochs, tmp_path, monkeypatch, options, words):
-    monkeypatch.chdir(tmp_path)
+def test_a_series_that_cannot_be_is_refused(epochs, tmp_path, option, name, words):
     polygon_file(tmp_path / "far.geojson", (900.0, 900.0, 950.0, 950.0))
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "series.csv").write_text("mine")
-    said = bathynerf("change", *epochs, *options)
+    said = bathynerf("change", *epochs, option, tmp_path / name)
     assert said.exit_code == 2, said.output
     assert words in " ".join(said.output.split())
 

@@ -106,20 +106,24 @@ def test_several_formats_are_written_at_once(run_folder, tmp_path):
     assert paths[1].stat().st_size < paths[0].stat().st_size
 
 
-def test_a_format_has_to_be_asked_for(run_folder):
-    with pytest.raises(SurveyError, match=r"nothing to export was named; give at least one of --las"):
-        export(run_folder)
-
-
-def test_a_name_that_ends_otherwise_than_its_format_is_refused_before_anything_is_written(run_folder, tmp_path):
-    with pytest.raises(SurveyError, match=r"--ply names .*out\.las; expected a name that ends in \.ply"):
-        export(run_folder, las=tmp_path / "in.las", ply=tmp_path / "out.las")
+@pytest.mark.parametrize(
+    ("files", "options", "error", "words"),
+    [
+        ({}, {}, SurveyError, "nothing to export was named; give at least one of --las"),
+        ({"las": "in.las", "ply": "out.las"}, {}, SurveyError, r"--ply names .*out\.las; expected .* ends in \.ply"),
+        ({"las": "missing/out.las"}, {}, OutputError, r"--las names .*missing/out\.las, whose folder does not exist"),
+        ({"las": "a.las"}, {"fill_m": 1.0}, SurveyError, "--fill has no effect on what is exported here"),
+        ({"xyz": "a.xyz"}, {}, TypeError, "no product is called xyz"),
+        ({"soundings": "a.csv"}, {"thin": "deep"}, SurveyError, '--thin is "deep", expected one of none, shoal, mean'),
+        ({"soundings": "a.csv"}, {"mesh_method": "ball"}, SurveyError, '--mesh-method is "ball", expected one of del'),
+        ({"soundings": "a.csv"}, {"resolution_m": 1.0}, SurveyError, "give --thin shoal or --thin mean too"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_before_anything_is_written(run_folder, tmp_path, files, options, error, words):
+    paths = {option: tmp_path / name for option, name in files.items()}
+    with pytest.raises(error, match=words):
+        export(run_folder, options=ExportOptions(**options), **paths)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_target_folder_that_does_not_exist_is_named(run_folder, tmp_path):
-    with pytest.raises(OutputError, match=r"--las names .*missing/out\.las, whose folder does not exist"):
-        export(run_folder, las=tmp_path / "missing" / "out.las")
 
 
 @pytest.mark.parametrize("suffix", ["las", "laz", "ply"])
@@ -206,13 +210,6 @@ def test_a_run_that_cannot_be_written_to_is_exported_all_the_same(run_folder, tm
 
     monkeypatch.setattr(export_room, "write_json", refuse)
     assert export(run_folder, las=tmp_path / "a.las") == [tmp_path / "a.las"]
-
-
-def test_an_option_that_nothing_follows_and_a_name_that_is_given_twice_are_refused(run_folder, tmp_path):
-    with pytest.raises(SurveyError, match=r"--fill has no effect on what is exported here"):
-        export(run_folder, options=ExportOptions(fill_m=1.0), las=tmp_path / "a.las")
-    with pytest.raises(TypeError, match="no product is called xyz"):
-        export(run_folder, xyz=tmp_path / "a.xyz")
 
 
 def test_every_product_is_described_once_and_has_an_example_of_its_own():
@@ -375,20 +372,6 @@ def test_a_dry_bed_has_no_depths(tmp_path):
     _, run = run_with(tmp_path, level_m=None)
     export(run, soundings=tmp_path / "a.csv")
     assert {row["depth_m"] for row in rows_in(tmp_path / "a.csv")} == {""}
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (ExportOptions(thin="deep"), '--thin is "deep", expected one of none, shoal, mean'),
-        (ExportOptions(mesh_method="ball"), '--mesh-method is "ball", expected one of delaunay, poisson'),
-        (ExportOptions(resolution_m=1.0), "give --thin shoal or --thin mean too"),
-    ],
-)
-def test_what_makes_no_sense_is_refused(tmp_path, options, words):
-    _, run = run_with(tmp_path)
-    with pytest.raises(SurveyError, match=words):
-        export(run, soundings=tmp_path / "a.csv", options=options)
 
 
 def test_a_table_of_somebody_else_stays(tmp_path):

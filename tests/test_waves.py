@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from fields.waves.crossings import Crossings
 from fields.waves.surfaces import CellAdjustment, Displacements, Posterior, find_surfaces
-from fields.waves.waves import Waves
+from fields.waves.waves import Crossings, Waves
 from refract import kernels
 from refract.curved import WavyWater
 from survey.run.stage_sweep import load_rough_water, save_rough_water

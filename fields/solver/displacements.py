@@ -11,9 +11,8 @@ from scipy import ndimage, sparse
 from fields.solver.gauss_newton import TileSolution, gradients_of
 from fields.solver.tile import Brightness, SolverTile
 from fields.solver.visibility import TileProjection
-from fields.waves.crossings import LEAST_DEPTH
 from fields.waves.surfaces import CellAdjustment, Displacements, find_surfaces
-from fields.waves.waves import Waves
+from fields.waves.waves import LEAST_DEPTH, Waves
 
 # Side of the cells; surfaces have coefficients as far apart.
 CELL_PX = 8

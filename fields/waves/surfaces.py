@@ -1,7 +1,7 @@
 """One water surface for each photograph, found together with the bed from displacements of the bed.
 
 Through a surface of height s over the plane of the water a photograph shows a point of the bed displaced by ``d``, a
-linear function of s and its gradient where the ray crosses the plane (`fields.waves.crossings`). Photographs are
+linear function of s and its gradient where the ray crosses the plane (`fields.waves.waves.Crossings`). Photographs are
 measured against their mean, from heights of the bed that are wrong by dz, and a displacement is
 
     y = d + parallax dz + m + noise,

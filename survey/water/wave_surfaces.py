@@ -9,7 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from fields.sweep.kernels.stack import PlaneWater
-from fields.waves.crossings import LEAST_DEPTH
+from fields.waves.waves import LEAST_DEPTH
 from geo.crs import horizontal_crs
 from geo.frames import LocalFrame
 from geo.grid import Grid, plan_box

@@ -22,7 +22,7 @@ from survey.viewer.shown import load_shown
 from survey.viewer.tree import camera_of_screen
 from survey.volume.options import VolumeOptions
 from survey.volume.scene import VolumeFolder
-from survey.volume.stored import StoredVolume
+from survey.volume.submodules import StoredVolume
 
 OPTIONS = VolumeOptions(model="vm", steps=3, rays=64, samples=8, cells=16, image_scale=0.5, appearance=True)
 

@@ -24,8 +24,7 @@ from survey.files.json_values import read_json_object
 from survey.volume.field import train_field
 from survey.volume.options import VolumeOptions
 from survey.volume.scene import BedBox
-from survey.volume.stored import StoredVolume
-from survey.volume.submodules import SubmoduleViews
+from survey.volume.submodules import StoredVolume, SubmoduleViews
 
 OPTIONS = VolumeOptions(
     model=NAME, steps=2, rays=32, samples=8, cells=16, image_scale=0.5, held_every=4, submodules="2x1", drop="network"

@@ -143,7 +143,7 @@ def render(
         from survey.run.stored import is_field
 
         if is_field(run):
-            from survey.volume.stored import render_field
+            from survey.volume.submodules import render_field
 
             pictures = render_field(run, cameras, output, dry=dry, device=device.value, video_s=video)
         else:

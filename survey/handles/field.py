@@ -15,7 +15,7 @@ from survey.volume.field import CLOUD, CURVE, rows_of
 from survey.volume.field import train_field as train
 from survey.volume.options import VolumeOptions
 from survey.volume.scene import REPORT
-from survey.volume.stored import render_field
+from survey.volume.submodules import render_field
 
 
 def train_field(run: str | Path, output: str | Path, **options: Any) -> Field:
@@ -60,7 +60,7 @@ class Field:
         return read_json_object(self.folder / REPORT)
 
     def render(self, cameras: str | Path, output: str | Path, **options: Any) -> list[Path]:
-        """Render views for other cameras, or a video along them; see `survey.volume.stored.render_field`."""
+        """Render views for other cameras, or a video along them; see `survey.volume.submodules.render_field`."""
         return render_field(self.folder, cameras, output, **options)
 
     def _repr_html_(self) -> str:

@@ -75,9 +75,9 @@ def field_of_run(folder: Path, water: FlatWater | None) -> TrainedField:
 
 
 def field_of_volume(folder: Path, run: LoadedRun) -> TrainedField:
-    """The field that `bathynerf field` left in a folder; see `survey.volume.stored.StoredVolume`."""
+    """The field that `bathynerf field` left in a folder; see `survey.volume.submodules.StoredVolume`."""
     # It takes torch.
-    from survey.volume.stored import StoredVolume
+    from survey.volume.submodules import StoredVolume
 
     stored = StoredVolume.of_run(folder, run)
     return TrainedField(stored.recipe.model, lambda note: stored.load(note=note))

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from fields.volume.photographs import Photographs, may_show, pixels_over
 from fields.volume.sampling import Cells
 from fields.volume.surface import LEAST_VIEWS
 from geo.files import reporting_disk_errors, write_whole
-from refract import FlatWater, PinholeCamera
+from refract import FlatWater
 from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun, Photograph, at_scale
 from survey.files.json_values import read_json_object, write_json
@@ -117,58 +118,37 @@ class BedBox:
 def load_scene(run: LoadedRun, flight: Flight, options: VolumeOptions, advance: Callable[[], object]) -> Scene:
     """The training data of a run, its photographs where they are now; ``advance`` is called after each of them."""
     ground = BedBox.of_run(run, flight, options)
-    shown = photographs_of(ground, flight, advance)
-    held = shown[_held_of(options)]
-    train = [each for each in shown if not any(each is other for other in held)]
-    return ground.scene(training_photographs(train, ground, options, len(flight.views)), _named(held, ground.bent))
+    held = held_photographs(ground, flight, options)
+    return ground.scene(training_photographs(ground, flight, options, held, advance), held)
 
 
 def held_photographs(ground: BedBox, flight: Flight, options: VolumeOptions) -> Photographs:
-    """The photographs of a flight that `load_scene` leaves out."""
-    if options.held_every is None:
-        return _named([], ground.bent)
-    names = [each.view.name for each, _ in _showing(ground, flight, lambda: None)][_held_of(options)]
-    return _named(photographs_of(ground, flight, lambda: None, lambda name: name in names), ground.bent)
-
-
-def _held_of(options: VolumeOptions) -> slice:
-    """Slice of the photographs that show the box which is held out."""
+    """The photographs of a flight that are held out, of those that show the box."""
     every = options.held_every
-    return slice(0, 0) if every is None else slice(every // 2, None, every)
+    shown = () if every is None else islice(_showing(ground, flight), every // 2, None, every)
+    return _decoded(shown, ground.bent)
 
 
 def training_photographs(
-    shown: list[BoxPhotograph], ground: BedBox, options: VolumeOptions, photographs: int
+    ground: BedBox, flight: Flight, options: VolumeOptions, held: Photographs, advance: Callable[[], object]
 ) -> Photographs:
-    """Photographs for training, with their priors."""
-    if len(shown) < LEAST_VIEWS:
+    """Photographs for training, those that are not held out, with their priors."""
+    showing = _showing(ground, flight, advance)
+    shown = ((photograph, pixels) for photograph, pixels in showing if photograph.view.name not in held.names)
+    learned = _decoded(shown, ground.bent, whole=options.shell)
+    if len(learned.names) < LEAST_VIEWS:
         raise TooFewPhotographs(
-            f"{len(shown)} of {photographs} photographs show the floor of the box about the bed, expected "
-            f"at least {LEAST_VIEWS} for training; give larger --bounds, or a smaller --cells"
+            f"{len(learned.names)} of {len(flight.views)} photographs show the floor of the box about the bed, "
+            f"expected at least {LEAST_VIEWS} for training; give larger --bounds, or a smaller --cells"
         )
-    learned = _named([each.whole() for each in shown] if options.shell else shown, ground.bent)
     if options.monocular is not None:
         learned.priors = monocular_priors(Path(options.monocular), learned.names, learned.cameras)
     return learned
 
 
-@dataclass(frozen=True)
-class BoxPhotograph:
-    """A decoded photograph with the pixels (n,) that show a box."""
-
-    name: str
-    camera: PinholeCamera
-    rgb: np.ndarray
-    pixels: np.ndarray
-    mask: np.ndarray | None  # (height, width) bool or None: pixels that may be used
-
-    def whole(self) -> BoxPhotograph:
-        """The same with all pixels that may be used."""
-        size = self.camera.width * self.camera.height
-        return replace(self, pixels=np.arange(size) if self.mask is None else np.flatnonzero(self.mask))
-
-
-def _showing(ground: BedBox, flight: Flight, advance: Callable[[], object]) -> Iterator[tuple[Photograph, np.ndarray]]:
+def _showing(
+    ground: BedBox, flight: Flight, advance: Callable[[], object] = lambda: None
+) -> Iterator[tuple[Photograph, np.ndarray]]:
     """Photographs that show the box, before they are decoded, with the pixels that do."""
     for photograph in at_scale(flight, ground.scale):
         camera = photograph.camera
@@ -179,23 +159,19 @@ def _showing(ground: BedBox, flight: Flight, advance: Callable[[], object]) -> I
         advance()
 
 
-def photographs_of(
-    ground: BedBox, flight: Flight, advance: Callable[[], object], is_needed: Callable[[str], bool] = lambda name: True
-) -> list[BoxPhotograph]:
-    """The photographs of wanted names that show the box, decoded; ``advance`` is called after each of the flight."""
-    found = []
-    for photograph, pixels in _showing(ground, flight, advance):
-        name = photograph.view.name
-        if is_needed(name):
-            decoded = photograph.pixels()
-            pixels = pixels if decoded.mask is None else pixels[decoded.mask.ravel()[pixels]]
-            found.append(BoxPhotograph(name, photograph.camera, decoded.rgb, pixels, decoded.mask))
-    return found
-
-
-def _named(shown: list[BoxPhotograph], water: FlatWater | None) -> Photographs:
-    cameras, images, pixels = [e.camera for e in shown], [e.rgb for e in shown], [e.pixels for e in shown]
-    return Photographs(cameras, images, pixels, water, names=tuple(each.name for each in shown))
+def _decoded(
+    shown: Iterable[tuple[Photograph, np.ndarray]], water: FlatWater | None, *, whole: bool = False
+) -> Photographs:
+    """Photographs with those of their pixels, or of all (``whole``), that may be used."""
+    found, names = Photographs([], [], [], water), []
+    for photograph, pixels in shown:
+        decoded = photograph.pixels()
+        usable = np.ones(decoded.rgb.shape[:2], dtype=bool) if decoded.mask is None else decoded.mask
+        found.cameras.append(photograph.camera)
+        found.images.append(decoded.rgb)
+        found.pixels.append(np.flatnonzero(usable) if whole else pixels[usable.flat[pixels]])
+        names.append(photograph.view.name)
+    return replace(found, names=tuple(names))
 
 
 def _within(points: np.ndarray, bounds: tuple[float, float, float, float] | None) -> np.ndarray:

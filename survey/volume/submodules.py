@@ -1,12 +1,12 @@
 """Submodules of `bathynerf field`: a field for each cell on the ground, trained one after the other, and their views.
 
-A view reads them from their folders when it needs them.
+A view reads them from their folders when it needs them. And the folder of a whole field, read back to be rendered.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -27,10 +27,11 @@ from geo.files import write_whole
 from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
+from survey.export.render import targets_of, write_seen
 from survey.files.json_values import read_json_object, write_json
 from survey.progress import current
 from survey.run.flight import Flight
-from survey.run.stored import FIELD_STATE, SUBMODULES
+from survey.run.stored import FIELD_SETTINGS, FIELD_STATE, SUBMODULES, is_field, run_of
 from survey.run.trained_field import VolumeRecipe, novel_view, read_state
 from survey.volume import scene
 from survey.volume.options import VolumeOptions
@@ -134,6 +135,75 @@ class SubmoduleViews:
         return novel_view(seen, self.ground.water, has_background=self.recipe.shell)
 
 
+@dataclass(frozen=True)
+class StoredVolume:
+    """The folder of a volume beside the run that it was trained on."""
+
+    folder: Path
+    recipe: VolumeRecipe
+    ground: scene.BedBox
+    counts: tuple[int, int] | None  # submodules along x and y; None: it is one volume
+    water: FlatWater | None  # Of the run
+    drop: str = Drop.geometry  # A word of `survey.words.Drop`
+
+    @staticmethod
+    def of_run(folder: Path, run: LoadedRun) -> StoredVolume:
+        """The volume in a folder, if it was trained on this run as it is now."""
+        if not is_field(folder):
+            raise SurveyError(
+                f"{folder} holds no trained field ({FIELD_SETTINGS} and {FIELD_STATE}); train one: bathynerf field "
+                f"{run.folder.path} -o {folder}"
+            )
+        settings = read_json_object(folder / FIELD_SETTINGS)
+        if settings.get("result") != run.stages:
+            raise SurveyError(
+                f"the field in {folder} was trained on another run, or on an earlier result of {run.folder.path}; "
+                "train one on this result: bathynerf field, into another folder"
+            )
+        try:
+            recipe = VolumeRecipe.of(settings)
+            bounds = None if settings["bounds"] is None else tuple(settings["bounds"])
+            options = VolumeOptions(cells=recipe.cells, bounds=bounds, straight=recipe.straight)
+            ground = scene.BedBox.of_run(run, run.flight, options)
+            counts = settings["submodules"] and submodules.counts_of(settings["submodules"], ground.box.size)
+        except (KeyError, TypeError, ValueError) as error:
+            raise SurveyError(
+                f"{folder / FIELD_SETTINGS} cannot be read ({error!r}); delete the folder, and train the field again"
+            ) from error
+        return StoredVolume(folder, recipe, ground, counts, run.flight.water)
+
+    def load(
+        self, device: str = "auto", note: Callable[[str], None] = lambda text: current().note(text)
+    ) -> Callable[[PinholeCamera, bool], NovelView]:
+        """Render function of the field, with the water or ``dry``; ``note`` is told of unfinished training."""
+        if self.counts is not None:
+            views = SubmoduleViews(self.folder, self.recipe, self.ground, self.counts, device, self.drop)
+            for text in views.unfinished():
+                note(text)
+            return views.view
+        field = self.recipe.restored(self.folder / FIELD_STATE, self.ground.box, self.water, device)
+        if field.step < self.recipe.steps:
+            note(f"the training of {self.folder} has done {field.step} of {self.recipe.steps} steps so far")
+        return field.view
+
+
+def render_field(
+    folder: str | Path,
+    cameras: str | Path,
+    output: str | Path,
+    *,
+    dry: bool = False,
+    device: str = "auto",
+    video_s: float | None = None,
+) -> list[Path]:
+    """Render the field in a folder for the cameras of a file; pictures and errors as `survey.export.render.render`."""
+    folder = Path(folder)
+    with LoadedRun(run_of(folder)) as run:
+        view = StoredVolume.of_run(folder, run).load(device)
+        targets = targets_of(run.folder, run.flight.frame, Path(cameras), Path(output))
+        return write_seen(targets, Path(output), video_s, lambda _cameras: lambda camera: view(camera, dry))
+
+
 VISIBILITY_STEPS = 0.1  # Steps of the training of a network of visibility, of those of the field
 # A pixel of the photographs is at most so many cells of a volume wide: finer ones show nothing more.
 MOST_CELLS_PER_PIXEL = 4
@@ -205,10 +275,8 @@ def _trained(
     """The field of a cell, by the photographs that show its box and are not held; ``begun`` makes its folder."""
     if part is None:
         raise scene.TooFewPhotographs("the run has no bed there")
-    names = set(held.names)
     with current().stage(f"Photographs of {what}", len(flight.views)) as stage:
-        shown = scene.photographs_of(part, flight, stage.advance, lambda name: name not in names)
-    learned = scene.training_photographs(shown, part, options, len(flight.views))
+        learned = scene.training_photographs(part, flight, options, held, stage.advance)
     folder = begun()
     trained = train(part.scene(learned, held), flight, options, folder)
     if options.drop == Drop.network and not (folder.path / VISIBILITY).is_file():

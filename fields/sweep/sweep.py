@@ -133,7 +133,7 @@ def sweep(
 
 
 class _Sweep:
-    """State of a sweep from pass to pass: window radii, parts to refine, and the share of samples that is done.
+    """State of a sweep from pass to pass: window radii, parts to refine, and the number of samples that are done.
 
     ``work``: views that take part in each pass. ``peers``: the views that confirm the heights of each view. ``views``:
     of each pass, as sets. ``fused``: number of samples that fusion after each pass takes; 0 where there is none.
@@ -156,7 +156,8 @@ class _Sweep:
         # Of each view, radius of its windows less that of the pass.
         self._extra_radius_px = dict.fromkeys(peers, 0)
         self._selected: dict[int, np.ndarray] = {}
-        self._done, self._total, self._reported = 0.0, 0.0, 0.0
+        matched = (_samples(pass_, each) for pass_, views in zip(settings.passes, work, strict=True) for each in views)
+        self._done, self._total = 0.0, sum(self.fused) + sum(matched)
 
     def match(self, number: int, maps: Maps) -> dict[int, np.ndarray]:
         """Match the views of a pass into ``maps``; the refined pixels of views of which only parts were matched."""
@@ -165,8 +166,6 @@ class _Sweep:
         if pass_.points_only and not self._selected:
             self._selected = predict_selected_pixels(block, maps)
         selected, refined = self._selected, dict[int, np.ndarray]()
-        to_do = sum(self.fused[number:]) + _samples(settings.passes[number:], self._work[number:], extra_px)
-        self._total = self._done + to_do
         # A generator: each job holds a map.
         jobs: Iterator[Job[MatchedView]] = (
             refine_part(block, pass_, each, maps[each.view], selected[each.view])
@@ -178,14 +177,11 @@ class _Sweep:
         in_queue = 2 if block.stack(pass_.scale).packed.kept >= 2 * (pass_.neighbours + 1) else 1
         for each, matched in zip(work, run_jobs(block.device, jobs, in_queue), strict=True):
             maps[each.view] = matched.map
-            samples = _samples([pass_], [[each]], extra_px)
             if matched.refined_pixels is not None:
                 refined[each.view] = matched.refined_pixels
-            elif matched.extra_radius_px > extra_px[each.view]:
-                # Matched again.
-                self._done, self._total = self._done + samples, self._total + samples
-                extra_px[each.view] = matched.extra_radius_px
-            self._report(samples)
+            else:
+                extra_px[each.view] = max(extra_px[each.view], matched.extra_radius_px)
+            self._report(_samples(pass_, each))
         return refined
 
     def fuse(self, number: int, maps: Maps, refined: Mapping[int, np.ndarray], make_store: StoreFactory) -> Maps:
@@ -208,22 +204,13 @@ class _Sweep:
         return fused
 
     def _report(self, samples: float) -> None:
-        """Count samples as done. The share never falls, although views that are matched again add to the total."""
         self._done += samples
-        self._reported = max(self._reported, self._done / self._total)
-        self._progress(self._reported)
+        self._progress(self._done / self._total)
 
 
-def _samples(passes: Sequence[Pass], work: Sequence[Sequence[ViewPass]], extra_radius_px: Mapping[int, int]) -> float:
-    """Samples of passes as they count for the progress.
-
-    Views whose windows had to be wider are matched as a whole where others are in tiles about their points.
-    """
-    return sum(
-        each.samples * (POINTS_SHARE if pass_.points_only and not extra_radius_px[each.view] else 1.0)
-        for pass_, of_pass in zip(passes, work, strict=True)
-        for each in of_pass
-    )
+def _samples(pass_: Pass, view: ViewPass) -> float:
+    """Samples of a view as they count for the progress, without those of wider windows."""
+    return view.samples * (POINTS_SHARE if pass_.points_only else 1.0)
 
 
 def predict_selected_pixels(block: Block, maps: Mapping[int, HeightMap]) -> dict[int, np.ndarray]:

@@ -9,9 +9,9 @@ from fields.device import choose_device
 from fields.sweep.kernels.rays import (
     MOST_HYPOTHESES,
     fit_curve,
-    in_front_of_camera,
     point_at,
     point_on_curve,
+    project_in_front,
     project_with_depth,
     refracted_rays,
     segments,
@@ -55,7 +55,8 @@ def misses(water: FlatWater | None, span_px: float) -> np.ndarray:
         (u, v, _), (u_up, v_up, _) = seen(bed), seen(bed + 1e-3)
         span = span_px * 1e-3 / np.median(np.hypot(u_up - u, v_up - v))
         low = np.minimum(bed, -0.01 - span)
-        curve = fit_curve([in_front_of_camera(seen(low + share * span)) for share in (0.0, 0.5, 1.0)])
+        three = [point_at(rays, low + share * span) for share in (0.0, 0.5, 1.0)]
+        curve = fit_curve([project_in_front(other, point, surface, beyond) for point in three])
         for share in np.linspace(0.0, 1.0, 9):
             (u, v, depth_there), (u_on, v_on, inside) = seen(low + share * span), point_on_curve(curve, share, other)
             known = inside & (depth_there > 0.0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from plane_survey import buffers_of, held_in, windows_of
 
-from fields.sweep.kernels import drjit_scoring
+from fields.sweep.kernels import drjit_kernels
 from fields.sweep.kernels.arrays import ALIGNED_BYTES, Buffer, floats, host
 from fields.sweep.matching import kernels
 
@@ -177,7 +177,7 @@ def test_sums_by_rows_are_those_of_whole_windows(device, rng, monkeypatch, radiu
     reference, *images = rng.normal(0.0, 40.0, (3, 14, 17)).astype(np.float32)
     images[0][rng.random(reference.shape) < 0.05] = np.nan
     at_once = ncc_of(device, reference, np.array(images), radius, least_known)
-    monkeypatch.setattr(drjit_scoring, "_WIDEST_AT_ONCE", 0)
+    monkeypatch.setattr(drjit_kernels, "_WIDEST_AT_ONCE", 0)
     by_rows = ncc_of(device, reference, np.array(images), radius, least_known)
     if least_known == 1.0:
         # The same additions in the same order.

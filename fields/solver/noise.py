@@ -18,17 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from fields.solver import uncertainty
 from fields.solver.gauss_newton import CG_RESIDUAL, TileSolution, gradients_of, shift_information
 from fields.solver.tile import SolverTile
-from fields.solver.uncertainty import (
-    ONE_STD,
-    QUANTILE_95,
-    SIGMAS_95,
-    expected_variances,
-    residual_step,
-    smoothing_change,
-    solve_normal_equations,
-)
+from fields.solver.uncertainty import ONE_STD, QUANTILE_95, SIGMAS_95
 
 # Shifts are constant within a Gauss window of this standard deviation: shorter than waves, wide against noise.
 WINDOW_PX = 4.0
@@ -160,7 +153,8 @@ def null_solutions_of(
         solved = each.with_roughness(roughness)
         of_height = np.sqrt(solved.information)
         contrast, null_solution, known = null_solution_of(solved, response)
-        change, expected = smoothing_change(solved, null_solution, response), expected_variances(tile, solved, response)
+        change = uncertainty.smoothing_change(solved, null_solution, response)
+        expected = uncertainty.expected_variances(tile, solved, response)
         use = known & tile.requested
         of_shift = 1.0 / shift_information(solved.brightness.weight, solved.motion)
         values = (
@@ -175,42 +169,32 @@ def null_solutions_of(
 def null_solution_of(solved: TileSolution, response: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Contrast of unit variance, its null solution [m], and where both are known, (N,) each."""
     contrast, known = _contrast(solved, np.random.default_rng(0))
-    return (
-        contrast,
-        solve_normal_equations(solved, np.sqrt(solved.information) * contrast, response, CG_RESIDUAL),
-        known,
-    )
+    right = np.sqrt(solved.information) * contrast
+    return contrast, uncertainty.solve_normal_equations(solved, right, response, CG_RESIDUAL), known
 
 
-def noise_shares(null_solutions: NullSolutions, response: float, shifts: Shifts, is_wet: bool) -> NoiseShares:
+def noise_shares(null: NullSolutions, response: float, shifts: Shifts, is_wet: bool) -> NoiseShares:
     """Noise shares from the quantile `QUANTILE_95` of the null solutions; one where too few pixels are known.
 
     Shifts of photographs move the null solutions like the heights; that is no noise. Nor is the noise of heights larger
     than that of the residuals along them, where contrasts of the photographs hold more than noise.
     """
-    if len(null_solutions.null_squared) < _LEAST_PIXELS:
+    if len(null.null_squared) < _LEAST_PIXELS:
         return NoiseShares(response, 1.0, 1.0, 1.0)
-    found = null_solutions
-    by_shift = shifts.variance(depth_of(found.height, is_wet)) * found.shift_variance
-    of_heights = np.quantile((found.null_squared / SIGMAS_95**2 - by_shift) / found.null_variance, QUANTILE_95)
-    of_smoothing = np.quantile(found.change_squared / found.change_variance, ONE_STD)
-    remainder, residual = (
-        float(np.quantile(each, ONE_STD)) for each in (found.remainder_squared, found.residual_squared)
-    )
+    by_shift = shifts.variance(depth_of(null.height, is_wet)) * null.shift_variance
+    of_heights = np.quantile((null.null_squared / SIGMAS_95**2 - by_shift) / null.null_variance, QUANTILE_95)
+    of_smoothing = np.quantile(null.change_squared / null.change_variance, ONE_STD)
+    remainder, residual = np.quantile([null.remainder_squared, null.residual_squared], ONE_STD, axis=1).tolist()
     # What the prior should take is counted as that; more than it goes on below the pixel.
-    excess_relief = float(np.quantile((found.residual_squared - remainder) / found.relief_squared, ONE_STD)) - 1.0
+    excess_relief = float(np.quantile((null.residual_squared - remainder) / null.relief_squared, ONE_STD)) - 1.0
     of_heights *= min(residual / remainder, 1.0)
-    return NoiseShares(
-        response,
-        max(float(of_heights), _LEAST_NOISE),
-        max(float(of_smoothing), _LEAST_NOISE),
-        min(max(excess_relief, 0.0), 1.0),
-    )
+    of_heights, of_smoothing = (max(float(ratio), _LEAST_NOISE) for ratio in (of_heights, of_smoothing))
+    return NoiseShares(response, of_heights, of_smoothing, min(max(excess_relief, 0.0), 1.0))
 
 
 def _residual_along_height(solved: TileSolution, response: float) -> np.ndarray:
     """Residuals along the solved heights (N,): 1 for independent noise alone where nothing is solved."""
-    gradient, step = residual_step(solved, response)
+    gradient, step = uncertainty.residual_step(solved, response)
     information = np.maximum(solved.information, 1e-12)
     return (gradient + response * information * step) / np.sqrt(information)
 

@@ -10,6 +10,7 @@ from itertools import groupby, islice
 import cv2
 import numpy as np
 
+from fields.solver import uncertainty
 from fields.solver.displacements import displacements_of, moved
 from fields.solver.gauss_newton import TileSolution, shift_information
 from fields.solver.moving_water import MOVING_PX, with_waves
@@ -24,15 +25,7 @@ from fields.solver.noise import (
 )
 from fields.solver.roughness import START_GSD, roughness_of, spectral_slope_of
 from fields.solver.tile import SolverTile, requested_in_squares
-from fields.solver.uncertainty import (
-    QUANTILE_95,
-    SIGMAS_95,
-    expected_variances,
-    local_slope,
-    smoothed_relief,
-    smoothing_change,
-    subpixel_relief,
-)
+from fields.solver.uncertainty import QUANTILE_95, SIGMAS_95
 from fields.solver.views import WORKERS, TileTask, Views
 from fields.solver.visibility import visibility_counts
 from fields.sweep.block import Block
@@ -226,14 +219,16 @@ def _solve_part(
     rows, columns = tile.places
     pixels = (rows + tile.row) * width + columns + tile.column
     of_shift = 1.0 / shift_information(found.brightness.weight, found.motion)
-    expected = expected_variances(tile, found, noise.response, figures.spectral_slope)
-    change = smoothing_change(found, found.height, noise.response)
-    relief = smoothed_relief(tile, change, expected, noise.height_variance_ratio, noise.smoothing_variance_ratio)
-    rise = local_slope(tile, found.height)
+    expected = uncertainty.expected_variances(tile, found, noise.response, figures.spectral_slope)
+    change = uncertainty.smoothing_change(found, found.height, noise.response)
+    relief = uncertainty.smoothed_relief(
+        tile, change, expected, noise.height_variance_ratio, noise.smoothing_variance_ratio
+    )
+    rise = uncertainty.local_slope(tile, found.height)
     if waves is not None:
         of_height, of_place = waves.variances(found.ground.points)
         relief += of_height + of_place * (rise / found.ground.pixel) ** 2
-    relief += subpixel_relief(tile, found, expected, noise.height_variance_ratio, noise.excess_relief)
+    relief += uncertainty.subpixel_relief(tile, found, expected, noise.height_variance_ratio, noise.excess_relief)
     by_noise = noise.height_variance_ratio * expected.noise
     values = (found.height, by_noise, relief, of_shift, rise)
     taken = tile.requested & ~rejects_update(
@@ -291,7 +286,7 @@ def sweep_slope_noise_ratio(
         moved = tile.image(each.height - each.start.height)
         interior = cv2.erode(tile.inside.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)[tile.inside] > 0
         solved = each.with_roughness(roughness)
-        by_noise = noise.height_variance_ratio * expected_variances(tile, solved, noise.response).noise
+        by_noise = noise.height_variance_ratio * uncertainty.expected_variances(tile, solved, noise.response).noise
         found += [np.abs(rise[tile.inside][interior]) / np.sqrt(by_noise[interior]) for rise in gradient_of(moved)]
     together = np.concatenate(found)
     return float(np.quantile(together, QUANTILE_95)) / SIGMAS_95 if len(together) else 1.0

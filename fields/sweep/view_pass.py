@@ -17,23 +17,13 @@ from functools import partial
 import cv2
 import numpy as np
 
+from fields.sweep import matching
 from fields.sweep.block import Block
 from fields.sweep.images import local_min_max, median, median_above, tile_extents, tile_gradients, upsample
 from fields.sweep.kernels.arrays import Job
 from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.maps import HeightMap
-from fields.sweep.matching import (
-    LEAST_KNOWN,
-    MATCHED_NCC,
-    PASSES,
-    DiscontinuitySearch,
-    Found,
-    Pass,
-    Reference,
-    match_tiles,
-    match_view,
-    match_with_adaptive_windows,
-)
+from fields.sweep.matching import DiscontinuitySearch, Found, Pass, Reference
 from fields.sweep.tiles import PART_SIDE_PX, Area, CornerRays, ImageTiles, extremes_of_squares, squares_over_area
 from refract import FlatWater, PinholeCamera
 
@@ -65,7 +55,7 @@ def search_discontinuities(
     if not searched.any():
         return found
     nearby = Reference(stack, reference.view, reference.neighbours[: search.neighbours], search.radius)
-    spacing, least = search.spacing_px / parallax, np.full(height.shape, MATCHED_NCC, dtype=np.float32)
+    spacing, least = search.spacing_px / parallax, np.full(height.shape, matching.MATCHED_NCC, dtype=np.float32)
     size, bounds = search.tile_px, tile_extents(searched, low, high, search.tile_px)
     level = ImageTiles.of(searched, bounds, spacing, size, search.radius)
     found = yield from _best_of_tiles(nearby, found, level, spacing, least)
@@ -88,7 +78,7 @@ def _best_of_tiles(
         for target, each in zip(better, matched, strict=True):
             target[pixels[keep]] = each[keep]
 
-    yield from match_tiles(reference, tiles, lambda part, _: tiles.starts(part).ravel(), spacing, take)
+    yield from matching.match_tiles(reference, tiles, lambda part, _: tiles.starts(part).ravel(), spacing, take)
     height, score, curvature = (each.reshape(found[0].shape) for each in better)
     return height, score, curvature
 
@@ -136,7 +126,7 @@ class SweepSettings:
     """Settings of a sweep: range of heights, passes, area."""
 
     bound: tuple[float, float]  # (low, high) [m] over the water plane, spanned by the hypotheses of the first pass
-    passes: tuple[Pass, ...] = PASSES
+    passes: tuple[Pass, ...] = matching.PASSES
     # (x0, y0, x1, y1) [m], local, where heights are wanted; other pixels get no height of their own
     area: Area | None = None
 
@@ -230,9 +220,9 @@ def match_pass(
     reference = Reference(stack, view, of_view.neighbours, radius, _least_known(block))
     hypotheses = Hypotheses(start, step, of_view.count)
     if pass_.refines:
-        found = yield from match_view(reference, hypotheses, columns(radius))
+        found = yield from matching.match_view(reference, hypotheses, columns(radius))
     else:
-        found, radius = yield from match_with_adaptive_windows(reference, hypotheses, columns)
+        found, radius = yield from matching.match_with_adaptive_windows(reference, hypotheses, columns)
     # The search has windows of its own, narrower than those that were too narrow here.
     if pass_.discontinuities is not None and radius == pass_.radius:
         matched, spans = None, columns(radius) if pass_.in_area else None
@@ -260,12 +250,12 @@ def refine_part(block: Block, pass_: Pass, of_view: ViewPass, before: HeightMap,
 
     def take(own: np.ndarray, pixels: np.ndarray, matched: list[np.ndarray]) -> None:
         best, best_score, _ = matched
-        better = own & (best_score > MATCHED_NCC)
+        better = own & (best_score > matching.MATCHED_NCC)
         height[pixels[better]] = best[better]
         score[pixels[own]] = best_score[own]
 
     reference = Reference(stack, view, of_view.neighbours, pass_.radius, _least_known(block))
-    yield from match_tiles(reference, tiles, lambda _, pixels: lowest[pixels], step, take)
+    yield from matching.match_tiles(reference, tiles, lambda _, pixels: lowest[pixels], step, take)
     score = _of_shown(block, pass_, view, score.reshape(shape))
     m = replace(before, height=height.reshape(shape), score=score)
     return MatchedView(m, refined_pixels=np.flatnonzero(tiles.wanted))
@@ -279,7 +269,7 @@ def _of_shown(block: Block, pass_: Pass, view: int, score: np.ndarray) -> np.nda
 
 
 def _least_known(block: Block) -> float:
-    return 1.0 if block.images.are_unmasked else LEAST_KNOWN
+    return 1.0 if block.images.are_unmasked else matching.LEAST_KNOWN
 
 
 def outline_of(area: Area, water: FlatWater | None, bound: tuple[float, float]) -> np.ndarray:

@@ -27,19 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from fields.sweep.kernels.arrays import (
-    arange,
-    evaluate,
-    floats,
-    gather,
-    host,
-    indices,
-    integer_part,
-    scalar,
-    scatter,
-    to_float,
-    zeros_of,
-)
+from fields.sweep.kernels import arrays
 from fields.sweep.kernels.stack import CameraTerms, KernelWater, ViewStack, camera_table
 from refract import kernels
 from refract.distortion import distort, undistort
@@ -142,9 +130,9 @@ def straddling_pixels(stack: ViewStack, start: np.ndarray, step: float, part: ra
     return np.flatnonzero((start < -low) & (start > -high))
 
 
-def in_front_of_camera(place) -> tuple:
-    """Pixel position (u, v) of (u, v, depth); NaN behind the camera."""
-    u, v, depth = place
+def project_in_front(camera, point, water: KernelWater, terms: CameraTerms) -> tuple:
+    """Pixel position (u, v) [px] of a point; NaN behind the camera."""
+    u, v, depth = project_with_depth(camera, point, water, terms)
     xp = kernels.namespace(u)
     return xp.where(depth > 0.0, u, math.nan), xp.where(depth > 0.0, v, math.nan)
 
@@ -183,30 +171,30 @@ def groups(views: list) -> list[list]:
 
 def rays_of_rows(stack: ViewStack, view: int, first_row: int, rows: int) -> list:
     """Rays (`fields.sweep.kernels.rays`) of a strip of pixels of `view`: six floats of P = rows * width, or more."""
-    index = arange(floats(stack.device, np.zeros(1, dtype=np.float32)), rows * stack.cameras[view].width)
-    return _refracted_rays(stack, view, index + scalar(index, first_row * stack.cameras[view].width))
+    index = arrays.arange(arrays.floats(stack.device, np.zeros(1, dtype=np.float32)), rows * stack.cameras[view].width)
+    return _refracted_rays(stack, view, index + arrays.scalar(index, first_row * stack.cameras[view].width))
 
 
 def rays_of_pixels(stack: ViewStack, view: int, pixels: np.ndarray) -> list:
     """Rays of chosen pixels (flat indices) of a view."""
-    return _refracted_rays(stack, view, indices(stack.device, pixels))
+    return _refracted_rays(stack, view, arrays.indices(stack.device, pixels))
 
 
 def _refracted_rays(stack: ViewStack, view: int, index: Any) -> list:
-    width, cameras = scalar(index, stack.cameras[view].width), [stack.cameras[view]]
+    width, cameras = arrays.scalar(index, stack.cameras[view].width), [stack.cameras[view]]
     line = index // width
-    u, v = to_float(index - line * width) + 0.5, to_float(line) + 0.5
+    u, v = arrays.to_float(index - line * width) + 0.5, arrays.to_float(line) + 0.5
     terms = CameraTerms.of(cameras)
-    camera = [scalar(u, float(number)) for number in camera_table(cameras, terms, stack.kernel_water)[0]]
+    camera = [arrays.scalar(u, float(number)) for number in camera_table(cameras, terms, stack.kernel_water)[0]]
     rays = refracted_rays(camera, u, v, stack.kernel_water, terms)
-    evaluate(*rays)
+    arrays.evaluate(*rays)
     return rays
 
 
 def rays_and_heights(stack: ViewStack, view: int, pixels: np.ndarray) -> tuple[list, Any]:
     """Rays of chosen pixels (flat indices) of a view, and their heights in a stack of height maps."""
-    own_height = gather(stack.pixels(view), indices(stack.device, pixels))
-    evaluate(own_height)
+    own_height = arrays.gather(stack.pixels(view), arrays.indices(stack.device, pixels))
+    arrays.evaluate(own_height)
     return rays_of_pixels(stack, view, pixels), own_height
 
 
@@ -219,8 +207,8 @@ def corner_of(stack: ViewStack, view: int, u: Any, v: Any, inside: Any) -> tuple
     """Flat index of the upper left of the four pixels about (u, v), and the offset from it [px]."""
     xp = kernels.namespace(u)
     x, y = xp.where(inside, u - 0.5, 0.0), xp.where(inside, v - 0.5, 0.0)
-    x0, y0 = integer_part(x), integer_part(y)
-    return y0 * scalar(x0, stack.cameras[view].width) + x0, x - to_float(x0), y - to_float(y0)
+    x0, y0 = arrays.integer_part(x), arrays.integer_part(y)
+    return y0 * arrays.scalar(x0, stack.cameras[view].width) + x0, x - arrays.to_float(x0), y - arrays.to_float(y0)
 
 
 def bilinear(corners: list, fx: Any, fy: Any) -> Any:
@@ -233,14 +221,14 @@ def bilinear(corners: list, fx: Any, fy: Any) -> Any:
 
 def four_about(stack: ViewStack, view: int, corner: Any) -> list:
     """Flat indices of the four pixels of which a corner is the upper left."""
-    width = scalar(corner, stack.cameras[view].width)
+    width = arrays.scalar(corner, stack.cameras[view].width)
     return [corner, corner + 1, corner + width, corner + width + 1]
 
 
 def sample(stack: ViewStack, view: int, u: Any, v: Any, inside: Any) -> Any:
     """Bilinear lookup in image `view` at pixel position (u, v); NaN where not inside."""
     corner, fx, fy = corner_of(stack, view, u, v, inside)
-    corners = [gather(stack.pixels(view), each) for each in four_about(stack, view, corner)]
+    corners = [arrays.gather(stack.pixels(view), each) for each in four_about(stack, view, corner)]
     return kernels.namespace(fx).where(inside, bilinear(corners, fx, fy), math.nan)
 
 
@@ -256,15 +244,15 @@ def compare_heights(
         rays, own_height = rays_of_rows(stack, view, 0, stack.cameras[view].height), stack.pixels(view)
     else:
         rays, own_height = rays_and_heights(stack, view, pixels)
-    xp, most = kernels.namespace(own_height), scalar(own_height, float(tolerance))
-    count, total, square = (zeros_of(own_height) for _ in range(3))
+    xp, most = kernels.namespace(own_height), arrays.scalar(own_height, float(tolerance))
+    count, total, square = (arrays.zeros_of(own_height) for _ in range(3))
     for group in groups(peers):
         for peer in group:
             difference = sample(stack, peer, *project_rays(stack, rays, own_height, peer)) - own_height
             near = xp.abs(difference) < most
             difference = xp.where(near, difference, 0.0)
-            count, total, square = count + to_float(near), total + difference, square + difference * difference
-        evaluate(count, total, square)
+            count, total, square = count + arrays.to_float(near), total + difference, square + difference * difference
+        arrays.evaluate(count, total, square)
     return count, total, square
 
 
@@ -274,15 +262,15 @@ def count_seeing_through(stack: ViewStack, view: int, peers: list[int], toleranc
     All four of the peer's pixels about the point are lower by more than `tolerance` [m]; NaN sees nothing.
     """
     rays, own_height = rays_and_heights(stack, view, pixels)
-    count = zeros_of(own_height)
-    least = own_height - scalar(own_height, float(tolerance))
+    count = arrays.zeros_of(own_height)
+    least = own_height - arrays.scalar(own_height, float(tolerance))
     for group in groups(peers):
         for peer in group:
             u, v, lower = project_rays(stack, rays, own_height, peer)
             for place in four_about(stack, peer, corner_of(stack, peer, u, v, lower)[0]):
-                lower = lower & (gather(stack.pixels(peer), place) < least)
-            count = count + to_float(lower)
-        evaluate(count)
+                lower = lower & (arrays.gather(stack.pixels(peer), place) < least)
+            count = count + arrays.to_float(lower)
+        arrays.evaluate(count)
     return count
 
 
@@ -295,21 +283,22 @@ def find_duplicates(
     second those of them whose height is within `close_m` of the path's, or of that of the map between the four.
     """
     heights = stack.pixels(other)
-    xp, least, most = kernels.namespace(heights), scalar(heights, float(tolerance)), scalar(heights, float(close_m))
-    claimed, close = (zeros_of(heights) for _ in range(2))
+    xp = kernels.namespace(heights)
+    least, most = (arrays.scalar(heights, float(height)) for height in (tolerance, close_m))
+    claimed, close = (arrays.zeros_of(heights) for _ in range(2))
     u, v, inside = project_rays(stack, rays, own_height, other)
     corner, fx, fy = corner_of(stack, other, u, v, inside)
     four = four_about(stack, other, corner)
-    found = [gather(heights, place) for place in four]
+    found = [arrays.gather(heights, place) for place in four]
     interpolated = bilinear(found, fx, fy)
     for place, height in zip(four, found, strict=True):
         off = xp.abs(height - own_height)
         same = inside & (off < least)
         near = same & (xp.minimum(off, xp.abs(height - interpolated)) < most)
-        scatter(claimed, place, to_float(same), same)
-        scatter(close, place, to_float(near), near)
-    evaluate(claimed, close)
-    return host(stack.device, claimed) > 0.0, host(stack.device, close) > 0.0
+        arrays.scatter(claimed, place, arrays.to_float(same), same)
+        arrays.scatter(close, place, arrays.to_float(near), near)
+    arrays.evaluate(claimed, close)
+    return arrays.host(stack.device, claimed) > 0.0, arrays.host(stack.device, close) > 0.0
 
 
 def vote_on_points(
@@ -324,17 +313,17 @@ def vote_on_points(
     """
     u, v, inside = project(stack.camera_rows[view], points, stack.kernel_water, stack.terms)
     four = four_about(stack, view, corner_of(stack, view, u, v, inside)[0])
-    heights, known = [gather(stack.pixels(view), place) for place in four], floats(stack.device, trusted)
-    xp, reach = kernels.namespace(u), scalar(u, float(close_m))
+    heights, known = [arrays.gather(stack.pixels(view), place) for place in four], arrays.floats(stack.device, trusted)
+    xp, reach = kernels.namespace(u), arrays.scalar(u, float(close_m))
     low, high = xp.minimum(heights[0], heights[1]), xp.maximum(heights[0], heights[1])
     for height in heights[2:]:
         low, high = xp.minimum(low, height), xp.maximum(high, height)
     below = high + reach < points[2]
     spans, through, matches = inside & ~below & (low - reach < points[2]), inside & below, inside & False
     for place, height in zip(four, heights, strict=True):
-        is_trusted = gather(known, place) > 0.0
+        is_trusted = arrays.gather(known, place) > 0.0
         through, matches = through & is_trusted, matches | (is_trusted & (xp.abs(height - points[2]) < reach))
-    found = [to_float(votes) for votes in (spans, through, matches & inside)]
-    evaluate(*found)
-    spans, through, matches = (host(stack.device, votes) > 0.0 for votes in found)
+    found = [arrays.to_float(votes) for votes in (spans, through, matches & inside)]
+    arrays.evaluate(*found)
+    spans, through, matches = (arrays.host(stack.device, votes) > 0.0 for votes in found)
     return spans, through, matches

@@ -1,4 +1,4 @@
-"""The kernels of the sweep in torch: those of `drjit_kernels` and `drjit_scoring` where Dr.Jit does not run.
+"""The kernels of the sweep in torch: those of `drjit_kernels` where Dr.Jit does not run.
 
 The same functions with the same signatures and shapes (K neighbours, J hypotheses, P pixels of a strip, flat). Torch
 computes step by step, so samples are taken in portions that stay in the processor's cache.
@@ -10,19 +10,8 @@ import torch
 from torch import Tensor
 
 from fields.device import Device
+from fields.sweep.kernels import rays as geometry
 from fields.sweep.kernels.arrays import floats, indices
-from fields.sweep.kernels.rays import (
-    bilinear,
-    corner_of,
-    fit_curve,
-    in_front_of_camera,
-    point_at,
-    point_on_curve,
-    project,
-    project_with_depth,
-    segments,
-    straddling_pixels,
-)
 from fields.sweep.kernels.stack import MASKED, NOISE_VARIANCE, Hypotheses, ViewStack
 
 PORTION = 250_000  # Samples that one operation takes on: 1 MB an array
@@ -31,10 +20,10 @@ PORTION = 250_000  # Samples that one operation takes on: 1 MB an array
 def sample_packed(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor) -> Tensor:
     """Bilinear samples of `ViewStack.packed`: one lookup instead of the four of `sample`."""
     packed = stack.packed
-    corner, fx, fy = corner_of(stack, view, u, v, inside)
+    corner, fx, fy = geometry.corner_of(stack, view, u, v, inside)
     word = packed.values(view)[corner]
     parts = [(word >> (place * packed.bits)) & (2**packed.bits - 1) for place in range(4)]
-    value = bilinear([part.float() for part in parts], fx, fy) * packed.step + packed.low
+    value = geometry.bilinear([part.float() for part in parts], fx, fy) * packed.step + packed.low
     return torch.where(inside & (parts[0] != MASKED), value, torch.nan)
 
 
@@ -44,30 +33,25 @@ def warp(values: list[Tensor], stack: ViewStack, rays, hypotheses: Hypotheses, n
     begin = floats(stack.device, start)
     arrays = [each.view(count, len(begin)) for each in values]
     numbers = torch.arange(count, dtype=torch.float32, device=begin.device)[:, None]
-    for part in segments(count):
+    for part in geometry.segments(count):
         span = step * max(len(part) - 1, 1)
-        three = [point_at(rays, begin + step * part.start + share * span) for share in (0.0, 0.5, 1.0)]
-        curves = [
-            fit_curve(
-                [
-                    in_front_of_camera(project_with_depth(stack.camera_rows[view], p, stack.kernel_water, stack.terms))
-                    for p in three
-                ]
-            )
-            for view in neighbours
-        ]
+        three = [geometry.point_at(rays, begin + step * part.start + share * span) for share in (0.0, 0.5, 1.0)]
+        curves = []
+        for row in (stack.camera_rows[view] for view in neighbours):
+            places = [geometry.project_in_front(row, p, stack.kernel_water, stack.terms) for p in three]
+            curves.append(geometry.fit_curve(places))
         per_call = max(1, PORTION // len(begin))
         for first in range(part.start, part.stop, per_call):
             rows = slice(first, min(first + per_call, part.stop))
             at = (numbers[rows] - part.start) * (step / span)
             for target, curve, view in zip(arrays, curves, neighbours, strict=True):
-                target[rows] = sample_packed(stack, view, *point_on_curve(curve, at, stack.camera_rows[view]))
-        straddling = indices(stack.device, straddling_pixels(stack, start, step, part))
+                target[rows] = sample_packed(stack, view, *geometry.point_on_curve(curve, at, stack.camera_rows[view]))
+        straddling = indices(stack.device, geometry.straddling_pixels(stack, start, step, part))
         if len(straddling):
             some = [leg[straddling] for leg in rays]
-            points = point_at(some, begin[straddling] + step * numbers[part.start : part.stop])
+            points = geometry.point_at(some, begin[straddling] + step * numbers[part.start : part.stop])
             for target, view in zip(arrays, neighbours, strict=True):
-                seen = project(stack.camera_rows[view], points, stack.kernel_water, stack.terms)
+                seen = geometry.project(stack.camera_rows[view], points, stack.kernel_water, stack.terms)
                 target[part.start : part.stop, straddling] = sample_packed(stack, view, *seen)
 
 

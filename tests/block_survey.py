@@ -69,9 +69,7 @@ def survey_of(block: DrawnBlock, *, shutter: tuple[float, float | None] | None =
         views=views,
         water=water_plane(frame, water),
         config=SurveyConfig(
-            crs=CRS,
-            water=water,
-            cameras=CamerasConfig(rolling_shutter_s=readout, rolling_shutter_std_s=readout_std),
+            crs=CRS, water=water, cameras=CamerasConfig(rolling_shutter_s=readout, rolling_shutter_std_s=readout_std)
         ),
         observations=Observations(
             points=ties.start,

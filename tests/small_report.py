@@ -67,8 +67,7 @@ def write_plane_report(survey: Survey, folder: Path) -> SimpleNamespace:
     write_bed_las(folder / "cloud.las", StoredBed(bed, facts.points_crs, survey.frame.crs, "small", 0.05))
     reference = write_plane_mesh(folder / "reference.ply", survey, raised_m=RAISED_M)
     facts = replace(
-        facts,
-        comparison=compare_surfaces(folder / "cloud.las", reference, CompareOptions(bounds=survey.bounds)),
+        facts, comparison=compare_surfaces(folder / "cloud.las", reference, CompareOptions(bounds=survey.bounds))
     )
     steps = []
     with RunDir(folder / "run") as run:

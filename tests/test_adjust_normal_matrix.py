@@ -170,10 +170,7 @@ def prior_with(num_lenses: int, *, finds_focals: bool) -> tuple[PriorKnowledge, 
     prior, ties = prior_of(survey, 0.02), survey.observations.ties
     num = len(prior.layout.lens_of)
     layout = replace(
-        prior.layout,
-        lens_of=np.arange(num) % num_lenses,
-        aspect=np.ones(num_lenses),
-        finds_focals=finds_focals,
+        prior.layout, lens_of=np.arange(num) % num_lenses, aspect=np.ones(num_lenses), finds_focals=finds_focals
     )
     lenses, focals = np.tile(prior.state.lenses, (num_lenses, 1)), np.zeros(num if finds_focals else 0)
     state = replace(prior.state, lenses=lenses, focals=focals)

@@ -70,18 +70,9 @@ def test_what_nobody_says_is_the_default_and_words_are_plain():
         ({"target_std_m": 0.0}, "--target-std is 0, expected a standard deviation in metres above 0"),
         ({"time_budget_s": -5.0}, "--time-budget is -5, expected the seconds that a run may take, above 0"),
         ({"time_budget_s": float("nan")}, "--time-budget is nan"),
-        (
-            {"target_std_m": 0.01, "quality": "fine"},
-            "--target-std and --quality are given, but",
-        ),
-        (
-            {"target_std_m": 0.01, "field": "mdw"},
-            "--target-std and --field are given, but",
-        ),
-        (
-            {"target_std_m": 0.01, "image_scale": 0.5},
-            "--target-std and --image-scale are given, but",
-        ),
+        ({"target_std_m": 0.01, "quality": "fine"}, "--target-std and --quality are given, but"),
+        ({"target_std_m": 0.01, "field": "mdw"}, "--target-std and --field are given, but"),
+        ({"target_std_m": 0.01, "image_scale": 0.5}, "--target-std and --image-scale are given, but"),
     ],
 )
 def test_an_aim_that_cannot_be_is_refused(options, words):

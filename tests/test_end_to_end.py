@@ -111,11 +111,7 @@ def noisy(tmp_path_factory):
 
 @pytest.mark.parametrize(
     ("name", "std_m"),
-    [
-        slow("calm", STD_WITHOUT_NOISE_M),
-        ("noisy", STD_WITH_NOISE_M),
-        slow("dry", STD_WITHOUT_NOISE_M),
-    ],
+    [slow("calm", STD_WITHOUT_NOISE_M), ("noisy", STD_WITH_NOISE_M), slow("dry", STD_WITHOUT_NOISE_M)],
 )
 def test_a_drawn_bed_is_found_at_its_true_height(name, std_m, request):
     run = request.getfixturevalue(name)

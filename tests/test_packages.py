@@ -43,26 +43,14 @@ LAYERS = (
     {"survey/report"},
     {"survey/run"},
     {"survey/export"},
-    {
-        "survey/simulate",
-        "survey/change",
-        "survey/marking",
-        "survey/volume",
-    },
+    {"survey/simulate", "survey/change", "survey/marking", "survey/volume"},
     {"survey/handles"},
     {"survey/viewer"},
     {"survey/commands"},
     {"bathynerf"},
 )
 # What every part of survey uses stands in its folder itself, and nothing else; twelve files at most.
-SURVEY_SHARED = {
-    "__init__.py",
-    "errors.py",
-    "machine.py",
-    "progress.py",
-    "stage_key.py",
-    "words.py",
-}
+SURVEY_SHARED = {"__init__.py", "errors.py", "machine.py", "progress.py", "stage_key.py", "words.py"}
 MOST_SHARED = 12
 OUTSIDE = {"tests", "benchmarks", "docs"}
 CONSOLE_FOLDER, CONSOLE_FILES = "survey/commands", {"survey/progress.py", "bathynerf/__main__.py"}

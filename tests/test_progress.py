@@ -53,10 +53,7 @@ def test_a_run_says_its_share_and_the_time_left_each_minute(clock):
             clock.now += 150.0
     lines = without_times(stream.getvalue()).splitlines()
     # 20 and 40 of 150 expected seconds are done after one minute and two; 6.5 and 5.5 of 7.5 minutes are left.
-    assert lines[:2] == [
-        "sweep: 13 % of the run, about 6 minutes left",
-        "sweep: 27 % of the run, about 6 minutes left",
-    ]
+    assert lines[:2] == ["sweep: 13 % of the run, about 6 minutes left", "sweep: 27 % of the run, about 6 minutes left"]
     # A line a minute, and none for the beginnings and ends of stages.
     assert len(lines) == 5
 
@@ -76,11 +73,7 @@ def test_a_stage_without_a_total_says_how_long_it_has_gone_on(clock):
     assert "reading: 1 min 05 s so far" in stream.getvalue()
 
 
-@given(
-    begun=st.lists(st.booleans(), min_size=5, max_size=5),
-    tiles=st.integers(1, 3),
-    advances=st.integers(1, 4),
-)
+@given(begun=st.lists(st.booleans(), min_size=5, max_size=5), tiles=st.integers(1, 3), advances=st.integers(1, 4))
 def test_the_share_of_a_run_only_rises_and_ends_at_all_of_it(begun, tiles, advances):
     """Stages that are used again do not begin; those of tiles come in turn."""
     clock = Clock()

@@ -53,13 +53,7 @@ def facts(tmp_path_factory) -> ReportFacts:
         ControlPoint(row.name, tuple(crs), local, np.full(3, 0.01), row.is_check)
         for row, crs, local in zip(found.control, places, found.points, strict=False)
     )
-    survey = changed(
-        survey,
-        water=block.plane,
-        is_adjusted=True,
-        priors=priors,
-        control=Control(points, (), 0.5),
-    )
+    survey = changed(survey, water=block.plane, is_adjusted=True, priors=priors, control=Control(points, (), 0.5))
     bed = plane_bed(survey, num=20)
     points_crs = survey.frame.crs_from_local(bed.xyz)
     return ReportFacts(survey, PLAN, {}, {}, bed, points_crs, adjustment=found)

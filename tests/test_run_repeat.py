@@ -35,15 +35,7 @@ def test_a_run_without_options_is_repeated_with_its_quality(folder):
 
 
 def test_every_option_that_was_chosen_is_repeated(folder):
-    job = job_of(
-        folder,
-        quality="draft",
-        device="cpu",
-        field="off",
-        poses="fixed",
-        image_scale=0.5,
-        true_colour=True,
-    )
+    job = job_of(folder, quality="draft", device="cpu", field="off", poses="fixed", image_scale=0.5, true_colour=True)
     said = shlex.split(command_of(job, {"reference": Path("true bed.ply")}))
     assert said[3:] == [
         "--quality", "draft", "--device", "cpu", "--field", "off", "--poses", "fixed",

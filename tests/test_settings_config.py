@@ -64,10 +64,7 @@ device = "cpu"
 def test_every_known_key_is_read_and_written_back_to_the_same_settings():
     config = parse_config(FULL)
     assert (config.water.level_m, config.water.slope_north) == (12.34, -0.004)
-    assert (config.water.absorption_per_m, config.water.veiling_light) == (
-        (0.3, 0.07, 0.05),
-        (0, 0.1, 0.2),
-    )
+    assert (config.water.absorption_per_m, config.water.veiling_light) == ((0.3, 0.07, 0.05), (0, 0.1, 0.2))
     assert (config.cameras.position_std_m, config.cameras.rotation_std_deg) == ((0.02, 0.02, 0.03), 0.01)
     assert config.control.files == ("gcp_list.txt", "more.csv", "marks.csv", "checkpoints.csv")
     assert [f.name for f in dataclasses.fields(config) if getattr(config, f.name) is None] == []

@@ -23,11 +23,7 @@ from survey.simulate.drawn import DrawnScene, stage_drawing
 from survey.simulate.sidecars import StagedScene
 
 # Coarse to fine in small: images of 96 x 72 px have too few pixels left at a quarter, where PASSES begin.
-SMALL = (
-    Pass(0.5, 2, None, 0.5, 6, False),
-    Pass(1.0, 2, 7, 0.4, 6, True),
-    Pass(1.0, 1, 3, 0.25, 8, True),
-)
+SMALL = (Pass(0.5, 2, None, 0.5, 6, False), Pass(1.0, 2, 7, 0.4, 6, True), Pass(1.0, 1, 3, 0.25, 8, True))
 BEDS = {
     "wet": PlaneBed(TILTED, -2.0, slope=0.1),
     "dry": PlaneBed(None, -2.0, slope=0.1),

@@ -24,28 +24,21 @@ def test_rays_of_the_observations_pass_their_points_within_the_noise(seed):
     assert np.abs(np.mean(miss)) < 0.01
 
 
-def test_every_point_is_seen_three_times_and_observations_are_sorted():
-    block = draw_block(7)
-    assert np.bincount(block.point, minlength=len(block.points)).min() >= 3
-    assert (np.diff(block.point) >= 0).all()
-    assert len(block.start) == len(block.points)
-
-
-def test_control_points_are_dry_and_known_to_a_centimetre():
-    block = draw_block(3, dry_share=0.4, num_control=6)
-    true = block.points[block.control]
-    assert len(true) == 6
-    assert (true[:, 2] > block.plane.height(*true.T[:2])).all()
-    assert np.abs(block.control_points - true).max() < 0.05
-
-
-def test_a_wholly_wet_block_has_no_control():
-    block = draw_block(3, dry_share=0.0)
-    assert len(block.control) == 0
-    assert (block.points[:, 2] < block.plane.height(*block.points.T[:2])).all()
-
-
-def test_the_same_seed_draws_the_same_block():
+def test_a_seed_draws_one_block_whose_points_are_seen_three_times():
     first, again, other = draw_block(5), draw_block(5), draw_block(6)
     np.testing.assert_array_equal(first.pixel, again.pixel)
     assert first.lens != other.lens
+    for block in (first, other):
+        assert np.bincount(block.point, minlength=len(block.points)).min() >= 3
+        assert (np.diff(block.point) >= 0).all()
+        assert len(block.start) == len(block.points)
+
+
+@pytest.mark.parametrize(("dry_share", "number"), [(0.4, 6), (0.0, 0)])
+def test_control_points_are_dry_and_known_to_a_centimetre(dry_share, number):
+    block = draw_block(3, dry_share=dry_share, num_control=6)
+    true = block.points[block.control]
+    assert len(true) == number
+    assert (true[:, 2] > block.plane.height(*true.T[:2])).all()
+    assert (np.abs(block.control_points - true) < 0.05).all()
+    assert (block.points[:, 2] < block.plane.height(*block.points.T[:2])).all() == (dry_share == 0.0)

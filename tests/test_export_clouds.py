@@ -126,20 +126,20 @@ def test_what_makes_no_sense_is_refused_before_anything_is_written(run_folder, t
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("suffix", ["las", "laz", "ply"])
-def test_an_earlier_export_is_replaced_and_nothing_else(run_folder, tmp_path, suffix):
+@pytest.mark.parametrize(("option", "suffix"), [("las", "las"), ("laz", "laz"), ("ply", "ply"), ("soundings", "xyz")])
+def test_an_earlier_export_is_replaced_and_nothing_else(run_folder, tmp_path, option, suffix):
     path = tmp_path / f"out.{suffix}"
-    export(run_folder, **{suffix: path})
-    export(run_folder, **{suffix: path}, options=ExportOptions(crs="EPSG:25833+5778"))
+    export(run_folder, **{option: path})
+    export(run_folder, **{option: path}, options=ExportOptions(crs="EPSG:25833+5778"))
     changed = path.read_bytes()[:-1]
     path.write_bytes(changed)
-    with pytest.raises(OutputError, match=rf"--{suffix} names .*out.*, which somebody has changed since"):
-        export(run_folder, **{suffix: path})
+    with pytest.raises(OutputError, match=rf"--{option} names .*out.*, which somebody has changed since"):
+        export(run_folder, **{option: path})
     assert path.read_bytes() == changed
     other = tmp_path / f"other.{suffix}"
     path.rename(other)
-    with pytest.raises(OutputError, match=rf"--{suffix} names .*other.*, which exists and is not an export of this"):
-        export(run_folder, **{suffix: other})
+    with pytest.raises(OutputError, match=rf"--{option} names .*other.*, which exists and is not an export of this"):
+        export(run_folder, **{option: other})
     assert list(tmp_path.iterdir()) == [other]
 
 
@@ -372,15 +372,3 @@ def test_a_dry_bed_has_no_depths(tmp_path):
     _, run = run_with(tmp_path, level_m=None)
     export(run, soundings=tmp_path / "a.csv")
     assert {row["depth_m"] for row in rows_in(tmp_path / "a.csv")} == {""}
-
-
-def test_a_table_of_somebody_else_stays(tmp_path):
-    _, run = run_with(tmp_path)
-    path = tmp_path / "a.xyz"
-    path.write_text("1 2 3\n")
-    with pytest.raises(SurveyError, match="is not an export of this run"):
-        export(run, soundings=path)
-    path.unlink()
-    export(run, soundings=path)
-    export(run, soundings=path, options=ExportOptions(thin="shoal"))
-    assert len(numbers_in(path)) < 4000

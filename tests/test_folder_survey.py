@@ -399,9 +399,3 @@ def test_a_pose_whose_height_is_far_from_the_others_is_named(tmp_path, off):
     write_poses(folder, lines)
     warnings = load_survey(folder).findings.warnings
     assert any("far from the others by its pose height" in text and name in text for text in warnings)
-
-
-@pytest.mark.parametrize("called", ["water_level", "level", "surface_level", "water_level_m"])
-def test_what_others_call_the_level_is_answered_with_its_key(called):
-    with pytest.raises(ConfigError, match=rf"unknown key {called} in \[water\]; that is \[water\] level_m here"):
-        parse_config(replaced(("level_m", called)))

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from PIL.PngImagePlugin import PngImageFile
 from small_survey import write_image
 
 from refract.lens import Lens
@@ -126,16 +125,21 @@ def test_the_limit_of_pillow_does_not_count_and_is_left_as_it_was(tmp_path, monk
     assert Image.MAX_IMAGE_PIXELS == 100
 
 
-def test_exif_of_a_png_is_read_without_its_pixels(tmp_path, monkeypatch):
+def test_exif_of_a_png_is_read_without_its_pixels(tmp_path):
     path = tmp_path / "a.png"
     exif = Image.Exif()
     exif[271] = "maker"  # without a tag of its own Pillow writes none
     exif.get_ifd(0x8825).update({1: "N", 2: (46.5, 0.0, 0.0), 3: "E", 4: (10.25, 0.0, 0.0), 5: b"\0", 6: 2.5})
     Image.new("RGB", (8, 8)).save(path, exif=exif)
-    monkeypatch.setattr(PngImageFile, "load", lambda _: pytest.fail("decoded"))
+    # Pixels that cannot be decoded.
+    data = bytearray(path.read_bytes())
+    pixels = data.index(b"IDAT") + 4
+    data[pixels : pixels + 8] = bytes(8)
+    path.write_bytes(data)
+    with pytest.raises(OSError), Image.open(path) as image:  # noqa: PT011
+        image.load()
     assert read_exif(path).lat_lon_height == pytest.approx((46.5, 10.25, 2.5))
     # Behind the pixels, where other programs have it.
-    data = path.read_bytes()
     at = data.index(b"eXIf") - 4
     length = 12 + int.from_bytes(data[at : at + 4], "big")
     path.write_bytes(data[:at] + data[at + length : -12] + data[at : at + length] + data[-12:])

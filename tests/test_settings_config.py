@@ -92,6 +92,9 @@ def test_any_level_survives_the_round_trip_to_the_last_bit(level):
     ("text", "words"),
     [
         ("[water]\nlevel = 3.0", "unknown key level in [water]; that is [water] level_m here."),
+        ("[water]\nwater_level = 3.0", "unknown key water_level in [water]; that is [water] level_m here."),
+        ("[water]\nsurface_level = 3.0", "unknown key surface_level in [water]; that is [water] level_m here."),
+        ("[water]\nwater_level_m = 3.0", "unknown key water_level_m in [water]; that is [water] level_m here."),
         ("[water]\nslope_nort = 0.1", "the nearest known one is [water] slope_north."),
         ("[camera]\nposes = 'a'", "unknown table [camera]; the nearest known one is [cameras]."),
         ("[cameras]\nfocal = 900", "the nearest known one is [cameras] focal_px."),

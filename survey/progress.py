@@ -94,17 +94,10 @@ class Step:
 
 
 class Progress:
-    """Reports what a run does.
+    """Reports what a run does, to standard error by default, so that results on standard output can be piped.
 
-    Parameters
-    ----------
-    verbosity : int
-        -2 nothing, -1 only warnings, 0 notes and how far the run is, 1 also stages and details.
-    log_path : Path, optional
-        Gets every line, details and times included, whatever the verbosity. Appended to, so that the log of a
-        resumed run is complete.
-    stream : text file, optional
-        Default: standard error, so that results on standard output can be piped.
+    ``verbosity`` is -2 for nothing, -1 for warnings alone, 0 for notes and how far the run is, 1 for stages and details
+    too. Every line is appended to a log at ``log_path``, so that the log of a resumed run is complete.
     """
 
     def __init__(

@@ -176,10 +176,7 @@ def _parameters_with_verdicts(
     unobservable: dict[str, Unobservable] | None,
     contradicted: Sequence[int],
 ) -> tuple[list[Parameter], WaterConfig | None, np.ndarray]:
-    """Parameters of water and lenses with their verdicts, the water, and which (P,) bool of them are not observable.
-
-    ``first`` is the covariance before any was held.
-    """
+    """Parameters of water and lenses with their verdicts, the water, and which (P,) bool of them are not observable."""
     prior, state, layout = done.prior, done.solution.state, done.prior.layout
     parameters: list[Parameter] = []
     water: WaterConfig | None = None
@@ -213,10 +210,7 @@ def _parameters_with_verdicts(
 
 
 def _readout_limit(state: State, layout: Layout, number: int, height: int) -> float:
-    """Limit of use [s] of the readout of a lens: it moves the last row against the first by half a pixel on the ground.
-
-    ``height`` [px] is that of its photographs.
-    """
+    """Limit of use [s] of the readout of a lens: its last row moves against the first by half a pixel on the ground."""
     assert layout.velocity_per_row is not None
     range_m = np.maximum(state.centres[:, 2] - np.median(state.points[:, 2]), 1e-6)
     px_per_s = (

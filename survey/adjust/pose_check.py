@@ -120,10 +120,7 @@ def without_ties(survey: Survey) -> Survey:
 
 
 def _of_middle(survey: Survey, height: float) -> list[int]:
-    """Numbers of the views that look at the middle of the block, ascending; ``height`` [m] is that of the cameras.
-
-    Views from above it look straight down, and determine little of the water.
-    """
+    """Numbers, ascending, of views that look at the middle from a height [m]; those above it tell little of water."""
     centres = np.array([view.camera.centre[:2] for view in survey.views])
     axes = np.array([view.camera.cam_from_local[2] for view in survey.views])
     seen = centres + height * axes[:, :2] / np.maximum(-axes[:, 2:], _LEAST_COSINE)

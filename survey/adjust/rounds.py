@@ -169,10 +169,7 @@ def _factors(problem: Problem, solution: Solution, sizes: Sizes, before: np.ndar
 
 
 def _by_depth(seen: Observed, state: State) -> np.ndarray:
-    """Kinds (N,) of observations, divided by depth: waves displace deep points more.
-
-    The kind of dry observations is their own; those of the strata of wet ones follow.
-    """
+    """Kinds (N,) of observations, those of wet ones divided by depth: waves displace deep points more."""
     kind = seen.kind.copy()
     if state.water is None:
         return kind

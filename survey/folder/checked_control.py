@@ -169,10 +169,7 @@ def _with_marks(control: Control, marks: list[Mark]) -> Control | None:
 def _checked(
     found: Found, frame: LocalFrame, views: Sequence[View], control: Control, priors: Mapping[str, PosePrior]
 ) -> tuple[Control | None, Mapping[str, PosePrior], Similarity | None, Findings]:
-    """Control and priors of a block without contradicted ones, which warnings name.
-
-    Also what transforms the block to its control, where its positions contradict that.
-    """
+    """Control and priors without contradicted ones, which warnings name, and what moves the block to its control."""
     block = _for_block(control, frame, found)
     posed = {view.name: view.camera for view in views}
     seen = intersect_marks(block, posed)

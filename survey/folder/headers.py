@@ -262,10 +262,7 @@ def _few(names: np.ndarray, far: np.ndarray) -> list[str]:
 
 
 def _repeated_positions(names: np.ndarray, places: np.ndarray, seconds: np.ndarray | None) -> list[str]:
-    """Warnings about photographs (N,) that share a position (N, 3) to the last digit.
-
-    Except those taken at once, or between two fixes of the receiver: bands, brackets, rigs and bursts.
-    """
+    """Warnings about photographs (N,) of one position (N, 3), not taken at once as bands, brackets, rigs and bursts."""
     alike = defaultdict(list)
     for number, place in enumerate(places):
         alike[place.tobytes()].append(number)

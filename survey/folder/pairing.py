@@ -294,13 +294,11 @@ def _datum(found: Found, file: PoseFile) -> tuple[DatumStd, Findings]:
 
 
 def _with_clicked_level(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Found, Findings]:
-    """The contents with the water level from clicks in the photographs, where [water] names them.
-
-    The local frame of a survey lies at its level, which is not known before the poses are: another frame serves here.
-    """
+    """The contents with the water level from clicks in the photographs, where [water] names them."""
     water = found.config.water
     if water is None or water.clicks is None:
         return found, Findings()
+    # The frame of the survey lies at the level, which is not known yet: another serves here.
     frame, views = views_in_local(replace(found, config=replace(found.config, water=None)), file, poses)
     config, clicked, findings = with_level_of_clicks(found.folder, found.config, views, frame)
     return replace(found, config=config, levels=found.levels + clicked), findings

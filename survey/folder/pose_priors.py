@@ -142,10 +142,7 @@ def _common_up(std: np.ndarray | None) -> float:
 
 
 def _std_by_exif(cameras: CamerasConfig, header: Exif, datum: DatumStd = EXACT) -> tuple[np.ndarray | None, str]:
-    """The standard deviation (3,) [m] of a GPS position in crs, and its source; None where it is unknown.
-
-    In plan without the std of the transformation into crs, which all positions share.
-    """
+    """The std (3,) [m] of a GPS position, without that of the transformation into crs; its source, None if unknown."""
     std, source = _std_as_given(cameras, header)
     return None if std is None else DatumStd(up=datum.up).onto(np.array(std)), source
 

@@ -97,7 +97,10 @@ def require_solvable(found: Found) -> list[str]:
         for name, header in headers.items():
             require_pixels(found.images[name], header.size_px, cameras.size_px, "[cameras] size_px", remedy)
     focal = cameras.square_focal_px
-    _require_focal(found)
+    lacking = [name for name, header in headers.items() if header.focal_px is None]
+    if len(headers) == 2 and lacking and focal is None:
+        # Over flat ground two photographs do not determine it.
+        raise ImageError(f"{lacking[0]} has no focal length in EXIF and two images tell none; give [cameras] focal_px")
     if placing_control(found) is None:
         _require_scale(found)
     positions, _ = positions_in_crs(headers, crs, cameras.gps_height)
@@ -189,10 +192,7 @@ def solve_views(
 
 
 def _heights_by_focals(result: SfmResult) -> np.ndarray:
-    """Heights (V, 3) [m] by which all positions of a camera seem off together, up to what its focal length explains.
-
-    A focal length acts as a flying height does, and straight rays over water put it some per cent off.
-    """
+    """Heights (V, 3) [m] by which positions of a camera seem off, up to what straight rays do to its focal length."""
     residuals, ground = result.gps_residual_m, np.median(result.ties.start[:, 2])
     known, off = np.isfinite(residuals).all(axis=1), np.zeros_like(residuals)
     heights = np.array([view.camera.centre[2] for view in result.views])
@@ -202,13 +202,6 @@ def _heights_by_focals(result: SfmResult) -> np.ndarray:
             up = np.median(residuals[own & known, 2]) - np.median(residuals[known, 2])
             off[own, 2] = up if abs(up) < FOCAL_SHARE * (np.median(heights[own]) - ground) else 0.0
     return off
-
-
-def _require_focal(found: Found) -> None:
-    """Raise ImageError where two photographs have no focal length: over flat ground they do not determine it."""
-    lacking = [name for name, header in found.headers.items() if header.focal_px is None]
-    if len(found.headers) == 2 and lacking and found.config.cameras.square_focal_px is None:
-        raise ImageError(f"{lacking[0]} has no focal length in EXIF and two images tell none; give [cameras] focal_px")
 
 
 def _require_scale(found: Found) -> None:

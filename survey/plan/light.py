@@ -259,10 +259,7 @@ def _named(worst: list[tuple[str, str]]) -> str:
 
 
 def _some(found: Found) -> list[str]:
-    """Names of a sample of photographs, evenly spaced over the flight, and those whose files are small for their size.
-
-    Photographs that show nothing compress to few bytes.
-    """
+    """Names of photographs evenly spaced over the flight, and of those that compress to few bytes, as empty ones do."""
     names = sorted(found.images)
     mpx = np.median([header.size_px[0] * header.size_px[1] for header in found.headers.values()]) / 1e6
     number = int(np.clip(_MOST_MPX / mpx, 3, len(names)))

@@ -133,10 +133,7 @@ def _wanted(target_m: float | None, candidates: Sequence[Candidate]) -> tuple[Ca
 
 
 def _in_time(left_s: float, candidates: Sequence[Candidate], reason: str, *, refuses: bool) -> tuple[Candidate, str]:
-    """The last candidate that fits into the time, and why; `candidates` end with what is wanted.
-
-    One without the solver is taken only where none with it fits.
-    """
+    """The last candidate that fits into the time, and why; one without the solver only where none with it fits."""
     seconds = [each.seconds for each in candidates if each.seconds is not None]
     if len(seconds) < len(candidates):
         raise SurveyError(

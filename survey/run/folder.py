@@ -71,9 +71,6 @@ class Owner:
         """Owner from its record; None before a run is claimed, and of a run of a version that kept none."""
         return cls(record["survey"], record["photographs"], record.get("contents", {})) if "survey" in record else None
 
-    def as_record(self) -> dict:
-        return {"survey": self.name, "photographs": self.photographs, "contents": self.contents}
-
     def require_unchanged(self, name: str, path: Path) -> None:
         """Raise SurveyError where the file at a path is not the photograph of this name, by size and content."""
         before, now, content = self.photographs.get(name), path.stat().st_size, self.contents.get(name)
@@ -167,7 +164,7 @@ class RunDir:
         if before is not None and not is_inside:
             before.require_same(owner, self.path)
         if before != owner:
-            self._mark(owner.as_record())
+            self._mark({"survey": owner.name, "photographs": owner.photographs, "contents": owner.contents})
 
     def owner(self) -> Owner | None:
         """The survey whose run this is; None in a run of a version that did not keep it."""

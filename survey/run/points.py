@@ -108,10 +108,7 @@ def bed_per_level(incidence: np.ndarray, n_water: float) -> np.ndarray:
 def _placed(
     points: np.ndarray, cameras: Sequence[PinholeCamera], plane: FlatWater, surface: BicubicWater | FlatWater
 ) -> np.ndarray:
-    """Points (N, 3) where their rays come closest through the surface; as they are where fewer than two are known.
-
-    Rays count by how many pixels their photograph shows them apart: those of oblique views by fewer.
-    """
+    """Points (N, 3) where their rays, weighted by px/m, meet through the surface; as they are with fewer than two."""
     count = np.zeros(len(points), dtype=int)
     wet_sums, dry_sums = ((np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))) for _ in range(2))
     for camera in cameras:

@@ -184,10 +184,7 @@ class RemoteRun(RunDir):
         self.remote.put({RECORD: self.path / RECORD})
 
     def _remove_from_url(self) -> None:
-        """Remove files of an earlier result, stages that belong to none, and what runs and their workers have left.
-
-        Where another run has not finished, its stages stay, and what is to be worked on.
-        """
+        """Remove earlier results, stages of none, and what workers have left, but not what another run works on."""
         kept, own_names = (
             self.kept_stages(),
             {path.relative_to(self.path).as_posix() for path in files_below(self.path)},

@@ -96,10 +96,7 @@ def find_range(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
 
 
 def _of_tiles(job: Job, advance: Callable[[float], None]) -> tuple[list[tuple[float, float]], list[int]]:
-    """Bound of the bed in each tile over its own plane [m], and the views that cover it in any.
-
-    A tile with too few matches takes the bound of all others.
-    """
+    """Bound of the bed in each tile over its own plane [m], of all others where too little matches, and its views."""
     found: dict[int, tuple[float, float]] = {}
     views: set[int] = set()
     why: SurveyError | None = None

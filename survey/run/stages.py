@@ -314,10 +314,7 @@ def _compute_on(
 
 
 def _search_under_earlier_level(job: Job, run: RunDir, search: Stage) -> None:
-    """Let the job use what an earlier run has found under a plane of nearly the same level, if that is all there is.
-
-    ``search`` is the first stage that depends on the level. A field and true colours are those of the level itself.
-    """
+    """Let the job use what an earlier run has found under a plane of nearly the same level, if that is all there is."""
     asked, water = job.survey, job.survey.water
     if (
         water is None

@@ -282,10 +282,7 @@ def _side(first: int, last: int, size: int, step: int) -> tuple[int, int]:
 
 
 def _box(camera: PinholeCamera, seen: np.ndarray, margin: int) -> tuple[int, int, int, int]:
-    """Top, left, bottom and right of an image about places (N, 2), (row, column) [px], with a margin [px].
-
-    The whole image where it is not certain.
-    """
+    """Top, left, bottom, right of an image about places (N, 2), (row, column) [px]; all of it if they are uncertain."""
     size = np.array([camera.height, camera.width])
     if not np.isfinite(seen).all():
         return 0, 0, camera.height, camera.width

@@ -154,10 +154,7 @@ class Workers:
         return self._client.submit(compute_task, *given, pure=False, key=key)
 
     def _as_they_end(self, left: set[Any], begin: Callable[[], None]) -> Iterator[Any]:
-        """The futures, as they end; raise where no worker is left to end one.
-
-        ``begin`` may add futures: it is called at the start, after each that ends, and every few seconds.
-        """
+        """The futures, as they end, with those that ``begin`` adds meanwhile; raise where no worker is left."""
         from distributed import wait
 
         last_seen = time.monotonic()
@@ -266,10 +263,7 @@ def _client_of(distributed: Any, place: Any, scheduler: str | None, number: int)
 
 
 def _check(client: Any, needs: WorkerNeeds) -> None:
-    """Raise where a worker has several threads, another program, or lacks what it needs.
-
-    By the URL of a run neither its folder nor a photograph is to be seen.
-    """
+    """Raise where a worker has several threads, another program, or does not see the run and its photographs."""
     for place, threads in client.nthreads().items():
         if threads != 1:
             raise SurveyError(

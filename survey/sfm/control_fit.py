@@ -116,10 +116,7 @@ def intersect_marks(control: BlockControl, views: Mapping[str, PinholeCamera]) -
 
 
 def _majority_point(marks: list[Mark], views: Mapping[str, PinholeCamera]) -> tuple[np.ndarray | None, np.ndarray]:
-    """The point (3,) that most of the rays of some marks intersect, and which do (N,) bool.
-
-    No place where that is not a majority, or all that meet come from one direction.
-    """
+    """The point (3,) that most rays of some marks intersect, if from two directions, and which rays do (N,) bool."""
     cameras = [views[mark.view] for mark in marks]
     origins = np.array([camera.centre for camera in cameras])
     rays = np.array([camera.directions(mark.pixel) for camera, mark in zip(cameras, marks, strict=True)])

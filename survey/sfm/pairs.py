@@ -105,10 +105,7 @@ def _partners(ground: _Footprints) -> Iterator[tuple[int, int]]:
 
 
 def _looked_at(ground: _Footprints, tree: cKDTree, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The nearest (K,) to a photograph, their offsets (K, 2) [m] on the ground, and whether footprints touch (K,).
-
-    So many that each direction has one that touches, where photographs so near may lie.
-    """
+    """The nearest (K,) to a photograph, in all directions if there are; offsets (K, 2) [m]; which footprints touch."""
     most, count = min(_MOST_LOOKED_AT, len(ground.radii) - 1), _LOOKED_AT
     farthest = _TOUCHING * (ground.radii[number] + ground.radii.max())
     while True:

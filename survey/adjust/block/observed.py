@@ -109,10 +109,7 @@ def sizes_of(survey: Survey) -> Sizes:
 
 
 def _at_height_of_nearest(start: np.ndarray, first: int) -> np.ndarray:
-    """Places (M, 3) [m], those from ``first`` on, of check points, at the height of the nearest tie point in plan.
-
-    Their coordinates may be tens of metres above or below a block that positions have placed.
-    """
+    """Places (M, 3) [m], those from ``first`` on, of check points, at the height of the nearest tie point in plan."""
     start = start.copy()
     _, nearest = cKDTree(start[:first, :2]).query(start[first:, :2])
     start[first:, 2] = start[nearest, 2]

@@ -141,10 +141,7 @@ def _ties(survey: Survey, depth_m: float) -> TiePoints | None:
 def _covariance(
     survey: Survey, gsd: float, ties: TiePoints, *, free: bool
 ) -> tuple[np.ndarray, Layout, State, TiePoints]:
-    """Covariance (P, P) of the parameters if every place were measured in every view that has it in its frame.
-
-    Also returns their layout, the state, and the tie points with their pixels.
-    """
+    """Covariance (P, P) if each view measured all places in its frame; its layout, state and tie points."""
     # Poses of which nothing is stated count as those of an adjusted block.
     prior = prior_of(survey, gsd, free_water=survey.water is not None)
     if not free:

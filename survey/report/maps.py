@@ -37,6 +37,7 @@ from survey.display.palette import (
     INK,
     OBLIQUE,
     RED,
+    SOFT,
     SPREADS,
     WATER,
 )
@@ -187,10 +188,13 @@ def draw_wave_shifts(path: Path, facts: ReportFacts, surfaces: WaveSurfaces) -> 
     rms, left = (float(np.sqrt(np.mean(each**2))) for each in (before, after))
     unit, (low, high) = LengthUnit.of([rms]), (limit(place, axis=0) for limit in (np.min, np.max))
     _, axes = map_canvas((float(low[0]), float(high[0]), float(low[1]), float(high[1])), facts.survey.frame.crs)
-    for shift, colour, width in ((before, OBLIQUE, 0.002), (after, INK, 0.003)):
-        # An arrow of two standard deviations spans the distance to the next.
-        scale = 2.0 * rms / np.sqrt(np.prod(high - low) / len(place))
-        axes.quiver(*place.T, *shift.T, color=colour, width=width, angles="xy", scale_units="xy", scale=scale)
+    # An arrow of two standard deviations spans the distance to the next.
+    scale, shown = 2.0 * rms / np.sqrt(np.prod(high - low) / len(place)), 10.0 ** np.floor(np.log10(2.0 * rms))
+    rows = ((before, "before", 0.66, OBLIQUE, 0.002), (after, "after", 0.93, INK, 0.003))
+    for shift, when, key_x, colour, width in rows:
+        arrows = axes.quiver(*place.T, *shift.T, color=colour, width=width, angles="xy", scale_units="xy", scale=scale)
+        text = f"{unit.number(shown)} {unit.name} {when}"
+        axes.quiverkey(arrows, key_x, 1.075, shown, text, labelpos="E", labelcolor=SOFT, fontproperties={"size": 8.5})
     words = (
         "Displacements of cells of the bed against the other photographs, less what heights explain: light as over "
         "still water, dark with the surface that was found."

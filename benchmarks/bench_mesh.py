@@ -70,7 +70,7 @@ def main() -> None:
     sys.stdout.write(truth.line("cloud", bed.xyz, bed.xyz, 0, 0.0))
     for method in options.methods:
         start = time.perf_counter()
-        mesh = bed_surface(bed.xyz, bed.rgb, bed.std, spacing_m=stored.gsd_m, method=method, path=method)
+        mesh = bed_surface(bed, spacing_m=stored.gsd_m, method=method, path=method)
         seconds = time.perf_counter() - start
         samples = sample_mesh(mesh.vertices, mesh.faces, len(bed))
         sys.stdout.write(truth.line(method, mesh.vertices, samples, len(mesh.faces), seconds))

@@ -40,8 +40,8 @@ def test_in_plan_it_is_what_all_poses_that_move_along_one_axis_move_places():
     step = along(found, {"x": 0.02})
     found = replace(found, covariance=replace(found.covariance, matrix=np.outer(step, step)))
     survey, wet = changed(survey_of(block), ties=None), np.ones(len(found.points), dtype=bool)
-    in_plan = np.empty(len(wet), dtype=np.float32)
-    of_height = std_common(found.points, wet, survey, found, GSD, in_plan=in_plan)
+    of_height, in_plan = np.empty((2, len(wet)), dtype=np.float32)
+    std_common(found.points, wet, survey, found, GSD, (of_height, in_plan))
     # The root mean square over both axes; level water moves nothing.
     np.testing.assert_allclose(in_plan, 0.02 / math.sqrt(2.0), rtol=1e-3)
     assert of_height.max() < 1e-3

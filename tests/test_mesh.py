@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from small_survey import small_survey
-from stored_run import plane_stored, run_of
+from stored_run import plane_stored, run_of, stored_points
 
 from evaluation.c2m import distance_to_mesh
 from geo.reading import read_reference
@@ -29,10 +29,9 @@ def wavy(rng, *, half_m: float = 3.0, hole_m: float = 0.0) -> np.ndarray:
     return np.column_stack([plan, 0.3 * np.sin(2.0 * plan[:, 0])])
 
 
-def surface(points, **options):
-    rgb = np.full(points.shape, 80, dtype=np.uint8)
+def surface(points, std=0.01, **options):
     options = {"spacing_m": SPACING_M, "method": "delaunay", "path": "bed.ply", **options}
-    return bed_surface(points, rgb, np.full(len(points), 0.01), **options)
+    return bed_surface(replace(stored_points(points, None, std_m=std).bed, xyz=points), **options)
 
 
 def up(mesh) -> np.ndarray:
@@ -47,7 +46,7 @@ def test_a_delaunay_surface_goes_through_points_and_faces_up(rng):
     assert {tuple(v) for v in mesh.vertices} <= {tuple(p) for p in points}
     assert len(mesh.vertices) > 0.9 * len(points)
     assert (up(mesh) > 0.0).all()
-    assert (mesh.rgb == 80).all()
+    assert (mesh.rgb == 100).all()
 
 
 def test_of_a_cell_the_surest_point_stays(rng):
@@ -55,7 +54,7 @@ def test_of_a_cell_the_surest_point_stays(rng):
     wrong = points + np.array([0.0, 0.0, 0.5])
     both, std = np.concatenate([points, wrong]), np.repeat([0.01, 0.2], len(points))
     std[-3:] = np.nan
-    mesh = bed_surface(both, np.zeros(both.shape, np.uint8), std, spacing_m=SPACING_M, method="delaunay", path="m")
+    mesh = surface(both, std)
     assert {tuple(v) for v in mesh.vertices} <= {tuple(p) for p in points}
 
 

@@ -14,7 +14,7 @@ from survey.errors import SurveyError
 from survey.plan.area import Tiling, inside
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
-from survey.plan.tiling import choose_tiles, ground_of, ray_skew_px, tile_warnings, window_pixels
+from survey.plan.tiling import choose_tiles, ground_of, ray_skew_px, tile_warnings, window_pixels, with_workers
 from survey.plan.workload import amounts_of_run, workload_of
 from survey.water.surface import Departure
 from tests.changed_survey import changed
@@ -60,9 +60,10 @@ def planned(shallow_survey):
     return shallow_survey, plan, workload_of(shallow_survey, plan)
 
 
-def tiles_for(survey, plan, chosen, workload, **options):
-    """`choose_tiles` with the amounts of the survey."""
-    return choose_tiles(survey, plan, chosen, workload, amounts_of_run(survey, plan), **options)
+def tiles_for(survey, plan, chosen, workload, *, earlier=None, chooses_workers=False):
+    """Tiles with the amounts of the survey, and their processes."""
+    tiles = choose_tiles(survey, plan, chosen, workload, amounts_of_run(survey, plan), earlier=earlier)
+    return with_workers(tiles, chosen, chooses=chooses_workers)
 
 
 def test_one_piece_where_memory_suffices_and_the_plan_says_why(planned, monkeypatch):

@@ -12,7 +12,16 @@ from fields.models import IN_LAYER
 from fields.sweep.maps import Sources
 from survey.errors import SurveyError
 from survey.run.stored import FIELD_SETTINGS, FIELD_STATE
-from survey.run.trained_field import RestoredField, fit, layer_about, load_layer_field, save_layer_field, steps_for
+from survey.run.trained_field import (
+    SAMPLES,
+    RestoredField,
+    VolumeRecipe,
+    fit,
+    layer_about,
+    load_layer_field,
+    save_layer_field,
+    steps_for,
+)
 
 BED, DRY = PlaneBed(TILTED, -2.0, 0.1), PlaneBed(None, -2.0, 0.1)
 GSD = 0.03
@@ -31,6 +40,10 @@ def untrained(sources: Sources) -> RestoredField:
     return field_over(layer_about(sources, GSD, None)[0], sources.water)
 
 
+def recipe(model: str, steps: int) -> VolumeRecipe:
+    return VolumeRecipe(model, 1, steps, seed=0, samples=SAMPLES)
+
+
 @pytest.mark.slow
 def test_training_brings_a_displaced_bed_back_in_both_stages():
     sources = plane_sources(BED, ring(6), shift=0.015)
@@ -38,7 +51,9 @@ def test_training_brings_a_displaced_bed_back_in_both_stages():
     assert np.median(errors_mm(sources, untrained(sources))) == pytest.approx(15.0, abs=0.5)
     shares: list[float] = []
     steps, rays = steps_for(30.0, int(layer.known.sum()))
-    field, figures = fit(layer, photographs, "mdw", steps, rays, "cpu", lambda share, errors: shares.append(share))
+    field, figures = fit(
+        layer, photographs, recipe("mdw", steps), rays, "cpu", lambda share, errors: shares.append(share)
+    )
     after = errors_mm(sources, field)
     # Half a cell off at the start.
     assert abs(np.median(after)) < 2.0
@@ -55,7 +70,7 @@ def test_every_model_of_layers_learns_colours_first_and_then_moves_the_bed(model
     sources = plane_sources(bed, ring(3))
     layer, photographs = layer_about(sources, GSD, None)
     start = field_over(layer, sources.water, model=model)
-    field, figures = fit(layer, photographs, model, 12, 256, "torch")
+    field, figures = fit(layer, photographs, recipe(model, 12), 256, "torch")
     assert (field.renderer.column is None) == (bed is DRY)
     assert figures.changed_at == (3,)
     # Medians of the true heights, bilinear over tilted cells.

@@ -16,11 +16,11 @@ PLANE = FlatWater((0.0, 0.0, 0.0), n_water=1.33)
 DEPTH, CONTRAST, SHARE = 1.2, 0.3, 0.1
 
 
-def _suns(**changes) -> tuple[SunOnWaves, ...]:
+def _suns() -> list[SunOnWaves]:
     down = np.diag([1.0, -1.0, -1.0])
     cameras = [PinholeCamera(np.array([x, 0.0, 10.0]), down, 300.0, 300.0, 80.0, 60.0, 160, 120) for x in (0.0, 1.0)]
-    asked = {"seed": 3, "depth_m": DEPTH, "glint_share": 0.0, "contrast": 0.0}
-    return suns_of(cameras, PLANE, Light(to_sun=(0.1, 0.0, 1.0)), **(asked | changes))
+    suns = suns_of(cameras, PLANE, Light(to_sun=(0.1, 0.0, 1.0)), seed=3, glint_share=0.0)
+    return [sun.with_caustics(DEPTH, CONTRAST) for sun in suns]
 
 
 def _light_on_bed(sun: SunOnWaves, depth: float) -> np.ndarray:
@@ -30,7 +30,7 @@ def _light_on_bed(sun: SunOnWaves, depth: float) -> np.ndarray:
 
 
 def test_waves_focus_light_on_the_bed_with_the_asked_contrast_and_take_none_away():
-    sun = _suns(contrast=CONTRAST)[0]
+    sun = _suns()[0]
     light = _light_on_bed(sun, DEPTH)
     assert light.mean() == pytest.approx(1.0, abs=0.01)
     # Between two layers the pattern is weaker; the darkest light is the sky's.
@@ -39,7 +39,7 @@ def test_waves_focus_light_on_the_bed_with_the_asked_contrast_and_take_none_away
 
 
 def test_each_photograph_has_a_net_of_its_own():
-    first, second = (_light_on_bed(sun, DEPTH) for sun in _suns(contrast=CONTRAST))
+    first, second = (_light_on_bed(sun, DEPTH) for sun in _suns())
     assert abs(np.corrcoef(first, second)[0, 1]) < 0.1
 
 
@@ -70,7 +70,7 @@ def test_a_sun_that_waves_cannot_mirror_into_the_photographs_is_refused():
     down = PinholeCamera(np.array([0.0, 0.0, 10.0]), np.diag([1.0, -1.0, -1.0]), 3e3, 3e3, 80.0, 60.0, 160, 120)
     low = Light(to_sun=(1.0, 0.0, 0.1))
     with pytest.raises(SurveyError, match="give a smaller share"):
-        suns_of([down], PLANE, low, seed=1, depth_m=1.0, glint_share=0.1, contrast=0.0)
+        suns_of([down], PLANE, low, seed=1, glint_share=0.1)
 
 
 @pytest.mark.slow

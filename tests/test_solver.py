@@ -128,7 +128,9 @@ def middle(margin: int = 14) -> np.ndarray:
 def learned(block, maps, kept) -> solver.SolverFigures:
     """What a sample of the kept pixels of a block tells of its survey."""
     places = solver.spread(solver.count_in_squares(block, maps, kept))
-    return solver.figures_of(solver.solve_sample(block, maps, kept, places, GSD), GSD, is_wet=block.water is not None)
+    return solver.figures_of(
+        solver.solve_sample(Views.of(block, maps), kept, places, GSD), GSD, is_wet=block.water is not None
+    )
 
 
 def solved(
@@ -138,7 +140,7 @@ def solved(
     block, maps, truth = survey(noise, slope, wrong_gsd)
     kept = [middle() if m.view == 0 else np.zeros((SIZE, SIZE), dtype=bool) for m in maps]
     figures = learned(block, maps, kept)
-    found, _, _ = solver.solve_maps(block, maps, kept, figures, GSD, lambda share: None)
+    found, _, _ = solver.solve_maps(Views.of(block, maps), kept, figures, GSD, lambda share: None)
     start = (maps[0].height - truth).flat[found[0].pixels]
     return start, found[0].height - truth.flat[found[0].pixels], found[0].std, figures
 
@@ -147,7 +149,9 @@ def errors_in_waves(amplitude: float) -> tuple[np.ndarray, np.ndarray, Waves | N
     """Errors of the solver in the first map, their std, and the surfaces."""
     block, maps, truth = survey(1.0, 0.1, 0.6, amplitude)
     kept = [middle(6) if m.view == 0 else np.zeros((SIZE, SIZE), dtype=bool) for m in maps]
-    found, _, waves = solver.solve_maps(block, maps, kept, learned(block, maps, kept), GSD, lambda share: None)
+    found, _, waves = solver.solve_maps(
+        Views.of(block, maps), kept, learned(block, maps, kept), GSD, lambda share: None
+    )
     return found[0].height - truth.flat[found[0].pixels], found[0].std, waves
 
 
@@ -268,7 +272,7 @@ def test_pixels_that_look_along_a_wall_keep_the_heights_of_the_sweep():
     height[:, SIZE // 2 :] += 20.0 * GSD
     maps = [replace(maps[0], height=height), *maps[1:]]
     kept = [middle() if m.view == 0 else np.zeros((SIZE, SIZE), dtype=bool) for m in maps]
-    found, _, _ = solver.solve_maps(block, maps, kept, learned(block, maps, kept), GSD, lambda share: None)
+    found, _, _ = solver.solve_maps(Views.of(block, maps), kept, learned(block, maps, kept), GSD, lambda share: None)
     columns = np.arange(14, SIZE - 14)
     beside = (columns == SIZE // 2 - 1) | (columns == SIZE // 2)
     np.testing.assert_array_equal(np.unique(found[0].pixels % SIZE), columns[~beside])
@@ -371,7 +375,7 @@ def test_nothing_kept_is_nothing_solved():
     block, maps, _ = survey(4.0, 0.2)
     nothing = [np.zeros((SIZE, SIZE), dtype=bool)] * 9
     assert solver.count_in_squares(block, maps, nothing) == [[]] * 9
-    found, visibility, _ = solver.solve_maps(block, maps, nothing, None, GSD, lambda share: None)
+    found, visibility, _ = solver.solve_maps(Views.of(block, maps), nothing, None, GSD, lambda share: None)
     assert [len(each.pixels) for each in found] == [0] * 9
     assert not visibility.any()
 

@@ -15,7 +15,7 @@ from fields.volume.model import Setup, VolumeModel, build_model
 from fields.volume.nerfacto import HashVolume
 from fields.volume.renderer import VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
-from fields.volume.surface import surface_of
+from fields.volume.surface import points_on_surface, surface_of
 from fields.volume.tensor import TensorVolume
 from fields.volume.train import Training, train_volume
 from fields.water_column import WaterColumn
@@ -79,7 +79,7 @@ def test_training_learns_what_it_learns_on_the_processor(name):
         training = Training(steps=100, rays=256, samples=24, cells=CELLS)
         cells, figures = train_volume(renderer, photographs, training, lambda *done: None)
         found.append((figures.psnr_db, psnr_of(renderer, cells, photographs)))
-        assert len(surface_of(renderer, photographs, cells, samples=24, side=0.05).xyz)
+        assert len(surface_of(points_on_surface(renderer, photographs, cells, samples=24), BOX, 0.05).xyz)
     # Samples are drawn with other random numbers: between seeds figures differ by some tenths.
     np.testing.assert_allclose(found[1], found[0], atol=2.0)
 

@@ -104,7 +104,7 @@ def test_all_submodules_get_the_look_of_the_one_in_the_middle(folder, monkeypatc
     def give(*of):
         gc.collect()
         in_memory.append(sum(each() is not None for each in loaded))
-        return match_submodule(*of, steps=2, rays=64)
+        return match_submodule(*of, steps=2)
 
     monkeypatch.setattr(SubmoduleViews, "load", counted)
     monkeypatch.setattr("fields.volume.submodules.match_submodule", give)

@@ -157,7 +157,7 @@ def test_a_look_is_matched_to_that_of_a_neighbour_and_nothing_else_changes():
     source, target = lit(0, DRY, torch.zeros(1, 3), 1.0), lit(1, DRY, torch.ones(2, 3), 0.5)
     before = {k: v.clone() for k, v in target.renderer.state_dict().items()}
     cameras = [high_over(x) for x in (-0.5, 0.0, 0.4)]
-    assert submodules.match_submodule(target, source, cameras, bed(0.0), None, rays=256)
+    assert submodules.match_submodule(target, source, cameras, bed(0.0), None)
     # The gain of 0.5 is made up for by exp of the mean of the vector; 2 % is a grey value or two.
     assert float(torch.exp(submodules.vectors_of(target).mean())) == pytest.approx(2.0, rel=0.02)
     assert all(torch.equal(before[k], v) for k, v in target.renderer.state_dict().items() if "appearance" not in k)
@@ -166,11 +166,7 @@ def test_a_look_is_matched_to_that_of_a_neighbour_and_nothing_else_changes():
 def matched(several: list[submodules.Submodule], cameras: list) -> list[tuple[int, int]]:
     """Submodules matched to the first one or to another that is, with those they are matched to."""
     pairs = submodules.matching_pairs([each.box for each in several], 0, bed(0.0))
-    return [
-        (m, n)
-        for m, n in pairs
-        if submodules.match_submodule(several[m], several[n], cameras, bed(0.0), None, steps=100, rays=512)
-    ]
+    return [(m, n) for m, n in pairs if submodules.match_submodule(several[m], several[n], cameras, bed(0.0), None)]
 
 
 def test_looks_go_from_neighbour_to_neighbour():

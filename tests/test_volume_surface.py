@@ -12,7 +12,7 @@ from fields.volume.paths import paths_of
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
-from fields.volume.surface import distance_of, surface_of
+from fields.volume.surface import distance_of, points_on_surface, surface_of
 
 TOP = -1.4
 # Light falls to half within 7 mm of this.
@@ -53,7 +53,8 @@ def test_fog_and_emptiness_have_no_surface(rule):
 def test_a_surface_is_the_mean_of_the_photographs_that_agree(water):
     shown = photographs(3, water)
     cells = Cells.everywhere(BOX, 16)
-    surface = surface_of(VolumeRenderer(Slab(DENSE, top=TOP)), shown, cells, samples=150, side=0.25)
+    points = points_on_surface(VolumeRenderer(Slab(DENSE, top=TOP)), shown, cells, samples=150)
+    surface = surface_of(points, BOX, 0.25)
     assert len(surface.xyz) > 20
     assert np.abs(surface.xyz[:, 2] - TOP).max() < 0.02
     assert set(surface.num_views) <= {2, 3}
@@ -65,7 +66,7 @@ def test_a_surface_is_the_mean_of_the_photographs_that_agree(water):
 
 
 def test_one_photograph_alone_has_no_surface():
-    surface = surface_of(
-        VolumeRenderer(Slab(DENSE, top=TOP)), photographs(1, WATER), Cells.everywhere(BOX, 16), samples=60, side=0.25
-    )
-    assert len(surface.xyz) == 0
+    renderer, cells = VolumeRenderer(Slab(DENSE, top=TOP)), Cells.everywhere(BOX, 16)
+    points = points_on_surface(renderer, photographs(1, WATER), cells, samples=60)
+    assert len(points[0])
+    assert len(surface_of(points, BOX, 0.25).xyz) == 0

@@ -94,24 +94,22 @@ class _PartSolution:
 
 
 def solve_maps(
-    block: Block,
-    maps: Sequence[HeightMap],
+    views: Views,
     kept: Sequence[np.ndarray],
     figures: SolverFigures | None,
     gsd: float,
     progress: Callable[[float], None],
     make_store: Callable[[], MutableMapping[int, SolvedMap]] = dict,
-    waves: Waves | None = None,
 ) -> tuple[OrderedMaps, np.ndarray, Waves | None]:
     """Solve the kept pixels of all maps, about the heights of the sweep; some keep these (`rejects_update`).
 
-    ``block``: at the scale of the maps. ``kept``: sequence of (height, width) bool, as `fields.sweep.bed.unique_pixels`
-    gives. ``figures``: of the survey; None only where no pixel is kept. ``gsd`` [m]: ground sampling distance.
-    ``progress``: called with the share done, 0 to 1. ``make_store``: factory of the store of the solutions; default in
-    memory. ``waves``: surfaces of the water that were found before. Returns OrderedMaps of SolvedMap, in the order of
-    `maps`; `visibility_counts` of all points; Waves: surfaces of the water; None where it is still.
+    ``views``: with surfaces of the water where they were found before. ``kept``: sequence of (height, width) bool, as
+    `fields.sweep.bed.unique_pixels` gives. ``figures``: of the survey; None only where no pixel is kept. ``gsd`` [m]:
+    ground sampling distance. ``progress``: called with the share done, 0 to 1. ``make_store``: factory of the store of
+    the solutions; default in memory. Returns OrderedMaps of SolvedMap, in the order of the maps; `visibility_counts` of
+    all points; Waves: surfaces of the water; None where it is still.
     """
-    views, visibility = replace(Views.of(block, maps), waves=waves), np.zeros((2, len(block.images)), dtype=np.int64)
+    visibility = np.zeros((2, len(views.cameras)), dtype=np.int64)
     solved, total, done = make_store(), 0, 0
     for index, wanted in enumerate(kept):
         solved[index] = SolvedMap(np.empty(0, dtype=np.int64), *np.empty((2, 0), dtype=np.float32))
@@ -119,20 +117,21 @@ def solve_maps(
     found = OrderedMaps(solved, list(range(len(kept))))
     if figures is None or not total:
         return found, visibility, None
-    with ThreadPoolExecutor(WORKERS) as pool, sharing_cores(block.device, WORKERS):
-        is_wet = block.water is not None
-        moves = waves is not None or figures.moved_px > MOVING_PX
-        if block.water is not None and block.water.n_water > 1.0 and moves:
+    with ThreadPoolExecutor(WORKERS) as pool, sharing_cores(views.device, WORKERS):
+        is_wet = views.water is not None
+        moves = views.waves is not None or figures.moved_px > MOVING_PX
+        if views.water is not None and views.water.n_water > 1.0 and moves:
             views = with_waves(views, kept, gsd, pool)
-            places = spread(count_in_squares(block, maps, kept))
+            filled = zip(kept, views.others, strict=True)
+            places = spread([requested_in_squares(wanted, SAMPLE_PX) if others else [] for wanted, others in filled])
             figures = figures_of(_solved_squares(views, kept, places, gsd, pool), gsd, is_wet=True)
             # What the surfaces leave of the waves is in their own variance.
             figures = replace(figures, shifts=Shifts(figures.shifts.pose_std_px, 0.0))
         learned = figures
 
         def part(job: TileTask, each: TileSolution) -> tuple[_PartSolution, np.ndarray]:
-            piece = _solve_part(job, block.cameras[views.views[job.index]].width, each, learned, views.waves)
-            return piece, visibility_counts(each.views, each.brightness, len(block.images))
+            piece = _solve_part(job, views.cameras[views.views[job.index]].width, each, learned, views.waves)
+            return piece, visibility_counts(each.views, each.brightness, len(views.cameras))
 
         jobs = (job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted))
         for index, each in groupby(views.solved(jobs, figures.roughness_m, pool, part), lambda pair: pair[0].index):
@@ -142,7 +141,7 @@ def solve_maps(
                 visibility += seen
                 done += int(np.count_nonzero(job.tile.requested))
                 progress(done / total)
-            solved[index] = _with_std(maps[index], parts, figures, is_wet)
+            solved[index] = _with_std(views.maps[index], parts, figures, is_wet)
     return found, visibility, views.waves
 
 
@@ -155,16 +154,11 @@ def count_in_squares(block: Block, maps: Sequence[HeightMap], kept: Sequence[np.
 
 
 def solve_sample(
-    block: Block,
-    maps: Sequence[HeightMap],
-    kept: Sequence[np.ndarray],
-    places: list[tuple[int, int]],
-    gsd: float,
-    waves: Waves | None = None,
+    views: Views, kept: Sequence[np.ndarray], places: list[tuple[int, int]], gsd: float
 ) -> list[tuple[SolverTile, TileSolution]]:
     """Solved squares of a block, for `figures_of`, by their places of `spread`."""
-    with ThreadPoolExecutor(WORKERS) as pool, sharing_cores(block.device, WORKERS):
-        return _solved_squares(replace(Views.of(block, maps), waves=waves), kept, places, gsd, pool)
+    with ThreadPoolExecutor(WORKERS) as pool, sharing_cores(views.device, WORKERS):
+        return _solved_squares(views, kept, places, gsd, pool)
 
 
 def _solved_squares(

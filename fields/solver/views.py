@@ -58,7 +58,7 @@ class Views:
     waves: Waves | None = None  # Surfaces of the water, where it is not still
 
     @staticmethod
-    def of(block: Block, maps: Sequence[HeightMap]) -> Views:
+    def of(block: Block, maps: Sequence[HeightMap], waves: Waves | None = None) -> Views:
         """Views of a block at the scale of its maps."""
         views, others, tolerance = [], [], []
         for m in maps:
@@ -68,7 +68,7 @@ class Views:
             height = float(np.median(m.height))
             tolerance.append(block.agreement_tolerance(m.view, seen_by, height) if seen_by else 0.0)
         cameras = dict(enumerate(block.cameras))
-        return Views(cameras, block.images, block.water, block.device, maps, views, others, tolerance)
+        return Views(cameras, block.images, block.water, block.device, maps, views, others, tolerance, waves)
 
     @cached_property
     def _occluder(self) -> Callable[[int], Any]:

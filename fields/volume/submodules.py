@@ -39,6 +39,7 @@ POWER = 4.0  # p of equation (1)
 LEAST_VISIBLE = 0.01  # A submodule is left out of a view that shows it, or its ground, by less than this share
 MOST_POINTS = 50_000  # Points of the bed at which visibility is computed and appearance is matched
 MOST_CAMERAS = 32  # Cameras whose views match the appearance of two submodules
+MATCHED_RAYS = 512  # Rays of each step of that
 
 
 @dataclass(frozen=True)
@@ -215,7 +216,6 @@ def match_submodule(
     water: WaterSurface | None,
     *,
     steps: int = 100,
-    rays: int = 512,
 ) -> bool:
     """Match a submodule to another, which has a single vector, along rays of the nearest cameras to places in both.
 
@@ -235,7 +235,7 @@ def match_submodule(
     source_cells = source.cells.to(place)
 
     def draw() -> Paths:
-        some = shared[rng.integers(len(shared.view), size=rays)]
+        some = shared[rng.integers(len(shared.view), size=MATCHED_RAYS)]
         paths, source_paths = some.paths(water, target.box).to(place), some.paths(water, source.box).to(place)
         with torch.no_grad():
             samples = source.renderer.samples(source_paths, source_cells, SAMPLES, jitter=False)

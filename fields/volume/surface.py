@@ -33,7 +33,7 @@ class Surface:
     incidence: np.ndarray  # (N,) [rad]: of the paths at the water in air, mean
 
 
-def distance_of(rendered: Rendered, rule: Rule, density: float) -> Tensor:
+def distance_of(rendered: Rendered, rule: Rule = Rule.median, density: float = 0.0) -> Tensor:
     """Path lengths (N,) [m] to the surface; NaN where a path meets none.
 
     The last sample of a path is opaque where nothing lies behind the box (`with_opaque_end`): it is no surface.
@@ -56,37 +56,34 @@ def distance_of(rendered: Rendered, rule: Rule, density: float) -> Tensor:
 
 @half_the_threads()
 @torch.no_grad()
-def surface_of(
+def points_on_surface(
     renderer: VolumeRenderer,
     photographs: Photographs,
     cells: Cells,
     *,
     samples: int,
-    side: float,
-    rule: Rule = Rule.median,
-    density: float = 0.0,
+    distance: Callable[[Rendered], Tensor] = distance_of,
     advance: Callable[[], object] = lambda: None,
-) -> Surface:
-    """The surface of a volume in cells of a side [m], from all pixels of the photographs that show it.
+) -> list[np.ndarray]:
+    """Points on the surface of a volume, for `surface_of`, from all pixels of each photograph that show it.
 
-    ``cells``: the proxy of the volume. ``samples``: of each path. ``side`` [m]. ``rule``, ``density``: as
-    `distance_of`. ``advance``: called after each photograph.
+    ``cells``: the proxy of the volume. ``samples``: of each path. ``distance``: as `distance_of`. ``advance``: called
+    after each photograph.
     """
     parts, cells = [], cells.to(renderer.model.place)
 
     def distances(paths: Paths) -> Tensor:
-        rendered = renderer.render(paths, renderer.samples(paths, cells, samples, jitter=False))
-        return distance_of(rendered, rule, density)
+        return distance(renderer.render(paths, renderer.samples(paths, cells, samples, jitter=False)))
 
     some = photographs.draw(SAMPLE, renderer.model.box, np.random.default_rng(0)).to(renderer.model.place)
     chunk = chunk_of(renderer, samples)
     met = [distances(some[first : first + chunk]).isfinite().any() for first in range(0, SAMPLE, chunk)]
     if not any(met):
-        return _agreed([np.zeros((0, 8))], renderer.model.box, side)
+        return [np.zeros((0, 8))]
     for view in range(len(photographs.cameras)):
         parts.append(_of_view(renderer, photographs, view, chunk, distances))
         advance()
-    return _agreed(parts, renderer.model.box, side)
+    return parts
 
 
 def _of_view(
@@ -114,8 +111,8 @@ def _of_view(
     return np.concatenate(parts)
 
 
-def _agreed(parts: list[np.ndarray], box: Box, side: float) -> Surface:
-    """Means in cells: first of each photograph, then over the photographs."""
+def surface_of(parts: list[np.ndarray], box: Box, side: float) -> Surface:
+    """Surface in cells of a side [m]: means of the points of each photograph, then over the photographs."""
     found = np.concatenate(parts)
     found = found[((found[:, :3] > box.low) & (found[:, :3] < box.high)).all(axis=1)]
     shape = tuple(np.maximum(np.ceil(box.size / side), 1).astype(int).tolist())

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
+from fields.sweep.bed import BedPoints
 from geo.files import library_for
 from geo.meshes import write_glb, write_obj
 from geo.ply import write_ply
@@ -58,9 +59,7 @@ def _mesh(path: Path, run: LoadedRun, options: ExportOptions) -> Mesh:
     """The surface in crs; it is made in the local frame, whose axes are equal."""
     bed, frame = run.certain_bed.bed, run.flight.frame
     mesh = bed_surface(
-        bed.xyz,
-        bed.rgb,
-        bed.std,
+        bed,
         spacing_m=options.resolution_m or run.bed_header.gsd_m,
         method=options.mesh_method,
         watertight=options.watertight,
@@ -78,32 +77,23 @@ def check_mesh(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     _ = run.flight
 
 
-def bed_surface(
-    points: np.ndarray,
-    rgb: np.ndarray,
-    std: np.ndarray,
-    *,
-    spacing_m: float,
-    method: str,
-    watertight: bool = False,
-    path: str | Path,
-) -> Mesh:
-    """Triangles of the bed through points (N, 3) [m], z up, faces counter-clockwise from above.
+def bed_surface(bed: BedPoints, *, spacing_m: float, method: str, watertight: bool = False, path: str | Path) -> Mesh:
+    """Triangles of the bed through its points, z up, faces counter-clockwise from above.
 
-    Detail of `spacing_m` [m] is kept: the ground sampling distance, or more; `std` (N,) [m] is that of the heights. The
-    method is "delaunay" (see `delaunay_surface`, one height at each place) or "poisson" (see `poisson_surface`, which
-    overhangs); `watertight` closes the surface with walls and a bottom, see `solid_of`. Errors name the path. A vertex
-    has the colour of the point next to it, on the bottom that of the surface above.
+    Detail of `spacing_m` [m] is kept: the ground sampling distance, or more. The method is "delaunay" (see
+    `delaunay_surface`, one height at each place) or "poisson" (see `poisson_surface`, which overhangs); `watertight`
+    closes the surface with walls and a bottom, see `solid_of`. Errors name the path. A vertex has the colour of the
+    point next to it, on the bottom that of the surface above.
     """
     if method == "delaunay":
-        chosen, faces = delaunay_surface(points, std, spacing_m)
-        vertices, colours = points[chosen], rgb[chosen]
+        chosen, faces = delaunay_surface(bed.xyz, bed.std, spacing_m)
+        vertices, colours = bed.xyz[chosen], bed.rgb[chosen]
     else:
-        vertices, faces = poisson_surface(points, spacing_m, path)
-        colours = rgb[cKDTree(points).query(vertices, workers=-1)[1]]
+        vertices, faces = poisson_surface(bed.xyz, spacing_m, path)
+        colours = bed.rgb[cKDTree(bed.xyz).query(vertices, workers=-1)[1]]
     if not len(faces):
         raise SurveyError(
-            f"{len(points):,} points make no surface at --resolution {spacing_m:g}: in cells of that side they give no "
+            f"{len(bed):,} points make no surface at --resolution {spacing_m:g}: in cells of that side they give no "
             f"triangle with sides up to {LONGEST:g} of it; give a length near the spacing of the points"
         )
     if watertight:

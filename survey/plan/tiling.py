@@ -91,9 +91,8 @@ def plan_run(
     plan = make_plan(survey, chosen)
     amounts = amounts_of_run(survey, plan)
     workload = workload_of(survey, plan, amounts)
-    tiles = choose_tiles(
-        survey, plan, chosen, workload, amounts, earlier=earlier_tiles, chooses_workers=chooses_workers
-    )
+    tiles = choose_tiles(survey, plan, chosen, workload, amounts, earlier=earlier_tiles)
+    tiles = with_workers(tiles, chosen, chooses=chooses_workers)
     decisions = (*plan.decisions, *(() if aim is None else (aim,)), *tiles.decisions)
     plan = replace(plan, decisions=decisions, tiling=tiles.tiling, workers=tiles.workers)
     return plan, replace(workload, memory_bytes=int(tiles.memory_bytes)), tile_warnings(survey, plan)
@@ -107,12 +106,10 @@ def choose_tiles(
     amounts: Amounts,
     *,
     earlier: int | None = None,
-    chooses_workers: bool = False,
 ) -> TileChoice:
-    """Tiles of a survey by its memory, with the workload in one piece and the amounts of the run, and their processes.
+    """Tiles of a survey by its memory, with the workload in one piece and the amounts of the run.
 
-    ``earlier`` is the number of tiles of an unfinished run that goes on; ``chooses_workers`` whether to take as many
-    processes as the machine has room for, where no number is asked for.
+    ``earlier`` is the number of tiles of an unfinished run that goes on.
     """
     require_dask(chosen)
     why = ""
@@ -127,12 +124,10 @@ def choose_tiles(
             raise SurveyError(f"{asked}, but {why}; leave one out")
         return _one_piece(workload, "set by --tiles" if chosen.tiles == 1 else why)
     if chosen.tiles is None:
-        found = _as_needed(survey, plan, chosen, workload, amounts, earlier)
-    else:
-        tiling = Tiling.of(ground_of(survey, plan), chosen.tiles, RIM_GSD * plan.gsd_m)
-        decision = Decision("tiles", str(chosen.tiles), f"set by --tiles, {_size_of(tiling)} each")
-        found = TileChoice(tiling, (decision,), _memory(survey, plan, tiling, amounts))
-    return found if found.tiling is None else _with_workers(found, found.tiling, chosen, chooses_workers)
+        return _as_needed(survey, plan, chosen, workload, amounts, earlier)
+    tiling = Tiling.of(ground_of(survey, plan), chosen.tiles, RIM_GSD * plan.gsd_m)
+    decision = Decision("tiles", str(chosen.tiles), f"set by --tiles, {_size_of(tiling)} each")
+    return TileChoice(tiling, (decision,), _memory(survey, plan, tiling, amounts))
 
 
 def _one_piece(workload: Workload, reason: str) -> TileChoice:
@@ -213,8 +208,11 @@ def _asks_for_workers(chosen: Choices) -> str | None:
     return None if chosen.workers in (None, 1) else f"--workers {chosen.workers}"
 
 
-def _with_workers(found: TileChoice, tiling: Tiling, chosen: Choices, chooses: bool) -> TileChoice:
-    """Tiles with the processes that are asked for, or else as many as the machine has room for."""
+def with_workers(found: TileChoice, chosen: Choices, *, chooses: bool = False) -> TileChoice:
+    """Tiles with the processes that are asked for; else, if it ``chooses``, as many as the machine has room for."""
+    tiling = found.tiling
+    if tiling is None:
+        return found
     if chosen.scheduler is not None:
         decision = Decision("workers", "of a scheduler", f"set by --scheduler {chosen.scheduler}")
         return replace(found, decisions=(*found.decisions, decision))

@@ -201,7 +201,7 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
             )
             xyz_in_crs = in_crs(survey, bed.xyz)
         common, in_plan = new_column(len(bed)), new_column(len(bed))
-        std_common(bed.xyz, bed.wet, survey, found, job.plan.gsd_m, common, in_plan)
+        std_common(bed.xyz, bed.wet, survey, found, job.plan.gsd_m, (common, in_plan))
         of_waves = (read_json_object(place / WAVES) for place in needs.values() if (place / WAVES).is_file())
         by_waves = max((each["common_std_m"] for each in of_waves), default=0.0)
         np.hypot(common, by_waves, out=common, where=bed.wet)

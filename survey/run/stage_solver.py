@@ -15,6 +15,7 @@ import numpy as np
 
 from fields.solver.noise import NoiseShares, Shifts
 from fields.solver.solver import SolvedMap, SolverFigures, figures_of, solve_maps, solve_sample, spread
+from fields.solver.views import Views
 from fields.sweep.maps import HeightMap
 from fields.waves.waves import Waves
 from survey.display.quantities import length
@@ -70,7 +71,8 @@ def learn_figures(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 
 def _sample_of(job: Job, swept: Path, squares: list[tuple[int, int]]) -> list:
     maps, (waves, _) = Stored(swept / MAPS, HeightMap), load_rough_water(swept)
-    return solve_sample(job.block, maps, learned_from(job, swept), squares, job.plan.gsd_m, waves)
+    views = Views.of(job.block, maps, waves)
+    return solve_sample(views, learned_from(job, swept), squares, job.plan.gsd_m)
 
 
 def save_figures(folder: Path, figures: SolverFigures | None) -> None:
@@ -106,7 +108,7 @@ def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     kept, (before, moved_px) = solvable(job.block, maps, load_masks(swept / KEPT)), load_rough_water(swept)
     with job.progress.stage("Solver", 1.0) as stage, map_store(folder / SCRATCH, SolvedMap) as make_store:
         solved, visibility, waves = solve_maps(
-            job.block, maps, kept, figures, job.plan.gsd_m, shares(stage), make_store, before
+            Views.of(job.block, maps, before), kept, figures, job.plan.gsd_m, shares(stage), make_store
         )
         save_maps(folder / SOLVED, SolvedMap, solved)
     _save_waves(job, folder, moved_px if figures is None else max(moved_px, figures.moved_px), waves)

@@ -204,9 +204,9 @@ def train_field(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     with job.progress.stage("Field", 1.0) as stage:
         layer, photographs = layer_about(sources, plan.gsd_m, job.ground)
         steps, rays = steps_for(plan.recipe.rays_per_cell, int(layer.known.sum()))
-        given = {"absorption": sources.absorption, "veil": sources.veil}
-        told = reporting(stage, rays)
-        field, figures = fit(layer, photographs, plan.field, steps, rays, device_word(plan), told, given)
+        known = sources.absorption, sources.veil
+        recipe = VolumeRecipe(plan.field, 1, steps, 0, SAMPLES, absorption=known[0], veil=known[1])
+        field, figures = fit(layer, photographs, recipe, rays, device_word(plan), reporting(stage, rays))
     job.progress.note(f"field: {figures.psnr_db:.1f} dB after {figures.steps:,} steps")
     save_layer_field(folder, field)
 
@@ -214,25 +214,24 @@ def train_field(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 def fit(
     layer: Layer,
     photographs: Photographs,
-    model: str,
-    steps: int,
+    recipe: VolumeRecipe,
     rays: int,
     device: str,
     progress: Callable[[float, list[float]], None] = lambda share, errors: None,
-    given: dict[str, Any] | None = None,
 ) -> tuple[RestoredField, VolumeFigures]:
-    """A field of a model in a layer, fitted to photographs in so many steps of so many paths, and its figures.
-
-    ``given`` are absorption and veil of the water, where they are known.
-    """
+    """A field by a recipe in a layer, fitted to photographs with so many paths in each step, and its figures."""
     water = cast("FlatWater | None", photographs.water)
-    recipe = VolumeRecipe(model, 1, steps, seed=0, samples=SAMPLES, **(given or {}))
     renderer = recipe.renderer(layer, water, len(photographs.cameras), device)
     training = Training(
-        steps=steps, rays=rays, samples=SAMPLES, refresh=(), final_rate=FINAL_RATE, falls_from=COLOUR_FIRST
+        steps=recipe.steps,
+        rays=rays,
+        samples=recipe.samples,
+        refresh=(),
+        final_rate=FINAL_RATE,
+        falls_from=COLOUR_FIRST,
     )
     cells, figures = train_volume(renderer, photographs, training, progress, cells=Cells.everywhere(layer, 1))
-    return RestoredField(renderer, cells, recipe, water, steps), figures
+    return RestoredField(renderer, cells, recipe, water, recipe.steps), figures
 
 
 def reporting(stage: Step, rays: int) -> Callable[[float, list[float]], None]:

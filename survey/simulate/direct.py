@@ -179,6 +179,15 @@ class SunOnWaves:
             gain[in_layer] = low + (layer[in_layer] - number) * (high - low)
         return gain
 
+    def with_caustics(self, depth_m: float, contrast: float) -> SunOnWaves:
+        """The sun with caustics.
+
+        `contrast` is standard deviation over mean of the light on the bed at its mean depth [m]; other depths follow.
+        """
+        deepest_m = 2.0 * depth_m
+        caustics = _caustics(self.slopes, self.plane.n_water, deepest_m, depth_m, contrast)
+        return replace(self, caustics=caustics, deepest_m=deepest_m)
+
     def reflected(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Radiance (N,) of the sun that the surface reflects into rays from origins in unit directions (N, 3)."""
         return self.glint * self._mirrored(origin, direction) if self.glint > 0.0 else np.zeros(len(direction))
@@ -202,20 +211,17 @@ def suns_of(
     light: Light,
     *,
     seed: int,
-    depth_m: float,
     glint_share: float,
-    contrast: float,
 ) -> tuple[SunOnWaves, ...]:
-    """The sun on the waves of each photograph, which differ from one to the next.
+    """The sun on the waves of each photograph, which differ from one to the next; without caustics.
 
     The reflected sun alone saturates `glint_share` of the pixels of all photographs; its brightness is set to reach
-    that. `contrast` is standard deviation over mean of the light on the bed at its mean depth [m]; other depths follow.
+    that.
     """
     found, slope_std = [], _SLOPE_STD + _SLOPE_PER_SHARE * glint_share
     for index in range(len(cameras)):
         slopes = slope_std * _tile(np.random.default_rng([seed, 31, index]))
-        caustics = _caustics(slopes, plane.n_water, 2.0 * depth_m, depth_m, contrast) if contrast > 0.0 else slopes[:0]
-        found.append(SunOnWaves(plane, light, slopes, _RIPPLES * slope_std, caustics, 2.0 * depth_m, 0.0))
+        found.append(SunOnWaves(plane, light, slopes, _RIPPLES * slope_std, slopes[:0], 0.0, 0.0))
     if glint_share <= 0.0:
         return tuple(found)
     across, down = _PROBES

@@ -308,9 +308,9 @@ def stage_drawing(scene: DrawnScene) -> StagedScene:
     ground = build_ground(scene, cameras, light)
     suns: tuple[SunOnWaves, ...] = ()
     if water is not None and (scene.glint_share, scene.caustic_contrast) != (0.0, 0.0):
-        share, contrast = scene.glint_share, scene.caustic_contrast
-        depth_m, seed = scene.depth_m, scene.seed
-        suns = suns_of(cameras, water, light, seed=seed, depth_m=depth_m, glint_share=share, contrast=contrast)
+        suns = suns_of(cameras, water, light, seed=scene.seed, glint_share=scene.glint_share)
+        if scene.caustic_contrast > 0.0:
+            suns = tuple(sun.with_caustics(scene.depth_m, scene.caustic_contrast) for sun in suns)
     width, height = scene.image_px
     (e, n), (wide, deep) = scene.origin, scene.size_m
     return StagedScene(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from fields.volume.fitted import match_appearance
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
-from fields.volume.surface import Surface, surface_of
+from fields.volume.surface import Surface, distance_of, points_on_surface, surface_of
 from fields.volume.train import Checkpoints, Training, VolumeFigures, train_volume
 from refract import PinholeCamera
 from survey.progress import current
@@ -114,13 +115,13 @@ def surface_in(trained: Trained) -> Surface:
     of, scene = trained.options, trained.scene
     cell = scene.box.edge / of.cells
     with current().stage("Surface", len(scene.train.cameras)) as stage:
-        return surface_of(
+        distance = partial(distance_of, rule=of.rule, density=of.density or np.log(2.0) / cell)
+        points = points_on_surface(
             trained.renderer,
             scene.train,
             trained.cells,
             samples=of.samples,
-            side=max(scene.pixel_m, 0.5 * cell),
-            rule=of.rule,
-            density=of.density or np.log(2.0) / cell,
+            distance=distance,
             advance=stage.advance,
         )
+        return surface_of(points, trained.renderer.model.box, max(scene.pixel_m, 0.5 * cell))

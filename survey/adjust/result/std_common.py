@@ -22,6 +22,7 @@ alone, the heights that are there count in place of slopes: the mean square of t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -97,18 +98,17 @@ def std_common(
     survey: Survey,
     found: Adjustment | None,
     gsd: float,
-    out: np.ndarray | None = None,
-    in_plan: np.ndarray | None = None,
+    out: Sequence[np.ndarray] = (),
 ) -> np.ndarray:
     """Standard deviation (N,) float32 [m] of heights by water, lens and poses, of points (N, 3) [m], local.
 
     NaN where no place of the same kind, wet (N,) bool or dry, is seen by two views. The survey is the one that the
     points were made with; no adjustment was found where poses and water were used as they came. The result goes into
-    ``out`` (N,) float32, which may lie in a file, and that of places in plan, along one axis [m] (the root mean square
-    of east and north), into ``in_plan``.
+    the first of ``out``, (N,) float32, which may lie in files; that of places in plan, along one axis [m] (the root
+    mean square of east and north), into the second, where there is one.
     """
-    std = np.empty(len(xyz), dtype=np.float32) if out is None else out
-    stds = [std] if in_plan is None else [std, in_plan]
+    stds = out or [np.empty(len(xyz), dtype=np.float32)]
+    std, *in_plan = stds
     for each in stds:
         each[:] = np.nan
     for is_wet in (True, False):
@@ -124,8 +124,8 @@ def std_common(
                 each[part][kind] = values
     if survey.plan_std_m > 0.0:
         std[:] = np.hypot(std, shift_std(xyz, survey.plan_std_m, gsd))
-        if in_plan is not None:
-            in_plan[:] = np.hypot(in_plan, survey.plan_std_m)
+        for each in in_plan:
+            each[:] = np.hypot(each, survey.plan_std_m)
     return np.maximum(std, np.float32(_LEAST_M), out=std)
 
 

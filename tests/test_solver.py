@@ -406,10 +406,10 @@ def test_tiles_seen_together_are_seen_as_each_alone(device):
     wanted = np.random.default_rng(4).random((SIZE, SIZE)) < 0.7
     tiles = list(tiles_of(wanted, np.ones_like(wanted), 30))
     projector = Projector(device, cameras, WATER)
-    together = project_tiles(tiles, 0, (1, 2), occluder, projector, 0.01)
+    together = project_tiles(tiles, (0, 1, 2), occluder, projector, 0.01)
     assert {tuple(projected.views) for projected in together} == {(0, 2), (0, 1, 2)}
     for tile, projected in zip(tiles, together, strict=True):
-        (alone,) = project_tiles([tile], 0, (1, 2), occluder, projector, 0.01)
+        (alone,) = project_tiles([tile], (0, 1, 2), occluder, projector, 0.01)
         assert alone.views == projected.views
         for name in ("position", "rise", "motion", "seen"):
             np.testing.assert_array_equal(getattr(alone, name), getattr(projected, name))

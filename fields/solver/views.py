@@ -114,8 +114,8 @@ class Views:
         pixels = 0
         for batch in _batches(jobs):
             view, tolerance, tiles = self.views[batch[0].index], batch[0].tolerance, [job.tile for job in batch]
-            others, occluder, waves = batch[0].others, self._occluder, self.waves
-            together = project_tiles(tiles, view, others, occluder, self.projector, tolerance, waves)
+            views, occluder = [view, *batch[0].others], self._occluder
+            together = project_tiles(tiles, views, occluder, self.projector, tolerance, self.waves)
             for job, projected in zip(batch, together, strict=True):
                 start = Start.of(job.tile, occluder(view).height)
                 waiting.append((job, pool.submit(one, job, projected, start)))

@@ -118,19 +118,19 @@ def lookup(image: np.ndarray, x: np.ndarray, y: np.ndarray, interpolation: int) 
 
 def project_tiles(
     tiles: Sequence[SolverTile],
-    view: int,
-    others: Sequence[int],
+    views: Sequence[int],
     occluder: Callable[[int], Any],
     projector: Projector,
     tolerance: float,
     waves: Waves | None = None,
 ) -> list[TileProjection]:
-    """Projections of tiles of `view` into its photograph and into those of ``others`` that show a tenth of it or more.
+    """Projections of tiles of the first of ``views`` into its photograph and those of others that show a tenth or more.
 
     Small tiles are carried into the other photographs together: a kernel takes as long to start as for 10,000 pixels.
     A point is hidden where the height map of the other photograph, confirmed by a third, is higher by more than
     ``tolerance`` [m]; ``occluder`` gives the `Occluder` of a view, or None.
     """
+    view, *others = views
     pixels = np.concatenate([tile.pixels for tile in tiles])
     start = np.concatenate([tile.of(occluder(view).height) for tile in tiles])
     counts, total = [len(tile) for tile in tiles], len(pixels)

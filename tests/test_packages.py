@@ -20,9 +20,9 @@ MAY_IMPORT = {
     "survey": {"refract", "geo", "evaluation", "fields"},
     "bathynerf": {"refract", "geo", "evaluation", "fields", "survey"},
 }
-# Lines of each package, which may only become fewer until all have 70,000 together.
+# Lines of each package, which may only become fewer.
 MOST_LINES = {
-    "bathynerf": 146, "evaluation": 1814, "fields": 14_374, "geo": 5083, "refract": 2950, "survey": 53_111,
+    "bathynerf": 146, "evaluation": 1433, "fields": 13_067, "geo": 4490, "refract": 2738, "survey": 47_740,
 }  # fmt: skip
 # Folders by layer, the lowest first: a folder imports only folders of the layers below its own, within what its package
 # may import at all.

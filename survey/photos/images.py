@@ -236,8 +236,9 @@ def fetch_images(url: str, folder: Path) -> None:
 
     If the URL cannot be reached and all were fetched before, these are used, with a warning.
     """
-    remote, before = Remote(url), fetched_tags(folder)
+    before = fetched_tags(folder)
     try:
+        remote = Remote(url)  # some stores connect here
         tags = remote.files()
     except NotReached as error:
         if not before or not all(tag and (folder / name).is_file() for name, tag in before.items()):

@@ -36,7 +36,7 @@ from survey.plan.area import limits, local_area
 from survey.plan.choices import RECIPES, Choices
 from survey.plan.plan import make_plan
 from survey.progress import current
-from survey.run import points
+from survey.run import stage_bed
 from survey.run.job import Job
 from survey.run.products import write_bed_las
 from survey.run.stored import StoredBed
@@ -99,7 +99,7 @@ class Case:
         """Points of the pixels that are kept, (height, width) bool of each map; by default one for each place."""
         if kept is None:
             kept = unique_pixels(self.block, maps, self.job.plan.gsd_m)
-        return points.bed_points(self.job, maps, kept, None, lambda done: None)[0]
+        return stage_bed.bed_points(self.job, maps, kept, None, lambda done: None)[0]
 
     def figures(self, bed: BedPoints) -> dict:
         """Distances of the points from the truth, and their completeness."""
@@ -164,7 +164,7 @@ def once_table(case: Case) -> dict[str, dict]:
     """How duplicates and strays are left out."""
     maps, _ = case.maps()
     rows = {"a kept pixel claims those of later views (kept)": case.figures(case.points(maps))}
-    with patch.object(points, "has_neighbours", lambda xyz, gsd: np.ones(len(xyz), dtype=bool)):
+    with patch.object(stage_bed, "has_neighbours", lambda xyz, gsd: np.ones(len(xyz), dtype=bool)):
         rows["the same, with isolated points"] = case.figures(case.points(maps))
         everything = case.points(maps, [trusted(m) for m in maps])
     rows["nothing left out"] = case.figures(everything)

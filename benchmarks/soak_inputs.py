@@ -152,7 +152,7 @@ def las(path: Path) -> None:
 
 
 def ply(path: Path) -> None:
-    write_ply(path, points(), np.array([[0, 1, 8], [1, 9, 8]]))
+    write_ply(path, points(), faces=np.array([[0, 1, 8], [1, 9, 8]]))
 
 
 def photograph(path: Path) -> None:

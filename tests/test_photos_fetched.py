@@ -47,7 +47,9 @@ def test_only_what_is_new_or_changed_is_fetched_and_what_is_gone_removed(survey)
     def fetched() -> list[str]:
         """Names of the files that are others than before."""
         fetch_images(url, place)
-        now = {path.name: path.stat().st_ino for path in place.glob("*.jpg")}
+        stats = {path.name: path.stat() for path in place.glob("*.jpg")}
+        # The number alone may be given again.
+        now = {name: (stat.st_ino, stat.st_mtime_ns) for name, stat in stats.items()}
         names = sorted(name for name, number in now.items() if before.get(name) != number)
         before.update(now)
         return names

@@ -238,8 +238,7 @@ def fetch_images(url: str, folder: Path) -> None:
     """
     before = fetched_tags(folder)
     try:
-        remote = Remote(url)  # some stores connect here
-        tags = remote.files()
+        tags = (remote := Remote(url)).files()  # some stores connect when they are made
     except NotReached as error:
         if not before or not all(tag and (folder / name).is_file() for name, tag in before.items()):
             raise

@@ -34,6 +34,8 @@ _REMEDIES = {
     errno.EROFS: "the disk is read-only; write elsewhere",
     errno.ELOOP: "its links lead in a circle; correct them",
     errno.ENAMETOOLONG: "the name is too long; shorten it",
+    errno.ENOLCK: "its disk cannot lock files; choose a folder on another disk",
+    errno.ENOTSUP: "its disk does not support this; choose a folder on another disk",
     errno.EMFILE: "too many files are open; raise the limit (ulimit -n)",
     errno.EIO: "the disk reports a fault (input/output error); check it or write elsewhere",
 }

@@ -214,8 +214,11 @@ def _scene(arrays: list[tuple[str, np.ndarray, str]], extras: dict) -> dict:
         first += array.nbytes
         count = array.size if kind == "SCALAR" else len(array)
         form = {"bufferView": len(accessors), "componentType": _TYPES[array.dtype.str], "count": count, "type": kind}
-        more = {"POSITION": {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}}
-        accessors.append(form | (more | {"COLOR_0": {"normalized": True}}).get(name, {}))
+        if name == "POSITION":
+            form |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
+        elif name == "COLOR_0":
+            form["normalized"] = True
+        accessors.append(form)
     numbers = {name: number for number, (name, _, _) in enumerate(arrays)}
     primitive = {"indices": numbers.pop("indices"), "attributes": numbers, "material": 0}
     material = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}, "doubleSided": True}

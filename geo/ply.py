@@ -13,7 +13,6 @@ from __future__ import annotations
 import re
 import struct
 from dataclasses import replace
-from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -219,33 +218,36 @@ def _table(body: memoryview, element: _Element, order: str) -> tuple[dict[str, n
     try:
         first = _row(body, 0, properties, order)[0] if count else [(0.0,)] * len(properties)
         fields: list[tuple] = []
-        for p, values in zip(properties, first, strict=True):
-            fields += [(f"count {p.name}", order + p.count_kind)] if p.count_kind else []
-            fields.append((p.name, order + p.kind, (len(values),) if p.count_kind else ()))
+        # By number, as a name may stand twice; the last one counts.
+        for number, (p, values) in enumerate(zip(properties, first, strict=True)):
+            fields += [(f"count {number}", order + p.count_kind)] if p.count_kind else []
+            fields.append((f"{number}", order + p.kind, (len(values),) if p.count_kind else ()))
         dtype = np.dtype(fields)
-        lists = {p.name: len(values) for p, values in zip(properties, first, strict=True) if p.count_kind}
+        lists = {number: len(first[number]) for number, p in enumerate(properties) if p.count_kind}
         if dtype.itemsize * count <= len(body):
             rows = np.frombuffer(body, dtype, count)
-            if all((rows[f"count {name}"] == length).all() for name, length in lists.items()):
+            if all((rows[f"count {number}"] == length).all() for number, length in lists.items()):
                 return {
-                    p.name: _Lists(np.full(count, lists[p.name]), rows[p.name].ravel())
+                    p.name: _Lists(np.full(count, lists[number]), rows[f"{number}"].ravel())
                     if p.count_kind
-                    else rows[p.name]
-                    for p in properties
+                    else rows[f"{number}"]
+                    for number, p in enumerate(properties)
                 }, dtype.itemsize * count
         # Lists of several lengths.
-        columns: list[list[tuple]] = [[] for _ in properties]
+        columns: list[list[float]] = [[] for _ in properties]
+        counts: list[list[int]] = [[] for _ in properties]
         offset = 0
         for _ in range(count):
             row, offset = _row(body, offset, properties, order)
-            for column, value in zip(columns, row, strict=True):
-                column.append(value)
+            for column, lengths, value in zip(columns, counts, row, strict=True):
+                column.extend(value)
+                lengths.append(len(value))
     except (struct.error, ValueError, OverflowError) as error:
         raise _Damaged(f"it ends, or breaks, within its elements of kind {kind}") from error
     table: dict[str, np.ndarray | _Lists] = {}
-    for p, column in zip(properties, columns, strict=True):
-        flat = np.array(list(chain.from_iterable(column)), dtype=order + p.kind)
-        table[p.name] = _Lists(np.array([len(value) for value in column]), flat) if p.count_kind else flat
+    for p, column, lengths in zip(properties, columns, counts, strict=True):
+        flat = np.array(column, dtype=order + p.kind)
+        table[p.name] = _Lists(np.array(lengths), flat) if p.count_kind else flat
     return table, offset
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -281,7 +282,9 @@ def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> Transformation:
         if group.transformers:
             best = group.transformers[0]
             return chosen(best, best.accuracy if best.accuracy >= 0.0 else None)
-        elsewhere = [] if missing else operations(source, target, None).transformers
+        elsewhere: list[Transformer] = []
+        with suppress(ProjError):
+            elsewhere = [] if missing else operations(source, target, None).transformers
         if elsewhere:
             return replace(chosen(elsewhere[0], _spread_m(elsewhere, source, target, middle)), is_outside=True)
         # An unknown datum is taken to be that of the other CRS.

@@ -15,6 +15,8 @@ from pathlib import Path
 
 import psutil
 
+from survey.errors import SurveyError
+
 # File that names the groups of this process, and the folder of all of them.
 PROCESS, GROUPS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 # Files with limits, the file with what is used, and the word for cached files in memory.stat that the system drops
@@ -35,8 +37,19 @@ def memory_bytes() -> int:
 
 def free_memory_bytes() -> int:
     """Memory available without swapping, of the machine, of the job and by the limits of this process."""
-    allowed = (int(max(limit - mapped, 0.0)) for _, limit, mapped, _ in _process_limits())
-    return min([psutil.virtual_memory().available, *(group.free for group in group_memories()), *allowed])
+    free = [psutil.virtual_memory().available, *(group.free for group in group_memories())]
+    return int(min(*free, allowed_memory_bytes()))
+
+
+def allowed_memory_bytes() -> float:
+    """Memory that limits of this process leave to its data; infinite without limits."""
+    return min((max(limit - mapped, 0.0) for _, limit, mapped, _ in _process_limits()), default=float("inf"))
+
+
+def require_memory() -> None:
+    """Raise SurveyError with the message of `memory_shortage`, if there is one."""
+    if (shortage := memory_shortage()) is not None:
+        raise SurveyError(shortage)
 
 
 def memory_shortage() -> str | None:

@@ -147,6 +147,18 @@ def test_lenses_with_rounded_focal_lengths_are_one(drifted, decimals, aspect):
     np.testing.assert_allclose(back, given, rtol=1e-6)
 
 
+def test_ratios_on_both_sides_of_a_rounding_boundary_are_one(drifted):
+    view, lens = drifted[1].views[0], drifted[1].views[0].lens
+    at = MODELS[lens.model][1].index("fy")
+    views = []
+    for number in range(12):
+        own = enlarged(lens, 1.0 + 1e-3 * number)
+        params = list(own.params)
+        params[at] = own.focal[0] * (1.0000005 + (2e-7 if number % 2 else -2e-7))
+        views.append(replace(view, lens=replace(lens, params=tuple(params))))
+    assert len(lenses_of(views)[0]) == 1
+
+
 def test_lenses_whose_two_focal_lengths_spread_are_not_one(drifted):
     view, lens = drifted[1].views[0], drifted[1].views[0].lens
     at = MODELS[lens.model][1].index("fy")

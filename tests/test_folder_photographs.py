@@ -188,7 +188,7 @@ def test_heic_without_poses_is_refused_with_what_to_do(tmp_path):
         require_processable(folder)
 
 
-@pytest.mark.parametrize("suffix", ["jpg", "png"])
+@pytest.mark.parametrize("suffix", ["jpg", "png", "tif"])
 def test_check_decodes_no_photograph(tmp_path, monkeypatch, suffix):
     """But for the grey levels of a JPEG at an eighth of its size, for libjpeg's warnings."""
     folder = small_survey(tmp_path / "s")

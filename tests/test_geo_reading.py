@@ -272,3 +272,13 @@ def test_a_real_obj_keeps_its_twelve_decimals(data_dir):
     mesh = read_reference(data_dir / "real/pyBathySfM/BathySfM_SampleData.obj")
     assert mesh.vertices.shape == (22, 3)
     assert mesh.vertices[0, 0] == 338418.550689697266
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian"])
+def test_of_a_property_that_a_ply_names_twice_the_last_one_counts(tmp_path, form):
+    names = "".join(f"property double {name}\n" for name in ("x", "y", "z", "z"))
+    head = f"ply\nformat {form} 1.0\nelement vertex 2\n{names}end_header\n".encode()
+    rows = np.array([[1.0, 2.0, 3.0, 7.0], [4.0, 5.0, 6.0, 8.0]])
+    body = " ".join(map(str, rows.ravel())).encode() if form == "ascii" else rows.tobytes()
+    (tmp_path / "c.ply").write_bytes(head + body)
+    np.testing.assert_array_equal(read_reference(tmp_path / "c.ply").points, rows[:, [0, 1, 3]])

@@ -12,14 +12,8 @@ from PIL import ExifTags, Image
 from PIL.TiffImagePlugin import IFDRational
 
 from survey.folder.headers import header_warnings
-from survey.photos.exif import (
-    altitude_reference,
-    focal_px,
-    focal_warning,
-    position_of_gps,
-    read_exif,
-    without_void_fixes,
-)
+from survey.photos.exif import read_exif, without_void_fixes
+from survey.photos.exif_values import altitude_reference, focal_px, focal_warning, position_of_gps
 from survey.photos.xmp import height_datum, rtk_of, xmp_place
 from survey.settings.config import SurveyConfig
 

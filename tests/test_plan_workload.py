@@ -142,6 +142,17 @@ def test_what_an_earlier_run_left_counts_as_room(tmp_path, monkeypatch):
     assert room_warnings(workload, tmp_path, refuses=True) == []
 
 
+def test_a_limit_of_the_process_below_what_the_run_needs_is_refused_before_kernels_crash(tmp_path, monkeypatch):
+    workload = Workload(3, 3, None, 2, 600_000_000, 0)
+    monkeypatch.setattr(machine, "allowed_memory_bytes", lambda: 5e8)
+    with pytest.raises(SurveyError, match=r"needs about 600 MB of memory, and limits of this process .* leave 500 MB"):
+        room_warnings(workload, tmp_path, refuses=True)
+    # A bound may be far too high: only said.
+    assert "limits of this process" in room_warnings(replace(workload, is_bound=True), tmp_path, refuses=True)[0]
+    monkeypatch.setattr(machine, "allowed_memory_bytes", lambda: float("inf"))
+    assert room_warnings(workload, tmp_path, refuses=True) == []
+
+
 def test_more_views_than_can_be_chosen_from_make_it_a_bound(tmp_path, monkeypatch):
     survey = load_survey(small_survey(tmp_path / "s"))
     plan = replace(make_plan(survey, Choices(device="cpu")), device="llvm")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import shutil
 
 import pytest
 from drawn_shore import SHORE
@@ -52,21 +51,32 @@ def test_a_finished_folder_is_left_alone_until_told_and_keeps_what_is_not_of_it(
     assert [p.name for p in tmp_path.iterdir()] == ["survey"]
 
 
-@pytest.mark.parametrize("moved", [("images",), ("images", "survey.toml", "truth")])
-def test_a_survey_that_was_killed_while_it_was_moved_is_finished_and_keeps_what_is_not_of_it(tmp_path, moved):
-    path, work = tmp_path / "survey", tmp_path / ".survey.part"
+@pytest.mark.parametrize("renamed", [1, 2])
+def test_files_of_the_user_come_back_after_a_run_was_killed_while_it_replaced_a_survey(tmp_path, renamed):
+    path, old = tmp_path / "survey", tmp_path / ".survey.part" / "old"
     draw_survey(path, FEW)
     (path / "bathynerf").mkdir()
     (path / "bathynerf" / "cloud.las").write_text("a run")
-    work.mkdir()
-    (path / writing.MARKER).rename(work / writing.MARKER)
-    draw_survey(work / "new", FEW)
-    for name in moved:
-        shutil.rmtree(path / name, ignore_errors=True)
-    draw_survey(path, FEW)
+    old.parent.mkdir()
+    path.rename(old)
+    if renamed == 2:
+        draw_survey(tmp_path / "new", FEW)
+        (tmp_path / "new").rename(path)
+    draw_survey(path, FEW if renamed == 2 else dataclasses.replace(FEW, seed=5))
     assert (path / "bathynerf" / "cloud.las").read_text() == "a run"
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["survey"]
-    assert len(list((path / "images").iterdir())) == len(list((path / "truth" / "depth").iterdir())) == 3
+    assert not old.exists()
+
+
+def test_files_put_where_a_stopped_run_would_write_are_refused_and_kept(tmp_path):
+    path = tmp_path / "survey"
+    (tmp_path / ".survey.part").mkdir()
+    draw_survey(tmp_path / "other", FEW)
+    (tmp_path / "other" / writing.MARKER).rename(tmp_path / ".survey.part" / writing.MARKER)
+    (path / "images").mkdir(parents=True)
+    (path / "images" / "mine.jpg").write_text("mine")
+    with pytest.raises(SurveyError, match="is not empty and was not simulated here"):
+        draw_survey(path, FEW)
+    assert (path / "images" / "mine.jpg").read_text() == "mine"
 
 
 def test_a_change_of_any_file_of_the_simulator_draws_the_survey_anew(tmp_path, monkeypatch):

@@ -21,6 +21,7 @@ EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 @pytest.mark.parametrize(
     ("change", "named"),
     [({"depth_m": "dept_m = 1.2"}, r"unknown key dept_m in \[bed\]; the nearest known one is \[bed\] depth_m"),
+     ({"kind": 'kind = "drawn"\n[[objects]]\nfil = "a.obj"'}, r"unknown key fil in \[objects\[0\]\]"),
      ({"origin": "origin = [1.0, 2.0]"}, "origin is .*expected a list of 3, each a finite number"),
      ({"crs": ""}, "crs is missing, expected a text in quotes"),
      ({"crs": 'crs = "EPSG:25832"'}, "no vertical part; add a vertical CRS"),

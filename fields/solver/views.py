@@ -73,15 +73,16 @@ class Views:
     @cached_property
     def _occluder(self) -> Callable[[int], Any]:
         """`Occluder` of a view, None without a map; the last few are kept, so that each is read a few times only."""
-        size = self.maps[0].height.size if len(self.maps) else 0
+        maps = self.maps  # not the views: a cache that holds them would live until the garbage collector finds both
+        size = maps[0].height.size if len(maps) else 0
         number = {view: number for number, view in enumerate(self.views)}
 
         @lru_cache(num_cached(_OCCLUDER_BYTES * size, _KEPT_BYTES, MOST_VIEWS + 1))
-        def occluder(view: int) -> Occluder | None:
-            m = self.maps[number[view]] if view in number else None
-            return None if m is None else Occluder(m.height, m.agreeing > 0)
+        def occluder(view: int) -> Occluder:
+            m = maps[number[view]]
+            return Occluder(m.height, m.agreeing > 0)
 
-        return occluder
+        return lambda view: occluder(view) if view in number else None
 
     @cached_property
     def projector(self) -> Projector:

@@ -105,8 +105,7 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
     kept, claimed, walls, steep, all_trusted, addable, near_steps = (Masks(list(shapes)) for _ in range(7))
     ground, tolerances = [], []
     for index, m in enumerate(maps):
-        # Where all maps are of one place, as in a burst, other views tell how well heights agree.
-        others = block.neighbours(m.view, 8, candidates=chosen) or block.neighbours(m.view, 8)
+        others = block.neighbours(m.view, 8, candidates=chosen)
         tolerance = block.agreement_tolerance(m.view, others, median(m.height)) if others else 0.0
         extent = float(m.height.min()), float(m.height.max())
         ground.append(Footprint.of(cameras[index], block.water, extent))

@@ -192,7 +192,7 @@ _AT_ONCE = 50_000  # Points that are compared with it at a time, of 3 kB each
 # The piece is flat where its standard deviation from its plane is less than this, and a surface, not a line, where that
 # along its shorter side is more: in ground sampling distances.
 _FLAT_GSD, _WIDE_GSD = 0.8, 0.8
-# A ghost stands off the plane by more than the first, and lies beside the middle of the piece by less than the second.
+# Distances of a ghost: from the plane at least, from the middle of the piece in plan at most.
 _OFF_GSD, _BESIDE_GSD = 1.5, 2.5
 # It is matched by less than this share of the maps that match the points of the piece, in the mean.
 _SHARE_OF_PIECE = 0.25

@@ -27,7 +27,7 @@ class ImageTiles:
     radius: int
     place: np.ndarray  # (N, 2) int: row and column among all tiles of the image
     start: np.ndarray  # (N,) float [m]: lowest hypothesis in the middle of the tile
-    slope: np.ndarray  # (N, 2) float [m/px]: by which the hypotheses rise from row to row and from column to column
+    slope: np.ndarray  # (N, 2) float [m/px]: gradient of the hypotheses from row to row and from column to column
     counts: np.ndarray  # (N,) int: number of hypotheses
 
     @staticmethod

@@ -108,7 +108,7 @@ def wall_slopes(
     half = 0.5 * _STEP_M * np.array(water.up if water is not None else (0.0, 0.0, 1.0))
     point = camera.paths(size * (facing[:, ::-1] + 0.5), water).at_height(0.5 * (low + high), water)
     plumb = ((camera.project(point + half, water) - camera.project(point - half, water)) / _STEP_M)[:, ::-1]
-    # Pixels by which a wall rises in the image for each metre of height, across its foot.
+    # How many pixels a wall rises in the image for each metre of height, across its foot.
     rise = (uphill * plumb).sum(axis=-1)
     seen = (rise * (high - low) > width_px) & (rise > _LEAST_COSINE * np.linalg.norm(plumb, axis=-1))
     found[tuple(facing[seen].T)] = uphill[seen] / rise[seen][:, None]

@@ -193,8 +193,8 @@ def neighbours(
 ) -> list[int]:
     """The ``count`` best neighbours of a view among others by overlap, intersection angle and spread of directions.
 
-    Greedy: each is the best beside those before it, in directions and in the parts of the view that it sees. Without
-    those of a burst, taken from the same place: they match at every height.
+    Greedy: each is the best beside those before it, in directions and in the parts of the view that it sees. Those of a
+    burst, taken from the same place, match at every height: they are neighbours only where no others overlap.
     """
     own_cells = cells_of(seen, view)
     if not len(own_cells):
@@ -204,7 +204,8 @@ def neighbours(
     rays = centres - cells[own_cells].mean(axis=0)
     rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     angles = np.degrees(np.arccos(np.clip(rays @ rays[view], -1.0, 1.0)))
-    others = [o for o in candidates if o != view and overlap[o] >= _LEAST_OVERLAP and angles[o] >= _LEAST_ANGLE_DEG]
+    overlapping = [o for o in candidates if o != view and overlap[o] >= _LEAST_OVERLAP]
+    others = [o for o in overlapping if angles[o] >= _LEAST_ANGLE_DEG] or overlapping
     shared = seen[others][:, own_cells].astype(np.float64)
     # Cells that chosen neighbours see count less for the next ones: else corners of a view may have none.
     weight = np.full(len(own_cells), 1.0 / len(own_cells))

@@ -240,10 +240,6 @@ def _water(
     limits[list(contradicted)] = np.inf
     rows: list[Parameter] = []
     for i, name in enumerate(WATER_PARAMETERS):
-        lost = None if unobservable is None else unobservable.get(name)
-        if lost is not None:
-            rows.append(unobservable_verdict(name, lost.std, float(given[i]), lost.reason))
-            continue
         before = Estimate(float(given[i]), float(given_std[i]) if unobservable is None else math.inf)
         found = Estimate(float(values[i]), float(std[i]))
         row = with_verdict(name, found, before, float(limits[i]), "" if i else " m")
@@ -252,6 +248,10 @@ def _water(
             verdict = "not observable: the level is not; the slope is kept"
             row = replace(row, value=row.given, status=Status.UNKNOWN, verdict=verdict)
         rows.append(row)
+    # Not before slopes are judged: an unobservable level is held, and the slopes found beside it are of use.
+    for i, (name, value) in enumerate(zip(WATER_PARAMETERS, given.tolist(), strict=True)):
+        if unobservable and (lost := unobservable.get(name)) is not None:
+            rows[i] = unobservable_verdict(name, lost.std, value, lost.reason)
     return rows, with_settings(water, np.array([row.value for row in rows]))
 
 

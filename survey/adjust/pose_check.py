@@ -32,6 +32,7 @@ from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Adjustment
 from survey.errors import GivenValueTest, SurveyError
 from survey.folder.survey import Survey, load_survey
+from survey.machine import require_memory
 from survey.photos.poses import TiePoints
 from survey.plan.check import CheckSection
 from survey.plan.choices import Choices
@@ -130,6 +131,7 @@ def _of_middle(survey: Survey, height: float) -> list[int]:
 
 def deep_check(folder: Path, *, device: str = "auto") -> list[CheckSection]:
     """Test of poses, lens and water against the photographs, without a point cloud; poses that are found are kept."""
+    require_memory()
     progress = current()
     survey = load_survey(folder, report=progress.note)
     plan, checked = make_plan(survey, Choices(device=device)), PoseCheck(None)

@@ -21,6 +21,7 @@ from survey.files.paths import is_json, require_file
 from survey.folder.found import survey_inputs
 from survey.folder.local_frame import water_plane
 from survey.folder.survey import Survey, load_survey
+from survey.machine import require_memory
 from survey.progress import current
 from survey.settings.config import WaterConfig
 from survey.words import SFM_FOLDER
@@ -93,6 +94,7 @@ def estimate_water(
         )
     if json_path is not None:
         require_file("--json", json_path, survey_inputs(folder), kind="a JSON file", is_of_kind=is_json)
+    require_memory()
     survey = load_survey(folder, workspace=workspace, report=progress.note)
     survey.require_water()
     with progress.stage("Water", 1.0) as stage:

@@ -62,6 +62,9 @@ def process(
     folder = local_run(survey, output)
     with command(verbose, quiet, folder, stopped=KEPT, reads=survey) as results:
         from survey.init.draft import require_settings
+        from survey.machine import require_memory
+
+        require_memory()  # before survey.toml is written
 
         written = require_settings(survey, asking(told, needs_level=True))
         if written is not None:

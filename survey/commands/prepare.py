@@ -33,7 +33,7 @@ def init(
     ],
     told: InitOptions = InitOptions(),
     schema: Annotated[
-        bool, typer.Option("--schema", help="Also write survey.schema.json, by which editors complete and check keys.")
+        bool, typer.Option("--schema", help="Also write survey.schema.json, so that editors complete and check keys.")
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace survey.toml.")] = False,
     verbose: Verbose = 0,

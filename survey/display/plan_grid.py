@@ -88,7 +88,7 @@ class PlanGrid(Grid):
 
     def mean(self, values: np.ndarray | ComputedColumn, mask: np.ndarray | None = None) -> np.ndarray:
         """Mean of values (N,) in each cell, NaN where there is none; values that are NaN do not count."""
-        count, total = np.zeros(self.shape, dtype=np.int32), np.zeros(self.shape)
+        count, total = np.zeros(self.shape, dtype=np.int64), np.zeros(self.shape)
         for part, number in self._portions():
             portion = np.asarray(values[part], dtype=np.float64)
             use = (number >= 0) & np.isfinite(portion)

@@ -24,6 +24,7 @@ from geo.shapes import Mesh
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
 from survey.export.registry import ExportOptions
+from survey.machine import free_memory_bytes
 
 _NEIGHBOURS = 12
 _CHUNK = 50_000
@@ -37,6 +38,8 @@ _DEEPEST = 13
 TRIM = 2.0
 # Longer sides of triangles, in plan and in spacings, bridge a hole of the cloud.
 LONGEST = 6.0
+# Of memory for Delaunay triangles; measured.
+_BYTES_OF_VERTEX = 500.0
 
 
 def write_mesh(path: Path, run: LoadedRun, options: ExportOptions) -> None:
@@ -185,6 +188,12 @@ def delaunay_surface(points: np.ndarray, std: np.ndarray, spacing_m: float) -> t
     cell = row * (int(column.max()) + 1) + column
     order = np.lexsort((np.where(np.isfinite(std), std, np.inf), cell))
     chosen = order[np.unique(cell[order], return_index=True)[1]]
+    needed, free = _BYTES_OF_VERTEX * len(chosen), free_memory_bytes()
+    if needed > free:
+        raise SurveyError(
+            f"a mesh of {len(chosen)} vertices takes {needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are "
+            "free; give a larger --resolution"
+        )
     xy = points[chosen, :2].astype(np.float64)
     try:
         # Qhull loses digits where coordinates are large.

@@ -146,9 +146,12 @@ class BedPlaces:
 
     def some(self, most: int) -> np.ndarray:
         """About so many of the places (K, 3) [m], local, spread evenly over them."""
-        parts = [self._points[window.slices].reshape(-1, 3) for window in self._boxes]
-        known = np.concatenate([np.zeros((0, 3)), *(part[np.isfinite(part[:, 2])] for part in parts)])
-        return known[:: max(-(-len(known) // most), 1)]
+        every = max(-(-sum(int(self._is_known(window).sum()) for window in self._boxes) // most), 1)
+        parts = [self._points[window.slices][self._is_known(window)][::every] for window in self._boxes]
+        return np.concatenate([np.zeros((0, 3)), *parts])
+
+    def _is_known(self, window: Window) -> np.ndarray:
+        return np.isfinite(self._points[window.slices][..., 2])
 
     def pixels_of(self, points: np.ndarray, camera: PinholeCamera) -> np.ndarray:
         """Pixels (..., 2) of places (..., 3) [m], local; NaN for those that the camera does not see."""

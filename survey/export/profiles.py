@@ -24,7 +24,7 @@ from geo.features import Line, assumed_crs, layer_of, read_lines
 from geo.files import write_text
 from geo.grid import plan_box
 from geo.projection import ground_units_m
-from geo.shapes import ground_of, in_height_unit, masked_cloud, vertices_of
+from geo.shapes import ground_of, in_height_unit, masked_cloud
 from geo.vectors import DxfLine, write_dxf
 from survey.compare.inputs import InputPaths, load_inputs
 from survey.display.canvas import empty_figure, save, write_title
@@ -164,12 +164,12 @@ class Bed:
         shape = self._reference
         if shape is None:
             return np.full(len(plan), np.nan)
-        vertices, unit_m = self._plan(vertices_of(shape)[:, :2]), height_unit_m(self.crs)
         if isinstance(shape, Cloud):
-            self._tree_of_reference = self._tree_of_reference or cKDTree(vertices)
+            self._tree_of_reference = self._tree_of_reference or cKDTree(self._plan(shape.points[:, :2]))
             near = self._tree_of_reference.query_ball_point(plan, _SPACINGS * self.spacing_m)
             return _medians(shape.points[:, 2], near)
         near_bed = np.where(np.isfinite(bed), bed, np.nanmedian(self._cloud.points[:, 2]))
+        vertices, unit_m = self._plan(shape.vertices[:, :2]), height_unit_m(self.crs)
         surface = np.column_stack([vertices, shape.vertices[:, 2] * unit_m])
         above = vertical_difference(np.column_stack([plan, near_bed * unit_m]), surface, shape.faces)
         return near_bed - above / unit_m

@@ -41,6 +41,7 @@ _NEAR = 0.6
 # Metadata of a field: see `key`.
 EXPECTED, ONE_OF, LIMITS, OPTION, OPTION_ALONE = "expected", "one_of", "limits", "option", "option_alone"
 # A number in any form; signs that backslashes of a path become.
+_NUMBER_IN_LIST = re.compile(r"\[\d+\]")
 _NUMBER, _CONTROL = re.compile(r"[+-]?[\d.,' ]*\d[\d.,' ]*(\s*[A-Za-z%°]+)?"), re.compile(r"[\x00-\x1f\x7f]")
 
 
@@ -275,7 +276,8 @@ class _Reader:
         what = f"table [{_join(where, name)}]" if is_table else f"key {name}" + (f" in [{where}]" if where else "")
         # A table is compared with tables and a key with keys.
         everywhere = dict(_all_keys(self.root))
-        same_kind = [other for other in known if everywhere[_join(where, other)] == is_table]
+        table = _NUMBER_IN_LIST.sub("", where)
+        same_kind = [other for other in known if everywhere[_join(table, other)] == is_table]
         near = difflib.get_close_matches(name, same_kind, 1, _NEAR)
         elsewhere = [path for path in everywhere if path.split(".")[-1] == name]
         synonym = self.synonyms.get(name.casefold())

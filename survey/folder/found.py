@@ -278,7 +278,7 @@ def _conditions_of_lens(given: Circumstances) -> dict[str, str | None]:
 
 def _is_near(given: float | tuple[float, float] | None, own: tuple[float, float]) -> bool:
     pair = given if isinstance(given, tuple) else (given or math.inf,) * 2
-    return all(abs(a / b - 1.0) <= _SAME for a, b in zip(pair, own, strict=True))
+    return all(abs(a - b) <= _SAME * abs(b) for a, b in zip(pair, own, strict=True))
 
 
 def unused_keys(given: Circumstances) -> tuple[str, ...]:

@@ -196,7 +196,7 @@ def reprojection(ties: FileTies, points: np.ndarray, views: Mapping[str, View]) 
         return None
     every = squares[order][seen[order]]
     rms, median = (float(np.sqrt(value)) for value in (every.mean(), np.median(every)))
-    num_points, num_lost = len(np.unique(ties.point[seen])), int(np.isnan(squares).sum())
+    num_points, num_lost = len(np.unique(ties.point[seen])), int((~np.isfinite(squares)).sum())
     return TiePointMisfit(rms, median, num_points, num_images, len(every), num_lost)
 
 

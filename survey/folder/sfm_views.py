@@ -192,7 +192,7 @@ def solve_views(
 
 
 def _heights_by_focals(result: SfmResult) -> np.ndarray:
-    """Heights (V, 3) [m] by which positions of a camera seem off, up to what straight rays do to its focal length."""
+    """Offsets in height (V, 3) [m] of positions of a camera that a wrong focal length of it makes on straight rays."""
     residuals, ground = result.gps_residual_m, np.median(result.ties.start[:, 2])
     known, off = np.isfinite(residuals).all(axis=1), np.zeros_like(residuals)
     heights = np.array([view.camera.centre[2] for view in result.views])

@@ -49,6 +49,8 @@ _EXTRA_SAMPLES, _ALPHA = 338, ((1,), (2,))
 # Transparency is 0 or full except at edges; a band with more intermediate pixels than this share is a picture.
 _MOST_BETWEEN = 0.5
 _ALPHA_MODES = ("RGBA", "LA", "PA")
+# Tags of TIFF: the compression, and positions and lengths of strips, and of tiles.
+_COMPRESSION, _UNCOMPRESSED, _PIXELS = 259, 1, ((273, 279), (324, 325))
 _JPEG_BEGIN, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
 # libjpeg makes no grey levels of these. An eighth of the size takes the least time; every block is read all the same.
 _FOUR_COMPONENTS, _EIGHTH = ("CMYK", "YCCK"), 8
@@ -232,15 +234,17 @@ def require_complete(path: Path) -> None:
     """Raise ImageError where an image is cut off, damaged, or no image.
 
     Decoders fill what is missing with grey and say nothing. Of a JPEG libjpeg's warnings tell it, of a PNG its
-    checksums; other files are decoded.
+    checksums, of an uncompressed TIFF where its strips or tiles end; other files are decoded.
     """
     with path.open("rb") as file:
         data = file.read(len(_JPEG_BEGIN))
         data = data + file.read() if data == _JPEG_BEGIN else b""
     if not data:
         with open_image(path) as image, damage_named(f"{path} is damaged or cut off"):
+            is_raw = image.format == "TIFF" and _holds_all_pixels(image, path.stat().st_size)
             if image.format == "PNG":
                 image.verify()
+            if is_raw or image.format == "PNG":
                 return
         read_rgb(path)
         return
@@ -255,3 +259,12 @@ def require_complete(path: Path) -> None:
             raise ImageError(f"{path} is damaged or cut off ({warning}); copy it again or remove it") from error
         # Of a kind that libjpeg-turbo's interface does not know, or of another structure.
         read_rgb(path)
+
+
+def _holds_all_pixels(image: Image.Image, size_bytes: int) -> bool:
+    """Whether the tags of an uncompressed TIFF name a place within the file for every strip or tile."""
+    tags = dict(getattr(image, "tag_v2", {}))
+    starts, counts = next(((tags[where], tags.get(many, ())) for where, many in _PIXELS if where in tags), ((), ()))
+    if tags.get(_COMPRESSION, _UNCOMPRESSED) != _UNCOMPRESSED or not 0 < len(starts) == len(counts):
+        return False
+    return all(0 < start <= start + count <= size_bytes for start, count in zip(starts, counts, strict=True))

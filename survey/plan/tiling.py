@@ -85,7 +85,7 @@ def plan_run(
 ) -> tuple[Plan, Workload, tuple[str, ...]]:
     """Plan and workload of a run on a survey whose poses are known, and warnings where tiles are not accurate enough.
 
-    ``aim`` is by which quality and image scale were chosen; ``chooses_workers`` whether a number of processes for tiles
+    ``aim`` is how quality and image scale were chosen; ``chooses_workers`` whether a number of processes for tiles
     is chosen where none is given; ``earlier_tiles`` that of an unfinished run that goes on.
     """
     plan = make_plan(survey, chosen)

@@ -221,7 +221,7 @@ def amounts_of_run(survey: Survey, plan: Plan) -> Amounts:
 def room_warnings(workload: Workload, run_folder: Path, *, refuses: bool = False) -> list[str]:
     """Warnings where the disk of the run folder or the memory will not suffice.
 
-    Raises SurveyError where the disk is too small and the run ``refuses`` what is sure.
+    Raises SurveyError where the run ``refuses`` what is sure: too small a disk, or limits of this process.
     """
     warnings, needs = list[str](), f"the run needs {workload.bound_words}"
     stored = run_folder.glob("stages/**/*") if run_folder.is_dir() else ()
@@ -235,10 +235,17 @@ def room_warnings(workload: Workload, run_folder: Path, *, refuses: bool = False
             raise SurveyError(warnings[0])
     free = machine.free_memory_bytes()
     if workload.memory_bytes > free:
-        warnings.append(
-            f"{needs}{size(workload.memory_bytes)} of memory, and {room(free)} are free: the system may stop it; close "
-            "other programs, use a lower --quality, or give [area] bounds"
+        is_limited = machine.allowed_memory_bytes() <= free
+        cause = (
+            f"limits of this process (ulimit -v, -d) leave {room(free)}; raise them"
+            if is_limited
+            else f"{room(free)} are free: the system may stop it; close other programs"
         )
+        warnings.append(
+            f"{needs}{size(workload.memory_bytes)} of memory, and {cause}, use a lower --quality, or give [area] bounds"
+        )
+        if is_limited and refuses and not workload.is_bound:
+            raise SurveyError(warnings[-1])
     return warnings
 
 

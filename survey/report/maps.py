@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from survey.water.wave_surfaces import WaveSurfaces
 
 # The most pixels of a height map along its longer side.
-_PIXELS = 1000
+_PIXELS = 2000
 _OF_SOLVER = "from the normal matrix of the solver"
 _OF_SWEEP = "from the spread of the views that agree around it and the curvature of the bed"
 # Codes of cells with their colour and meaning; 0 is what no view sees.

@@ -21,7 +21,7 @@ from survey.files.paths import ReadFiles, require_folder
 from survey.files.remote import Remote, is_url, local_run
 from survey.folder.found import survey_inputs
 from survey.folder.survey import Survey, load_survey
-from survey.machine import memory_shortage
+from survey.machine import require_memory
 from survey.plan.check import Checked, require_processable
 from survey.plan.choices import Choices, choices_of
 from survey.plan.plan import Plan
@@ -79,8 +79,7 @@ def process(
         0, or 3 where a quality gate failed; all outputs are written either way.
     """
     began = time.monotonic()
-    if (shortage := memory_shortage()) is not None:
-        raise SurveyError(shortage)
+    require_memory()
     survey_folder, folder = Path(survey_folder), local_run(Path(survey_folder), run_folder)
     truth = {
         option: Path(path) for option, path in (("reference", reference), ("visible", visible)) if path is not None

@@ -76,7 +76,8 @@ class RemoteRun(RunDir):
         for name, content in ((MARKER, marker), *((name, self.remote.read(name)) for name in (RECORD, UNFINISHED))):
             if content is not None:
                 write_text(self.path / name, content.decode())
-            elif name != MARKER:
+            elif name == UNFINISHED:
+                # Not the record: where it is missing at the URL, an upload was interrupted, and it names other results.
                 (self.path / name).unlink(missing_ok=True)
         solved, solved_path = self.remote.read(f"{SFM_FOLDER}/{_SOLVED}"), self.sfm_path / _SOLVED
         if solved is not None and not (solved_path.is_file() and solved_path.read_bytes() == solved):
@@ -171,7 +172,7 @@ class RemoteRun(RunDir):
         record, at_url = read_json_object(self.path / RECORD), self.remote.files(_STAGES)
         for name in {*record["stages"].values()}:
             if f"{name}/{STAGE_RECORD}" not in at_url and (self.stages_path / name / STAGE_RECORD).is_file():
-                # Another machine has removed it meanwhile.
+                # As by whoever tidies up a store.
                 self._put_stage(self.stages_path / name)
         self.remote.remove([RECORD])
         names = [name for name in record["files"] if name != RECORD]

@@ -38,8 +38,8 @@ _BEGIN_PX, _ROWS_PX, _COLUMNS_PX = 4, 8, 64
 _MARGIN_PX = 32
 # Smaller windows would hold few tiles of the sweep; a photograph with less of a tile than this adds nothing to it.
 _LEAST_PX, _LEAST_SEEN_PX = 128, 8
-# Of rays nearer to the horizon than this sine nothing is certain; and the share of its extent by which a footprint is
-# wider than its outline says, for the motion of a camera.
+# Of rays nearer to the horizon than this sine nothing is certain; margin of a footprint, as a share of its extent, for
+# the motion of a camera.
 _LEAST_FALL, _MARGIN = 0.05, 0.05
 # A survey that reaches further from its origin along x or y is larger than a kilometre [m].
 _FAR_M = 500.0

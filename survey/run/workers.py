@@ -101,6 +101,7 @@ class Workers:
                     f"; {len(tasks) - ended} of {len(tasks)} tiles are missing: start it and its workers again, "
                     "and give the same command: it goes on with what is finished"
                 ),
+                has_names=True,
             ):
                 for future in self._as_they_end(waiting, begin):
                     found = future.result()
@@ -176,16 +177,20 @@ class Workers:
 
 
 @contextmanager
-def _in_words(killed: str, lost: Callable[[], str]) -> Iterator[None]:
-    """Raise SurveyError where a task ends all its workers, and where the scheduler is lost, in these words."""
+def _in_words(killed: str, lost: Callable[[], str], *, has_names: bool = False) -> Iterator[None]:
+    """Raise SurveyError where a task ends all its workers, and where the scheduler is lost, in these words.
+
+    Keys of tasks that have names are the name and a number behind a hyphen.
+    """
     from distributed import KilledWorker
     from distributed.comm.core import CommClosedError
 
     try:
         yield
     except KilledWorker as error:
-        task = str(error.task).rpartition("-")[0] or error.task
-        raise SurveyError(f"{task}: {error.allowed_failures + 1} workers {killed}") from error
+        name = str(error.task).rpartition("-")[0] or error.task
+        task = f"{name}: " if has_names else ""
+        raise SurveyError(f"{task}{error.allowed_failures + 1} workers {killed}") from error
     except (CancelledError, CommClosedError) as error:
         raise SurveyError(f"the scheduler of the workers was lost{lost()}") from error
 

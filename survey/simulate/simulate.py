@@ -24,6 +24,7 @@ from survey.errors import ConfigError, OutputError, SurveyError
 from survey.files.paths import ReadFiles, require_folder
 from survey.folder.heights import place_of
 from survey.folder.local_frame import poses_in_local, water_plane
+from survey.machine import require_memory
 from survey.pose_files import read_poses
 from survey.progress import current
 from survey.settings.config import WaterConfig
@@ -196,6 +197,7 @@ def simulate(
     again : bool
         Start again even if the same survey, or a part of it, is there.
     """
+    require_memory()
     path, output = Path(path), Path(output)
     settings = read_scene(path)
     samples = 1 if preview else settings.render.samples

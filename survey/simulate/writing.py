@@ -41,6 +41,7 @@ from survey.simulate.sidecars import (
 _POINTS_PER_M2 = 1000
 # A point is seen if the ray through its pixel ends this close to it [m]: far more than the error of projection
 # (1e-9 m, more along faces that are seen edge on), far less than the distance to anything in front of it.
+_LEAST_FALL = 0.05
 _SAME_POINT_M = 1e-4
 
 MARKER = "simulated.json"
@@ -73,8 +74,10 @@ def seen_by(renderer: DirectRenderer, camera: PinholeCamera, lens: Lens, points:
 
     `refract` only proposes the pixel; the ray that the renderer sends through it has to end at the point.
     """
-    pixels = camera.project(points, renderer.water)
-    near = np.flatnonzero(np.isfinite(pixels).all(axis=1))
+    near = np.flatnonzero(_in_reach(camera, lens, points))
+    pixels = np.full((len(points), 2), np.nan)
+    pixels[near] = camera.project(points[near], renderer.water)
+    near = near[np.isfinite(pixels[near]).all(axis=1)]
     on_image = distorted(lens, pixels[near])
     near = near[((on_image > 0.0) & (on_image < (lens.width, lens.height))).all(axis=1)]
     ends = renderer.trace(camera, pixels[near]).points
@@ -82,6 +85,24 @@ def seen_by(renderer: DirectRenderer, camera: PinholeCamera, lens: Lens, points:
     # A ray that meets nothing ends at NaN, which is near nothing.
     seen[near] = np.linalg.norm(ends - points[near], axis=1) < _SAME_POINT_M
     return seen
+
+
+def _in_reach(camera: PinholeCamera, lens: Lens, points: np.ndarray) -> np.ndarray:
+    """Whether points (N, 3) lie in the rectangle that a camera can see of, from above: (N,) bool.
+
+    Straight rays down to the lowest point reach further than those that water bends; a margin covers waves.
+    """
+    plane, _ = normalised(lens)
+    (u0, v0), (u1, v1) = plane.min(axis=0), plane.max(axis=0)
+    rays = np.array([(u, v, 1.0) for u in (u0, u1) for v in (v0, v1)]) @ camera.cam_from_local
+    cos_nadir = -rays[:, 2] / np.linalg.norm(rays, axis=1)
+    if not len(points) or cos_nadir.min() < _LEAST_FALL:
+        return np.ones(len(points), dtype=bool)
+    t = (camera.centre[2] - points[:, 2].min()) / -rays[:, 2]
+    ends = np.concatenate([camera.centre[None, :2], camera.centre[:2] + t[:, None] * rays[:, :2]])
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    margin = 0.1 * (high - low) + 0.5
+    return ((points[:, :2] >= low - margin) & (points[:, :2] <= high + margin)).all(axis=1)
 
 
 def depth_map(renderer: DirectRenderer, camera: PinholeCamera, lens: Lens) -> tuple[np.ndarray, np.ndarray]:
@@ -108,7 +129,7 @@ def write_survey(
     again: bool = False,
     progress: Progress | None = None,
 ) -> None:
-    """Photograph a scene into a folder; the same settings give the same bytes.
+    """Photograph a scene into a folder, whole or not at all; the same settings give the same bytes.
 
     It becomes a survey folder with ``truth/reference.ply`` (the true surface in the bounds, crs, double precision),
     ``truth/visible.ply`` (points of it that at least three cameras see), ``truth/depth/`` (TIFF [m], below the water of
@@ -123,28 +144,51 @@ def write_survey(
         code.update(path.read_bytes())
     mark = json.dumps({"scene": settings, "sha256": code.hexdigest()}, indent=1) + "\n"
     work = folder.absolute().parent / f".{folder.absolute().name}.part"
+    _put_back(folder, work)
     marker, started = folder / MARKER, work / MARKER
     if marker.is_file():
         if not again and marker.read_text(encoding="utf-8") == mark:
             return
-    # A survey without its marker, and a hidden folder beside it, is one that was stopped while it was moved.
-    elif folder.exists() and not started.is_file() and (not folder.is_dir() or any(folder.iterdir())):
+    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise SurveyError(
             f"{folder} is not empty and was not simulated here (no {MARKER} in it); give another folder or empty it"
         )
     if again or not started.is_file() or started.read_text(encoding="utf-8") != mark:
-        shutil.rmtree(work / "new", ignore_errors=True)
+        shutil.rmtree(work, ignore_errors=True)
         (work / "new").mkdir(parents=True)
         started.write_text(mark, encoding="utf-8")
     _write(work / "new", stage_scene(), progress or Progress(verbosity=-1))
-    folder.mkdir(exist_ok=True)
-    marker.unlink(missing_ok=True)
-    for part in (work / "new").iterdir():
-        if (folder / part.name).is_dir():
-            shutil.rmtree(folder / part.name)
-        part.replace(folder / part.name)
-    marker.write_text(mark, encoding="utf-8")
-    shutil.rmtree(work)
+    (work / "new" / MARKER).write_text(mark, encoding="utf-8")
+    # If this fails, the earlier files are still in the folder or beside it.
+    _replace(folder, work)
+    shutil.rmtree(work, ignore_errors=True)
+
+
+def _replace(folder: Path, work: Path) -> None:
+    """Replace `folder` by work/new, and move files that were not simulated back into it."""
+    new, old = work / "new", work / "old"
+    if folder.exists():
+        folder.rename(old)
+    try:
+        new.rename(folder)
+    except OSError:
+        if old.exists():
+            old.rename(folder)
+        raise
+    _put_back(folder, work)
+
+
+def _put_back(folder: Path, work: Path) -> None:
+    """Move files out of work/old into `folder`: now, or after a run that was killed before it could."""
+    old = work / "old"
+    if old.exists() and not folder.exists():
+        old.rename(folder)
+    elif old.exists():
+        for entry in list(old.iterdir()):
+            if not (folder / entry.name).exists():
+                entry.rename(folder / entry.name)
+        # The rest are the simulated files that were replaced.
+        shutil.rmtree(old)
 
 
 def _write(folder: Path, scene: StagedScene, progress: Progress) -> None:

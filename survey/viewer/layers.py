@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geo.errors import GeoError
 from survey.display.quantities import count
 from survey.errors import SurveyError
 from survey.photos.cameras import View
@@ -239,7 +240,9 @@ def add_field(server: viser.ViserServer, field: TrainedField, show: Callable[[np
     def render(event: viser.GuiEvent) -> None:
         if event.client is None:
             return
-        with telling([event.client], "trained field", "is being rendered"):
+        # Torch raises RuntimeError where a device has too little memory.
+        errors = (SurveyError, GeoError, RuntimeError)
+        with telling([event.client], "trained field", "is being rendered", errors):
             show(field.picture(camera_in_browser(event.client.camera), dry=not wet.value))
             for note in field.notes:
                 event.client.add_notification("trained field", note)

@@ -36,14 +36,18 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def telling(clients: Iterable[viser.ClientHandle | None], label: str, doing: str = "") -> Iterator[None]:
-    """Context in which browsers are told that something is being done, and why it cannot be."""
+def telling(
+    clients: Iterable[viser.ClientHandle | None],
+    label: str,
+    doing: str = "",
+    errors: tuple[type[Exception], ...] = (SurveyError, GeoError),
+) -> Iterator[None]:
+    """Context in which browsers are told that something is being done, and why it cannot be, for these errors."""
     told = [client for client in clients if client is not None]
     notes = [client.add_notification(label, doing, loading=True) for client in told if doing]
     try:
         yield
-    # Torch raises RuntimeError where a device has too little memory.
-    except (SurveyError, GeoError, RuntimeError) as error:
+    except errors as error:
         for client in told:
             client.add_notification(label, str(error), color="red")
     finally:

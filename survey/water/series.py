@@ -124,7 +124,8 @@ def contradicted(times: np.ndarray, levels: np.ndarray, stds: np.ndarray) -> np.
             residuals, sides = _run_residuals(times[keep], levels[keep], size)
             # At a step one side contradicts alone.
             one_sign = (np.sign(np.hstack([residuals, sides])) == np.sign(residuals[:, :1])).all(axis=1)
-            least = np.minimum(np.abs(residuals).min(axis=1), np.abs(sides).min(axis=1) / _OF_A_LINE) * one_sign
+            least = np.minimum(np.abs(residuals).min(axis=1), np.abs(sides).min(axis=1) / _OF_A_LINE)
+            least = np.where(one_sign, least, 0.0)
             worst = int(np.argmax(least))
             rest = np.delete(keep, np.arange(worst + 1, worst + 1 + size))
             # The scatter of the series without the run, which would hide itself among few readings.

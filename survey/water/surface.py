@@ -248,16 +248,15 @@ class StillWater(Departure):
 
     def __init__(self, points: np.ndarray, stds: np.ndarray):
         self.points, self.stds, self._tree = points, stds, KDTree(points[:, :2])
+        self._middle, self._size = points[:, :2].mean(axis=0), float(np.ptp(points[:, :2], axis=0).max())
+        self._terms = np.linalg.lstsq(self._design(points[:, :2]), points[:, 2], rcond=None)[0]
+
+    def _design(self, xy: np.ndarray) -> np.ndarray:
+        x, y = ((xy - self._middle) / self._size).T
+        return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
 
     def _near(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        known = self.points[:, :2]
-        middle, size = known.mean(axis=0), float(np.ptp(known, axis=0).max())
-
-        def design(at: np.ndarray) -> np.ndarray:
-            x, y = ((at - middle) / size).T
-            return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
-
-        return design(xy) @ np.linalg.lstsq(design(known), self.points[:, 2], rcond=None)[0], np.zeros(len(xy))
+        return self._design(xy) @ self._terms, np.zeros(len(xy))
 
 
 def still_water(frame: LocalFrame, plane: FlatWater, centres: np.ndarray) -> StillWater | None:

@@ -38,7 +38,7 @@ _FOCAL_NAMES = ("f", "fx", "fy")
 # Fewer focal lengths that differ are those of several cameras, not the scatter of one.
 LEAST_FOCALS = 5
 # Of ratios of both focal lengths, of thousands of pixels written with three decimals.
-_DIGITS_OF_RATIO = 6
+_SAME_RATIO = 1e-6
 
 
 def is_held(lens: Lens) -> bool:
@@ -81,10 +81,23 @@ def _groups_but_for_focal(lenses: Sequence[Lens]) -> list[list[int]]:
     """Groups of the numbers of lenses that differ in nothing but their focal length, of one ratio of both of them."""
     groups = defaultdict(list)
     for number, lens in enumerate(lenses):
-        names, ratio = MODELS[lens.model][1], round(lens.focal[1] / lens.focal[0], _DIGITS_OF_RATIO)
-        other_params = tuple(p for name, p in zip(names, lens.params, strict=True) if name not in _FOCAL_NAMES)
-        groups[lens.model, lens.width, lens.height, other_params, ratio].append(number)
-    return [*groups.values()]
+        named = zip(MODELS[lens.model][1], lens.params, strict=True)
+        other_params = tuple(p for name, p in named if name not in _FOCAL_NAMES)
+        groups[lens.model, lens.width, lens.height, other_params].append(number)
+    return [part for group in groups.values() for part in _of_one_ratio(lenses, group)]
+
+
+def _of_one_ratio(lenses: Sequence[Lens], group: Sequence[int]) -> list[list[int]]:
+    """Parts of a group whose ratios of both focal lengths are the same."""
+    parts: list[list[int]] = []
+    least = 0.0
+    for ratio, number in sorted((lenses[number].focal[1] / lenses[number].focal[0], number) for number in group):
+        # Against the least of a part, not its neighbour: ratios that spread continuously are no single one.
+        if not parts or ratio > least * (1.0 + _SAME_RATIO):
+            parts.append([])
+            least = ratio
+        parts[-1].append(number)
+    return parts
 
 
 COEFFICIENTS = ("k1", "k2", "k3", "p1", "p2")

@@ -168,7 +168,8 @@ def _stds_of_heights(survey: Survey, plan: Plan, ties: TiePoints, depth_m: float
     _, by_point = linearise_by_points(layout, state, ties, still, rows)
     normal = np.einsum("nai,naj->nij", by_point, by_point)
     normal = np.add.reduceat(normal, np.searchsorted(ties.point, np.arange(len(ties))), axis=0)
-    of_point = float(np.median(np.sqrt(np.linalg.inv(normal)[:, 2, 2]))) * MATCH_STD_PX / plan.image_scale
+    std = np.sqrt(np.linalg.pinv(normal, hermitian=True)[:, 2, 2])
+    of_point = float(np.median(std)) * MATCH_STD_PX / plan.image_scale
     if _is_adjusted(plan):
         kept = np.r_[:NUM_WATER, layout.first_lens : len(layout)]
         jacobian = place_jacobian_at(layout, state, ties, rows)[:, 2]

@@ -64,8 +64,8 @@ _OF_MISFIT, _LEAST_PX = 2.0, 0.01
 _LEAST_OWN = 0.02
 # Smaller standard deviations count as this one: beside 10 um of level, or 1e-5 of index, the step has no digits left.
 _LEAST_STD = 1e-5
-# Fewest windows of a photograph whose mean counts.
-_FEWEST_OF_VIEW = 10
+# Fewest windows of a photograph whose mean counts, and of a quarter of one.
+_FEWEST_OF_VIEW, _FEWEST_OF_QUARTER = 10, 3
 # Windows, each in many photographs; there are few of them where the level is far below the bed, as a pixel seems to
 # cover more of it.
 _FEWEST_WINDOWS = 10
@@ -186,25 +186,27 @@ def release(prior: PriorKnowledge, found: GivenValueTest) -> PriorKnowledge:
 def misfit(residuals: np.ndarray, ties: TiePoints) -> float | None:
     """Reprojection misfit under fixed poses [px], less its noise: see `PoseCheck`.
 
-    ``residuals`` (N, 2) [px] are those of ties. Waves displace neighbours alike: of their mean over a photograph its
-    quarters tell the noise.
+    ``residuals`` (N, 2) [px] are those of ties. Waves displace neighbours alike, those as long as a photograph all that
+    it shows: the noise of a mean over a photograph is at least the variance of those over its quarters.
     """
-    view, pixel = ties.view, ties.pixel
-    squares = []
-    for number in np.unique(view):
-        chosen = (view == number) & np.isfinite(residuals).all(axis=1)
-        of_view, right_below = residuals[chosen], pixel[chosen] > np.median(pixel[chosen], axis=0)
+    squares, noises, of_waves = [], [], []
+    for number in np.unique(ties.view):
+        chosen = (ties.view == number) & np.isfinite(residuals).all(axis=1)
+        of_view, pixel = residuals[chosen], ties.pixel[chosen]
         if len(of_view) < _FEWEST_OF_VIEW:
             continue
         middle = np.median(of_view, axis=0)
+        squares.append(middle**2)
         # The variance of a median is pi / 2 times that of a mean.
-        noise = np.square(std_by_median(of_view - middle, axis=0)) * (0.5 * np.pi / len(of_view))
-        quarter = right_below @ (1, 2)
-        if np.bincount(quarter, minlength=4).min() >= _FEWEST_OF_VIEW:
+        noises.append(np.square(std_by_median(of_view - middle, axis=0)) * (0.5 * np.pi / len(of_view)))
+        quarter = (pixel > np.median(pixel, axis=0)) @ (1, 2)
+        if np.bincount(quarter, minlength=4).min() >= _FEWEST_OF_QUARTER:
             of_quarters = [np.median(of_view[quarter == k], axis=0) for k in range(4)]
-            noise = np.maximum(noise, np.var(of_quarters, axis=0, ddof=1) / 4.0)
-        squares.append(middle**2 - noise)
-    return float(np.sqrt(max(float(np.mean(squares)), 0.0))) if squares else None
+            of_waves.append(np.var(of_quarters, axis=0, ddof=1))
+    if not squares:
+        return None
+    noise = np.maximum(noises, np.mean(of_waves, axis=0) if of_waves else 0.0)
+    return float(np.sqrt(max(float(np.mean(squares - noise)), 0.0)))
 
 
 def check_dry_bed(survey: Survey, problem: Problem, state: State, gsd: float) -> GivenValueTest | None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sqlite3
 from dataclasses import replace
+from pathlib import Path
 
 import ezdxf
 import laspy
@@ -26,7 +28,11 @@ from survey.export.registry import ExportOptions
 from survey.export.vectors import ONE_VIEW, TWO_VIEWS, unseen_of
 from survey.folder.survey import load_survey
 from survey.progress import Progress
+from survey.report.seen_cells import DELETED, GLINT
+from survey.run.edits import Edits
 from survey.run.flight import load_flight, save_flight
+from survey.run.folder import GAPS
+from survey.run.stored import save_arrays
 from survey.water.surface import curvature_drop, plane_under, still_water
 
 TO_CRS = Transformer.from_crs("EPSG:4326", "EPSG:25832", always_xy=True)
@@ -216,6 +222,26 @@ def test_where_no_bed_was_seen_is_a_polygon_a_mask_and_classes_of_las(block, tmp
         east, north = (np.asarray(v)[classes == 45] for v in (las.x, las.y))
         local = survey.frame.local_from_crs(np.column_stack([east, north, np.full(number, 2105.0)]))
         assert (np.linalg.norm(local[:, :2] - HOLE_AT, axis=1) < 0.1).any()
+
+
+def test_gaps_have_the_reasons_of_the_run_and_those_of_edits(block, tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    path, survey = block
+    copy = Path(shutil.copytree(path, tmp_path / "run"))
+    with LoadedRun(copy) as run:
+        cells = unseen_of(run).cells
+    codes = np.where(cells.gaps == TWO_VIEWS, GLINT, cells.gaps)
+    save_arrays(copy / GAPS, codes=codes, origin=np.array(cells.grid.origin), side=np.array(cells.grid.side_m))
+    edits, around = Edits(copy), np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+    away = survey.frame.crs_from_local(np.column_stack([around + np.array([3.0, -2.0]), np.zeros(4)]))
+    edits.delete(edits.inside(away[:, :2]))
+    export(copy, gaps=tmp_path / "g.tif", unseen=tmp_path / "u.geojson")
+    with rasterio.open(tmp_path / "g.tif") as raster:
+        places = survey.frame.crs_from_local([[*HOLE_AT, 0.0], [3.0, -2.0, 0.0], [-3.0, 2.0, 0.0]])
+        assert [int(value[0]) for value in raster.sample(places[:, :2])] == [GLINT, DELETED, 0]
+        area_m2 = float(raster.tags()[f"AREA_{DELETED}_M2"])
+    assert 0.5 < area_m2 < 1.0  # cells that touch a point on the rim are not empty
+    assert "glint: white in the views" in {said["reason"] for said in lines_of(tmp_path / "u.geojson", survey)[1]}
 
 
 @pytest.mark.parametrize("crs", [None, "EPSG:25833"])

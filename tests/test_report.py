@@ -200,8 +200,8 @@ def test_report_json_keeps_its_names(plane_report):
     }  # fmt: skip
     assert list(found) == [
         "verdict", "survey", "taken", "water", "plan", "cloud", "comparison", "iho_s44", "checkpoints", "height_std_m",
-        "stated", "coverage", "waves", "adjustment", "baselines", "photographs", "photographs_left_out", "timings_s",
-        "versions", "settings", "assumptions", "warnings",
+        "stated", "coverage", "gaps", "waves", "adjustment", "baselines", "photographs", "photographs_left_out",
+        "timings_s", "versions", "settings", "assumptions", "warnings",
     ]  # fmt: skip
     assert list(found["verdict"]["gates"][0]) == ["name", "value", "limit", "unit", "passed", "sentence"]
     assert list(found["survey"]["crs"]) == ["name", "code", "unit", "height_unit"]
@@ -248,7 +248,7 @@ def test_report_html_shows_the_figures_of_report_json(plane_report):
 def test_method_and_limitations_come_before_the_pictures(plane_report):
     page = plane_report.run.report_html_path.read_text(encoding="utf-8")
     heads = re.findall(r"<h2>(.*?)</h2>", page)
-    assert heads[:3] == ["Method", "Limitations", "Pictures"]
+    assert heads[:3] == ["Method", "Limitations", "The bed"]
     assert "bent by Snell&#39;s law" in page
 
 
@@ -279,6 +279,6 @@ def test_columns_of_lengths_have_one_unit():
 
 def test_the_verdict_stands_on_top_in_words_and_colour(plane_report):
     page = render_page(plane_report.figures | {"verdict": RunVerdict((MET, MISSED))}, [])
-    assert page.index('class="verdict failed"') < page.index('class="cards"') < page.index("<h2>Pictures</h2>")
+    assert page.index('class="verdict failed"') < page.index('class="cards"') < page.index("<h2>Point cloud</h2>")
     assert "<strong>Failed</strong> 1 of 2 quality gates is not met." in page
     assert MISSED.sentence in page

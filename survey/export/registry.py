@@ -157,6 +157,8 @@ FAMILIES: dict[str, tuple[Product, ...]] = {
         Product("unseen", (*_VECTOR, *_TIFF), "vectors", _CELLS,
                 "Where water was looked at and no bed found: polygons, or GeoTIFF in the cells of --dem.",
                 "unseen.geojson"),
+        Product("gaps", _TIFF, "vectors", (_EDITED,),
+                "Why ground inside the bounds has no point, wet or dry: reasons as GeoTIFF.", "gaps.tif"),
     ),
     "Cameras": (
         Product("colmap", ("",), "cameras", (_EDITED,),

@@ -18,9 +18,9 @@ from shapely import Polygon
 from fields.sweep.bed import BedPoints
 from geo import vectors
 from geo.frames import LocalFrame
-from geo.grid import Window
+from geo.grid import Grid, Window
 from geo.las import CLASS_NO_BOTTOM, CLASS_WATER_SURFACE
-from geo.raster import RasterBand
+from geo.raster import RasterBand, RasterForm, write_cog
 from geo.transformation import Transformation
 from geo.vectors import Layer
 from refract import FlatWater, PinholeCamera
@@ -32,8 +32,9 @@ from survey.export.rasters import write_raster
 from survey.export.registry import ExportOptions
 from survey.plan.area import local_area
 from survey.progress import current
-from survey.report.seen_cells import ONE_VIEW, TWO_VIEWS, SeenCells, cells_seen
-from survey.run.stored import StoredBed
+from survey.report.seen_cells import DELETED, ONE_VIEW, REASONS, TWO_VIEWS, SeenCells, cells_seen, code_at
+from survey.run.folder import GAPS
+from survey.run.stored import StoredBed, load_arrays
 from survey.water.surface import plane_under
 
 _PLACES_OF_SIDE = 12
@@ -46,13 +47,6 @@ _ABOUT = 10
 # More contours result from a mistaken interval.
 _MOST_LEVELS = 1000
 _ROUND = (1.0, 2.0, 5.0, 10.0)
-
-
-# Of cells without a point, by their codes; 0 is everything else: bed found, dry ground, or seen by no view.
-REASONS = {
-    TWO_VIEWS: "two or more views, no bed found: turbid, too deep, glint, or without texture",
-    ONE_VIEW: "one view only",
-}
 
 
 def write_layer(path: Path, layer: Layer) -> None:
@@ -207,30 +201,57 @@ class Unseen:
     level: np.ndarray
     frame: LocalFrame
 
-    def codes_at(self, points_crs: np.ndarray) -> np.ndarray:
-        """Codes (...) uint8 under points (..., 3) in the CRS of the survey, e.g. the middles of other cells; 0 beyond.
-
-        Heights matter little: a metre moves a place by micrometres.
-        """
-        local, grid = self.frame.local_from_crs(points_crs), self.cells.grid
-        at = grid.columns_rows(local)
-        inside = np.all((at >= 0.0) & (at < grid.shape[::-1]), axis=-1)
-        return np.where(inside, self.codes[grid.index(np.where(inside[..., None], local, 0.0))], 0).astype(np.uint8)
+    def codes_at(self, places: np.ndarray) -> np.ndarray:
+        """Codes (...) uint8 under places (..., 2 or more) in the CRS of the survey; 0 beyond."""
+        return code_at(self.cells.grid, self.codes, places[..., :2], self.frame)
 
 
 def unseen_of(run: LoadedRun) -> Unseen:
     """The cells of a run, made once for the products of a command.
 
     A cell is ten ground sampling distances wide (`survey.report.seen_cells`), counts as water where the nearest bed
-    lies under the water, and as seen where its middle is.
+    lies under the water, and as seen where its middle is. Reasons are those that the run has stored.
     """
 
     def made() -> Unseen:
-        flight, cells = run.flight, _cells(run, local_area(run.flight))
+        flight, cells = run.flight, _with_stored_reasons(run, _cells(run, local_area(run.flight)))
         level = flight.level(cells.middles[..., :2])
         return Unseen(cells, np.where(cells.height < level, cells.gaps, 0).astype(np.uint8), level, flight.frame)
 
     return run.once("unseen", made)
+
+
+def _with_stored_reasons(run: LoadedRun, cells: SeenCells) -> SeenCells:
+    """The cells with the reasons that `bathynerf process` found; without them, where an older version made the run."""
+    path = run.folder.path / GAPS
+    if not path.is_file():
+        return cells
+    stored, gaps = load_arrays(path), cells.gaps
+    grid = Grid.northward_from(stored["origin"], float(stored["side"]), stored["codes"].shape)
+    known = stored["codes"][grid.index(cells.middles)]
+    # What had a point in the run has none by edits.
+    reasons = np.where(known > 0, known, TWO_VIEWS if run.edits is None else DELETED)
+    return replace(cells, reasons=np.where(gaps == TWO_VIEWS, reasons, gaps).astype(np.uint8))
+
+
+def write_gaps(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    """Reasons for which ground inside the bounds has no point, wet or dry, as GeoTIFF; 0 is all other ground."""
+    unseen = unseen_of(run)
+    grid, codes = unseen.cells.in_crs(unseen.cells.gaps, unseen.frame)
+    tags = _tags_of_reasons() | {
+        f"AREA_{code}_M2": f"{unseen.cells.grid.side_m**2 * count:.6g}"
+        for code, count in enumerate(np.bincount(unseen.cells.gaps.ravel()))
+        if code and count
+    }
+    band = RasterBand("reason for no bed", "code")
+    form = RasterForm(
+        grid.crs, grid.transform, grid.shape, (band,), dtype="uint8", nodata=None, tags=tags, resampling="NEAREST"
+    )
+    write_cog(path, form, [(0, 0, codes[None])])
+
+
+def _tags_of_reasons() -> dict[str, str]:
+    return {f"CODE_{code}": reason for code, reason in REASONS.items()} | {"CODE_0": "everything else"}
 
 
 def with_unseen(
@@ -299,13 +320,11 @@ def _write_mask(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     grid, unseen = bed_raster(run, options), unseen_of(run)
     corner = np.array([grid.cells.origin])
     back = Transformation.between(grid.cells.crs, run.bed_header.crs, corner)
-    level = float(unseen.frame.origin[2])
 
     def values(window: Window) -> np.ndarray:
         east, north = back(*np.moveaxis(grid.cells.middles(window), -1, 0))
-        codes = unseen.codes_at(np.stack([east, north, np.full(window.shape, level)], axis=-1))
+        codes = unseen.codes_at(np.stack([east, north], axis=-1))
         return np.where(grid.origin[window.slices] > 0, 0, codes).astype(np.uint8)[None]
 
-    tags = {f"CODE_{code}": reason for code, reason in REASONS.items()} | {"CODE_0": "everything else"}
     band = RasterBand("no bed found", "code")
-    write_raster(path, grid, values, band, tags=tags, dtype="uint8", nodata=None, resampling="NEAREST")
+    write_raster(path, grid, values, band, tags=_tags_of_reasons(), dtype="uint8", nodata=None, resampling="NEAREST")

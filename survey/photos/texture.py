@@ -41,7 +41,7 @@ _FEWEST_PX = 16
 # Least energy of coarse detail [grey levels squared], so that squares without any detail have a ratio.
 _LEAST = 1e-3
 # Grey levels of a photograph of one colour, with noise and JPEG, differ by less; those of one in the dark are below.
-_PLAIN_STD, _BLACK_LEVEL = 2.0, 16.0
+PLAIN_STD, _BLACK_LEVEL = 2.0, 16.0
 # Reduction of photographs: JPEG subsamples colours, so that single pixels have none of their own.
 _SMALLER = 4
 # So many photographs, spread over the survey, are enough.
@@ -69,7 +69,7 @@ class ImageDetail:
 def image_detail(path: Path) -> ImageDetail:
     """Detail and white of a photograph."""
     grey = grey_levels(read_rgb(path))
-    is_plain = bool(np.std(grey) < _PLAIN_STD or np.quantile(grey, 0.99) < _BLACK_LEVEL)
+    is_plain = bool(np.std(grey) < PLAIN_STD or np.quantile(grey, 0.99) < _BLACK_LEVEL)
     return ImageDetail(detail_of(grey), float(saturated_pixels(grey).mean()), is_plain)
 
 

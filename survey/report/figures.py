@@ -80,6 +80,7 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
         "height_std_m": height_std(bed.std, facts.std_common) if len(bed) else None,
         "stated": stated_of(facts.stated, depth),
         "coverage": _coverage(facts),
+        "gaps": None if facts.cells is None else facts.cells.areas(),
         "waves": facts.waves,
         "adjustment": adjustment_of(survey, facts.adjustment),
         "baselines": baselines_of(facts),

@@ -16,7 +16,6 @@ from scipy import ndimage
 
 from geo.crs import height_unit_m
 from survey.display.canvas import (
-    Extent,
     Picture,
     colour_bar,
     empty_figure,
@@ -46,7 +45,7 @@ from survey.display.quantities import LengthUnit, length, share
 from survey.photos.images import load_image
 from survey.report.facts import ReportFacts
 from survey.report.profile import Cut, draw_line
-from survey.report.seen_cells import ONE_VIEW, TWO_VIEWS, SeenCells, cells_of
+from survey.report.seen_cells import REASONS, cells_of
 from survey.words import figure_text
 
 if TYPE_CHECKING:
@@ -57,17 +56,17 @@ if TYPE_CHECKING:
 _PIXELS = 2000
 _OF_SOLVER = "from the normal matrix of the solver"
 _OF_SWEEP = "from the spread of the views that agree around it and the curvature of the bed"
-# Codes of cells with their colour and meaning; 0 is what no view sees.
-_HAS_POINT = 3
-_LEGEND = {
-    _HAS_POINT: (WATER, "has points"),
-    TWO_VIEWS: (RED, "two or more views, no bed found"),
-    ONE_VIEW: (OBLIQUE, "one view only"),
-}
+# Codes of cells with their colours, in the order of `REASONS`; 0 is what no view sees.
+_HAS_POINT, _OF_REASONS = (
+    255,
+    (OBLIQUE, SOFT, "#f2c230", "#8a4f7d", "#e3b7c6", "#c56a8a", "#24427a", RED, "#4b8b6f", INK),
+)
+_COLOURS = {_HAS_POINT: WATER} | dict(zip(REASONS, (*_OF_REASONS, RED), strict=True))
 # Arrows of displacements, about.
 _MOST_ARROWS = 800
 # Pixels of the map of cells without a bed, along its longer side at most.
 _UNSEEN_PIXELS = 900
+_LEGEND_COLUMNS = 4
 
 
 def draw_orthophoto(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
@@ -224,38 +223,28 @@ def _show(image: np.ndarray, facts: ReportFacts, grid: PlanGrid) -> Axes:
 
 
 def draw_unseen(path: Path, facts: ReportFacts) -> Picture:
-    """Ground with points, and without, by the number of views that look at it."""
+    """Ground with points, and without, by the reason."""
     survey = facts.survey
     cells = cells_of(survey, facts.bed.xyz, facts.plan.gsd_m) if facts.cells is None else facts.cells
     codes, seen = np.where(cells.has_point, _HAS_POINT, cells.gaps), cells.num_views >= 2
     missing = float(np.mean(~cells.has_point[seen])) if seen.any() else 0.0
-    corners = cells.middles[:: max(cells.height.shape[0] - 1, 1), :: max(cells.height.shape[1] - 1, 1)]
-    low, high = (limit(survey.frame.crs_from_local(corners.reshape(-1, 3)), axis=0)[:2] for limit in (np.min, np.max))
-    extent = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
-    figure, axes = map_canvas(extent, survey.frame.crs, below_in=0.3)
-    show(axes, _image(cells, codes, facts, extent), extent)
+    grid, shown = cells.in_crs(codes, survey.frame, _UNSEEN_PIXELS)
+    named = [(code, REASONS.get(code, "has points").partition(":")[0]) for code in _COLOURS if (codes == code).any()]
+    figure, axes = map_canvas(grid.extent, survey.frame.crs, below_in=0.3 * -(-len(named) // _LEGEND_COLUMNS))
+    colours = np.full((256, 4), to_rgba(EMPTY))
+    colours[list(_COLOURS)] = [to_rgba(colour) for colour in _COLOURS.values()]
+    show(axes, np.rint(255.0 * colours).astype(np.uint8)[shown], grid.extent)
     figure.legend(
-        handles=[Patch(color=_LEGEND[code][0], label=_LEGEND[code][1]) for code in _LEGEND if (codes == code).any()],
-        loc="lower center", ncols=3, frameon=False, fontsize=8,
+        handles=[Patch(color=_COLOURS[code], label=f"{name}, {share(np.mean(codes[cells.num_views > 0] == code))}")
+                 for code, name in named],
+        loc="lower center", ncols=_LEGEND_COLUMNS, frameon=False, fontsize=8,
     )  # fmt: skip
-    reasons = "no texture, shadow" if survey.water is None else "water that is too deep or turbid, glint, no texture"
     words = (
-        f"Ground without a point: {reasons}, or things that moved. Nothing is filled in there. What one view alone "
-        "sees cannot be measured."
+        "Ground without a point, by the reason that most of the photographs give; shares are of the ground that "
+        "photographs look at. Nothing is filled in there."
     )
     subtitle = f"{share(missing)} of the ground that two or more views see"
-    return finished(axes, path, "Where no bed was found", subtitle, words)
-
-
-def _image(cells: SeenCells, codes: np.ndarray, facts: ReportFacts, extent: Extent) -> np.ndarray:
-    """Colours (rows, columns, 4) uint8 of an extent in crs, its first row in the north."""
-    west, east, south, north = extent
-    rows, columns = np.clip(cells.height.shape, 1, _UNSEEN_PIXELS).tolist()
-    x, y = np.meshgrid(np.linspace(west, east, columns), np.linspace(north, south, rows))
-    height = np.full(x.shape, float(facts.survey.frame.origin[2]))
-    local = facts.survey.frame.local_from_crs(np.stack([x, y, height], axis=-1))
-    colours = [to_rgba(_LEGEND[code][0] if code else EMPTY) for code in range(4)]
-    return np.rint(255.0 * np.array(colours)).astype(np.uint8)[codes[cells.grid.index(local)]]
+    return finished(axes, path, "Where no bed was found, and why", subtitle, words)
 
 
 def without_pinholes(raster: np.ndarray) -> np.ndarray:

@@ -36,15 +36,19 @@ from survey.report.figures import ReportFigures
 from survey.settings.config import settings_text
 from survey.words import Quality
 
-# Headings of the pictures with the names of their files.
+# Headings with the files of their pictures and the titles of their sections, which fill the pages between pictures.
 _GROUPS = (
-    ("The bed", ("depth", "orthophoto", "profile")),
-    ("Uncertainty and coverage", ("unseen", "views", "std", "histograms")),
-    ("Comparison with the reference", ("error", "completeness", "error_histogram", "error_bands")),
-    ("Residuals of the adjustment", ("parts", "control", "residuals_ground", "residuals_image", "correlation")),
-    ("Waves", ("waves", "wave_shifts")),
-    ("Flight", ("view", "plan")),
-)
+    ("The bed", ("depth", "orthophoto", "profile"), ("Point cloud",)),
+    ("Uncertainty and coverage", ("unseen", "views", "std", "histograms"),
+     ("Ground without a bed, by reason", "Coverage of the water", "Check points", "Stated uncertainty of the cloud")),
+    ("Comparison with the reference", ("error", "completeness", "error_histogram", "error_bands"),
+     ("Comparison with the reference", "Vertical uncertainty (IHO S-44)",
+      "Baselines: refraction ignored or approximated")),
+    ("Residuals of the adjustment", ("parts", "control", "residuals_ground", "residuals_image", "correlation"),
+     ("Adjustment",)),
+    ("Waves", ("waves", "wave_shifts"), ("Waves",)),
+    ("Flight", ("view", "plan"), ("Survey and water", "Photographs")),
+)  # fmt: skip
 # These show several things side by side and take the whole width.
 _WIDE = ("view", "profile", "error_bands")
 # Smaller things than so many ground sampling distances are smoothed away by the windows that are matched.
@@ -65,8 +69,8 @@ def render_page(figures: ReportFigures, pictures: Sequence[Picture]) -> str:
         cards=list(cards(figures)),
         num_warnings=len(figures["warnings"]),
         first_sections=[Section("Method", _method(figures)), Section("Limitations", _limitations(figures))],
-        groups=_grouped(pictures),
-        sections=[section for section in _sections(figures) if section.blocks],
+        groups=_grouped(pictures, sections := [section for section in _sections(figures) if section.blocks]),
+        sections=[section for section in sections if not any(section.title in titles for _, _, titles in _GROUPS)],
         settings=settings_text(figures["settings"]),
         version=figures["versions"].get("bathynerf", ""),
     )
@@ -86,13 +90,14 @@ def _template() -> jinja2.Template:
 
 
 def _sections(figures: ReportFigures) -> list[Section]:
-    """The parts of the page after the pictures, in their order; some may be empty."""
+    """The parts of the page beside pictures; some may be empty."""
     comparison: Figures | None = figures["comparison"]
     uncertainty = None if comparison is None else comparison.uncertainty
     decisions = [(decision.name, decision.choice, decision.reason) for decision in figures["plan"].decisions]
     timings = [(name.replace("_", " "), clock(seconds)) for name, seconds in figures["timings_s"].items()]
     return [
         Section("Coverage of the water", _coverage(figures)),
+        Section("Ground without a bed, by reason", tables.gaps(figures["gaps"])),
         Section("Comparison with the reference", compare_tables.comparison(comparison)),
         Section("Waves", tables.waves(figures["waves"])),
         Section("Check points", tables.checkpoints(figures["checkpoints"])),
@@ -113,8 +118,8 @@ def _sections(figures: ReportFigures) -> list[Section]:
     ]
 
 
-def _grouped(pictures: Sequence[Picture]) -> list[tuple[str, list[dict]]]:
-    """Headings with their pictures, each with its file as text."""
+def _grouped(pictures: Sequence[Picture], sections: Sequence[Section]) -> list[tuple[str, list[dict], list[Section]]]:
+    """Headings with their pictures, each with its file as text, and their sections."""
     shown = {
         picture.path.stem: {
             "title": picture.title,
@@ -124,10 +129,14 @@ def _grouped(pictures: Sequence[Picture]) -> list[tuple[str, list[dict]]]:
         }
         for picture in pictures
     }
-    if unknown := sorted(shown.keys() - {name for _, names in _GROUPS for name in names}):
+    if unknown := sorted(shown.keys() - {name for _, names, _ in _GROUPS for name in names}):
         raise ValueError(f"the pictures {', '.join(unknown)} have no place in the report")
-    groups = [(heading, [shown[name] for name in names if name in shown]) for heading, names in _GROUPS]
-    return [group for group in groups if group[1]]
+    by_title = {section.title: section for section in sections}
+    groups = [
+        (heading, [shown[name] for name in names if name in shown], [by_title[t] for t in titles if t in by_title])
+        for heading, names, titles in _GROUPS
+    ]
+    return [group for group in groups if group[1] or group[2]]
 
 
 @dataclass(frozen=True)
@@ -230,7 +239,7 @@ def _card_of_orders(iho: IhoS44) -> Card:
 
 
 def _coverage(figures: ReportFigures) -> list[Block]:
-    """Coverage of the water in words, and reasons for gaps; nothing for a dry survey."""
+    """Coverage of the water in words; nothing for a dry survey."""
     found = figures["coverage"]
     water_m2 = 0.0 if found is None else found.wet_m2 + found.two_views_m2 + found.one_view_m2
     if not water_m2:
@@ -240,15 +249,11 @@ def _coverage(figures: ReportFigures) -> list[Block]:
         return f"{area(value_m2)}, {share(value_m2 / water_m2)} of the water that was looked at"
 
     std = "" if found.water_std_m3 is None else f" ± {volume(found.water_std_m3)} (one sigma)"
-    gaps = (
-        ("no bed, two photographs or more", found.two_views_m2,
-         "turbid or too deep, glint, moving plants, or a bed without texture"),
-        ("no bed, one photograph only", found.one_view_m2, "no second ray to intersect"),
-    )  # fmt: skip
     rows = [
         ("bed found", part(found.wet_m2)),
         ("water over it", f"{volume(found.water_m3)}{std}"),
-        *((label, f"{part(gap_m2)}: {why}") for label, gap_m2, why in gaps if gap_m2),
+        ("no bed, two photographs or more", part(found.two_views_m2)),
+        ("no bed, one photograph only", part(found.one_view_m2)),
     ]
     if left_out := figures["photographs_left_out"]:
         rows.append(("photographs without a pose", f"{len(left_out)}: what they alone show is missing"))

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from geo.grid import Grid
+from geo.grid import Grid, plan_box
+from geo.projection import ground_units_m
 from survey.display.plan_grid import PlanGrid, median
 from survey.plan.area import local_area
 from survey.water.surface import plane_under
 
 if TYPE_CHECKING:
+    from geo.frames import LocalFrame
     from refract import FlatWater, PinholeCamera
     from survey.folder.survey import Survey
     from survey.water.surface import Departure
@@ -26,8 +28,22 @@ if TYPE_CHECKING:
 CELL_GSD = 10.0
 # At most this many cells along an axis; larger areas take larger cells.
 _MOST_CELLS = 2000
-# Codes of cells without a point.
+# Codes of cells without a point: by the number of views alone, and by reasons (`survey.report.gap_reasons`).
 TWO_VIEWS, ONE_VIEW = 1, 2
+MASKED, GLINT, NO_PAIR, PLAIN, DEEP, CONTRADICTED, HIDDEN, DELETED, UNLIKE = range(3, 12)
+REASONS = {
+    ONE_VIEW: "one view only: no second ray to intersect",
+    MASKED: "masked: masks leave fewer than two views",
+    GLINT: "glint: white in the views",
+    NO_PAIR: "no pair of views to match: too little overlap, or one place of the camera",
+    PLAIN: "no texture: plain in the views",
+    UNLIKE: "unlike: the views show texture, but not the same: it moves, or they see it from too far apart",
+    DEEP: "too deep or turbid: nothing matches, and deeper than where half of the bed is found",
+    CONTRADICTED: "contradicted: the views match, but at no height on which two agree",
+    HIDDEN: "hidden: the views show the bed, but another place of it, in front of this one",
+    DELETED: "points deleted by hand",
+    TWO_VIEWS: "two or more views, reason not recorded: process again with this version",
+}
 
 
 @dataclass(frozen=True)
@@ -39,6 +55,7 @@ class SeenCells:
     num_views: np.ndarray  # int: views that see the middle of the cell; occlusion is ignored
     # float64 [m], local: mean of the points; where there are none, that of the nearest cell that has some
     height: np.ndarray
+    reasons: np.ndarray | None = None  # uint8: codes of `REASONS`, 0 for all other cells; None where nobody has looked
 
     @property
     def middles(self) -> np.ndarray:
@@ -47,9 +64,42 @@ class SeenCells:
 
     @property
     def gaps(self) -> np.ndarray:
-        """Codes (rows, columns) uint8 of cells without a point: `TWO_VIEWS`, `ONE_VIEW`, or 0 for all others."""
+        """Codes (rows, columns) uint8 of cells without a point, by their reasons or views; 0 for all others."""
+        if self.reasons is not None:
+            return self.reasons
         views = np.where(self.num_views >= 2, TWO_VIEWS, np.where(self.num_views == 1, ONE_VIEW, 0))
         return np.where(self.has_point, 0, views).astype(np.uint8)
+
+    def areas(self) -> dict[str, Any]:
+        """Areas [m^2]: of ``ground_m2`` that a view looks at, of that which has points, and of the rest by reason."""
+        cell_m2, count = self.grid.side_m**2, np.bincount(self.gaps.ravel(), minlength=len(REASONS) + 1)
+        reasons = {REASONS[code]: cell_m2 * float(count[code]) for code in REASONS if count[code]}
+        return {
+            "ground_m2": cell_m2 * float(np.count_nonzero(self.num_views)),
+            "found_m2": cell_m2 * float(np.count_nonzero(self.has_point & (self.num_views > 0))),
+            "reasons_m2": dict(sorted(reasons.items(), key=lambda entry: -entry[1])),
+        }
+
+    def in_crs(self, codes: np.ndarray, frame: LocalFrame, most: int = 1 << 15) -> tuple[Grid, np.ndarray]:
+        """Codes (rows, columns) uint8 of the cells in cells of crs, at most so many along a side; 0 beyond."""
+        rows, columns = self.height.shape
+        corners = self.middles[:: max(rows - 1, 1), :: max(columns - 1, 1)].reshape(-1, 3)
+        low, high = plan_box(frame.crs_from_local(corners))
+        size_m = float(((high - low) * ground_units_m(frame.crs, low)).max())
+        grid = Grid.southward_from(low, high, max(self.grid.side_m, size_m / (most - 1)), frame.crs)
+        return grid, code_at(self.grid, codes, grid.middles(), frame)
+
+
+def code_at(grid: Grid, codes: np.ndarray, places: np.ndarray, frame: LocalFrame) -> np.ndarray:
+    """Codes (...) uint8 of the cells of a local grid under places (..., 2) in crs; 0 beyond.
+
+    Heights matter little: a metre moves a place by micrometres.
+    """
+    height = np.full((*places.shape[:-1], 1), float(frame.origin[2]))
+    local = frame.local_from_crs(np.concatenate([places, height], axis=-1))
+    at = grid.columns_rows(local)
+    inside = np.all((at >= 0.0) & (at < grid.shape[::-1]), axis=-1)
+    return np.where(inside, codes[grid.index(np.where(inside[..., None], local, 0.0))], 0).astype(np.uint8)
 
 
 def cells_seen(
@@ -142,12 +192,12 @@ def coverage_of(cells: SeenCells, depth: np.ndarray, shared_std_m: float | None)
     `shared_std_m` [m] is the standard deviation common to all heights.
     """
     wet, cell_m2 = depth > 0.0, cells.grid.side_m**2
-    found, gaps = wet & cells.has_point, np.bincount(cells.gaps[wet], minlength=3)
+    found, gaps = wet & cells.has_point, cells.gaps[wet]
     wet_m2 = cell_m2 * float(found.sum())
     return CoverageFigures(
         wet_m2=wet_m2,
         water_m3=cell_m2 * float(depth[found].sum()),
         water_std_m3=None if shared_std_m is None else wet_m2 * shared_std_m,
-        two_views_m2=cell_m2 * float(gaps[TWO_VIEWS]),
-        one_view_m2=cell_m2 * float(gaps[ONE_VIEW]),
+        two_views_m2=cell_m2 * float(np.count_nonzero(gaps) - np.count_nonzero(gaps == ONE_VIEW)),
+        one_view_m2=cell_m2 * float(np.count_nonzero(gaps == ONE_VIEW)),
     )

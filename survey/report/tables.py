@@ -53,6 +53,18 @@ def _extent(extent: dict[str, Any] | None, crs: dict[str, Any]) -> list[Table]:
     return [Table(("extent", "from", "to", "size"), rows)]
 
 
+def gaps(found: dict[str, Any] | None) -> list[Block]:
+    """Ground that photographs look at and that has no point, by reason; nothing where there is none."""
+    if found is None or not found["reasons_m2"]:
+        return []
+    ground_m2 = found["ground_m2"]
+    rows = [("points found", "", area(found["found_m2"]), share(found["found_m2"] / ground_m2))]
+    for reason, of_m2 in found["reasons_m2"].items():
+        name, _, meaning = reason.partition(": ")
+        rows.append((name, meaning, area(of_m2), share(of_m2 / ground_m2)))
+    return [Table(("reason", "meaning", "area", "of the ground that photographs look at"), rows, num_texts=2)]
+
+
 def survey(taken: dict[str, Any], water: dict[str, Any] | None, plan: Plan) -> list[Block]:
     """Section of the survey: place, cameras, flying height and water."""
     crs, decimals = taken["crs"], _DECIMALS.get(taken["crs"]["unit"], 2)

@@ -34,9 +34,10 @@ from survey.stage_key import code_hash, content_hash, stage_key
 from survey.words import RUN_FOLDER, SFM_FOLDER
 
 MARKER, STAGE_RECORD, _PART = ".bathynerf-run.json", "stage.json", ".part"
+GAPS = "gaps.npz"
 # Files and folders of a result; its record is moved last.
 NAMES = (
-    "settings.toml", "plan.json", "cloud.las", "flight.json", "adjustment.json", "adjustment.npz", "cameras.csv",
+    "settings.toml", "plan.json", "cloud.las", GAPS, "flight.json", "adjustment.json", "adjustment.npz", "cameras.csv",
     "sparse", "report.json", "report.html", "pictures", "result.json",
 )  # fmt: skip
 RECORD = "result.json"

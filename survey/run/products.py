@@ -31,15 +31,16 @@ from survey.plan.tiling import tile_warnings
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.checkpoints import checkpoint_warnings
 from survey.report.facts import RunVerdict, WaveFigures, dry_warnings
+from survey.report.gap_reasons import with_reasons
 from survey.report.photographs import PhotographFigures, left_out_shares, photograph_warnings, photographs_of
 from survey.report.seen_cells import SeenCells, cells_of
 from survey.run.flight import save_flight
-from survey.run.folder import RunDir, seconds_of, versions, versions_of
+from survey.run.folder import GAPS, RunDir, seconds_of, versions, versions_of
 from survey.run.gate import gates_of_aim, verdict_of
 from survey.run.job import Job
 from survey.run.stage_solver import SIGHTINGS, WAVES, load_surfaces
 from survey.run.stage_sweep import CONSISTENCY, MAPS, SATURATED
-from survey.run.stored import StoredBed, load_bed
+from survey.run.stored import StoredBed, load_bed, save_arrays
 from survey.run.stored_maps import Stored
 from survey.settings.config import dump_config
 from survey.settings.tables import ProcessConfig
@@ -173,6 +174,8 @@ def _write_report(finished: FinishedRun, stored: StoredBed) -> RunVerdict:
     save_flight(folder, job.survey)
     progress.note(f"{len(stored.bed):,} points of the bed")
     cells = cells_of(job.survey, stored.bed.xyz, job.plan.gsd_m)
+    cells = with_reasons(cells, job.survey, job.plan, Stored(finished.stages["sweep"] / MAPS, HeightMap))
+    save_arrays(folder / GAPS, codes=cells.gaps, origin=np.array(cells.grid.origin), side=np.array(cells.grid.side_m))
     verdict = verdict_of(job.survey, stored, job.plan.gsd_m, cells)
     verdict = RunVerdict((*verdict.gates, *gates_of_aim(job.chosen, stored, finished.seconds)))
     facts = _facts(finished, stored, options, cells, verdict)

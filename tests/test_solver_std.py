@@ -162,6 +162,16 @@ def test_bends_beyond_noise_are_those_of_the_bed_about_a_height():
     assert np.quantile(found, 0.05) > 0.5 * np.mean(found)
 
 
+def test_an_edge_is_no_relief_of_the_ground_beside_it():
+    tile, result = level(INFORMATION, ROUGHNESS, 120)
+    columns = np.nonzero(tile.inside)[1]
+    edge = replace(result, height=np.where(columns < columns.mean(), 0.0, 1.0))
+    found = np.sqrt(subpixel_relief(tile, edge, expected_variances(tile, result, RESPONSE), 0.0, 0.0))
+    distance = np.abs(columns - columns.mean())
+    assert found[distance < 1.0].min() > 0.3
+    assert found[distance > 4.0].max() < 0.04
+
+
 def test_shifts_are_no_noise():
     null_solutions = null_solutions_of([residuals(white(8), shift_px=0.3)], ROUGHNESS, 1.0)
     all_noise, rest = (

@@ -165,5 +165,5 @@ class Backdrop(torch.nn.Module):
         super().__init__()
         self.register_buffer("linear", torch.tensor(stored) ** GAMMA)
 
-    def forward(self, paths: Paths) -> torch.Tensor:
+    def forward(self, paths: Paths, _appearance: torch.Tensor | None) -> torch.Tensor:
         return self.linear.expand(len(paths), 3)

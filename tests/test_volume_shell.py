@@ -91,8 +91,8 @@ def test_paths_that_miss_the_box_go_on_in_the_water_from_its_surface():
 def test_light_of_the_shell_adds_up_to_the_colours_of_its_layers():
     """With one colour everywhere the shell shows it, whatever its density: what passes all layers is the sky's."""
     shell = Shell(BOX)
-    nn.init.zeros_(shell.network[-1].weight)
-    shell.network[-1].bias.data = torch.tensor([1.3, 0.2, 0.5, -0.1])
+    nn.init.zeros_(shell.colour[-1].weight)
+    shell.colour[-1].bias.data = torch.tensor([0.2, 0.5, -0.1])
     seen = shell(seen_by(looking_down(), WATER))
     expected = nn.functional.softplus(torch.tensor([0.2, 0.5, -0.1]), beta=4.0)
     torch.testing.assert_close(seen, expected.expand_as(seen))
@@ -106,6 +106,19 @@ def test_an_empty_shell_shows_the_sky_of_each_direction_and_no_parallax():
     view = torch.zeros(5, dtype=torch.int64)
     seen = shell(paths_along(origins, direction.numpy(), None, torch.zeros(5, 3), BOX, view))
     torch.testing.assert_close(seen, seen[:1].expand_as(seen), rtol=1e-5, atol=1e-6)
+
+
+def test_colours_of_one_place_differ_by_direction_and_by_photograph():
+    torch.manual_seed(0)
+    shell = Shell(BOX, appearance=2)
+    nn.init.zeros_(shell.network[-1].weight)  # the same density and features everywhere
+    to_all_sides = np.random.default_rng(0).normal(size=(50, 3))
+    to_all_sides /= np.linalg.norm(to_all_sides, axis=1, keepdims=True)
+    view = torch.zeros(50, dtype=torch.int64)
+    paths = paths_along(np.zeros((50, 3)), to_all_sides, None, torch.zeros(50, 3), BOX, view)
+    bright, dark = (shell(paths, torch.full((50, 2), number)) for number in (2.0, -2.0))
+    assert (bright.std(dim=0) > 0.01).all()
+    assert ((bright - dark).abs().mean(dim=0) > 0.01).all()
 
 
 def test_a_shell_learns_a_distant_backdrop_behind_an_empty_box():

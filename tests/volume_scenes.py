@@ -40,7 +40,7 @@ class Backdrop(nn.Module):
         super().__init__()
         self.register_buffer("linear", torch.tensor(stored) ** GAMMA)
 
-    def forward(self, paths: Paths) -> Tensor:
+    def forward(self, paths: Paths, _appearance: Tensor | None) -> Tensor:
         return self.linear.expand(len(paths), 3)
 
 

@@ -47,10 +47,10 @@ class VolumeRenderer(nn.Module):
     """A volume with all that its rendering needs: optionally a water column, appearance vectors and a background.
 
     ``column``: what the water does to light; None for a dry one. ``appearance``: a vector for each photograph.
-    ``background``: linear radiance (N, 3) of what lies behind the box, from `Paths`; None where every path ends in the
-    box: light that passed all samples but the last came from there. (Over black, density would grow everywhere at
-    first, because that is the quickest way to a bright picture, and stay as a wall before the cameras.) ``proposal``:
-    what draws the samples, in place of the occupied cells.
+    ``background``: linear radiance (N, 3) of what lies behind the box, from `Paths` and their vectors; None where every
+    path ends in the box: light that passed all samples but the last came from there. (Over black, density would grow
+    everywhere at first, because that is the quickest way to a bright picture, and stay as a wall before the cameras.)
+    ``proposal``: what draws the samples, in place of the occupied cells.
     """
 
     RATE = 0.001
@@ -87,14 +87,15 @@ class VolumeRenderer(nn.Module):
         """Colours and weights of paths; ``dry`` leaves out the effect of the water on the light."""
         weights, features, direction = self.weigh(paths, samples)
         opacity, num = weights.sum(dim=1, keepdim=True), weights.shape[1]
+        vectors = None if self.appearance is None else self.appearance(paths.view)
 
         def radiance_of(where: Tensor) -> Tensor:
-            vectors = None if self.appearance is None else self.appearance(paths.view)[where // num]
-            return self.model.radiance(features[where], direction[where], vectors)
+            own = None if vectors is None else vectors[where // num]
+            return self.model.radiance(features[where], direction[where], own)
 
         colour = composite(weights, radiance_of, opacity)
         if self.background is not None:
-            colour = colour + (1.0 - opacity) * self.background(paths)
+            colour = colour + (1.0 - opacity) * self.background(paths, vectors)
         if self.column is not None and not dry:
             mean = (weights.detach() * samples.s).sum(dim=1) + (1.0 - opacity.detach()[:, 0]) * paths.far
             length = paths.length_in_water(mean)

@@ -16,16 +16,18 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from fields.heads import perceptron
+from fields.heads import conditions_of, perceptron
 from fields.volume.paths import Box, Paths
 
-OCTAVES, HIDDEN = 5, 64  # Octaves in which the coordinates enter the network, and its width
+OCTAVES, HIDDEN = 5, 64  # Octaves in which the coordinates enter the networks, and their width
+FEATURES, DEGREE = 15, 2  # Numbers that density hands on to colour, and degree of the harmonics of the direction
 LAYERS = 8  # Samples of each path between the ellipsoid and infinity, even in u
 
 
 class Shell(nn.Module):
     """Colour and density about a box, to infinity; the background of a `VolumeRenderer`.
 
+    Colour depends on the direction and on ``appearance`` numbers of the photograph, as in the NeRF of tidal flats.
     Paths go on from where they leave the box, or from where they enter the water if that comes later, in the medium
     that is there. Thickness is density times length in the coordinates (x', y', z', u); what passes it comes from
     infinity. The corners of the box lie on the ellipsoid.
@@ -34,22 +36,24 @@ class Shell(nn.Module):
     centre: Tensor
     axes: Tensor
 
-    def __init__(self, box: Box):
+    def __init__(self, box: Box, appearance: int = 0):
         super().__init__()
         centre, axes = 0.5 * (box.low + box.high), 0.5 * np.sqrt(3.0) * box.size
         self.register_buffer("centre", torch.as_tensor(centre, dtype=torch.float32))
         self.register_buffer("axes", torch.as_tensor(axes, dtype=torch.float32))
-        inputs = 4 * (1 + 2 * OCTAVES)
-        self.network = perceptron(inputs, HIDDEN, HIDDEN, 4, activation=nn.GELU)
+        self.network = perceptron(4 * (1 + 2 * OCTAVES), HIDDEN, HIDDEN, 1 + FEATURES, activation=nn.GELU)
+        seen = FEATURES + (DEGREE + 1) ** 2 - 1 + appearance
+        self.colour = perceptron(seen, HIDDEN, 3, activation=nn.GELU)
 
-    def forward(self, paths: Paths) -> Tensor:
-        """Linear radiance (N, 3) that comes in from outside the box."""
+    def forward(self, paths: Paths, appearance: Tensor | None = None) -> Tensor:
+        """Linear radiance (N, 3) from outside the box, for the appearance vectors (N, A) of the photographs."""
         origin, direction = self.scaled(paths)
         nearest = self.first(origin, direction)
         ends = nearest[:, None] * torch.linspace(1.0, 0.0, LAYERS + 1, device=nearest.device)
         middle = torch.cat([0.5 * (ends[:, 1:] + ends[:, :-1]), nearest.new_zeros(len(paths), 1)], dim=1)
         raw = self.network(octaves(inverted(origin, direction, middle)))
-        colour = nn.functional.softplus(raw[..., 1:], beta=4.0)
+        known = torch.cat(conditions_of(-direction, DEGREE, appearance), dim=1)[:, None].expand(-1, LAYERS + 1, -1)
+        colour = nn.functional.softplus(self.colour(torch.cat([raw[..., 1:], known], dim=-1)), beta=4.0)
         corners = inverted(origin, direction, ends)
         length = (corners[:, 1:] - corners[:, :-1]).norm(dim=-1)
         thickness = torch.cumsum(nn.functional.softplus(raw[:, :-1, 0]) * length, dim=1)

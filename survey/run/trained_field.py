@@ -100,7 +100,7 @@ class VolumeRecipe:
             model,
             column=WaterColumn(self.absorption, self.veil) if bent else None,
             appearance=appearance_vectors(photographs, length) if length else None,
-            background=Shell(box) if self.shell else None,
+            background=Shell(box, length) if self.shell else None,
             proposal=cast("Proposal | None", model.proposal(setup)),
         ).to(tensor_place(place))
 

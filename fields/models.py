@@ -1,12 +1,12 @@
-"""The radiance fields by their names, the one list that options, help, tables of the documents and tests follow.
+"""The radiance fields by their names, the one list that options, help and tests follow.
 
 And the weights of the terms beside the squared error of the colours (`fields.volume.losses`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -22,75 +22,6 @@ class Rule(StrEnum):
     median = "median"
     mode = "mode"
     density = "density"
-
-
-@dataclass(frozen=True)
-class Entry:
-    """A model of the list."""
-
-    label: str  # In tables and pictures of benchmarks
-    field: str  # What it is made of, for docs/field.md
-    source: str
-    made_by: str  # "module:callable" in fields.volume that makes it, untrained, of a `Setup`; imported when built
-
-
-MODELS = {
-    "mdw": Entry("MDW", "planes times vectors at several scales, with weighted density", "MDW-NeRF", "tensor:mdw"),
-    "m": Entry("M", "mdw without the weighting", "its ablation", "tensor:m"),
-    "dw": Entry("DW", "mdw at one scale", "its ablation", "tensor:dw"),
-    "vm": Entry("VM", "mdw at one scale without the weighting", "its ablation", "tensor:vm"),
-    "tensorf": Entry(
-        "TensoRF", "planes times vectors of density and of colour apart, cells refined in five steps, total variation",
-        "Chen et al. 2022", "tensorf:tensorf",
-    ),
-    "nerf": Entry("NeRF", "a multilayer perceptron of sines", "Mildenhall et al. 2020", "mlp:nerf"),
-    "tinynerf": Entry("TinyNeRF", "the same, small and matt", "Mildenhall et al. 2020", "mlp:tinynerf"),
-    "nerfacto": Entry(
-        "Nerfacto", "a hash grid with two rounds of proposals, at its published size",
-        "Tancik et al. 2023; Müller et al. 2022", "nerfacto:nerfacto",
-    ),
-    "hash": Entry(
-        "hash grid, proposals", "the same with one round, at a size for processors",
-        "Tancik et al. 2023; Müller et al. 2022", "nerfacto:hash_grid",
-    ),
-    "octree": Entry(
-        "octree of fields",
-        "experimental: grids of an octree's nodes, which grows where density has detail; places the bed four times as "
-        "far off as mdw", "Inf-NeRF", "octree:octree",
-    ),
-    "ground": Entry(
-        "ground planes", "experimental: planes over the ground, and a perceptron beside them", "Grid-NeRF", "mlp:ground"
-    ),
-}  # fmt: skip
-IN_LAYER = ("mdw", "m", "dw", "vm")  # Those that `bathynerf process --field` offers, in a layer about the bed
-
-
-def maker(name: str) -> Callable[[Any], Any]:
-    """What makes a model of a `fields.volume.model.Setup`.
-
-    Raises ValueError if there is none of that name, or it cannot be imported. ``name``: a key of `MODELS`, an entry
-    point of `GROUP`, or "package.module:Class".
-    """
-    place = f"fields.volume.{MODELS[name].made_by}" if name in MODELS else name
-    if ":" not in place:
-        found = {point.name: point for point in entry_points(group=GROUP)}
-        if place not in found:
-            raise ValueError(
-                f"there is no model {name}; expected one of {', '.join([*MODELS, *found])}, or package.module:Class of "
-                "an installed package"
-            )
-        place = found[place].value
-    module, _, attribute = place.partition(":")
-    try:
-        return getattr(import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"the model {name} cannot be imported from {place}: {error}") from error
-
-
-def table() -> list[str]:
-    """The models as a table in Markdown, for docs/field.md."""
-    rows = [f"| `{name}` | {entry.field} | {entry.source} |" for name, entry in MODELS.items()]
-    return ["| `--model` | field | source |", "|---|---|---|", *rows]
 
 
 PATCH_PX = 8  # Side of patches [px] where none is given
@@ -133,3 +64,54 @@ class Losses:
     def patch(self) -> int:
         """Side [px] of the patches that training has to draw; 1 for single pixels."""
         return (self.patch_px or PATCH_PX) if self.have_patches else 1
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A model of the list."""
+
+    label: str  # In tables and pictures of benchmarks
+    made_by: str  # "module:callable" in fields.volume that makes it, untrained, of a `Setup`; imported when built
+    published: Mapping[str, Any] = field(default_factory=dict)  # Options of `bathynerf field` as in its paper
+
+
+_MDW = {"steps": 150_000, "rays": 4096, "cells": 256}
+# 2048 cells of Nerfacto's table are four times 512.
+_NERFACTO = {"steps": 30_000, "rays": 4096, "cells": 512, "losses": Losses(distortion=0.002)}
+_OCTREE = {"steps": 10_000, "rays": 4096, "losses": Losses(distortion=0.002, empty=0.001, printed_density=0.002)}
+MODELS = {
+    "mdw": Entry("MDW", "tensor:mdw", _MDW),
+    "m": Entry("M", "tensor:m", _MDW),
+    "dw": Entry("DW", "tensor:dw", _MDW),
+    "vm": Entry("VM", "tensor:vm", _MDW),
+    "tensorf": Entry("TensoRF", "tensorf:tensorf", {"steps": 30_000, "rays": 4096, "cells": 300}),
+    "nerf": Entry("NeRF", "mlp:nerf", {"rays": 2048}),
+    "tinynerf": Entry("TinyNeRF", "mlp:tinynerf", {"steps": 1000, "samples": 32}),
+    "nerfacto": Entry("Nerfacto", "nerfacto:nerfacto", _NERFACTO),
+    "hash": Entry("hash grid, proposals", "nerfacto:hash_grid"),
+    "octree": Entry("octree of fields", "octree:octree", _OCTREE),
+    "ground": Entry("ground planes", "mlp:ground", {"steps": 120_000, "rays": 4096}),
+}
+IN_LAYER = ("mdw", "m", "dw", "vm")  # Those that `bathynerf process --field` offers, in a layer about the bed
+
+
+def maker(name: str) -> Callable[[Any], Any]:
+    """What makes a model of a `fields.volume.model.Setup`.
+
+    Raises ValueError if there is none of that name, or it cannot be imported. ``name``: a key of `MODELS`, an entry
+    point of `GROUP`, or "package.module:Class".
+    """
+    place = f"fields.volume.{MODELS[name].made_by}" if name in MODELS else name
+    if ":" not in place:
+        found = {point.name: point for point in entry_points(group=GROUP)}
+        if place not in found:
+            raise ValueError(
+                f"there is no model {name}; expected one of {', '.join([*MODELS, *found])}, or package.module:Class of "
+                "an installed package"
+            )
+        place = found[place].value
+    module, _, attribute = place.partition(":")
+    try:
+        return getattr(import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"the model {name} cannot be imported from {place}: {error}") from error

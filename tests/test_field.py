@@ -131,8 +131,26 @@ def test_the_same_training_again_computes_no_step(folder, run):
     after = torch.load(folder / "g" / "state.pt", weights_only=True)
     assert again["training"]["steps"] == after["step"] == 4
     torch.testing.assert_close(before["renderer"], after["renderer"], rtol=0.0, atol=0.0)
-    with pytest.raises(OutputError, match=r"a volume of other settings \(steps: 4 there, 50 asked for\); name another"):
-        train_field(run, folder / "g", replace(SHORT, steps=50))
+    with pytest.raises(OutputError, match=r"a volume of other settings \(steps: 4 there, 3 asked for\); name another"):
+        train_field(run, folder / "g", replace(SHORT, steps=3))
+
+
+def test_moments_are_written_for_tensorboard_where_it_is_installed(folder, run):
+    events = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator", reason="no tensorboard")
+    history = train_field(run, folder / "events", SHORT)["training"]["history"]
+    found = events.EventAccumulator(str(folder / "events")).Reload()
+    for number, name in enumerate(("photographs", "held out"), 1):
+        written = [(each.step, each.value) for each in found.Scalars(f"PSNR [dB]/{name}")]
+        assert written == [(moment[0], pytest.approx(moment[number])) for moment in history]
+
+
+def test_a_field_that_is_trained_gets_more_steps(folder, run):
+    before = train_field(run, folder / "longer", SHORT)["training"]
+    after = train_field(run, folder / "longer", replace(SHORT, steps=6))["training"]
+    assert after["history"] == [*before["history"], *after["history"][4:]]
+    assert [step for step, *_ in after["history"]] == [1, 2, 3, 4, 5, 6]
+    state = torch.load(folder / "longer" / "state.pt", weights_only=True)
+    assert (state["step"], len(state["losses"])) == (6, 6)
 
 
 @pytest.mark.parametrize("keep", [0, 100, -1])
@@ -250,6 +268,19 @@ def test_the_survey_says_what_no_option_does(folder, run):
     assert (options.samples, options.seed) == (VolumeOptions().samples, 5)
     assert options.of_losses().distortion == 0.01
     assert field_config(run, str(folder)) == FieldConfig()
+
+
+def test_as_published_takes_the_numbers_of_the_paper_where_none_is_given():
+    options = volume_options(FieldConfig(model="nerfacto", rays=8, as_published=True))
+    assert (options.steps, options.rays, options.cells) == (30_000, 8, 512)
+    assert options.of_losses() == Losses(distortion=0.002)
+    assert volume_options(FieldConfig(as_published=True)).steps == 150_000
+    with pytest.raises(SurveyError, match="--as-published is given, and no paper describes hash; leave it out"):
+        volume_options(FieldConfig(model="hash", as_published=True))
+    with pytest.raises(SurveyError, match="as_published has no effect without volume_options"):
+        VolumeOptions(as_published=True)
+    for entry in MODELS.values():
+        VolumeOptions(**entry.published)
 
 
 @pytest.mark.parametrize(

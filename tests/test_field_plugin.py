@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from painted_survey import painted_survey, run_over
 
-from fields.models import MODELS, maker, table
+from fields.models import MODELS, maker
 from survey.errors import SurveyError
 from survey.volume.field import train_field
 from survey.volume.options import VolumeOptions
@@ -67,6 +67,5 @@ def test_what_makes_no_model_is_refused(package, tmp_path):
 
 
 def test_the_page_lists_the_models_there_are():
-    rows = "\n".join(table())
-    assert rows in PAGE, f"docs/field.md: put in place of the table of models\n{rows}"
+    assert re.findall(r"^\| `(\w+)` \|", PAGE.partition("| `--model` |")[2].partition("\n\n")[0], re.M) == list(MODELS)
     assert all(callable(maker(name)) for name in MODELS)

@@ -117,8 +117,8 @@ def test_colours_of_one_place_differ_by_direction_and_by_photograph():
     view = torch.zeros(50, dtype=torch.int64)
     paths = paths_along(np.zeros((50, 3)), to_all_sides, None, torch.zeros(50, 3), BOX, view)
     bright, dark = (shell(paths, torch.full((50, 2), number)) for number in (2.0, -2.0))
-    assert (bright.std(dim=0) > 0.01).all()
-    assert ((bright - dark).abs().mean(dim=0) > 0.01).all()
+    assert (bright.std(dim=0) > 0.001).all()
+    assert ((bright - dark).abs().mean(dim=0) > 0.001).all()
 
 
 def test_a_shell_learns_a_distant_backdrop_behind_an_empty_box():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -88,6 +90,14 @@ def test_cells_become_smaller_at_their_shares_of_the_training():
         assert changed == (step + 1 in (2, 4))
     assert levels == [6, 12, 12, 24, 24, 24, 24, 24]
     assert {id(p) for g in model.rates() for p in g.parameters} == {id(p) for p in model.parameters()}
+
+
+def test_cells_do_not_become_larger_again_where_a_training_goes_on_for_more_steps():
+    short, longer = volume(), volume(replace(SMALL, steps=10 * SMALL.steps))
+    short.observe([1.0] * SMALL.steps)
+    longer.load_state_dict(short.state_dict())
+    assert not longer.observe([1.0] * (SMALL.steps + 1))
+    assert longer.density.grids[0].nx == short.density.grids[0].nx == 24
 
 
 def test_a_state_comes_back_at_any_level():

@@ -36,10 +36,7 @@ SAMPLES = 48  # Of each path
 
 
 def appearance_vectors(photographs: int, length: int) -> nn.Embedding:
-    """Vectors of ``length`` numbers, all zero: every photograph begins with the same appearance.
-
-    ``photographs``: how many there are; `Paths.view` counts them from 0. ``length``: as ``appearance`` of the volume.
-    """
+    """Vectors of so many photographs, which `Paths.view` counts, and numbers, all zero: each begins alike."""
     vectors = nn.Embedding(photographs, length)
     nn.init.zeros_(vectors.weight)
     return vectors
@@ -54,17 +51,16 @@ def match_appearance(
     rays: int = 2048,
     seed: int = 0,
 ) -> nn.Embedding:
-    """Appearance vectors with which a trained volume matches other photographs; all else is unchanged.
+    """Vectors for photographs that a volume was not trained with, for its ``appearance``; see `fitted_vectors`.
 
-    Appearance matching of a submodule to its neighbour in the NeRF of tidal flats: about 100 steps, from the mean of
-    the volume's own vectors. Raises ValueError if the renderer has no appearance vectors. ``photographs``: of the same
-    place, not those that it was trained with. ``cells``: the proxy that training left. Returns a vector for each of the
-    photographs; give it to the renderer as its ``appearance`` to see it with them.
+    ``cells``: the proxy that training left.
     """
     rng, count = np.random.default_rng(seed), len(photographs.cameras)
-    return fitted_vectors(
-        renderer, count, cells, lambda: photographs.draw(rays, renderer.model.box, rng), steps=steps, seed=seed
-    )
+
+    def draw() -> Paths:
+        return photographs.draw(rays, renderer.model.box, rng)
+
+    return fitted_vectors(renderer, count, cells, draw, steps=steps, seed=seed)
 
 
 @half_the_threads()

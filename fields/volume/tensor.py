@@ -47,9 +47,7 @@ class TensorSettings:
     reduction: int = 4  # r of the weighting network
     degree: int = 2  # Of the spherical harmonics in the colour head; 0 for a matt scene
     hidden: int = 32  # Width of the colour head
-    # Learning rate of the factors after the switch. The paper's 0.001 is for 150,000 steps; in a thousand they hardly
-    # change.
-    fine_rate: float = 0.001
+    fine_rate: float = 0.001  # Learning rate of the factors after the switch; see `FINE_RATE`
     # switch_window, switch_ratio float: the variance of the loss over the last ``window`` steps falls below ``ratio``
     # times that over the first
     switch_window: int = 100
@@ -125,9 +123,9 @@ SCALES, CHANNELS = 4, 4  # Scales, and features of a sample, of the models of se
 # Cells of the coarsest scale over those of the finest, which are as long as those of the layer's raster.
 COARSENING = 8.0
 CELLS_IN_HALF = 4.0  # Finest cells in half of the layer
-# Learning rate of the factors in a box after the switch to weighted density: with the paper's 0.001, which is for
-# 150,000 steps, they hardly change in some thousands.
-FINE_RATE = 0.02
+# Learning rate of the factors in a box after the switch to weighted density, of trainings with fewer steps than this:
+# with the paper's 0.001, which is for 150,000, they hardly change in some thousands.
+FINE_RATE, LONG = 0.02, 100_000
 # Share of the steps in which colours are learned with the bed at rest: it would follow colours that are still wrong.
 COLOUR_FIRST = 0.3
 
@@ -208,7 +206,8 @@ class LayerVolume(TensorVolume):
 def _tensor(of: Setup, settings: TensorSettings) -> TensorVolume:
     if isinstance(of.box, Layer):
         return LayerVolume(of.box, settings, of.device, steps=of.steps, appearance=of.appearance)
-    settings = replace(settings, n_min=max(of.cells // 4, 2), n_max=of.cells, fine_rate=FINE_RATE)
+    rate = FINE_RATE if of.steps < LONG else settings.fine_rate
+    settings = replace(settings, n_min=max(of.cells // 4, 2), n_max=of.cells, fine_rate=rate)
     return TensorVolume(of.box, settings, of.device, appearance=of.appearance)
 
 

@@ -108,7 +108,7 @@ class TensorfVolume(VolumeModel):
     def observe(self, losses: list[float]) -> bool:
         self._step = len(losses)
         level = bisect_right(self.settings.refined_at, self._step / self.settings.steps)
-        if level == self._level:
+        if level <= self._level:  # less where a training goes on for more steps
             return False
         self._refine(level)
         return True

@@ -177,6 +177,9 @@ class FieldConfig:
     model: str | None = _training(
         "NAME", f"{', '.join(MODELS)}, or package.module:Class; default: mdw.", expected="a model of bathynerf field"
     )
+    as_published: bool = _training(
+        None, "Numbers of the model's paper where you give none.", name="--as-published", default=False, alone=True
+    )
     steps: int | None = _training("N", "Training steps; default: 2000.", least=1)
     rays: int | None = _training("N", "Rays per step; default: 4096.", least=1)
     samples: int | None = _training("N", "Samples per ray; default: 48.", least=2)

@@ -80,7 +80,7 @@ def _one(run: LoadedRun, flight: Flight, options: VolumeOptions, folder: VolumeF
     trained = train(scene, flight, options, folder)
     _draw_curve(folder.path / CURVE, trained.figures.history)
     surface, views = surface_in(trained), trained.held_views()
-    return FieldResult(surface, scene.bed, scene.held, trained.view, views, trained.report())
+    return FieldResult(surface, scene.bed, scene.held, trained.field.view, views, trained.report())
 
 
 def _write_cloud(path: Path, surface: Surface, run: LoadedRun, flight: Flight) -> None:
@@ -111,10 +111,8 @@ def _held_out(made: FieldResult, folder: Path, *, right_half: bool) -> dict[str,
     """
     held = made.held
     found: dict[str, dict[str, float]] = {"held_out_psnr_db": {}, "held_out_ssim": {}}
-    targets = [
-        Target(name, camera, folder / Path(name).with_suffix(""))
-        for name, camera in zip(held.names, held.cameras, strict=True)
-    ]
+    named = zip(held.names, held.cameras, strict=True)
+    targets = [Target(name, camera, folder / Path(name).with_suffix("")) for name, camera in named]
     if not targets:
         return found
     views = {id(target.camera): view for target, view in zip(targets, made.held_views, strict=True)}

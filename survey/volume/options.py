@@ -15,12 +15,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from fields.models import Losses, Rule, maker
+from fields.models import MODELS, Losses, Rule, maker
 from fields.volume.photographs import PriorImages
 from refract import PinholeCamera
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun, survey_folder
 from survey.files.toml_table import require_valid
+from survey.progress import current
 from survey.run.trained_field import VolumeRecipe
 from survey.settings.config import SurveyConfig, settings_of
 from survey.settings.tables import FieldConfig
@@ -64,6 +65,8 @@ class VolumeOptions(FieldConfig):
     def _without_effect(self) -> Iterator[tuple[str, str]]:
         """Options that were given and that nothing uses, with what they need."""
         of = self.losses
+        if self.as_published:
+            yield "as_published", "volume_options, which knows what else is given"
         if self.drop is not None and self.submodules is None:
             yield "--drop", "--submodules"
         if self.density is not None and self.rule is not Rule.density:
@@ -78,7 +81,7 @@ class VolumeOptions(FieldConfig):
 
     def of_training(self, run: LoadedRun) -> dict[str, Any]:
         """All that the trained field depends on: the result of the run, the options, and the monocular priors."""
-        made = ("rule", "density", "reference", "cameras", "dry", "survey", "device", "drop")
+        made = ("rule", "density", "reference", "cameras", "dry", "survey", "device", "drop", "as_published")
         settings = {name: value for name, value in asdict(self).items() if name not in made}
         priors = None if self.monocular is None else priors_hash(Path(self.monocular))
         of_run = {"run": str(run.folder.path.absolute()), "result": run.stages}
@@ -108,9 +111,17 @@ def field_config(run: str | Path, survey: str | None) -> FieldConfig:
 
 
 def volume_options(config: FieldConfig, **others: Any) -> VolumeOptions:
-    """`VolumeOptions` of a configuration; what it leaves open has its default."""
-    given = {name: value for name, value in vars(config).items() if value is not None}
-    return VolumeOptions(**given | others)
+    """`VolumeOptions` of a configuration; what it leaves open has its default, or is as its model's paper has it."""
+    given = {name: value for name, value in vars(config).items() if value is not None} | others
+    if given.pop("as_published"):
+        model = given.get("model", VolumeOptions.model)
+        published = MODELS[model].published if model in MODELS else {}
+        if not published:
+            raise SurveyError(f"--as-published is given, and no paper describes {model}; leave it out")
+        given = {**published, **given}
+        said = ", ".join(f"{name} {given[name]}" for name in published)
+        current().note(f"as published: {said}; what is not as in the paper is in docs/papers.md")
+    return VolumeOptions(**given)
 
 
 # After a photograph's name without its suffix, with what each holds.

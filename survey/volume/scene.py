@@ -9,6 +9,7 @@ import json
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -201,6 +202,8 @@ class VolumeFolder:
 
     def __init__(self, path: Path, settings: dict[str, Any], inputs: ReadFiles):
         self.path, self._inputs = path, inputs
+        self._events: Any = None  # TensorBoard's writer, once there is something to write
+        self._written = 0  # Moments that it has
         require_folder("-o", path, inputs)
         self._due = time.monotonic() + _EVERY_S
         # As a file would give them back.
@@ -219,8 +222,10 @@ class VolumeFolder:
         return VolumeFolder(self.path / name, self._settings | {"part": name}, self._inputs)
 
     def _require_same(self, before: dict[str, Any], settings: dict[str, Any]) -> None:
-        # A run may have been moved.
-        keys = [key for key in {**before, **settings} if key != "run" and before.get(key) != settings.get(key)]
+        # A run may have been moved, and one field may get more steps.
+        more = not settings.get("submodules") and settings.get("steps", 0) >= before.get("steps", 0)
+        free = {"run", "steps"} if more else {"run"}
+        keys = [key for key in {**before, **settings} if key not in free and before.get(key) != settings.get(key)]
         if "result" in keys:
             raise OutputError(
                 f"-o names {self.path}, whose field was trained on another run, or on an earlier result of this one; "
@@ -239,7 +244,23 @@ class VolumeFolder:
         """Save a state, if it is the last or it is time for one."""
         begun = time.monotonic()
         if last or begun >= self._due:
+            state = make()
             with write_whole(self.path / FIELD_STATE) as stream:
-                torch.save(make(), stream)
+                torch.save(state, stream)
+            self._follow(state["history"])
             saved = time.monotonic()
             self._due = saved + max(_EVERY_S, (saved - begun) / _SHARE)
+
+    def _follow(self, history: list[tuple[int, float, float | None]]) -> None:
+        """Write the moments that are new into the folder for TensorBoard, if it is installed."""
+        if find_spec("tensorboard") is None:
+            return
+        from torch.utils.tensorboard import SummaryWriter
+
+        self._events = self._events or SummaryWriter(str(self.path), purge_step=0)
+        for step, *both in history[self._written :]:
+            for name, value in zip(("photographs", "held out"), both, strict=True):
+                if value is not None:
+                    self._events.add_scalar(f"PSNR [dB]/{name}", value, step)
+        self._events.flush()
+        self._written = len(history)

@@ -282,9 +282,10 @@ def _trained(
     if options.drop == Drop.network and not (folder.path / VISIBILITY).is_file():
         with current().stage("Visibility"):
             steps = max(round(VISIBILITY_STEPS * options.steps), 1)
-            network = train_visibility(trained.renderer, learned, trained.cells, steps=steps, seed=options.seed)
+            field = trained.field
+            network = train_visibility(field.renderer, learned, field.cells, steps=steps, seed=options.seed)
         with write_whole(folder.path / VISIBILITY) as stream:
-            torch.save({"network": network.cpu().state_dict(), "occupied": trained.cells.occupied.cpu()}, stream)
+            torch.save({"network": network.cpu().state_dict(), "occupied": field.cells.occupied.cpu()}, stream)
     return trained
 
 

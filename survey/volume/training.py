@@ -14,8 +14,6 @@ import psutil
 from fields.image_based import NovelView
 from fields.volume.fitted import match_appearance
 from fields.volume.photographs import Photographs
-from fields.volume.renderer import VolumeRenderer
-from fields.volume.sampling import Cells
 from fields.volume.surface import Surface, distance_of, points_on_surface, surface_of
 from fields.volume.train import Checkpoints, Training, VolumeFigures, train_volume
 from refract import PinholeCamera
@@ -32,29 +30,22 @@ MATCHING_RAYS = 2048  # Rays of a step of the matching of appearances, where a s
 class Trained:
     """A trained field with its training data."""
 
-    renderer: VolumeRenderer
-    cells: Cells
+    field: RestoredField
     figures: VolumeFigures
     scene: Scene
-    flight: Flight
     options: VolumeOptions
     cost: dict[str, float]  # Time of the steps of this command, and memory after them
 
-    def view(self, camera: PinholeCamera, dry: bool, look: int = 0) -> NovelView:
-        """View of a camera, with the water or, ``dry``, without it, in the appearance of a photograph by its number."""
-        of = self.options.recipe
-        return RestoredField(self.renderer, self.cells, of, self.flight.water, of.steps).view(camera, dry, look)
-
     def held_views(self) -> Iterator[NovelView]:
         """Views of the cameras held out, each in an appearance that fits the left half of its photograph."""
-        held, own = self.scene.held, self.renderer.appearance
+        held, of, own = self.scene.held, self.field, self.field.renderer.appearance
         if own is not None and any(len(pixels) for pixels in held.left_half.pixels):
             rays, seed = min(self.options.rays, MATCHING_RAYS), self.options.seed
-            self.renderer.appearance = match_appearance(self.renderer, held.left_half, self.cells, rays=rays, seed=seed)
+            of.renderer.appearance = match_appearance(of.renderer, held.left_half, of.cells, rays=rays, seed=seed)
         try:
-            yield from (self.view(camera, False, look) for look, camera in enumerate(held.cameras))
+            yield from (of.view(camera, False, look) for look, camera in enumerate(held.cameras))
         finally:
-            self.renderer.appearance = own
+            of.renderer.appearance = own
 
     def report(self) -> dict[str, Any]:
         """Figures of the training."""
@@ -74,7 +65,7 @@ class FieldResult:
     surface: Surface
     bed: np.ndarray  # (N, 3) [m], local: of the run
     held: Photographs  # that were left out
-    view: Callable[[PinholeCamera, bool], NovelView]  # As `Trained.view`
+    view: Callable[[PinholeCamera, bool], NovelView]  # As `RestoredField.view`
     held_views: Iterable[NovelView]  # Of the photographs that were left out
     report: dict[str, Any]
 
@@ -92,36 +83,26 @@ def train(scene: Scene, flight: Flight, options: VolumeOptions, checkpoints: Che
     start = None if options.from_scratch else scene.cells_about_bed(training.cells, training.margin)
     cpu = time.process_time()
     with current().stage("Training", 1.0) as stage:
+        report, held = reporting(stage, training.rays), None if options.submodules else scene.held
         proxy, figures = train_volume(
-            renderer,
-            scene.train,
-            training,
-            reporting(stage, training.rays),
-            cells=start,
-            seed=options.seed,
-            checkpoints=checkpoints,
-            held=None if options.submodules else scene.held,
+            renderer, scene.train, training, report, cells=start, seed=options.seed, checkpoints=checkpoints, held=held
         )
     cost = {
         "wall_s": stage.seconds,
         "cpu_s": time.process_time() - cpu,
         "memory_bytes": psutil.Process().memory_info().rss,
     }
-    return Trained(renderer, proxy, figures, scene, flight, options, cost)
+    field = RestoredField(renderer, proxy, options.recipe, flight.water, options.steps)
+    return Trained(field, figures, scene, options, cost)
 
 
 def surface_in(trained: Trained) -> Surface:
     """Surface points of a field, in cells of a pixel or of half a cell of the field, whichever is larger."""
-    of, scene = trained.options, trained.scene
+    of, scene, field = trained.options, trained.scene, trained.field
     cell = scene.box.edge / of.cells
     with current().stage("Surface", len(scene.train.cameras)) as stage:
         distance = partial(distance_of, rule=of.rule, density=of.density or np.log(2.0) / cell)
         points = points_on_surface(
-            trained.renderer,
-            scene.train,
-            trained.cells,
-            samples=of.samples,
-            distance=distance,
-            advance=stage.advance,
+            field.renderer, scene.train, field.cells, samples=of.samples, distance=distance, advance=stage.advance
         )
-        return surface_of(points, trained.renderer.model.box, max(scene.pixel_m, 0.5 * cell))
+        return surface_of(points, scene.box, max(scene.pixel_m, 0.5 * cell))

@@ -5,6 +5,9 @@ from __future__ import annotations
 import io
 import json
 import math
+import signal
+import subprocess
+import sys
 import threading
 import urllib.error
 import urllib.request
@@ -25,9 +28,10 @@ from survey.control.formats import read_gcp_list
 from survey.errors import SurveyError
 from survey.folder.found import find_survey
 from survey.folder.survey import load_survey
-from survey.marking.mark_store import MarkStore, PointKey
+from survey.marking.mark_store import PointKey
 from survey.marking.server import TILE_PX, TOKEN_HEADER, MarkingServer, PhotographTiles, pyramid
 from survey.marking.session import MarkingSession
+from survey.photos.images import load_mask, read_mask
 from survey.run.flight import save_flight
 
 CONTROL = '[control]\ngcps = "gcp_list.txt"\n'
@@ -268,24 +272,80 @@ def test_tiles_join_to_the_photograph_and_halves_keep_their_place(tmp_path):
     assert np.abs(tile[:, :, 0].astype(float) - pixels[:TILE_PX, TILE_PX : 2 * TILE_PX, 0]).max() <= 3.0
 
 
-def test_the_command_prints_the_address_and_at_its_end_what_it_wrote(folder, monkeypatch):
+def test_the_command_prints_the_address_and_at_its_end_what_it_wrote(folder):
     (folder / "survey.toml").write_text(TOML)
     (folder / "gcp_list.txt").write_text(odm())
-
-    def serve(server):
-        server.session.store.set(PointKey("water", "w1"), "0000.jpg", (5.0, 6.0))
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(MarkingServer, "serve_forever", serve)
-    monkeypatch.setattr(MarkStore, "points", lambda self: {PointKey("water", "w1"): None})
-    found = bathynerf("mark", folder, "--no-browser")
-    assert found.exit_code == 0
-    lines = found.stdout.split("\n")
-    assert lines[0].startswith("http://localhost:")
-    assert "/?token=" in lines[0]
-    assert [str(folder / "gcp_list.txt"), str(folder / "clicks.csv")] == lines[1:3]
+    code = "import sys; from survey.commands.verbs import app; app(sys.argv[1:])"
+    command = [sys.executable, "-c", code, "mark", str(folder), "--no-browser"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:
+        url = running.stdout.readline().strip()
+        assert url.startswith("http://localhost:")
+        page, _, token = url.partition("?token=")
+        # The page is there before the survey is loaded, and its questions wait until then.
+        for path, body in (
+            ("add", {"kind": "water", "name": "w1"}),
+            ("mark", {"kind": "water", "name": "w1", "image": "0000.jpg", "pixel": [5.0, 6.0]}),
+        ):
+            asked = urllib.request.Request(page + path, json.dumps(body).encode(), {TOKEN_HEADER: token})
+            urllib.request.urlopen(asked, timeout=120).close()
+        running.send_signal(signal.SIGINT)
+        lines = running.stdout.read().split("\n")
+    assert running.returncode == 0
+    assert [str(folder / "gcp_list.txt"), str(folder / "clicks.csv")] == lines[:2]
     assert 'in survey.toml: [control] gcps = "gcp_list.txt"' in lines
     assert 'in survey.toml: [water] clicks = "clicks.csv", in place of the level that is there' in lines
+
+
+def test_a_survey_that_cannot_be_loaded_ends_the_command_with_a_sentence(folder):
+    (folder / "survey.toml").write_text("name = ")
+    found = bathynerf("mark", folder, "--no-browser")
+    assert found.exit_code == 2
+    assert "survey.toml" in found.stderr
+
+
+def test_a_page_before_its_survey_is_loaded_says_that_it_is_loading(folder):
+    with MarkingServer() as running:
+        threading.Thread(target=running.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
+        assert b"loading" in answer(running, f"/?token={running.token}")[1]
+        waits = threading.Thread(target=lambda: found.append(state(running)), daemon=True)
+        found = []
+        waits.start()
+        running.show(MarkingSession(folder))
+        waits.join()
+        assert found[0]["name"] == "small"
+        running.shutdown()
+
+
+def test_the_std_of_a_point_with_a_gross_error_says_so(server, folder):
+    shown = seen(folder)
+    state(server, "/add", {"kind": "ground", "name": "deep", "place": PLACE})
+    for name, (x, y) in shown.items():
+        key = {"kind": "ground", "name": "deep", "image": name}
+        good = point(state(server, "/mark", {**key, "pixel": [x, y]}), "deep")["std_m"]
+    bad = point(state(server, "/mark", {**key, "pixel": [x + 3.0, y]}), "deep")
+    # As the scatter of the residuals about the place has it.
+    misses = sum(math.hypot(*each) ** 2 for each in bad["residuals"].values()) / (bad["limit_px"] / 3.0) ** 2
+    assert bad["std_m"][2] / good[2] == pytest.approx(math.sqrt(misses / (2 * len(shown) - 3)), rel=0.2)
+    assert bad["std_m"][2] > 2.0 * good[2]
+
+
+def test_a_part_that_is_left_out_is_a_mask_that_the_next_run_takes(server, folder):
+    corners = [[10.0, 5.0], [30.0, 5.0], [30.0, 25.0], [10.0, 25.0]]
+    asked = {"image": "0001.jpg", "corners": corners, "is_used": False}
+    state(server, "/mask", asked)
+    state(server, "/mask", asked | {"corners": [[10.0, 5.0], [15.0, 5.0], [15.0, 25.0], [10.0, 25.0]], "is_used": True})
+    (folder / "survey.toml").write_text(TOML)
+    (view,) = [view for view in load_survey(folder).views if view.name == "0001.jpg"]
+    assert view.mask_path == folder / "images" / "0001_mask.png"
+    used = load_mask(view)
+    assert not used[7:23, 17:28].any()
+    assert used[:, :14].all()
+    assert used[:, 32:].all()
+    assert used[27:].all()
+    status, content = answer(server, "/mask/0001.jpg")
+    assert (status, np.asarray(Image.open(io.BytesIO(content)))[15, [2, 20]].tolist()) == (200, [255, 0])
+    assert answer(server, "/mask", asked | {"image": "../survey.toml"})[0] == 400
+    assert answer(server, "/mask", asked | {"corners": []})[0] == 400
 
 
 def test_a_port_that_is_taken_is_an_error_in_one_sentence(server, folder):
@@ -327,6 +387,12 @@ def test_clicks_in_a_real_browser_land_in_the_files(server, folder):
         page.value("fit()")
         page.click(*page.value("pageOf([30.25, 20.75])"))
         page.until("Object.keys(pointOf(chosen).marks).length === 1")
+        page.press("m")
+        for corner in ([10, 10], [40, 10], [40, 30]):
+            page.click(*page.value(f"pageOf({corner})"))
+        page.press("Enter")
+        page.until("leftOut && leftOut.width > 1")
+    assert not read_mask(folder / "images" / "0001_mask.png")[13:17, 25:37].any()
     row = (folder / "clicks.csv").read_text().splitlines()[1].split(",")
     assert row[0] == "0001.jpg"
     assert math.dist([float(row[1]), float(row[2])], [30.25, 20.75]) < 0.1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 import webbrowser
 from collections.abc import Iterator
 from contextlib import suppress
@@ -188,13 +189,14 @@ def mark(
 
     Every click is saved in gcp_list.txt or clicks.csv of the survey. Ctrl-C ends the server.
     """
-    with command(verbose, quiet, survey) as results:
+    with command(verbose, quiet, survey, reads=survey) as results:
+        from survey.folder.found import require_survey_folder
         from survey.marking.server import MarkingServer
         from survey.marking.session import MarkingSession
 
-        session = MarkingSession(survey, run=poses_of, points=points)
+        require_survey_folder(survey)
         try:
-            server = MarkingServer(session, host, port)
+            server = MarkingServer(None, host, port)
         except OSError as error:
             raise SurveyError(
                 f"cannot listen at {host}, port {port} ({error.strerror}); name another --port or --host"
@@ -205,8 +207,13 @@ def mark(
             shown = [os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")]
             if not no_browser and (sys.platform in ("darwin", "win32") or any(shown)):
                 webbrowser.open(server.url)
-            with suppress(KeyboardInterrupt):
-                server.serve_forever()
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+            try:
+                server.show(session := MarkingSession(survey, run=poses_of, points=points))
+                with suppress(KeyboardInterrupt):
+                    threading.Event().wait()
+            finally:
+                server.shutdown()
         for path in (session.store.control_path, session.store.clicks_path):
             if path.is_file():
                 results.line(path)

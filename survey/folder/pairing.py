@@ -100,7 +100,7 @@ def with_masks(found: Found, views: Sequence[View], own: Path | None) -> tuple[l
     masks: dict[str, Path] = {}
     folder: Path | None = given
     for folder in [given] if given is not None else [own, None] if own is not None else [None]:
-        masks = _masks(found, folder)
+        masks = masks_in(found, folder)
         if any(view.name in masks for view in views):
             break
     masked = [replace(view, mask_path=masks.get(view.name)) for view in views]
@@ -128,7 +128,7 @@ def with_masks(found: Found, views: Sequence[View], own: Path | None) -> tuple[l
     return masked, Findings(notes, tuple(warnings))
 
 
-def _masks(found: Found, folder: Path | None) -> dict[str, Path]:
+def masks_in(found: Found, folder: Path | None) -> dict[str, Path]:
     """The masks in a folder, or next to the images, by the name of the photograph."""
     root = found.folder / found.config.images.local_dir if folder is None else folder
     photographs, names, masks = set(found.images.values()), ImageNames(found.images), dict[str, tuple[int, Path]]()

@@ -1,8 +1,8 @@
 "use strict";
 // Pixels are those of the survey: the centre of the first one is at 0.5, 0.5.
 
-const TILE = {tile_px}, MOST_TILES = 300, DRAG_PX = 4, MOST_SCALE = 32;
-const COLOURS = { ground: "#ffd60a", water: "#4cc9f0", predicted: "#ff5db1", dry: "#ff9f1c", wet: "#4cc9f0" };
+const TILE = {tile_px}, MOST_TILES = 300, DRAG_PX = 4, MOST_SCALE = 32, LENS_SCALE = 4, LENS_PX = 80;
+const COLOURS = { ground: "#ffd60a", water: "#4cc9f0", predicted: "#ff5db1", proposed: "#7bf1a8", dry: "#ff9f1c", wet: "#4cc9f0" };
 const token = new URLSearchParams(location.search).get("token") || "";
 const $ = (id) => document.getElementById(id);
 const canvas = $("canvas"), context = canvas.getContext("2d");
@@ -14,6 +14,10 @@ let look = { predicted: null, curves: [], next: [], others: [] };
 let view = { scale: 1, x: 0, y: 0 }; // canvas pixels per image pixel; the image pixel at the upper left corner
 let visited = [];
 let asked = 0;
+let proposed = {};     // {pixel, score} of the chosen point, by photograph
+let corners = null;    // of the polygon that is drawn, [] before its first; null: clicks set marks
+let leftOut = null;    // what the mask leaves out of the photograph
+let cursor = null;     // [x, y] on the canvas
 const tiles = new Map();
 
 // ---- the server -------------------------------------------------------------------------------------------------
@@ -76,6 +80,7 @@ const pointOf = (key) => state.points.find((point) => isSame(point, key));
 const sizeOf = (name) => state.photographs.find((each) => each.name === name).size;
 
 function choose(key) {
+  if (!isSame(key, chosen)) proposed = {};
   chosen = { kind: key.kind, name: key.name };
   return refresh().then(() => {
     const point = pointOf(chosen);
@@ -91,9 +96,11 @@ async function open(name, isBack) {
   if (!isBack && photograph && photograph !== name) visited.push(photograph);
   const isFirst = photograph === null;
   photograph = name;
+  leftOut = null;
+  if (corners) corners = [];
   look = { predicted: null, curves: [], next: look.next, others: [] };
   if (isFirst) fit();
-  await refresh();
+  await Promise.all([refresh(), readMask()]);
   const point = chosen && pointOf(chosen);
   const at = point && (point.marks[name] || look.predicted);
   if (at) centre(at);
@@ -110,9 +117,69 @@ function previous() {
   if (visited.length) open(visited.pop(), true);
 }
 
-function mark(pixel) {
+function mark(pixel, more) {
   if (!chosen) return say("choose a point, or add one, before you click", true);
-  return change("/mark", { ...chosen, image: photograph, pixel });
+  delete proposed[photograph];
+  return change("/mark", { ...chosen, image: photograph, pixel, ...more });
+}
+
+async function propose() {
+  if (!chosen) return say("choose a point before others like it are looked for", true);
+  say("looking for the point in other photographs ...");
+  try {
+    const found = await (await ask(`/propose?${new URLSearchParams(chosen)}`)).json();
+    proposed = Object.fromEntries(found.map((each) => [each.image, each]));
+    say(found.length ? "Enter: accept the one in this photograph" : "nothing like it was found; mark it in one more photograph");
+    if (found.length) await open(found[0].image);
+  } catch (error) {
+    say(error.message, true);
+  }
+  return undefined;
+}
+
+async function accept() {
+  if (!(photograph in proposed)) return;
+  await mark(proposed[photograph].pixel);
+  const [more] = Object.keys(proposed);
+  if (more) await open(more);
+}
+
+function acceptAll() {
+  for (const { image, pixel } of Object.values(proposed)) change("/mark", { ...chosen, image, pixel });
+  proposed = {};
+  return queue;
+}
+
+// ---- masks ------------------------------------------------------------------------------------------------------
+
+function drawMask(isOn) {
+  corners = isOn ? [] : null;
+  $("mask").className = isOn ? "on" : "";
+  say(isOn ? "click the corners; Enter: leave it out, Shift + Enter: use it again, Backspace: last corner, m: end" : "");
+  draw();
+}
+
+async function closeMask(isUsed) {
+  if (corners.length < 3) return say("a part to leave out has three corners or more", true);
+  await change("/mask", { image: photograph, corners, is_used: isUsed });
+  corners = [];
+  return readMask();
+}
+
+async function readMask() {
+  const name = photograph;
+  try {
+    const mask = await createImageBitmap(await (await ask(`/mask/${encodeURIComponent(name)}`)).blob());
+    const tinted = new OffscreenCanvas(Math.min(mask.width, 2048), Math.min(mask.height, 2048)), on = tinted.getContext("2d");
+    on.drawImage(mask, 0, 0, tinted.width, tinted.height);
+    const pixels = on.getImageData(0, 0, tinted.width, tinted.height);
+    for (let i = 0; i < pixels.data.length; i += 4) pixels.data.set([220, 40, 40, pixels.data[i] ? 0 : 128], i);
+    on.putImageData(pixels, 0, 0);
+    if (name === photograph) leftOut = tinted;
+  } catch (error) {
+    say(error.message, true);
+  }
+  draw();
 }
 
 async function undo() {
@@ -185,6 +252,9 @@ function lists() {
   $("points").querySelector(".chosen")?.scrollIntoView({ block: "nearest" });
   $("marks").replaceChildren();
   $("candidates").replaceChildren();
+  $("proposed").replaceChildren();
+  $("proposals").hidden = !Object.keys(proposed).length;
+  for (const { image, score } of Object.values(proposed)) row($("proposed"), image, score.toFixed(2), image === photograph, false, () => open(image));
   const point = chosen && pointOf(chosen);
   if (point) {
     for (const name of Object.keys(point.marks)) {
@@ -309,12 +379,45 @@ function paint() {
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.clearRect(0, 0, w, h);
   if (!photograph) return;
+  scene(ratio);
+  magnify(ratio);
+}
+
+// What is at the cursor, larger, beside it.
+function magnify(ratio) {
+  if (!cursor || (held && held.isDrag) || view.scale >= LENS_SCALE) return;
+  const kept = { ...view }, [w, h] = canvasSize(), [u, v] = toImage(...cursor);
+  const [x, y] = cursor.map((at, i) => at + (at + 2.6 * LENS_PX > [w, h][i] ? -1.5 : 1.5) * LENS_PX);
+  Object.assign(view, { scale: LENS_SCALE, x: u - x / LENS_SCALE, y: v - y / LENS_SCALE });
+  context.save();
+  context.beginPath();
+  context.arc(x, y, LENS_PX, 0, 2 * Math.PI);
+  context.clip();
+  context.clearRect(0, 0, w, h);
+  scene(ratio);
+  cross([u, v], "#fff", 20, "", 0.9);
+  context.restore();
+  Object.assign(view, kept);
+  context.beginPath();
+  context.arc(x, y, LENS_PX, 0, 2 * Math.PI);
+  context.strokeStyle = "#fff";
+  context.lineWidth = 2;
+  context.stroke();
+}
+
+function scene(ratio) {
   const [width, height] = sizeOf(photograph);
   const coarsest = coarsestOf(width, height);
   const level = Math.min(Math.max(Math.floor(Math.log2(1 / (view.scale * ratio))), 0), coarsest);
   context.imageSmoothingEnabled = view.scale < 3;
   if (level !== coarsest) drawLevel(coarsest, width, height);
   drawLevel(level, width, height);
+  if (leftOut) context.drawImage(leftOut, ...toCanvas([0, 0]), width * view.scale, height * view.scale);
+  if (corners && corners.length) {
+    line([...corners, corners[0]], "#dc2828");
+    for (const at of corners) cross(at, "#dc2828", 5, "", 1);
+  }
+  if (photograph in proposed) cross(proposed[photograph].pixel, COLOURS.proposed, 14, "Enter", 1);
   for (const curve of look.curves) {
     line(curve.dry, COLOURS.dry);
     line(curve.wet, COLOURS.wet);
@@ -382,6 +485,8 @@ canvas.onpointerdown = (event) => {
   canvas.setPointerCapture(event.pointerId);
 };
 canvas.onpointermove = (event) => {
+  cursor = [event.offsetX, event.offsetY];
+  draw();
   if (photograph) $("cursor").textContent = `${toImage(event.offsetX, event.offsetY).map((v) => v.toFixed(1)).join(", ")} px · ${(100 * view.scale).toFixed(0)} %`;
   if (!held) return;
   const [dx, dy] = [event.offsetX - held.x, event.offsetY - held.y];
@@ -396,13 +501,23 @@ canvas.onpointerup = () => {
   held = null;
   if (!was || was.isDrag || !photograph) return;
   const [x, y] = toImage(was.x, was.y), [width, height] = sizeOf(photograph);
-  if (x >= 0 && y >= 0 && x <= width && y <= height) mark([x, y]);
+  if (!(x >= 0 && y >= 0 && x <= width && y <= height)) return;
+  if (!corners) mark([x, y]);
+  else corners.push([x, y]);
+  draw();
 };
+canvas.onpointerleave = () => { cursor = null; draw(); };
 canvas.onpointercancel = () => { held = null; };
 canvas.onwheel = (event) => {
   event.preventDefault();
   zoom(Math.exp(-0.0015 * event.deltaY), event.offsetX, event.offsetY);
 };
+
+// To the corner of a chequered target.
+function toCorner() {
+  const point = chosen && pointOf(chosen), at = point && point.marks[photograph];
+  if (at) mark(at, { corner: true });
+}
 
 function nudge(dx, dy) {
   const point = chosen && pointOf(chosen), at = point && point.marks[photograph];
@@ -411,7 +526,8 @@ function nudge(dx, dy) {
 
 const KEYS = {
   n: next, p: previous, u: undo, 0: fit, 1: () => zoomTo(1), "+": () => zoomTo(2 * view.scale), "-": () => zoomTo(0.5 * view.scale),
-  Delete: () => mark(null), Backspace: () => mark(null),
+  Delete: () => mark(null), Backspace: () => (corners ? corners.pop() && draw() : mark(null)),
+  s: propose, c: toCorner, m: () => drawMask(!corners), Enter: (event) => (corners ? closeMask(event.shiftKey) : accept()),
   ArrowLeft: () => nudge(-1, 0), ArrowRight: () => nudge(1, 0), ArrowUp: () => nudge(0, -1), ArrowDown: () => nudge(0, 1),
 };
 const zoomTo = (scale) => zoom(scale / view.scale, ...canvasSize().map((size) => 0.5 * size));
@@ -420,13 +536,16 @@ document.onkeydown = (event) => {
   const does = KEYS[event.key];
   if (!does) return;
   event.preventDefault();
-  does();
+  does(event);
 };
 
 $("next").onclick = next;
 $("previous").onclick = previous;
 $("undo").onclick = undo;
 $("fit").onclick = fit;
+$("propose").onclick = propose;
+$("accept-all").onclick = acceptAll;
+$("mask").onclick = (event) => { event.target.blur(); drawMask(!corners); };
 $("whole").onclick = () => zoomTo(1);
 $("add-water").onclick = addWater;
 $("add-control").onclick = () => { $("new-point").hidden = !$("new-point").hidden; };
@@ -449,7 +568,7 @@ window.pageOf = (pixel) => {
   await open(state.photographs[0].name);
   const [first] = state.points;
   if (first) await choose(first);
-  say("choose a point at the left and click it; n: next photograph, wheel: zoom, drag: move, Delete: remove, u: undo");
+  say("choose a point at the left and click it; n: next photograph, s: propose, wheel: zoom, u: undo");
   document.body.dataset.ready = "1";
   return undefined;
 })();

@@ -26,6 +26,7 @@ from geo.errors import GeoError
 from survey.errors import ImageError, SurveyError
 from survey.files.foreign_text import finite_numbers
 from survey.marking.mark_store import PointKey
+from survey.marking.masks import draw, packed
 from survey.marking.session import MarkingSession
 from survey.photos.images import eight_bits
 from survey.photos.pixels import read_rgb
@@ -33,7 +34,7 @@ from survey.words import LARGEST, printable
 
 TOKEN_HEADER = "X-Bathynerf-Token"
 _LONGEST_REQUEST = 100_000
-_CHANGES = ("/mark", "/add", "/undo")
+_CHANGES = ("/mark", "/add", "/undo", "/mask")
 _SAFE = {
     "Cache-Control": "no-store",
     "X-Content-Type-Options": "nosniff",
@@ -85,12 +86,19 @@ _Answer = tuple[HTTPStatus, str, bytes]
 
 
 class MarkingServer(ThreadingHTTPServer):
-    """HTTP server of a session, at any free port for port 0; its url has the token."""
+    """HTTP server of a session, at any free port for port 0; its url has the token.
+
+    Before `show` there is the page, which waits for what it shows.
+    """
 
     daemon_threads = True
+    session: MarkingSession
+    tiles: PhotographTiles
 
-    def __init__(self, session: MarkingSession, host: str = "localhost", port: int = 0):
-        self.session, self.tiles = session, PhotographTiles(session.images)
+    def __init__(self, session: MarkingSession | None = None, host: str = "localhost", port: int = 0):
+        self.is_loaded = threading.Event()
+        if session is not None:
+            self.show(session)
         self.token = secrets.token_urlsafe(16)
         self.lock = threading.Lock()
         self.host = host
@@ -98,6 +106,11 @@ class MarkingServer(ThreadingHTTPServer):
         # 0.0.0.0 stands for every address of this machine, and cannot be opened.
         name = "localhost" if host == "0.0.0.0" else host
         self.url = f"http://{name}:{self.server_address[1]}/?token={quote(self.token)}"
+
+    def show(self, session: MarkingSession) -> None:
+        """Show a session, which has been loaded."""
+        self.session, self.tiles = session, PhotographTiles(session.images)
+        self.is_loaded.set()
 
     def handle_error(self, request, client_address):
         """As the library, but ignore browsers that close the connection early."""
@@ -142,10 +155,15 @@ class _Handler(BaseHTTPRequestHandler):
             return _FORBIDDEN
         if url.path == "/":
             return HTTPStatus.OK, "text/html; charset=utf-8", page()
+        self.server.is_loaded.wait()
         if url.path == "/state":
             return self._json(lambda session: session.state())
         if url.path == "/look":
             return self._json(lambda session: session.look(_key(asked), asked["image"]))
+        if url.path == "/propose":
+            return self._json(lambda session: session.propose(_key(asked)))
+        if url.path.startswith("/mask/"):
+            return HTTPStatus.OK, "image/png", packed(self.server.session.found, unquote(url.path[6:]))
         if url.path.startswith("/tile/"):
             level, column, row, image = url.path.removeprefix("/tile/").split("/", 3)
             tile = self.server.tiles.jpeg(unquote(image), int(level), int(column), int(row))
@@ -160,6 +178,7 @@ class _Handler(BaseHTTPRequestHandler):
         body = self.rfile.read(int(length))
         if not self._is_ours():
             return _FORBIDDEN
+        self.server.is_loaded.wait()
         path = urlsplit(self.path).path
         return self._json(lambda session: _changed(session, path, body)) if path in _CHANGES else _NOT_FOUND
 
@@ -199,9 +218,14 @@ def _changed(session: MarkingSession, path: str, body: bytes) -> dict:
     elif path == "/add":
         place = request.get("place")
         session.store.add(*_key(request), None if place is None else _numbers(place, 3))
+    elif path == "/mask":
+        corners = np.array([_numbers(corner, 2) for corner in request["corners"]])
+        draw(session.found, str(request["image"]), corners, is_used=bool(request["is_used"]))
     else:
-        pixel = None if request["pixel"] is None else _numbers(request["pixel"], 2)
-        session.store.set(_key(request), str(request["image"]), pixel)
+        pixel, image = None if request["pixel"] is None else _numbers(request["pixel"], 2), str(request["image"])
+        if pixel is not None and request.get("corner"):
+            pixel = session.at_corner(image, pixel)
+        session.store.set(_key(request), image, pixel)
     return session.state() | undone
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from geo.crs import EARTH_RADIUS_M, height_unit_m, is_geographic
@@ -14,7 +16,10 @@ from survey.control.points import GivenPoint
 from survey.errors import SurveyError
 from survey.marking.geometry import by_gain, crossing, epipolar_curve, poses_to_mark, seen_at, survey_to_mark
 from survey.marking.mark_store import GROUND, WATER, MarkStore, Pixel, PointKey
+from survey.marking.proposals import Proposal, coded, corner, correlated
 from survey.photos.cameras import Intersection, View, intersect
+from survey.photos.images import eight_bits
+from survey.photos.pixels import read_rgb
 from survey.settings.tables import DEFAULT_MARKS_STD_PX
 from survey.water.level_observation import CLICK_STD_PX
 
@@ -26,6 +31,8 @@ _MOST_MISS = 3.0
 _MOST_CURVES = 6
 # Photographs that are proposed.
 _MOST_NEXT = 30
+# Photographs in which marks are proposed at once: each is decoded.
+_MOST_SEARCHED = 12
 
 
 class MarkingSession:
@@ -36,11 +43,11 @@ class MarkingSession:
     """
 
     def __init__(self, folder: Path, *, run: Path | None = None, points: Path | None = None):
-        config, self._found = survey_to_mark(folder)
+        config, self.found = survey_to_mark(folder)
         self.name = config.name or folder.resolve().name
-        self.store = MarkStore(config, self._found, points)
-        self.images = self._found.images
-        posed, note = poses_to_mark(self._found, run)
+        self.store = MarkStore(config, self.found, points)
+        self.images = self.found.images
+        posed, note = poses_to_mark(self.found, run)
         self._source = None if posed is None else posed.source
         self._frame = None if posed is None else posed.frame
         self._water = None if posed is None else posed.water
@@ -55,12 +62,12 @@ class MarkingSession:
         points, marks = self.store.points(), self.store.marks()
         return {
             "name": self.name,
-            "is_geographic": is_geographic(self._found.crs),
+            "is_geographic": is_geographic(self.found.crs),
             "poses": self._source,
             "notes": [*self.notes, *self._moved_note(points, marks)],
             "settings": self.store.settings(),
             "can_undo": self.store.can_undo,
-            "photographs": [{"name": name, "size": self._found.headers[name].size_px} for name in self.images],
+            "photographs": [{"name": name, "size": self.found.headers[name].size_px} for name in self.images],
             "points": [self._point(key, point, marks.get(key, {})) for key, point in sorted(points.items(), key=_rank)],
         }
 
@@ -87,6 +94,54 @@ class MarkingSession:
             "next": [name for name in self._next(key, point, place, own, image) if name not in own][:_MOST_NEXT],
         }
 
+    def propose(self, key: PointKey) -> list[dict]:
+        """Marks that are proposed for a point, the most alike first; with its own marks they meet in one place."""
+        points, marks = self.store.points(), self.store.marks()
+        point, own = points[key], marks.get(key, {})
+        place, water = self._place(key, point, own, self._common(points, marks)[0]), self._water_of(key)
+        marked = [name for name in own if name in self._views]
+        names = [name for name in self._next(key, point, place, own, next(iter(self.images))) if name not in own]
+        if marked and place is not None:
+            # Those that see it like one that is marked.
+            names.sort(key=lambda name: min(self._apart_m(name, one) for one in marked))
+        load = lru_cache(len(own) + 1)(self._grey)
+        found: dict[str, Proposal] = {}
+        for name in names[:_MOST_SEARCHED]:
+            view = self._views.get(name)
+            near = None if place is None or view is None else seen_at(view, place, water)
+            proposal = coded(load(name), key.name, None if near is None else np.array(near))
+            if proposal is None and place is not None and near is not None and marked:
+                like = min(marked, key=lambda one: self._apart_m(name, one))
+                pair, greys = (self._views[like], self._views[name]), (load(like), load(name))
+                proposal = correlated(pair, greys, own[like], place, water)
+            if proposal is not None:
+                found[name] = proposal
+        limit = _MOST_MISS * self._std_px[key.kind]
+        while (met := self._meet(key, {**own, **{name: each.pixel for name, each in found.items()}})) is not None:
+            known = [name for name in (*own, *found) if name in self._views]
+            miss = {name: float(np.hypot(*each)) for name, each in zip(known, met.residuals, strict=True)}
+            worst = max(found, key=lambda name: miss.get(name, 0.0), default=None)
+            if worst is None or miss.get(worst, 0.0) <= limit:
+                break
+            del found[worst]
+        found = dict(sorted(found.items(), key=lambda each: -each[1].score))
+        return [{"image": name, "pixel": each.pixel, "score": each.score} for name, each in found.items()]
+
+    def _apart_m(self, *names: str) -> float:
+        """Distance of the cameras of two photographs [m]."""
+        first, second = (self._views[name].camera.centre for name in names)
+        return float(np.linalg.norm(first - second))
+
+    def at_corner(self, image: str, pixel: Pixel) -> Pixel:
+        """The corner of a chequered target near a pixel."""
+        found = corner(self._grey(image), pixel)
+        if found is None:
+            raise SurveyError("there is no corner of a chequered target near the mark")
+        return found
+
+    def _grey(self, image: str) -> np.ndarray:
+        return cv2.cvtColor(eight_bits(read_rgb(self.images[image])), cv2.COLOR_RGB2GRAY)
+
     def _others(self, key: PointKey, view: View, points: _Points, marks: _Marks, common: np.ndarray) -> list[dict]:
         """Predicted positions of other points in a photograph that have no mark there."""
         shown = []
@@ -105,12 +160,12 @@ class MarkingSession:
         if place is not None:
             marked = [self._views[name] for name in own if name in self._views]
             return by_gain(self._views.values(), place, self._water_of(key), marked, self._std_px[key.kind])
-        known = {name: header.lat_lon_height for name, header in self._found.headers.items() if header.lat_lon_height}
+        known = {name: header.lat_lon_height for name, header in self.found.headers.items() if header.lat_lon_height}
         if point is None or not known:
             names = list(self.images)
             at = names.index(image) + 1
             return [*names[at:], *names[: at - 1]]
-        lon, lat = lon_lat(self._found.crs, np.array([point.place]))[0, :2]
+        lon, lat = lon_lat(self.found.crs, np.array([point.place]))[0, :2]
         places = np.radians([(at[1] - lon, at[0] - lat) for at in known.values()])
         distance = EARTH_RADIUS_M * np.hypot(places[:, 0] * np.cos(np.radians(lat)), places[:, 1])
         return [name for _, name in sorted(zip(distance.tolist(), known, strict=True)) if name != image]
@@ -131,12 +186,15 @@ class MarkingSession:
             return answer
         names = [name for name in own if name in self._views]
         answer["residuals"] = dict(zip(names, intersection.residuals.tolist(), strict=True))
-        answer["std_m"] = np.sqrt(np.diag(intersection.covariance)).tolist()
+        # Marks that miss by more than they were taken for are worse than that.
+        misses = float(np.sum(intersection.residuals**2)) / self._std_px[key.kind] ** 2
+        scale = max(misses / (2 * len(names) - 3), 1.0)
+        answer["std_m"] = np.sqrt(scale * np.diag(intersection.covariance)).tolist()
         if given is not None:
             answer["off_m"] = (intersection.place - given).tolist()
         if key.kind == WATER:
             height = float(self._frame.crs_from_local(intersection.place)[2])
-            answer["level"] = height * height_unit_m(self._found.crs)
+            answer["level"] = height * height_unit_m(self.found.crs)
         elif given is None:
             answer["depth_m"] = self._depth(intersection.place)
         return answer

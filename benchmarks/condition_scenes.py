@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
+from stress_factors import with_waves
 
 from refract import FlatWater
 from refract.curved import WavyWater
@@ -264,6 +265,36 @@ def reeds(scene: StagedScene, number: float) -> StagedScene:
     return changing(scene, at)
 
 
+def bursts(scene: StagedScene, number: float) -> StagedScene:
+    """So many photographs from each place, one after the other, over a sea of 2 cm."""
+    return with_waves(replace(scene, cameras=tuple(np.repeat(scene.cameras, int(number)).tolist())), 0.02)
+
+
+@dataclass(frozen=True)
+class MedianScene(StagedScene):
+    """A scene of which a photograph is the median, pixel by pixel, of those of a burst.
+
+    Attributes
+    ----------
+    burst : StagedScene
+        With as many photographs from each place, one place after the other.
+    """
+
+    burst: StagedScene | None = None
+
+    def photograph(self, index: int) -> np.ndarray:
+        """Image (height, width, 3) uint8 from one place."""
+        assert self.burst is not None
+        number = len(self.burst.cameras) // len(self.cameras)
+        taken = [self.burst.photograph(number * index + k) for k in range(number)]
+        return np.rint(np.median(taken, axis=0)).astype(np.uint8)
+
+
+def medians(scene: StagedScene, number: float) -> StagedScene:
+    """What is made of `bursts` where the water is to look still: one photograph for each place."""
+    return MedianScene(**{each.name: getattr(scene, each.name) for each in fields(scene)}, burst=bursts(scene, number))
+
+
 def _radiance_of(scene: StagedScene) -> RadianceFunction:
     return scene.radiance_of or scene.renderer.radiance_of_rays
 
@@ -320,6 +351,7 @@ class Condition:
 
 
 _ROLLS = (("speed_m_s", 5.0), ("readout_s", 0.03))
+_PLACES = (("num_views", 8),)
 _UNKNOWN_READOUT = (("rolling_shutter_s", 0.015), ("rolling_shutter_std_s", 0.015))
 CONDITIONS = {
     "nothing": Condition("nothing"),
@@ -344,6 +376,8 @@ CONDITIONS = {
     ),
     "zones": Condition("the same, readout found (15 ± 15 ms given)", 4.0, zones, _ROLLS, "images", _UNKNOWN_READOUT),
     "autofocus": Condition("focal lengths that differ by 0.2 %", 0.002, focal_drift, poses="images"),
+    "bursts": Condition("bursts of 4 over 8 places, waves of 2 cm", 4.0, bursts, _PLACES),
+    "medians": Condition("the medians of these bursts", 4.0, medians, _PLACES),
     "reeds": Condition("reeds and boughs over a bank", 40.0, reeds, (("shore", True),)),
     "found": Condition("nothing, poses found", poses="images"),
 }

@@ -112,7 +112,8 @@ def sample_of(survey: Survey) -> tuple[Survey, Plan, TiePoints]:
     plan = make_plan(survey)
     block, bound = load_photographs(survey, plan)
     chosen = pose_check._of_middle(survey, plan.height_m)
-    sample = replace(pose_check.without_ties(survey), views=tuple(survey.views[i] for i in chosen))
+    unposed = replace(survey, observations=replace(survey.observations, ties=None))
+    sample = replace(unposed, views=tuple(survey.views[i] for i in chosen))
     return (
         sample,
         plan,

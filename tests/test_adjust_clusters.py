@@ -13,7 +13,7 @@ from survey.adjust.block.bundle import Solution, solve
 from survey.adjust.block.prediction import apparent_rise_design, predict
 from survey.adjust.block.priors import prior_of, priors_for
 from survey.adjust.block.problem import Problem
-from survey.adjust.clusters import PredictionChanges, cluster_design_effect, terrain_design_effect
+from survey.adjust.clusters import PredictionChanges, cluster_design_effect, shared_variance, terrain_design_effect
 from survey.photos.poses import TiePoints
 from tests.block_survey import survey_of
 from tests.drawn_block import draw_block
@@ -68,6 +68,19 @@ def test_each_kind_has_a_factor_of_its_own(rng):
 def test_alone_in_their_squares_observations_share_nothing():
     ties = TiePoints(np.zeros((2, 3)), np.arange(2), np.array([0, 1]), np.full((2, 2), 50.0))
     np.testing.assert_array_equal(cluster_design_effect(ties, np.ones((2, 2)), STD, np.zeros(2, int), SIZES), 1.0)
+
+
+def test_waves_are_shared_by_windows_beside_each_other_and_noise_only_by_those_that_overlap(rng):
+    ties, waves = spread(rng, 3000), np.zeros((12000, 2))
+    turned = 2.0 * np.pi / 200.0 * ties.pixel[:, 0] + rng.uniform(0.0, 7.0, 4)[ties.view]
+    waves[:, 0] = 0.1 * np.sqrt(2.0) * np.sin(turned)
+    # The same texture, found twice, 5 px apart.
+    twice = replace(ties, view=np.tile(ties.view, 2), pixel=np.concatenate([ties.pixel, ties.pixel + 5.0]))
+    noise, every = rng.normal(0.0, 0.2, (12000, 2)), np.ones(24000, dtype=bool)
+    assert abs(shared_variance(twice, np.tile(noise, (2, 1)), every, 13.0)) < 0.001
+    # Waves correlate by 0.85 over 24 px, along one of two coordinates.
+    found = shared_variance(twice, np.tile(noise + waves, (2, 1)), every, 13.0)
+    assert found == pytest.approx(0.85 * 0.5 * 0.1**2, abs=0.001)
 
 
 def adjusted(seed: int, slope: float) -> tuple[Problem, Solution, list]:

@@ -45,6 +45,14 @@ def test_photographs_differ_from_each_other_and_the_truth_does_not(still, name, 
         assert np.abs(first - later).max() > 5.0
 
 
+def test_the_median_of_a_burst_is_nearer_to_still_water_than_its_photographs(still):
+    place = replace(still, cameras=still.cameras[:2])
+    burst, calm = condition_scenes.bursts(place, 5.0), place.photograph(1).astype(float)
+    assert [len(each.cameras) for each in (burst, condition_scenes.medians(place, 5.0))] == [10, 2]
+    off = [np.abs(burst.photograph(k) - calm).mean() for k in range(5, 10)]
+    assert np.abs(condition_scenes.medians(place, 5.0).photograph(1) - calm).mean() < min(off)
+
+
 def test_foam_covers_what_it_is_asked_to(still):
     eye = condition_scenes.foam(still, 0.2).of_photograph(still, 1).radiance_of
     x, y = (v.ravel() for v in np.meshgrid(np.linspace(-5.0, 5.0, 90), np.linspace(-5.0, 5.0, 90)))

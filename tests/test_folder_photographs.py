@@ -11,7 +11,7 @@ from PIL import Image, ImageFile
 from small_survey import SIZE, camera_lines, replaced, rows_of, small_survey, unposed, write_image, write_poses
 
 from survey.errors import ConfigError, ImageError
-from survey.folder.headers import header_warnings
+from survey.folder.headers import burst_notes, header_warnings
 from survey.folder.survey import load_survey
 from survey.photos.exif import read_exif
 from survey.photos.images import list_images, load_mask
@@ -221,6 +221,24 @@ def shots(header, endings, *, num=6, clocks=True, lag_s=0.2):
             clock = START + timedelta(seconds=3.0 * number + lag_s * order) if clocks else None
             found[f"DJI_20260601_{number:04d}{ending}.JPG"] = replace(header, size_px=size, clock=clock)
     return found
+
+
+def at_place(header, second, degree):
+    """A photograph of a time [s], so far north [degree]."""
+    return replace(header, clock=START + timedelta(seconds=second), lat_lon_height=(48.0 + degree, 11.0, 30.0))
+
+
+def test_photographs_of_one_place_in_ten_seconds_are_a_burst(header):
+    # Four each over three places 5 m apart, three seconds between them, by names in another order.
+    hovers = {
+        f"{7 * k % 12}.jpg": at_place(header, 30.0 * (k // 4) + 3.0 * (k % 4), 4.5e-5 * (k // 4)) for k in range(12)
+    }
+    (note,) = burst_notes(hovers)
+    assert note.startswith("12 images are 3 bursts of up to 4, of one place")
+    # A flight on which no two are of one place, and the same place again, later.
+    line = {f"{k}.jpg": at_place(header, 3.0 * k, 4.5e-5 * k) for k in range(6)}
+    assert burst_notes(line | {"again.jpg": at_place(header, 300.0, 0.0)}) == ()
+    assert burst_notes({name: replace(each, clock=None) for name, each in hovers.items()}) == ()
 
 
 @pytest.mark.parametrize("clocks", [True, False])

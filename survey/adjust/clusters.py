@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
 
 from survey.adjust.block.bundle import Solution
 from survey.adjust.block.observed import Sizes
@@ -34,6 +35,8 @@ from survey.photos.poses import TiePoints
 _SIDES = (0.04, 0.08, 0.16)
 # Residuals of more standard deviations count as that many.
 _MOST = 3.0
+# Windows that are beside each other lie within so many sides.
+_BESIDE = 2.5
 # The same as shares of what the longer side of a photograph shows on the ground.
 _SIDES_ON_GROUND = (0.08, 0.16, 0.32)
 # Fewer squares tell nothing.
@@ -75,6 +78,22 @@ def _design_effect(view: np.ndarray, pixel: np.ndarray, normal: np.ndarray, side
     square = float(np.sum(normal**2))
     correlation = (float(np.sum(sums**2)) - square) / (pairs * square / len(normal))
     return 1.0 + (float((count**2).sum() / count.sum()) - 1.0) * max(correlation, 0.0)
+
+
+def shared_variance(ties: TiePoints, residuals: np.ndarray, chosen: np.ndarray, window_px: float) -> float:
+    """Variance [px^2] of a coordinate that windows of a side share with those beside them in a photograph, as in waves.
+
+    The mean product of residuals (N, 2) [px] of those that are ``chosen`` (N,) bool; 0 where none is beside another.
+    Blur, noise and compression scatter each alone, but windows that overlap.
+    """
+    total, count = 0.0, 0
+    for view in np.unique(ties.view[chosen]):
+        own = np.flatnonzero(chosen & (ties.view == view))
+        one, other = own[cKDTree(ties.pixel[own]).query_pairs(_BESIDE * window_px, output_type="ndarray")].T
+        apart = np.linalg.norm(ties.pixel[one] - ties.pixel[other], axis=1) > window_px
+        total += float(np.sum((residuals[one] * residuals[other])[apart]))
+        count += 2 * int(np.count_nonzero(apart))
+    return total / max(count, 1)
 
 
 def _numbered(cells: np.ndarray) -> np.ndarray:

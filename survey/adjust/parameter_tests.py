@@ -37,7 +37,7 @@ from survey.adjust.block.normal_equations import huber_system
 from survey.adjust.block.observed import Observed, sizes_of
 from survey.adjust.block.priors import PriorKnowledge, prior_of, priors_for
 from survey.adjust.block.problem import Problem, std_of_kinds
-from survey.adjust.block.state import HELD_SHARE, LENS_NAMES, NUM_WATER, WATER_PARAMETERS, Layout, State, is_held
+from survey.adjust.block.state import HELD_SHARE, LENS_NAMES, NUM_WATER, WATER_PARAMETERS, State, is_held
 from survey.adjust.clusters import cluster_design_effect
 from survey.adjust.common_height import water_start
 from survey.adjust.observability import FEWEST_WET
@@ -107,7 +107,10 @@ def check_given_values(
     prior = prior_of(survey, gsd, free_water=True)
     std = prior.std.copy()
     std[:NUM_WATER] = prior_of(survey, gsd).std[:NUM_WATER]
-    std[prior.layout.first_pose :] = _pose_std(prior.layout, state, misfit_px, gsd)
+    # Poses that explain the observed misfit.
+    error_px = max(_OF_MISFIT * misfit_px, _LEAST_PX)
+    turn = error_px / state.lenses[prior.layout.lens_of, 0]
+    std[prior.layout.first_pose :] = np.column_stack([np.full((len(turn), 3), error_px * gsd), *[turn] * 3]).ravel()
     tested = _tested_parameters(prior, state, fewest_wet)
     focals = prior.layout.first_lens + np.arange(len(prior.lenses)) * len(LENS_NAMES)
     least = dict(zip(focals.tolist(), _FOCAL_SHARE * state.lenses[:, 0], strict=True))
@@ -141,13 +144,6 @@ def _tested_parameters(prior: PriorKnowledge, state: State, fewest_wet: int) -> 
     is_wet = state.water is not None and int((state.water.depth(state.points) > 0.0).sum()) >= fewest_wet
     starts = [prior.layout.lens(number).start for number, lens in enumerate(prior.lenses) if not is_held(lens)]
     return [*((LEVEL, _INDEX) if is_wet else ()), *(start + each for start in starts for each in _OF_LENS)]
-
-
-def _pose_std(layout: Layout, state: State, misfit_px: float, gsd: float) -> np.ndarray:
-    """Standard deviations (6 V,) of poses that explain the observed misfit."""
-    error_px = max(_OF_MISFIT * misfit_px, _LEAST_PX)
-    turn = error_px / state.lenses[layout.lens_of, 0]
-    return np.column_stack([np.full((len(turn), 3), error_px * gsd), *[turn] * 3]).ravel()
 
 
 def _name_and_value(survey: Survey, prior: PriorKnowledge, number: int) -> tuple[str, float]:

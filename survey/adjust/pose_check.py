@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from survey.adjust.block.bundle import solve
-from survey.adjust.block.observed import MATCH, WINDOW, observed
+from survey.adjust.block.observed import WINDOW, observed
 from survey.adjust.block.priors import FREE_WATER, prior_of
 from survey.adjust.block.state import HELD_SHARE
 from survey.adjust.block.windows import load_photographs, measure_loaded_windows
@@ -80,20 +80,17 @@ def check_of_windows(
     The block has all photographs at the scale of the plan; its bed lies between ``bound`` [m] over the water plane.
     """
     chosen = _of_middle(survey, plan.height_m)
-    sample = replace(without_ties(survey), views=tuple(survey.views[i] for i in chosen))
+    sample = replace(survey, views=tuple(survey.views[i] for i in chosen))
     windows = measure_loaded_windows(sample, plan, block.part(chosen), bound, advance, sparse=True)
     return check_of_ties(sample, plan, WINDOW, windows)
 
 
-def check_of_features(survey: Survey, plan: Plan, features: TiePoints) -> PoseCheck:
-    """The check by the features of all photographs, wherever they lie."""
-    return check_of_ties(without_ties(survey), plan, MATCH, features)
-
-
 def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> PoseCheck:
-    """The check by tie points of a kind: `MATCH` or `WINDOW`."""
+    """The check by tie points of a kind: windows of a sample, or the matches of all photographs, wherever they lie."""
     if not len(ties):
         return PoseCheck(None)
+    # Poses of structure from motion would not count as given.
+    survey = replace(survey, observations=replace(survey.observations, ties=None))
     prior = prior_of(survey, plan.gsd_m)
     seen = observed([(kind, ties)], None, survey, prior)
     held = replace(prior, std=np.full_like(prior.std, HELD_SHARE))
@@ -113,11 +110,6 @@ def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> Pos
         # Errors of poses look like those of the water; all is adjusted together then.
         return PoseCheck(found)
     return PoseCheck(found, tuple(check_given_values(survey, problem, solution.state, of_poses, plan.gsd_m)))
-
-
-def without_ties(survey: Survey) -> Survey:
-    """The survey without the tie points of its structure from motion, whose poses would not count as given."""
-    return replace(survey, observations=replace(survey.observations, ties=None))
 
 
 def _of_middle(survey: Survey, height: float) -> list[int]:

@@ -23,7 +23,8 @@ from survey.adjust.block.observed import CELLS, KINDS, MATCH, PER_CELL, WINDOW, 
 from survey.adjust.block.on_ground import ground_fit, shift_onto
 from survey.adjust.block.priors import PriorKnowledge, SharedShift, prior_of
 from survey.adjust.block.state import NUM_WATER, WATER_PARAMETERS
-from survey.adjust.block.windows import measure_windows
+from survey.adjust.block.windows import RADIUS, measure_windows
+from survey.adjust.clusters import shared_variance
 from survey.adjust.common_height import apply_level_datum, drop_common_height, height_warnings, water_start, with_common
 from survey.adjust.focal_lengths import FocalDrift, with_focal_std, with_focals, with_square_pixels
 from survey.adjust.observability import (
@@ -55,13 +56,13 @@ from survey.folder.pose_priors import GPS_STD_M
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
 from survey.plan.check import DOWN_DEG, GIVE_LEVEL, tilts_deg
-from survey.plan.choices import gsd_m
+from survey.plan.choices import gsd_m, image_scale_of
 
 # Of the time of an adjustment, about: of matches, of windows, and of all.
 _SHARES = (0.3, 0.4, 0.3)
-# Windows under water that scatter by more [px], as the solver finds surfaces from: measured under poses before the
-# adjustment, they bend the block (docs/decisions.md).
-_WAVES_PX = 0.1
+# Windows under water that scatter by more [px], and share more of it with those beside them, were displaced by waves:
+# measured under poses before the adjustment, they bend the block (docs/decisions.md).
+_WAVES_PX = (0.1, 0.04)
 # Windows are measured up to four times as well as matches, and are as many.
 _MOST_GAIN = 6.0
 # Of the shift onto the ground before the adjustment.
@@ -139,7 +140,7 @@ def _adjust_in_stages(
                 done = staged.first_ties(WINDOW, windows)
             else:
                 done = staged.with_ties(WINDOW, windows, restarted(staged.prior, done))
-            if before is not None or not _show_waves(done):
+            if before is not None or not _show_waves(survey, done):
                 break
             windows = _windows_at(survey, done, device, lambda _share: None)
         advance(shares[2])
@@ -165,11 +166,15 @@ def _adjust_in_stages(
     return replace(found, notes=(*found.notes, *notes), warnings=(*found.warnings, *warnings))
 
 
-def _show_waves(done: RobustSolution) -> bool:
-    """Whether windows under water scatter as over waves."""
-    kind = done.problem.kind
-    wet = kind[(kind >= len(KINDS)) & (kind % len(KINDS) == WINDOW)]
-    return len(wet) > 0 and bool(np.mean(done.problem.given_std_px[wet] ** 2) > _WAVES_PX**2)
+def _show_waves(survey: Survey, done: RobustSolution) -> bool:
+    """Whether windows under water scatter as over waves: by more than noise, and as those beside them do."""
+    kind, residuals = done.problem.kind, done.solution.residuals
+    wet = (kind >= len(KINDS)) & (kind % len(KINDS) == WINDOW)
+    scatter, shared = _WAVES_PX
+    if not wet.any() or np.mean(done.problem.given_std_px[kind[wet]] ** 2) <= scatter**2:
+        return False
+    window_px = (2 * RADIUS + 1) / image_scale_of(survey)
+    return shared_variance(done.problem.ties, residuals, wet, window_px) > shared**2
 
 
 def _level_error(survey: Survey, std: float) -> SurveyError:

@@ -47,6 +47,8 @@ _ELSEWHERE_M = 5000.0
 _BETWEEN_FIXES_S = 2.0
 # Cameras of one payload are released within this.
 _ONE_SHOT_S = 1.0
+# Photographs of a burst, as of a hover, are as close together, and as soon after the first of them.
+_BURST_M, _BURST_TIME = 0.3, timedelta(seconds=10)
 # Longer gaps than that of a night lie between days.
 _NEXT_DAY = timedelta(hours=8)
 
@@ -56,7 +58,8 @@ def read_headers(folder: Path, place: Path, images: Mapping[str, Path]) -> tuple
     headers, findings = {name: read_exif(path) for name, path in images.items()}, Findings()
     if (table := find_geo_txt(folder, place)) is not None:
         headers, findings = with_positions(table, headers)
-    return without_void_fixes(headers), findings
+    headers = without_void_fixes(headers)
+    return headers, findings + Findings(assumptions=burst_notes(headers))
 
 
 def find_geo_txt(folder: Path, images: Path) -> Path | None:
@@ -216,18 +219,42 @@ def position_warnings(headers: Mapping[str, Exif]) -> list[str]:
     known = {name: header for name, header in headers.items() if header.lat_lon_height is not None}
     if len(known) < _FEWEST:
         return []
-    names, places = np.array(list(known)), np.array([header.lat_lon_height for header in known.values()])
-    # Longitudes are unwrapped across the antimeridian, relative to the first.
-    east_deg = places[:, 1] - places[0, 1]
-    plan = EARTH_RADIUS_M * np.radians(np.column_stack([places[:, 0], (east_deg + 180.0) % 360.0 - 180.0]))
-    plan[:, 1] *= np.cos(np.radians(np.median(places[:, 0])))
+    names, places = np.array(list(known)), _metres(known)
     clocks = [header.clock for header in known.values() if header.clock is not None]
     seconds = None
     if len(clocks) == len(known):
         seconds = np.array([(clock - clocks[0]).total_seconds() for clock in clocks])
     # Poses that also share their rotation are reported where poses are read.
-    repeated = _repeated_positions(names, np.column_stack([plan, places[:, 2]]), seconds)
-    return [*far_from_others(names, plan, places[:, 2], "GPS"), *repeated]
+    repeated = _repeated_positions(names, places, seconds)
+    return [*far_from_others(names, places[:, :2], places[:, 2], "GPS"), *repeated]
+
+
+def _metres(known: Mapping[str, Exif]) -> np.ndarray:
+    """Northings, eastings and heights (N, 3) [m] of photographs with a GPS position, about the first."""
+    places = np.array([header.lat_lon_height for header in known.values()])
+    # Longitudes are unwrapped across the antimeridian.
+    east_deg = places[:, 1] - places[0, 1]
+    metres = EARTH_RADIUS_M * np.radians(np.column_stack([places[:, 0], (east_deg + 180.0) % 360.0 - 180.0]))
+    metres[:, 1] *= np.cos(np.radians(np.median(places[:, 0])))
+    return np.column_stack([metres, places[:, 2]])
+
+
+def burst_notes(headers: Mapping[str, Exif]) -> tuple[str, ...]:
+    """A sentence on bursts, as of a hover, and what is made of them; none where there are none."""
+    known = sorted((header.clock, name) for name, header in headers.items() if header.clock and header.lat_lon_height)
+    if not known:
+        return ()
+    clocks, places = [clock for clock, _ in known], _metres({name: headers[name] for _, name in known})
+    first, sizes = 0, [0]
+    for number, clock in enumerate(clocks):
+        if clock - clocks[first] > _BURST_TIME or np.linalg.norm(places[number] - places[first]) > _BURST_M:
+            first = number
+            sizes.append(0)
+        sizes[-1] += 1
+    if not (bursts := [size for size in sizes if size > 1]):
+        return ()
+    message = f"{sum(bursts)} images are {len(bursts)} bursts of up to {max(bursts)}, of one place and 10 s each"
+    return (f"{message}: they are matched with those of other places, each through a water surface of its own",)
 
 
 def far_from_others(names: np.ndarray, plan: np.ndarray, height: np.ndarray, by: str) -> list[str]:

@@ -60,10 +60,7 @@ def flattened(survey: Survey) -> Survey:
         slope_x, slope_y = survey.frame.local_from_grid(survey.frame.crs_from_local(np.array(water.point)))[:2, 2]
         # Slopes are against level, not against the plane that touches the Earth at the origin.
         water = replace(
-            water,
-            point=(x, y, z),
-            slope_x=water.slope_x + float(slope_x),
-            slope_y=water.slope_y + float(slope_y),
+            water, point=(x, y, z), slope_x=water.slope_x + float(slope_x), slope_y=water.slope_y + float(slope_y)
         )
     return replace(survey, views=views, water=water, observations=observations)
 

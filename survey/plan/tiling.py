@@ -99,13 +99,7 @@ def plan_run(
 
 
 def choose_tiles(
-    survey: Survey,
-    plan: Plan,
-    chosen: Choices,
-    workload: Workload,
-    amounts: Amounts,
-    *,
-    earlier: int | None = None,
+    survey: Survey, plan: Plan, chosen: Choices, workload: Workload, amounts: Amounts, *, earlier: int | None = None
 ) -> TileChoice:
     """Tiles of a survey by its memory, with the workload in one piece and the amounts of the run.
 

@@ -62,17 +62,12 @@ def learn_figures(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
             for part, (each, place) in enumerate(zip(job.parts, places, strict=True)):
                 of_part = [(number, square) for of, number, square in chosen if of == part]
                 if of_part:
-                    sample += _sample_of(each, place, of_part)
+                    views = Views.of(each.block, Stored(place / MAPS, HeightMap), load_rough_water(place)[0])
+                    sample += solve_sample(views, learned_from(each, place), of_part, each.plan.gsd_m)
                     each.release()
             figures = figures_of(sample, job.plan.gsd_m, is_wet=job.survey.water is not None)
             job.progress.detail(f"solver: {figures}")
     save_figures(folder, figures)
-
-
-def _sample_of(job: Job, swept: Path, squares: list[tuple[int, int]]) -> list:
-    maps, (waves, _) = Stored(swept / MAPS, HeightMap), load_rough_water(swept)
-    views = Views.of(job.block, maps, waves)
-    return solve_sample(views, learned_from(job, swept), squares, job.plan.gsd_m)
 
 
 def save_figures(folder: Path, figures: SolverFigures | None) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from survey.adjust import pose_check, refine
 from survey.adjust.applied import CAMERAS, MODEL, apply_adjustment, write_cameras
+from survey.adjust.block.observed import MATCH
 from survey.adjust.pose_check import PoseCheck
 from survey.adjust.result.adjustment import ARRAYS, JSON, read_adjustment, write_adjustment
 from survey.errors import Findings, GivenValueTest, SurveyError
@@ -33,7 +34,7 @@ def check_poses(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
     # Photographs without texture do not match in the sweep either, which reports it.
     if found.misfit_px is None and job.search is not None:
         with suppress(SurveyError):
-            found = pose_check.check_of_features(job.survey, job.plan, job.search(job.survey).ties)
+            found = pose_check.check_of_ties(job.survey, job.plan, MATCH, job.search(job.survey).ties)
     tests, flooded = [asdict(each) for each in found.tests], found.flooded
     record = {"misfit_px": found.misfit_px, "contradictions": tests}
     write_json(folder / MISFIT, {**record, "flooded": None if flooded is None else asdict(flooded)})

@@ -136,7 +136,8 @@ def _system(problem: Problem, state: State, linear: LinearisedObservations) -> S
     priors = problem.priors
     planes = None if priors.planes is None else priors.planes.of_points(state.points, state.shift)
     own, right = _of_points(problem, state, linear, planes)
-    point_root = np.linalg.inv(np.linalg.cholesky(_damped(own)))
+    damping = (_DAMPING * np.trace(own, axis1=1, axis2=2)[:, None, None] + 1e-300) * np.eye(3)
+    point_root = np.linalg.inv(np.linalg.cholesky(own + damping))
     point_right_side = np.einsum("mij,mj->mi", point_root, right)
     precision = np.where(np.isfinite(priors.std), priors.std, np.inf) ** -2.0
     if linear.design is None:
@@ -232,9 +233,3 @@ def _sum(ties: TiePoints, values: np.ndarray) -> np.ndarray:
     """Sums (M, ...) of values (..., N) over the observations of each point."""
     first = np.searchsorted(ties.point, np.arange(len(ties)))
     return np.moveaxis(np.add.reduceat(values, first, axis=-1), -1, 0)
-
-
-def _damped(normal: np.ndarray) -> np.ndarray:
-    """Matrices (M, 3, 3), damped enough to be inverted."""
-    scale = np.trace(normal, axis1=1, axis2=2)[:, None, None]
-    return normal + (_DAMPING * scale + 1e-300) * np.eye(3)

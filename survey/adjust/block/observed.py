@@ -98,7 +98,10 @@ def observed(
             np.full(3, np.inf) if point.is_check else np.asarray(point.std) for point in control.points
         ]
     if names and prior.common_up_std > 0.0:
-        ties = replace(ties, start=_at_height_of_nearest(ties.start, len(ties) - len(names)))
+        # Check points, at the height of the nearest tie point in plan.
+        start, first = ties.start.copy(), len(ties) - len(names)
+        start[first:, 2] = start[cKDTree(start[:first, :2]).query(start[first:, :2])[1], 2]
+        ties = replace(ties, start=start)
     marks_std_px = MARKS_STD_PX if control is None else control.marks_std_px
     return Observed(ties, kind, point_std, names, sizes_of(survey), marks_std_px, survey.observations.ground)
 
@@ -106,14 +109,6 @@ def observed(
 def sizes_of(survey: Survey) -> Sizes:
     """Sizes (width, height) [px] of the photographs."""
     return tuple((view.lens.width, view.lens.height) for view in survey.views)
-
-
-def _at_height_of_nearest(start: np.ndarray, first: int) -> np.ndarray:
-    """Places (M, 3) [m], those from ``first`` on, of check points, at the height of the nearest tie point in plan."""
-    start = start.copy()
-    _, nearest = cKDTree(start[:first, :2]).query(start[first:, :2])
-    start[first:, 2] = start[nearest, 2]
-    return start
 
 
 def _marks(control: Control, survey: Survey) -> TiePoints:

@@ -103,11 +103,11 @@ def _roll_of(survey: Survey, views: np.ndarray) -> Roll | None:
     chosen = [survey.views[k] for k in views]
     priors = [survey.observations.priors.get(view.name) for view in chosen]
     placed = [(v.camera.centre, p) for v, p in zip(chosen, priors, strict=True) if p and p.position is not None]
-    line = (
-        _line_of_positions(placed)
-        if len(placed) >= least_track(len(survey.views))
-        else _line_of_control(survey, chosen)
-    )
+    if len(placed) >= least_track(len(survey.views)):
+        line = _line_of_positions(placed)
+    else:
+        given = _control_points_in(survey, chosen, 1)
+        line = line_of_control(given) if len(given) >= _FEWEST else None
     if line is None:
         return None
     across = LineAxes.of(line)
@@ -135,12 +135,6 @@ def spans_area(survey: Survey, roll: Roll) -> bool:
     """Whether the control points that two of its photographs show lie over an area."""
     given = _control_points_in(survey, [survey.views[k] for k in roll.views], 2)
     return len(given) >= _FEWEST and line_of_control(given) is None
-
-
-def _line_of_control(survey: Survey, views: Sequence[View]) -> PositionLine | None:
-    """The line of the control points that some views show."""
-    given = _control_points_in(survey, views, 1)
-    return line_of_control(given) if len(given) >= _FEWEST else None
 
 
 def _control_points_in(survey: Survey, views: Sequence[View], least: int) -> list[ControlPoint]:

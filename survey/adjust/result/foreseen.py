@@ -162,7 +162,8 @@ def _covariance(
 def _stds_of_heights(survey: Survey, plan: Plan, ties: TiePoints, depth_m: float) -> HeightStds:
     covariance, layout, state, ties = _covariance(survey, plan.gsd_m, ties, free=False)
     first = np.searchsorted(ties.point, np.arange(len(ties) + 1))
-    some = np.concatenate([_spread_out(np.arange(*ends)) for ends in pairwise(first)])
+    of_points = [np.linspace(low, high - 1, min(high - low, _MOST_VIEWS)) for low, high in pairwise(first)]
+    some = np.concatenate(of_points).round().astype(np.int64)
     ties = TiePoints(ties.start, ties.point[some], ties.view[some], ties.pixel[some])
     still, rows = np.zeros((len(some), NUM_RELIEF)), ties.pixel[:, 1]
     _, by_point = linearise_by_points(layout, state, ties, still, rows)
@@ -177,11 +178,6 @@ def _stds_of_heights(survey: Survey, plan: Plan, ties: TiePoints, depth_m: float
     else:
         common = std_common(ties.start, np.full(len(ties), survey.water is not None), survey, None, plan.gsd_m)
     return HeightStds(depth_m, of_point, float(np.nanmedian(common)))
-
-
-def _spread_out(numbers: np.ndarray) -> np.ndarray:
-    """At most `_MOST_VIEWS` of these, spread over them."""
-    return numbers[np.linspace(0, len(numbers) - 1, min(len(numbers), _MOST_VIEWS)).round().astype(np.int64)]
 
 
 def _angles(survey: Survey, ties: TiePoints) -> np.ndarray:

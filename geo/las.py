@@ -6,6 +6,7 @@ Sources: ASPRS LAS 1.4 R16 and its topo-bathy profile (classes 40 and up).
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -217,6 +218,18 @@ def read_cloud(path: str | Path) -> Cloud:
         ) from error
     if las is None:
         raise UnreadableFile(f"{path} has no points; expected a cloud with at least one.")
+    return _cloud_of(las, path)
+
+
+def read_window(path: str | Path, bounds: Sequence[float]) -> Cloud:
+    """The points of a COPC file in bounds (E0, N0, E1, N1) in its CRS; only nodes that meet these are read."""
+    with laspy.CopcReader.open(str(existing_file(path))) as reader:
+        window = laspy.copc.Bounds(mins=np.array(bounds[:2], dtype=float), maxs=np.array(bounds[2:], dtype=float))
+        return _cloud_of(laspy.LasData(reader.header, reader.query(window)), Path(path))
+
+
+def _cloud_of(las: laspy.LasData, path: Path) -> Cloud:
+    header = las.header
     with np.errstate(over="ignore", invalid="ignore"):
         points = np.stack([las.x, las.y, las.z], axis=-1)
     if not np.isfinite(points).all():
@@ -243,4 +256,4 @@ def _rgb(las: laspy.LasData) -> np.ndarray | None:
         return None
     rgb = np.stack([las.red, las.green, las.blue], axis=-1)
     # The upper byte is the colour, whether the writer multiplied by 256 or by 257.
-    return (rgb >> 8 if rgb.max() > 255 else rgb).astype(np.uint8)
+    return (rgb >> 8 if rgb.max(initial=0) > 255 else rgb).astype(np.uint8)

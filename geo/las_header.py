@@ -190,7 +190,7 @@ def extra_of(las: laspy.LasData) -> dict[str, np.ndarray]:
     extra = {}
     for name in las.point_format.extra_dimension_names:
         values = np.array(las[name])
-        if no_data.get(name) is not None:
+        if no_data.get(name) is not None and len(values):
             raw = las.points.array[name]
             missing = (raw.reshape(len(raw), -1) == no_data[name]).reshape(values.shape)
             values = np.where(missing, np.nan, values) if missing.any() else values

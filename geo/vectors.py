@@ -12,19 +12,19 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import shapely
 from pyproj import CRS
-from shapely import LineString, MultiLineString, MultiPolygon, Polygon
+from shapely import LineString, MultiLineString, MultiPolygon, Point, Polygon
 from shapely.geometry import mapping
 from shapely.geometry.polygon import orient
 from shapely.ops import split
 
 from geo.compatibility import crosses, crs_difference
 from geo.crs import crs_code, crs_name, height_unit_m, horizontal_crs, horizontal_unit, is_geographic
-from geo.errors import UnwritableFile
+from geo.errors import GeoError, UnwritableFile
 from geo.features import UNITS_OF_DRAWINGS
 from geo.files import library_for, write_text, write_whole
 from geo.transformation import WGS84, Transformation
@@ -41,14 +41,30 @@ class Layer:
     """Features of one kind."""
 
     name: str  # One word, e.g. "contours".
-    kind: Literal["LineString", "Polygon"]
-    # For each feature a line (N, 2), or the closed rings (N, 2) of a polygon, the outer one first; easting first
+    kind: Literal["Point", "LineString", "Polygon"]
+    # For each feature a place (2,), a line (N, 2), or closed rings (N, 2), the outer one first; easting first
     shapes: list
     crs: CRS  # Its horizontal part counts
     columns: dict[str, list] = field(default_factory=dict)  # Attributes of the features, by name
     notes: str = ""  # What the features are
-    # For each line its heights (N,), in crs; None where there are none. Only shapefiles and DXF store them.
+    # For each line its heights (N,), in crs; None where there are none. GeoJSON and GeoPackage leave them out.
     heights: list | None = None
+
+
+def geodataframe(layer: Layer) -> Any:
+    """The layer as ``geopandas.GeoDataFrame`` in the horizontal part of its CRS, lines with heights where it has some.
+
+    Raises GeoError if geopandas is not installed.
+    """
+    try:
+        import geopandas
+    except ModuleNotFoundError as error:
+        raise GeoError("geopandas is not installed: pip install 'bathynerf[geopandas]'") from error
+    shapes = layer.shapes
+    if layer.heights is not None:
+        shapes = [np.column_stack(line) for line in zip(shapes, layer.heights, strict=True)]
+    geometry = [_shape(layer.kind, shape) for shape in shapes]
+    return geopandas.GeoDataFrame(layer.columns, geometry=geometry, crs=horizontal_crs(layer.crs))
 
 
 def write_geojson(path: str | Path, layer: Layer) -> str | None:
@@ -126,8 +142,8 @@ def _geometry(kind: str, parts: list) -> dict:
     return mapping(shapes[0] if len(shapes) == 1 else several(shapes))
 
 
-def _shape(kind: str, shape) -> LineString | Polygon:
-    return Polygon(shape[0], shape[1:]) if kind == "Polygon" else LineString(shape)
+def _shape(kind: str, shape) -> Point | LineString | Polygon:
+    return Polygon(shape[0], shape[1:]) if kind == "Polygon" else (Point if kind == "Point" else LineString)(shape)
 
 
 def write_geopackage(path: str | Path, layer: Layer) -> None:

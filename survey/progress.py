@@ -1,7 +1,8 @@
 """Progress on the console and in the log of a run: named stages, the share of the run that is done, and the time left.
 
-On a terminal this is one line with a bar; elsewhere, and in the log, a line a minute. All lines also go to the logger
-"bathynerf". Together with `survey.commands` the only place that writes to the console.
+On a terminal this is one line with a bar, in a notebook one that is written anew; elsewhere, and in the log, a line a
+minute. All lines also go to the logger "bathynerf". Together with `survey.commands` the only place that writes to the
+console.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from contextvars import ContextVar
 from pathlib import Path
 from threading import Event, Thread
-from typing import TextIO
+from typing import Any, TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, Task, TaskProgressColumn, TextColumn, TimeRemainingColumn
@@ -25,6 +26,7 @@ from survey.words import printable, wrap_for
 
 # Seconds between plain lines, where there is no terminal, and between looks whether one is due.
 _LINE_EVERY_S, _TICK_S = 60.0, 5.0
+_ANEW_EVERY_S = 0.5  # In a notebook
 # Time [s] over which the pace is measured that tells the time left.
 _PACE_S = 600.0
 
@@ -44,7 +46,9 @@ def current() -> Progress:
 
 
 def _unopened() -> Progress:
-    """Shows warnings, unless a program has told `logging` where they go."""
+    """Shows warnings, unless a program has told `logging` where they go; in a notebook notes and progress too."""
+    if Console().is_jupyter:
+        return Progress()
     handlers = (*LOGGER.handlers, *logging.getLogger().handlers)
     is_handled = any(not isinstance(handler, logging.NullHandler) for handler in handlers)
     return Progress(verbosity=-2 if is_handled else -1)
@@ -113,6 +117,7 @@ class Progress:
         self._log: TextIO | None = None
         self._last_line = now()
         self._steps: list[Step] = []
+        self._cell: Any = None  # `IPython.display.DisplayHandle` of the line in a notebook
         # One task: the run, or a stage where nothing is expected of the run.
         self._bars = Bars(
             TextColumn("{task.description}", markup=False),
@@ -171,6 +176,10 @@ class Progress:
         total = sum(self._expected.values()) or step.total
         if self._task is None:
             self._bars.add_task(step.title, total=total)
+            if self.verbosity >= 0 and self._console.is_jupyter:
+                from IPython.display import display
+
+                self._cell = display({"text/plain": f"{step.title} ..."}, raw=True, display_id=True)
         elif self._task.total != total:
             self._bars.update(self._task.id, total=total)
         self._show(step)
@@ -198,14 +207,18 @@ class Progress:
         return self.verbosity >= 0 and self._console.is_terminal
 
     def say_if_due(self, step: Step, detail: str = "") -> None:
-        """Say how far the run is where the last line of it is a minute old."""
+        """Say how far the run is where the last line of it is a minute old, in a notebook half a second."""
         now, task = self.now(), self._task
-        if now - self._last_line < _LINE_EVERY_S or task is None:
+        if now - self._last_line < (_LINE_EVERY_S if self._cell is None else _ANEW_EVERY_S) or task is None:
             return
         self._last_line = now
         share = f"{task.percentage:.0f} %{' of the run' if self._expected else ''}" if task.total else ""
         left = f"about {rough(task.time_remaining)} left" if task.time_remaining else f"{clock(step.seconds)} so far"
-        self._emit(f"{step.title}: {', '.join(part for part in (share, left, detail) if part)}")
+        text = f"{step.title}: {', '.join(part for part in (share, left, detail) if part)}"
+        if self._cell is None:
+            self._emit(text)
+        else:
+            self._cell.update({"text/plain": printable(text)}, raw=True)
 
     @contextmanager
     def _saying(self) -> Iterator[None]:
@@ -251,6 +264,9 @@ class Progress:
             if is_outermost:
                 step.done = step.total = step.total or 1.0
                 self._show(step)
+                if self._cell is not None:
+                    self._last_line = -math.inf
+                    self.say_if_due(step)
         finally:
             self._steps.remove(step)
             if is_outermost and not self._expected:

@@ -16,8 +16,15 @@ from slow_cases import slow
 from geo.compatibility import Reprojection
 from geo.las import read_cloud, write_cloud
 from geo.vectors import Layer, write_geojson, write_geopackage
-from survey.change.change import align, change_between
-from survey.change.differences import Correlation, Differences, measured_correlation, shared_photographs, volume_of
+from survey.change.change import align, change_between, volume_text
+from survey.change.differences import (
+    Correlation,
+    Differences,
+    Volume,
+    measured_correlation,
+    shared_photographs,
+    volume_of,
+)
 from survey.change.series import change_series
 from survey.compare.options import ChangeOptions
 from survey.errors import SurveyError
@@ -340,3 +347,15 @@ def test_a_series_that_cannot_be_is_refused(epochs, tmp_path, option, name, word
 def test_a_survey_named_twice_in_a_series_is_refused(epochs):
     with pytest.raises(SurveyError, match="hold the same points"):
         change_series([*epochs, epochs[1]])
+
+
+@pytest.mark.parametrize(
+    ("volume", "text"),
+    [
+        (Volume(-3.4945, 1.004, 85.0), "−3.5 m³ ± 2.0 m³ (95 %) over 85 m²"),
+        (Volume(0.007254, 0.5738, 50.0), "+0.0 m³ ± 1.1 m³ (95 %) over 50 m²"),
+        (Volume(12345.6, 78.2, 9000.0), "+12346 m³ ± 153 m³ (95 %) over 9000 m²"),
+    ],
+)
+def test_a_volume_has_the_digits_of_its_uncertainty(volume, text):
+    assert volume_text(volume) == text

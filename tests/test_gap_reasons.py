@@ -14,7 +14,7 @@ from small_survey import SIZE
 from fields.sweep.maps import HeightMap
 from survey.report import seen_cells
 from survey.report.gap_reasons import with_reasons
-from survey.report.seen_cells import CONTRADICTED, GLINT, HIDDEN, MASKED, ONE_VIEW, PLAIN, UNLIKE, cells_of
+from survey.report.seen_cells import CONTRADICTED, GLINT, HIDDEN, MASKED, ONE_VIEW, PLAIN, UNLIKE, cells_of, coverage_of
 
 
 def grey_images(survey, folder, levels: np.ndarray):
@@ -69,7 +69,7 @@ def test_masks_that_leave_less_than_two_views_are_the_reason(shallow_survey, hol
     masked = [replace(view, mask_path=tmp_path / "mask.png") for view in shallow_survey.views[1:]]
     told = with_reasons(hole, replace(shallow_survey, views=(shallow_survey.views[0], *masked)), PLAN, [])
     assert (told.gaps[inner(hole)] == MASKED).all()
-    areas = told.areas()
+    areas = coverage_of(told, None, None)
     assert areas["reasons_m2"][seen_cells.REASONS[MASKED]] == pytest.approx(
         hole.grid.side_m**2 * (told.gaps == MASKED).sum()
     )

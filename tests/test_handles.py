@@ -12,7 +12,7 @@ from drawn_runs import drawn
 from matplotlib.figure import Figure
 
 import bathynerf
-from bathynerf import CompareOptions, LoadedSurvey, Run, Survey, SurveyError
+from bathynerf import CompareOptions, ExportOptions, GeoError, LoadedSurvey, Run, Survey, SurveyError
 from survey.progress import Progress
 
 
@@ -117,11 +117,48 @@ def test_other_libraries_get_the_same_numbers(run, monkeypatch):
     assert "CRS" in made.coords["spatial_ref"][2]["crs_wkt"]
 
 
+def test_a_window_of_the_cloud_is_read_without_the_rest(run):
+    low, high = middle_of(run)
+    inside = ((run.cloud.points[:, :2] >= low) & (run.cloud.points[:, :2] <= high)).all(axis=1)
+    window = run.cloud_in([*low, *high])
+    # Places are stored to a millimetre, so that points on the edge may be either side.
+    assert len(window.points) == pytest.approx(inside.sum(), abs=0.02 * inside.sum())
+    assert 100 < inside.sum() < 0.5 * len(inside)
+    assert set(window.extra) == set(run.cloud.extra)
+    assert len(run.cloud_in([*(low - 100.0), *(low - 50.0)]).points) == 0
+    with pytest.raises(SurveyError, match="expected E0 N0 E1 N1"):
+        run.cloud_in([*high, *low])
+
+
+def test_layers_and_profiles_are_frames_with_their_places(run, monkeypatch):
+    fake_module(
+        monkeypatch, "geopandas", GeoDataFrame=lambda columns, **others: SimpleNamespace(columns=columns, **others)
+    )
+    footprints = run.layer("footprints")
+    assert footprints.columns["image"] == run.layer("footprints").columns["image"]
+    assert [each.geom_type for each in footprints.geometry] == ["Polygon"] * 7
+    assert [each.area for each in footprints.geometry] == pytest.approx(footprints.columns["area_m2"], rel=2e-3)
+    contours = run.layer("contours", ExportOptions(interval_m=0.05, resolution_m=0.1))
+    assert all(each.has_z for each in contours.geometry)
+    heights, depths = [each.coords[0][2] for each in contours.geometry], np.array(contours.columns["depth_m"])
+    np.testing.assert_allclose(heights + depths, run.report["water"]["level_m"], atol=1e-3)
+    profile = run.profile(middle_of(run))
+    frame = profile.to_geopandas()
+    assert [(each.x, each.y) for each in frame.geometry] == [tuple(place) for place in profile.places]
+    assert frame.columns["bed"] == pytest.approx(profile.bed, nan_ok=True)
+    assert frame.crs.is_projected
+    with pytest.raises(SurveyError, match="expected one of footprints, shoreline, contours, unseen, checkpoints"):
+        run.layer("walls")
+
+
 def test_a_library_that_is_missing_is_named_with_its_extra(run, monkeypatch):
     # As the import of a module that is not there.
-    monkeypatch.setitem(__import__("sys").modules, "xarray", None)
+    for name in ("xarray", "geopandas"):
+        monkeypatch.setitem(__import__("sys").modules, name, None)
     with pytest.raises(SurveyError, match=r"pip install 'bathynerf\[xarray\]'"):
         run.dem(0.1).to_xarray()
+    with pytest.raises(GeoError, match=r"pip install 'bathynerf\[geopandas\]'"):
+        run.layer("footprints")
 
 
 def test_the_names_that_stay_are_listed():

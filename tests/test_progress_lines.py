@@ -34,6 +34,22 @@ def test_stages_are_plain_lines_with_the_time_left_where_there_is_no_terminal(tm
     assert progress_room.current() is not progress
 
 
+def test_a_notebook_has_one_line_that_is_written_anew():
+    nbformat, nbclient = (pytest.importorskip(name) for name in ("nbformat", "nbclient"))
+    code = """
+from survey.progress import current
+with current().stage("sweep", total=2) as stage:
+    stage.advance()
+    stage.advance()
+current().note("a note")
+"""
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(code)])
+    nbclient.NotebookClient(notebook, timeout=120, kernel_name="python3").execute()
+    sweep, note = (output["data"]["text/plain"] for output in notebook.cells[0].outputs)
+    assert sweep.startswith("sweep: 100 %")
+    assert note.endswith("a note\n")
+
+
 def test_a_stage_that_fails_is_not_said_to_be_done():
     stream = io.StringIO()
     with Progress(stream=stream, verbosity=1) as progress, pytest.raises(RuntimeError), progress.stage("sweep"):

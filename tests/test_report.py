@@ -200,7 +200,7 @@ def test_report_json_keeps_its_names(plane_report):
     }  # fmt: skip
     assert list(found) == [
         "verdict", "survey", "taken", "water", "plan", "cloud", "comparison", "iho_s44", "checkpoints", "height_std_m",
-        "stated", "coverage", "gaps", "waves", "adjustment", "baselines", "photographs", "photographs_left_out",
+        "stated", "coverage", "waves", "adjustment", "baselines", "photographs", "photographs_left_out",
         "timings_s", "versions", "settings", "assumptions", "warnings",
     ]  # fmt: skip
     assert list(found["verdict"]["gates"][0]) == ["name", "value", "limit", "unit", "passed", "sentence"]

@@ -205,9 +205,9 @@ def test_adjusted_points_and_the_cloud_at_rods_are_put_together(survey):
     points = tuple(ControlPoint(name, place, local, np.full(3, 0.01), name == "c2") for name in ("c1", "c2"))
     survey = changed(survey, control=Control(points, (), 0.5), checkpoints=(Checkpoint("rod", place, local),))
     rows = (
-        CheckpointRow("rod", LEVEL, 1.0, -0.03),
-        CheckpointRow("c2", LEVEL, None, 0.5),
-        CheckpointRow("far", LEVEL, 1.0, None),
+        CheckpointRow("rod", 0.0, 0.0, LEVEL, 1.0, -0.03),
+        CheckpointRow("c2", 0.0, 0.0, LEVEL, None, 0.5),
+        CheckpointRow("far", 0.0, 0.0, LEVEL, 1.0, None),
     )
     adjusted = [ControlResidual(name, name == "c2", False, (0.01, 0.02, 0.03), 3, 0.4) for name in ("c1", "c2")]
     found = residuals_of(survey, _Adjusted(adjusted), CheckpointAccuracy(rows, (), 0.25))

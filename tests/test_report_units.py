@@ -82,9 +82,11 @@ def test_water_and_what_hides_the_bed_add_up():
     views = np.array([[4, 3, 2], [5, 1, 0]])
     cells = SeenCells(Grid.northward_from(np.zeros(2), 0.5, depth.shape), has_point, views, np.zeros(depth.shape))
     found = coverage_of(cells, depth, 0.02)
-    assert (found.wet_m2, found.two_views_m2, found.one_view_m2) == (0.5, 0.25, 0.25)
-    assert found.water_m3 == 0.25 * 5.0
-    assert found.water_std_m3 == pytest.approx(0.01)
+    assert (found["ground_m2"], found["found_m2"], found["wet_m2"]) == (1.25, 0.75, 0.5)
+    assert list(found["reasons_m2"].values()) == [0.25, 0.25]
+    assert found["water_m3"] == 0.25 * 5.0
+    assert found["water_std_m3"] == pytest.approx(0.01)
+    assert coverage_of(cells, None, None).keys() == {"ground_m2", "found_m2", "reasons_m2"}
 
 
 def test_limits_are_those_of_the_run(plane_report):
@@ -97,7 +99,7 @@ def test_limits_are_those_of_the_run(plane_report):
     assert "Nothing independent was measured with it" in page
     assert f"within {length(1.96 * figures['height_std_m'].whole)} of the truth in 95 of 100 cases" in page
     assert "300\u00a0m³ ± 6.0\u00a0m³" in page
-    assert "200\u00a0m², 50.0\u00a0% of the water that was looked at" in page
+    assert '>200\u00a0m²</td>\n<td class="number">50.0\u00a0%</td>' in page
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ remains: its variance less the smallest one of the survey, once at the cell and 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -209,10 +210,11 @@ def numbers_of(change: Change, first: Path, second: Path) -> dict:
 
 
 def volume_text(volume: Volume) -> str:
-    """A volume with its interval of 95 % and its area."""
+    """A volume with its interval of 95 %, to two digits of that, and its area."""
     half = 0.5 * (volume.interval95_m3[1] - volume.interval95_m3[0])
-    text = f"{volume.volume_m3:+.4g}".replace("-", MINUS)
-    return f"{text} m³ ± {half:.2g} m³ (95 %) over {volume.area_m2:.4g} m²"
+    digits = max(1 - math.floor(math.log10(half)), 0) if half > 0.0 else 0
+    text = f"{volume.volume_m3:+.{digits}f}".replace("-", MINUS)
+    return f"{text} m³ ± {half:.{digits}f} m³ (95 %) over {volume.area_m2:.4g} m²"
 
 
 def polygons_for(path: Path, cells: Grid) -> dict[str, Polygon]:
@@ -274,6 +276,5 @@ def _draw(change: Change, path: Path) -> None:
     is_beyond = change.differences.is_significant
     drawn = show(axes, np.where(is_beyond, d, np.nan) * unit.per_metre, cells.extent, **style)
     colour_bar(axes, drawn, f"second minus first [{unit.name}], pale where not significant")
-    net = volume_text(change.net).partition(" over")[0]
-    subtitle = f"fill {change.fill.volume_m3:.4g} m³  ·  cut {change.cut.volume_m3:.4g} m³  ·  net {net}"
-    finished(axes, path, "Change of the bed", subtitle, "")
+    parts = (f"{name} {volume_text(getattr(change, name)).partition(' (')[0]}" for name in ("fill", "cut", "net"))
+    finished(axes, path, "Change of the bed", f"{'  ·  '.join(parts)} (95 %)", "")

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -25,7 +26,7 @@ from geo.files import write_text
 from geo.grid import plan_box
 from geo.projection import ground_units_m
 from geo.shapes import ground_of, in_height_unit, masked_cloud
-from geo.vectors import DxfLine, write_dxf
+from geo.vectors import DxfLine, Layer, geodataframe, write_dxf
 from survey.compare.inputs import InputPaths, load_inputs
 from survey.display.canvas import empty_figure, save, write_title
 from survey.display.palette import BLUE
@@ -67,6 +68,12 @@ class Profile:
     def depth(self) -> np.ndarray:
         """Depth of the bed below the water (K,) [m], negative above it."""
         return (self.water - self.bed) * height_unit_m(self.crs)
+
+    def to_geopandas(self) -> Any:
+        """A ``geopandas.GeoDataFrame`` of its places with the arrays as columns; GeoError without geopandas."""
+        names = ("distance", "bed", "depth", "std", "std_common", "num_points", "water", "reference")
+        columns = {name: list(getattr(self, name)) for name in names}
+        return geodataframe(Layer(self.name, "Point", list(self.places), self.crs, columns))
 
     @property
     def error(self) -> np.ndarray:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import contourpy
@@ -83,7 +84,7 @@ def _check_seen(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 check_contours, check_footprints, check_unseen = check_layer, _check_seen, _check_seen
 
 
-def write_footprints(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+def footprints_of(run: LoadedRun, options: ExportOptions) -> Layer:
     """The border of each photograph on the bed, through the water; occlusion is ignored."""
     flight = run.flight
     cells = _cells(run, None)
@@ -100,7 +101,7 @@ def write_footprints(path: Path, run: LoadedRun, options: ExportOptions) -> None
         current().warn(f"{len(lost)} photographs show the horizon and have no footprint, e.g. {lost[0]}")
     columns: dict[str, list] = {"image": names, "area_m2": areas}
     about = "borders of the photographs on the bed, through the water; beyond the points, at the height of the nearest"
-    write_layer(path, Layer("footprints", "Polygon", shapes, run.crs_for(options.crs), columns, about))
+    return Layer("footprints", "Polygon", shapes, run.crs_for(options.crs), columns, about)
 
 
 def _cells(run: LoadedRun, area: tuple[float, float, float, float] | None) -> SeenCells:
@@ -135,7 +136,7 @@ def _in_plan(run: LoadedRun, options: ExportOptions, local: np.ndarray) -> np.nd
     return run.in_crs(run.flight.frame.crs_from_local(local), options.crs)[:, :2]
 
 
-def write_contours(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+def contours_of(run: LoadedRun, options: ExportOptions) -> Layer:
     """Lines of equal depth; of equal height in a dry survey."""
     grid = bed_raster(run, options)
     values = (grid.heights if grid.level is None else grid.depths)(grid.cells.whole)
@@ -151,15 +152,15 @@ def write_contours(path: Path, run: LoadedRun, options: ExportOptions) -> None:
         )
     levels = [number * step for number in range(math.ceil(low / step), math.floor(high / step) + 1)]
     about = f"every {step:g} m, in cells of {grid.cells.side_m:g} m; depths count down from the water"
-    _write_lines(path, Layer("contours", "LineString", [], grid.cells.crs, notes=about), grid, values, levels)
+    return _lines(Layer("contours", "LineString", [], grid.cells.crs, notes=about), grid, values, levels)
 
 
-def write_shoreline(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+def shoreline_of(run: LoadedRun, options: ExportOptions) -> Layer:
     """The line of depth zero, where the bed was found on both sides of it."""
     grid = bed_raster(run, options)
     about = f"where the bed meets the water of the survey, in cells of {grid.cells.side_m:g} m"
     layer = Layer("shoreline", "LineString", [], grid.cells.crs, notes=about)
-    _write_lines(path, layer, grid, grid.depths(grid.cells.whole), [0.0])
+    return _lines(layer, grid, grid.depths(grid.cells.whole), [0.0])
 
 
 def check_shoreline(path: Path, run: LoadedRun, options: ExportOptions) -> None:
@@ -169,8 +170,8 @@ def check_shoreline(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     check_layer(path, run, options)
 
 
-def _write_lines(path: Path, layer: Layer, grid: BedRaster, values: np.ndarray, levels: list[float]) -> None:
-    """Write lines of equal values (rows, columns) [m], depths or, in a dry survey, heights, with heights in crs.
+def _lines(layer: Layer, grid: BedRaster, values: np.ndarray, levels: list[float]) -> Layer:
+    """A layer with lines of equal values (rows, columns) [m], depths or, in a dry survey, heights; heights in crs.
 
     They run through the middles of cells, and end where cells have no height.
     """
@@ -188,7 +189,7 @@ def _write_lines(path: Path, layer: Layer, grid: BedRaster, values: np.ndarray, 
                 height = np.full(len(line), level) if grid.level is None else grid.level(places) - level
                 heights.append(height / grid.height_unit_m)
     name = "height_m" if grid.level is None else "depth_m"
-    write_layer(path, replace(layer, shapes=lines, columns={name: depths}, heights=heights))
+    return replace(layer, shapes=lines, columns={name: depths}, heights=heights)
 
 
 @dataclass(frozen=True)
@@ -292,10 +293,10 @@ def write_unseen(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     if path.suffix.lower() in (".tif", ".tiff"):
         _write_mask(path, run, options)
     else:
-        write_layer(path, _areas(run, options))
+        write_layer(path, unseen_areas(run, options))
 
 
-def _areas(run: LoadedRun, options: ExportOptions) -> Layer:
+def unseen_areas(run: LoadedRun, options: ExportOptions) -> Layer:
     """Polygons of the cells of water without a bed, with the reason as far as it is known."""
     unseen = unseen_of(run)
     cells, codes = unseen.cells, unseen.codes
@@ -328,3 +329,15 @@ def _write_mask(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
     band = RasterBand("no bed found", "code")
     write_raster(path, grid, values, band, tags=_tags_of_reasons(), dtype="uint8", nodata=None, resampling="NEAREST")
+
+
+LAYERS = {"footprints": footprints_of, "shoreline": shoreline_of, "contours": contours_of, "unseen": unseen_areas}
+
+
+def _write(name: str, path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    write_layer(path, LAYERS[name](run, options))
+
+
+write_footprints, write_shoreline, write_contours = (
+    partial(_write, name) for name in ("footprints", "shoreline", "contours")
+)

@@ -14,9 +14,10 @@ import numpy as np
 from pyproj import CRS
 
 from geo.features import Line
-from geo.las import read_cloud
+from geo.las import read_cloud, read_window
 from geo.raster import open_raster, read_raster
 from geo.shapes import Cloud, Mesh
+from geo.vectors import Layer, geodataframe
 from survey.display.blocks import picture_html, table_html
 from survey.errors import SurveyError
 from survey.export.export import cloud_of, export
@@ -24,6 +25,7 @@ from survey.export.loaded import LoadedRun
 from survey.export.profiles import Bed, Profile
 from survey.export.rasters import write_dem
 from survey.export.registry import ExportOptions
+from survey.export.vectors import LAYERS
 from survey.files.json_values import read_json_object
 from survey.files.remote import local_run
 from survey.folder import survey as folder_survey
@@ -153,6 +155,33 @@ class Run:
     def cloud(self) -> Cloud:
         """The points, in the CRS of the survey, with edits: ``cloud.points`` is an array (N, 3)."""
         return read_cloud(cloud_of(self.folder))
+
+    def cloud_in(self, bounds: Sequence[float]) -> Cloud:
+        """The points in bounds (E0, N0, E1, N1) in the CRS of the survey, with edits; the others are not read.
+
+        From cloud.copc.laz in the run folder, which is written before the first use and after edits.
+        """
+        if len(bounds) != 4 or not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
+            raise SurveyError(f"bounds are {list(bounds)}, expected E0 N0 E1 N1 with E0 < E1 and N0 < N1")
+        return read_window(export(self.folder, copc=self.folder / "cloud.copc.laz")[0], bounds)
+
+    def layer(self, name: str, options: ExportOptions | None = None) -> Any:
+        """A ``geopandas.GeoDataFrame`` of footprints, shoreline, contours, unseen or checkpoints; GeoError without it.
+
+        The first four are as ``export`` makes them by the options, check points have their residuals.
+        """
+        if name == "checkpoints":
+            rows = (self.report.get("checkpoints") or {}).get("rows") or []
+            columns = {column: [row[column] for row in rows] for column in (rows[0] if rows else ())}
+            if rows and "easting" not in rows[0]:
+                raise SurveyError(f"{self.folder} was made before runs kept the places of check points; process again")
+            shapes = [(row["easting"], row["northing"]) for row in rows]
+            with LoadedRun(self.folder) as run:
+                return geodataframe(Layer(name, "Point", shapes, run.bed_header.crs, columns))
+        if name not in LAYERS:
+            raise SurveyError(f"there is no layer {name!r}, expected one of {', '.join(LAYERS)}, checkpoints")
+        with LoadedRun(self.folder) as run:
+            return geodataframe(LAYERS[name](run, options or ExportOptions()))
 
     @cached_property
     def report(self) -> dict[str, Any]:

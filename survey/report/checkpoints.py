@@ -92,7 +92,9 @@ class CheckpointRow:
     """Check point with its residual."""
 
     name: str
-    height: float  # in crs
+    easting: float  # easting, northing, height in crs
+    northing: float
+    height: float
     depth_m: float | None  # Under the water, negative above; None for a dry survey
     # Height of the cloud less that of the check point; None where the cloud does not surround it
     difference_m: float | None
@@ -182,8 +184,10 @@ def checkpoints_of(
         [float(value) if np.isfinite(value) else None for value in values] for values in (depths, differences, stds)
     )
     rows = tuple(
-        CheckpointRow(point.name, point.crs[2], depth_m, difference_m, stated_m, bool(is_outside))
-        for point, depth_m, difference_m, stated_m, is_outside in zip(given, *known, outside, strict=True)
+        CheckpointRow(point.name, east, north, height, depth_m, difference_m, stated_m, bool(is_outside))
+        for point, (east, north, height), depth_m, difference_m, stated_m, is_outside in zip(
+            given, (point.crs for point in given), *known, outside, strict=True
+        )
     )
     return CheckpointAccuracy(rows, tuple(_groups(rows)), WITHIN_GSD * gsd_m)
 

@@ -28,7 +28,7 @@ from survey.report.adjustment import adjustment_of
 from survey.report.checkpoints import checkpoint_warnings, stated_of
 from survey.report.facts import ReportFacts, dry_warnings, height_std
 from survey.report.photographs import photograph_warnings, taken_of
-from survey.report.seen_cells import CoverageFigures, coverage_of
+from survey.report.seen_cells import coverage_of
 from survey.water.surface import height_above
 
 if TYPE_CHECKING:
@@ -80,7 +80,6 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
         "height_std_m": height_std(bed.std, facts.std_common) if len(bed) else None,
         "stated": stated_of(facts.stated, depth),
         "coverage": _coverage(facts),
-        "gaps": None if facts.cells is None else facts.cells.areas(),
         "waves": facts.waves,
         "adjustment": adjustment_of(survey, facts.adjustment),
         "baselines": baselines_of(facts),
@@ -200,11 +199,11 @@ def _cloud(facts: ReportFacts) -> dict[str, Any]:
     }
 
 
-def _coverage(facts: ReportFacts) -> CoverageFigures | None:
-    """Coverage of the water; None for a dry survey, or where nobody has looked."""
+def _coverage(facts: ReportFacts) -> dict[str, Any] | None:
+    """Coverage of the ground; None where nobody has looked."""
     survey, cells = facts.survey, facts.cells
     if survey.water is None or cells is None:
-        return None
+        return None if cells is None else coverage_of(cells, None, None)
     places, shared = cells.middles, math.nan if facts.std_common is None else median(facts.std_common)
     above = height_above(survey.water, survey.observations.departure, places.reshape(-1, 3))
     return coverage_of(cells, -above.reshape(places.shape[:2]), None if math.isnan(shared) else shared)

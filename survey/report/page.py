@@ -25,7 +25,6 @@ from survey.display.quantities import (
     length,
     share,
     typeset,
-    volume,
 )
 from survey.progress import clock
 from survey.report import checkpoints, photographs, tables
@@ -40,7 +39,7 @@ from survey.words import Quality
 _GROUPS = (
     ("The bed", ("depth", "orthophoto", "profile"), ("Point cloud",)),
     ("Uncertainty and coverage", ("unseen", "views", "std", "histograms"),
-     ("Ground without a bed, by reason", "Coverage of the water", "Check points", "Stated uncertainty of the cloud")),
+     ("Coverage", "Check points", "Stated uncertainty of the cloud")),
     ("Comparison with the reference", ("error", "completeness", "error_histogram", "error_bands"),
      ("Comparison with the reference", "Vertical uncertainty (IHO S-44)",
       "Baselines: refraction ignored or approximated")),
@@ -96,8 +95,7 @@ def _sections(figures: ReportFigures) -> list[Section]:
     decisions = [(decision.name, decision.choice, decision.reason) for decision in figures["plan"].decisions]
     timings = [(name.replace("_", " "), clock(seconds)) for name, seconds in figures["timings_s"].items()]
     return [
-        Section("Coverage of the water", _coverage(figures)),
-        Section("Ground without a bed, by reason", tables.gaps(figures["gaps"])),
+        Section("Coverage", tables.coverage(figures["coverage"], len(figures["photographs_left_out"]))),
         Section("Comparison with the reference", compare_tables.comparison(comparison)),
         Section("Waves", tables.waves(figures["waves"])),
         Section("Check points", tables.checkpoints(figures["checkpoints"])),
@@ -236,28 +234,6 @@ def _card_of_orders(iho: IhoS44) -> Card:
         detail += f"; {doubtful.name} is undecided, as heights between the points of the reference are too uncertain"
     worth = "none" if doubtful is None else "undecided"
     return Card("IHO S-44, vertical only", worth if strictest is None else strictest.name, detail)
-
-
-def _coverage(figures: ReportFigures) -> list[Block]:
-    """Coverage of the water in words; nothing for a dry survey."""
-    found = figures["coverage"]
-    water_m2 = 0.0 if found is None else found.wet_m2 + found.two_views_m2 + found.one_view_m2
-    if not water_m2:
-        return []
-
-    def part(value_m2: float) -> str:
-        return f"{area(value_m2)}, {share(value_m2 / water_m2)} of the water that was looked at"
-
-    std = "" if found.water_std_m3 is None else f" ± {volume(found.water_std_m3)} (one sigma)"
-    rows = [
-        ("bed found", part(found.wet_m2)),
-        ("water over it", f"{volume(found.water_m3)}{std}"),
-        ("no bed, two photographs or more", part(found.two_views_m2)),
-        ("no bed, one photograph only", part(found.one_view_m2)),
-    ]
-    if left_out := figures["photographs_left_out"]:
-        rows.append(("photographs without a pose", f"{len(left_out)}: what they alone show is missing"))
-    return [Rows(rows)]
 
 
 def _method(figures: ReportFigures) -> list[Block]:

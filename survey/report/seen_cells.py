@@ -70,16 +70,6 @@ class SeenCells:
         views = np.where(self.num_views >= 2, TWO_VIEWS, np.where(self.num_views == 1, ONE_VIEW, 0))
         return np.where(self.has_point, 0, views).astype(np.uint8)
 
-    def areas(self) -> dict[str, Any]:
-        """Areas [m^2]: of ``ground_m2`` that a view looks at, of that which has points, and of the rest by reason."""
-        cell_m2, count = self.grid.side_m**2, np.bincount(self.gaps.ravel(), minlength=len(REASONS) + 1)
-        reasons = {REASONS[code]: cell_m2 * float(count[code]) for code in REASONS if count[code]}
-        return {
-            "ground_m2": cell_m2 * float(np.count_nonzero(self.num_views)),
-            "found_m2": cell_m2 * float(np.count_nonzero(self.has_point & (self.num_views > 0))),
-            "reasons_m2": dict(sorted(reasons.items(), key=lambda entry: -entry[1])),
-        }
-
     def in_crs(self, codes: np.ndarray, frame: LocalFrame, most: int = 1 << 15) -> tuple[Grid, np.ndarray]:
         """Codes (rows, columns) uint8 of the cells in cells of crs, at most so many along a side; 0 beyond."""
         rows, columns = self.height.shape
@@ -172,32 +162,23 @@ def cells_of(survey: Survey, xyz: np.ndarray, gsd_m: float) -> SeenCells:
     return cells_seen(cameras, survey.water, departure, local_area(survey), xyz, gsd_m)
 
 
-@dataclass(frozen=True)
-class CoverageFigures:
-    """Water of a survey, in cells of ten ground sampling distances."""
+def coverage_of(cells: SeenCells, depth: np.ndarray | None, shared_std_m: float | None) -> dict[str, Any]:
+    """Areas [m^2] of the ground that a view looks at, of that with points, and of the rest by reason; of its water.
 
-    wet_m2: float  # [m^2]: water with a bed found under it
-    # water_m3, water_std_m3 [m^3]: volume between bed and surface there, and its standard deviation by what all heights
-    # share (None: unknown)
-    water_m3: float
-    water_std_m3: float | None
-    # two_views_m2, one_view_m2 [m^2]: water without a bed that two photographs or more look at, and that one alone does
-    two_views_m2: float
-    one_view_m2: float
-
-
-def coverage_of(cells: SeenCells, depth: np.ndarray, shared_std_m: float | None) -> CoverageFigures:
-    """The figures of cells of the ground at depths (rows, columns) [m] below the water; negative or NaN: dry.
-
-    `shared_std_m` [m] is the standard deviation common to all heights.
+    Depths (rows, columns) [m] below the water are negative or NaN on dry ground, and None in a dry survey. `water_m3`
+    is the volume between bed and surface where a bed was found, its standard deviation that by `shared_std_m` [m],
+    which all heights share (None: unknown).
     """
-    wet, cell_m2 = depth > 0.0, cells.grid.side_m**2
-    found, gaps = wet & cells.has_point, cells.gaps[wet]
-    wet_m2 = cell_m2 * float(found.sum())
-    return CoverageFigures(
-        wet_m2=wet_m2,
-        water_m3=cell_m2 * float(depth[found].sum()),
-        water_std_m3=None if shared_std_m is None else wet_m2 * shared_std_m,
-        two_views_m2=cell_m2 * float(np.count_nonzero(gaps) - np.count_nonzero(gaps == ONE_VIEW)),
-        one_view_m2=cell_m2 * float(np.count_nonzero(gaps == ONE_VIEW)),
-    )
+    cell_m2, count = cells.grid.side_m**2, np.bincount(cells.gaps.ravel(), minlength=len(REASONS) + 1)
+    reasons = {REASONS[code]: cell_m2 * float(count[code]) for code in REASONS if count[code]}
+    found = {
+        "ground_m2": cell_m2 * float(np.count_nonzero(cells.num_views)),
+        "found_m2": cell_m2 * float(np.count_nonzero(cells.has_point & (cells.num_views > 0))),
+        "reasons_m2": dict(sorted(reasons.items(), key=lambda entry: -entry[1])),
+    }
+    if depth is None:
+        return found
+    wet = (depth > 0.0) & cells.has_point
+    wet_m2 = cell_m2 * float(wet.sum())
+    std_m3 = None if shared_std_m is None else wet_m2 * shared_std_m
+    return found | {"wet_m2": wet_m2, "water_m3": cell_m2 * float(depth[wet].sum()), "water_std_m3": std_m3}

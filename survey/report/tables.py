@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from survey.display.blocks import Block, Rows, Table, Text
-from survey.display.quantities import LengthUnit, area, count, density, distance, height, length, number, share
+from survey.display.quantities import LengthUnit, area, count, density, distance, height, length, number, share, volume
 from survey.plan.plan import Plan
 from survey.report.checkpoints import CheckpointAccuracy
 from survey.report.facts import WaveFigures
@@ -53,16 +53,22 @@ def _extent(extent: dict[str, Any] | None, crs: dict[str, Any]) -> list[Table]:
     return [Table(("extent", "from", "to", "size"), rows)]
 
 
-def gaps(found: dict[str, Any] | None) -> list[Block]:
-    """Ground that photographs look at and that has no point, by reason; nothing where there is none."""
-    if found is None or not found["reasons_m2"]:
+def coverage(found: dict[str, Any] | None, num_left_out: int) -> list[Block]:
+    """Ground that photographs look at, with points and without by reason, and its water; nothing of no ground."""
+    if found is None or not found["ground_m2"]:
         return []
-    ground_m2 = found["ground_m2"]
-    rows = [("points found", "", area(found["found_m2"]), share(found["found_m2"] / ground_m2))]
-    for reason, of_m2 in found["reasons_m2"].items():
-        name, _, meaning = reason.partition(": ")
-        rows.append((name, meaning, area(of_m2), share(of_m2 / ground_m2)))
-    return [Table(("reason", "meaning", "area", "of the ground that photographs look at"), rows, num_texts=2)]
+    rows = []
+    for label, of_m2 in {"points found": found["found_m2"], **found["reasons_m2"]}.items():
+        name, _, meaning = label.partition(": ")
+        rows.append((name, meaning, area(of_m2), share(of_m2 / found["ground_m2"])))
+    others = []
+    if found.get("wet_m2"):
+        std = "" if found["water_std_m3"] is None else f" ± {volume(found['water_std_m3'])} (one sigma)"
+        others.append(("water over the bed found", f"{volume(found['water_m3'])}{std} over {area(found['wet_m2'])}"))
+    if num_left_out:
+        others.append(("photographs without a pose", f"{num_left_out}: what they alone show is missing"))
+    titles = ("ground", "what it means", "area", "of all that photographs look at")
+    return [Table(titles, rows, num_texts=2), *([Rows(others)] if others else [])]
 
 
 def survey(taken: dict[str, Any], water: dict[str, Any] | None, plan: Plan) -> list[Block]:

@@ -14,8 +14,10 @@ from PIL import Image
 
 import survey.volume.scene
 from bathynerf import Field, train_field
+from geo import read_cloud
 from survey.commands.faults import BAD_INPUT
 from survey.errors import OutputError, SurveyError
+from survey.export.export import cloud_of, export
 from survey.export.loaded import LoadedRun
 from survey.files.paths import ReadFiles
 from survey.viewer.shown import load_shown
@@ -57,6 +59,22 @@ def test_its_folder_is_rendered_and_opened_by_itself(folder, tmp_path):
     assert "data:image/png" in field._repr_html_()
     with pytest.raises(SurveyError, match="holds no trained field"):
         Field(folder / "run")
+
+
+def test_its_surface_is_exported_and_compared_as_the_points_of_a_run_are(folder, tmp_path):
+    cloud = folder / "f" / "cloud.las"
+    las, *others = export(folder / "f", las=tmp_path / "bed.las", dem=tmp_path / "bed.tif", mesh=tmp_path / "bed.ply")
+    points = read_cloud(cloud).points
+    np.testing.assert_array_equal(read_cloud(las).points, points)
+    assert all(path.is_file() for path in others)
+    # Not taken for up to date where the run's own points are asked for.
+    export(folder / "run", las=las)
+    assert len(read_cloud(las).points) != len(points)
+    assert cloud_of(folder / "f") == cloud
+    shutil.copytree(folder / "f", tmp_path / "f")
+    shutil.rmtree(tmp_path / "f" / "bed")
+    with pytest.raises(SurveyError, match="has no points yet; give its options to bathynerf field again"):
+        export(tmp_path / "f", las=tmp_path / "none.las")
 
 
 def test_a_field_whose_run_is_gone_says_how_it_is_told(folder, tmp_path):

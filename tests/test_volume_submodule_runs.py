@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import gc
+import re
 import shutil
 import weakref
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,6 +28,7 @@ from survey.volume.options import VolumeOptions
 from survey.volume.scene import BedBox
 from survey.volume.submodules import StoredVolume, SubmoduleViews
 
+PAPERS = Path(__file__).resolve().parent.parent / "docs" / "papers.md"
 OPTIONS = VolumeOptions(
     model=NAME, steps=2, rays=32, samples=8, cells=16, image_scale=0.5, held_every=4, submodules="2x1", drop="network"
 )
@@ -192,11 +195,19 @@ def test_options_without_sense_are_refused(wrong, said):
         VolumeOptions(**wrong)
 
 
-def test_the_command_takes_them(folder):
-    found = bathynerf(
-        "field", folder / "run", "-o", folder / "c", "--model", NAME, "--steps", 1, "--rays", 32, "--samples", 8,
-        "--cells", 16, "--image-scale", 0.5, "--submodules", 2, "--drop", "none",
-    )  # fmt: skip
+def test_the_command_of_the_tidal_flat_runs(folder):
+    """That of docs/papers.md, with a smaller model, fewer cells and fewer photographs."""
+    (command,) = re.findall(r"^\| tidal flat \| `bathynerf (field RUN .*?)`", PAPERS.read_text(encoding="utf-8"), re.M)
+    (folder / "one.csv").write_text("\n".join((folder / "s" / "cameras.csv").read_text().splitlines()[:2]) + "\n")
+    given = {"RUN": folder / "run", "DIR": folder / "c", "poses.csv": folder / "one.csv"}
+    given |= {"3x2": "2x1", "8": 4, "nerf": "vm"}
+    small = ("--steps", 1, "--rays", 32, "--samples", 4, "--cells", 16, "--image-scale", 0.25)
+    found = bathynerf(*(given.get(word, word) for word in command.split()), *small)
     assert found.exit_code == 0, found.stderr
     assert "submodules" in found.stdout
-    assert len(list((folder / "c" / "submodules").glob("*/state.pt"))) == 2
+    report = read_json_object(folder / "c" / "report.json")
+    assert report["dropped"].keys() == report["held_out_psnr_db"].keys() == {"0002.png"}
+    with Image.open(folder / "c" / "views" / "0000.png") as picture:
+        # The shell shows what lies beyond the bed.
+        assert (np.asarray(picture)[..., 3] == 255).all()
+    assert (folder / "c" / "views" / "0000_distance.tif").is_file()

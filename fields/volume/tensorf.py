@@ -3,8 +3,7 @@
     raw     = sum over directions m and R_s channels of v_m(x_m) M_m(x_a, x_b);  density as all models here          (1)
     feature = B [v'_m M'_m], R_c channels for each of three directions, B linear to 27 numbers without a constant    (2)
     colour  = MLP(feature, sines of it, direction, sines of it), two hidden layers of 128                            (3)
-    L1      = mean |M| + mean |v| of density, summed over directions                                                 (4)
-    TV      = mean squared difference of neighbouring cells of M along both axes, doubled, summed over directions    (5)
+    TV      = mean squared difference of neighbouring cells of M along both axes, doubled, summed over directions    (4)
 
 Sizes, rates, weights and the steps of refinement are those of the authors' configurations. Different here: softplus per
 finest cell and linear radiance, as in all models of this folder; the occupied cells (`fields.volume.sampling`) stand
@@ -46,8 +45,7 @@ class TensorfSettings:
     n_max: int = 300
     # Shares of the training after which cells become smaller, in geometric steps
     refined_at: tuple[float, ...] = (1 / 15, 1 / 10, 2 / 15, 11 / 60, 7 / 30)
-    l1: tuple[float, float] = (0.0, 0.0)  # (float, float): weight of (4) up to the first refinement, and after it
-    # tv_density, tv_colour: Weights of (5) at first; they fall as the rates do
+    # tv_density, tv_colour: Weights of (4) at first; they fall as the rates do
     tv_density: float = 0.1
     tv_colour: float = 0.01
     steps: int = 30_000  # Of the training
@@ -115,14 +113,8 @@ class TensorfVolume(VolumeModel):
 
     def penalty(self, x: Tensor) -> Tensor:
         of, decay = self.settings, self.FALL ** (self._step / self.settings.steps)
-        total = x.new_zeros(())
-        if weight := of.l1[min(self._level, 1)]:
-            total = total + weight * mean_magnitude(self.density)
-        if of.tv_density:
-            total = total + decay * of.tv_density * total_variation(self.density)
-        if of.tv_colour:
-            total = total + decay * of.tv_colour * total_variation(self.colour)
-        return total
+        density, colour = total_variation(self.density), total_variation(self.colour)
+        return decay * (of.tv_density * density + of.tv_colour * colour)
 
     def _refine(self, level: int) -> None:
         """Cells of a level in place of those of today, interpolated linearly between their middles."""
@@ -156,14 +148,8 @@ def vectors_of(factors: Factors) -> list[Tensor]:
     return [factors.vectors[vector : vector + n] for _, _, _, n, _, _, _, vector in factors.cells()]
 
 
-def mean_magnitude(factors: Factors) -> Tensor:
-    """Equation (4)."""
-    tables = zip(planes_of(factors), vectors_of(factors), strict=True)
-    return torch.stack([plane.abs().mean() + vector.abs().mean() for plane, vector in tables]).sum()
-
-
 def total_variation(factors: Factors) -> Tensor:
-    """Equation (5), times 0.01 as in the authors' code."""
+    """Equation (4), times 0.01 as in the authors' code."""
     found = [(plane.diff(dim=0) ** 2).mean() + (plane.diff(dim=1) ** 2).mean() for plane in planes_of(factors)]
     return 0.02 * torch.stack(found).sum()
 

@@ -81,7 +81,7 @@ def export(
 ) -> None:
     """Write products of a run for other programs.
 
-    A product that exists and is up to date is not written again.
+    A product that exists and is up to date is not written again. RUN may also be a folder of `bathynerf field`.
     """
     with command(verbose, quiet, run) as results:
         from survey.export.export import export

@@ -23,6 +23,7 @@ from survey.files.toml_table import option_name, require_options
 from survey.progress import current
 from survey.run.edits import FOLDER, edits_of
 from survey.run.folder import RunDir
+from survey.run.stored import FIELD_CLOUD, is_field, run_of
 from survey.stage_key import code_hash, stage_key
 
 _RECORD = "exports.json"
@@ -31,7 +32,7 @@ _EDITED = (".gpkg", ".geojson", ".dxf", ".csv", ".xyz")
 
 
 def export(run: str | Path, *, options: ExportOptions | None = None, **files: str | Path | None) -> list[Path]:
-    """Write products of a run; returns their files, whether written now or unchanged since an earlier export.
+    """Write products of a run, or of the surface of a field in its place; returns their files, written now or earlier.
 
     Each is named by its option, e.g. ``laz="bed.laz"``; see `survey.export.registry`.
 
@@ -46,7 +47,8 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
     require_options(options)
     wanted = _wanted(files)
     _require_effect([product for product, _ in wanted], options)
-    with LoadedRun(run, as_computed=options.as_computed) as loaded:
+    field = Path(run) if is_field(Path(run)) else None
+    with LoadedRun(run_of(field) if field else run, as_computed=options.as_computed, field=field) as loaded:
         if loaded.edits is not None:
             current().note(f"with edits: {loaded.edits}; without them: --as-computed")
         inputs = loaded.folder.inputs()
@@ -91,6 +93,8 @@ def cloud_of(run: str | Path) -> Path:
     folder = RunDir(run)
     if not folder.path.is_dir():
         return folder.path
+    if is_field(folder.path):
+        return folder.path / FIELD_CLOUD
     folder.require_run()
     if edits_of(folder) is None:
         return folder.cloud_path

@@ -26,10 +26,10 @@ from survey.progress import current
 from survey.run.edits import DELETED, edits_of
 from survey.run.flight import Flight, load_flight
 from survey.run.folder import RunDir
-from survey.run.stored import BedHeader, StoredBed, load_bed, load_bed_columns, load_bed_header
+from survey.run.stored import BED_FILE, FIELD_BED, BedHeader, StoredBed, load_bed, load_bed_columns, load_bed_header
 from survey.settings.config import SurveyConfig, read_config
 from survey.settings.tables import per_axis
-from survey.stage_key import stage_key
+from survey.stage_key import content_hash, stage_key
 
 # The stage whose folder holds the cloud.
 BED_STAGE = "bed"
@@ -41,15 +41,21 @@ class LoadedRun:
     """The result in a run folder, for use in a ``with`` block, which removes temporary files at its end.
 
     `stages` are the names of the stages and their folders, which end in a hash of all that the stage depends on. The
-    points are those of the bed that edits (`survey.run.edits`) have left; all of them where it is to be as computed.
+    points are those of the bed that edits (`survey.run.edits`) have left; all of them where it is to be as computed;
+    or those of the surface of a field that was trained on the run, where its folder is given.
     """
 
-    def __init__(self, path: str | Path, *, as_computed: bool = False):
+    def __init__(self, path: str | Path, *, as_computed: bool = False, field: Path | None = None):
         self.folder = RunDir(path)
         self.folder.require_run()
         self._bed_folder = self.folder.load_stage(BED_STAGE)
         self.stages: dict[str, str] = self.folder.result()["stages"]
-        self.edits = None if as_computed else edits_of(self.folder)
+        self.edits = None if as_computed or field is not None else edits_of(self.folder)
+        if field is not None:
+            self._bed_folder = field / FIELD_BED
+            if not (points := self._bed_folder / BED_FILE).is_file():
+                raise SurveyError(f"the field in {field} has no points yet; give its options to bathynerf field again")
+            self.stages = self.stages | {FIELD_BED: content_hash(points)}
         self._made: dict[Hashable, Any] = {}
         self._held = ExitStack()
 

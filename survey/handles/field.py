@@ -10,8 +10,8 @@ from geo.las import read_cloud
 from geo.shapes import Cloud
 from survey.display.blocks import picture_html, table_html
 from survey.files.json_values import read_json_object
-from survey.run.stored import run_of
-from survey.volume.field import CLOUD, CURVE, rows_of
+from survey.run.stored import FIELD_CLOUD, run_of
+from survey.volume.field import CURVE, rows_of
 from survey.volume.field import train_field as train
 from survey.volume.options import VolumeOptions
 from survey.volume.scene import REPORT
@@ -52,7 +52,7 @@ class Field:
     @cached_property
     def surface(self) -> Cloud:
         """The points of its surface, in the CRS of the survey."""
-        return read_cloud(self.folder / CLOUD)
+        return read_cloud(self.folder / FIELD_CLOUD)
 
     @cached_property
     def report(self) -> dict[str, Any]:

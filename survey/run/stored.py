@@ -42,6 +42,8 @@ OF_PLACES = ("std_common", "std_placed", "std_plan")
 # Of a trained field; `survey.run.trained_field` reads and writes them.
 FIELD_FILES = FIELD_STATE, FIELD_SETTINGS = "state.pt", "settings.json"
 SUBMODULES = "submodules"  # Folder of the submodules of a field, where there are some
+# Of a field: its surface as a cloud, and the folder where it is stored as the bed of a run is.
+FIELD_CLOUD, FIELD_BED = "cloud.las", "bed"
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from evaluation import distance_statistics, image_quality
 from fields.image_based import heights_over
-from fields.volume.surface import Surface
+from fields.sweep.bed import BedPoints
 from geo import read_reference
 from geo.las import write_cloud
 from survey.compare.comparison import compare_files
@@ -24,20 +24,20 @@ from survey.export.render import Target, targets_of, write_views
 from survey.files.json_values import write_json
 from survey.progress import current
 from survey.run.flight import Flight
+from survey.run.stored import FIELD_BED, FIELD_CLOUD, StoredBed, save_bed
 from survey.volume.options import VolumeOptions
 from survey.volume.scene import REPORT, VolumeFolder, load_scene
 from survey.volume.submodules import train_submodules
 from survey.volume.training import FieldResult, surface_in, train
 
-CLOUD, VIEWS, HELD, CURVE = "cloud.las", "views", "held out", "training.png"
+VIEWS, HELD, CURVE = "views", "held out", "training.png"
 
 
 def train_field(run: str | Path, output: str | Path, options: VolumeOptions | None = None) -> dict[str, Any]:
     """Train a radiance field on a run, or continue its training, and write its surface, figures and views.
 
-    Into the folder, a new one or one with the same training in it, go the state of the training, from which an
-    interrupted one continues, ``cloud.las`` with the surface, ``report.json`` with all figures, which are returned, and
-    pictures of views and of the photographs that were held out.
+    Into the folder, a new one or one with the same training in it, go the state of the training, from which one goes
+    on, the surface, ``report.json`` with all figures, which are returned, and views, also of photographs held out.
     """
     options, output = options or VolumeOptions(), Path(output)
     if options.reference is not None:
@@ -50,7 +50,7 @@ def train_field(run: str | Path, output: str | Path, options: VolumeOptions | No
             targets = targets_of(loaded.folder, flight.frame, options.cameras, output / VIEWS)
         folder = VolumeFolder(output, options.of_training(loaded), loaded.folder.inputs())
         made = (_one if options.submodules is None else train_submodules)(loaded, flight, options, folder)
-        _write_cloud(output / CLOUD, made.surface, loaded, flight)
+        _write_surface(output, made, loaded, flight)
         report = {
             "model": options.model,
             **made.report,
@@ -65,7 +65,7 @@ def train_field(run: str | Path, output: str | Path, options: VolumeOptions | No
             "train more of them"
         )
     elif options.reference is not None:
-        found = compare_files(output / CLOUD, options.reference, options=CompareOptions(bounds=options.bounds))
+        found = compare_files(output / FIELD_CLOUD, options.reference, options=CompareOptions(bounds=options.bounds))
         report["compared"] = numbers_of(found)
     if targets:
         write_views(targets, lambda camera: made.view(camera, options.dry))
@@ -83,19 +83,21 @@ def _one(run: LoadedRun, flight: Flight, options: VolumeOptions, folder: VolumeF
     return FieldResult(surface, scene.bed, scene.held, trained.field.view, views, trained.report())
 
 
-def _write_cloud(path: Path, surface: Surface, run: LoadedRun, flight: Flight) -> None:
-    depth = np.full(len(surface.xyz), np.nan) if flight.water is None else -heights_over(surface.xyz, flight.water)
+def _write_surface(output: Path, made: FieldResult, run: LoadedRun, flight: Flight) -> None:
+    """Write the points of a field as a cloud, and as those of a run are stored, for exports."""
+    of = made.surface
+    depth = np.full(len(of.xyz), np.nan) if flight.water is None else -heights_over(of.xyz, flight.water)
+    columns = {
+        "rgb": of.rgb, "std": of.std.astype(np.float32), "num_views": np.minimum(of.num_views, 255).astype(np.uint8),
+        "depth": depth.astype(np.float32), "incidence": of.incidence.astype(np.float32), "wet": depth > 0.0,
+    }  # fmt: skip
+    bed, header, points = BedPoints(of.xyz, **columns), run.bed_header, flight.frame.crs_from_local(of.xyz)
+    (output / FIELD_BED).mkdir(exist_ok=True)
+    save_bed(output / FIELD_BED, StoredBed(bed, points, header.crs, header.name, made.report["pixel_m"]))
     write_cloud(
-        path,
-        flight.frame.crs_from_local(surface.xyz),
-        run.bed_header.crs,
-        rgb=surface.rgb,
-        depth_m=depth.astype(np.float32),
-        std_m=surface.std.astype(np.float32),
-        num_views=np.minimum(surface.num_views, 255).astype(np.uint8),
-        incidence_deg=np.degrees(surface.incidence),
-        is_wet=depth > 0.0,
-    )
+        output / FIELD_CLOUD, points, header.crs, rgb=bed.rgb, depth_m=bed.depth, std_m=bed.std,
+        num_views=bed.num_views, incidence_deg=np.degrees(bed.incidence), is_wet=bed.wet,
+    )  # fmt: skip
 
 
 def _over_bed(made: FieldResult) -> dict[str, Any]:

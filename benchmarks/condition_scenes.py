@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from scipy.spatial import cKDTree
 from stress_factors import with_waves
+from sun_on_waves import HIGH_SUN, sunlit, suns_of
 
 from refract import FlatWater
 from refract.curved import WavyWater
@@ -100,6 +101,24 @@ class Flakes:
             return light
 
         return seen
+
+
+def glitter(scene: StagedScene, share: float) -> StagedScene:
+    """The sun on waves, whose mirror image saturates a share of all pixels; for a scene with `HIGH_SUN`."""
+    suns = suns_of(scene.cameras, _plane(scene), Light(to_sun=HIGH_SUN), seed=scene.seed, glint_share=share)
+    return changing(scene, lambda plain, k: sunlit(plain, suns[k]))
+
+
+def caustics(scene: StagedScene, contrast: float) -> StagedScene:
+    """Light that waves focus on the bed: standard deviation over mean, at the mean depth of the bed."""
+    depth = -float(np.mean(scene.renderer.ground.bed.mesh()[0][:, 2]))
+    suns = suns_of(scene.cameras, _plane(scene), Light(), seed=scene.seed, glint_share=0.0)
+    return changing(scene, lambda plain, k: sunlit(plain, suns[k].with_caustics(depth, contrast)))
+
+
+def _plane(scene: StagedScene) -> FlatWater:
+    assert isinstance(scene.water, FlatWater)
+    return scene.water
 
 
 def foam(scene: StagedScene, share: float) -> StagedScene:
@@ -355,9 +374,9 @@ _PLACES = (("num_views", 8),)
 _UNKNOWN_READOUT = (("rolling_shutter_s", 0.015), ("rolling_shutter_std_s", 0.015))
 CONDITIONS = {
     "nothing": Condition("nothing"),
-    "glitter": Condition("glitter on 10 % of all pixels", scene=(("glint_share", 0.1),)),
-    "glitter30": Condition("glitter on 30 %", scene=(("glint_share", 0.3),)),
-    "caustics": Condition("caustics of 30 % contrast", scene=(("caustic_contrast", 0.3),)),
+    "glitter": Condition("glitter on 10 % of all pixels", 0.1, glitter, (("to_sun", HIGH_SUN),)),
+    "glitter30": Condition("glitter on 30 %", 0.3, glitter, (("to_sun", HIGH_SUN),)),
+    "caustics": Condition("caustics of 30 % contrast", 0.3, caustics),
     "foam": Condition("foam and leaves on 10 % of the water, drifting", 0.1, foam),
     "people": Condition("six swimmers", 6.0, people),
     "shadow": Condition("shadow of the aircraft, 0.8 m", 0.8, shadow),

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from PIL import Image
+from condition_scenes import caustics, glitter
+from sun_on_waves import HIGH_SUN, SunOnWaves, suns_of
 
 from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
 from survey.simulate.conditions import Light
-from survey.simulate.direct import SunOnWaves, suns_of
-from survey.simulate.drawn import DrawnScene, draw_survey, stage_drawing
+from survey.simulate.drawn import DrawnScene, stage_drawing
 
 PLANE = FlatWater((0.0, 0.0, 0.0), n_water=1.33)
 DEPTH, CONTRAST, SHARE = 1.2, 0.3, 0.1
@@ -73,17 +73,15 @@ def test_a_sun_that_waves_cannot_mirror_into_the_photographs_is_refused():
         suns_of([down], PLANE, low, seed=1, glint_share=0.1)
 
 
-@pytest.mark.slow
-def test_a_survey_with_glint_saturates_the_asked_share_and_keeps_its_truth(tmp_path):
-    draw_survey(tmp_path / "still", DrawnScene.tiny())
-    draw_survey(tmp_path / "lit", DrawnScene.tiny(glint_share=SHARE, caustic_contrast=CONTRAST))
-    photographs = [np.asarray(Image.open(path)) for path in sorted((tmp_path / "lit" / "images").iterdir())]
-    saturated = np.mean([(image.min(axis=2) == 255).mean() for image in photographs])
+def test_a_scene_with_glint_saturates_the_asked_share_and_one_with_caustics_keeps_its_light():
+    scene = stage_drawing(DrawnScene.tiny(to_sun=HIGH_SUN))
+    lit = glitter(scene, SHARE)
+    photographs = [lit.photograph(index) for index in range(len(scene.cameras))]
     # The sun alone is asked to saturate; with the light of the bed under it more does.
-    assert SHARE < saturated < 1.5 * SHARE
-    for name in ("reference.ply", "visible.ply", "depth/0003.tif"):
-        still, lit = ((tmp_path / folder / "truth" / name).read_bytes() for folder in ("still", "lit"))
-        assert still == lit
+    assert SHARE < np.mean([(image.min(axis=2) == 255).mean() for image in photographs]) < 1.5 * SHARE
+    still, focused = (each.photograph(3).astype(float) for each in (scene, caustics(scene, CONTRAST)))
+    assert (still != focused).any(axis=2).mean() > 0.9
+    assert focused.mean() == pytest.approx(still.mean(), rel=0.05)
 
 
 def test_blue_is_drawn_with_the_rays_of_blue_and_the_truth_with_those_of_green(rng):

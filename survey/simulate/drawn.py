@@ -28,7 +28,7 @@ from survey.folder.local_frame import water_plane
 from survey.progress import Progress
 from survey.settings.config import WaterConfig
 from survey.simulate.conditions import Light, Sensor, WaterOptics
-from survey.simulate.direct import DirectRenderer, SunOnWaves, suns_of
+from survey.simulate.direct import DirectRenderer
 from survey.simulate.ground import Ground, Material, seen_area, shade_beside_bed, shade_of_map
 from survey.simulate.shapes import BedGrid, Solid, rotation
 from survey.simulate.sidecars import StagedScene
@@ -46,8 +46,6 @@ _WOOD, _CLAY = (0.42, 0.29, 0.18), (0.60, 0.33, 0.20)
 _AMPHORA = ((-0.5, 0.03), (-0.38, 0.12), (-0.05, 0.21), (0.14, 0.19), (0.27, 0.07), (0.42, 0.06), (0.5, 0.09))
 # Handbooks state the index of water in the light of sodium.
 _STATED_NM = 589.3
-# Toward the sun where it glints: 72 degrees over the horizon, so that level views meet its mirror image too.
-_HIGH_SUN = (0.27, 0.18, 1.0)
 # Duration of the flight where the water level changes during it [s].
 FLIGHT_S = 3600.0
 
@@ -79,10 +77,7 @@ class DrawnScene:
     speed_m_s: float = key(0.0, least=0, most=30)
     # Of its rolling shutter, from the first to the last row; 0 for a global shutter
     readout_s: float = key(0.0, least=0, most=0.25)
-    # Share of the pixels of all photographs that the sun on the waves saturates; beyond the limit no bed is visible
-    glint_share: float = key(0.0, least=0, most=0.6)
-    # Standard deviation over mean of the light that waves focus on the bed, with other waves in each photograph
-    caustic_contrast: float = key(0.0, least=0, most=1.5)
+    to_sun: tuple[float, float, float] = Light.to_sun  # Direction toward the sun, local, any length
     # [deg C] of fresh water, or None. Photographs then have an index per channel (`refract.channel_indices`), the truth
     # that of green, and survey.toml that of the sodium line, with its wavelength; `n_water` is not used.
     temperature_c: float | None = None
@@ -304,13 +299,7 @@ def stage_drawing(scene: DrawnScene) -> StagedScene:
         water = water_plane(frame, level)
         water = water if indices is None else replace(water, n_water=indices[1])
     cameras = tuple(scene.cameras())
-    light = Light() if scene.glint_share == 0.0 else Light(to_sun=_HIGH_SUN)
-    ground = build_ground(scene, cameras, light)
-    suns: tuple[SunOnWaves, ...] = ()
-    if water is not None and (scene.glint_share, scene.caustic_contrast) != (0.0, 0.0):
-        suns = suns_of(cameras, water, light, seed=scene.seed, glint_share=scene.glint_share)
-        if scene.caustic_contrast > 0.0:
-            suns = tuple(sun.with_caustics(scene.depth_m, scene.caustic_contrast) for sun in suns)
+    ground = build_ground(scene, cameras, Light(scene.to_sun))
     width, height = scene.image_px
     (e, n), (wide, deep) = scene.origin, scene.size_m
     return StagedScene(
@@ -326,7 +315,6 @@ def stage_drawing(scene: DrawnScene) -> StagedScene:
         seed=scene.seed,
         velocities=scene.velocities() if scene.speed_m_s > 0.0 else None,
         readout_s=scene.readout_s,
-        suns=suns,
         index_wavelength_nm=None if indices is None else _STATED_NM,
         duration_s=FLIGHT_S if scene.rise_m != 0.0 and scene.water else 0.0,
     )
@@ -344,9 +332,7 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("folder", type=Path, help="survey folder to write, with the ground truth in truth/")
     parser.add_argument("--tiny", action="store_true", help="8 small views without noise, in about a second")
-    parser.add_argument(
-        "settings", nargs="*", metavar="KEY=VALUE", help="of DrawnScene, e.g. shore=true glint_share=0.1"
-    )
+    parser.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="of DrawnScene, e.g. shore=true depth_m=2.0")
     given = parser.parse_intermixed_args(arguments)
     text = "\n".join(given.settings)
     try:

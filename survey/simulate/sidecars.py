@@ -23,7 +23,7 @@ from refract.surfaces import WaterSurface
 from survey.photos.poses import CAM_FROM_OPK_CAM
 from survey.settings.config import WaterConfig
 from survey.simulate.conditions import RadianceFunction, Sensor
-from survey.simulate.direct import DirectRenderer, SunOnWaves
+from survey.simulate.direct import DirectRenderer
 
 _JPEG_QUALITY = 92
 # When the first photograph is taken, where that matters, and the readings of the water.
@@ -54,9 +54,6 @@ class StagedScene:
     velocities: np.ndarray | None = None  # (cameras, 3) [m/s], local, or None: for XMP; None writes none
     position_std_m: float = 0.02  # [m]: of the positions in EXIF, in each direction
     readout_s: float = 0.0  # [s]: of rolling shutters, for survey.toml; 0 where all rows are exposed at once
-    # (cameras,) of SunOnWaves: caustics and glint of each photograph that `renderer` takes; none where there are
-    # neither
-    suns: tuple[SunOnWaves, ...] = ()
     # [nm] or None: of the light that the index of `level` belongs to, for survey.toml; None for that of the photographs
     index_wavelength_nm: float | None = None
     duration_s: float = 0.0  # [s]: from the first photograph to the last, for EXIF and a gauge; 0 writes neither
@@ -75,8 +72,6 @@ class StagedScene:
     def photograph(self, index: int) -> np.ndarray:
         """Image (height, width, 3) uint8 of one camera."""
         renderer, camera = self.at(index)
-        if self.suns:
-            renderer = replace(renderer, sun=self.suns[index])
         radiance_of = self.radiance_of or renderer.radiance_of_rays
         return self.sensor.photograph(radiance_of, camera, self.lens, (self.seed, index))
 

@@ -164,7 +164,9 @@ def compare(
     cloud: Annotated[Path, typer.Argument(metavar="CLOUD", help="Run folder, LAS, LAZ, COPC, PLY or E57.")],
     reference: Annotated[
         Path,
-        typer.Argument(metavar="REFERENCE", help="PLY, OBJ, GLB, GeoTIFF, or points like CLOUD, also CSV and XYZ."),
+        typer.Argument(
+            metavar="REFERENCE", help="PLY, OBJ, GLB, GeoTIFF, ATL24, or points like CLOUD, also CSV and XYZ."
+        ),
     ],
     asked: CompareOptions = CompareOptions(),
     verbose: Verbose = 0,

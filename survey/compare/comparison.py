@@ -15,7 +15,8 @@ from evaluation import Blocks, distance_statistics, is_outlier, reached_by_slope
 from evaluation.bootstrap import LEVEL, NUM_DRAWS
 from evaluation.bootstrap import SEED as BOOTSTRAP_SEED
 from evaluation.c2m import SEED, Sign
-from geo import Mesh
+from geo import Cloud, Mesh
+from geo.atl24 import SUFFIXES as ATL24
 from geo.files import existing_file, reporting_disk_errors
 from geo.shapes import vertices_of
 from survey.compare import measure
@@ -126,6 +127,9 @@ def _read(cloud: Path, reference: Path, options: CompareOptions) -> tuple[Inputs
         read_checkpoints(places, 0.0)
     with current().stage("Reading"):
         inputs = load_inputs(paths, options.bounds, options.water_level)
+    if places is None and isinstance(inputs.reference, Cloud) and paths.reference.suffix.lower() in ATL24:
+        photons = np.column_stack([inputs.reference.points, inputs.reference.extra["std"]])
+        return inputs, (photons, paths.reference)
     if places is None:
         return inputs, None
     level = level_of_cloud(inputs.cloud) if options.water_level is None else options.water_level

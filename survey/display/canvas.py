@@ -99,7 +99,7 @@ def empty_figure(width: float, height: float) -> Figure:
 def canvas(width: float, height: float) -> tuple[Figure, Axes]:
     """A figure [inch] with one plot in the colours of the report."""
     figure = empty_figure(width, height)
-    return figure, _plain(figure.add_subplot())
+    return figure, plain(figure.add_subplot())
 
 
 def extent_around(places: np.ndarray, crs: CRS, share: float) -> Extent:
@@ -130,13 +130,12 @@ def map_canvas(extent: Extent, crs: CRS | None, *, below_in: float = 0.0) -> tup
     figure = Figure(figsize=size)
     FigureCanvasAgg(figure)
     place = (left / size[0], (below + below_in) / size[1], map_size[0] / size[0], map_size[1] / size[1])
-    axes = _plain(figure.add_axes(place))
+    axes = plain(figure.add_axes(place))
     axes.set_facecolor(EMPTY)
     axes.set_aspect(aspect, adjustable="box")
     axes.set_xlim(centre[0] - 0.5 * width, centre[0] + 0.5 * width)
     axes.set_ylim(centre[1] - 0.5 * height, centre[1] + 0.5 * height)
-    unit = crs.axis_info[0].unit_name if crs is not None else "m"
-    unit = {"metre": "m", "degree": "°"}.get(unit, unit)
+    unit = "m" if crs is None else unit_sign(crs, 0)
     axes.set_xlabel(f"{'longitude' if angular else 'easting'} [{unit}]")
     axes.set_ylabel(f"{'latitude' if angular else 'northing'} [{unit}]")
     for axis, count in ((axes.xaxis, 4), (axes.yaxis, 7)):
@@ -149,7 +148,13 @@ def map_canvas(extent: Extent, crs: CRS | None, *, below_in: float = 0.0) -> tup
     return figure, axes
 
 
-def _plain(axes: Axes) -> Axes:
+def unit_sign(crs: CRS, axis: int) -> str:
+    """The sign of the unit of an axis, or its name where it has none."""
+    unit = crs.axis_info[axis].unit_name
+    return {"metre": "m", "degree": "°"}.get(unit, unit)
+
+
+def plain(axes: Axes) -> Axes:
     """Axes in the colours of the report, with two of their four sides."""
     axes.tick_params(colors=SOFT, labelsize=_TICK_PT)
     axes.xaxis.label.set_color(INK)

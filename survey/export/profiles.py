@@ -28,8 +28,8 @@ from geo.projection import ground_units_m
 from geo.shapes import ground_of, in_height_unit, masked_cloud
 from geo.vectors import DxfLine, Layer, geodataframe, write_dxf
 from survey.compare.inputs import InputPaths, load_inputs
-from survey.display.canvas import empty_figure, save, write_title
-from survey.display.palette import BLUE
+from survey.display.canvas import empty_figure, plain, save, unit_sign, write_title
+from survey.display.palette import BLUE, INK
 from survey.display.quantities import length, named, share
 from survey.errors import SurveyError
 from survey.export.bed_raster import LevelFit, round_side
@@ -294,10 +294,10 @@ def draw(profile: Profile, axes: Axes) -> None:
     axes.set(xlim=(0.0, x[-1]), ylim=(low - margin, high + margin))
     axes.fill_between(x, bed - sigma, bed + sigma, color=BLUE, alpha=0.35, lw=0, label="bed, two standard deviations")
     draw_section(axes, x, bed, profile.water, profile.reference)
-    unit = profile.crs.axis_info[2].unit_name
-    axes.set(xlabel="distance along the line [m]", ylabel=f"height [{unit}]")
-    write_title(axes, profile.name, subtitle_of(profile))
-    axes.legend(loc="best", frameon=False, fontsize=8.5)
+    axes.set(xlabel="distance along the line [m]", ylabel=f"height [{unit_sign(profile.crs, 2)}]")
+    write_title(plain(axes), profile.name, subtitle_of(profile))
+    # Beside the title, where it hides nothing.
+    axes.legend(frameon=False, fontsize=8.5, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.07), labelcolor=INK)
 
 
 def figure_of(profiles: Sequence[Profile]) -> Figure:

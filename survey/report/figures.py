@@ -19,6 +19,7 @@ from refract import FlatWater, crossing_point, water_index
 from refract.media import USUAL_SALINITY_PSU, USUAL_TEMPERATURE_C
 from survey.adjust.result.adjustment import Status
 from survey.compare.figures import numbers_of
+from survey.display.canvas import unit_sign
 from survey.display.plan_grid import PlanGrid, finite, median
 from survey.files.json_values import plain
 from survey.folder.observations import shutter_text
@@ -53,7 +54,6 @@ _NOTE = (
 _SODIUM_NM = 589.3
 # Density is that of the ground that has points, found in cells of this many ground sampling distances.
 _COVERED_CELL_GSD = 5.0
-_UNITS = {"metre": "m", "degree": "°"}
 _OF_PLAN = ("quality", "device", "image_scale", "gsd_m", "height_m", "footprint_m", "decisions")
 
 
@@ -115,7 +115,7 @@ def json_of(figures: ReportFigures) -> dict:
 
 def _survey(survey: Survey, num_left_out: int) -> dict[str, Any]:
     config, crs = survey.config, survey.frame.crs
-    camera, units = survey.views[0].camera, [_UNITS.get(axis.unit_name, axis.unit_name) for axis in crs.axis_info]
+    camera, units = survey.views[0].camera, [unit_sign(crs, axis) for axis in range(len(crs.axis_info))]
     poses = config.cameras.poses or "structure from motion"
     return {
         "name": survey.name,

@@ -15,8 +15,8 @@ import numpy as np
 from pyproj import CRS
 
 from geo.compatibility import Reprojection
-from geo.crs import vertical_crs
-from geo.errors import UnreadableFile, first_line
+from geo.crs import has_height, vertical_crs
+from geo.errors import GeoError, UnreadableFile, first_line
 from geo.files import existing_file, library_for
 from geo.grid import plan_box
 from geo.shapes import Cloud
@@ -29,7 +29,7 @@ _BED = 40
 _ELLIPSOIDAL, _EGM2008, _GEOID = CRS("EPSG:4979"), CRS("EPSG:4326+3855"), "EGM2008 height"
 
 
-def read_atl24(path: str | Path, crs: CRS, places: np.ndarray) -> Cloud:
+def read_atl24(path: str | Path, crs: CRS | None, places: np.ndarray) -> Cloud:
     """Photons of the bed in the box of places (N, 2 or more), both in a CRS with heights; none of low confidence.
 
     ``extra`` has their standard deviations ``std`` in height and ``std_plan`` in place [m]. Heights are those over
@@ -37,6 +37,8 @@ def read_atl24(path: str | Path, crs: CRS, places: np.ndarray) -> Cloud:
     UnreadableFile if the file is no ATL24, or has no such photon there; GeoError without that grid.
     """
     columns = _columns(existing_file(path))
+    if crs is None or not has_height(crs):
+        raise GeoError(f"the cloud names no CRS with heights, to which the photons of {path} could be transformed.")
     over, vertical = plan_box(places), vertical_crs(crs)
     corners = np.array([[east, north] for east in over[:, 0] for north in over[:, 1]])
     low, high = plan_box(np.column_stack(Transformation.between(crs, WGS84, places)(*corners.T)))

@@ -203,7 +203,7 @@ def _read_shapes(paths: InputPaths, water_level: float | None) -> tuple[Mesh | C
     compared = read_shape(paths.cloud, water_level, crs)
     level = level_of_cloud(compared) if water_level is None else water_level
     given = {
-        path: _atl24_over(compared, path, paths.cloud)
+        path: read_atl24(path, compared.crs, vertices_of(compared))
         if path.suffix.lower() in ATL24
         else read_shape(path, level, compared.crs)
         for path in (paths.reference, paths.visible)
@@ -212,13 +212,6 @@ def _read_shapes(paths: InputPaths, water_level: float | None) -> tuple[Mesh | C
     for path, other in given.items():
         require_same_crs(compared.crs, other.crs, str(paths.cloud), str(path))
     return compared, given
-
-
-def _atl24_over(compared: Mesh | Cloud, path: Path, name: Path) -> Cloud:
-    """The photons of an ATL24 over what is compared, in its CRS."""
-    if compared.crs is None or not has_height(compared.crs):
-        raise CompareError(f"{name} names no CRS with heights, to which the photons of {path} are transformed")
-    return read_atl24(path, compared.crs, vertices_of(compared))
 
 
 def _cropped(cloud: Cloud, bounds: Bounds | None, path: Path) -> np.ndarray:

@@ -6,7 +6,7 @@ Water without a bed was looked at, and no bed found in it: its cells with their 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -18,7 +18,6 @@ from shapely import Polygon
 
 from fields.sweep.bed import BedPoints
 from geo import vectors
-from geo.frames import LocalFrame
 from geo.grid import Grid, Window
 from geo.las import CLASS_NO_BOTTOM, CLASS_WATER_SURFACE
 from geo.raster import RasterBand, RasterForm, write_cog
@@ -192,34 +191,18 @@ def _lines(layer: Layer, grid: BedRaster, values: np.ndarray, levels: list[float
     return replace(layer, shapes=lines, columns={name: depths}, heights=heights)
 
 
-@dataclass(frozen=True)
-class Unseen:
-    """Cells of the ground without a bed."""
+def seen_of(run: LoadedRun) -> SeenCells:
+    """The cells of a run with the reasons that it has stored, made once for the products of a command.
 
-    cells: SeenCells
-    codes: np.ndarray  # (rows, columns) uint8: `TWO_VIEWS`, `ONE_VIEW` or 0
-    # (rows, columns) float64 [m], local: height of the water over the middles of the cells; NaN in a dry survey
-    level: np.ndarray
-    frame: LocalFrame
-
-    def codes_at(self, places: np.ndarray) -> np.ndarray:
-        """Codes (...) uint8 under places (..., 2 or more) in the CRS of the survey; 0 beyond."""
-        return code_at(self.cells.grid, self.codes, places[..., :2], self.frame)
-
-
-def unseen_of(run: LoadedRun) -> Unseen:
-    """The cells of a run, made once for the products of a command.
-
-    A cell is ten ground sampling distances wide (`survey.report.seen_cells`), counts as water where the nearest bed
-    lies under the water, and as seen where its middle is. Reasons are those that the run has stored.
+    A cell is ten ground sampling distances wide (`survey.report.seen_cells`), and seen where its middle is.
     """
+    return run.once("seen", lambda: _with_stored_reasons(run, _cells(run, local_area(run.flight))))
 
-    def made() -> Unseen:
-        flight, cells = run.flight, _with_stored_reasons(run, _cells(run, local_area(run.flight)))
-        level = flight.level(cells.middles[..., :2])
-        return Unseen(cells, np.where(cells.height < level, cells.gaps, 0).astype(np.uint8), level, flight.frame)
 
-    return run.once("unseen", made)
+def unseen_of(run: LoadedRun) -> np.ndarray:
+    """Codes (rows, columns) uint8 of `seen_of` in water, where the nearest bed lies under it; 0 on dry ground."""
+    cells = seen_of(run)
+    return np.where(cells.height < run.flight.level(cells.middles[..., :2]), cells.gaps, 0).astype(np.uint8)
 
 
 def _with_stored_reasons(run: LoadedRun, cells: SeenCells) -> SeenCells:
@@ -237,17 +220,12 @@ def _with_stored_reasons(run: LoadedRun, cells: SeenCells) -> SeenCells:
 
 def write_gaps(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     """Reasons for which ground inside the bounds has no point, wet or dry, as GeoTIFF; 0 is all other ground."""
-    unseen = unseen_of(run)
-    grid, codes = unseen.cells.in_crs(unseen.cells.gaps, unseen.frame)
-    tags = _tags_of_reasons() | {
-        f"AREA_{code}_M2": f"{unseen.cells.grid.side_m**2 * count:.6g}"
-        for code, count in enumerate(np.bincount(unseen.cells.gaps.ravel()))
-        if code and count
-    }
+    cells, tags = seen_of(run), _tags_of_reasons()
+    grid, codes = cells.in_crs(cells.gaps, run.flight.frame)
+    for code, count in zip(*np.unique(cells.gaps[cells.gaps > 0], return_counts=True), strict=True):
+        tags[f"AREA_{code}_M2"] = f"{cells.grid.side_m**2 * count:.6g}"
     band = RasterBand("reason for no bed", "code")
-    form = RasterForm(
-        grid.crs, grid.transform, grid.shape, (band,), dtype="uint8", nodata=None, tags=tags, resampling="NEAREST"
-    )
+    form = RasterForm(grid.crs, grid.transform, grid.shape, (band,), "uint8", tags=tags, resampling="NEAREST")
     write_cog(path, form, [(0, 0, codes[None])])
 
 
@@ -263,18 +241,17 @@ def with_unseen(
     Both stand on the water over the middle of the cell, black, without depth and standard deviation: `CLASS_NO_BOTTOM`,
     and `CLASS_WATER_SURFACE`.
     """
-    unseen, bed = unseen_of(run), stored.bed
-    missing = unseen.codes > 0
+    cells, bed, missing = seen_of(run), stored.bed, unseen_of(run) > 0
     number = int(missing.sum())
-    xyz = unseen.cells.middles[missing]
-    xyz[:, 2] = unseen.level[missing]
-    views = unseen.cells.num_views[missing].clip(max=255).astype(bed.num_views.dtype)
+    xyz = cells.middles[missing]
+    xyz[:, 2] = run.flight.level(xyz[:, :2])
+    views = cells.num_views[missing].clip(max=255).astype(bed.num_views.dtype)
     unknown = np.full(number, np.nan, dtype=np.float32)
     some = bed[np.zeros(number, dtype=np.int64)]
     added = replace(
         some, xyz=xyz, rgb=np.zeros_like(some.rgb), std=unknown, num_views=views, depth=unknown, incidence=unknown
     )
-    points = run.in_crs(unseen.frame.crs_from_local(xyz), crs)
+    points = run.in_crs(run.flight.frame.crs_from_local(xyz), crs)
     added_classes = np.repeat(np.array([CLASS_NO_BOTTOM, CLASS_WATER_SURFACE], dtype=np.uint8), number)
     common = stored.std_common
     with_all = replace(
@@ -298,12 +275,11 @@ def write_unseen(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
 def unseen_areas(run: LoadedRun, options: ExportOptions) -> Layer:
     """Polygons of the cells of water without a bed, with the reason as far as it is known."""
-    unseen = unseen_of(run)
-    cells, codes = unseen.cells, unseen.codes
+    cells, codes = seen_of(run), unseen_of(run)
     shapes, views, reasons, areas = [], [], [], []
     for polygon, code in polygons_of(codes, mask=codes > 0, transform=Affine(*cells.grid.transform)):
         rings = [np.array(ring) for ring in polygon["coordinates"]]
-        heights = (unseen.level[cells.grid.index(ring)] for ring in rings)
+        heights = (cells.height[cells.grid.index(ring)] for ring in rings)
         shapes.append([_in_plan(run, options, np.column_stack(pair)) for pair in zip(rings, heights, strict=True)])
         views.append("one" if code == ONE_VIEW else "two or more")
         reasons.append(REASONS[int(code)])
@@ -318,13 +294,13 @@ def _write_mask(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
     It covers what the terrain model covers, so that both lie upon each other; what lies beyond is in the polygons only.
     """
-    grid, unseen = bed_raster(run, options), unseen_of(run)
+    grid, cells, unseen, frame = bed_raster(run, options), seen_of(run), unseen_of(run), run.flight.frame
     corner = np.array([grid.cells.origin])
     back = Transformation.between(grid.cells.crs, run.bed_header.crs, corner)
 
     def values(window: Window) -> np.ndarray:
         east, north = back(*np.moveaxis(grid.cells.middles(window), -1, 0))
-        codes = unseen.codes_at(np.stack([east, north], axis=-1))
+        codes = code_at(cells.grid, unseen, np.stack([east, north], axis=-1), frame)
         return np.where(grid.origin[window.slices] > 0, 0, codes).astype(np.uint8)[None]
 
     band = RasterBand("no bed found", "code")

@@ -207,12 +207,10 @@ def residuals_of(
         row.name: Residual(row.name, control[row.name].crs[:2], row.residual_m, row.is_check)
         for row in (() if adjustment is None else adjustment.control)
     }
-    places = {name: point.crs[:2] for name, point in control.items()}
-    places |= {point.name: point.crs[:2] for point in survey.observations.checkpoints}
     for row in () if checkpoints is None else checkpoints.rows:
         if row.name not in found and row.difference_m is not None:
-            off = (float("nan"), float("nan"), row.difference_m)
-            found[row.name] = Residual(row.name, places[row.name], off, True)
+            off = (math.nan, math.nan, row.difference_m)
+            found[row.name] = Residual(row.name, (row.easting, row.northing), off, True)
     return list(found.values())
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 
 import cv2
@@ -268,6 +269,15 @@ def test_the_survey_says_what_no_option_does(folder, run):
     assert (options.samples, options.seed) == (VolumeOptions().samples, 5)
     assert options.of_losses().distortion == 0.01
     assert field_config(run, str(folder)) == FieldConfig()
+
+
+def test_a_run_that_was_copied_with_its_survey_reads_the_settings_of_the_copy(folder, run, tmp_path):
+    copied = shutil.copytree(folder / "s", tmp_path / "copy")
+    shutil.copytree(run, copied / "bathynerf")
+    with (copied / "survey.toml").open("a") as stream:
+        stream.write('\n[field]\nmodel = "hash"\n')
+    assert field_config(copied / "bathynerf", None).model == "hash"
+    assert field_config(run, None).model is None
 
 
 def test_as_published_takes_the_numbers_of_the_paper_where_none_is_given():

@@ -18,7 +18,7 @@ import numpy as np
 from fields.models import MODELS, Losses, Rule, maker
 from fields.volume.photographs import PriorImages
 from refract import PinholeCamera
-from survey.errors import SurveyError
+from survey.errors import FILE_NAME, SurveyError
 from survey.export.loaded import LoadedRun, survey_folder
 from survey.files.toml_table import require_valid
 from survey.progress import current
@@ -101,13 +101,12 @@ class VolumeOptions(FieldConfig):
 
 
 def field_config(run: str | Path, survey: str | None) -> FieldConfig:
-    """[field] in the current survey.toml of a run's survey (its folder, if it was moved), with absolute paths."""
+    """[field] in the current survey.toml of a run: beside it, as where both were copied, or in its survey's folder."""
     with LoadedRun(run) as loaded:
-        folder = survey_folder(loaded, survey)
+        beside = loaded.folder.path.absolute().parent
+        folder = beside if survey is None and (beside / FILE_NAME).is_file() else survey_folder(loaded, survey)
     config = (settings_of(folder) or SurveyConfig()).field
-    if config.monocular is None:
-        return config
-    return replace(config, monocular=str((folder / config.monocular).absolute()))
+    return replace(config, monocular=None if config.monocular is None else str((folder / config.monocular).absolute()))
 
 
 def volume_options(config: FieldConfig, **others: Any) -> VolumeOptions:

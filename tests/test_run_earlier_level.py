@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from drawn_runs import drawn, process_quietly
 
+from survey.adjust.result.adjustment import read_adjustment
 from survey.run.folder import RunDir
 from survey.run.stages import MOST_RAISED_M
 from survey.run.stored import StoredBed, load_bed
@@ -41,6 +42,30 @@ def first(tmp_path_factory) -> Path:
     drawn(folder)
     process_quietly(folder)
     return folder
+
+
+def test_an_adjusted_survey_keeps_its_windows_and_is_not_searched_again(tmp_path):
+    folder = tmp_path / "survey"
+    drawn(folder)
+    settings = folder / "survey.toml"
+    text = settings.read_text(encoding="utf-8").replace("[cameras]", "[cameras]\nposition_std_m = [0.02, 0.02, 0.02]")
+    settings.write_text(text, "utf-8")
+    before, stages = bed_and_searches(folder)
+    run = RunDir(folder / "bathynerf")
+    cloud, level = run.cloud_path.read_bytes(), read_adjustment(run.path).parameter("level_m")
+    windows = (run.load_stage("adjust") / "windows0.npz").read_bytes()
+    # The second one begins with the first run, too.
+    for raised in (0.02, 0.04):
+        moved, kept = bed_and_searches(with_level(folder, 0.02))
+        assert {name for name in kept if stages.get(name) != kept[name]} == {"adjust", "adjust_before", "bed"}
+        assert kept["adjust_before"] == stages["adjust"]
+        assert (run.load_stage("adjust") / "windows0.npz").read_bytes() == windows
+        found = read_adjustment(run.path).parameter("level_m")
+        assert found.given == pytest.approx(level.given + raised)
+        assert found.value - level.value == pytest.approx(raised * (found.std / level.given_std) ** 2, rel=0.2)
+    assert (np.abs(moved.points_crs - before.points_crs).max(axis=1) > 1e-4).mean() > 0.9
+    process_quietly(with_level(folder, -0.04))
+    assert run.cloud_path.read_bytes() == cloud
 
 
 def test_a_level_that_changes_by_little_moves_the_points_and_searches_nothing(first, tmp_path):

@@ -79,18 +79,20 @@ def adjust_survey(
     use_windows: bool = True,
     free_water: bool = False,
     search: PoseRecovery | None = None,
+    measure: Callable[..., TiePoints] | None = None,
 ) -> Adjustment:
     """Adjust a survey, by windows too, not by matches alone; free water is found as if nothing were known of it.
 
     ``advance`` is called with increments that sum to 1. ``search`` estimates poses of a file again that are too
-    inaccurate for windows; without it they are refused.
+    inaccurate for windows; without it they are refused. ``measure`` is called in place of `measure_windows`.
     """
+    measure = partial(measure or measure_windows, device=device)
     survey, note = with_square_pixels(survey)
     prior = prior_of(survey, gsd_m(survey), free_water=free_water)
 
     def from_start(other: Survey, start: PriorKnowledge, windows: TiePoints | None, *, silent: bool) -> Adjustment:
         staged = StagedAdjustment(other, start, free_water)
-        return _adjust_in_stages(staged, windows, device, (lambda _share: None) if silent else advance, use_windows)
+        return _adjust_in_stages(staged, windows, measure, (lambda _share: None) if silent else advance, use_windows)
 
     if survey.observations.ties is not None or not use_windows:
         with name_open_roll(prior.rolls):
@@ -98,8 +100,8 @@ def adjust_survey(
             again = partial(from_start, windows=None, silent=True)
             found = better_of_two_starts(survey, prior, first, again)
     else:
-        measure = partial(measure_windows, survey, device=device, advance=lambda part: advance(0.9 * part))
-        windows = windows_or_recovered_poses(survey, measure, search)
+        at_start = partial(measure, survey, advance=lambda part: advance(0.9 * part))
+        windows = windows_or_recovered_poses(survey, at_start, search)
         if isinstance(windows, TiePoints):
             found = from_start(survey, prior, windows, silent=False)
         else:
@@ -113,7 +115,7 @@ def adjust_survey(
 def _adjust_in_stages(
     staged: StagedAdjustment,
     windows: TiePoints | None,
-    device: str,
+    measure: Callable[..., TiePoints],
     advance: Callable[[float], None],
     use_windows: bool,
 ) -> Adjustment:
@@ -133,7 +135,7 @@ def _adjust_in_stages(
         advance(shares[0])
     if use_windows:
         if windows is None:
-            windows = _windows_at(survey, done, device, lambda part: advance(shares[1] * part))
+            windows = _windows_at(survey, done, measure, lambda part: advance(shares[1] * part))
         while True:
             before, windows = done, within_bounds(survey, windows) if free_water else windows
             if done is None:
@@ -142,7 +144,7 @@ def _adjust_in_stages(
                 done = staged.with_ties(WINDOW, windows, restarted(staged.prior, done))
             if before is not None or not _show_waves(survey, done):
                 break
-            windows = _windows_at(survey, done, device, lambda _share: None)
+            windows = _windows_at(survey, done, measure, lambda _share: None)
         advance(shares[2])
     assert done is not None
     contradictions: list[GivenValueTest] = []
@@ -189,13 +191,13 @@ def _level_error(survey: Survey, std: float) -> SurveyError:
 
 
 def _windows_at(
-    survey: Survey, done: RobustSolution | None, device: str, advance: Callable[[float], None]
+    survey: Survey, done: RobustSolution | None, measure: Callable[..., TiePoints], advance: Callable[[float], None]
 ) -> TiePoints:
     """Windows measured on an adjusted block, or on the survey as given where there is none."""
     if done is None:
-        return measure_windows(survey, device=device, advance=advance)
+        return measure(survey, advance=advance)
     placed, common = apply_level_datum(done)
-    windows = measure_windows(at_state(survey, done.prior, placed.solution.state), device=device, advance=advance)
+    windows = measure(at_state(survey, done.prior, placed.solution.state), advance=advance)
     up = np.array([0.0, 0.0, 0.0 if common is None else common.error])
     return replace(windows, start=windows.start + up)
 

@@ -1,9 +1,9 @@
 """Points of the bed under another surface of the water than the plane that they were found under.
 
-Sweep and solver bend rays at a plane. Where the water was measured as a surface, each point is projected into the
-photographs that show it, through that plane; the rays of these pixels are bent where they meet the measured surface,
-and the point goes to where they come closest to each other. A surface that is higher by d sinks the bed beneath it by
-(n - 1) d or more.
+Sweep and solver bend rays at a plane. Where the water was measured as a surface, or its level or the poses change
+afterwards, each point is projected into the photographs that show it, through that plane; the rays of these pixels are
+bent where they meet the other surface, and the point goes to where they come closest to each other. A surface that is
+higher by d sinks the bed beneath it by (n - 1) d or more.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from fields.sweep.views import Footprint
 from geo.shapes import portions
 from refract import FlatWater, PinholeCamera, kernels
 from refract.curved import BicubicWater
+from survey.folder.survey import Survey
 from survey.photos.cameras import equations_of_lines
 from survey.water.surface import Departure
 
@@ -49,38 +50,41 @@ def through_surface(
     east, north = (bed.xyz[:, :2].max(axis=0) + reach).tolist()
     area = (west, south, east, north)
     surface, of_surface = departure.surface(area, plane), departure.interpolated_std(area)
-    return _at(bed, _intersected(bed.xyz, cameras, plane, surface), surface, of_surface(bed.xyz[:, :2]))
+    placed = _intersected(bed.xyz, (cameras, cameras), plane, surface)
+    return _at(bed, placed, surface, of_surface(bed.xyz[:, :2]))
 
 
-def through_raised(bed: BedPoints, cameras: Sequence[PinholeCamera], plane: FlatWater, raised: FlatWater) -> BedPoints:
-    """Points under a plane that is raised a little, found under a plane, with the std that this adds.
+def through_raised(bed: BedPoints, before: Survey, after: Survey) -> BedPoints:
+    """Points by the plane and poses of a survey that has changed a little, with the std that this adds.
 
     How far they go depends on the photographs around them, hardly on their depth: each goes as far as the nearest of
-    those whose rays are bent anew.
+    its kind, wet or dry, of those whose rays are bent anew.
     """
-    wet = np.flatnonzero(bed.wet)
-    if not len(wet):
-        return _at(bed, bed.xyz, raised, np.zeros(len(bed)))
-    sample = wet[:: max(len(wet) // _RAISED_SAMPLE, 1)]
-    moves = _intersected(bed.xyz[sample], cameras, plane, raised) - bed.xyz[sample]
-    xyz, tree = bed.xyz.copy(), cKDTree(bed.xyz[sample])
-    for rows in portions(len(wet), _PORTION):
-        xyz[wet[rows]] += moves[tree.query(bed.xyz[wet[rows]])[1]]
+    (plane, _), (raised, _), xyz = before.require_water(), after.require_water(), bed.xyz.copy()
+    cameras = [[view.camera for view in survey.views] for survey in (before, after)]
+    for kind in (bed.wet, ~bed.wet):
+        chosen = np.flatnonzero(kind)
+        sample = bed.xyz[chosen[:: max(len(chosen) // _RAISED_SAMPLE, 1)]]
+        if not len(sample):
+            continue
+        moves, tree = _intersected(sample, cameras, plane, raised) - sample, cKDTree(sample)
+        for rows in portions(len(chosen), _PORTION):
+            xyz[chosen[rows]] += moves[tree.query(bed.xyz[chosen[rows]])[1]]
     std = _RAISED_SHARE * abs(float(raised.point[2] - plane.height(*raised.point[:2])))
     return _at(bed, xyz, raised, np.full(len(bed), std))
 
 
 def _intersected(
-    xyz: np.ndarray, cameras: Sequence[PinholeCamera], plane: FlatWater, surface: BicubicWater | FlatWater
+    xyz: np.ndarray, cameras: Sequence[Sequence[PinholeCamera]], plane: FlatWater, surface: BicubicWater | FlatWater
 ) -> np.ndarray:
-    """Places (N, 3) under a surface of points (N, 3) found under a plane."""
+    """Places (N, 3) by cameras under a surface of points (N, 3) found by others, the first, under a plane."""
     heights = (xyz - np.array(plane.point)) @ np.array(plane.up)
-    grounds = [Footprint.of(camera, plane, (float(heights.min()), float(heights.max()))) for camera in cameras]
+    grounds = [Footprint.of(camera, plane, (float(heights.min()), float(heights.max()))) for camera in cameras[0]]
     parts = []
     for first in range(0, len(xyz), _AT_ONCE):
         points = xyz[first : first + _AT_ONCE]
         footprint = Footprint(points[:, :2].min(axis=0), points[:, :2].max(axis=0))
-        near = [camera for camera, ground in zip(cameras, grounds, strict=True) if ground.meets(footprint)]
+        near = [both for *both, ground in zip(*cameras, grounds, strict=True) if ground.meets(footprint)]
         parts.append(_placed(points, near, plane, surface))
     return np.concatenate(parts)
 
@@ -106,14 +110,14 @@ def bed_per_level(incidence: np.ndarray, n_water: float) -> np.ndarray:
 
 
 def _placed(
-    points: np.ndarray, cameras: Sequence[PinholeCamera], plane: FlatWater, surface: BicubicWater | FlatWater
+    points: np.ndarray, cameras: Sequence[Sequence[PinholeCamera]], plane: FlatWater, surface: BicubicWater | FlatWater
 ) -> np.ndarray:
     """Points (N, 3) where their rays, weighted by px/m, meet through the surface; as they are with fewer than two."""
     count = np.zeros(len(points), dtype=int)
     wet_sums, dry_sums = ((np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))) for _ in range(2))
-    for camera in cameras:
-        pixels = camera.project(points, plane)
-        seen = camera.sees(pixels)
+    for before, camera in cameras:
+        pixels = before.project(points, plane)
+        seen = before.sees(pixels)
         number, path = np.flatnonzero(seen), camera.paths(pixels[seen], plane)
         crossing, bent = _entered(path.crossing, path.air_direction, surface, camera.tide)
         known = path.wet & np.isfinite(bent).all(axis=1)

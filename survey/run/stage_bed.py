@@ -196,9 +196,7 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
                 "together (bathynerf check) and that the views overlap"
             )
         if job.asked is not None:
-            bed = through_raised(
-                bed, [view.camera for view in survey.views], job.survey.require_water()[0], survey.require_water()[0]
-            )
+            bed = through_raised(bed, job.survey, survey)
             xyz_in_crs = in_crs(survey, bed.xyz)
         common, in_plan = new_column(len(bed)), new_column(len(bed))
         std_common(bed.xyz, bed.wet, survey, found, job.plan.gsd_m, (common, in_plan))

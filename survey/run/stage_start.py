@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, replace
+from itertools import count
 from pathlib import Path
+from typing import Any
 
 from survey.adjust import pose_check, refine
 from survey.adjust.applied import CAMERAS, MODEL, apply_adjustment, write_cameras
@@ -14,10 +16,13 @@ from survey.adjust.pose_check import PoseCheck
 from survey.adjust.result.adjustment import ARRAYS, JSON, read_adjustment, write_adjustment
 from survey.errors import Findings, GivenValueTest, SurveyError
 from survey.files.json_values import read_json_object, write_json
+from survey.folder.survey import Survey
+from survey.photos.poses import TiePoints
 from survey.plan.area import local_area
 from survey.plan.choices import required_views
 from survey.plan.tiling import SHARED
 from survey.run.job import BedSearch, Job
+from survey.run.stored import load_arrays, save_arrays
 from survey.run.tile_job import TileJob, has_own_ranges
 
 MISFIT = "misfit.json"
@@ -54,7 +59,19 @@ def use_misfit(job: Job, folder: Path) -> None:
 
 
 def adjust_block(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
-    """Adjust the survey."""
+    """Adjust the survey, with the windows of an earlier adjustment where they count; they are kept in the folder."""
+    number = count()
+
+    def measure(survey: Survey, **options: Any) -> TiePoints:
+        name = f"windows{next(number)}.npz"
+        if job.adjusted_before is not None and (job.adjusted_before / name).is_file():
+            kept = load_arrays(job.adjusted_before / name)
+            found = TiePoints(kept["start"], kept["point"], kept["view"], kept["pixel"], int(kept["least"]))
+        else:
+            found = refine.measure_windows(survey, **options)
+        save_arrays(folder / name, **vars(found))
+        return found
+
     with job.progress.stage("Adjustment", 1.0) as stage:
         found = refine.adjust_survey(
             job.survey,
@@ -62,6 +79,7 @@ def adjust_block(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
             advance=stage.advance,
             free_water=job.chosen.calibrate_water,
             search=job.search,
+            measure=measure,
         )
     write_adjustment(folder, found)
     write_cameras(folder, apply_adjustment(job.survey, found), found)
@@ -82,18 +100,18 @@ def use_adjustment(job: Job, folder: Path) -> None:
 def find_range(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
     """Find the bound by thumbnails, and the views that cover the bed; tile by tile in a large survey."""
     tiles = 1 if job.plan.tiling is None else len(job.plan.tiling)
-    water = None if job.survey.water is None else asdict(job.survey.water)
+    level_m = None if job.survey.config.water is None else job.survey.config.water.level_m
     if job.plan.tiling is not None and has_own_ranges(job.plan.tiling):
         with job.progress.stage("Range of heights", tiles) as stage:
             bounds, views = _of_tiles(job, stage.advance)
-        write_json(folder / SHARED, {"bounds": bounds, "views": views, "tiles": tiles, "water": water})
+        write_json(folder / SHARED, {"bounds": bounds, "views": views, "tiles": tiles, "level_m": level_m})
         return
     with job.progress.stage("Range of heights"):
         low, high = job.bound
     job.block.set_overlap_height(0.5 * (low + high))
     times = required_views(job.block.saturated, job.plan.recipe.times_seen)
     views = job.block.cover(*times, local_area(job.survey))
-    write_json(folder / SHARED, {"low_m": low, "high_m": high, "views": views, "tiles": tiles, "water": water})
+    write_json(folder / SHARED, {"low_m": low, "high_m": high, "views": views, "tiles": tiles, "level_m": level_m})
 
 
 def _of_tiles(job: Job, advance: Callable[[float], None]) -> tuple[list[tuple[float, float]], list[int]]:

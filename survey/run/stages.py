@@ -9,21 +9,28 @@ and what the solver has to know are found once for all tiles.
 A level that has changed by little since the bed was searched (read again, of another gauge, in another datum) needs no
 new search, which takes most of a run. Where nothing else has changed, its results under the earlier plane are used
 again, and the stage of the bed intersects the points anew along the rays of their photographs, bent at the plane that
-is asked for (`survey.run.points.through_raised`); how near that is to a search under it is in docs/decisions.md.
+is asked for (`survey.run.points.through_raised`); how near that is to a search under it is in docs/decisions.md. Where
+poses are adjusted, that is done again with the windows of before, and the rays are those of the poses found now.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
 
+import numpy as np
+
 from fields.models import IN_LAYER
-from refract import FlatWater
+from survey.adjust.applied import apply_adjustment
+from survey.adjust.block.state import NUM_WATER, settings_of
+from survey.adjust.result.adjustment import Adjustment, read_adjustment
 from survey.display.quantities import length
 from survey.files.json_values import read_json_object
+from survey.folder.local_frame import water_plane
+from survey.folder.survey import Survey
 from survey.plan.tiling import SHARED
 from survey.run.folder import Key, RunDir
 from survey.run.job import PARTS, Job, colour_of
@@ -50,8 +57,10 @@ from survey.run.workers import WorkerNeeds, Workers, workers_for
 
 # Under a level that is raised by more, photographs are matched elsewhere, and the search finds other points.
 MOST_RAISED_M = 0.05
-# Planes whose slopes differ by less are one, raised: local frames of two levels differ in the last digits.
-_SAME_SLOPE = 1e-7
+# Of differences between levels.
+_ROUNDING_M = 1e-6
+# Parts of the key of an adjustment that change with the level.
+_BY_LEVEL = ("water", "water_settings", "heights")
 
 
 @dataclass(frozen=True)
@@ -213,8 +222,10 @@ def run_stages(job: Job, run: RunDir, *, resume: bool, compares_sweep: bool) -> 
         for stage in [*STAGES, *OF_SWEEP_ALONE] if compares_sweep else STAGES:
             if not stage.is_on(job):
                 continue
+            if stage.name == "adjust" and resume:
+                job.adjusted_before = _adjusted_before(job, run, stage)
             if stage.name == "range" and resume and not compares_sweep:
-                _search_under_earlier_level(job, run, stage)
+                _use_of_earlier_level(job, run, stage, done)
             missing = _missing(stage, job.parts if stage.is_of_tiles else [job], run, done, resume=resume)
             if missing and stage.is_of_tiles and has_workers:
                 workers = workers or stack.enter_context(_workers(job, run))
@@ -313,28 +324,23 @@ def _compute_on(
             getattr(job.progress, kind)(text)
 
 
-def _search_under_earlier_level(job: Job, run: RunDir, search: Stage) -> None:
-    """Let the job use what an earlier run has found under a plane of nearly the same level, if that is all there is."""
-    asked, water = job.survey, job.survey.water
+def _use_of_earlier_level(job: Job, run: RunDir, search: Stage, done: dict[str, Path]) -> None:
+    """Let the job use what an earlier run has found with nearly the same level, if that is all that has changed."""
+    asked = job.survey
     if (
-        water is None
+        asked.water is None
         or asked.observations.departure is not None
         or job.plan.field in IN_LAYER
         or job.chosen.true_colour
+        or run.finished_stage(search.name, search.key(job, {}), search.files) is not None
     ):
         return
-    if run.finished_stage(search.name, search.key(job, {}), search.files) is not None:
-        return
-    for path in run.stages_path.glob(f"{search.name}-*/{SHARED}"):
-        record = read_json_object(path).get("water")
-        plane = water if record is None else FlatWater(**record)
-        slopes = abs(water.slope_x - plane.slope_x), abs(water.slope_y - plane.slope_y)
-        raised = float(water.point[2] - plane.height(*water.point[:2]))
-        is_raised = max(slopes) <= _SAME_SLOPE and water.n_water == plane.n_water and abs(raised) <= MOST_RAISED_M
-        if record is None or not is_raised:
-            continue
-        job.use_survey(replace(asked, water=plane))
+    of_job = _adjusted_at_levels(asked, run, done["adjust"]) if "adjust" in done else _at_levels(asked, run, search)
+    for earlier, raised, adjusted in of_job:
+        job.use_survey(earlier)
         if run.finished_stage(search.name, search.key(job, {}), search.files) is not None:
+            # A level after this one begins with it, too.
+            done |= {} if adjusted is None else {"adjust_before": adjusted}
             job.asked = asked
             job.progress.note(
                 f"the level is {length(abs(raised))} {'higher' if raised > 0.0 else 'lower'} than when the bed was "
@@ -342,3 +348,45 @@ def _search_under_earlier_level(job: Job, run: RunDir, search: Stage) -> None:
             )
             return
     job.use_survey(asked)
+
+
+def _at_levels(asked: Survey, run: RunDir, search: Stage) -> Iterator[tuple[Survey, float, None]]:
+    """The survey with earlier given levels that are a little off, and by how much it is higher [m]."""
+    _, water = asked.require_water()
+    for path in run.stages_path.glob(f"{search.name}-*/{SHARED}"):
+        level_m = read_json_object(path).get("level_m")
+        if level_m is not None and abs(water.known_level_m - level_m) <= MOST_RAISED_M + _ROUNDING_M:
+            plane = water_plane(asked.frame, replace(water, level_m=level_m))
+            yield replace(asked, water=plane), water.known_level_m - level_m, None
+
+
+def _adjusted_at_levels(asked: Survey, run: RunDir, adjusted: Path) -> Iterator[tuple[Survey, float, Path]]:
+    """The survey by earlier adjustments of a level and poses a little off, how much higher it is [m], their folders."""
+    now = read_adjustment(adjusted)
+    for folder in run.stages_path.glob("adjust-*"):
+        found = read_adjustment(folder)
+        raised = _raised_by(found, np.array([row.given for row in now.parameters[:NUM_WATER]]))
+        if not raised or found.poses.names != now.poses.names:
+            continue
+        if np.abs(found.poses.centres - now.poses.centres).max() <= MOST_RAISED_M:
+            yield apply_adjustment(asked, found), raised, folder
+
+
+def _raised_by(found: Adjustment, settings: np.ndarray) -> float | None:
+    """How much higher [m] water by settings (4,) is than was given to an adjustment; None where by too much."""
+    if found.water is None:
+        return None
+    raised, *others = (settings - [row.given for row in found.parameters[:NUM_WATER]]).tolist()
+    return raised if abs(raised) <= MOST_RAISED_M + _ROUNDING_M and not any(others) else None
+
+
+def _adjusted_before(job: Job, run: RunDir, stage: Stage) -> Path | None:
+    """An earlier adjustment whose windows count for one with nearly the same level; None where there is none."""
+    key, water = stage.key(job, {}), job.survey.config.water
+    for parts in run.earlier_keys(stage.name):
+        folder = run.place(stage.name, parts)
+        if water is None or any(parts.get(name) != value for name, value in key.items() if name not in _BY_LEVEL):
+            continue
+        if _raised_by(read_adjustment(folder), settings_of(water)) is not None:
+            return folder
+    return None

@@ -19,7 +19,18 @@ from fields.sweep.maps import HeightMap, trusted, views_of
 from survey.photos.images import grey_levels, load_mask, load_pixels
 from survey.photos.texture import PLAIN_STD, saturated_pixels
 from survey.plan.sweep_block import camera_of
-from survey.report.seen_cells import CONTRADICTED, DEEP, GLINT, HIDDEN, MASKED, NO_PAIR, PLAIN, UNLIKE, SeenCells
+from survey.report.seen_cells import (
+    CONTRADICTED,
+    DEEP,
+    GLINT,
+    HIDDEN,
+    MASKED,
+    NO_PAIR,
+    PLAIN,
+    UNLIKE,
+    SeenCells,
+    around,
+)
 from survey.water.surface import height_above, plane_under
 
 if TYPE_CHECKING:
@@ -41,13 +52,19 @@ def with_reasons(cells: SeenCells, survey: Survey, plan: Plan, maps: Sequence[He
     places, num_open = cells.middles[at], cells.num_views[at].copy()
     said, numbers = np.zeros((len(_SAID), len(places)), dtype=int), {view: n for n, view in enumerate(views_of(maps))}
     side = 2 * max(round(0.5 * cells.grid.side_m / plan.gsd_m), 1) + 1
+    middles, number = cells.middles, np.full(codes.shape, -1)
+    number[at] = np.arange(len(places))
     for index, view in enumerate(survey.views):
         camera = camera_of(view, plan)
-        pixel = camera.project(places, plane_under(survey.water, survey.observations.departure, camera.centre))
-        seen = np.flatnonzero(camera.sees(pixel))
+        near = number[around(camera, middles[0, :, 0], middles[:, 0, 1], cells.height)]
+        near = near[near >= 0]
+        water = plane_under(survey.water, survey.observations.departure, camera.centre)
+        pixel = camera.project(places[near], water)
+        is_seen = camera.sees(pixel)
+        seen, pixel = near[is_seen], pixel[is_seen]
         if not len(seen):
             continue
-        column, row = np.floor(pixel[seen]).astype(int).T
+        column, row = np.floor(pixel).astype(int).T
         if (mask := load_mask(view, scale=plan.image_scale)) is not None:
             is_open = mask[row, column]
             num_open[seen[~is_open]] -= 1

@@ -119,7 +119,7 @@ def cells_seen(
     places = cells.middles
     x, y = places[0, :, 0], places[:, 0, 1]
     for camera in cameras:
-        part = _around(camera, x, y, cells.height)
+        part = around(camera, x, y, cells.height)
         pixel = camera.project(places[part].reshape(-1, 3), plane_under(water, departure, camera.centre))
         sees = camera.sees(pixel)
         num_views[part] += sees.reshape(num_views[part].shape)
@@ -140,7 +140,7 @@ def _extent(cameras: Sequence[PinholeCamera], area: Area | None, height: float) 
     return (foot - reach).min(axis=0), (foot + reach).max(axis=0)
 
 
-def _around(camera: PinholeCamera, x: np.ndarray, y: np.ndarray, height: np.ndarray) -> tuple[slice, slice]:
+def around(camera: PinholeCamera, x: np.ndarray, y: np.ndarray, height: np.ndarray) -> tuple[slice, slice]:
     """Rows and columns of the cells that a camera can see at all: those in the box around its straight footprint.
 
     Refraction only moves footprints towards the nadir.

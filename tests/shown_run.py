@@ -35,7 +35,7 @@ def served(shown: Shown) -> Iterator[ViewSession]:
     overlay = Overlay()
     server = open_server("localhost", 0, "test", overlay)
     session = ViewSession(shown, server)
-    overlay.attach(server, shown)
+    overlay.attach(session)
     try:
         yield session
     finally:

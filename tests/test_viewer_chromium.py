@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 from shown_run import served, shown_of, small_run
 
+from survey.pose_files import read_poses
 from survey.run.edits import DELETED, Edits
 from survey.viewer.page import address, write_page
 from survey.viewer.session import ViewOptions, _load
@@ -46,6 +47,29 @@ def test_a_click_in_the_browser_brings_the_facts_of_its_point(shown):
         page.click(0.5 * SIZE[0], 0.5 * SIZE[1])
         page.until("document.body.innerText.includes('shown by')")
         assert [said for said in page.said if any(call in said for call in CALLS_OUT)] == []
+
+
+def test_a_click_on_the_overview_goes_there_and_views_are_kept_for_a_flight(tmp_path):
+    run = small_run(tmp_path)
+    shown = _load(run, ViewOptions())
+    with served(shown) as session, chromium.page_at(address(session.server, "localhost"), *SIZE) as page:
+        page.until("document.querySelector('#bathynerf-overview polygon')?.getAttribute('points')")
+        page.until("document.querySelector('#bathynerf-overview img').width > 100")
+        left, top, width, height = page.value(
+            "(box => [box.x, box.y, box.width, box.height])"
+            "(document.querySelector('#bathynerf-overview img').getBoundingClientRect())"
+        )
+        page.click(left + 0.75 * width, top + 0.25 * height)
+        (client,) = session.server.get_clients().values()
+        expected = shown.low[:2] + 0.75 * (shown.high - shown.low)[:2]
+        for _ in range(100):
+            if np.allclose(np.asarray(client.camera.look_at)[:2], expected, atol=0.02 * shown.extent_m):
+                break
+            page.value("new Promise(done => setTimeout(done, 100))")
+        np.testing.assert_allclose(np.asarray(client.camera.look_at)[:2], expected, atol=0.02 * shown.extent_m)
+        page.click_text("add this view")
+        page.until("document.body.innerText.includes('views: 1')")
+        assert len(read_poses(run / "edits" / "flight.csv").poses) == 1
 
 
 def test_points_in_a_box_are_deleted_in_the_browser(tmp_path):

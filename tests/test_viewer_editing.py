@@ -176,10 +176,10 @@ def test_a_tilted_view_looks_where_the_compass_says(session):
 
 def test_the_overlay_answers_no_nonsense_and_only_those_who_know_the_token(session):
     overlay = Overlay()
-    assert overlay.answer({"number": "0", "x": "0", "y": "0"}) == "{}"
-    overlay.attach(session.server, session.shown)
+    assert overlay.answer("here", {"number": "0", "x": "0", "y": "0"}) == "{}"
+    overlay.attach(session)
     for asked in ({}, {"number": "9", "x": "0", "y": "0"}, {"number": "<b>", "x": "0", "y": "0"}, {"number": "0"}):
-        assert overlay.answer(asked) == "{}"
+        assert overlay.answer("here", asked) == "{}"
     page = address(session.server, "localhost")
     with urllib.request.urlopen(page) as answer:
         text = answer.read()

@@ -15,6 +15,7 @@ from PIL.TiffImagePlugin import IFDRational
 from scipy.spatial.transform import Rotation
 
 from geo import write_whole
+from geo.crs import is_geographic
 from geo.frames import LocalFrame
 from geo.transformation import lon_lat
 from refract import FlatWater, PinholeCamera
@@ -128,10 +129,10 @@ def cameras_csv(names: Sequence[str], cameras: Sequence[PinholeCamera], frame: L
     """Poses in crs; omega, phi, kappa turn the grid axes: grid_from_camera = Rx(omega) Ry(phi) Rz(kappa)."""
     centres = frame.crs_from_local([camera.centre for camera in cameras])
     local_from_grid = frame.local_from_grid(centres)
-    lines = ["image,easting,northing,height,omega,phi,kappa"]
+    lines, digits = ["image,easting,northing,height,omega,phi,kappa"], 10 if is_geographic(frame.crs) else 6
     for name, camera, centre, axes in zip(names, cameras, centres, local_from_grid, strict=True):
         turn = Rotation.from_matrix(axes.T @ camera.cam_from_local.T @ CAM_FROM_OPK_CAM)
-        numbers = [f"{v:.6f}" for v in centre] + [f"{v:.9f}" for v in turn.as_euler("XYZ", degrees=True)]
+        numbers = [f"{v:.{digits}f}" for v in centre] + [f"{v:.9f}" for v in turn.as_euler("XYZ", degrees=True)]
         lines.append(",".join([name, *numbers]))
     return "\n".join([*lines, ""])
 

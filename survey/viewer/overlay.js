@@ -1,4 +1,4 @@
-// Compass, scale bar and the coordinates under the pointer, over the scene of viser; see overlay.py.
+// Compass, scale bar, legend, the coordinates under the pointer and an overview, over the scene of viser; see page.py.
 (() => {
   const box = document.createElement("div");
   box.id = "bathynerf-overlay";
@@ -8,9 +8,28 @@
   box.innerHTML =
     '<svg width="34" height="34" viewBox="-17 -17 34 34"><g><path d="M0-15 5 3H-5Z" fill="#c3140d"/>' +
     '<path d="M0 15 5 3H-5Z" fill="#9aa5ad"/><text y="1" font-size="9" text-anchor="middle" fill="#fff">N</text></g></svg>' +
-    '<div><div style="height:6px;border:solid #22303c;border-width:0 1.5px 1.5px"></div><span></span></div><div></div>';
-  const needle = box.querySelector("g"), [, scale, place] = box.children;
+    '<div><div style="height:6px;border:solid #22303c;border-width:0 1.5px 1.5px"></div><span></span></div>' +
+    '<div><div style="height:8px"></div><span></span></div><div></div>';
+  const needle = box.querySelector("g"), [, scale, legend, place] = box.children;
   const [bar, label] = scale.children;
+  const map = document.createElement("div");
+  map.id = "bathynerf-overview";
+  map.title = "click: look there";
+  map.style.cssText =
+    "position:fixed;z-index:5;display:none;padding:5px;border-radius:6px;background:rgba(255,255,255,0.82);cursor:crosshair";
+  map.innerHTML =
+    '<img style="display:block;width:170px;max-height:240px"><svg viewBox="0 0 1 1" preserveAspectRatio="none" style="position:absolute;left:5px;top:5px">' +
+    '<polygon fill="none" stroke="#c3140d" stroke-width="1.5" vector-effect="non-scaling-stroke"/></svg>';
+  const [picture, frame] = map.children;
+  picture.onload = () => {
+    frame.setAttribute("width", picture.width);
+    frame.setAttribute("height", picture.height);
+  };
+  map.onclick = (event) => {
+    const [x, y] = [event.offsetX / picture.width, 1 - event.offsetY / picture.height];
+    if (event.target !== map) ask(`&to_x=${x}&to_y=${y}`);
+  };
+  let drawnFor = null;
   let at = [0.5, -1], number = null, busy = false, last = 0;
 
   function show(found, canvas) {
@@ -22,17 +41,28 @@
     bar.style.width = `${length / metresPerPixel}px`;
     label.textContent = length >= 1 ? `${length} m` : `${Math.round(length * 1000) / 10} cm`;
     place.textContent = found.place;
+    legend.style.display = found.legend.label ? "block" : "none";
+    legend.children[0].style.background = `linear-gradient(90deg,${found.legend.colours.map((rgb) => `rgb(${rgb})`)})`;
+    legend.children[1].textContent = found.legend.label;
     box.style.cssText += `;display:flex;left:${canvas.left + 12}px;bottom:${innerHeight - canvas.bottom + 12}px`;
+    frame.children[0].setAttribute("points", found.ground.map(([x, y]) => `${x},${1 - y}`).join(" "));
+    map.style.cssText += `;display:block;right:${innerWidth - canvas.right + 12}px;top:${canvas.top + 12}px`;
+    if (drawnFor !== found.legend.label) drawMap(found.legend.label);
   }
 
-  async function ask() {
+  async function drawMap(label) {
+    drawnFor = label;
+    picture.src = `data:image/png;base64,${await (await fetch("overview")).json()}`;
+  }
+
+  async function ask(more = "") {
     const canvas = document.querySelector("canvas");
     number = document.querySelector(".bathynerf-browser")?.dataset.number ?? number;
-    if (busy || document.hidden || !canvas || number === null) return;
+    if ((busy && !more) || document.hidden || !canvas || number === null) return;
     busy = true;
     last = performance.now();
     try {
-      const answer = await fetch(`here?number=${number}&x=${at[0]}&y=${at[1]}`);
+      const answer = await fetch(`here?number=${number}&x=${at[0]}&y=${at[1]}${more}`);
       if (answer.ok) show(await answer.json(), canvas.getBoundingClientRect());
     } finally {
       busy = false;
@@ -47,6 +77,6 @@
 
   addEventListener("pointermove", moved, true);
   addEventListener("wheel", moved, true);
-  setInterval(ask, 1000);
-  document.body.append(box);
+  setInterval(() => ask(), 1000);
+  document.body.append(box, map);
 })();

@@ -8,6 +8,7 @@ import io
 import json
 import math
 import secrets
+from base64 import b64encode
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
@@ -23,6 +24,7 @@ from survey.errors import OutputError, SurveyError
 from survey.files.paths import ReadFiles, require_file
 from survey.marking.server import is_own_page
 from survey.viewer.layers import add_cameras, add_water, set_initial_view
+from survey.viewer.overview import footprint, go_to, overview
 from survey.viewer.shown import SCALES, Shown
 from survey.viewer.sightings import AIM_PX, facts_of
 from survey.viewer.tree import CloudTree, camera_in_browser, pick
@@ -30,6 +32,8 @@ from survey.words import printable
 
 if TYPE_CHECKING:
     import viser
+
+    from survey.viewer.session import ViewSession
 
 # Points of a page: some 20 MB.
 MOST_POINTS = 1_000_000
@@ -82,9 +86,9 @@ def _own_pages_only(host: str, overlay: Overlay | None) -> Iterator[list[Any]]:
             given, _, path = request.path.partition("?")[0].removeprefix("/").partition("/")
             if not is_own_page(request.headers, host, given, token()):
                 return connection.respond(403, "open the address that bathynerf view printed\n")
-            if overlay is not None and path == "here":
+            if overlay is not None and path in ("here", "overview"):
                 asked = (part.partition("=") for part in request.path.partition("?")[2].split("&"))
-                return connection.respond(200, overlay.answer({name: value for name, _, value in asked}))
+                return connection.respond(200, overlay.answer(path, {name: value for name, _, value in asked}))
             if overlay is None or path not in ("", "index.html"):
                 return process_request(connection, replace(request, path=f"/{path}"))
             # Not compressed: the script goes into it.
@@ -192,27 +196,41 @@ class Overlay:
     """Answers to the script; nothing before `attach`."""
 
     def __init__(self) -> None:
-        self._server: viser.ViserServer | None = None
-        self._shown: Shown | None = None
+        self._session: ViewSession | None = None
 
-    def attach(self, server: viser.ViserServer, shown: Shown) -> None:
-        """Answer for the browsers of a server from now on."""
-        self._server, self._shown = server, shown
+    def attach(self, session: ViewSession) -> None:
+        """Answer for the browsers of a session from now on."""
+        self._session = session
 
-        @server.on_client_connect
+        @session.server.on_client_connect
         def number(client: viser.ClientHandle) -> None:
             client.gui.add_html(MARK.format(client.client_id))
 
-    def answer(self, asked: Mapping[str, str]) -> str:
-        """JSON for a browser ``number`` and a place x, y of its screen, as shares; an empty object for others."""
+    def answer(self, path: str, asked: Mapping[str, str]) -> str:
+        """JSON for a browser ``number`` and a place x, y of its screen, as shares; an empty object for others.
+
+        With ``to_x`` and ``to_y`` it is moved there, in shares of the overview, which has a path of its own.
+        """
+        if self._session is None:
+            return "{}"
+        shown, style = self._session.shown, self._session.panel.style
+        if path == "overview":
+            return json.dumps(b64encode(overview(shown, style)).decode())
         try:
-            number, x, y = int(asked["number"]), float(asked["x"]), float(asked["y"])
+            number = int(asked["number"])
+            x, y, *to = (float(asked[name]) for name in ("x", "y", "to_x", "to_y") if name in asked)
         except (KeyError, ValueError):
             return "{}"
-        client = None if self._server is None else self._server.get_clients().get(number)
-        if client is None or self._shown is None or not (math.isfinite(x) and math.isfinite(y)):
+        client = self._session.server.get_clients().get(number)
+        if client is None or not np.isfinite([x, y, *to]).all():
             return "{}"
-        return json.dumps(overlay_of(self._shown, camera_in_browser(client.camera), x, y))
+        if len(to) == 2:
+            go_to(shown, client.camera, *to)
+        camera, legend = camera_in_browser(client.camera), {"label": "", "colours": []}
+        if style.limits is not None:
+            scale = SCALES[style.kind]
+            legend = {"label": scale.legend(style.limits), "colours": scale.bar(16, 1)[0].tolist()}
+        return json.dumps(overlay_of(shown, camera, x, y) | {"ground": footprint(shown, camera), "legend": legend})
 
 
 def overlay_of(shown: Shown, camera: PinholeCamera, x: float, y: float) -> dict:

@@ -26,6 +26,7 @@ from survey.viewer.layers import (
     set_initial_view,
     terrain_node,
 )
+from survey.viewer.overview import add_key_frames, grid_node
 from survey.viewer.page import Overlay, address, close_server, open_server, require_page, write_page
 from survey.viewer.shown import Shown, Style, load_shown
 from survey.viewer.sightings import Clicks
@@ -150,6 +151,7 @@ class ViewSession:
         # Beside the scene, not over it.
         server.gui.main_panel.dock_left()
         beside.dock_below(server.gui.main_panel)
+        add_key_frames(server, shown)
         for field in shown.fields:
             add_field(server, field, self.clicks.show)
         if shown.reference is not None:
@@ -165,6 +167,8 @@ class ViewSession:
         self.panel.add_layer("cameras", is_on=True, show=lambda on: setattr(cameras, "visible", on))
         self._terrain = OnDemand(self.server, "terrain model", lambda: terrain_node(self.server, self.shown))
         self._box_of_terrain = self.panel.add_layer("terrain model", is_on=False, show=self._terrain.show)
+        grid = OnDemand(self.server, "grid of coordinates", lambda: grid_node(self.server, self.shown))
+        self.panel.add_layer("grid of coordinates", is_on=False, show=grid.show)
         if (reference := self.shown.reference) is not None:
             node = OnDemand(self.server, "reference", lambda: reference_node(self.server, reference, self.shown.gsd_m))
             self.panel.add_layer("reference", is_on=False, show=node.show)
@@ -217,7 +221,7 @@ def serve(run: str | Path, options: ViewOptions, report: Callable[[str], None]) 
     session = None
     try:
         session = ViewSession(_load(run, options), server)
-        overlay.attach(server, session.shown)
+        overlay.attach(session)
         report(address(server, options.host))
         _wait_for_ever()
     except KeyboardInterrupt:

@@ -150,7 +150,9 @@ class Progress:
         self._expected = {name: self._expected[name] for name in self._shares if name in self._expected}
         self._expected |= {name: float(seconds) for name, seconds in expected_s.items() if name not in self._shares}
         if (task := self._task) is not None and self._expected:
-            self._bars.update(task.id, total=sum(self._expected.values()), completed=self._done_s)
+            # Not by `update`, which would forget the pace.
+            task.total = sum(self._expected.values())
+            self._bars.update(task.id, completed=self._done_s)
 
     @property
     def _done_s(self) -> float:
@@ -181,7 +183,7 @@ class Progress:
 
                 self._cell = display({"text/plain": f"{step.title} ..."}, raw=True, display_id=True)
         elif self._task.total != total:
-            self._bars.update(self._task.id, total=total)
+            self._task.total = total
         self._show(step)
         self._last_line = self.now()
 

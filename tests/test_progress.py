@@ -95,10 +95,12 @@ def test_the_share_of_a_run_only_rises_and_ends_at_all_of_it(begun, tiles, advan
 def test_times_expected_later_take_the_place_of_those_that_have_not_begun(clock):
     with Progress(verbosity=-1, now=clock.monotonic) as progress, progress.run():
         progress.expect({"features": 10.0, "sweep": 1000.0})
-        with progress.stage("features"):
-            clock.now += 20.0
+        with progress.stage("features", total=10) as step:
+            work(step, clock, 10, 2.0)
         progress.expect({"sweep": 30.0})
         assert share_of(progress) == pytest.approx(0.25)
+        # At the pace that is known already.
+        assert progress._bars.tasks[0].time_remaining == pytest.approx(60.0, rel=0.15)
 
 
 def test_a_terminal_shows_one_line(clock, monkeypatch):

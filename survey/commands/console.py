@@ -144,7 +144,8 @@ def asking(told: InitOptions, *, needs_level: bool) -> InitOptions:
     """These options, and a person at the terminal to be asked for others, if there is one."""
 
     def ask(question: str) -> str:
-        return typer.prompt(wrap_for(printable(question), sys.stderr), default="", show_default=False, err=True)
+        lines = [wrap_for(printable(line), sys.stderr) for line in question.split("\n")]
+        return typer.prompt("\n".join(lines), default="", show_default=False, err=True)
 
     return replace(told, ask=ask if sys.stdin.isatty() and sys.stderr.isatty() else None, needs_level=needs_level)
 

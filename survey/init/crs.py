@@ -205,10 +205,8 @@ def _vertical(
         names, plan = {info.name for info in query_crs_info("EPSG", PJType.COMPOUND_CRS)}, CRS(horizontal).name
         chosen = next((system for system in systems if f"{plan} + {system.name}" in names), None)
     if chosen is None and systems and options.ask is not None:
-        question = (
-            f"Heights of the water and of control: {'; '.join(listed)}. Code, or empty for mean sea level (EGM96)"
-        )
-        choice = options.ask(question).strip().removeprefix("EPSG:")
+        lines = ["Heights of the water and of control:", *listed, "Code, or empty for mean sea level (EGM96)"]
+        choice = options.ask("\n".join(lines)).strip().removeprefix("EPSG:")
         chosen = next((system for system in systems if str(system.to_epsg()) == choice), None)
         if choice and chosen is None:
             raise ConfigError(f'the answer is "{choice}", expected one of the codes {"; ".join(listed)}')
@@ -248,7 +246,7 @@ def _has_geoid(photographs: FolderPhotographs, crs: CRS) -> bool:
 
 def _area(system: CRS) -> str:
     name = "" if system.area_of_use is None else system.area_of_use.name
-    return shorten(name.rstrip("."), 60, placeholder=" ...")
+    return shorten(name.rstrip("."), 48, placeholder=" ...")
 
 
 def write_origin(photographs: FolderPhotographs, options: InitOptions, found: Found, local: SettingsTable) -> None:

@@ -33,8 +33,6 @@ from survey.words import printable
 if TYPE_CHECKING:
     import viser
 
-    from survey.viewer.session import ViewSession
-
 # Points of a page: some 20 MB.
 MOST_POINTS = 1_000_000
 _SUFFIX, _MARK, _TITLE = ".html", b"Viser client", "<title>Viser</title>"
@@ -196,10 +194,10 @@ class Overlay:
     """Answers to the script; nothing before `attach`."""
 
     def __init__(self) -> None:
-        self._session: ViewSession | None = None
+        self._session: Any = None
 
-    def attach(self, session: ViewSession) -> None:
-        """Answer for the browsers of a session from now on."""
+    def attach(self, session: Any) -> None:
+        """Answer for the browsers of a `survey.viewer.session.ViewSession` from now on."""
         self._session = session
 
         @session.server.on_client_connect

@@ -7,24 +7,20 @@ nearest point of a sparse reference measures its spacing, not the error of what 
 from __future__ import annotations
 
 import logging
-import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from scipy.spatial import cKDTree
-
-from evaluation.bootstrap import cell_numbers
 
 # Barycentric weights down to this count as inside: points on an edge, to rounding.
 _ON_EDGE = -1e-9
-# Pairs of point and triangle at a time for each thread: about 50 MB of intermediate values.
-_PAIRS = 500_000
+# Points at a time for each thread, and pairs of a point and a triangle: about 50 MB of intermediate values.
+_POINTS, _PAIRS = 20_000, 500_000
 _WORKERS = min(os.cpu_count() or 1, 4)
-# Limits of the entries of triangles in cells; a few large triangles among many small ones would fill the memory.
-_ENTRIES_PER_FACE, _ENTRIES = 16, 1_000_000
 # A place whose neighbours all lie to one side is beyond the rim. Their centroid may be off by this share of the
 # distance to the farthest: on a straight rim of an even cloud the share is 0.42, in a corner 0.6.
 _MOST_OFF = 0.5
@@ -40,101 +36,46 @@ def vertical_difference(
     are in one Cartesian frame, z up; ``advance`` is called with the number of points finished since the last call.
     """
     points = np.asarray(points, dtype=np.float64)
-    vertices = np.asarray(vertices, dtype=np.float64)
+    corners = np.asarray(vertices, dtype=np.float64)[np.asarray(faces, dtype=np.int64)]
+    a, b, c = (corners[:, k, :2] for k in range(3))
+    corners = corners[_cross(b - a, c - a) != 0.0]
     difference = np.full(len(points), np.nan)
-    grid = _Grid.of(vertices, np.asarray(faces, dtype=np.int64))
-    finite = np.flatnonzero(np.isfinite(points).all(axis=1))
-    if grid is None:
+    if not len(corners):
         return difference
-    cell = grid.cell_of(points[finite, :2])
-    inside = (cell >= 0) & (grid.start[cell + 1] > grid.start[cell])
-    order = np.argsort(cell[inside], kind="stable")
-    rows, cell = finite[inside][order], cell[inside][order]
-    counts = grid.start[cell + 1] - grid.start[cell]
-    block = np.cumsum(counts) // _PAIRS
-    cuts = np.flatnonzero(np.diff(block)) + 1
-    parts = [np.split(values, cuts) for values in (rows, cell, counts)]
+    boxes = shapely.STRtree(shapely.box(*corners[..., :2].min(axis=1).T, *corners[..., :2].max(axis=1).T))
+    parts = [slice(start, start + _POINTS) for start in range(0, len(points), _POINTS)]
     with ThreadPoolExecutor(_WORKERS) as pool:
-        found = pool.map(lambda part, *held: grid.nearest_in_height(points[part], *held), *parts)
-        for part, values in zip(parts[0], found, strict=True):
+        found = pool.map(lambda part: _nearest_in_height(points[part], corners, boxes), parts)
+        for part, values in zip(parts, found, strict=True):
             difference[part] = values
             if advance is not None:
-                advance(len(part))
-    if advance is not None:
-        advance(len(points) - len(rows))
+                advance(len(values))
     return difference
 
 
-@dataclass(frozen=True)
-class _Grid:
-    """Triangles by the square cells of the plan that their boxes touch.
-
-    ``faces[start[i] : start[i + 1]]`` are those of cell i, row by row, of ``shape`` (rows, columns);
-    ``corner`` (3, F, 2) and ``height`` (3, F) hold the corners a, b, c.
-    """
-
-    low: np.ndarray
-    cell: float
-    shape: tuple[int, int]
-    start: np.ndarray
-    faces: np.ndarray
-    corner: np.ndarray
-    height: np.ndarray
-
-    @staticmethod
-    def of(vertices: np.ndarray, faces: np.ndarray) -> _Grid | None:
-        """The grid of all triangles that have an area in plan; None if none has."""
-        corner = vertices[faces.T]
-        a, b, c = corner[..., :2]
-        flat = _cross(b - a, c - a) == 0.0
-        corner = corner[:, ~flat]
-        if not corner.shape[1]:
-            return None
-        low, high = corner[..., :2].min(axis=0), corner[..., :2].max(axis=0)
-        origin, end = low.min(axis=0), high.max(axis=0)
-        cell = 0.5 * math.sqrt(float((end - origin).prod()) / len(low))
-        most = _ENTRIES_PER_FACE * len(low) + _ENTRIES
-        while _spans(low, high, origin, cell)[1].prod(axis=1).sum() > most:
-            cell *= 1.5
-        shape = np.floor((end - origin) / cell).astype(np.int64) + 1
-        first, span = _spans(low, high, origin, cell)
-        entries = span.prod(axis=1)
-        face = np.repeat(np.arange(len(low)), entries)
-        within = np.arange(entries.sum()) - np.repeat(np.cumsum(entries) - entries, entries)
-        column, row = first[face, 0] + within % span[face, 0], first[face, 1] + within // span[face, 0]
-        number = row * shape[0] + column
-        start = np.concatenate([[0], np.cumsum(np.bincount(number, minlength=shape.prod()))])
-        by_cell = face[np.argsort(number, kind="stable")]
-        return _Grid(origin, cell, (int(shape[1]), int(shape[0])), start, by_cell, corner[..., :2], corner[..., 2])
-
-    def cell_of(self, plan: np.ndarray) -> np.ndarray:
-        """Cell of each point (N, 2), -1 beyond all."""
-        return cell_numbers((plan - self.low) / self.cell, self.shape)
-
-    def nearest_in_height(self, points: np.ndarray, cell: np.ndarray, counts: np.ndarray) -> np.ndarray:
-        """Difference (N,) of points in cells of ``counts`` triangles each, one at least."""
-        starts = np.cumsum(counts) - counts
-        point = np.repeat(np.arange(len(points)), counts)
-        face = self.faces[self.start[cell][point] + np.arange(counts.sum()) - starts[point]]
-        a, b, c = self.corner[0, face], self.corner[1, face], self.corner[2, face]
-        p = points[point, :2]
-        twice_area = _cross(b - a, c - a)
-        wb, wc = _cross(p - a, c - a) / twice_area, _cross(b - a, p - a) / twice_area
-        wa = 1.0 - wb - wc
-        height = wa * self.height[0, face] + wb * self.height[1, face] + wc * self.height[2, face]
-        above = points[point, 2] - height
-        covers = (wa >= _ON_EDGE) & (wb >= _ON_EDGE) & (wc >= _ON_EDGE)
-        size = np.where(covers, np.abs(above), np.inf)
+def _nearest_in_height(points: np.ndarray, corners: np.ndarray, boxes: shapely.STRtree) -> np.ndarray:
+    """Difference (N,) of points from triangles (F, 3, 3), the nearest in height; ``boxes`` are theirs in plan."""
+    difference = np.full(len(points), np.nan)
+    point, face = boxes.query(shapely.points(points[:, :2]))
+    if len(point) > _PAIRS and len(points) > 1:
+        halves = np.array_split(points, 2)
+        return np.concatenate([_nearest_in_height(half, corners, boxes) for half in halves])
+    rows, starts = np.unique(point, return_index=True)
+    a, b, c = (corners[face, k, :2] for k in range(3))
+    p = points[point, :2]
+    twice_area = _cross(b - a, c - a)
+    wb, wc = _cross(p - a, c - a) / twice_area, _cross(b - a, p - a) / twice_area
+    wa = 1.0 - wb - wc
+    height = wa * corners[face, 0, 2] + wb * corners[face, 1, 2] + wc * corners[face, 2, 2]
+    above = points[point, 2] - height
+    covers = (wa >= _ON_EDGE) & (wb >= _ON_EDGE) & (wc >= _ON_EDGE)
+    size = np.where(covers, np.abs(above), np.inf)
+    if len(rows):
         least = np.minimum.reduceat(size, starts)
         # Of two surfaces at equal distance above and below, the one below.
-        above = np.where(size == least[point], above, -np.inf)
-        return np.where(np.isfinite(least), np.maximum.reduceat(above, starts), np.nan)
-
-
-def _spans(low: np.ndarray, high: np.ndarray, origin: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
-    """First cell and number of cells (F, 2) along each axis that boxes touch."""
-    first = np.floor((low - origin) / cell).astype(np.int64)
-    return first, np.floor((high - origin) / cell).astype(np.int64) - first + 1
+        above = np.where(size == np.repeat(least, np.diff(starts, append=len(size))), above, -np.inf)
+        difference[rows] = np.where(np.isfinite(least), np.maximum.reduceat(above, starts), np.nan)
+    return difference
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -66,9 +66,9 @@ def test_under_an_overhang_the_surface_that_is_nearest_in_height_counts():
 def test_large_triangles_among_many_small_ones_and_blocks_of_points_change_nothing(rng):
     vertices, faces = _relief(rng)
     far = np.array([[-500.0, -500, -30], [900, -500, -30], [0, 900, -30]])
-    # So many that the cells get larger, and that the points are taken in two blocks.
+    # So many that the points of both blocks are divided once more.
     both = np.concatenate([vertices, far]), np.concatenate([faces, np.tile(len(vertices) + np.arange(3), (180, 1))])
-    points = np.column_stack([rng.uniform(0.0, 10.0, (3000, 2)), rng.uniform(-0.5, 0.5, 3000)])
+    points = np.column_stack([rng.uniform(0.0, 10.0, (21_000, 2)), rng.uniform(-0.5, 0.5, 21_000)])
     expected = vertical_difference(points, vertices, faces)
     steps = []
     found = vertical_difference(points, *both, advance=steps.append)

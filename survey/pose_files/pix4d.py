@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
 
 from geo.crs import has_height, horizontal_crs, horizontal_unit
-from refract.lens import Lens, LensError
+from refract.lens import LensError
 from survey.errors import PosesError
 from survey.files.csv_table import text_lines
 from survey.files.foreign_text import crs_of_text
@@ -40,15 +40,6 @@ _AGREE = 1e-3
 _EXPORT = "export it again in Pix4D (1. Initial Processing > Calibration > Camera Internals and Externals)"
 
 
-@dataclass(frozen=True, eq=False)
-class _Camera:
-    """An image in the file of cameras: its lens, its position (3,) less the offset, and cam from grid (3, 3)."""
-
-    lens: Lens
-    local: np.ndarray
-    cam_from_grid: np.ndarray
-
-
 def read_pix4d(path: Path) -> PoseFile:
     """Poses in crs, with lenses where the file of cameras is there."""
     path = _files_in(path)[0] if path.is_dir() else path
@@ -60,7 +51,7 @@ def read_pix4d(path: Path) -> PoseFile:
         poses = list(_external(external_path, cameras))
     else:
         offset = _offset(path.with_name(stem + _OFFSET), path)
-        poses = [Pose(name, one.local + offset, one.cam_from_grid, one.lens) for name, one in cameras.items()]
+        poses = [replace(pose, centre=pose.centre + offset) for pose in cameras.values()]
     notes: tuple[str, ...] = ()
     unit_m = None
     if crs is not None:
@@ -71,7 +62,7 @@ def read_pix4d(path: Path) -> PoseFile:
     return PoseFile(tuple(poses), PoseFrame.GRID, crs, "Pix4D", notes=notes, height_unit_m=unit_m)
 
 
-def _external(path: Path, cameras: Mapping[str, _Camera]) -> Iterator[Pose]:
+def _external(path: Path, cameras: Mapping[str, Pose]) -> Iterator[Pose]:
     """The pose of each image; names may hold spaces."""
     for number, line in text_lines(path, PosesError):
         where, cells = f"{path}, line {number}", line.split()
@@ -82,7 +73,7 @@ def _external(path: Path, cameras: Mapping[str, _Camera]) -> Iterator[Pose]:
         name, numbers = line.strip().rsplit(None, 6)[0], numbers_in(cells[-6:], 6, where, _EXPORT)
         cam_from_grid = (grid_from_opk(*map(math.radians, numbers[3:])) @ CAM_FROM_OPK_CAM).T
         camera = cameras.get(name)
-        if camera is not None and not np.abs(cam_from_grid - camera.cam_from_grid).max() < _AGREE:
+        if camera is not None and not np.abs(cam_from_grid - camera.cam_from_world).max() < _AGREE:
             raise PosesError(
                 f"{where}: the angles of {name} are not those of its rotation in the file of cameras, expected "
                 f"both of one project; {_EXPORT}"
@@ -90,8 +81,9 @@ def _external(path: Path, cameras: Mapping[str, _Camera]) -> Iterator[Pose]:
         yield Pose(name, np.array(numbers[:3]), cam_from_grid, None if camera is None else camera.lens)
 
 
-def _cameras(path: Path) -> dict[str, _Camera]:
-    found: dict[str, _Camera] = {}
+def _cameras(path: Path) -> dict[str, Pose]:
+    """Poses and lenses of a file of cameras by the names of their images; positions lack the offset."""
+    found: dict[str, Pose] = {}
     lines = [(f"{path}, line {number}", line.strip()) for number, line in text_lines(path, PosesError)]
     head = next((i for i, (_, line) in enumerate(lines) if line.startswith(_LAST_OF_HEAD)), None)
     if head is None:
@@ -105,12 +97,13 @@ def _cameras(path: Path) -> dict[str, _Camera]:
         where, title = block[0]
         if len(block) < _LINES_OF_IMAGE:
             raise PosesError(f"{where}: {len(block)} lines of an image, expected {_LINES_OF_IMAGE}; {_EXPORT}")
-        found[title.rsplit(None, 2)[0]] = _camera(where, title, [line for _, line in block])
+        pose = _camera(where, title, [line for _, line in block])
+        found[pose.name] = pose
     return found
 
 
-def _camera(where: str, title: str, lines: list[str]) -> _Camera:
-    size = title.rsplit(None, 2)[1:]
+def _camera(where: str, title: str, lines: list[str]) -> Pose:
+    name, *size = title.rsplit(None, 2)
     if len(size) != 2 or not all(text.isdecimal() and len(text) < 10 for text in size):
         raise PosesError(f'{where}: "{title}" was found, expected a name, width and height; {_EXPORT}')
     rows = [numbers_in(line.split(), 2 if i == 4 else 3, where, _EXPORT) for i, line in enumerate(lines[1:])]
@@ -122,7 +115,7 @@ def _camera(where: str, title: str, lines: list[str]) -> _Camera:
         lens = brown_lens(params, (int(size[0]), int(size[1])), k3=k3)
     except LensError as error:
         raise PosesError(f"{where}: {error}") from error
-    return _Camera(lens, local, nearest_rotation(rotation))
+    return Pose(name, local, nearest_rotation(rotation), lens)
 
 
 def _offset(path: Path, wanted_by: Path) -> np.ndarray:

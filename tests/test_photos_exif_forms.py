@@ -169,8 +169,9 @@ def test_xmp_in_both_quotes(quote):
     text = XMP.format(q=quote)
     assert rtk_of(text).std_m == (0.01, 0.02, 0.03)
     assert height_datum(text) == "ellipsoidal"
-    assert xmp_place(text).latitude == -33.85678441
-    assert xmp_place(text).step_deg == 1e-8
+    place, step_deg = xmp_place(text)
+    assert place[0] == -33.85678441
+    assert step_deg == 1e-8
 
 
 @pytest.mark.parametrize("denominator", [1, 10, 1000])

@@ -39,11 +39,12 @@ def position_of(gps: dict, xmp: str) -> tuple[tuple[float, float, float] | None,
     (by_exif, fault), by_xmp = position_of_gps(gps), xmp_place(xmp)
     if by_xmp is None:
         return by_exif, fault
-    latitude, longitude, height = by_xmp.latitude, by_xmp.longitude, by_xmp.height
+    place, step_deg = by_xmp
     if by_exif is None:
-        return (latitude, longitude, math.nan if height is None else height), ""
+        return place, ""
+    latitude, longitude, _ = place
     is_near = max(abs(by_exif[0] - latitude), abs(by_exif[1] - longitude)) < _SAME_PLACE_DEG
-    return ((latitude, longitude, by_exif[2]) if is_near and by_xmp.step_deg < _step_deg(gps) else by_exif), ""
+    return ((latitude, longitude, by_exif[2]) if is_near and step_deg < _step_deg(gps) else by_exif), ""
 
 
 def position_of_gps(gps: dict) -> tuple[tuple[float, float, float] | None, str]:

@@ -51,17 +51,6 @@ class Rtk:
 
 
 @dataclass(frozen=True)
-class XmpPlace:
-    """A position in XMP."""
-
-    # latitude, longitude: [deg]
-    latitude: float
-    longitude: float
-    height: float | None  # [m]: as EXIF has it: its datum is not known
-    step_deg: float  # [deg]: of its last digit
-
-
-@dataclass(frozen=True)
 class Motion:
     """Attitude, speed and shutter at an exposure; None where XMP does not have them."""
 
@@ -114,9 +103,10 @@ def with_known_prefixes(xmp: str) -> str:
     return xmp
 
 
-def xmp_place(xmp: str) -> XmpPlace | None:
-    """The position in XMP, by a drone or as programs rewrite it; None where it has none.
+def xmp_place(xmp: str) -> tuple[tuple[float, float, float], float] | None:
+    """The position in XMP, by a drone or as programs rewrite it, and the step [deg] of its last digit; None for none.
 
+    Latitude, longitude [deg] and height [m], NaN where there is none, of unknown datum as those of EXIF.
     Older firmware of DJI spells the longitude GpsLongtitude. A receiver without a fix writes 0, 0.
     """
     latitude, longitude = (
@@ -130,7 +120,7 @@ def xmp_place(xmp: str) -> XmpPlace | None:
         height = xmp_number(xmp, "AbsoluteAltitude")
         height = _number_in(xmp, _SKYDIO, "AbsoluteAltitude") if height is None else height
         digits = min(len(text.partition(".")[2]) for text in (latitude, longitude))
-        place = XmpPlace(number(latitude), number(longitude), height, 10.0**-digits)
+        lat, lon, step = number(latitude), number(longitude), 10.0**-digits
     else:
         north, east = (_ANGLE.fullmatch(_text_in(xmp, _EXIF, f"GPS{name}") or "") for name in ("Latitude", "Longitude"))
         if north is None or east is None or north[4] not in "NSns" or east[4] not in "EWew":
@@ -139,9 +129,9 @@ def xmp_place(xmp: str) -> XmpPlace | None:
         if height is not None and _text_in(xmp, _EXIF, "GPSAltitudeRef") in ("1", "3"):
             height = -abs(height)
         steps = [10.0 ** -len((a[3] or a[2]).partition(".")[2]) / (3600.0 if a[3] else 60.0) for a in (north, east)]
-        place = XmpPlace(_degrees(north), _degrees(east), height, max(steps))
-    is_fix = place.latitude != 0.0 or place.longitude != 0.0
-    return place if is_fix and abs(place.latitude) <= 90.0 and abs(place.longitude) <= 180.0 else None
+        lat, lon, step = _degrees(north), _degrees(east), max(steps)
+    is_fix = (lat != 0.0 or lon != 0.0) and abs(lat) <= 90.0 and abs(lon) <= 180.0
+    return ((lat, lon, math.nan if height is None else height), step) if is_fix else None
 
 
 def _degrees(angle: re.Match[str]) -> float:

@@ -5,7 +5,6 @@ Beside a step a surface over the bed may hide some of it from some photographs.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -189,32 +188,15 @@ class KnownBed:
 
     def about(self, box: StepBox) -> np.ndarray:
         """Points (M, 3) within a box and its surroundings, in their order."""
-        order, squares, columns, low = self._by_square
-        column, row = (math.floor(each / (SIDE_GSD * self.gsd) + 0.5) for each in (box.x, box.y))
-        # The surroundings are narrower than a square.
-        first = (row + np.arange(-1, 2) - low[1]) * columns + column - low[0]
-        ends = np.searchsorted(squares, np.column_stack([first - 1, first + 2]))
-        number = np.sort(np.concatenate([order[begin:end] for begin, end in ends]))
-        near = self.xyz[number]
+        middle, reach = 0.5 * SIDE_GSD * self.gsd, (0.5 * SIDE_GSD + CONTEXT_GSD + 1.0) * self.gsd
+        number = self.tree.query_ball_point([box.x + middle, box.y + middle], reach, p=np.inf, return_sorted=True)
+        near = self.xyz[np.array(number, dtype=np.int64)]
         return near[box.around(near, CONTEXT_GSD)]
 
-    def prepare_index(self) -> None:
-        """Index the points by square, once for all threads that will ask for some."""
-        _ = self._by_square
-
     @cached_property
-    def _by_square(self) -> tuple[np.ndarray, np.ndarray, int, np.ndarray]:
-        """Numbers of the points by the square of a grid that they lie in, and these squares (N,), ascending.
-
-        A square of column x and row y has the number ``(y - y0) * columns + x - x0``, with the number of columns and
-        (x0, y0); columns are two more than there are, so that neighbours of the outermost have no numbers of others.
-        """
-        at = np.floor(self.xyz[:, :2] / (SIDE_GSD * self.gsd)).astype(np.int64)
-        low = at.min(axis=0, initial=0) - 1
-        columns = int(at[:, 0].max(initial=0) - low[0]) + 2
-        square = (at[:, 1] - low[1]) * columns + at[:, 0] - low[0]
-        order = np.argsort(square, kind="stable")
-        return order, square[order], columns, low
+    def tree(self) -> cKDTree:
+        """Tree of the points in plan, to be made once before threads ask for some."""
+        return cKDTree(self.xyz[:, :2], balanced_tree=False, compact_nodes=False)
 
 
 @dataclass(frozen=True)

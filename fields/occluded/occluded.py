@@ -60,7 +60,7 @@ def find_occluded(
     chosen = set(np.linspace(0, len(boxes) - 1, min(_SAMPLE, len(boxes))).astype(int).tolist())
     sample, others = [boxes[k] for k in sorted(chosen)], [each for k, each in enumerate(boxes) if k not in chosen]
     if sample:
-        known.prepare_index()
+        _ = known.tree
     with ThreadPoolExecutor(_THREADS) as pool:
         search = _Search(block, maps, views, photograph, known, pool)
         return search.search_boxes(sample, others, advance)

@@ -77,13 +77,6 @@ def height_range(survey: Survey, flying_m: float) -> HeightRange:
     )
 
 
-def in_words(survey: Survey, flying_m: float) -> tuple[str, str]:
-    """The range and the reason for it in words, for the plan."""
-    found = height_range(survey, flying_m)
-    over = "water" if survey.water is not None else "local origin"
-    return f"{found.low:.1f} to {found.high:.1f} m over the {over}", found.reason
-
-
 def _of_config(survey: Survey, heights: tuple[float, float]) -> HeightRange:
     """Range by [area] heights in crs, in its unit, converted to heights over the (possibly sloped) plane."""
     centres = survey.frame.crs_from_local(_centres(survey))

@@ -14,7 +14,7 @@ from survey.folder.pose_priors import BY_FILE
 from survey.folder.survey import Survey
 from survey.plan.area import AREA_MARGIN_M, Tiling, flattened
 from survey.plan.choices import RECIPES, USUAL, Choices, Recipe, camera_height_m, gsd_m, image_scale_of
-from survey.plan.heights import dry_ground, in_words
+from survey.plan.heights import dry_ground, height_range
 from survey.water.surface import EARTH
 from survey.water.tides import MOST_SHIFT_PX
 from survey.words import Poses
@@ -91,6 +91,7 @@ def make_plan(survey: Survey, chosen: Choices = USUAL) -> Plan:
     cameras = [view.camera for view in survey.views]
     height, scale = camera_height_m(survey), image_scale_of(survey, chosen)
     sides = np.median([(camera.width / camera.fx, camera.height / camera.fy) for camera in cameras], axis=0)
+    heights, over = height_range(survey, height), "local origin" if survey.water is None else "water"
     poses = Decision("poses", *pose_choice(survey, chosen.poses, free_water=chosen.calibrate_water))
     field = _field(recipe, chosen)
     boxes = has_boxes(field.choice, chosen.field)
@@ -104,7 +105,7 @@ def make_plan(survey: Survey, chosen: Choices = USUAL) -> Plan:
         *((_BOXES,) if boxes else ()),
         _image_scale(cameras[0], scale, chosen),
         *_ground(survey, height),
-        Decision("range of heights", *in_words(survey, height)),
+        Decision("range of heights", f"{heights.low:.1f} to {heights.high:.1f} m over the {over}", heights.reason),
         device,
     )
     return Plan(

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 import sys
-import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache, wraps
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -260,13 +259,3 @@ def require(name: str, values, holds, expected: str) -> None:
     wrong = values[~(holds(values) | np.isnan(values))]
     if wrong.size:
         raise ValueError(f"{name} is {wrong[0]:g}, expected {expected}; check its unit and its sign")
-
-
-def warn_outside(model: str, ranges: Mapping[str, tuple[float, float]], *, stacklevel: int, **given) -> None:
-    """Warn `OutsideFit`, naming the range of `model`, for each of the `given` values that lies outside it."""
-    for name, (low, high) in ranges.items():
-        values = as_numpy(given[name])
-        outside = values[(values < low) | (values > high)]
-        if outside.size:
-            message = f"{name} is {outside[0]:g}, outside the range {low:g} to {high:g} of {model}"
-            warnings.warn(message, OutsideFit, stacklevel=stacklevel)

@@ -13,11 +13,12 @@ weighted by its share of the texture that is matched.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
 
-from refract._array import alike, as_numpy, require, warn_outside
+from refract._array import OutsideFit, alike, as_numpy, require
 
 # Effective wavelengths of red, green and blue of a camera in daylight. Sensors differ by some 10 nm, which changes the
 # index by 3e-4 in the red and 6e-4 in the blue: 0.02 and 0.04 % of the depth.
@@ -112,36 +113,35 @@ def _water(wavelength_nm, temperature_c, salinity_psu):
             f"temperature_c is {found[frozen][0]:g}, but this water freezes at {freezes[frozen][0] + 0.0:.2f}; "
             "correct it, or salinity_psu"
         )
-    warn_outside("Quan and Fry (1995)", _FITTED, stacklevel=4, wavelength_nm=wave, temperature_c=t, salinity_psu=s)
+    for (name, (low, high)), values in zip(_FITTED.items(), map(as_numpy, (wave, t, s)), strict=True):
+        outside = values[(values < low) | (values > high)]
+        if outside.size:
+            message = f"{name} is {outside[0]:g}, outside the range {low:g} to {high:g} of Quan and Fry (1995)"
+            warnings.warn(message, OutsideFit, stacklevel=3)
     return wave, t, s
 
 
-def mixed_index(
-    shares: Sequence[float],
-    temperature_c: float,
-    salinity_psu: float,
-    wavelengths_nm: Sequence[float] = CHANNEL_WAVELENGTHS_NM,
-) -> float:
-    """Index of water relative to air for a mixture of channels with shares that add up to 1.
+def mixed_index(shares: Sequence[float], temperature_c: float, salinity_psu: float) -> float:
+    """Index of water relative to air for a mixture of red, green and blue with shares that add up to 1.
 
     Examples
     --------
     >>> round(mixed_index((0.3, 0.6, 0.1), 15.0, 0.0), 4)
     1.3348
     """
-    indices = channel_indices(temperature_c, salinity_psu, wavelengths_nm)
+    indices = channel_indices(temperature_c, salinity_psu)
     return float(sum(share * n for share, n in zip(shares, indices, strict=True)))
 
 
-def mixed_wavelength(shares: Sequence[float], wavelengths_nm: Sequence[float] = CHANNEL_WAVELENGTHS_NM) -> float:
-    """The wavelength [nm] at which water has the index of a mixture of channels.
+def mixed_wavelength(shares: Sequence[float]) -> float:
+    """The wavelength [nm] at which water has the index of a mixture of red, green and blue.
 
     Examples
     --------
     >>> round(mixed_wavelength((0.3, 0.6, 0.1)))
     548
     """
-    index = mixed_index(shares, USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU, wavelengths_nm)
+    index = mixed_index(shares, USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU)
     short, long = _SHORTEST_NM, _LONGEST_NM
     for _ in range(_HALVINGS):
         middle = 0.5 * (short + long)
@@ -152,14 +152,8 @@ def mixed_wavelength(shares: Sequence[float], wavelengths_nm: Sequence[float] = 
     return 0.5 * (short + long)
 
 
-def converted_index(
-    index: float,
-    wavelength_nm: float,
-    shares: Sequence[float],
-    temperature_c: float = USUAL_TEMPERATURE_C,
-    salinity_psu: float = USUAL_SALINITY_PSU,
-) -> float:
-    """Index for a mixture of channels of water whose index at one wavelength [nm] is known.
+def converted_index(index: float, wavelength_nm: float, shares: Sequence[float]) -> float:
+    """Index for a mixture of red, green and blue of water whose index at one wavelength [nm] is known.
 
     Quan and Fry's equation gives the difference between the two alone, which hardly depends on temperature and
     salinity.
@@ -169,5 +163,5 @@ def converted_index(
     >>> round(converted_index(1.333, 589.3, (0.3, 0.6, 0.1)), 4)
     1.3344
     """
-    mixed = mixed_index(shares, temperature_c, salinity_psu)
-    return float(index + mixed - water_index(wavelength_nm, temperature_c, salinity_psu))
+    usual = USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU
+    return float(index + mixed_index(shares, *usual) - water_index(wavelength_nm, *usual))

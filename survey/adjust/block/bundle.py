@@ -125,7 +125,9 @@ def levenberg_marquardt(
 
     Raises NotConvergedError, also as soon as no minimum ``below`` a cost is in sight.
     """
-    at = _Iterate(state, cost(problem, state, std_px, variance_factor), _DAMPING_START)
+    # Where the decrement is asked for at each step, its factor serves that one, too.
+    first, least = (_DAMPING_START, _DAMPING_LEAST) if below == math.inf else (0.0, 0.0)
+    at = _Iterate(state, cost(problem, state, std_px, variance_factor), first)
     for _ in range(_MOST_STEPS):
         system = huber_system(problem, at.state, std_px, variance_factor)
         if below < math.inf and at.cost - _IN_SIGHT * system.decrement() > below:
@@ -135,7 +137,7 @@ def levenberg_marquardt(
             _require_minimum(problem, at.cost, system.decrement())
             return at.state, system
         gain = max(at.cost - moved.cost, 0.0)
-        at = replace(moved if gain > 0.0 else at, damping=max(moved.damping * 0.1, _DAMPING_LEAST))
+        at = replace(moved if gain > 0.0 else at, damping=max(moved.damping * 0.1, least))
         # A damped step that gains little may still be far from the minimum, along a direction of small curvature.
         if gain < _DONE and (gain == 0.0 or system.decrement() < _DONE):
             return at.state, system
@@ -168,7 +170,7 @@ def _try_step(
             moved, costs = with_points(problem, moved, at.state.points, std_px, variance_factor)
         if costs < at.cost + _SLACK * at.cost or predicted < _DONE:
             return _Iterate(moved, costs, damping)
-        damping *= 10.0
+        damping = max(10.0 * damping, _DAMPING_LEAST)
     return None
 
 

@@ -257,10 +257,13 @@ class BlockFactor:
         forward: list[np.ndarray] = []
         for number, block in enumerate(self.order.blocks):
             own = scaled[block]
-            if number:
+            # Before the first unknown of a right side, as of those of an inverse, there is nothing to solve.
+            if number and forward[-1].any():
                 own = own - self.below[number - 1] @ forward[-1]
-            forward.append(solve_triangular(self.diagonal_factors[number], own, lower=True, overwrite_b=True))
-            edge -= self.border[number] @ forward[-1]
+            if own.any():
+                own = solve_triangular(self.diagonal_factors[number], own, lower=True, overwrite_b=True)
+                edge -= self.border[number] @ own
+            forward.append(own)
         edge = self.corner_inverse @ edge
         found[self.order.shared] = edge[:num_shared]
         for number in range(len(self.order.blocks) - 1, -1, -1):
@@ -298,8 +301,9 @@ class BlockFactor:
         """The inverse (P, P)."""
         count = len(self.scale)
         found = np.empty((count, count), order="F")
+        sequence = np.concatenate([*self.order.blocks, self.order.shared])
         for first in range(0, count, _ROWS):
-            columns = np.arange(first, min(first + _ROWS, count))
+            columns = sequence[first : first + _ROWS]
             found[:, columns] = self.solve((np.arange(count)[:, None] == columns).astype(np.float64))
         return found
 

@@ -129,6 +129,7 @@ def test_the_same_training_again_computes_no_step(folder, run):
     train_field(run, folder / "g", SHORT)
     before = torch.load(folder / "g" / "state.pt", weights_only=True)
     again = train_field(run, folder / "g", SHORT)
+    assert again["cost"]["cpu_s"] > before["cpu_s"] > 0.0
     after = torch.load(folder / "g" / "state.pt", weights_only=True)
     assert again["training"]["steps"] == after["step"] == 4
     torch.testing.assert_close(before["renderer"], after["renderer"], rtol=0.0, atol=0.0)

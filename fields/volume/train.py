@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -54,6 +55,7 @@ class VolumeFigures:
     parameters: int
     # Steps done, PSNR [dB] of the photographs since the moment before, and of those held out where there are some
     history: list[tuple[int, float, float | None]]
+    cpu_s: float = field(compare=False)  # Processor time of all steps, also of those before an interruption
 
 
 class Checkpoints(Protocol):
@@ -118,7 +120,8 @@ def train_volume(
     parameters = sum(p.numel() for p in renderer.parameters())
     # Of a short training the last tenth: its first steps know nothing.
     of_last = psnr_db(state.losses[-max(min(LAST_STEPS, training.steps // 10), 1) :])
-    return state.cells, VolumeFigures(training.steps, tuple(state.changed), of_last, parameters, state.history)
+    cpu_s, changed = time.process_time() - state.since_s, tuple(state.changed)
+    return state.cells, VolumeFigures(training.steps, changed, of_last, parameters, state.history, cpu_s)
 
 
 @dataclass
@@ -131,6 +134,7 @@ class _State:
     losses: list[float] = field(default_factory=list)
     changed: list[int] = field(default_factory=list)
     history: list[tuple[int, float, float | None]] = field(default_factory=list)
+    since_s: float = field(default_factory=time.process_time)  # Processor time at which the steps would have begun here
 
     def saved(self, renderer: VolumeRenderer) -> dict[str, Any]:
         """State that the next steps depend on, for `torch.save`; the pixels that they draw follow from the step."""
@@ -145,6 +149,7 @@ class _State:
             "losses": torch.tensor(self.losses, dtype=torch.float64),
             "changed": self.changed,
             "history": self.history,
+            "cpu_s": time.process_time() - self.since_s,
             "generator": generators,
         }
 
@@ -156,6 +161,7 @@ class _State:
         self.optimiser.load_state_dict(saved["optimiser"])
         self.step, self.changed, self.losses = saved["step"], list(saved["changed"]), saved["losses"].tolist()
         self.history = [tuple(moment) for moment in saved["history"]]
+        self.since_s -= saved.get("cpu_s", 0.0)
         self.cells = Cells(self.cells.box, saved["occupied"]).to(renderer.model.place)
         torch.set_rng_state(saved["generator"]["cpu"])
         if "cuda" in saved["generator"] and torch.cuda.is_available():

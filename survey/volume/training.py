@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -34,7 +33,7 @@ class Trained:
     figures: VolumeFigures
     scene: Scene
     options: VolumeOptions
-    cost: dict[str, float]  # Time of the steps of this command, and memory after them
+    cost: dict[str, float]  # Time of the steps, on the clock of this command's alone, and memory after them
 
     def held_views(self) -> Iterator[NovelView]:
         """Views of the cameras held out, each in an appearance that fits the left half of its photograph."""
@@ -81,17 +80,13 @@ def train(scene: Scene, flight: Flight, options: VolumeOptions, checkpoints: Che
         losses=options.of_losses(),
     )
     start = None if options.from_scratch else scene.cells_about_bed(training.cells, training.margin)
-    cpu = time.process_time()
     with current().stage("Training", 1.0) as stage:
         report, held = reporting(stage, training.rays), None if options.submodules else scene.held
         proxy, figures = train_volume(
             renderer, scene.train, training, report, cells=start, seed=options.seed, checkpoints=checkpoints, held=held
         )
-    cost = {
-        "wall_s": stage.seconds,
-        "cpu_s": time.process_time() - cpu,
-        "memory_bytes": psutil.Process().memory_info().rss,
-    }
+    memory = psutil.Process().memory_info().rss
+    cost = {"wall_s": stage.seconds, "cpu_s": figures.cpu_s, "memory_bytes": memory}
     field = RestoredField(renderer, proxy, options.recipe, flight.water, options.steps)
     return Trained(field, figures, scene, options, cost)
 

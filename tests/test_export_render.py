@@ -23,10 +23,10 @@ from refract import FlatWater, PinholeCamera
 from refract.lens import Lens
 from survey.errors import OutputError, SurveyError
 from survey.export.novel_views import attenuation_per_metre, log_exposures
-from survey.export.render import flown, render
+from survey.export.render import flown, render, targets_of
 from survey.photos.cameras import View
 from survey.progress import Progress
-from survey.run.flight import save_flight
+from survey.run.flight import load_flight, save_flight
 from survey.run.folder import RunDir
 from survey.run.stage_sweep import MAPS
 from survey.run.stored_maps import save_maps
@@ -194,13 +194,6 @@ def test_poses_off_the_map_are_refused(run, tmp_path):
         render(run, poses(tmp_path, ABOVE.replace("691000", "1e11")), tmp_path, device="cpu", trained=True)
 
 
-def test_a_lens_is_asked_for_where_there_is_none(run, tmp_path):
-    folder = RunDir(run)
-    folder.settings_path.write_text(dump_config(SurveyConfig(crs="EPSG:25832+5783")))
-    with pytest.raises(SurveyError, match=r"carries no lens, and survey\.toml gives no size_px and focal_px"):
-        render(run, poses(tmp_path, ABOVE), tmp_path, device="cpu", trained=True)
-
-
 @pytest.fixture
 def photographed(tmp_path):
     """The folder of a survey with painted photographs in four exposures, and a run with exact height maps."""
@@ -224,6 +217,15 @@ def map_of(bed: PlaneBed, number: int, view: View) -> HeightMap:
     height = bed.true_height(view.camera).astype(np.float32)
     confirmed, score = np.full(height.shape, 3, dtype=np.uint8), np.ones(height.shape, dtype=np.float16)
     return HeightMap(number, height, score, confirmed, 0.0 * score)
+
+
+def test_a_lens_that_no_file_has_is_that_of_the_run(photographed, tmp_path):
+    folder, run = photographed
+    given, flight = RunDir(run), load_flight(run)
+    given.settings_path.write_text(dump_config(SurveyConfig(crs=flight.frame.crs.to_string())))
+    lens = flight.views[0].lens
+    targets = targets_of(given, flight.frame, folder / "cameras.csv", tmp_path / "views")
+    assert {(each.camera.width, each.camera.fx) for each in targets} == {(lens.width, lens.focal[0])}
 
 
 def test_photographs_are_rendered_in_a_common_exposure(photographed, tmp_path):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from small_survey import E0, LEVEL, N0, TOML, small_survey
 
+from survey.errors import SurveyError
 from survey.folder.survey import load_survey
 from survey.marking.mark_store import PointKey
 from survey.marking.proposals import coded, corner
@@ -75,4 +76,5 @@ def test_a_mark_goes_to_the_corner_of_a_chequered_target():
     turned = (0.9 * u + 0.44 * v) * (0.9 * v - 0.44 * u)
     grey = cv2.GaussianBlur(np.where(turned > 0, 230, 30).astype(np.uint8), (0, 0), 1.0)
     assert corner(grey, (29.0, 31.0)) == pytest.approx((31.3, 28.6), abs=0.1)
-    assert corner(np.full((60, 60), 90, dtype=np.uint8), (30.0, 30.0)) is None
+    with pytest.raises(SurveyError, match="no corner of a chequered target"):
+        corner(np.full((60, 60), 90, dtype=np.uint8), (30.0, 30.0))

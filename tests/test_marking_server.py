@@ -85,6 +85,8 @@ def test_only_who_knows_the_token_and_is_this_page_gets_an_answer(server):
     assert answer(server, "/state")[0] == 200
     assert answer(server, "/state", **{TOKEN_HEADER: "guessed"})[0] == 403
     assert answer(server, f"/tile/0/0/0/{quote('0000.jpg')}", **{TOKEN_HEADER: ""})[0] == 403
+    for path in ("/mask/0000.jpg", "/propose?kind=ground&name=p1"):
+        assert answer(server, path, **{TOKEN_HEADER: "guessed"})[0] == 403
     # Another page, and a name that another page has turned to this machine.
     assert answer(server, "/state", Origin="http://elsewhere.example")[0] == 403
     assert answer(server, "/state", Host="elsewhere.example")[0] == 403

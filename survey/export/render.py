@@ -33,7 +33,7 @@ from survey.progress import current
 from survey.run.flight import load_flight
 from survey.run.folder import RunDir
 from survey.run.trained_field import load_layer_field
-from survey.settings.config import SurveyConfig, read_config
+from survey.settings.config import read_config
 
 FIELD_STAGE = "field"
 VIDEO, FRAMES_PER_S = "flight.mp4", 25
@@ -76,7 +76,7 @@ def render(
     Parameters
     ----------
     cameras : Path
-        Poses, in a format that surveys may have; a lens that it does not carry is that of the survey.
+        Poses, in a format that surveys may have; a lens that it does not carry is that of survey.toml, else of the run.
     dry : bool
         Without water: straight rays, and the colour of the bed where the run has it (``--true-colour``).
     trained : bool
@@ -139,7 +139,7 @@ def targets_of(run: RunDir, frame: LocalFrame, cameras: Path, output: Path) -> l
             with suppress(ConfigError):
                 inputs += survey_inputs(place)
     require_folder("-o", output, inputs, may_hold_inputs=True)
-    posed = _cameras(read_poses(cameras), cameras, frame, read_config(run.settings_path))
+    posed = _cameras(read_poses(cameras), cameras, frame, run)
     short = Counter(Path(name).with_suffix("") for name in posed)
     targets = []
     for name, camera in posed.items():
@@ -186,24 +186,20 @@ def write_views(targets: list[Target], view_of: Callable[[PinholeCamera], NovelV
     return written
 
 
-def _cameras(file: PoseFile, path: Path, frame: LocalFrame, config: SurveyConfig) -> dict[str, PinholeCamera]:
-    """Cameras of a file of poses in a local frame, by name."""
+def _cameras(file: PoseFile, path: Path, frame: LocalFrame, run: RunDir) -> dict[str, PinholeCamera]:
+    """Cameras of a file of poses in a local frame, by name; a lens that is in no file is that of the run."""
+    config = read_config(run.settings_path)
     if file.frame is PoseFrame.LOCAL and config.local.origin != frame.origin:
         raise SurveyError(
             f"the poses in {path} are in a local frame, but the run's cameras were not; give a table of positions in "
             f"{frame.crs.name} instead (image, easting, northing, height, omega, phi, kappa)"
         )
-    lens, given = None, config.cameras
-    if any(pose.lens is None for pose in file.poses):
-        if given.size_px is None or given.focal_px is None:
-            raise SurveyError(
-                f"{path} carries no lens, and survey.toml gives no size_px and focal_px in [cameras]; give a COLMAP "
-                "model instead, or the two keys and process again"
-            )
-        lens = lens_from_config(given, {})[0]
+    given = config.cameras
+    is_given = given.size_px is not None and given.focal_px is not None
+    lens = lens_from_config(given, {})[0] if is_given else load_flight(run.path).views[0].lens
     placed = zip(file.poses, *poses_in_local(file, path, frame, given.gps_height), strict=True)
     lenses = ((pose.name, pose.lens or lens, centre, rotation) for pose, centre, rotation in placed)
-    return {name: lens.camera(centre, rotation) for name, lens, centre, rotation in lenses if lens is not None}
+    return {name: lens.camera(centre, rotation) for name, lens, centre, rotation in lenses}
 
 
 def _pictures(stem: Path) -> list[Path]:

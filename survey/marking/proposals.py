@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from refract import FlatWater
+from survey.errors import SurveyError
 from survey.photos.cameras import View, projection_and_jacobian
 
 # Half sides [px] of the window that is compared, and of the square about the predicted pixel that is searched.
@@ -51,12 +52,14 @@ def coded(grey: np.ndarray, name: str, near: np.ndarray | None) -> Proposal | No
     return Proposal((float(x), float(y)), 1.0)
 
 
-def corner(grey: np.ndarray, pixel: tuple[float, float]) -> tuple[float, float] | None:
-    """The corner of a chequered target near a pixel; None where none is within the window."""
+def corner(grey: np.ndarray, pixel: tuple[float, float]) -> tuple[float, float]:
+    """The corner of a chequered target near a pixel; raises SurveyError where none is within the window."""
     at = np.array([[pixel]], dtype=np.float32) - 0.5
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
     x, y = cv2.cornerSubPix(grey, at.copy(), (_CORNER, _CORNER), (-1, -1), stop)[0, 0].tolist()
-    return None if at[0, 0].tolist() == [x, y] else (x + 0.5, y + 0.5)
+    if at[0, 0].tolist() == [x, y]:
+        raise SurveyError("there is no corner of a chequered target near the mark")
+    return x + 0.5, y + 0.5
 
 
 def correlated(

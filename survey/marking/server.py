@@ -27,6 +27,7 @@ from survey.errors import ImageError, SurveyError
 from survey.files.foreign_text import finite_numbers
 from survey.marking.mark_store import PointKey
 from survey.marking.masks import draw, packed
+from survey.marking.proposals import corner
 from survey.marking.session import MarkingSession
 from survey.photos.images import eight_bits
 from survey.photos.pixels import read_rgb
@@ -224,7 +225,7 @@ def _changed(session: MarkingSession, path: str, body: bytes) -> dict:
     else:
         pixel, image = None if request["pixel"] is None else _numbers(request["pixel"], 2), str(request["image"])
         if pixel is not None and request.get("corner"):
-            pixel = session.at_corner(image, pixel)
+            pixel = corner(session.grey(image), pixel)
         session.store.set(_key(request), image, pixel)
     return session.state() | undone
 

@@ -16,7 +16,7 @@ from survey.control.points import GivenPoint
 from survey.errors import SurveyError
 from survey.marking.geometry import by_gain, crossing, epipolar_curve, poses_to_mark, seen_at, survey_to_mark
 from survey.marking.mark_store import GROUND, WATER, MarkStore, Pixel, PointKey
-from survey.marking.proposals import Proposal, coded, corner, correlated
+from survey.marking.proposals import Proposal, coded, correlated
 from survey.photos.cameras import Intersection, View, intersect
 from survey.photos.images import eight_bits
 from survey.photos.pixels import read_rgb
@@ -101,17 +101,22 @@ class MarkingSession:
         place, water = self._place(key, point, own, self._common(points, marks)[0]), self._water_of(key)
         marked = [name for name in own if name in self._views]
         names = [name for name in self._next(key, point, place, own, next(iter(self.images))) if name not in own]
+
+        def nearest(name: str) -> tuple[float, str]:
+            """Distance of the nearest camera with a mark [m], and its photograph."""
+            centre = self._views[name].camera.centre
+            return min((float(np.linalg.norm(self._views[one].camera.centre - centre)), one) for one in marked)
+
         if marked and place is not None:
-            # Those that see it like one that is marked.
-            names.sort(key=lambda name: min(self._apart_m(name, one) for one in marked))
-        load = lru_cache(len(own) + 1)(self._grey)
+            names.sort(key=nearest)
+        load = lru_cache(len(own) + 1)(self.grey)
         found: dict[str, Proposal] = {}
         for name in names[:_MOST_SEARCHED]:
             view = self._views.get(name)
             near = None if place is None or view is None else seen_at(view, place, water)
             proposal = coded(load(name), key.name, None if near is None else np.array(near))
             if proposal is None and place is not None and near is not None and marked:
-                like = min(marked, key=lambda one: self._apart_m(name, one))
+                like = nearest(name)[1]
                 pair, greys = (self._views[like], self._views[name]), (load(like), load(name))
                 proposal = correlated(pair, greys, own[like], place, water)
             if proposal is not None:
@@ -127,19 +132,8 @@ class MarkingSession:
         found = dict(sorted(found.items(), key=lambda each: -each[1].score))
         return [{"image": name, "pixel": each.pixel, "score": each.score} for name, each in found.items()]
 
-    def _apart_m(self, *names: str) -> float:
-        """Distance of the cameras of two photographs [m]."""
-        first, second = (self._views[name].camera.centre for name in names)
-        return float(np.linalg.norm(first - second))
-
-    def at_corner(self, image: str, pixel: Pixel) -> Pixel:
-        """The corner of a chequered target near a pixel."""
-        found = corner(self._grey(image), pixel)
-        if found is None:
-            raise SurveyError("there is no corner of a chequered target near the mark")
-        return found
-
-    def _grey(self, image: str) -> np.ndarray:
+    def grey(self, image: str) -> np.ndarray:
+        """Grey levels of a photograph (height, width) uint8."""
         return cv2.cvtColor(eight_bits(read_rgb(self.images[image])), cv2.COLOR_RGB2GRAY)
 
     def _others(self, key: PointKey, view: View, points: _Points, marks: _Marks, common: np.ndarray) -> list[dict]:

@@ -61,17 +61,16 @@ def go_to(shown: Shown, camera: viser.CameraHandle, x: float, y: float) -> None:
 
 def grid_lines(shown: Shown) -> list[tuple[str, np.ndarray]]:
     """Round eastings and northings over the cloud, with the ends (2, 3) [m], local, of their lines at its top."""
+    from matplotlib.ticker import MaxNLocator
+
     frame, lines = shown.new_frame(), list[tuple[str, np.ndarray]]()
     low, high = frame.crs_from_local(np.array([shown.low, shown.high]))
     for axis in (0, 1):
-        most = (high - low)[axis] / 3.0
-        step = 10.0 ** np.floor(np.log10(most))
-        step *= max(factor for factor in (1, 2, 5) if factor * step <= most)
-        digits = max(int(np.ceil(-np.log10(step))), 0)
-        for value in np.arange(np.ceil(low[axis] / step), np.floor(high[axis] / step) + 1) * step:
+        values = MaxNLocator(5, steps=(1, 2, 5, 10)).tick_values(low[axis], high[axis])
+        for value in values[(values > low[axis]) & (values < high[axis])]:
             ends = np.array([[*low[:2], high[2]], high])
             ends[:, axis] = value
-            lines.append((f"{value:.{digits}f}", frame.local_from_crs(ends)))
+            lines.append((f"{value:.10g}", frame.local_from_crs(ends)))
     return lines
 
 

@@ -216,6 +216,7 @@ class Shown:
         # Stray points do not affect the initial view.
         some = self.tree.points[:: len(self.tree.points) // _SOME + 1]
         self.low, self.high = np.quantile(some, [0.005, 0.995], axis=0)
+        self.high = np.maximum(self.high, self.low + 1e-3)
         self.is_marked = np.zeros(len(self.tree.points), dtype=bool)
         self.num_shown, self.revision = self.tree.counts.copy(), np.zeros(len(self.tree), dtype=np.int64)
         if self.edits is not None:

@@ -294,6 +294,14 @@ def test_as_published_takes_the_numbers_of_the_paper_where_none_is_given():
         VolumeOptions(**entry.published)
 
 
+def test_what_is_taken_from_the_paper_is_said(folder, run):
+    small = ("--rays", 32, "--cells", 16, "--image-scale", 0.5, "--steps", 1)
+    for model, said in (("tinynerf", "samples 32"), ("nerfacto", "distortion 0.002")):
+        found = bathynerf("field", run, "-o", folder / model, "--model", model, "--as-published", *small)
+        assert found.exit_code == 0, found.stderr
+        assert f"as published: {said}; what is not as in the paper" in found.output
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

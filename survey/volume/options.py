@@ -117,9 +117,11 @@ def volume_options(config: FieldConfig, **others: Any) -> VolumeOptions:
         published = MODELS[model].published if model in MODELS else {}
         if not published:
             raise SurveyError(f"--as-published is given, and no paper describes {model}; leave it out")
-        given = {**published, **given}
-        said = ", ".join(f"{name} {given[name]}" for name in published)
-        current().note(f"as published: {said}; what is not as in the paper is in docs/papers.md")
+        taken = {name: value for name, value in published.items() if name not in given}
+        given |= taken
+        said = {**taken, **vars(taken.pop("losses", Losses()))}
+        named = ", ".join(f"{name} {said[name]}" for name in said if name != "losses" and said[name])
+        current().note(f"as published: {named or 'nothing'}; what is not as in the paper is in docs/papers.md")
     return VolumeOptions(**given)
 
 

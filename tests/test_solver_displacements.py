@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from solved_tiles import plain_tile, residuals, white
 
@@ -49,6 +51,20 @@ def test_displacements_are_those_of_the_photographs_against_their_mean():
     # What all photographs have in common is free.
     missed -= missed.mean(axis=0)
     assert np.sqrt(np.mean(missed**2)) < 0.15 * SHIFT_PX * PIXEL_M
+
+
+def test_cells_in_which_a_step_leads_nowhere_tell_little(rng):
+    tile, solved = residuals(0.2 * white(VIEWS), shift_px=SHIFT_PX)
+    lost = np.zeros(solved.brightness.residual.shape, dtype=np.float32)
+    west = tile.places[1] < 48
+    # Another texture, as where a photograph is displaced by more than the texture is alike.
+    lost[2, west] = 2.0 * solved.brightness.noise[2] * rng.standard_normal(np.count_nonzero(west))
+    brightness = replace(solved.brightness, residual=solved.brightness.residual + lost)
+    before, found = measured(tile, solved, -2.0), measured(tile, replace(solved, brightness=brightness), -2.0)
+    ratio = np.trace(found.information, axis1=1, axis2=2) / np.trace(before.information, axis1=1, axis2=2)
+    is_lost = (found.view == 2) & (found.point[:, 0] < 48 * PIXEL_M)
+    assert np.median(ratio[is_lost]) < 0.2
+    assert np.median(ratio[~is_lost]) > 0.9
 
 
 def test_the_parallax_is_what_a_metre_of_height_displaces():

@@ -11,7 +11,7 @@ from scipy import ndimage, sparse
 from fields.solver.gauss_newton import TileSolution, gradients_of
 from fields.solver.tile import Brightness, SolverTile
 from fields.solver.visibility import TileProjection
-from fields.waves.surfaces import CellAdjustment, Displacements, find_surfaces
+from fields.waves.surfaces import MORE_DRAWS, CellAdjustment, Displacements, find_surfaces
 from fields.waves.waves import LEAST_DEPTH, Waves
 
 # Side of the cells; surfaces have coefficients as far apart.
@@ -56,6 +56,11 @@ def displacements_of(
     slack = (1e-3 * trace + 1e-12)[..., None, None] * np.eye(2)
     step = np.linalg.solve(normal + slack, right[..., None])[..., 0]
     seen = cells.sums((weight > 0.0).astype(np.float32))
+    # Where a step leaves more of the residuals than usual it led nowhere, as from too far: the weights of Geman and
+    # McClure, or all other cells bend to it.
+    left = (cells.sums(weight * residual * residual) - np.einsum("kca,kca->kc", step, right)) / np.maximum(seen, 1.0)
+    usual = float(np.median(left[seen > 0.0])) if seen.any() else 1.0
+    normal /= np.maximum(left / usual, 1.0)[..., None, None] ** 2
     known = (seen > _SEEN * cells.count) & (cells.count > _FULL * CELL_PX**2) & (trace > 0.0)
     known &= np.abs(step).max(axis=-1) < _LARGEST_PX
     view, cell = np.nonzero(known & (known.sum(axis=0) > 1))
@@ -121,10 +126,18 @@ def _together(parts: Sequence[TileDisplacements]) -> dict[str, np.ndarray]:
     return found | {"cell": np.unique(number, return_inverse=True)[1]}
 
 
-def waves_of(parts: Sequence[TileDisplacements], still: Waves, spacing: float, before: Waves | None = None) -> Waves:
+def waves_of(
+    parts: Sequence[TileDisplacements],
+    still: Waves,
+    spacing: float,
+    before: Waves | None = None,
+    *,
+    is_last: bool = True,
+) -> Waves:
     """Surfaces of all photographs, with coefficients at a spacing [m], from displacements in tiles.
 
-    ``still`` has the cameras; the displacements were measured against those by the surfaces ``before``.
+    ``still`` has the cameras; the displacements were measured against those by the surfaces ``before``. What is wrong
+    with surfaces is drawn more often in the last round.
     """
     found = _together(parts)
     _, first = np.unique(found["cell"], return_index=True)
@@ -141,7 +154,7 @@ def waves_of(parts: Sequence[TileDisplacements], still: Waves, spacing: float, b
             crossing[at] = (place := before.through(each, places)[0]).T
             found["measured"][at] += rays.displacement(*before.surface(each, place)).T
     displacements = Displacements(crossing=crossing, by_height=by_height, by_gradient=by_gradient, **found)
-    posterior = find_surfaces(displacements, len(still.centres), spacing)
+    posterior = find_surfaces(displacements, len(still.centres), spacing, MORE_DRAWS if is_last else 0)
     size = np.bincount(view, weights=(posterior.shifts[0] ** 2).sum(axis=1))
     shown = int(size.argmax())
     shifts = np.concatenate([point[:, :2], *posterior.shifts], axis=1)[view == shown]

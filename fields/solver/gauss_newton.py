@@ -149,7 +149,10 @@ def solve(
         brightness = brightness_of(appearance.albedo(grey))
         seen.append(brightness)
         window = tile.window_of_view(images, projected.views[0])
-        by_height = _residuals_by_height(tile, projected, window, brightness)
+        # Gradients of single photographs are noisy, and their noise would count as texture: those of the albedo.
+        across, down = _gradients(tile, window.astype(np.float32), brightness.albedo)
+        by_height = projected.motion[:, 0] * across + projected.motion[:, 1] * down
+        by_height = brightness.minus_albedo(np.where(np.isfinite(by_height), by_height, np.float32(0.0)))
         information = np.einsum("kn,kn,kn->n", brightness.weight, by_height, by_height)
         gradient = np.einsum("kn,kn,kn->n", brightness.weight, by_height, brightness.residual)
         if before is not None:
@@ -178,19 +181,6 @@ def gradient_response(
     known = (information > 0.0) & (size < _LARGE_STEP * np.median(size))
     expected = float((information * step * step)[known].sum())
     return float((step * (gradient_after - gradient))[known].sum()) / expected if expected > 0.0 else np.nan
-
-
-def _residuals_by_height(
-    tile: SolverTile, projected: TileProjection, image: np.ndarray, brightness: Brightness
-) -> np.ndarray:
-    """Derivatives of the residuals by the height, (K, N) [grey/m]; ``image`` is the window of the tile's photograph.
-
-    Gradients are those of the albedo, the mean of all photographs: those of single photographs are noisy, and their
-    noise would count as texture.
-    """
-    across, down = _gradients(tile, image.astype(np.float32), brightness.albedo)
-    by_height = projected.motion[:, 0] * across + projected.motion[:, 1] * down
-    return brightness.minus_albedo(np.where(np.isfinite(by_height), by_height, np.float32(0.0)))
 
 
 def gradients_of(tile: SolverTile, albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -35,13 +35,15 @@ def with_waves(views: Views, kept: Sequence[np.ndarray], gsd: float, pool: Execu
     Displacements are measured by linear steps: the surfaces of a round are where the next one starts.
     """
     still = Waves.still(*views.projector.optics)
-    for _ in range(MOST_ROUNDS):
+    for number in range(MOST_ROUNDS):
         jobs = (job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted))
         parts = [found for found in _measured(views, jobs, pool) if len(found.cell)]
         if not parts:
             break
-        views = replace(views, waves=waves_of(parts, still, CELL_PX * gsd, views.waves))
-        if moved(parts) < MOVING_PX * gsd:
+        is_last = number + 1 == MOST_ROUNDS or moved(parts) < MOVING_PX * gsd
+        found = waves_of(parts, still, CELL_PX * gsd, views.waves, is_last=is_last)
+        views = replace(views, waves=found)
+        if is_last:
             break
     return views
 

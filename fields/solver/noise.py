@@ -151,7 +151,9 @@ def null_solutions_of(
     parts: list[list[np.ndarray]] = []
     for tile, each in samples:
         solved = each.with_roughness(roughness)
-        of_height = np.sqrt(solved.information)
+        of_height, information = np.sqrt(solved.information), np.maximum(solved.information, 1e-12)
+        gradient, step = uncertainty.residual_step(solved, response)
+        residual = (gradient + response * information * step) / np.sqrt(information)
         contrast, null_solution, known = null_solution_of(solved, response)
         change = uncertainty.smoothing_change(solved, null_solution, response)
         expected = uncertainty.expected_variances(tile, solved, response)
@@ -159,7 +161,7 @@ def null_solutions_of(
         of_shift = 1.0 / shift_information(solved.brightness.weight, solved.motion)
         values = (
             null_solution**2, expected.noise, change**2, expected.changed_noise,
-            (contrast - response * of_height * null_solution) ** 2, _residual_along_height(solved, response) ** 2,
+            (contrast - response * of_height * null_solution) ** 2, residual**2,
             (response * of_height) ** 2 * expected.relief, of_shift, solved.height,
         )  # fmt: skip
         parts.append([value[use] for value in values])
@@ -190,13 +192,6 @@ def noise_shares(null: NullSolutions, response: float, shifts: Shifts, is_wet: b
     of_heights *= min(residual / remainder, 1.0)
     of_heights, of_smoothing = (max(float(ratio), _LEAST_NOISE) for ratio in (of_heights, of_smoothing))
     return NoiseShares(response, of_heights, of_smoothing, min(max(excess_relief, 0.0), 1.0))
-
-
-def _residual_along_height(solved: TileSolution, response: float) -> np.ndarray:
-    """Residuals along the solved heights (N,): 1 for independent noise alone where nothing is solved."""
-    gradient, step = uncertainty.residual_step(solved, response)
-    information = np.maximum(solved.information, 1e-12)
-    return (gradient + response * information * step) / np.sqrt(information)
 
 
 def _contrast(solved: TileSolution, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

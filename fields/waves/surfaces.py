@@ -22,8 +22,8 @@ from scipy import fft, ndimage, sparse
 
 # Steps of expectation maximisation, and the power of its factors that are applied at once: more converge faster.
 ROUNDS, HASTE = 6, 1.5
-# Draws whose errors are kept, of the last steps.
-DRAWS = 3
+# Draws whose errors are kept: of the last steps, and after these. What is wrong with all of the block is in each once.
+DRAWS, MORE_DRAWS = 3, 5
 # Conjugate gradients: most steps, and the residual relative to the first at which they end.
 CG_STEPS, CG_RESIDUAL = 120, 5e-3
 # Power spectra are smoothed by a Gauss filter of this standard deviation, in steps of the Fourier transform.
@@ -204,8 +204,8 @@ class Posterior:
     left_std: float
 
 
-def find_surfaces(d: Displacements, num_views: int, spacing: float) -> Posterior:
-    """Surfaces of photographs with coefficients at a spacing [m]."""
+def find_surfaces(d: Displacements, num_views: int, spacing: float, more_draws: int = MORE_DRAWS) -> Posterior:
+    """Surfaces of photographs with coefficients at a spacing [m]; ``more_draws``: after those of the last steps."""
     grid, cells = SurfaceGrid(d.crossing, d.view, num_views, spacing), CellAdjustment(d.cell, d.parallax, d.information)
     system = System.of(d, grid, cells)
     random, measured = np.random.default_rng(0), d.measured.astype(np.float32)
@@ -224,7 +224,8 @@ def find_surfaces(d: Displacements, num_views: int, spacing: float) -> Posterior
         noise = sum(float(each.sum(dtype=np.float64)) for each in squares) / cells.degrees_of_freedom
         ratio = grid.smoothed((np.square(np.abs(waves)) + np.square(np.abs(error))).mean(axis=0))
         spectrum, waves = spectrum * ratio**HASTE, waves * root
-    errors = np.array(drawn[-DRAWS:])
+    more = (system.displacement(system.drawn_error(random)) for _ in range(more_draws))
+    errors = np.array([*drawn[-DRAWS:], *(cells.free(cells.weighted(wrong)) for wrong in more)])
     common = errors[:, :, 0].mean(axis=1)
     errors[:, :, 0] -= common[:, None]
     std = float(np.sqrt(np.mean(common**2)))

@@ -143,6 +143,9 @@ def prior_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKn
         rotations=rolled_by_attitudes(state.rotations, rolls),
         focals=np.zeros(len(focals)),
     )
+    # By a data sheet, a calibration or the settings.
+    is_given = len(survey.views) == 2 and survey.config.cameras.distortion is not None
+    share = _CALIBRATED if calibrated else _GIVEN_LENS if is_given else 1.0
     of_water = _water_std(survey, free=free_water)
     of_water[0] = math.hypot(of_water[0], common_up)
     std = np.concatenate(
@@ -150,7 +153,7 @@ def prior_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKn
             of_water,
             np.full(NUM_RELIEF, _RELIEF_GSD * gsd),
             _shift_std(survey),
-            _lenses_std(survey, lenses, calibrated=calibrated),
+            *(share * _lens_std(lens) for lens in lenses),
             np.full(layout.first_rate - layout.first_readout, readout_std, dtype=np.float64),
             np.full(layout.first_focal - layout.first_rate, _rate_std(survey), dtype=np.float64),
             _focals_std(lens_of, focals, calibrated=calibrated),
@@ -350,13 +353,6 @@ def _data_sheet(survey: Survey, lens: Lens) -> np.ndarray:
     given_by_name = dict(zip([name for name in names if name[0] in "kp"], cameras.distortion or (), strict=False))
     coefficients = [given_by_name.get(name, 0.0) for name in LENS_NAMES[3:]]
     return np.array([given[0] if focal is None else focal, *middle, *coefficients])
-
-
-def _lenses_std(survey: Survey, lenses: tuple[Lens, ...], *, calibrated: bool) -> np.ndarray:
-    """Std of the parameters of all lenses (8 L,), by a data sheet, a calibration or the settings."""
-    is_given = len(survey.views) == 2 and survey.config.cameras.distortion is not None
-    share = _CALIBRATED if calibrated else _GIVEN_LENS if is_given else 1.0
-    return np.concatenate([share * _lens_std(lens) for lens in lenses])
 
 
 def _lens_std(lens: Lens) -> np.ndarray:

@@ -105,6 +105,7 @@ def parts_of_adjustment(found: Adjustment, water: FlatWater | None) -> tuple[Par
         return ()
     parts: list[Part] = []
     first: np.ndarray | None = None
+    names = np.array(found.poses.names)
     for each in range(int(number.max()) + 1):
         views = np.flatnonzero(number == each)
         own = _only(found, number == each)
@@ -114,10 +115,13 @@ def parts_of_adjustment(found: Adjustment, water: FlatWater | None) -> tuple[Par
         others = found.poses.centres[(number != each) & (number >= 0)]
         between = np.linalg.norm(found.poses.centres[views][:, None] - others[None], axis=-1)
         to_first = None if each == 0 or mean is None or first is None else _std(found, mean - first)
+        # Neighbours by the first and last of them.
+        runs = [names[run].tolist() for run in np.split(views, np.flatnonzero(np.diff(views) > 1) + 1)]
+        spans = [run[0] if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs]
         parts.append(
             Part(
-                names=tuple(found.poses.names[view] for view in views),
-                listed=_runs(found.poses.names, views),
+                names=tuple(names[views].tolist()),
+                listed=listed(spans, _MOST_RUNS),
                 num_points=len(own.points),
                 apart_m=float(between.min()),
                 height_std_m=None if mean is None else _std(found, mean),
@@ -151,13 +155,6 @@ def _only(found: Adjustment, keep: np.ndarray) -> Adjustment:
         found.residuals.view[is_kept], found.residuals.px[is_kept], found.residuals.at_px[is_kept], point
     )
     return replace(found, residuals=residuals, points=found.points[kept])
-
-
-def _runs(names: tuple[str, ...], views: np.ndarray) -> str:
-    """Names of views (K,), ascending, those of neighbours as their first and last."""
-    runs = np.split(views, np.flatnonzero(np.diff(views) > 1) + 1)
-    spans = [names[run[0]] if len(run) == 1 else f"{names[run[0]]} to {names[run[-1]]}" for run in runs]
-    return listed(spans, _MOST_RUNS)
 
 
 def _std(found: Adjustment, jacobian: np.ndarray) -> float:

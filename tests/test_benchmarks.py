@@ -33,7 +33,7 @@ SMALLEST = {
     "bench_survey_field": "{survey} -o {work} --rows sweep --reference {survey}/truth/reference.ply "
     "--visible {survey}/truth/visible.ply",
     "bench_sweep": "{survey} --quality draft --tables trust steps views once -o {work}",
-    "bench_switches": "-o {work} --only none --steps 2 --seeds 1",
+    "bench_switches": "-o {work} --only none 'density 0.002' 'density as printed 0.002' --steps 2 --seeds 1",
     "bench_tides": "-o {work} --levels -2.4",
     "bench_tiles": "{survey} --tiles 2 -o {work}/tiles.json",
     "bench_true_colour": "{work} --seeds 1",
@@ -44,7 +44,7 @@ SMALLEST = {
     "soak_inputs": "--seconds 1 --out {work}",
     "soak_kills": "--kills 1 --out {work}",
     "stress": "index -o {work} --quality draft",
-    "table4": "--chains sweep --samples 10000 -o {work}",
+    "table4": "--chains sweep hash --steps 2 --samples 10000 -o {work}",
 }
 WITH_DATA = {
     "bench_picture_bound": "{data}/quick --every 20",

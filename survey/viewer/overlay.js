@@ -3,7 +3,7 @@
   const box = document.createElement("div");
   box.id = "bathynerf-overlay";
   box.style.cssText =
-    "position:fixed;z-index:5;pointer-events:none;display:none;align-items:flex-end;gap:14px;padding:6px 10px;" +
+    "position:fixed;z-index:5;pointer-events:none;display:none;flex-wrap:wrap;align-items:flex-end;gap:4px 14px;padding:6px 10px;" +
     "border-radius:6px;background:rgba(255,255,255,0.82);color:#22303c;font:12px/1.35 sans-serif;white-space:pre";
   box.innerHTML =
     '<svg width="34" height="34" viewBox="-17 -17 34 34"><g><path d="M0-15 5 3H-5Z" fill="#c3140d"/>' +
@@ -44,7 +44,7 @@
     legend.style.display = found.legend.label ? "block" : "none";
     legend.children[0].style.background = `linear-gradient(90deg,${found.legend.colours.map((rgb) => `rgb(${rgb})`)})`;
     legend.children[1].textContent = found.legend.label;
-    box.style.cssText += `;display:flex;left:${canvas.left + 12}px;bottom:${innerHeight - canvas.bottom + 12}px`;
+    box.style.cssText += `;display:flex;box-sizing:border-box;max-width:${canvas.width - 24}px;left:${canvas.left + 12}px;bottom:${innerHeight - canvas.bottom + 12}px`;
     frame.children[0].setAttribute("points", found.ground.map(([x, y]) => `${x},${1 - y}`).join(" "));
     map.style.cssText += `;display:block;right:${innerWidth - canvas.right + 12}px;top:${canvas.top + 12}px`;
     if (drawnFor !== found.legend.label) drawMap(found.legend.label);

@@ -81,6 +81,12 @@ def test_waves_are_shared_by_windows_beside_each_other_and_noise_only_by_those_t
     # Waves correlate by 0.85 over 24 px, along one of two coordinates.
     found = shared_variance(twice, np.tile(noise + waves, (2, 1)), every, 13.0)
     assert found == pytest.approx(0.85 * 0.5 * 0.1**2, abs=0.001)
+    # Windows that are not seen, and two beside each other that are wrong, change nothing.
+    found = np.tile(noise, (2, 1))
+    found[:50], found[50:52] = np.nan, 3.0
+    beside = twice.pixel.copy()
+    beside[51] = beside[50] + (20.0, 0.0)
+    assert abs(shared_variance(replace(twice, pixel=beside), found, every, 13.0)) < 0.001
 
 
 def adjusted(seed: int, slope: float) -> tuple[Problem, Solution, list]:

@@ -44,6 +44,9 @@ def test_waves_as_long_as_a_photograph_are_no_misfit(rng):
     # A pose that is wrong by more than its waves is told.
     wrong = rng.normal(0.0, 0.7, (40, 2))[view]
     assert misfit(residuals + wrong, ties_of(view, pixel)) > 0.4
+    # Nor does a wrong lens, which quarters of all photographs show alike, hide it.
+    radial = (pixel - 200.0) * np.sum((pixel - 200.0) ** 2, axis=1, keepdims=True) / 2e7
+    assert misfit(radial + rng.normal(0.0, 0.1, (8000, 2)) + wrong, ties_of(view, pixel)) > 0.6
 
 
 def test_the_means_of_photographs_are_the_misfit_whatever_a_few_outliers_say(rng):

@@ -234,11 +234,17 @@ def test_photographs_of_one_place_in_ten_seconds_are_a_burst(header):
         f"{7 * k % 12}.jpg": at_place(header, 30.0 * (k // 4) + 3.0 * (k % 4), 4.5e-5 * (k // 4)) for k in range(12)
     }
     (note,) = burst_notes(hovers)
-    assert note.startswith("12 images are 3 bursts of up to 4, of one place")
+    assert note.startswith("3 bursts of up to 4 images, each of one place")
     # A flight on which no two are of one place, and the same place again, later.
     line = {f"{k}.jpg": at_place(header, 3.0 * k, 4.5e-5 * k) for k in range(6)}
     assert burst_notes(line | {"again.jpg": at_place(header, 300.0, 0.0)}) == ()
     assert burst_notes({name: replace(each, clock=None) for name, each in hovers.items()}) == ()
+    # Nor are five cameras of a rig, two photographs between fixes, places apart without heights, one position for all.
+    rig = {f"{k}{camera}.jpg": at_place(header, 3.0 * k, 4.5e-5 * k) for k in range(6) for camera in "abcde"}
+    fixes = {f"{k}.jpg": at_place(header, k, 4.5e-5 * (k // 2)) for k in range(6)}
+    flat = {name: replace(each, lat_lon_height=(*each.lat_lon_height[:2], np.nan)) for name, each in line.items()}
+    void = {name: at_place(header, 3.0 * k, 0.0) for k, name in enumerate(line)}
+    assert [burst_notes(each) for each in (rig, fixes, flat, void)] == [()] * 4
 
 
 @pytest.mark.parametrize("clocks", [True, False])

@@ -76,5 +76,10 @@ def test_a_mark_goes_to_the_corner_of_a_chequered_target():
     turned = (0.9 * u + 0.44 * v) * (0.9 * v - 0.44 * u)
     grey = cv2.GaussianBlur(np.where(turned > 0, 230, 30).astype(np.uint8), (0, 0), 1.0)
     assert corner(grey, (29.0, 31.0)) == pytest.approx((31.3, 28.6), abs=0.1)
-    with pytest.raises(SurveyError, match="no corner of a chequered target"):
-        corner(np.full((60, 60), 90, dtype=np.uint8), (30.0, 30.0))
+    # Neither where nothing is, at the border, nor on texture or an edge.
+    plain = np.full((60, 60), 90, dtype=np.uint8)
+    texture = cv2.GaussianBlur(np.random.default_rng(1).normal(128.0, 200.0, (60, 60)), (0, 0), 2.0).clip(0, 255)
+    edge = np.where(u > 0, 200, 40)
+    for each, pixel in ((plain, (30.0, 30.0)), (plain, (0.0, 60.0)), (texture, (30.0, 30.0)), (edge, (31.0, 30.0))):
+        with pytest.raises(SurveyError, match="no corner of a chequered target"):
+            corner(each.astype(np.uint8), pixel)

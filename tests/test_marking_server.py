@@ -279,7 +279,13 @@ def test_the_command_prints_the_address_and_at_its_end_what_it_wrote(folder):
     (folder / "gcp_list.txt").write_text(odm())
     code = "import sys; from survey.commands.verbs import app; app(sys.argv[1:])"
     command = [sys.executable, "-c", code, "mark", str(folder), "--no-browser"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:
+    # A shell in the background ignores SIGINT, and a child inherits that.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        started = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    with started as running:
         url = running.stdout.readline().strip()
         assert url.startswith("http://localhost:")
         page, _, token = url.partition("?token=")
@@ -291,7 +297,7 @@ def test_the_command_prints_the_address_and_at_its_end_what_it_wrote(folder):
             asked = urllib.request.Request(page + path, json.dumps(body).encode(), {TOKEN_HEADER: token})
             urllib.request.urlopen(asked, timeout=120).close()
         running.send_signal(signal.SIGINT)
-        lines = running.stdout.read().split("\n")
+        lines = running.communicate(timeout=120)[0].split("\n")
     assert running.returncode == 0
     assert [str(folder / "gcp_list.txt"), str(folder / "clicks.csv")] == lines[:2]
     assert 'in survey.toml: [control] gcps = "gcp_list.txt"' in lines

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from scene_files import SCENE, scene_file, staged, write_mesh
 
-from survey.errors import SurveyError
+from survey.errors import ConfigError, SurveyError
 from survey.folder.local_frame import water_plane
+from survey.simulate.conditions import Light
 from survey.simulate.scene_file import read_scene
 from survey.simulate.simulate import light_of, plan_scene
 
@@ -99,3 +100,8 @@ def test_a_measured_surface_of_two_points_is_refused(tmp_path):
     write_mesh(tmp_path / "surface.ply", frame.crs_from_local([[0.0, 0.0, 0.0], [1.0, 1.0, 0.0]]), [])
     with pytest.raises(SurveyError, match=r"gives no water surface: expected three points or more, .* not on one line"):
         staged(scene_file(tmp_path, slope_north='heights = "surface.ply"'))
+
+
+def test_a_direction_to_the_sun_has_a_length():
+    with pytest.raises(ConfigError, match=r"to_sun is \[0.0, 0.0, 0.0\], expected a direction toward the sun"):
+        Light(to_sun=(0.0, 0.0, 0.0))

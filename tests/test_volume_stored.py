@@ -8,6 +8,7 @@ import shutil
 
 import numpy as np
 import pytest
+import torch
 from command_line import bathynerf
 from painted_survey import painted_survey, run_over
 from PIL import Image
@@ -20,6 +21,7 @@ from survey.errors import OutputError, SurveyError
 from survey.export.export import cloud_of, export
 from survey.export.loaded import LoadedRun
 from survey.files.paths import ReadFiles
+from survey.run.trained_field import FIELD_STATE
 from survey.viewer.shown import load_shown
 from survey.viewer.tree import camera_of_screen
 from survey.volume.options import VolumeOptions
@@ -98,6 +100,15 @@ def test_the_viewer_renders_it_from_a_browsers_place(folder):
     assert wet.shape == dry.shape == (200, 300, 3)
     assert (wet != dry).any()
     assert (dry[100, 150] < 255).any()
+
+
+def test_a_training_of_other_parameters_is_refused(folder, tmp_path):
+    shutil.copytree(folder / "f", tmp_path / "f")
+    state = torch.load(tmp_path / "f" / FIELD_STATE, weights_only=True)
+    state["renderer"].popitem()
+    torch.save(state, tmp_path / "f" / FIELD_STATE)
+    with pytest.raises(SurveyError, match="the training in this folder cannot go on: its parameters are others"):
+        train_field(folder / "run", tmp_path / "f", **vars(OPTIONS))
 
 
 def test_one_of_another_result_is_refused(folder, tmp_path):

@@ -58,6 +58,10 @@ class VolumeFigures:
     cpu_s: float = field(compare=False)  # Processor time of all steps, also of those before an interruption
 
 
+class OtherState(ValueError):
+    """The state of a checkpoint is not one of the renderer that is trained."""
+
+
 class Checkpoints(Protocol):
     """Checkpoints of a training, from which an interrupted one continues."""
 
@@ -86,7 +90,7 @@ def train_volume(
     be at first (of the sweep, or of points of structure from motion); None: anywhere in the box. ``checkpoints``: a
     training that goes on from one computes what it would have computed without the interruption. ``held``: photographs
     held out, whose prediction is followed. Returns ``cells`` Cells: the proxy, taken from the field itself; ``figures``
-    VolumeFigures.
+    VolumeFigures. Raises OtherState where a checkpoint is of another field.
     """
     torch.manual_seed(seed)
     box = renderer.model.box
@@ -154,8 +158,11 @@ class _State:
         }
 
     def restore(self, saved: dict[str, Any], renderer: VolumeRenderer) -> None:
-        """Go back to a state that was saved."""
-        renderer.load_state_dict(saved["renderer"])
+        """Go back to a state that was saved; raises OtherState where it has other parameters than the renderer."""
+        try:
+            renderer.load_state_dict(saved["renderer"])
+        except RuntimeError as error:  # of torch, for missing, unknown and other shapes
+            raise OtherState(" ".join(str(error).split())) from error
         # After the parameters: what the model learns of them has its own groups.
         self.optimiser = adam(renderer.rates(), eps=ADAM_EPS)
         self.optimiser.load_state_dict(saved["optimiser"])

@@ -23,6 +23,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
+from evaluation.summary import std_by_median
 from survey.adjust.block.bundle import Solution
 from survey.adjust.block.observed import Sizes
 from survey.adjust.block.prediction import linearise
@@ -84,9 +85,14 @@ def shared_variance(ties: TiePoints, residuals: np.ndarray, chosen: np.ndarray, 
     """Variance [px^2] of a coordinate that windows of a side share with those beside them in a photograph, as in waves.
 
     The mean product of residuals (N, 2) [px] of those that are ``chosen`` (N,) bool; 0 where none is beside another.
-    Blur, noise and compression scatter each alone, but windows that overlap.
+    Blur, noise and compression scatter each alone, but windows that overlap. Residuals are bounded, as for a design
+    effect.
     """
-    total, count = 0.0, 0
+    total, count, chosen = 0.0, 0, chosen & np.isfinite(residuals).all(axis=1)
+    if not chosen.any():
+        return 0.0
+    bound = _MOST * std_by_median(residuals[chosen])
+    residuals = np.clip(residuals, -bound, bound)
     for view in np.unique(ties.view[chosen]):
         own = np.flatnonzero(chosen & (ties.view == view))
         one, other = own[cKDTree(ties.pixel[own]).query_pairs(_BESIDE * window_px, output_type="ndarray")].T

@@ -183,9 +183,10 @@ def misfit(residuals: np.ndarray, ties: TiePoints) -> float | None:
     """Reprojection misfit under fixed poses [px], less its noise: see `PoseCheck`.
 
     ``residuals`` (N, 2) [px] are those of ties. Waves displace neighbours alike, those as long as a photograph all that
-    it shows: the noise of a mean over a photograph is at least the variance of those over its quarters.
+    it shows: the noise of a mean over a photograph is at least the variance of those over its quarters. What quarters
+    have in common in all photographs is of the lens, not of waves.
     """
-    squares, noises, of_waves = [], [], []
+    squares, noises, quarters = [], [], []
     for number in np.unique(ties.view):
         chosen = (ties.view == number) & np.isfinite(residuals).all(axis=1)
         of_view, pixel = residuals[chosen], ties.pixel[chosen]
@@ -197,11 +198,14 @@ def misfit(residuals: np.ndarray, ties: TiePoints) -> float | None:
         noises.append(np.square(std_by_median(of_view - middle, axis=0)) * (0.5 * np.pi / len(of_view)))
         quarter = (pixel > np.median(pixel, axis=0)) @ (1, 2)
         if np.bincount(quarter, minlength=4).min() >= _FEWEST_OF_QUARTER:
-            of_quarters = [np.median(of_view[quarter == k], axis=0) for k in range(4)]
-            of_waves.append(np.var(of_quarters, axis=0, ddof=1))
+            quarters.append([np.median(of_view[quarter == k], axis=0) for k in range(4)])
     if not squares:
         return None
-    noise = np.maximum(noises, np.mean(of_waves, axis=0) if of_waves else 0.0)
+    of_waves = 0.0
+    if (num := len(quarters)) > 1:
+        varied = np.array(quarters) - np.mean(quarters, axis=1, keepdims=True)
+        of_waves = np.sum((varied - varied.mean(axis=0)) ** 2, axis=(0, 1)) / (3.0 * (num - 1.0))
+    noise = np.maximum(noises, of_waves)
     return float(np.sqrt(max(float(np.mean(squares - noise)), 0.0)))
 
 

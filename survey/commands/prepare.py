@@ -207,11 +207,13 @@ def mark(
             shown = [os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")]
             if not no_browser and (sys.platform in ("darwin", "win32") or any(shown)):
                 webbrowser.open(server.url)
-            threading.Thread(target=server.serve_forever, daemon=True).start()
+            (thread := threading.Thread(target=server.serve_forever, daemon=True)).start()
             try:
                 server.show(session := MarkingSession(survey, run=poses_of, points=points))
                 with suppress(KeyboardInterrupt):
-                    threading.Event().wait()
+                    # Windows sees Ctrl-C between waits only.
+                    while thread.is_alive():
+                        thread.join(0.5)
             finally:
                 server.shutdown()
         for path in (session.store.control_path, session.store.clicks_path):

@@ -48,9 +48,8 @@ def write_las(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 def total_uncertainty(run: LoadedRun, stored: StoredBed) -> tuple[np.ndarray, np.ndarray]:
     """Vertical and horizontal uncertainty of the points at 95 %, two of (N,) float32 [m], all parts included."""
     if stored.std_common is None or stored.std_plan is None:
-        raise SurveyError(
-            f"the points of {run.folder.path} have no standard deviation in plan; process the survey again for --tpu"
-        )
+        remedy = "export its run for --tpu" if run.is_field else "process the survey again for --tpu"
+        raise SurveyError(f"the points of {run.points_path} have no standard deviation in plan; {remedy}")
     bed, water = stored.bed, run.config.water
     sine = np.sin(bed.incidence)
     if water is not None and water.refractive_index is not None:

@@ -48,6 +48,8 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
     wanted = _wanted(files)
     _require_effect([product for product, _ in wanted], options)
     field = Path(run) if is_field(Path(run)) else None
+    if field and options.as_computed:
+        raise SurveyError("--as-computed has no effect on a field, which has no edits; leave it out")
     with LoadedRun(run_of(field) if field else run, as_computed=options.as_computed, field=field) as loaded:
         if loaded.edits is not None:
             current().note(f"with edits: {loaded.edits}; without them: --as-computed")

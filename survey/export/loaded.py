@@ -50,7 +50,8 @@ class LoadedRun:
         self.folder.require_run()
         self._bed_folder = self.folder.load_stage(BED_STAGE)
         self.stages: dict[str, str] = self.folder.result()["stages"]
-        self.edits = None if as_computed or field is not None else edits_of(self.folder)
+        self.is_field, self.points_path = field is not None, field or self.folder.path
+        self.edits = None if as_computed or self.is_field else edits_of(self.folder)
         if field is not None:
             self._bed_folder = field / FIELD_BED
             if not (points := self._bed_folder / BED_FILE).is_file():

@@ -242,19 +242,23 @@ def _metres(known: Mapping[str, Exif]) -> np.ndarray:
 def burst_notes(headers: Mapping[str, Exif]) -> tuple[str, ...]:
     """A sentence on bursts, as of a hover, and what is made of them; none where there are none."""
     known = sorted((header.clock, name) for name, header in headers.items() if header.clock and header.lat_lon_height)
-    if not known:
+    if not known or len({headers[name].lat_lon_height for _, name in known}) == 1:
         return ()
     clocks, places = [clock for clock, _ in known], _metres({name: headers[name] for _, name in known})
     first, sizes = 0, [0]
     for number, clock in enumerate(clocks):
-        if clock - clocks[first] > _BURST_TIME or np.linalg.norm(places[number] - places[first]) > _BURST_M:
+        # Heights may be unknown.
+        apart_m = np.linalg.norm(np.nan_to_num(places[number] - places[first]))
+        if clock - clocks[first] > _BURST_TIME or apart_m > _BURST_M:
             first = number
             sizes.append(0)
-        sizes[-1] += 1
+        # Cameras of a rig share the time, and photographs between two fixes the position.
+        between_s = 0.0 if apart_m else _BETWEEN_FIXES_S
+        sizes[-1] += number == first or (clock - clocks[number - 1]).total_seconds() > between_s
     if not (bursts := [size for size in sizes if size > 1]):
         return ()
-    message = f"{sum(bursts)} images are {len(bursts)} bursts of up to {max(bursts)}, of one place and 10 s each"
-    return (f"{message}: they are matched with those of other places, each through a water surface of its own",)
+    some = f"{len(bursts)} bursts of up to {max(bursts)}" if len(bursts) > 1 else f"a burst of {bursts[0]}"
+    return (f"{some} images, each of one place within 10 s: they are matched with images of other places",)
 
 
 def far_from_others(names: np.ndarray, plan: np.ndarray, height: np.ndarray, by: str) -> list[str]:

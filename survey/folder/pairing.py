@@ -6,7 +6,7 @@ A lens comes from the poses file, else from survey.toml, else from EXIF.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -97,12 +97,7 @@ def with_masks(found: Found, views: Sequence[View], own: Path | None) -> tuple[l
     given = None if found.config.images.masks is None else found.folder / found.config.images.masks
     if given is not None and not given.is_dir():
         raise ImageError(f"the mask folder {given} does not exist; correct [images] masks in survey.toml")
-    masks: dict[str, Path] = {}
-    folder: Path | None = given
-    for folder in [given] if given is not None else [own, None] if own is not None else [None]:
-        masks = masks_in(found, folder)
-        if any(view.name in masks for view in views):
-            break
+    folder, masks = masks_of(found, [view.name for view in views], own)
     masked = [replace(view, mask_path=masks.get(view.name)) for view in views]
     paths = [view.mask_path for view in masked if view.mask_path is not None]
     if not paths:
@@ -128,7 +123,17 @@ def with_masks(found: Found, views: Sequence[View], own: Path | None) -> tuple[l
     return masked, Findings(notes, tuple(warnings))
 
 
-def masks_in(found: Found, folder: Path | None) -> dict[str, Path]:
+def masks_of(found: Found, names: Iterable[str], own: Path | None) -> tuple[Path | None, dict[str, Path]]:
+    """The folder of the masks of photographs, None for beside them, and the masks by photograph: see `with_masks`."""
+    if found.config.images.masks is not None:
+        given = found.folder / found.config.images.masks
+        return given, _masks_in(found, given)
+    if own is not None and not (masks := _masks_in(found, own)).keys().isdisjoint(names):
+        return own, masks
+    return None, _masks_in(found, None)
+
+
+def _masks_in(found: Found, folder: Path | None) -> dict[str, Path]:
     """The masks in a folder, or next to the images, by the name of the photograph."""
     root = found.folder / found.config.images.local_dir if folder is None else folder
     photographs, names, masks = set(found.images.values()), ImageNames(found.images), dict[str, tuple[int, Path]]()

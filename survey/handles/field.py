@@ -11,9 +11,10 @@ from geo.shapes import Cloud
 from survey.display.blocks import picture_html, table_html
 from survey.files.json_values import read_json_object
 from survey.run.stored import FIELD_CLOUD, run_of
+from survey.settings.tables import FieldConfig
 from survey.volume.field import CURVE, rows_of
 from survey.volume.field import train_field as train
-from survey.volume.options import VolumeOptions
+from survey.volume.options import volume_options
 from survey.volume.scene import REPORT
 from survey.volume.submodules import render_field
 
@@ -26,7 +27,7 @@ def train_field(run: str | Path, output: str | Path, **options: Any) -> Field:
     The output is a new folder, or one with the same training in it. Raises SurveyError or GeoError as `bathynerf field`
     does.
     """
-    train(run, output, VolumeOptions(**options))
+    train(run, output, volume_options(FieldConfig(), **options))
     return Field(output)
 
 

@@ -2,24 +2,38 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from geo.errors import GeoError
 from geo.files import write_whole
-from survey.errors import ImageError
+from survey.errors import ImageError, SurveyError
 from survey.folder.found import Found
-from survey.folder.pairing import masks_in
+from survey.folder.pairing import masks_of
 from survey.photos.images import read_mask
+from survey.photos.pixels import require_pixels
+from survey.pose_files import read_poses
 
 
 def mask_path(found: Found, image: str) -> Path:
-    """The mask of a photograph; where it has none, IMG.png in [images] masks, or else IMG_mask.png beside it."""
-    given, photograph = found.config.images.masks, found.images[image]
-    folder = None if given is None else found.folder / given
-    beside = photograph.with_name(f"{photograph.stem}_mask.png") if folder is None else folder / f"{image}.png"
-    return masks_in(found, folder).get(image, beside)
+    """The mask of a photograph; where it has none, that of its name in the folder of masks, or IMG_mask.png beside it.
+
+    Folders are those that `survey.folder.pairing.with_masks` takes masks from.
+    """
+    photograph, own = found.images[image], None
+    if found.poses_path is not None:
+        # A file that cannot be read is refused by the next run, in words of its own.
+        with suppress(SurveyError, GeoError):
+            own = read_poses(found.poses_path).masks
+    folder, masks = masks_of(found, found.images, own)
+    if folder is not None:
+        return masks.get(image, folder / f"{image}.png")
+    twins = [other for other in found.images.values() if other.with_suffix("") == photograph.with_suffix("")]
+    name = photograph.stem if len(twins) == 1 else photograph.name
+    return masks.get(image, photograph.with_name(f"{name}_mask.png"))
 
 
 def draw(found: Found, image: str, corners: np.ndarray, *, is_used: bool) -> None:
@@ -30,6 +44,8 @@ def draw(found: Found, image: str, corners: np.ndarray, *, is_used: bool) -> Non
             f"the mask {path} is no PNG, in which alone masks are drawn: convert it, and remove {path.name}"
         )
     used = read_mask(path) if path.is_file() else np.ones((height, width), dtype=bool)
+    remedy = "make it from the photograph as it is stored"
+    require_pixels(f"the mask {path}", used.shape[::-1], (width, height), "its photograph", remedy)
     grey = used.astype(np.uint8) * 255
     # Pixels are counted from the centre of the first; 4 bits of OpenCV's coordinates are fractions.
     outline = np.round((np.clip(corners, 0.0, [width, height]) - 0.5) * 16).astype(np.int32)

@@ -126,8 +126,10 @@ function mark(pixel, more) {
 async function propose() {
   if (!chosen) return say("choose a point before others like it are looked for", true);
   say("looking for the point in other photographs ...");
+  const key = chosen;
   try {
-    const found = await (await ask(`/propose?${new URLSearchParams(chosen)}`)).json();
+    const found = await (await ask(`/propose?${new URLSearchParams(key)}`)).json();
+    if (!isSame(key, chosen)) return undefined;
     proposed = Object.fromEntries(found.map((each) => [each.image, each]));
     say(found.length ? "Enter: accept the one in this photograph" : "nothing like it was found; mark it in one more photograph");
     if (found.length) await open(found[0].image);
@@ -159,10 +161,17 @@ function drawMask(isOn) {
   draw();
 }
 
+function lastCorner() {
+  corners.pop();
+  draw();
+}
+
 async function closeMask(isUsed) {
   if (corners.length < 3) return say("a part to leave out has three corners or more", true);
-  await change("/mask", { image: photograph, corners, is_used: isUsed });
-  corners = [];
+  const drawn = corners;
+  await change("/mask", { image: photograph, corners: drawn, is_used: isUsed });
+  // Of a polygon that was refused the corners stay; the message says why.
+  if (corners === drawn && !$("message").className) corners = [];
   return readMask();
 }
 
@@ -525,8 +534,8 @@ function nudge(dx, dy) {
 }
 
 const KEYS = {
-  n: next, p: previous, u: undo, 0: fit, 1: () => zoomTo(1), "+": () => zoomTo(2 * view.scale), "-": () => zoomTo(0.5 * view.scale),
-  Delete: () => mark(null), Backspace: () => (corners ? corners.pop() && draw() : mark(null)),
+  n: next, p: previous, u: () => (corners ? lastCorner() : undo()), 0: fit, 1: () => zoomTo(1), "+": () => zoomTo(2 * view.scale), "-": () => zoomTo(0.5 * view.scale),
+  Delete: () => mark(null), Backspace: () => (corners ? lastCorner() : mark(null)),
   s: propose, c: toCorner, m: () => drawMask(!corners), Enter: (event) => (corners ? closeMask(event.shiftKey) : accept()),
   ArrowLeft: () => nudge(-1, 0), ArrowRight: () => nudge(1, 0), ArrowUp: () => nudge(0, -1), ArrowDown: () => nudge(0, 1),
 };

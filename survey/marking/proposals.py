@@ -21,6 +21,9 @@ _CODES = (cv2.aruco.DICT_4X4_50, cv2.aruco.DICT_5X5_100, cv2.aruco.DICT_6X6_250,
 _LEAST_PERIMETER = 0.01
 # Half side [px] of the window in which the corner of a chequered target is found.
 _CORNER = 7
+# Circles about the corner of a chequered target [px], the values on each, and the least share of their variance that
+# has two periods: 0.81 of a square wave.
+_RADII, _ROUND, _OF_TWO_PERIODS = (3.0, 5.0), 64, 0.6
 
 
 class Proposal(NamedTuple):
@@ -54,12 +57,28 @@ def coded(grey: np.ndarray, name: str, near: np.ndarray | None) -> Proposal | No
 
 def corner(grey: np.ndarray, pixel: tuple[float, float]) -> tuple[float, float]:
     """The corner of a chequered target near a pixel; raises SurveyError where none is within the window."""
-    at = np.array([[pixel]], dtype=np.float32) - 0.5
+    height, width = grey.shape
+    at = np.clip(np.array(pixel) - 0.5, 0.0, [width - 1.0, height - 1.0]).astype(np.float32)
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
-    x, y = cv2.cornerSubPix(grey, at.copy(), (_CORNER, _CORNER), (-1, -1), stop)[0, 0].tolist()
-    if at[0, 0].tolist() == [x, y]:
+    x, y = cv2.cornerSubPix(grey, at.reshape(1, 1, 2).copy(), (_CORNER, _CORNER), (-1, -1), stop)[0, 0].tolist()
+    if at.tolist() == [x, y] or not _is_chequered(grey, x, y):
         raise SurveyError("there is no corner of a chequered target near the mark")
     return x + 0.5, y + 0.5
+
+
+def _is_chequered(grey: np.ndarray, x: float, y: float) -> bool:
+    """Whether four fields about a corner, counted from zero, are light and dark in turn: like across, unlike beside.
+
+    On circles about it grey levels have two periods, and little else.
+    """
+    angles = np.linspace(0.0, 2.0 * np.pi, _ROUND, endpoint=False)
+    radii = np.array(_RADII)[:, None]
+    rings = cv2.remap(
+        grey, (x + radii * np.cos(angles)).astype(np.float32), (y + radii * np.sin(angles)).astype(np.float32),
+        cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE,
+    ).astype(np.float64)  # fmt: skip
+    power = np.abs(np.fft.rfft(rings, axis=1)[:, 1:]) ** 2
+    return bool((power[:, 1] > _OF_TWO_PERIODS * np.maximum(power.sum(axis=1), 1e-9)).all())
 
 
 def correlated(

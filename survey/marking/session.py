@@ -100,7 +100,7 @@ class MarkingSession:
         point, own = points[key], marks.get(key, {})
         place, water = self._place(key, point, own, self._common(points, marks)[0]), self._water_of(key)
         marked = [name for name in own if name in self._views]
-        names = [name for name in self._next(key, point, place, own, next(iter(self.images))) if name not in own]
+        names = [name for name in self._next(key, point, place, own, None) if name not in own]
 
         def nearest(name: str) -> tuple[float, str]:
             """Distance of the nearest camera with a mark [m], and its photograph."""
@@ -114,7 +114,9 @@ class MarkingSession:
         for name in names[:_MOST_SEARCHED]:
             view = self._views.get(name)
             near = None if place is None or view is None else seen_at(view, place, water)
-            proposal = coded(load(name), key.name, None if near is None else np.array(near))
+            proposal = None
+            if key.kind == GROUND:
+                proposal = coded(load(name), key.name, None if near is None else np.array(near))
             if proposal is None and place is not None and near is not None and marked:
                 like = nearest(name)[1]
                 pair, greys = (self._views[like], self._views[name]), (load(like), load(name))
@@ -148,7 +150,12 @@ class MarkingSession:
         return shown
 
     def _next(
-        self, key: PointKey, point: GivenPoint | None, place: np.ndarray | None, own: Mapping[str, Pixel], image: str
+        self,
+        key: PointKey,
+        point: GivenPoint | None,
+        place: np.ndarray | None,
+        own: Mapping[str, Pixel],
+        image: str | None,
     ) -> list[str]:
         """Photographs to mark next: by what their marks tell, by the distance of their GPS positions, or in order."""
         if place is not None:
@@ -157,8 +164,8 @@ class MarkingSession:
         known = {name: header.lat_lon_height for name, header in self.found.headers.items() if header.lat_lon_height}
         if point is None or not known:
             names = list(self.images)
-            at = names.index(image) + 1
-            return [*names[at:], *names[: at - 1]]
+            at = 0 if image is None else names.index(image)
+            return [name for name in names[at:] + names[:at] if name != image]
         lon, lat = lon_lat(self.found.crs, np.array([point.place]))[0, :2]
         places = np.radians([(at[1] - lon, at[0] - lat) for at in known.values()])
         distance = EARTH_RADIUS_M * np.hypot(places[:, 0] * np.cos(np.radians(lat)), places[:, 1])

@@ -42,7 +42,7 @@ REASONS = {
     CONTRADICTED: "contradicted: the views match, but at no height on which two agree",
     HIDDEN: "hidden: the views show the bed, but another place of it, in front of this one",
     DELETED: "points deleted by hand",
-    TWO_VIEWS: "two or more views, reason not recorded: process again with this version",
+    TWO_VIEWS: "two or more views, reason not recorded: of a field, or by an earlier version",
 }
 
 

@@ -144,7 +144,8 @@ class Job:
         self.outlines: Any = None  # Those of the photographs, for tiles: `survey.run.tile_job.Outlines`
         # The survey with the level that is asked for, while the bed is that of an earlier one.
         self.asked: Survey | None = None
-        self.adjusted_before: Path | None = None  # An adjustment whose windows are used again
+        # Adjustments that differ by what is given of the level alone; windows of the first are used again
+        self.adjusted_before: list[Path] = []
         self._hashed: dict[str, str] = {}
         # Of which survey and plan these are.
         self._hashed_of: tuple[object, object] = (None, None)

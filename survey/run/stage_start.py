@@ -64,8 +64,8 @@ def adjust_block(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
 
     def measure(survey: Survey, **options: Any) -> TiePoints:
         name = f"windows{next(number)}.npz"
-        if job.adjusted_before is not None and (job.adjusted_before / name).is_file():
-            kept = load_arrays(job.adjusted_before / name)
+        if job.adjusted_before and (job.adjusted_before[0] / name).is_file():
+            kept = load_arrays(job.adjusted_before[0] / name)
             found = TiePoints(kept["start"], kept["point"], kept["view"], kept["pixel"], int(kept["least"]))
         else:
             found = refine.measure_windows(survey, **options)

@@ -335,7 +335,7 @@ def _use_of_earlier_level(job: Job, run: RunDir, search: Stage, done: dict[str, 
         or run.finished_stage(search.name, search.key(job, {}), search.files) is not None
     ):
         return
-    of_job = _adjusted_at_levels(asked, run, done["adjust"]) if "adjust" in done else _at_levels(asked, run, search)
+    of_job = _adjusted_at_levels(job, done["adjust"]) if "adjust" in done else _at_levels(asked, run, search)
     for earlier, raised, adjusted in of_job:
         job.use_survey(earlier)
         if run.finished_stage(search.name, search.key(job, {}), search.files) is not None:
@@ -360,10 +360,10 @@ def _at_levels(asked: Survey, run: RunDir, search: Stage) -> Iterator[tuple[Surv
             yield replace(asked, water=plane), water.known_level_m - level_m, None
 
 
-def _adjusted_at_levels(asked: Survey, run: RunDir, adjusted: Path) -> Iterator[tuple[Survey, float, Path]]:
+def _adjusted_at_levels(job: Job, adjusted: Path) -> Iterator[tuple[Survey, float, Path]]:
     """The survey by earlier adjustments of a level and poses a little off, how much higher it is [m], their folders."""
-    now = read_adjustment(adjusted)
-    for folder in run.stages_path.glob("adjust-*"):
+    asked, now = job.survey, read_adjustment(adjusted)
+    for folder in job.adjusted_before:
         found = read_adjustment(folder)
         raised = _raised_by(found, np.array([row.given for row in now.parameters[:NUM_WATER]]))
         if not raised or found.poses.names != now.poses.names:
@@ -380,13 +380,14 @@ def _raised_by(found: Adjustment, settings: np.ndarray) -> float | None:
     return raised if abs(raised) <= MOST_RAISED_M + _ROUNDING_M and not any(others) else None
 
 
-def _adjusted_before(job: Job, run: RunDir, stage: Stage) -> Path | None:
-    """An earlier adjustment whose windows count for one with nearly the same level; None where there is none."""
+def _adjusted_before(job: Job, run: RunDir, stage: Stage) -> list[Path]:
+    """Earlier adjustments that differ from that of a job by nearly the same level alone."""
     key, water = stage.key(job, {}), job.survey.config.water
-    for parts in run.earlier_keys(stage.name):
-        folder = run.place(stage.name, parts)
-        if water is None or any(parts.get(name) != value for name, value in key.items() if name not in _BY_LEVEL):
-            continue
-        if _raised_by(read_adjustment(folder), settings_of(water)) is not None:
-            return folder
-    return None
+    if water is None:
+        return []
+    alike = [
+        run.place(stage.name, parts)
+        for parts in run.earlier_keys(stage.name)
+        if all(parts.get(name) == value for name, value in key.items() if name not in _BY_LEVEL)
+    ]
+    return [folder for folder in alike if _raised_by(read_adjustment(folder), settings_of(water)) is not None]

@@ -48,6 +48,8 @@ class Light:
     overcast: bool = False  # A sky three times as bright at the zenith as at the horizon, instead of a uniform one
 
     def __post_init__(self):
+        if not 0.0 < np.linalg.norm(self.to_sun) < np.inf:
+            raise ConfigError(f"to_sun is {list(self.to_sun)}, expected a direction toward the sun, of any length")
         # With the sun in the zenith and a disc of 180 degrees both are a right angle, up to rounding.
         if not 0.0 <= self.sun_radius <= self.elevation + 1e-9:
             raise ConfigError(

@@ -14,8 +14,9 @@ from fields.image_based import NovelView
 from fields.volume.fitted import match_appearance
 from fields.volume.photographs import Photographs
 from fields.volume.surface import Surface, distance_of, points_on_surface, surface_of
-from fields.volume.train import Checkpoints, Training, VolumeFigures, train_volume
+from fields.volume.train import Checkpoints, OtherState, Training, VolumeFigures, train_volume
 from refract import PinholeCamera
+from survey.errors import SurveyError
 from survey.progress import current
 from survey.run.flight import Flight
 from survey.run.trained_field import RestoredField, reporting
@@ -82,9 +83,16 @@ def train(scene: Scene, flight: Flight, options: VolumeOptions, checkpoints: Che
     start = None if options.from_scratch else scene.cells_about_bed(training.cells, training.margin)
     with current().stage("Training", 1.0) as stage:
         report, held = reporting(stage, training.rays), None if options.submodules else scene.held
-        proxy, figures = train_volume(
-            renderer, scene.train, training, report, cells=start, seed=options.seed, checkpoints=checkpoints, held=held
-        )
+        try:
+            proxy, figures = train_volume(
+                renderer, scene.train, training, report, cells=start, seed=options.seed, checkpoints=checkpoints,
+                held=held,
+            )  # fmt: skip
+        except OtherState as error:
+            raise SurveyError(
+                f"the training in this folder cannot go on: its parameters are others, as of an earlier version "
+                f"({str(error)[:80]}); name another folder, and training begins anew"
+            ) from error
     memory = psutil.Process().memory_info().rss
     cost = {"wall_s": stage.seconds, "cpu_s": figures.cpu_s, "memory_bytes": memory}
     field = RestoredField(renderer, proxy, options.recipe, flight.water, options.steps)

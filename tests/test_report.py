@@ -5,15 +5,14 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import asdict, replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from small_bed import SLOPE, SPACING_M, plane_bed
-from small_report import CURVATURE_M, LAS_BIAS_M, LAS_STD_M, MET, MISSED, PLAN, RAISED_M, facts_of
+from small_report import CURVATURE_M, LAS_BIAS_M, LAS_STD_M, MET, MISSED, RAISED_M, facts_of
 from small_survey import TOML, small_survey
 
-from evaluation import DistanceStatistics, iho_s44
+from evaluation import iho_s44
 from survey.display.quantities import LengthUnit, length
 from survey.folder.survey import load_survey
 from survey.report.facts import RunVerdict, dry_warnings
@@ -150,30 +149,6 @@ def test_a_draft_is_for_a_first_look_and_says_what_makes_a_cloud_for_use():
     assert "o not use" not in found.sentence
 
 
-def test_straight_rays_and_their_corrections_stand_beside_what_was_measured(plane_report):
-    """The bed is a plane of 0.05 to 0.65 m depth; every view sees it through index 1.333."""
-    by_name = {row["name"]: row for row in plane_report.figures["baselines"]["rows"]}
-    straight, times_n, dietrich, measured = by_name.values()
-    depth = plane_report.figures["cloud"]["depth_m"]["median"]
-    assert [row["kind"] for row in by_name.values()] == ["predicted"] * 3 + ["measured"]
-    # At nadir a quarter of the depth; more where rays are slanted.
-    assert 0.25 < straight["median_m"] / depth < 0.5
-    assert abs(dietrich["median_m"]) < abs(times_n["median_m"]) < straight["median_m"]
-    assert measured["mean_m"] == pytest.approx(-RAISED_M, abs=LAS_BIAS_M)
-    page = plane_report.run.report_html_path.read_text(encoding="utf-8")
-    assert "per-camera correction (Dietrich)" in page
-
-
-def test_the_sweep_has_a_row_beside_the_solver(plane_report):
-    wet = DistanceStatistics(n_points=1, n_nan=0, mean_m=0.1, median_m=0.2, nmad_m=0.3)
-    sweep = SimpleNamespace(figures=SimpleNamespace(wet=wet))
-    facts = replace(plane_report.facts, sweep_comparison=sweep, plan=replace(PLAN, field="solver"))
-    rows = figures_of(facts)["baselines"]["rows"]
-    assert [row["name"] for row in rows[3:]] == ["sweep before the solver", "this run: sweep and solver"]
-    assert rows[3]["median_m"] == 0.2
-    assert figures_of(replace(plane_report.facts, comparison=None))["baselines"] is None
-
-
 def test_report_json_holds_exactly_the_figures(plane_report):
     assert json.loads(plane_report.run.report_json_path.read_text(encoding="utf-8")) == json_of(plane_report.figures)
 
@@ -181,7 +156,7 @@ def test_report_json_holds_exactly_the_figures(plane_report):
 def test_report_json_keeps_its_names(plane_report):
     """Scripts read it by these names."""
     found = json_of(plane_report.figures)
-    assert {name: list(found[name]) for name in ("verdict", "survey", "water", "plan", "cloud", "baselines")} == {
+    assert {name: list(found[name]) for name in ("verdict", "survey", "water", "plan", "cloud")} == {
         "verdict": ["passed", "gates"],
         "survey": [
             "name", "crs", "bounds", "views_used", "views_left_out", "image_size_px", "focal_px", "poses", "shutter",
@@ -196,17 +171,15 @@ def test_report_json_keeps_its_names(plane_report):
             "points", "points_wet", "points_dry", "extent", "covered_area_m2", "density_per_m2", "depth_m", "std_m",
             "std_common_m", "views_per_point", "incidence_deg",
         ],
-        "baselines": ["places", "views_per_place", "rows", "note"],
     }  # fmt: skip
     assert list(found) == [
         "verdict", "survey", "taken", "water", "plan", "cloud", "comparison", "iho_s44", "checkpoints", "height_std_m",
-        "stated", "coverage", "waves", "adjustment", "baselines", "photographs", "photographs_left_out",
+        "stated", "coverage", "waves", "adjustment", "photographs", "photographs_left_out",
         "timings_s", "versions", "settings", "assumptions", "warnings",
     ]  # fmt: skip
     assert list(found["verdict"]["gates"][0]) == ["name", "value", "limit", "unit", "passed", "sentence"]
     assert list(found["survey"]["crs"]) == ["name", "code", "unit", "height_unit"]
     assert list(found["plan"]["decisions"][0]) == ["name", "choice", "reason"]
-    assert list(found["baselines"]["rows"][0]) == ["name", "kind", "median_m", "nmad_m", "mean_m"]
     cloud = found["cloud"]
     assert list(cloud["extent"]) == ["low", "high"]
     assert list(cloud["depth_m"]) == ["min", "median", "p95", "max"]

@@ -108,7 +108,7 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
         circumstances=_circumstances(scene, options, blocks, notes),
     )
     points, targets = inputs.cloud.points[inputs.inside], inputs.frame.crs_from_local(scene.targets)
-    return Comparison(figures, points, distances.signed, distances.nearest, depth, targets, is_reached[0], inputs)
+    return Comparison(figures, points, distances.signed, distances.nearest, targets, is_reached[0], inputs)
 
 
 def _read(cloud: Path, reference: Path, options: CompareOptions) -> tuple[Inputs, tuple[np.ndarray, Path] | None]:

@@ -97,12 +97,6 @@ class Figures:
     m3c2: M3C2 | None = None
     reference_surface: ReferenceSurface | None = None  # Where the reference is a cloud
 
-    @property
-    def wet(self) -> DistanceStatistics | None:
-        """Vertical differences of the points under water."""
-        depth = self.parts.depth if self.vertical is None else self.vertical_depth
-        return None if depth is None else depth.wet
-
 
 @dataclass(frozen=True)
 class Comparison:
@@ -113,7 +107,6 @@ class Comparison:
     distances: np.ndarray  # (N,) [m]: Theirs, signed; NaN where a reference of points does not surround them
     # (N, 3) [m], local: the nearest points of the reference, or those of its surface straight above or below
     nearest: np.ndarray
-    depth: np.ndarray | None  # (N,) [m] or None: of the reference below the water at those, where it is known
     targets: np.ndarray  # (M, 3), in crs: what should be reached: the visible points, else samples of the reference
     is_reached: np.ndarray  # (M,) bool: at the first tolerance
     inputs: Inputs

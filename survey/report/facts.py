@@ -92,8 +92,6 @@ class ReportFacts:
     height_maps: Sequence[HeightMap] | None = None  # One of them is shown beside its photograph
     # Of the cloud of these points with a reference, from `survey.compare.comparison.compare_surfaces`
     comparison: Comparison | None = None
-    # The same of the cloud that the sweep alone would have given; None where there is no field or no reference
-    sweep_comparison: Comparison | None = None
     warnings: tuple[str, ...] = ()  # Of the plan
     versions: dict[str, str] = field(default_factory=dict)  # dict: of what computed, by name
     verdict: RunVerdict | None = None  # The quality gates

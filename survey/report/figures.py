@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import math
 from datetime import datetime
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from evaluation import DistanceStatistics, apparent_points, distance_statistics, per_camera, times_index
 from geo.crs import crs_code
 from geo.grid import plan_box
 from geo.shapes import ComputedColumn
-from refract import FlatWater, crossing_point, water_index
+from refract import water_index
 from refract.media import USUAL_SALINITY_PSU, USUAL_TEMPERATURE_C
 from survey.adjust.result.adjustment import Status
 from survey.compare.figures import numbers_of
@@ -32,24 +31,9 @@ from survey.report.photographs import photograph_warnings, taken_of
 from survey.report.seen_cells import coverage_of
 from survey.water.surface import height_above
 
-if TYPE_CHECKING:
-    from survey.compare.figures import Comparison
-
 # By their keys in report.json.
 ReportFigures = dict[str, Any]
 
-# Places of the bed at which baselines are predicted: their mean is then sure to a few per cent of their spread.
-_PLACES = 2000
-_SEED = 20_060_619
-_NOTE = (
-    "Predicted: where the straight rays of all views with a place in their frame meet, in closed form and without "
-    "matching noise, at places of the reference under water; occlusion is not considered. Slanted views count like "
-    "steep ones; matching keeps the views that agree, so that a matched cloud of straight rays errs by less than "
-    "predicted where photographs are slanted, but by a quarter of the depth in the median at the least. Poses and lens "
-    "count as right: adjusted to straight rays they take up a part of the error. Measured: vertical differences of the "
-    "points under water to the reference; at walls a small horizontal offset counts in full, which moves the mean and "
-    "hardly the median. Positive is too shallow."
-)
 # Of the index that handbooks state.
 _SODIUM_NM = 589.3
 # Density is that of the ground that has points, found in cells of this many ground sampling distances.
@@ -82,7 +66,6 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
         "coverage": _coverage(facts),
         "waves": facts.waves,
         "adjustment": adjustment_of(survey, facts.adjustment),
-        "baselines": baselines_of(facts),
         "photographs": facts.photographs,
         "photographs_left_out": left_out,
         "timings_s": {**facts.timings, "total": sum(facts.timings.values())},
@@ -217,63 +200,3 @@ def _spread(values: np.ndarray, *names: str) -> dict[str, float] | None:
     mean, (p95,) = values.mean(dtype=np.float64), np.quantile(values, [0.95])
     known = {"min": values.min(), "median": np.median(values), "mean": mean, "p95": p95, "max": values.max()}
     return {name: float(known[name]) for name in names}
-
-
-def baselines_of(facts: ReportFacts) -> dict[str, Any] | None:
-    """Vertical errors of baselines and of this run; None without water, reference or points under water."""
-    comparison, water = facts.comparison, facts.survey.water
-    if comparison is None or water is None or comparison.depth is None:
-        return None
-    bed = _places(facts.survey, water, comparison, comparison.depth)
-    centres, directions, is_seen = _rays(facts.survey, water, bed)
-    apparent = apparent_points(centres, directions, is_seen)
-    known = np.isfinite(apparent).all(axis=1)
-    if not known.any():
-        return None
-    centres, is_seen, apparent = centres[known], is_seen[known], apparent[known]
-    true, seen = np.asarray(water.depth(bed[known])), np.asarray(water.depth(apparent))
-    to_camera = centres - apparent[:, None]
-    cos = (to_camera @ np.array(water.up)) / np.linalg.norm(to_camera, axis=-1)
-    n = float(water.n_water)
-    predicted = {
-        "straight rays": seen,
-        "straight rays, depth times n": times_index(seen, n),
-        "per-camera correction (Dietrich)": per_camera(seen, np.arccos(np.clip(cos, -1.0, 1.0)), is_seen, n),
-    }
-    # The sweep, whose heights are not refined to the end, and the solver; one row where that is off.
-    measured = {"this run: sweep alone": comparison.figures.wet}
-    if (swept := facts.sweep_comparison) is not None:
-        measured = {"sweep before the solver": swept.figures.wet, "this run: sweep and solver": comparison.figures.wet}
-    rows = [_row(name, "predicted", distance_statistics(true - depth)) for name, depth in predicted.items()]
-    rows += [_row(name, "measured", part) for name, part in measured.items() if part]
-    return {
-        "places": int(known.sum()),
-        "views_per_place": float(np.median(is_seen.sum(axis=1))),
-        "rows": rows,
-        "note": _NOTE,
-    }
-
-
-def _row(name: str, kind: str, of: DistanceStatistics) -> dict[str, Any]:
-    return {"name": name, "kind": kind, "median_m": of.median_m, "nmad_m": of.nmad_m, "mean_m": of.mean_m}
-
-
-def _places(survey: Survey, water: FlatWater, comparison: Comparison, depth: np.ndarray) -> np.ndarray:
-    """Some places (K, 3) of the reference under water, its depth (N,) above zero, in the local frame of the survey."""
-    wet = np.flatnonzero((depth > 0.0) & np.isfinite(comparison.nearest).all(axis=1))
-    some = np.random.default_rng(_SEED).permutation(wet)[:_PLACES]
-    in_crs = comparison.inputs.frame.crs_from_local(comparison.nearest[some])
-    places = survey.frame.local_from_crs(in_crs)
-    return places[np.asarray(water.depth(places)) > 0.0]
-
-
-def _rays(survey: Survey, water: FlatWater, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centres and directions in air (K, V, 3) of the views, and which of them have each place in their frame."""
-    centres, directions, is_seen = [], [], []
-    for view in survey.views:
-        camera, down = view.camera, np.array([0.0, 0.0, -view.camera.tide])
-        towards = crossing_point(places + down, camera.centre + down, water) - (camera.centre + down)
-        centres.append(np.broadcast_to(camera.centre, places.shape))
-        directions.append(towards / np.linalg.norm(towards, axis=1, keepdims=True))
-        is_seen.append(camera.sees(camera.project(places, water)))
-    return np.stack(centres, axis=1), np.stack(directions, axis=1), np.stack(is_seen, axis=1)

@@ -150,19 +150,6 @@ def checkpoints(found: CheckpointAccuracy | None) -> list[Block]:
     return [*blocks, Table(titles, rows, heading="Each check point")]
 
 
-def baselines(found: dict[str, Any] | None) -> list[Block]:
-    """Vertical errors of other methods beside those of this run; nothing without water or reference."""
-    if found is None:
-        return []
-    keys = ("median_m", "nmad_m", "mean_m")
-    # In the digits of what was measured, of which the predictions have too few.
-    measured = [row for row in found["rows"] if row["kind"] == "measured"] or found["rows"]
-    unit = LengthUnit.of([row[key] for row in measured for key in keys])
-    rows = [(row["name"], row["kind"], *(unit.number(row[key]) for key in keys)) for row in found["rows"]]
-    titles = ("method", "kind", *(f"{name} [{unit.name}]" for name in ("median", "spread (NMAD)", "mean")))
-    return [Table(titles, rows, num_texts=2), Text(found["note"], is_soft=True)]
-
-
 def waves(found: WaveFigures | None) -> list[Block]:
     """The waves in words; nothing where the water was still."""
     if found is None or found.sea is None:

@@ -114,7 +114,7 @@ def process(
         # The report takes half a second to import, beside the kernels of the sweep; if it fails, it does so below.
         Thread(target=_import_products, args=(job,), daemon=True).start()
         result = run.open_result(job.plan.quality)
-        stages = run_stages(job, run, resume=resume, compares_sweep="reference" in truth)
+        stages = run_stages(job, run, resume=resume)
         from survey.run.products import FinishedRun, write_products
 
         verdict = write_products(FinishedRun(run, job, stages, truth, result, time.monotonic() - began))

@@ -198,7 +198,7 @@ def _facts(
     """The inputs of the report; compares the cloud, and copies the files of the adjustment."""
     survey, plan, done = finished.job.survey, finished.job.plan, finished.stages
     start = time.monotonic()
-    comparison, of_sweep = _comparisons(finished)
+    comparison = _comparison(finished)
     # Of reused stages the versions of the libraries that computed them, as "torch (sweep)".
     now = versions()
     earlier = {
@@ -225,7 +225,6 @@ def _facts(
         points_crs=stored.points_crs,
         height_maps=Stored(done["sweep"] / MAPS, HeightMap),
         comparison=comparison,
-        sweep_comparison=of_sweep,
         versions=now | earlier,
         verdict=verdict,
         adjustment=adjustment_of(finished.result, done),
@@ -258,25 +257,17 @@ def adjustment_of(folder: Path, done: Mapping[str, Path]) -> Adjustment | None:
     return read_adjustment(folder)
 
 
-def _comparisons(finished: FinishedRun) -> tuple[Comparison | None, Comparison | None]:
-    """The cloud against the reference, and the cloud that the sweep alone would give; None where there is none."""
-    job, folder, reference = finished.job, finished.result, finished.truth.get("reference")
+def _comparison(finished: FinishedRun) -> Comparison | None:
+    """The cloud against the reference; None where there is none."""
+    job, reference = finished.job, finished.truth.get("reference")
     if reference is None:
-        return None, None
-    note = job.progress.note
+        return None
     # Loads what compares images too; most runs have nothing to compare with.
     from survey.compare.comparison import CompareOptions, compare_surfaces
 
     options = CompareOptions(tolerances_m=TOLERANCES_M, visible=finished.truth.get("visible"), bounds=job.survey.bounds)
-    note(f"comparison of the cloud with {reference.name}")
-    found = compare_surfaces(folder / "cloud.las", reference, options)
+    job.progress.note(f"comparison of the cloud with {reference.name}")
+    found = compare_surfaces(finished.result / "cloud.las", reference, options)
     # The final path, not that of the folder in which the result is written.
     found.figures.circumstances["cloud"] = str(finished.run.cloud_path)
-    if "bed_of_sweep" not in finished.stages:
-        return found, None
-    cloud = folder / "sweep.las"
-    write_bed_las(cloud, load_bed(finished.stages["bed_of_sweep"]))
-    note(f"comparison of what the sweep alone gives with {reference.name}")
-    of_sweep = compare_surfaces(cloud, reference, options)
-    cloud.unlink()
-    return found, of_sweep
+    return found

@@ -157,8 +157,7 @@ def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
     survey = job.survey
     maps = Stored(needs["sweep"] / MAPS, HeightMap)
     solved = Stored(needs["solver"] / SOLVED, SolvedMap) if "solver" in needs else None
-    is_of_sweep = job.plan.solves and solved is None
-    with job.progress.stage("Points of the sweep alone" if is_of_sweep else "Points", len(maps)) as stage:
+    with job.progress.stage("Points", len(maps)) as stage:
         kept = load_masks(needs["sweep"] / KEPT)
         if solved is not None:
             kept = without_ghosts(job.block, SolvedHeights(maps, solved), kept, job.plan.gsd_m)

@@ -193,12 +193,6 @@ STAGES = (
     ),
 )
 
-# What the cloud would be of the sweep alone: a baseline for the report.
-OF_SWEEP_ALONE = (
-    replace(STAGES[-2], name="points_of_sweep", needs=("sweep",), is_on=lambda job: job.plan.solves),
-    replace(STAGES[-1], name="bed_of_sweep", needs=("adjust", "points_of_sweep"), is_on=lambda job: job.plan.solves),
-)
-
 
 @dataclass(frozen=True)
 class Missing:
@@ -210,21 +204,18 @@ class Missing:
     key: Key
 
 
-def run_stages(job: Job, run: RunDir, *, resume: bool, compares_sweep: bool) -> dict[str, Path]:
-    """Run the stages of the job, tiles on workers where it has any; returns their folders by name.
-
-    ``compares_sweep`` adds the cloud that the sweep alone would give.
-    """
+def run_stages(job: Job, run: RunDir, *, resume: bool) -> dict[str, Path]:
+    """Run the stages of the job, tiles on workers where it has any; returns their folders by name."""
     done: dict[str, Path] = {}
     has_workers = job.plan.tiling is not None and (job.plan.workers > 1 or job.chosen.scheduler is not None)
     with ExitStack() as stack:
         workers: Workers | None = None
-        for stage in [*STAGES, *OF_SWEEP_ALONE] if compares_sweep else STAGES:
+        for stage in STAGES:
             if not stage.is_on(job):
                 continue
             if stage.name == "adjust" and resume:
                 job.adjusted_before = _adjusted_before(job, run, stage)
-            if stage.name == "range" and resume and not compares_sweep:
+            if stage.name == "range" and resume:
                 _use_of_earlier_level(job, run, stage, done)
             missing = _missing(stage, job.parts if stage.is_of_tiles else [job], run, done, resume=resume)
             if missing and stage.is_of_tiles and has_workers:

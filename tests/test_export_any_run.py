@@ -101,7 +101,7 @@ def test_a_product_is_whole_or_refused_in_a_sentence(run, tmp_path, capsys, opti
     assert refused or not (cloud is none and product.is_of_points)
     if refused:
         return
-    if suffix in (".tif", ".bag") and option != "unseen" and "nothing to show" not in capsys.readouterr().err:
+    if suffix in (".tif", ".bag") and "nothing to show" not in capsys.readouterr().err:
         with rasterio.open(file) as raster:
             assert raster.read(1, masked=True).count() > 0
 

@@ -14,7 +14,6 @@ import numpy as np
 import pyogrio.raw
 import pytest
 from pyproj import CRS, Transformer
-from scipy import ndimage
 from small_bed import SLOPE
 from small_survey import small_survey
 from stored_run import plane_stored, run_of
@@ -25,10 +24,10 @@ from survey.errors import SurveyError
 from survey.export.export import export
 from survey.export.loaded import LoadedRun
 from survey.export.registry import ExportOptions
-from survey.export.vectors import ONE_VIEW, TWO_VIEWS, code_at, seen_of, unseen_of
+from survey.export.vectors import ONE_VIEW, TWO_VIEWS, seen_of, unseen_of
 from survey.folder.survey import load_survey
 from survey.progress import Progress
-from survey.report.seen_cells import DELETED, GLINT
+from survey.report.seen_cells import DELETED, GLINT, code_at
 from survey.run.edits import Edits
 from survey.run.flight import load_flight, save_flight
 from survey.run.folder import GAPS
@@ -242,28 +241,6 @@ def test_gaps_have_the_reasons_of_the_run_and_those_of_edits(block, tmp_path):
         area_m2 = float(raster.tags()[f"AREA_{DELETED}_M2"])
     assert 0.5 < area_m2 < 1.0  # cells that touch a point on the rim are not empty
     assert "glint: white in the views" in {said["reason"] for said in lines_of(tmp_path / "u.geojson", survey)[1]}
-
-
-@pytest.mark.parametrize("crs", [None, "EPSG:25833"])
-def test_the_mask_of_unseen_bed_lies_upon_the_terrain_model(block, tmp_path, crs):
-    rasterio = pytest.importorskip("rasterio")
-    path, survey = block
-    options = ExportOptions(crs=crs, resolution_m=0.2)
-    for _ in range(2):  # an earlier one is replaced
-        export(path, options=options, dem=tmp_path / "d.tif", unseen=tmp_path / "u.tif")
-    with rasterio.open(tmp_path / "d.tif") as dem, rasterio.open(tmp_path / "u.tif") as mask:
-        assert (mask.transform, mask.shape, mask.crs.to_epsg()) == (dem.transform, dem.shape, dem.crs.to_epsg())
-        transform, has_height, codes = mask.transform, dem.read(1) != dem.nodata, mask.read(1)
-        assert mask.tags()["CODE_1"].startswith("two or more views")
-    assert (codes[has_height] == 0).all()
-    # Others lie along the rim of the bed, which is turned against the grid.
-    parts, _ = ndimage.label(codes == TWO_VIEWS)
-    plan = survey.frame.crs_from_local([*HOLE_AT, 0.0])[:2]
-    east, north = Transformer.from_crs("EPSG:25832", crs or "EPSG:25832", always_xy=True).transform(*plan)
-    row, column = (int(number) for number in rasterio.transform.rowcol(transform, east, north))
-    assert parts[row, column] > 0
-    area = 0.2**2 * (parts == parts[row, column]).sum()
-    assert np.pi * (HOLE_M - 0.3) ** 2 < area < np.pi * HOLE_M**2
 
 
 def test_a_geopackage_has_its_crs_and_is_read_without_the_library_that_wrote_it(block, tmp_path):

@@ -1,6 +1,6 @@
 """Lines and areas of a run: footprints, shoreline, contours, water without a bed; layers written by their suffix.
 
-Water without a bed was looked at, and no bed found in it: its cells with their causes, as areas, raster or points.
+Water without a bed was looked at, and no bed found in it: its cells with their causes, as areas or points.
 """
 
 from __future__ import annotations
@@ -18,21 +18,19 @@ from shapely import Polygon
 
 from fields.sweep.bed import BedPoints
 from geo import vectors
-from geo.grid import Grid, Window
+from geo.grid import Grid
 from geo.las import CLASS_NO_BOTTOM, CLASS_WATER_SURFACE
 from geo.raster import RasterBand, RasterForm, write_cog
-from geo.transformation import Transformation
 from geo.vectors import Layer
 from refract import FlatWater, PinholeCamera
 from survey.display.quantities import round_up
 from survey.errors import SurveyError
 from survey.export.bed_raster import BedRaster, bed_raster
 from survey.export.loaded import LoadedRun
-from survey.export.rasters import write_raster
 from survey.export.registry import ExportOptions
 from survey.plan.area import local_area
 from survey.progress import current
-from survey.report.seen_cells import DELETED, ONE_VIEW, REASONS, TWO_VIEWS, SeenCells, cells_seen, code_at
+from survey.report.seen_cells import DELETED, ONE_VIEW, REASONS, TWO_VIEWS, SeenCells, cells_seen
 from survey.run.folder import GAPS
 from survey.run.stored import StoredBed, load_arrays
 from survey.water.surface import plane_under
@@ -265,14 +263,6 @@ def with_unseen(
     return with_all, np.concatenate([classes, added_classes])
 
 
-def write_unseen(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    """Polygons, or a raster by the suffix."""
-    if path.suffix.lower() in (".tif", ".tiff"):
-        _write_mask(path, run, options)
-    else:
-        write_layer(path, unseen_areas(run, options))
-
-
 def unseen_areas(run: LoadedRun, options: ExportOptions) -> Layer:
     """Polygons of the cells of water without a bed, with the reason as far as it is known."""
     cells, codes = seen_of(run), unseen_of(run)
@@ -289,24 +279,6 @@ def unseen_areas(run: LoadedRun, options: ExportOptions) -> Layer:
     return Layer("unseen", "Polygon", shapes, run.crs_for(options.crs), columns, about)
 
 
-def _write_mask(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    """Write the codes of its causes as GeoTIFF, 0 where the terrain model has a height.
-
-    It covers what the terrain model covers, so that both lie upon each other; what lies beyond is in the polygons only.
-    """
-    grid, cells, unseen, frame = bed_raster(run, options), seen_of(run), unseen_of(run), run.flight.frame
-    corner = np.array([grid.cells.origin])
-    back = Transformation.between(grid.cells.crs, run.bed_header.crs, corner)
-
-    def values(window: Window) -> np.ndarray:
-        east, north = back(*np.moveaxis(grid.cells.middles(window), -1, 0))
-        codes = code_at(cells.grid, unseen, np.stack([east, north], axis=-1), frame)
-        return np.where(grid.origin[window.slices] > 0, 0, codes).astype(np.uint8)[None]
-
-    band = RasterBand("no bed found", "code")
-    write_raster(path, grid, values, band, tags=_tags_of_reasons(), dtype="uint8", nodata=None, resampling="NEAREST")
-
-
 LAYERS = {"footprints": footprints_of, "shoreline": shoreline_of, "contours": contours_of, "unseen": unseen_areas}
 
 
@@ -314,6 +286,4 @@ def _write(name: str, path: Path, run: LoadedRun, options: ExportOptions) -> Non
     write_layer(path, LAYERS[name](run, options))
 
 
-write_footprints, write_shoreline, write_contours = (
-    partial(_write, name) for name in ("footprints", "shoreline", "contours")
-)
+write_footprints, write_shoreline, write_contours, write_unseen = (partial(_write, name) for name in LAYERS)

@@ -36,7 +36,6 @@ from survey.run.stored_maps import IN_MEMORY, Stored, StoredMasks, load_masks, m
 
 if TYPE_CHECKING:
     from fields.sweep.block import Block
-    from fields.sweep.maps import OrderedMaps, StoreFactory
     from survey.run.job import Job, Window
     from survey.run.tile_job import TileJob
 
@@ -110,7 +109,8 @@ def _sweep_block(job: Job, folder: Path, block: Block, title: str) -> list[list[
             swept = sweep(block, job.views_to_match, settings, shares(stage), make_store=make_store)
             if not swept and job.cell is None:
                 raise SurveyError("no two photographs overlap; check that the poses belong to the images")
-            finished = _finished(block, swept, make_store)
+            finished = remove_free_space_violations(block, swept, make_store)
+            swept.clear()
             finished = with_wide_windows(block, finished, bound, job.ground, make_store)
             save_maps(folder / MAPS, HeightMap, finished)
             consistency = photo_consistency(block, finished, job.whole_camera)
@@ -122,13 +122,6 @@ def _sweep_block(job: Job, folder: Path, block: Block, title: str) -> list[list[
         squares,
     )
     return squares
-
-
-def _finished(block: Block, maps: OrderedMaps, make_store: StoreFactory) -> OrderedMaps:
-    """Maps of a sweep without heights that other views contradict."""
-    found = remove_free_space_violations(block, maps, make_store)
-    maps.clear()
-    return found
 
 
 def _choose_pixels(job: Job, folder: Path) -> list[list[int]]:

@@ -25,9 +25,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from baselines import per_camera, times_index
 from scipy.spatial.transform import Rotation
 
-from evaluation.baselines import per_camera, times_index
 from refract import FlatWater, project
 
 # What pyBathySfM takes for the stream, and its filter: cameras within these of a point.

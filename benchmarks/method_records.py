@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from baselines import per_camera, times_index
 from method_cases import Case
 from std_coverage import WALL_DEG, Coverage, slope_below
 
-from evaluation import per_camera, times_index, vertical_difference
+from evaluation import vertical_difference
 from geo import Mesh, read_cloud, write_cloud
 from geo.files import write_text
 from refract import FlatWater, PinholeCamera

@@ -11,10 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from baselines import apparent_points
 from scipy.ndimage import binary_dilation, median_filter
 from scipy.spatial import cKDTree
 
-from evaluation.baselines import apparent_points
 from evaluation.c2m import is_outlier
 from fields.sweep import views
 from fields.sweep.matching import PASSES

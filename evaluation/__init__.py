@@ -6,13 +6,11 @@
 | height over a mesh or a cloud, positive above it; height of a cloud at places; M3C2 | `vertical` |
 | bias, spread and scores, also of parts as by depth; Huber's weights | `summary`; by blocks: `bootstrap` |
 | IHO S-44 and ASPRS | `standards` |
-| what straight rays would give | `baselines` |
 | quality of images | `images` |
 """
 
 # Part of bathynerf.
 
-from evaluation.baselines import apparent_points, per_camera, times_index
 from evaluation.bootstrap import Blocks, mean_interval, spatial_blocks
 from evaluation.c2m import distance_to_cloud, distance_to_mesh, f_score, is_outlier, is_reached, sample_mesh, weld
 from evaluation.images import image_quality, psnr, ssim

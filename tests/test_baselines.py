@@ -6,9 +6,8 @@ import gzip
 
 import numpy as np
 import pytest
+from baselines import apparent_points, per_camera, times_index
 from scipy.optimize import brentq
-
-from evaluation import apparent_points, per_camera, times_index
 
 N_WATER = 1.333
 HEIGHT, DEPTH = 39.0, 3.5

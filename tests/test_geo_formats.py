@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from pyproj import CRS
 
 from geo import Cloud, Mesh, read_reference
 from geo.crs import parse_crs
-from geo.e57 import write_e57
 from geo.errors import UnreadableFile
 from geo.meshes import write_glb
 
@@ -93,23 +91,6 @@ def test_all_scans_of_an_e57_are_read_in_double_precision(tmp_path, rng):
     np.testing.assert_allclose(cloud.points, points, atol=2e-9)
 
 
-def test_a_written_e57_has_its_points_colours_and_crs(tmp_path, rng):
-    pye57 = pytest.importorskip("pye57")
-    points = ORIGIN + rng.uniform(-50.0, 50.0, (500, 3))
-    rgb = rng.integers(0, 256, (500, 3), dtype=np.uint8)
-    path = tmp_path / "r.e57"
-    write_e57(path, points, parse_crs("EPSG:25832+5778"), rgb=rgb)
-    with pye57.E57(str(path)) as file:
-        scan = file.read_scan(0, colors=True, ignore_missing_fields=True)
-        wkt = file.root["coordinateMetadata"].value()
-    # Single precision, 50 m from the origin of the scan.
-    step = 2.0 * float(np.spacing(np.float32(50.0)))
-    np.testing.assert_allclose(np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], 1), points, atol=step)
-    np.testing.assert_array_equal(np.stack([scan[f"color{name}"] for name in ("Red", "Green", "Blue")], 1), rgb)
-    assert CRS.from_wkt(wkt).sub_crs_list[0].to_epsg() == 25832
-    assert list(tmp_path.iterdir()) == [path]
-
-
 def test_a_glb_has_colours_in_linear_light_and_a_material_of_both_sides(tmp_path):
     """Every value of sRGB comes back, and 0.5 of it is 0.214 of the light (IEC 61966-2-1)."""
     pytest.importorskip("trimesh")
@@ -128,16 +109,3 @@ def test_a_glb_has_colours_in_linear_light_and_a_material_of_both_sides(tmp_path
     view = scene["bufferViews"][accessor["bufferView"]]
     stored = np.frombuffer(binary, "<u2", 4 * 256, view["byteOffset"]).reshape(-1, 4)
     assert stored[128, 0] / 65535 == pytest.approx(((128 / 255 + 0.055) / 1.055) ** 2.4, abs=1e-5)
-
-
-def test_the_bounds_of_an_e57_scan_are_those_before_its_pose_and_it_has_a_date(tmp_path):
-    pye57 = pytest.importorskip("pye57")
-    points = ORIGIN + np.array([[0.0, 0.0, 0.0], [8.0, 6.0, 2.0]])
-    write_e57(tmp_path / "a.e57", points, parse_crs("EPSG:25832+5783"), rgb=np.zeros((2, 3), np.uint8))
-    with pye57.E57(str(tmp_path / "a.e57")) as file:
-        header = file.get_header(0)
-        assert (header.xMinimum, header.xMaximum, header.zMinimum, header.zMaximum) == (-4.0, 4.0, -1.0, 1.0)
-        np.testing.assert_array_equal(header.translation, points.mean(axis=0))
-        made = file.root["creationDateTime"]["dateTimeValue"].value()
-    # GPS time, 18 s ahead of UTC.
-    assert abs(made - (time.time() - 315_964_800.0 + 18.0)) < 3600.0

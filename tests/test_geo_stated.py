@@ -13,8 +13,7 @@ from rasterio.errors import NotGeoreferencedWarning
 
 from geo import Mesh, read_reference
 from geo.crs import height_unit_m, horizontal_crs, unit_named
-from geo.e57 import write_e57
-from geo.errors import UnreadableFile, UnwritableFile
+from geo.errors import UnreadableFile
 from geo.meshes import write_glb, write_obj
 from geo.ply import write_ply
 from survey.compare.inputs import InputPaths, load_inputs
@@ -153,13 +152,6 @@ def test_a_mesh_that_was_written_comes_back_in_its_crs_and_at_its_place(tmp_path
     if suffix == ".glb":
         # In metres, whatever the CRS: of a grid with its scale, turned by its convergence, 20 m by 2 degrees at most.
         np.testing.assert_allclose(trimesh.load(path).extents, [20.0, 3.0, 10.0], atol=0.7)
-
-
-@pytest.mark.parametrize("code", [FEET, "EPSG:25832+6360", "EPSG:4326+7837", "EPSG:4979"])
-def test_e57_which_is_in_metres_refuses_a_crs_that_is_not(tmp_path, code):
-    mesh, crs = placed_mesh(code)
-    with pytest.raises(UnwritableFile, match=r"E57 is in metres, but the CRS is .* give --crs"):
-        write_e57(tmp_path / "m.e57", mesh.vertices, crs, rgb=mesh.rgb)
 
 
 def test_a_crs_in_a_comment_that_is_not_understood_is_named(tmp_path):

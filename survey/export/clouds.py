@@ -14,7 +14,6 @@ from pyproj import CRS
 
 from evaluation.standards import TO_95, TO_95_IN_PLAN
 from geo.crs import is_geographic, quoted_crs
-from geo.e57 import require_metres
 from geo.files import write_whole
 from geo.las import is_withheld
 from survey.errors import SurveyError
@@ -24,7 +23,7 @@ from survey.export.rasters import plan_std
 from survey.export.registry import ExportOptions
 from survey.export.styles import of_clouds
 from survey.progress import current
-from survey.run.products import write_bed_e57, write_bed_las, write_bed_ply
+from survey.run.products import write_bed_las, write_bed_ply
 from survey.run.stored import StoredBed
 
 # XYZ has the first three.
@@ -66,16 +65,6 @@ style_copc = of_clouds
 def write_ply(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     """PLY."""
     write_bed_ply(path, run.bed_in(options.crs))
-
-
-def write_e57(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    """E57."""
-    write_bed_e57(path, run.bed_in(options.crs, certain=True))
-
-
-def check_e57(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    """Raise UnwritableFile where the CRS is not in metres."""
-    require_metres(path, run.crs_for(options.crs))
 
 
 def check_soundings(_path: Path, _run: LoadedRun, options: ExportOptions) -> None:

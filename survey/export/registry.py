@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _FINEST_PX = 0.05
 # By suffix, the module that writes a file and the extra that brings it, where it is not always there.
 _LIBRARIES = {
-    ".e57": ("pye57", "e57"), ".gpkg": ("pyogrio", "vector"), ".zip": ("pyogrio", "vector"), ".dxf": ("ezdxf", "dxf"),
+    ".gpkg": ("pyogrio", "vector"), ".zip": ("pyogrio", "vector"), ".dxf": ("ezdxf", "dxf"),
 }  # fmt: skip
 
 
@@ -119,8 +119,6 @@ FAMILIES: dict[str, tuple[Product, ...]] = {
                 "Points as cloud-optimised LAZ, from which readers fetch parts.", "bed.copc.laz"),
         Product("ply", (".ply",), "clouds", ("crs", _EDITED),
                 "Points as binary PLY in double precision.", "bed.ply"),
-        Product("e57", (".e57",), "clouds", ("crs", _EDITED),
-                "Places and colours of the points as E57 (needs the extra e57).", "bed.e57"),
         Product("soundings", (".xyz", ".csv"), "clouds", ("crs", "resolution_m", "thin", _EDITED),
                 "Points as XYZ or, with depth and standard deviations, CSV.", "bed.xyz --thin shoal"),
     ),

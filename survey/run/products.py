@@ -14,7 +14,6 @@ import numpy as np
 
 from fields.sweep.maps import HeightMap
 from fields.sweep.photo_consistency import Consistency
-from geo.e57 import write_e57
 from geo.las import is_withheld, write_cloud
 from geo.ply import write_ply
 from geo.shapes import ComputedColumn
@@ -86,11 +85,6 @@ def write_bed_ply(path: Path, stored: StoredBed) -> None:
         "withheld": is_withheld(bed.std),
     }
     write_ply(path, stored.points_crs, rgb=bed.rgb, scalars=scalars, crs=stored.crs)
-
-
-def write_bed_e57(path: Path, stored: StoredBed) -> None:
-    """Places and colours as E57; see `geo.e57.write_e57`."""
-    write_e57(path, stored.points_crs, stored.crs, rgb=stored.bed.rgb)
 
 
 def options_of(job: Job, truth: Mapping[str, Path]) -> dict:

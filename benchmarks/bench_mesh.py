@@ -1,11 +1,11 @@
-"""How well does the mesh of a run fit the true surface, against the cloud that it is made of?
+"""How well do meshes of a run fit the true surface, against the cloud that they are made of?
 
     python benchmarks/bench_mesh.py RUN SURVEY
 
 RUN is a run of SURVEY, a survey with known truth (reference.ply, visible.ply in it or in truth/). One line for the
-cloud and one for the mesh, within the bounds of the survey: C2M of the points or vertices, completeness of the visible
-points at 5 cm and 2 cm, of a mesh by as many samples of its surface as the cloud has points, and seconds on one core.
-docs/meshes.md has the figures.
+cloud and one for each method, within the bounds of the survey: C2M of the points or vertices, completeness of the
+visible points at 5 cm and 2 cm, of a mesh by as many samples of its surface as the cloud has points, and seconds on one
+core. Poisson needs the extra ``mesh``. docs/meshes.md has the figures.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from survey.run.folder import RunDir
 from survey.run.stored import load_bed
 
 TOLERANCES_M = (0.05, 0.02)
+METHODS = ("delaunay", "poisson")
 
 
 class Truth:
@@ -56,6 +57,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("run", type=Path)
     parser.add_argument("survey", type=Path)
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS)
     options = parser.parse_args()
     truth = Truth(options.run, options.survey)
     stored = load_bed(RunDir(options.run).load_stage("bed"))
@@ -66,11 +68,12 @@ def main() -> None:
         + "\n"
     )
     sys.stdout.write(truth.line("cloud", bed.xyz, bed.xyz, 0, 0.0))
-    start = time.perf_counter()
-    mesh = bed_surface(bed, spacing_m=stored.gsd_m)
-    seconds = time.perf_counter() - start
-    samples = sample_mesh(mesh.vertices, mesh.faces, len(bed))
-    sys.stdout.write(truth.line("mesh", mesh.vertices, samples, len(mesh.faces), seconds))
+    for method in options.methods:
+        start = time.perf_counter()
+        mesh = bed_surface(bed, spacing_m=stored.gsd_m, method=method, path=method)
+        seconds = time.perf_counter() - start
+        samples = sample_mesh(mesh.vertices, mesh.faces, len(bed))
+        sys.stdout.write(truth.line(method, mesh.vertices, samples, len(mesh.faces), seconds))
 
 
 if __name__ == "__main__":

@@ -115,6 +115,7 @@ def test_several_formats_are_written_at_once(run_folder, tmp_path):
         ({"las": "a.las"}, {"fill_m": 1.0}, SurveyError, "--fill has no effect on what is exported here"),
         ({"xyz": "a.xyz"}, {}, TypeError, "no product is called xyz"),
         ({"soundings": "a.csv"}, {"thin": "deep"}, SurveyError, '--thin is "deep", expected one of none, shoal, mean'),
+        ({"soundings": "a.csv"}, {"mesh_method": "ball"}, SurveyError, '--mesh-method is "ball", expected one of del'),
         ({"soundings": "a.csv"}, {"resolution_m": 1.0}, SurveyError, "give --thin shoal or --thin mean too"),
     ],
 )

@@ -13,7 +13,7 @@ from evaluation.c2m import distance_to_mesh
 from geo.reading import read_reference
 from survey.errors import SurveyError
 from survey.export.export import export
-from survey.export.meshes import bed_surface
+from survey.export.meshes import bed_surface, oriented_normals
 from survey.export.registry import ExportOptions
 from survey.folder.survey import load_survey
 from survey.run.flight import save_flight
@@ -30,7 +30,8 @@ def wavy(rng, *, half_m: float = 3.0, hole_m: float = 0.0) -> np.ndarray:
 
 
 def surface(points, std=0.01, **options):
-    return bed_surface(replace(stored_points(points, None, std_m=std).bed, xyz=points), spacing_m=SPACING_M, **options)
+    options = {"spacing_m": SPACING_M, "method": "delaunay", "path": "bed.ply", **options}
+    return bed_surface(replace(stored_points(points, None, std_m=std).bed, xyz=points), **options)
 
 
 def up(mesh) -> np.ndarray:
@@ -92,11 +93,33 @@ def test_parts_that_meet_in_one_vertex_are_closed_each_for_itself():
     np.testing.assert_array_equal(vertices[:, :2], corners[above, :2])
 
 
+def test_normals_point_up_and_on_walls_to_the_side_that_is_open(rng):
+    """A step of 1 m between two level parts: on its wall the normal points away from the upper part."""
+    level = rng.uniform([-1.0, -1.0], [0.0, 1.0], (4000, 2))
+    high = np.column_stack([level, np.full(4000, 1.0)])
+    low = np.column_stack([level + np.array([1.0, 0.0]), np.zeros(4000)])
+    wall = np.column_stack([np.zeros(4000), rng.uniform([-1.0, 0.0], [1.0, 1.0], (4000, 2))])
+    normals = oriented_normals(np.concatenate([high, low, wall]) + rng.normal(0.0, 1e-3, (12000, 3)))
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
+    assert (normals[:8000, 2] > 0.0).mean() > 0.999
+    assert (normals[8000:, 0] > 0.0).mean() > 0.97
+
+
 def test_points_that_lie_too_far_apart_are_refused(rng):
     line = np.column_stack([0.1 * np.arange(50.0), np.zeros(50), np.zeros(50)])
     for points in (wavy(rng)[:2], 100.0 * wavy(rng)[:50], line, line[:, ::-1]):
         with pytest.raises(SurveyError, match=r"make no surface at --resolution 0\.1"):
             surface(points)
+
+
+def test_a_poisson_surface_is_near_the_points_and_trimmed_at_holes(rng):
+    pytest.importorskip("open3d", reason="open3d is not installed: pip install 'bathynerf[mesh]'")
+    points = wavy(rng, hole_m=1.0)
+    mesh = surface(points, method="poisson")
+    assert (up(mesh) > 0.0).mean() > 0.99
+    assert np.abs(distance_to_mesh(points, mesh.vertices, mesh.faces).signed).max() < 0.05
+    assert np.linalg.norm(mesh.vertices[:, :2], axis=1).min() > 0.75
+    assert np.abs(mesh.vertices[:, :2]).max() < 3.0 + 2.0 * SPACING_M
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ _LIBRARIES = {
 }  # fmt: skip
 
 
-_made = partial(option, "How they are made")
+_made, _mesh = partial(option, "How they are made"), partial(option, "Meshes")
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,13 @@ class ExportOptions:
         least=0.0,
         most=LARGEST,
     )
-    watertight: bool = _made(None, "Close the mesh with walls and a bottom.", name="--watertight", default=False)
+    mesh_method: str = _mesh(
+        "METHOD",
+        "delaunay: one height per place; poisson: with overhangs (extra mesh).",
+        default="delaunay",
+        one_of=("delaunay", "poisson"),
+    )
+    watertight: bool = _mesh(None, "Close the mesh with walls and a bottom.", name="--watertight", default=False)
     interval_m: float | None = _made(
         "M",
         "Contour interval [m]; default: about ten contours.",
@@ -135,7 +141,8 @@ FAMILIES: dict[str, tuple[Product, ...]] = {
                 "Folder: height of the water in each photograph, as GeoTIFF.", "waves", is_folder=True),
     ),
     "Meshes": (
-        Product("mesh", (".ply", ".obj", ".glb"), "meshes", ("crs", "resolution_m", "watertight", _EDITED),
+        Product("mesh", (".ply", ".obj", ".glb"), "meshes",
+                ("crs", "resolution_m", "mesh_method", "watertight", _EDITED),
                 "The bed in coloured triangles: PLY, OBJ or GLB.", "bed.obj --watertight"),
     ),
     "Lines and areas": (

@@ -165,16 +165,6 @@ def _autocorrelation(values: np.ndarray, side_m: float) -> tuple[np.ndarray, np.
     return sums, side_m * np.hypot(rows[:, None], columns[None, :])
 
 
-@dataclass(frozen=True)
-class _SurveyPoints:
-    """A cloud of the bed with the standard deviations of its heights."""
-
-    points: np.ndarray  # (N, 3), in crs
-    # std, common: (N,) [m]
-    std: np.ndarray
-    common: np.ndarray
-
-
 def differences_of(
     surveys: Mapping[Path, Path], options: ChangeOptions
 ) -> tuple[list[Differences], Grid, tuple[str, ...]]:
@@ -193,7 +183,7 @@ def differences_of(
             f"neither {first} nor {others[0]} states its CRS, in which the differences are written; write it into the "
             "files, e.g. by pdal translate --writers.las.a_srs=EPSG:25832+7837"
         )
-    parts: list[_SurveyPoints] = []
+    parts: list[Cloud] = []
     for path in surveys:
         notes += shared_photographs(first, path) if path != first else []
         parts.append(_survey_points(clouds.pop(path), path, crs, options, notes))
@@ -241,8 +231,8 @@ def _cloud(path: Path, file: Path) -> Cloud:
     return cloud
 
 
-def _survey_points(cloud: Cloud, path: Path, crs: CRS, options: ChangeOptions, notes: list[str]) -> _SurveyPoints:
-    """The points of a survey with their standard deviations, in the common CRS; adds notes on them."""
+def _survey_points(cloud: Cloud, path: Path, crs: CRS, options: ChangeOptions, notes: list[str]) -> Cloud:
+    """The points of a survey in the common CRS with ``std`` and ``std_common``, both known; adds notes on them."""
     own, unit_m = cloud.crs, height_unit_m(crs)
     if own is None or crs_difference(own, crs) is None:
         if own is not None and has_height(own):
@@ -258,26 +248,25 @@ def _survey_points(cloud: Cloud, path: Path, crs: CRS, options: ChangeOptions, n
         raise SurveyError(
             f"{path} is in {own.name} without heights, and the other survey in {crs.name}; give both in one"
         )
-    columns = []
+    columns = {}
     for name, stated, option, what in (
         ("std", options.std_m, "--std", "of its heights"),
         ("std_common", options.std_common_m, "--std-common", "that its heights have in common (level, datum, poses)"),
     ):
         carried = cloud.extra.get(name)
         if carried is not None and np.isfinite(carried).any():
-            columns.append(np.asarray(carried, dtype=np.float64))
+            columns[name] = np.asarray(carried, dtype=np.float64)
         elif stated is not None:
-            columns.append(np.full(len(cloud.points), stated))
+            columns[name] = np.full(len(cloud.points), stated)
             notes.append(f"{path} carries no {name}: taken as {stated:g} m ({option})")
         else:
             raise SurveyError(
                 f"{path} carries no {name}, the standard deviation {what}; give it in metres, {option} 0.02"
             )
-    std, common = columns
-    keep = np.isfinite(std) & np.isfinite(common) & np.isfinite(cloud.points).all(axis=1)
+    keep = np.isfinite(columns["std"]) & np.isfinite(columns["std_common"]) & np.isfinite(cloud.points).all(axis=1)
     if not keep.any():
         raise SurveyError(f"no point of {path} has a standard deviation; give --std and --std-common")
-    return _SurveyPoints(cloud.points[keep], std[keep], common[keep])
+    return Cloud(points=cloud.points[keep], extra={name: values[keep] for name, values in columns.items()})
 
 
 def _spacing_m(points: np.ndarray, metres: np.ndarray) -> float:
@@ -287,12 +276,13 @@ def _spacing_m(points: np.ndarray, metres: np.ndarray) -> float:
     return float(np.sqrt(np.prod((high - low) * metres) / max(int(inside.sum()), 1)))
 
 
-def _raster_of(survey: _SurveyPoints, cells: Grid, crs: CRS, spacing_m: float) -> tuple[np.ndarray, ...]:
+def _raster_of(survey: Cloud, cells: Grid, crs: CRS, spacing_m: float) -> tuple[np.ndarray, ...]:
     """Heights, their own and their common standard deviations (rows, columns) [m]; NaN where there are none."""
     at = cells.columns_rows(survey.points)
     number = cell_numbers(at, cells.shape)
     inside = number >= 0
-    at, number, std, common = at[inside], number[inside], survey.std[inside], survey.common[inside]
+    at, number = at[inside], number[inside]
+    std, common = (survey.extra[name][inside] for name in ("std", "std_common"))
     height = survey.points[inside, 2] * height_unit_m(crs)
     layers = np.full((3, cells.shape[0] * cells.shape[1]), np.nan)
     if len(at):

@@ -283,14 +283,8 @@ class Run:
             ("crs", report.get("survey", {}).get("crs", {}).get("name")),
             ("verdict", f"{'passed' if self.passed else 'not passed'}: {'; '.join(gates)}"),
         ]
-        return table_html(rows) + self._picture_html()
-
-    def _picture_html(self) -> str:
-        for name in _PICTURES:
-            path = self._run.pictures_path / name
-            if path.is_file():
-                return picture_html(path)
-        return ""
+        shown = [path for name in _PICTURES if (path := self._run.pictures_path / name).is_file()]
+        return table_html(rows) + "".join(map(picture_html, shown[:1]))
 
 
 class Survey:

@@ -30,7 +30,7 @@ from survey.change.differences import (
     volume_of,
 )
 from survey.compare.options import ChangeOptions
-from survey.display.quantities import MINUS, length, share
+from survey.display.quantities import MINUS, LengthUnit, length, share
 from survey.errors import SurveyError
 from survey.export.export import cloud_of
 from survey.files.json_values import write_json
@@ -263,7 +263,6 @@ def _draw(change: Change, path: Path) -> None:
 
     from survey.display.canvas import colour_bar, finished, map_canvas, nice_limit, show
     from survey.display.palette import DIFFERENCES
-    from survey.display.quantities import LengthUnit
 
     cells = change.cells
     d = np.where(change.inside, change.differences.height, np.nan)

@@ -28,7 +28,7 @@ from survey.files.paths import ReadFiles, is_png, require_file, require_folder
 from survey.files.toml_table import option_name
 from survey.progress import current
 from survey.run.folder import RunDir
-from survey.words import RUN_FOLDER
+from survey.words import RUN_FOLDER, figure_text
 
 ALL = "all"
 COLUMNS = (
@@ -155,7 +155,6 @@ def _draw(path: Path, first: Path, epochs: Sequence[Epoch]) -> None:
     """Volume and mean height over time, with intervals of 95 %; by their order where a date is not known."""
     from survey.display.canvas import empty_figure, save, write_title
     from survey.display.palette import INK, SOFT
-    from survey.words import figure_text
 
     by_area: dict[str, list[Epoch]] = {}
     for epoch in epochs:

@@ -22,7 +22,7 @@ from survey.display.blocks import picture_html, table_html
 from survey.errors import SurveyError
 from survey.export.export import cloud_of, export
 from survey.export.loaded import LoadedRun
-from survey.export.profiles import Bed, Profile
+from survey.export.profiles import Bed, Profile, draw, figure_of
 from survey.export.rasters import write_dem
 from survey.export.registry import ExportOptions
 from survey.export.vectors import LAYERS
@@ -259,8 +259,6 @@ class Run:
         axes: Axes | None = None,
     ) -> Figure:
         """Plot of `profile`, into axes or a new figure."""
-        from survey.export.profiles import draw, figure_of
-
         profile = self.profile(line, step_m=step_m, reference=reference, name=name)
         if axes is None:
             return figure_of([profile])

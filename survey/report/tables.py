@@ -13,7 +13,6 @@ from survey.report.facts import WaveFigures
 
 # Digits of coordinates by their unit: to the centimetre in metres, to about as much in degrees.
 _DECIMALS = {"m": 2, "°": 7}
-_AXES = ("easting", "northing", "height")
 
 
 def cloud(found: dict[str, Any], crs: dict[str, Any]) -> list[Block]:
@@ -46,8 +45,8 @@ def _distributions(found: dict[str, Any]) -> list[Table]:
 def _extent(extent: dict[str, Any] | None, crs: dict[str, Any]) -> list[Table]:
     if extent is None:
         return []
-    units, rows = (crs["unit"], crs["unit"], crs["height_unit"]), []
-    for name, unit, low, high in zip(_AXES, units, extent["low"], extent["high"], strict=True):
+    units, rows = {"easting": crs["unit"], "northing": crs["unit"], "height": crs["height_unit"]}, []
+    for (name, unit), low, high in zip(units.items(), extent["low"], extent["high"], strict=True):
         digits = _DECIMALS.get(unit, 2)
         rows.append((f"{name} [{unit}]", number(low, digits), number(high, digits), number(high - low, digits)))
     return [Table(("extent", "from", "to", "size"), rows)]

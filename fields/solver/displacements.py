@@ -22,6 +22,8 @@ _FULL, _SEEN = 0.4, 0.6
 _INLIER = 0.2
 # Larger displacements are steps to another feature of the texture.
 _LARGEST_PX = 2.5
+# Least of what a step usually leaves, in variances of the noise: that of photographs without noise is rounding.
+_LEAST_LEFT = 1e-6
 # How wrong heights are is taken as alike within a Gauss window of this standard deviation, in cells.
 _ALIKE_CELLS = 4.0
 
@@ -56,14 +58,15 @@ def displacements_of(
     slack = (1e-3 * trace + 1e-12)[..., None, None] * np.eye(2)
     step = np.linalg.solve(normal + slack, right[..., None])[..., 0]
     seen = cells.sums((weight > 0.0).astype(np.float32))
+    known = (seen > _SEEN * cells.count) & (cells.count > _FULL * CELL_PX**2) & (trace > 0.0)
+    known &= np.abs(step).max(axis=-1) < _LARGEST_PX
+    known &= known.sum(axis=0) > 1
     # Where a step leaves more of the residuals than usual it led nowhere, as from too far: the weights of Geman and
     # McClure, or all other cells bend to it.
     left = (cells.sums(weight * residual * residual) - np.einsum("kca,kca->kc", step, right)) / np.maximum(seen, 1.0)
-    usual = float(np.median(left[seen > 0.0])) if seen.any() else 1.0
+    usual = max(float(np.median(left[known])), _LEAST_LEFT) if known.any() else 1.0
     normal /= np.maximum(left / usual, 1.0)[..., None, None] ** 2
-    known = (seen > _SEEN * cells.count) & (cells.count > _FULL * CELL_PX**2) & (trace > 0.0)
-    known &= np.abs(step).max(axis=-1) < _LARGEST_PX
-    view, cell = np.nonzero(known & (known.sum(axis=0) > 1))
+    view, cell = np.nonzero(known)
     point, per_pixel, motion = (
         cells.sums(each) / cells.count for each in (ground.points, ground.per_pixel, found.motion)
     )

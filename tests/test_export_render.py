@@ -24,6 +24,7 @@ from refract.lens import Lens
 from survey.errors import OutputError, SurveyError
 from survey.export.novel_views import attenuation_per_metre, log_exposures
 from survey.export.render import flown, render, targets_of
+from survey.folder.survey import load_survey
 from survey.photos.cameras import View
 from survey.progress import Progress
 from survey.run.flight import load_flight, save_flight
@@ -226,6 +227,16 @@ def test_a_lens_that_no_file_has_is_that_of_the_run(photographed, tmp_path):
     lens = flight.views[0].lens
     targets = targets_of(given, flight.frame, folder / "cameras.csv", tmp_path / "views")
     assert {(each.camera.width, each.camera.fx) for each in targets} == {(lens.width, lens.focal[0])}
+    # Of several each photograph has its own, and other cameras have none.
+    other, first = replace(lens, params=(50.0, *lens.params[1:])), load_survey(folder).views[0].name
+    views = [replace(view, lens=other if view.name == first else view.lens) for view in flight.views]
+    save_flight(run, replace(load_survey(folder), views=views))
+    targets = targets_of(given, flight.frame, folder / "cameras.csv", tmp_path / "views")
+    assert [each.camera.fx == 50.0 for each in targets] == [each.name == first for each in targets]
+    table = (folder / "cameras.csv").read_text().replace(first, "new.jpg")
+    (folder / "more.csv").write_text(table)
+    with pytest.raises(SurveyError, match=r"has no lens for new\.jpg, and the photographs of the run have several"):
+        targets_of(given, flight.frame, folder / "more.csv", tmp_path / "views")
 
 
 def test_photographs_are_rendered_in_a_common_exposure(photographed, tmp_path):

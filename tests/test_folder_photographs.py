@@ -240,7 +240,11 @@ def test_photographs_of_one_place_in_ten_seconds_are_a_burst(header):
     assert burst_notes(line | {"again.jpg": at_place(header, 300.0, 0.0)}) == ()
     assert burst_notes({name: replace(each, clock=None) for name, each in hovers.items()}) == ()
     # Nor are five cameras of a rig, two photographs between fixes, places apart without heights, one position for all.
-    rig = {f"{k}{camera}.jpg": at_place(header, 3.0 * k, 4.5e-5 * k) for k in range(6) for camera in "abcde"}
+    rig = {
+        f"{k}{camera}.jpg": at_place(header, 3.0 * k + 0.4 * (camera > "c"), 4.5e-5 * k + 1e-6 * (camera > "c"))
+        for k in range(6)
+        for camera in "abcde"
+    }
     fixes = {f"{k}.jpg": at_place(header, k, 4.5e-5 * (k // 2)) for k in range(6)}
     flat = {name: replace(each, lat_lon_height=(*each.lat_lon_height[:2], np.nan)) for name, each in line.items()}
     void = {name: at_place(header, 3.0 * k, 0.0) for k, name in enumerate(line)}

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy import ndimage
 from solved_tiles import plain_tile, residuals, white
 
 from fields.solver.displacements import CELL_PX, TileDisplacements, displacements_of, waves_of
 from fields.solver.gauss_newton import TileSolution
-from fields.solver.tile import SolverTile
+from fields.solver.tile import SolverTile, brightness_of
 from fields.solver.visibility import Ground, TileProjection
 from fields.waves.waves import Waves
 
@@ -65,6 +66,21 @@ def test_cells_in_which_a_step_leads_nowhere_tell_little(rng):
     is_lost = (found.view == 2) & (found.point[:, 0] < 48 * PIXEL_M)
     assert np.median(ratio[is_lost]) < 0.2
     assert np.median(ratio[~is_lost]) > 0.9
+
+
+def test_where_most_of_a_tile_is_black_the_rest_tells_as_much(rng):
+    _, solved = residuals(0.2 * white(VIEWS))
+    grey = 128.0 + 40.0 * ndimage.gaussian_filter(rng.standard_normal((96, 96)), 1.5)
+    grey = np.rint(grey + 0.6 * rng.standard_normal((VIEWS, 96, 96)))
+    tile, found = plain_tile(96), []
+    for black in (0, 57):
+        grey[:, :, :black] = 0.0
+        brightness = brightness_of(grey.reshape(VIEWS, -1).astype(np.float32))
+        information = measured(tile, replace(solved, brightness=brightness), -2.0)
+        trace = np.trace(information.information, axis1=1, axis2=2)
+        assert np.isfinite(trace).all()
+        found.append(np.median(trace[information.point[:, 0] > 65 * PIXEL_M]))
+    assert found[1] > 0.4 * found[0]
 
 
 def test_the_parallax_is_what_a_metre_of_height_displaces():

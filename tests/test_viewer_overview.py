@@ -60,3 +60,5 @@ def test_key_frames_are_cameras_for_render(shown, tmp_path):
     centres, rotations = poses_in_local(file, tmp_path, shown.flight.frame, "crs")
     np.testing.assert_allclose(centres[0], camera.centre, atol=1e-5)
     np.testing.assert_allclose(rotations[0], camera.cam_from_local, atol=1e-8)
+    write_key_frames(tmp_path / "edits" / "flight.csv", shown, [])
+    assert not (tmp_path / "edits" / "flight.csv").exists()

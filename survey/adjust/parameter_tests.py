@@ -202,9 +202,10 @@ def misfit(residuals: np.ndarray, ties: TiePoints) -> float | None:
     if not squares:
         return None
     of_waves = 0.0
-    if (num := len(quarters)) > 1:
+    if num := len(quarters):
         varied = np.array(quarters) - np.mean(quarters, axis=1, keepdims=True)
-        of_waves = np.sum((varied - varied.mean(axis=0)) ** 2, axis=(0, 1)) / (3.0 * (num - 1.0))
+        common = varied.mean(axis=0) if num > 1 else 0.0
+        of_waves = np.sum((varied - common) ** 2, axis=(0, 1)) / (3.0 * max(num - 1, 1))
     noise = np.maximum(noises, of_waves)
     return float(np.sqrt(max(float(np.mean(squares - noise)), 0.0)))
 

@@ -1,4 +1,4 @@
-"""The cloud as files of points: LAS, LAZ, COPC, PLY, E57, and soundings.
+"""The cloud as files of points: LAS, LAZ, COPC, PLY, and soundings.
 
 Soundings are all points, the shoalest of each cell, or the mean, as XYZ or CSV. XYZ is easting, northing and height
 alone, as GDAL's driver reads it. The first line of CSV names its columns, the last of which has the CRS in the first

@@ -20,6 +20,7 @@ from fields.image_based import NovelView
 from geo.files import reporting_disk_errors, write_whole
 from geo.frames import LocalFrame
 from refract import PinholeCamera
+from refract.lens import Lens
 from survey.errors import FILE_NAME, ConfigError, OutputError, SurveyError
 from survey.export.loaded import LoadedRun, colours_without_water
 from survey.export.novel_views import image_based_field
@@ -196,10 +197,21 @@ def _cameras(file: PoseFile, path: Path, frame: LocalFrame, run: RunDir) -> dict
         )
     given = config.cameras
     is_given = given.size_px is not None and given.focal_px is not None
-    lens = lens_from_config(given, {})[0] if is_given else load_flight(run.path).views[0].lens
+    open_names, lenses = [pose.name for pose in file.poses if pose.lens is None], dict[str, Lens]()
+    if open_names and is_given:
+        lenses = dict.fromkeys(open_names, lens_from_config(given, {})[0])
+    elif open_names:
+        own = {view.name: view.lens for view in load_flight(run.path).views}
+        first = next(iter(own.values()))
+        unknown = [name for name in open_names if name not in own]
+        if unknown and any(lens != first for lens in own.values()):
+            raise SurveyError(
+                f"{path} has no lens for {unknown[0]}, and the photographs of the run have several; give poses with "
+                "lenses, as of a COLMAP model"
+            )
+        lenses = {name: own.get(name, first) for name in open_names}
     placed = zip(file.poses, *poses_in_local(file, path, frame, given.gps_height), strict=True)
-    lenses = ((pose.name, pose.lens or lens, centre, rotation) for pose, centre, rotation in placed)
-    return {name: lens.camera(centre, rotation) for name, lens, centre, rotation in lenses}
+    return {pose.name: (pose.lens or lenses[pose.name]).camera(centre, rotation) for pose, centre, rotation in placed}
 
 
 def _pictures(stem: Path) -> list[Path]:

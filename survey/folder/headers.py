@@ -253,7 +253,7 @@ def burst_notes(headers: Mapping[str, Exif]) -> tuple[str, ...]:
             first = number
             sizes.append(0)
         # Cameras of a rig share the time, and photographs between two fixes the position.
-        between_s = 0.0 if apart_m else _BETWEEN_FIXES_S
+        between_s = _ONE_SHOT_S if apart_m else _BETWEEN_FIXES_S
         sizes[-1] += number == first or (clock - clocks[number - 1]).total_seconds() > between_s
     if not (bursts := [size for size in sizes if size > 1]):
         return ()

@@ -47,12 +47,18 @@
     box.style.cssText += `;display:flex;box-sizing:border-box;max-width:${canvas.width - 24}px;left:${canvas.left + 12}px;bottom:${innerHeight - canvas.bottom + 12}px`;
     frame.children[0].setAttribute("points", found.ground.map(([x, y]) => `${x},${1 - y}`).join(" "));
     map.style.cssText += `;display:block;right:${innerWidth - canvas.right + 12}px;top:${canvas.top + 12}px`;
-    if (drawnFor !== found.legend.label) drawMap(found.legend.label);
+    const wanted = `${found.revision} ${found.legend.label}`;
+    if (drawnFor !== wanted) drawMap(wanted);
   }
 
-  async function drawMap(label) {
-    drawnFor = label;
-    picture.src = `data:image/png;base64,${await (await fetch("overview")).json()}`;
+  async function drawMap(wanted) {
+    const before = drawnFor;
+    drawnFor = wanted;
+    try {
+      picture.src = `data:image/png;base64,${await (await fetch("overview")).json()}`;
+    } catch {
+      drawnFor = before;
+    }
   }
 
   async function ask(more = "") {

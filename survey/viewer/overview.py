@@ -77,10 +77,11 @@ def grid_lines(shown: Shown) -> list[tuple[str, np.ndarray]]:
 def grid_node(server: viser.ViserServer, shown: Shown) -> Any:
     """The grid of coordinates, with their values at its south and west."""
     top, lines = server.scene.add_frame("/grid", show_axes=False), grid_lines(shown)
-    for text, ends in lines:
-        server.scene.add_label(f"/grid/{text}", text, position=ends[0])
-    ends = np.array([ends for _, ends in lines])
-    server.scene.add_line_segments("/grid/lines", ends, (90, 100, 110), thickness=1.0, thickness_units="screen")
+    for number, (text, ends) in enumerate(lines):
+        server.scene.add_label(f"/grid/{number}", text, position=ends[0])
+    if lines:
+        ends = np.array([ends for _, ends in lines])
+        server.scene.add_line_segments("/grid/lines", ends, (90, 100, 110), thickness=1.0, thickness_units="screen")
     return top
 
 
@@ -89,6 +90,9 @@ def write_key_frames(path: Path, shown: Shown, cameras: Sequence[PinholeCamera])
     # Surveys that are drawn have the same table.
     from survey.simulate.sidecars import cameras_csv
 
+    if not cameras:
+        path.unlink(missing_ok=True)
+        return
     path.parent.mkdir(exist_ok=True)
     names = [f"view{number:03d}" for number in range(len(cameras))]
     write_text(path, cameras_csv(names, cameras, shown.new_frame()))
@@ -106,7 +110,9 @@ def add_key_frames(server: viser.ViserServer, shown: Shown) -> None:
             return
         if event.target is add:
             cameras.append(camera_in_browser(event.client.camera))
-        elif cameras:
+        elif not cameras:
+            return
+        else:
             cameras.pop()
         with telling([event.client], "flight", errors=(SurveyError, GeoError, OSError)):
             write_key_frames(path, shown, cameras)

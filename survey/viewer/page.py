@@ -228,7 +228,8 @@ class Overlay:
         if style.limits is not None:
             scale = SCALES[style.kind]
             legend = {"label": scale.legend(style.limits), "colours": scale.bar(16, 1)[0].tolist()}
-        return json.dumps(overlay_of(shown, camera, x, y) | {"ground": footprint(shown, camera), "legend": legend})
+        drawn = {"ground": footprint(shown, camera), "legend": legend, "revision": int(shown.revision.sum())}
+        return json.dumps(overlay_of(shown, camera, x, y) | drawn)
 
 
 def overlay_of(shown: Shown, camera: PinholeCamera, x: float, y: float) -> dict:

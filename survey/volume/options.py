@@ -113,7 +113,7 @@ def volume_options(config: FieldConfig, **others: Any) -> VolumeOptions:
     """`VolumeOptions` of a configuration; what it leaves open has its default, or is as its model's paper has it."""
     given = {name: value for name, value in vars(config).items() if value is not None} | others
     if given.pop("as_published"):
-        model = given.get("model", VolumeOptions.model)
+        model = given.get("model") or VolumeOptions.model
         published = MODELS[model].published if model in MODELS else {}
         if not published:
             raise SurveyError(f"--as-published is given, and no paper describes {model}; leave it out")

@@ -240,7 +240,7 @@ def simulate(
     mode: Annotated[
         Mode | None, typer.Option(metavar="|".join(Mode), help="Overrides the mode of the scene file.")
     ] = None,
-    flight_only: Annotated[bool, typer.Option("--flight-only", help="Write cameras.csv and flight.png only.")] = False,
+    flight_only: Annotated[bool, typer.Option("--flight-only", help="Write cameras.csv only.")] = False,
     preview: Annotated[bool, typer.Option("--preview", help="One ray per pixel.")] = False,
     again: Annotated[bool, typer.Option("--again", help="Start again even if the survey exists.")] = False,
     verbose: Verbose = 0,
@@ -253,7 +253,6 @@ def simulate(
         if flight_only:
             simulate_flight(scene, output)
             results.line(output / "cameras.csv")
-            results.line(output / "flight.png")
         else:
             simulate(scene, output, mode=mode.value if mode else None, preview=preview, again=again)
             results.line(output)

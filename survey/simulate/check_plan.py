@@ -26,7 +26,7 @@ from survey.plan.plan import make_plan
 from survey.plan.workload import room_warnings, workload_of
 from survey.progress import rough
 from survey.settings.config import AreaConfig, SurveyConfig
-from survey.simulate.flight import NADIR_DEG, coverage
+from survey.simulate.flight import NADIR_DEG, views_of_bed
 from survey.simulate.scene_file import read_scene
 from survey.simulate.simulate import ScenePlan, plan_scene, sun_of
 
@@ -104,7 +104,7 @@ def _flight_rows(plan: ScenePlan, survey: Survey) -> list[tuple[str, str]]:
     duration = "" if speed is None else f", {rough(path / speed)} at {speed:g} m/s without the turns"
     over = "the water" if site.water is not None else "the ground"
     wide, deep = plan.settings.area.size_m
-    unseen = coverage(cameras, site).unseen_share
+    unseen = float((views_of_bed(cameras, site) < 3).mean())
     return [
         ("area", f"{wide:g} x {deep:g} m, the bed {site.depth_m:g} m deep, in {survey.frame.crs.name}"),
         ("camera", f"{lens.model}, {lens.width} x {lens.height} px, focal length {lens.focal[0]:.1f} px"),

@@ -6,14 +6,11 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from pathlib import Path
 
 import numpy as np
 
 from refract import FlatWater, PinholeCamera
 from refract.lens import Lens
-from survey.display.canvas import canvas, save, write_title
-from survey.display.palette import BLUE, INK, OBLIQUE, SOFT
 from survey.errors import ConfigError, SurveyError
 from survey.files.toml_table import key, require_valid
 
@@ -32,7 +29,6 @@ _OVERLAP, _TILT = "0 to 0.97, a share of the footprint", "degrees from 0 (straig
 _POINTS = 41
 # Largest tilt of a nadir photograph [deg].
 NADIR_DEG = 7.0
-_SIDE_IN = 7.0
 
 
 @dataclass(frozen=True)
@@ -227,57 +223,10 @@ def _extent(site: Site, axis: np.ndarray) -> float:
     return float(np.abs(axis) @ np.array(site.size_m))
 
 
-@dataclass(frozen=True)
-class BedCoverage:
-    """Coverage of the bed by a block of photographs."""
-
-    footprints: np.ndarray  # (views, 5, 2) [m], local: east and north of the corners of each image on the bed, closed
-    # east, north: (columns,), (rows,) [m], local
-    east: np.ndarray
-    north: np.ndarray
-    num_views: np.ndarray  # (rows, columns): of a bed at its mean depth
-
-    @property
-    def unseen_share(self) -> float:
-        """Share of the area that fewer than three photographs see."""
-        return float((self.num_views < 3).mean())
-
-
-def coverage(cameras: Sequence[PinholeCamera], site: Site) -> BedCoverage:
-    """Coverage of a level bed at the site's mean depth by a block."""
+def views_of_bed(cameras: Sequence[PinholeCamera], site: Site) -> np.ndarray:
+    """How many photographs (rows, columns) see the points of a grid over a level bed at the site's mean depth."""
     east, north = (np.linspace(-0.5 * size, 0.5 * size, _POINTS) for size in site.size_m)
     x, y = np.meshgrid(east, north)
     points = np.stack([x, y, np.full_like(x, site.level - site.depth_m)], axis=-1)
-    num_views, footprints = np.zeros(x.shape, dtype=np.int64), []
-    for camera in cameras:
-        num_views += camera.sees(camera.project(points, site.water))
-        corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]]) * (camera.width, camera.height)
-        at = camera.paths(corners, site.water).at_height(np.full(5, -site.depth_m), site.water)
-        footprints.append(at[:, :2])
-    return BedCoverage(np.array(footprints), east, north, num_views)
-
-
-def draw_flight(path: Path, cameras: Sequence[PinholeCamera], cover: BedCoverage, site: Site) -> None:
-    """Plan view as PNG: number of views of the bed, footprints, and cameras with their viewing direction."""
-    figure, axes = canvas(_SIDE_IN, _SIDE_IN)
-    most = max(int(cover.num_views.max()), 1)
-    shades = axes.pcolormesh(cover.east, cover.north, cover.num_views, cmap="YlGnBu", vmin=0, vmax=most)
-    figure.colorbar(shades, label="views of the bed through the water", shrink=0.7)
-    for corners in cover.footprints:
-        axes.plot(*corners.T, color=SOFT, linewidth=0.4, alpha=0.6)
-    centres = np.array([camera.centre for camera in cameras])
-    forward = np.array([camera.cam_from_local[2] for camera in cameras])
-    down = -forward[:, 2] > np.cos(np.radians(NADIR_DEG))
-    axes.plot(*centres[:, :2].T, color=INK, linewidth=0.6, alpha=0.7)
-    axes.plot(*centres[down, :2].T, "o", color=BLUE, markersize=4, label="nadir")
-    if not down.all():
-        axes.plot(*centres[~down, :2].T, "o", color=OBLIQUE, markersize=4, label="oblique")
-        reach = (centres[~down, 2] - site.level)[:, None] * forward[~down, :2] / -forward[~down, 2:]
-        axes.quiver(
-            *centres[~down, :2].T, *reach.T, angles="xy", scale_units="xy", scale=2.0, width=0.002, color=OBLIQUE
-        )
-    axes.set(xlabel="east of the origin [m]", ylabel="north of the origin [m]", aspect="equal")
-    height = float(np.median(centres[:, 2]) - site.level)
-    write_title(axes, f"{len(cameras)} photographs from {height:.1f} m, bed {site.depth_m:.1f} m deep")
-    axes.legend(loc="upper right", fontsize=8)
-    save(figure, path)
+    seen = [camera.sees(camera.project(points, site.water)) for camera in cameras]
+    return np.sum(seen, axis=0)

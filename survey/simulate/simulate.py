@@ -31,7 +31,7 @@ from survey.settings.config import WaterConfig
 from survey.simulate.conditions import Light, Sensor, WaterOptics, measured_surface, with_waves
 from survey.simulate.direct import DirectRenderer
 from survey.simulate.drawn import DrawnScene, build_ground
-from survey.simulate.flight import BedCoverage, Site, coverage, draw_flight, plan_flight
+from survey.simulate.flight import Site, plan_flight, views_of_bed
 from survey.simulate.ground import (
     Ground,
     Material,
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from survey.simulate.path_tracer import PathTracer
 
 # What --flight-only writes.
-_FLIGHT = ("cameras.csv", "flight.png")
+_FLIGHT = "cameras.csv"
 # Rays per pixel of the mode without noise: a regular grid of 2 x 2.
 _DIRECT_SAMPLES = 4
 # A mesh, and colours (V, 3) uint8 of its vertices if it has any.
@@ -203,49 +203,42 @@ def simulate(
     samples = 1 if preview else settings.render.samples
     render = dataclasses.replace(settings.render, mode=mode or settings.render.mode, samples=samples)
     settings = dataclasses.replace(settings, render=render)
-    plan, _ = _planned(path, output, settings, is_flight=False)
+    plan = _planned(path, output, settings, is_flight=False)
     inputs = inputs_of(settings, path.parent)
     write_survey(output, inputs, lambda: stage_scene(plan), again=again, progress=current())
 
 
 def simulate_flight(path: str | Path, output: str | Path) -> None:
-    """Write the flight of a scene file: cameras.csv, and flight.png with what it sees of the bed."""
+    """Write the flight of a scene file, cameras.csv, and say what it sees of the bed."""
     output, settings = Path(output), read_scene(Path(path))
-    plan, cover = _planned(Path(path), output, settings)
+    plan = _planned(Path(path), output, settings)
     output.mkdir(parents=True, exist_ok=True)
     names = [f"{k:04d}.jpg" for k in range(len(plan.cameras))]
-    table, drawing = (output / name for name in _FLIGHT)
-    with write_whole(table) as stream:
+    with write_whole(output / _FLIGHT) as stream:
         stream.write(cameras_csv(names, plan.cameras, plan.frame).encode("utf-8"))
-    draw_flight(drawing, plan.cameras, cover, plan.site)
 
 
-def _planned(
-    path: Path, output: Path, settings: SceneSettings, *, is_flight: bool = True
-) -> tuple[ScenePlan, BedCoverage]:
-    """The plan and the coverage of a scene, which are reported; raises where the output cannot be written."""
+def _planned(path: Path, output: Path, settings: SceneSettings, *, is_flight: bool = True) -> ScenePlan:
+    """The plan of a scene, which is reported with its coverage; raises where the output cannot be written."""
     require_folder("-o", output, ReadFiles.of(path, *(path.parent / name for name in files_of(settings))))
-    # A folder may have an earlier flight, and e.g. not the cameras.csv of a survey.
-    there = {entry.name for entry in output.iterdir() if entry.name[0] != "."} if output.is_dir() else set()
-    if is_flight and there and there != set(_FLIGHT):
-        raise OutputError(
-            f"-o names {output}, which has {min(there - set(_FLIGHT), default=min(there))} and is not a flight of "
-            "--flight-only; name a new or empty folder"
-        )
+    # A table of cameras that is there may be of a survey.
+    there = sorted(entry.name for entry in output.iterdir() if entry.name[0] != ".") if output.is_dir() else []
+    if is_flight and there:
+        raise OutputError(f"-o names {output}, which has {there[0]}; name a new or empty folder")
     plan = plan_scene(settings, path.parent)
-    cover = coverage(plan.cameras, plan.site)
+    num_views = views_of_bed(plan.cameras, plan.site)
     height = sum(float(camera.centre[2]) - plan.site.level for camera in plan.cameras) / len(plan.cameras)
     gsd_cm = 100.0 * (height + plan.site.apparent_depth) / plan.lens.focal[0]
     current().note(
         f"{len(plan.cameras)} photographs from {height:.1f} m, GSD {gsd_cm:.1f} cm on the bed, each point of it in "
-        f"{cover.num_views.min()} to {cover.num_views.max()} of them"
+        f"{num_views.min()} to {num_views.max()} of them"
     )
-    if cover.unseen_share > 0.0:
+    if unseen := float((num_views < 3).mean()):
         current().warn(
-            f"{100.0 * cover.unseen_share:.0f} % of the area is seen by fewer than three photographs; give more "
+            f"{100.0 * unseen:.0f} % of the area is seen by fewer than three photographs; give more "
             "overlap, or a smaller area"
         )
-    return plan, cover
+    return plan
 
 
 def stage_scene(plan: ScenePlan) -> StagedScene:

@@ -26,8 +26,9 @@ _TRUNCATED = 3.0  # Gauss windows end at so many standard deviations
 # more than chance explains by one (a little) to two (all) standard deviations.
 _WHOLE_AT_EDGES = 2.0
 # The ten second differences of a height are worth five independent ones or so: of their mean square, the square of the
-# mean root is this part (chi distribution; 0.88 to 0.93 at heights correlated over 0 to 3 px).
-_SQUARE_OF_MEAN_ROOT = 0.9
+# mean root is this part (chi distribution; 0.88 to 0.93 at heights correlated over 0 to 3 px), and in one of a hundred
+# it is too small by more than this factor.
+_SQUARE_OF_MEAN_ROOT, _MOST_BY_CHANCE = 0.9, 9.0
 _ONE_STD_BELOW = 0.1587  # Share of a normal distribution below one standard deviation less than its mean
 # Of a normal distribution, the share within one standard deviation; large values of some do not move the rest.
 ONE_STD = 0.6827
@@ -148,16 +149,17 @@ def subpixel_relief(
 ) -> np.ndarray:
     """Variance (N,) [m^2] of the bed within a pixel, from its second differences.
 
-    Those of a single height are a few values, small by chance as often as the bed is smooth: a mean about it counts,
-    of their roots, so that an edge does not become the relief of the ground beside it.
+    Those of a single height are a few values, small by chance as often as the bed is smooth: a mean about it counts, as
+    far as chance explains that it is larger: an edge is no relief of the ground beside it.
     The share of noise in the second differences is subtracted as far as the photographs show no more relief of the
     pixels than what the prior should take from the bed (``noise`` and ``excess_relief`` of
     `fields.solver.noise.NoiseShares`): a bed that has none has none below the pixel.
     """
     differences = solved.differences.matrix @ solved.height
     by_noise = (1.0 - excess_relief) * noise * expected.differences_noise
-    bend = np.sqrt(solved.differences.mean_at_heights(differences * differences))
-    return np.maximum(_local_mean(tile, bend, _ALIKE_PX) ** 2 / _SQUARE_OF_MEAN_ROOT - by_noise, 0.0)
+    own = solved.differences.mean_at_heights(differences * differences)
+    near = _local_mean(tile, np.sqrt(own), _ALIKE_PX) ** 2 / _SQUARE_OF_MEAN_ROOT
+    return np.maximum(np.minimum(near, _MOST_BY_CHANCE * own) - by_noise, 0.0)
 
 
 def local_slope(tile: SolverTile, height: np.ndarray) -> np.ndarray:

@@ -291,15 +291,9 @@ def bursts(scene: StagedScene, number: float) -> StagedScene:
 
 @dataclass(frozen=True)
 class MedianScene(StagedScene):
-    """A scene of which a photograph is the median, pixel by pixel, of those of a burst.
+    """A scene of which a photograph is the median, pixel by pixel, of those of a burst."""
 
-    Attributes
-    ----------
-    burst : StagedScene
-        With as many photographs from each place, one place after the other.
-    """
-
-    burst: StagedScene | None = None
+    burst: StagedScene | None = None  # With as many photographs from each place, one place after the other
 
     def photograph(self, index: int) -> np.ndarray:
         """Image (height, width, 3) uint8 from one place."""

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_line import bathynerf, fake_module
+from command_line import Terminal, bathynerf, fake_module
 from foreign_block import HEIGHT, SIZE, draw_block, in_utm, write_images
 from small_survey import unposed, write_image
 from test_folder_gps_placement import colmap_text
@@ -17,6 +17,7 @@ from test_pose_files_opensfm import REFERENCE, block_json, tracks_csv
 
 from geo.compatibility import height_systems_at
 from geo.crs import vertical_crs
+from survey.commands.console import asking
 from survey.errors import ConfigError
 from survey.init.crs import FolderPhotographs, SettingsTable, write_crs
 from survey.init.draft import draft
@@ -109,9 +110,9 @@ def test_a_terminal_is_asked_for_what_no_file_tells(tmp_path):
     metashape(tmp_path)
     asked = []
 
-    def ask(question: str) -> str:
+    def ask(question, read):
         asked.append(question)
-        return "5773" if "Heights" in question else "2109.5 sea"
+        return read("5773" if "Heights" in question else "2109.5 sea")
 
     with pytest.raises(ConfigError, match="expected one of the codes"):
         draft(tmp_path, InitOptions(ask=ask))
@@ -119,9 +120,22 @@ def test_a_terminal_is_asked_for_what_no_file_tells(tmp_path):
     settings = tomllib.loads(draft(tmp_path, InitOptions(crs="EPSG:32632+5773", ask=ask)))
     assert settings["water"] == {"level_m": 2109.5, "refractive_index": 1.34, "index_wavelength_nm": 589.3}
     assert len(asked) == 2
-    assert tomllib.loads(draft(tmp_path, InitOptions(crs="EPSG:32632+5773", ask=lambda _: "dry")))["dry"] is True
-    with pytest.raises(ConfigError, match="expected a number such as 12"):
-        draft(tmp_path, InitOptions(crs="EPSG:32632+5773", ask=lambda _: "deep"))
+    assert (
+        tomllib.loads(draft(tmp_path, InitOptions(crs="EPSG:32632+5773", ask=lambda _, read: read("dry"))))["dry"]
+        is True
+    )
+
+
+def test_a_mistyped_answer_is_asked_for_again(monkeypatch):
+    answers, terminal = ["deep", "", " 12.34 sea "], Terminal()
+    monkeypatch.setattr("typer.prompt", lambda *_args, **_options: answers.pop(0))
+    monkeypatch.setattr("sys.stdin", terminal)
+    monkeypatch.setattr("sys.stderr", terminal)
+    found = asking(InitOptions(), needs_level=True).with_level("in metres", can_do_without=False)
+    assert (found.level_m, found.sea, answers) == (12.34, True, [])
+    said = " ".join(terminal.getvalue().split())
+    assert 'the answer is "deep", expected a number such as 12.34, 12.34 sea, or dry' in said
+    assert "the height of the water in metres is not known" in said
 
 
 @pytest.mark.parametrize(
@@ -261,7 +275,7 @@ def test_photographs_that_nothing_places_are_refused(tmp_path):
 def test_the_question_for_the_level_says_where_the_cameras_are_and_their_bounds_are_proposed(tmp_path):
     photographs_alone(tmp_path)
     asked = []
-    text = draft(tmp_path, InitOptions(ask=lambda question: asked.append(question) or ""))
+    text = draft(tmp_path, InitOptions(ask=lambda question, read: asked.append(question) or read("")))
     assert "cameras are at 21" in asked[-1]
     (line,) = [line for line in text.splitlines() if line.startswith("# bounds")]
     low_e, low_n, high_e, high_n = tomllib.loads(line.removeprefix("# "))["bounds"]

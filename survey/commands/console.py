@@ -143,9 +143,13 @@ Quiet = Annotated[
 def asking(told: InitOptions, *, needs_level: bool) -> InitOptions:
     """These options, and a person at the terminal to be asked for others, if there is one."""
 
-    def ask(question: str) -> str:
+    def ask(question: str, read: Callable[[str], Any]) -> Any:
         lines = [wrap_for(printable(line), sys.stderr) for line in question.split("\n")]
-        return typer.prompt("\n".join(lines), default="", show_default=False, err=True)
+        while True:
+            try:
+                return read(typer.prompt("\n".join(lines), default="", show_default=False, err=True).strip())
+            except ValueError as error:
+                say_error(str(error))
 
     return replace(told, ask=ask if sys.stdin.isatty() and sys.stderr.isatty() else None, needs_level=needs_level)
 

@@ -109,14 +109,19 @@ def write_crs(photographs: FolderPhotographs, options: InitOptions, top: Setting
     """Add crs, and gps_height where heights in EXIF are ellipsoidal; returns the CRS."""
     horizontal, by = (None, "") if options.crs is not None else _horizontal(photographs)
     if horizontal is None:
-        given = options.crs
-        if given is None and options.ask is not None:
-            given = options.ask(f"{by}. EPSG code with a vertical part, e.g. EPSG:25832+7837").strip()
-        if not given:
-            raise ConfigError(f'{by}; init and process take it as --crs "EPSG:25832+7837"')
-        crs = parse_crs(given, where="--crs")
-        at = np.array([] if photographs.lat_lon is None else [photographs.lat_lon[::-1]]).reshape(-1, 2)
-        require_at(crs, at, "the photographs", "--crs")
+
+        def read(given: str) -> tuple[str, CRS]:
+            if not given:
+                raise ConfigError(f'{by}; init and process take it as --crs "EPSG:25832+7837"')
+            crs = parse_crs(given, where="--crs")
+            at = np.array([] if photographs.lat_lon is None else [photographs.lat_lon[::-1]]).reshape(-1, 2)
+            require_at(crs, at, "the photographs", "--crs")
+            return given, crs
+
+        if options.crs is None and options.ask is not None:
+            given, crs = options.ask(f"{by}. EPSG code with a vertical part, e.g. EPSG:25832+7837", read)
+        else:
+            given, crs = read(options.crs or "")
         top.set("crs", given, crs.name)
         if photographs.says_ellipsoidal and vertical_crs(crs) is not None:
             cameras.set("gps_height", "ellipsoidal", "XMP says so")
@@ -206,10 +211,14 @@ def _vertical(
         chosen = next((system for system in systems if f"{plan} + {system.name}" in names), None)
     if chosen is None and systems and options.ask is not None:
         lines = ["Heights of the water and of control:", *listed, "Code, or empty for mean sea level (EGM96)"]
-        choice = options.ask("\n".join(lines)).strip().removeprefix("EPSG:")
-        chosen = next((system for system in systems if str(system.to_epsg()) == choice), None)
-        if choice and chosen is None:
-            raise ConfigError(f'the answer is "{choice}", expected one of the codes {"; ".join(listed)}')
+        by_code = {"": None, **{str(system.to_epsg()): system for system in systems}}
+
+        def read(choice: str) -> CRS | None:
+            if (code := choice.removeprefix("EPSG:")) not in by_code:
+                raise ConfigError(f'the answer is "{choice}", expected one of the codes {"; ".join(listed)}')
+            return by_code[code]
+
+        chosen = options.ask("\n".join(lines), read)
     national = "" if chosen is None else f"the heights of {_area(chosen)} ({chosen.name})"
     if photographs.says_ellipsoidal:
         if chosen is not None and _has_geoid(photographs, parse_crs(f"{horizontal}+{chosen.to_epsg()}")):

@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from fields.models import MODELS, Losses, Rule
 from survey.errors import ConfigError
@@ -238,8 +239,9 @@ class InitOptions:
     dry: bool = _told(None, "There is no water.", name="--dry", default=False)
     crs: str | None = _told("CRS", "Horizontal and vertical, e.g. EPSG:25832+7837; default: found.")
     origin: tuple[float, float, float] | None = _told("E N H", "Zero point of poses in a local frame, in the CRS.")
-    # callable or None: asks a person, and returns the answer, which may be empty; None where nobody is there
-    ask: Callable[[str], str] | None = None
+    # callable or None: asks a person until the function beside the question reads the answer, which may be empty,
+    # without a ValueError, and returns what it read; None where nobody is there
+    ask: Callable[[str, Callable[[str], Any]], Any] | None = None
     needs_level: bool = False  # Even where photographs may tell it
 
     def __post_init__(self):
@@ -255,18 +257,21 @@ class InitOptions:
         """
         or_empty = "; empty: found from the photographs" if can_do_without else ""
         question = f"Height of the water [m] {heights}: as 12.34, for the sea 12.34 sea, without water dry{or_empty}"
-        text = "" if self.ask is None else self.ask(question).strip()
-        level, _, kind = text.partition(" ")
-        if text == "dry":
-            return replace(self, dry=True)
-        if level and kind in ("", "sea"):
-            with suppress(ValueError):
-                return replace(self, level_m=float(level), sea=self.sea or bool(kind))
-        if text:
-            raise ConfigError(f'the answer is "{text}", expected a number such as 12.34, 12.34 sea, or dry')
-        if can_do_without and (self.ask is not None or not self.needs_level):
-            return self
-        raise ConfigError(
-            f"the height of the water {heights} is not known; init and process take it as --level 12.34, or --dry "
-            "without water; or put gauge.csv, shoreline.csv or gnss_points.csv (docs/waterline.md) into the folder"
-        )
+
+        def read(text: str) -> InitOptions:
+            level, _, kind = text.partition(" ")
+            if text == "dry":
+                return replace(self, dry=True)
+            if level and kind in ("", "sea"):
+                with suppress(ValueError):
+                    return replace(self, level_m=float(level), sea=self.sea or bool(kind))
+            if text:
+                raise ConfigError(f'the answer is "{text}", expected a number such as 12.34, 12.34 sea, or dry')
+            if can_do_without and (self.ask is not None or not self.needs_level):
+                return self
+            raise ConfigError(
+                f"the height of the water {heights} is not known; init and process take it as --level 12.34, or --dry "
+                "without water; or put gauge.csv, shoreline.csv or gnss_points.csv (docs/waterline.md) into the folder"
+            )
+
+        return read("") if self.ask is None else self.ask(question, read)

@@ -285,7 +285,7 @@ def with_verdict(name: str, found: Estimate, before: Estimate, limit: float, uni
 
 def unobservable_verdict(name: str, std: float, given: float, reason: str) -> Parameter:
     """A parameter of the water that keeps its given value for a reason."""
-    kept = f"{given:.5f}" + (" m" if name == "level_m" else "")
+    kept = f"{given:.3f} m" if name == "level_m" else f"{given:.5f}"
     return Parameter(name, given, std, given, None, Status.UNKNOWN, f"not observable: {reason}; {kept} is kept")
 
 

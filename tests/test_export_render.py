@@ -190,6 +190,21 @@ def test_a_flight_passes_its_keys_and_does_not_overshoot():
     assert {(camera.width, camera.height) for camera in cameras} == {(40, 30)}
 
 
+def test_a_camera_path_of_nerfstudio_is_in_the_local_frame_of_the_run(run, frame, tmp_path):
+    matrix = np.eye(4)  # Looks down from 9 m over the origin, in a frame a tenth as large and 2 m higher
+    matrix[2, 3] = 0.1 * (9.0 + 2.0)
+    views = [{"camera_to_world": matrix.ravel().tolist(), "fov": 40.0}]
+    given = {"render_width": 60, "render_height": 40, "camera_path": views}
+    (tmp_path / "path.json").write_text(json.dumps(given))
+    lifted = np.eye(4)[:3]
+    lifted[2, 3] = 2.0
+    beside = {"transform": lifted.tolist(), "scale": 0.1}
+    (tmp_path / "dataparser_transforms.json").write_text(json.dumps(beside))
+    (target,) = targets_of(RunDir(run), frame, tmp_path / "path.json", tmp_path / "out")
+    np.testing.assert_allclose(target.camera.centre, [0.0, 0.0, 9.0], atol=1e-9)
+    np.testing.assert_allclose(target.camera.cam_from_local, np.diag([1.0, -1.0, -1.0]), atol=1e-9)
+
+
 def test_poses_off_the_map_are_refused(run, tmp_path):
     with pytest.raises(SurveyError, match=r"of nadir\.jpg in .*cameras\.csv is not on the map"):
         render(run, poses(tmp_path, ABOVE.replace("691000", "1e11")), tmp_path, device="cpu", trained=True)

@@ -148,3 +148,52 @@ def test_the_focal_length_of_a_frame_goes_before_that_of_the_root(tmp_path, bloc
     poses = read_poses(tmp_path / "transforms.json").poses
     assert poses[0].lens.focal[0] == pytest.approx(1234.0)
     assert poses[1].lens.focal[0] == pytest.approx(block.lens.fx)
+
+
+def camera_path(folder, block, **changes):
+    """A path along the block's cameras, as nerfstudio's viewer writes it in the frame of a training."""
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    given, views = np.column_stack([turn, [0.5, -2.0, 0.3]]), []
+    for cam, centre in zip(block.cams, block.centres, strict=True):
+        matrix = np.eye(4)
+        matrix[:3, :3] = turn @ cam.T @ np.diag([1.0, -1.0, -1.0])
+        matrix[:3, 3] = 0.07 * (turn @ centre + given[:, 3])
+        views.append({"camera_to_world": matrix.ravel().tolist(), "fov": 50.0, "aspect": 1.5})
+    data = {"keyframes": [], "camera_type": "perspective", "render_height": 400, "render_width": 600, "fps": 24}
+    (folder / "flight.json").write_text(json.dumps(data | {"camera_path": views} | changes))
+    beside = folder / "dataparser_transforms.json"
+    beside.write_text(json.dumps({"transform": given.tolist(), "scale": 0.07}))
+    return folder / "flight.json"
+
+
+def test_a_camera_path_is_in_the_frame_before_the_training(tmp_path, block):
+    file = read_poses(camera_path(tmp_path, block))
+    assert file.is_camera_path
+    np.testing.assert_allclose([pose.centre for pose in file.poses], block.centres, atol=1e-9)
+    np.testing.assert_allclose([pose.cam_from_world for pose in file.poses], block.cams, atol=1e-9)
+    lens = file.poses[0].lens
+    assert (lens.width, lens.height) == (600, 400)
+    assert lens.focal == pytest.approx(2 * [200.0 / np.tan(np.radians(25.0))])
+
+
+@pytest.mark.parametrize(
+    ("changes", "beside", "words"),
+    [
+        ({}, None, "copy dataparser_transforms.json of that training"),
+        ({}, {"scale": 1.0}, "applied_transform is not a 3 x 4 matrix"),
+        ({}, [], "or .* no transform"),
+        ({"camera_path": {}}, {}, "has no list of cameras"),
+        ({"camera_path": [{"camera_to_world": [1.0] * 15, "fov": 50}]}, "kept", "its transform_matrix is not a 4 x 4"),
+        ({"camera_type": "equirectangular"}, "kept", "camera model equirectangular is not supported"),
+    ],
+)
+def test_a_camera_path_with_a_fault_is_refused_in_one_sentence(tmp_path, block, changes, beside, words):
+    path = camera_path(tmp_path, block, **changes)
+    other = path.with_name("dataparser_transforms.json")
+    if beside is None:
+        other.unlink()
+    elif beside != "kept":
+        other.write_text(json.dumps(beside))
+    with pytest.raises(PosesError, match=words):
+        read_poses(path)

@@ -117,7 +117,9 @@ export = _option_per_product(
 """)
 def render(
     run: RunFolder,
-    cameras: Annotated[Path, typer.Option(metavar="FILE", help="Poses: a table like cameras.csv, or a COLMAP model.")],
+    cameras: Annotated[
+        Path, typer.Option(metavar="FILE", help="Poses: cameras.csv, a COLMAP model, a camera path of nerfstudio.")
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the pictures.")],
     dry: Annotated[bool, _shown("--dry", help="Remove the effect of the water.")] = False,
     field: Annotated[

@@ -190,7 +190,7 @@ def write_views(targets: list[Target], view_of: Callable[[PinholeCamera], NovelV
 def _cameras(file: PoseFile, path: Path, frame: LocalFrame, run: RunDir) -> dict[str, PinholeCamera]:
     """Cameras of a file of poses in a local frame, by name; a lens that is in no file is that of the run."""
     config = read_config(run.settings_path)
-    if file.frame is PoseFrame.LOCAL and config.local.origin != frame.origin:
+    if file.frame is PoseFrame.LOCAL and config.local.origin != frame.origin and not file.is_camera_path:
         raise SurveyError(
             f"the poses in {path} are in a local frame, but the run's cameras were not; give a table of positions in "
             f"{frame.crs.name} instead (image, easting, northing, height, omega, phi, kappa)"

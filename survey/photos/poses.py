@@ -96,6 +96,7 @@ class PoseFile:
     # ``crs``
     height_unit_m: float | None = None
     plan_unit_m: float | None = None
+    is_camera_path: bool = False  # Of pictures to be made, in the frame in which the cameras of a run are exported
 
 
 @dataclass(frozen=True, eq=False)

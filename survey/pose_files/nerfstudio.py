@@ -1,4 +1,7 @@
-"""nerfstudio's transforms.json: poses in the frame of [local], once what its converter applied to them is undone."""
+"""nerfstudio's transforms.json: poses in the frame of [local], once what its converter applied to them is undone.
+
+And the camera paths of its viewer, once the normalisation of the poses for a training is undone.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +19,8 @@ from survey.pose_files.format import Format, brown_lens, lens_number, lens_size,
 
 _NAME = "transforms.json"
 _EXPORT = "write it again with ns-process-data"
+# Beside the settings of a training: saved = scale * (transform @ original).
+_NORMALISATION = "dataparser_transforms.json"
 # Matrices are written with seven digits at least.
 _ROUNDED = 1e-4
 # From cameras of computer graphics (x right, y up, z back) to ours.
@@ -34,6 +39,8 @@ _REMEDY = "undistort the photographs, or export OPENCV or OPENCV_FISHEYE"
 def read_nerfstudio(path: Path) -> PoseFile:
     """Poses and lenses of the frames."""
     data = read_foreign_json(path, PosesError)
+    if is_camera_path := isinstance(data, dict) and "camera_path" in data:
+        data = _as_frames(path, data)
     frames = data.get("frames") if isinstance(data, dict) else None
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
         raise PosesError(f"{path} has no list of frames, expected that of nerfstudio; {_EXPORT}")
@@ -68,13 +75,41 @@ def read_nerfstudio(path: Path) -> PoseFile:
         f"{path.name} has no applied_transform: its axes are taken as those of [local]",
     )  # fmt: skip
     tool = "the program behind nerfstudio"
-    return PoseFile(tuple(poses), PoseFrame.LOCAL, None, tool, _masks(path, frames), notes)
+    masks, local = _masks(path, frames), PoseFrame.LOCAL
+    return PoseFile(tuple(poses), local, None, tool, masks, notes, is_camera_path=is_camera_path)
+
+
+def _as_frames(path: Path, data: dict) -> dict:
+    """A camera path as a transforms.json, with the normalisation that lies beside it as what was applied."""
+    beside, views = path.with_name(_NORMALISATION), data["camera_path"]
+    if not beside.is_file():
+        raise PosesError(
+            f"{path} is a camera path, in the normalised frame of a training; copy {_NORMALISATION} of that training, "
+            "which lies beside its config.yml, beside the path"
+        )
+    given, kind = read_foreign_json(beside, PosesError), data.get("camera_type", "perspective")
+    if not isinstance(views, list) or not all(isinstance(each, dict) for each in (given, *views)):
+        raise PosesError(f"{path} has no list of cameras, or {beside} no transform; save them again with nerfstudio")
+    frames = [
+        {
+            "file_path": f"view{number:04d}",
+            "transform_matrix": view.get("camera_to_world"),
+            # Of the height of the picture; pixels are square.
+            "camera_angle_y": math.radians(finite_number(view.get("fov")) or 0.0),
+        }
+        for number, view in enumerate(views)
+    ]
+    lens = {"camera_model": "PINHOLE" if kind == "perspective" else kind}
+    lens |= {"w": data.get("render_width"), "h": data.get("render_height")}
+    return {"frames": frames, **lens, "applied_transform": given.get("transform"), "applied_scale": given.get("scale")}
 
 
 def _matrix(value, num_rows: int) -> np.ndarray | None:
-    """(rows, 4) finite numbers; None for anything else. Some writers leave out the last row of a pose."""
+    """(rows, 4) finite numbers; None for anything else. A pose may be without its last row, or row after row."""
     if not isinstance(value, list):
         return None
+    if len(value) == 16:
+        value = [value[first : first + 4] for first in range(0, 16, 4)]
     rows = [finite_numbers(row, 4) for row in value]
     if num_rows == 4 and len(rows) == 3:
         rows.append([0.0, 0.0, 0.0, 1.0])
@@ -98,7 +133,7 @@ def _lens(values: dict) -> Lens:
         0.5 * side / math.tan(0.5 * angle) if 0.0 < angle < math.pi else None
         for side, angle in zip(size, angles, strict=True)
     ]
-    fx = lens_number(values, "fl_x", by_angle[0])
+    fx = lens_number(values, "fl_x", by_angle[0] or by_angle[1])
     fy = lens_number(values, "fl_y", by_angle[1] or fx)
     cx, cy = lens_number(values, "cx", 0.5 * width), lens_number(values, "cy", 0.5 * height)
     k1, k2, k3, k4, p1, p2 = (lens_number(values, key, 0.0) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
@@ -122,7 +157,7 @@ def is_nerfstudio(path: Path) -> bool:
 
 
 FORMAT = Format(
-    name="nerfstudio's transforms.json",
+    name="nerfstudio's transforms.json or camera path",
     find=lambda folder: [folder / _NAME] if (folder / _NAME).is_file() else [],
     recognises=is_nerfstudio,
     read=read_nerfstudio,

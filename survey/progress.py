@@ -117,7 +117,9 @@ class Progress:
         self._log: TextIO | None = None
         self._last_line = now()
         self._steps: list[Step] = []
-        self._cell: Any = None  # `IPython.display.DisplayHandle` of the line in a notebook
+        # `IPython.display.DisplayHandle` of the line and of the picture in a notebook
+        self._cell: Any = None
+        self._picture: Any = None
         # One task: the run, or a stage where nothing is expected of the run.
         self._bars = Bars(
             TextColumn("{task.description}", markup=False),
@@ -221,6 +223,18 @@ class Progress:
             self._emit(text)
         else:
             self._cell.update({"text/plain": printable(text)}, raw=True)
+
+    def picture(self, path: Path) -> None:
+        """Show a picture in a notebook, in the place of the one before; elsewhere nothing."""
+        if self.verbosity < 0 or not self._console.is_jupyter:
+            return
+        from IPython.display import Image, display
+
+        shown = Image(filename=str(path))
+        if self._picture is None:
+            self._picture = display(shown, display_id=True)
+        else:
+            self._picture.update(shown)
 
     @contextmanager
     def _saying(self) -> Iterator[None]:

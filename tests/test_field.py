@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -16,6 +18,7 @@ from painted_survey import painted_survey, run_over
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+import fields.volume.train as train_module
 from fields.device import choose_device
 from fields.models import MODELS, Losses, Rule
 from fields.volume.model import Setup, build_model
@@ -24,11 +27,15 @@ from geo import read_cloud
 from refract import PinholeCamera
 from survey.errors import ConfigError, OutputError, SurveyError
 from survey.export.loaded import LoadedRun
+from survey.files.paths import ReadFiles
+from survey.run.folder import Owner, RunDir
 from survey.run.products import write_bed_ply
 from survey.settings.config import parse_config
 from survey.settings.tables import FieldConfig
+from survey.volume import scene
 from survey.volume.field import train_field
 from survey.volume.options import MONOCULAR, VolumeOptions, field_config, monocular_priors, volume_options
+from survey.volume.scene import VolumeFolder
 
 SHORT = VolumeOptions(model=NAME, steps=4, rays=32, samples=8, cells=32, held_every=4, image_scale=0.5)
 
@@ -85,7 +92,7 @@ def test_a_field_is_trained_extracted_rendered_and_compared(folder, run):
     assert report["compared"]["n_points"] > 100
     assert json.loads((folder / "f" / "report.json").read_text())["model"] == NAME
     assert len(list((folder / "f" / "views").glob("000?.png"))) == 1
-    with Image.open(folder / "f" / "held out" / "0002.png") as picture:
+    with Image.open(folder / "f" / "held out" / "0000.png") as picture:
         assert picture.mode == "RGBA"
 
 
@@ -106,14 +113,15 @@ def test_a_field_without_a_surface_is_reported_and_not_compared(folder, run):
 
 
 def test_held_out_photographs_are_predicted_in_their_own_exposure(tmp_path):
-    """Fitted on the left half, scored on the right one; the one that is held out is dark."""
+    """Fitted on the left half, scored on the right one; one of those that are held out is dark."""
     run = run_over(painted_survey(tmp_path / "s", exposures=(1.0, 1.0, 0.1, 1.0)), tmp_path / "run")
-    options = replace(SHORT, steps=30, rays=256)
+    options = replace(SHORT, steps=30, rays=256, held_every=2)
     plain, fitted = (
         train_field(run, tmp_path / f"f{look}", replace(options, appearance=look))["held_out_psnr_db"]
         for look in (False, True)
     )
-    assert fitted.keys() == plain.keys() == {"0002.png"}
+    # The first and every second one, as nerfstudio counts.
+    assert fitted.keys() == plain.keys() == {"0000.png", "0002.png"}
     assert fitted["0002.png"] > plain["0002.png"] + 3.0
 
 
@@ -144,6 +152,38 @@ def test_moments_are_written_for_tensorboard_where_it_is_installed(folder, run):
     for number, name in enumerate(("photographs", "held out"), 1):
         written = [(each.step, each.value) for each in found.Scalars(f"PSNR [dB]/{name}")]
         assert written == [(moment[0], pytest.approx(moment[number])) for moment in history]
+
+
+def test_a_tensorboard_that_cannot_write_is_said_and_left_out(tmp_path, monkeypatch, caplog):
+    def refuse(*_arguments, **_options):
+        raise TypeError("descriptors cannot be created")
+
+    monkeypatch.setattr(scene, "find_spec", lambda _name: True)
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", SimpleNamespace(SummaryWriter=refuse))
+    volume = VolumeFolder(tmp_path / "f", {}, ReadFiles())
+    for _ in range(2):
+        volume.save(lambda: {"history": [(1, 20.0, None)]}, last=True)
+    assert caplog.text.count("TensorBoard gets no curve of the training: descriptors cannot be created") == 1
+
+
+def test_what_fewer_steps_made_is_gone_once_there_is_a_state_of_more(folder, run, monkeypatch):
+    train_field(run, folder / "more", SHORT)
+    made = [folder / "more" / name for name in ("cloud.las", "bed", "report.json", "held out")]
+
+    def stop(*_arguments, **_options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(scene, "_EVERY_S", -1.0)  # A state before every step
+    for function, is_there in ((train_module.adam, True), (train_module._step, False)):
+        with monkeypatch.context() as patch:
+            patch.setattr(train_module, function.__name__, stop)
+            with pytest.raises(KeyboardInterrupt):
+                train_field(run, folder / "more", replace(SHORT, steps=6))
+        settings = json.loads((folder / "more" / "settings.json").read_text())
+        assert settings["steps"] == (4 if is_there else 6)
+        assert [path.exists() for path in made] == [is_there] * 4
+    assert train_field(run, folder / "more", replace(SHORT, steps=6))["training"]["steps"] == 6
+    assert all(path.exists() for path in made)
 
 
 def test_a_field_that_is_trained_gets_more_steps(folder, run):
@@ -279,6 +319,12 @@ def test_a_run_that_was_copied_with_its_survey_reads_the_settings_of_the_copy(fo
         stream.write('\n[field]\nmodel = "hash"\n')
     assert field_config(copied / "bathynerf", None).model == "hash"
     assert field_config(run, None).model is None
+    with RunDir(copied / "bathynerf") as of_copy:
+        of_copy.claim(Owner.of("s", {path.name: path for path in (folder / "s" / "images").iterdir()}), is_inside=True)
+    assert field_config(copied / "bathynerf", None).model == "hash"
+    # Of another survey, into whose folder the run was written.
+    next((copied / "images").iterdir()).write_bytes(b"another")
+    assert field_config(copied / "bathynerf", None).model is None
 
 
 def test_as_published_takes_the_numbers_of_the_paper_where_none_is_given():
@@ -320,7 +366,7 @@ def test_monocular_depth_and_normals_are_learned_from(folder, run):
     priors.mkdir()
     with Image.open(folder / "s" / "images" / "0000.png") as picture:
         width, height = picture.size
-    np.save(priors / "0000_depth.npy", np.linspace(1.0, 2.0, width * height).reshape(height, width))
+    np.save(priors / "0002_depth.npy", np.linspace(1.0, 2.0, width * height).reshape(height, width))
     np.save(priors / "0001_normal.npy", np.tile(np.float32([0.0, 0.0, -1.0]), (height // 2, width // 2, 1)))
     options = replace(SHORT, monocular=priors)
     assert options.of_losses() == Losses(depth=0.1, normal=0.05)
@@ -334,9 +380,9 @@ def test_monocular_depth_and_normals_are_learned_from(folder, run):
 @pytest.mark.parametrize(
     ("name", "values", "said"),
     [
-        ("0000_depth.npy", np.zeros((4, 4, 3)), r"holds an array \(4, 4, 3\), expected numbers \(height, width\)"),
-        ("0000_depth.npy", np.zeros((10, 100)), "is 100 x 10 px, and its photograph is"),
-        ("0000_normal.npy", np.tile([0.0, 0.0, 1.0], (48, 64, 1)), "100 % of its normals point away from the camera"),
+        ("0001_depth.npy", np.zeros((4, 4, 3)), r"holds an array \(4, 4, 3\), expected numbers \(height, width\)"),
+        ("0001_depth.npy", np.zeros((10, 100)), "is 100 x 10 px, and its photograph is"),
+        ("0001_normal.npy", np.tile([0.0, 0.0, 1.0], (48, 64, 1)), "100 % of its normals point away from the camera"),
         ("other_depth.npy", np.zeros((48, 64)), "has no depth or normals of any of"),
     ],
 )

@@ -8,6 +8,7 @@ import time
 
 import pytest
 from command_line import Terminal, without_times
+from PIL import Image
 
 from survey import progress as progress_room
 from survey.progress import Progress, clock
@@ -34,10 +35,16 @@ def test_stages_are_plain_lines_with_the_time_left_where_there_is_no_terminal(tm
     assert progress_room.current() is not progress
 
 
-def test_a_notebook_has_one_line_that_is_written_anew():
+def test_a_notebook_has_one_line_and_one_picture_that_are_written_anew(tmp_path):
     nbformat, nbclient = (pytest.importorskip(name) for name in ("nbformat", "nbclient"))
-    code = """
-from survey.progress import current
+    path = tmp_path / "curve.png"
+    Image.new("RGB", (4, 3)).save(path)
+    code = f"""
+from pathlib import Path
+from survey.progress import current, opened
+with opened() as progress:
+    progress.picture(Path({str(path)!r}))
+    progress.picture(Path({str(path)!r}))
 with current().stage("sweep", total=2) as stage:
     stage.advance()
     stage.advance()
@@ -45,7 +52,9 @@ current().note("a note")
 """
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(code)])
     nbclient.NotebookClient(notebook, timeout=120, kernel_name="python3").execute()
-    sweep, note = (output["data"]["text/plain"] for output in notebook.cells[0].outputs)
+    picture, *lines = (output["data"] for output in notebook.cells[0].outputs)
+    assert picture["image/png"]
+    sweep, note = (line["text/plain"] for line in lines)
     assert sweep.startswith("sweep: 100 %")
     assert note.endswith("a note\n")
 

@@ -51,8 +51,8 @@ def ground_of(folder) -> BedBox:
 def test_each_cell_has_a_field_of_its_own_and_the_points_on_its_ground(folder):
     report, ground = read_json_object(folder / "f" / "report.json"), ground_of(folder)
     assert set(report["submodules"]) == {"0_0", "1_0"}
-    assert report["held_out_psnr_db"].keys() == {"0002.png"}
-    assert report["dropped"] == {"0002.png": {}}
+    assert report["held_out_psnr_db"].keys() == {"0000.png"}
+    assert report["dropped"] == {"0000.png": {}}
     assert "held out" in Field(folder / "f")._repr_html_()
     with LoadedRun(folder / "run") as run:
         points = run.flight.frame.local_from_crs(read_cloud(folder / "f" / "cloud.las").points)
@@ -206,7 +206,7 @@ def test_the_command_of_the_tidal_flat_runs(folder):
     assert found.exit_code == 0, found.stderr
     assert "submodules" in found.stdout
     report = read_json_object(folder / "c" / "report.json")
-    assert report["dropped"].keys() == report["held_out_psnr_db"].keys() == {"0002.png"}
+    assert report["dropped"].keys() == report["held_out_psnr_db"].keys() == {"0000.png"}
     with Image.open(folder / "c" / "views" / "0000.png") as picture:
         # The shell shows what lies beyond the bed.
         assert (np.asarray(picture)[..., 3] == 255).all()

@@ -10,12 +10,13 @@ from geo.las import read_cloud
 from geo.shapes import Cloud
 from survey.display.blocks import picture_html, table_html
 from survey.files.json_values import read_json_object
+from survey.progress import opened
 from survey.run.stored import FIELD_CLOUD, run_of
 from survey.settings.tables import FieldConfig
-from survey.volume.field import CURVE, rows_of
+from survey.volume.field import rows_of
 from survey.volume.field import train_field as train
 from survey.volume.options import volume_options
-from survey.volume.scene import REPORT
+from survey.volume.scene import CURVE, REPORT
 from survey.volume.submodules import render_field
 
 
@@ -24,10 +25,11 @@ def train_field(run: str | Path, output: str | Path, **options: Any) -> Field:
 
     >>> field = train_field("harbour/bathynerf", "mdw", model="mdw", steps=3000)        # doctest: +SKIP
 
-    The output is a new folder, or one with the same training in it. Raises SurveyError or GeoError as `bathynerf field`
-    does.
+    The output is a new folder, or one with the same training in it. A notebook shows the growing curve of the training.
+    Raises SurveyError or GeoError as `bathynerf field` does.
     """
-    train(run, output, volume_options(FieldConfig(), **options))
+    with opened():
+        train(run, output, volume_options(FieldConfig(), **options))
     return Field(output)
 
 

@@ -17,7 +17,6 @@ from geo.las import write_cloud
 from survey.compare.comparison import compare_files
 from survey.compare.figures import numbers_of
 from survey.compare.options import CompareOptions
-from survey.display.canvas import canvas, save
 from survey.display.quantities import length
 from survey.export.loaded import LoadedRun, flight_of
 from survey.export.render import Target, targets_of, write_views
@@ -26,11 +25,11 @@ from survey.progress import current
 from survey.run.flight import Flight
 from survey.run.stored import FIELD_BED, FIELD_CLOUD, StoredBed, save_bed
 from survey.volume.options import VolumeOptions
-from survey.volume.scene import REPORT, VolumeFolder, load_scene
+from survey.volume.scene import HELD, REPORT, VolumeFolder, load_scene
 from survey.volume.submodules import train_submodules
 from survey.volume.training import FieldResult, surface_in, train
 
-VIEWS, HELD, CURVE = "views", "held out", "training.png"
+VIEWS = "views"
 
 
 def train_field(run: str | Path, output: str | Path, options: VolumeOptions | None = None) -> dict[str, Any]:
@@ -50,6 +49,8 @@ def train_field(run: str | Path, output: str | Path, options: VolumeOptions | No
             targets = targets_of(loaded.folder, flight.frame, options.cameras, output / VIEWS)
         folder = VolumeFolder(output, options.of_training(loaded), loaded.folder.inputs())
         made = (_one if options.submodules is None else train_submodules)(loaded, flight, options, folder)
+        # Until there are figures of this surface, none of an earlier one.
+        (output / REPORT).unlink(missing_ok=True)
         _write_surface(output, made, loaded, flight)
         report = {
             "model": options.model,
@@ -78,7 +79,6 @@ def _one(run: LoadedRun, flight: Flight, options: VolumeOptions, folder: VolumeF
     with current().stage("Photographs", len(flight.views)) as stage:
         scene = load_scene(run, flight, options, stage.advance)
     trained = train(scene, flight, options, folder)
-    _draw_curve(folder.path / CURVE, trained.figures.history)
     surface, views = surface_in(trained), trained.held_views()
     return FieldResult(surface, scene.bed, scene.held, trained.field.view, views, trained.report())
 
@@ -130,19 +130,6 @@ def _held_out(made: FieldResult, folder: Path, *, right_half: bool) -> dict[str,
             for measure, value in image_quality(photograph, shown, mask=mask).items():
                 found[f"held_out_{measure}"][target.name] = value
     return found
-
-
-def _draw_curve(path: Path, history: list[tuple[int, float, float | None]]) -> None:
-    """Draw the PSNR of a training over its steps: of its photographs, and of those held out."""
-    figure, axes = canvas(6.0, 4.0)
-    steps, own, held = zip(*history, strict=True)
-    axes.plot(steps, own, label="photographs")
-    if None not in held:
-        axes.plot(steps, held, label="photographs held out")
-    axes.set_xlabel("steps")
-    axes.set_ylabel("PSNR [dB]")
-    axes.legend()
-    save(figure, path)
 
 
 def rows_of(report: dict[str, Any], output: Path) -> list[tuple[str, str]]:

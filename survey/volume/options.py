@@ -103,8 +103,12 @@ class VolumeOptions(FieldConfig):
 def field_config(run: str | Path, survey: str | None) -> FieldConfig:
     """[field] in the current survey.toml of a run: beside it, as where both were copied, or in its survey's folder."""
     with LoadedRun(run) as loaded:
-        beside = loaded.folder.path.absolute().parent
-        folder = beside if survey is None and (beside / FILE_NAME).is_file() else survey_folder(loaded, survey)
+        beside, owner = loaded.folder.path.absolute().parent, loaded.folder.owner()
+        images, sizes = beside / loaded.config.images.local_dir, {} if owner is None else owner.photographs
+        # With -o a run may lie in the folder of a survey of other photographs.
+        is_own = all((images / n).is_file() and (images / n).stat().st_size == size for n, size in sizes.items())
+        has_settings = survey is None and is_own and (beside / FILE_NAME).is_file()
+        folder = beside if has_settings else survey_folder(loaded, survey)
     config = (settings_of(folder) or SurveyConfig()).field
     return replace(config, monocular=None if config.monocular is None else str((folder / config.monocular).absolute()))
 

@@ -6,11 +6,11 @@ The state is saved during training, so that an interrupted one continues, and at
 from __future__ import annotations
 
 import json
+import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +23,14 @@ from fields.volume.sampling import Cells
 from fields.volume.surface import LEAST_VIEWS
 from geo.files import reporting_disk_errors, write_whole
 from refract import FlatWater
+from survey.display.canvas import canvas, save
 from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun, Photograph, at_scale
 from survey.files.json_values import read_json_object, write_json
 from survey.files.paths import ReadFiles, require_folder
+from survey.progress import current
 from survey.run.flight import Flight
-from survey.run.stored import FIELD_SETTINGS, FIELD_STATE
+from survey.run.stored import FIELD_BED, FIELD_CLOUD, FIELD_SETTINGS, FIELD_STATE
 from survey.run.trained_field import read_state
 from survey.volume.options import VolumeOptions, monocular_priors
 
@@ -37,7 +39,7 @@ _INNER, _REACH, _REACH_CELLS = (0.1, 99.9), 0.1, 3.0
 _PIXELS_PER_CELL = 2.0  # Photographs are reduced until a cell of the volume is so many pixels wide
 # A photograph counts if it shows the box with this share of its pixels.
 _LEAST_SHARE = 0.002
-REPORT = "report.json"
+REPORT, HELD, CURVE = "report.json", "held out", "training.png"
 _EVERY_S, _SHARE = 5.0, 0.05  # Seconds between two states, unless these would take more than a share of the time
 
 
@@ -124,10 +126,9 @@ def load_scene(run: LoadedRun, flight: Flight, options: VolumeOptions, advance: 
 
 
 def held_photographs(ground: BedBox, flight: Flight, options: VolumeOptions) -> Photographs:
-    """The photographs of a flight that are held out, of those that show the box."""
-    every = options.held_every
-    shown = () if every is None else islice(_showing(ground, flight), every // 2, None, every)
-    return _decoded(shown, ground.bent)
+    """Every so many of the photographs of a flight, from the first on as nerfstudio does, where they show the box."""
+    held = () if options.held_every is None else flight.views[:: options.held_every]
+    return _decoded(_showing(ground, replace(flight, views=held)), ground.bent)
 
 
 def training_photographs(
@@ -203,18 +204,22 @@ class VolumeFolder:
     def __init__(self, path: Path, settings: dict[str, Any], inputs: ReadFiles):
         self.path, self._inputs = path, inputs
         self._events: Any = None  # TensorBoard's writer, once there is something to write
-        self._written = 0  # Moments that it has
+        self._written: int | None = 0  # Moments that it has; None where it cannot write
+        self._is_renewed = True  # Whether the folder has no settings and results of fewer steps
         require_folder("-o", path, inputs)
         self._due = time.monotonic() + _EVERY_S
         # As a file would give them back.
         settings = json.loads(json.dumps(settings))
         if (path / FIELD_SETTINGS).is_file():
-            self._require_same(read_json_object(path / FIELD_SETTINGS), settings)
+            before = read_json_object(path / FIELD_SETTINGS)
+            self._require_same(before, settings)
+            self._is_renewed = before.get("steps") == settings.get("steps")
         elif path.is_dir() and any(path.iterdir()):
             raise OutputError(f"-o names {path}, which is not empty and holds no volume; name another folder")
         with reporting_disk_errors(path):
             path.mkdir(parents=True, exist_ok=True)
-        write_json(path / FIELD_SETTINGS, settings)
+        if self._is_renewed:
+            write_json(path / FIELD_SETTINGS, settings)
         self._settings = settings
 
     def part(self, name: str) -> VolumeFolder:
@@ -245,22 +250,55 @@ class VolumeFolder:
         begun = time.monotonic()
         if last or begun >= self._due:
             state = make()
+            self._renew()
             with write_whole(self.path / FIELD_STATE) as stream:
                 torch.save(state, stream)
             self._follow(state["history"])
             saved = time.monotonic()
             self._due = saved + max(_EVERY_S, (saved - begun) / _SHARE)
 
-    def _follow(self, history: list[tuple[int, float, float | None]]) -> None:
-        """Write the moments that are new into the folder for TensorBoard, if it is installed."""
-        if find_spec("tensorboard") is None:
+    def _renew(self) -> None:
+        """Remove what was made of fewer steps before there is a state of more, and write the settings of these."""
+        if self._is_renewed:
             return
-        from torch.utils.tensorboard import SummaryWriter
+        with reporting_disk_errors(self.path):
+            for name in (REPORT, FIELD_CLOUD):
+                (self.path / name).unlink(missing_ok=True)
+            for name in (FIELD_BED, HELD):
+                shutil.rmtree(self.path / name, ignore_errors=True)
+        write_json(self.path / FIELD_SETTINGS, self._settings)
+        self._is_renewed = True
 
-        self._events = self._events or SummaryWriter(str(self.path), purge_step=0)
-        for step, *both in history[self._written :]:
-            for name, value in zip(("photographs", "held out"), both, strict=True):
-                if value is not None:
-                    self._events.add_scalar(f"PSNR [dB]/{name}", value, step)
-        self._events.flush()
-        self._written = len(history)
+    def _follow(self, history: list[tuple[int, float, float | None]]) -> None:
+        """Draw the curve of the training, and write the moments that are new for TensorBoard, if it is installed."""
+        if history:
+            _draw_curve(self.path / CURVE, history)
+            current().picture(self.path / CURVE)
+        if self._written is None or find_spec("tensorboard") is None:
+            return
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+
+            self._events = self._events or SummaryWriter(str(self.path), purge_step=0)
+            for step, *both in history[self._written :]:
+                for name, value in zip(("photographs", "held out"), both, strict=True):
+                    if value is not None:
+                        self._events.add_scalar(f"PSNR [dB]/{name}", value, step)
+            self._events.flush()
+            self._written = len(history)
+        except Exception as error:  # Of a package beside the training, which goes on without it
+            current().warn(f"TensorBoard gets no curve of the training: {error}")
+            self._written = None
+
+
+def _draw_curve(path: Path, history: list[tuple[int, float, float | None]]) -> None:
+    """Draw the PSNR of a training over its steps: of its photographs, and of those held out."""
+    figure, axes = canvas(6.0, 4.0)
+    steps, own, held = zip(*history, strict=True)
+    axes.plot(steps, own, label="photographs")
+    if None not in held:
+        axes.plot(steps, held, label="photographs held out")
+    axes.set_xlabel("steps")
+    axes.set_ylabel("PSNR [dB]")
+    axes.legend()
+    save(figure, path)

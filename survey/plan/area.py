@@ -19,7 +19,7 @@ from survey.errors import FILE_NAME, ConfigError
 from survey.folder.survey import Survey
 from survey.photos.cameras import View
 from survey.photos.poses import least_track
-from survey.plan.heights import dry_ground, height_range
+from survey.plan.heights import camera_height_m, dry_ground, height_range
 
 # x0, y0, x1, y1 [m], local.
 Area = tuple[float, float, float, float]
@@ -79,12 +79,7 @@ def plane_name(survey: Survey) -> str:
 
 def limits(survey: Survey) -> tuple[float, float]:
     """Heights [m] over the water plane (dry: over local z = 0) between which the bed is searched."""
-    centres = np.array([view.camera.centre for view in survey.views])
-    if survey.water is None:
-        flying = float(np.median(centres[:, 2])) - dry_ground(survey).height
-    else:
-        flying = float(np.median(-survey.water.depth(centres)))
-    found = height_range(survey, flying)
+    found = height_range(survey, camera_height_m(survey))
     return found.low, found.high
 
 

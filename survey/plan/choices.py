@@ -14,7 +14,7 @@ from survey.display.quantities import bytes_of, length
 from survey.files.toml_table import OPTION, option_name, require_valid
 from survey.folder.survey import Survey
 from survey.plan.area import flattened
-from survey.plan.heights import dry_ground
+from survey.plan.heights import camera_height_m
 from survey.settings.tables import ProcessConfig
 from survey.words import Device, Poses, Quality
 
@@ -144,11 +144,3 @@ def gsd_m(survey: Survey, chosen: Choices = USUAL) -> float:
         # Along its axis, at most three heights.
         sizes.append(own / max(-camera.cam_from_local[2, 2], 1.0 / 3.0) / camera.fx)
     return float(np.median(sizes)) / image_scale_of(survey, chosen)
-
-
-def camera_height_m(survey: Survey) -> float:
-    """Height [m] of the cameras over the water or ground, median."""
-    centres = np.array([view.camera.centre for view in survey.views])
-    if survey.water is not None:
-        return float(np.median(-survey.water.depth(centres)))
-    return float(np.median(centres[:, 2])) - dry_ground(survey).height

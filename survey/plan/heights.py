@@ -144,6 +144,12 @@ def _heights(survey: Survey, points: np.ndarray) -> np.ndarray:
     return points[:, 2] if survey.water is None else -survey.water.depth(points)
 
 
+def camera_height_m(survey: Survey) -> float:
+    """Height [m] of the cameras over the water or ground, median."""
+    ground = 0.0 if survey.water is not None else dry_ground(survey).height
+    return float(np.median(_heights(survey, _centres(survey)))) - ground
+
+
 def dry_ground(survey: Survey) -> GroundHeight:
     """Rough height of the ground of a survey, without regard to water.
 

@@ -13,8 +13,8 @@ from survey.errors import SurveyError
 from survey.folder.pose_priors import BY_FILE
 from survey.folder.survey import Survey
 from survey.plan.area import AREA_MARGIN_M, Tiling, flattened
-from survey.plan.choices import RECIPES, USUAL, Choices, Recipe, camera_height_m, gsd_m, image_scale_of
-from survey.plan.heights import dry_ground, height_range
+from survey.plan.choices import RECIPES, USUAL, Choices, Recipe, gsd_m, image_scale_of
+from survey.plan.heights import camera_height_m, dry_ground, height_range
 from survey.water.surface import EARTH
 from survey.water.tides import MOST_SHIFT_PX
 from survey.words import Poses

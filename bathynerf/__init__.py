@@ -7,8 +7,6 @@ when it is first used, so that ``import bathynerf`` itself is quick. The names a
 __init__.pyi, which editors and type checkers read. docs/python.md has examples.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The command line, as the command `bathynerf` and as ``python -m bathynerf``."""
 
-from __future__ import annotations
-
 import sys
 
 from bathynerf._packages import ForeignPackage, require_packages

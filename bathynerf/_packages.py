@@ -1,7 +1,5 @@
 """Import of the packages beside this one, whatever other packages on the path have their names."""
 
-from __future__ import annotations
-
 import importlib.abc
 import importlib.machinery
 import importlib.util

@@ -6,8 +6,6 @@ the side from which its corners run counter-clockwise (``sign="winding"``, as in
 `evaluation.vertical_difference` and `evaluation.m3c2_distances`.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable

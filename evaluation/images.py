@@ -4,8 +4,6 @@ SSIM is written out after its paper: that of torchmetrics 1.9 averages windows t
 apart on the test image), and takes about forty times as long on a CPU.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import ndimage
 

@@ -3,8 +3,6 @@
 Only what was tested is judged; both standards ask for more than vertical accuracy.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Summary statistics of signed distances, of a whole cloud and by depth, incidence, views and slope."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Where a surface is steep, the distance to its nearest point is shorter than the 
 nearest point of a sparse reference measures its spacing, not the error of what is compared.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Backends of the inner loops, Dr.Jit on CUDA, Dr.Jit on LLVM or torch, and the number of threads of torch."""
 
-from __future__ import annotations
-
 import ctypes
 import ctypes.util
 import os

@@ -7,8 +7,6 @@ fine    DWN: gate = GELU(W3 GELU(W2 GELU(W1 a))) per scale on its D F numbers a,
 colour  f_c = [G_n W_n] with one appearance vector W_n per scale; c = CRN(f_c, SH(d))                    (3)
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import torch

@@ -3,8 +3,6 @@
 And the weights of the terms beside the squared error of the colours (`fields.volume.losses`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """The water between the bed and the camera: absorption, scattering, and reflection at its surface."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

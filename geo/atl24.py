@@ -7,8 +7,6 @@ A group for each beam has an array for each quantity, a value for each photon: `
 Source: L. Magruder, C. Parrish et al., ATLAS/ICESat-2 L3A Global Bathymetry (ATL24), National Snow and Ice Data Center.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -5,8 +5,6 @@ octree and the two records of COPC are made here, lazrs compresses. Integer arit
 of LAS, so that no point lies on the wrong side of a node.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Sequence
 from copy import deepcopy

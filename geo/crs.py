@@ -6,8 +6,6 @@ ordered easting or longitude, northing or latitude, height, whatever order the a
 sets that order.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache, lru_cache
 from pathlib import Path

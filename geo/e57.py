@@ -1,7 +1,5 @@
 """Clouds as E57 (the extra ``e57``): all scans of a file in their common frame."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

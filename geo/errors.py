@@ -1,7 +1,5 @@
 """Errors in the user's coordinates and files; each message says how to fix it."""
 
-from __future__ import annotations
-
 
 class GeoError(ValueError):
     """An error that the user can fix: a CRS, an origin or a file. The command line ends with exit code 2."""

@@ -1,7 +1,5 @@
 """Features, lines and polygons of vector files: GeoJSON (RFC 7946 and older), GeoPackage, shapefile, DXF, KML, GPX."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections import Counter

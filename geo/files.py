@@ -3,8 +3,6 @@
 These libraries are extras of the distribution, imported when a file needs one.
 """
 
-from __future__ import annotations
-
 import errno
 import glob
 import os

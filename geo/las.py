@@ -3,8 +3,6 @@
 Sources: ASPRS LAS 1.4 R16 and its topo-bathy profile (classes 40 and up).
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from datetime import UTC, datetime

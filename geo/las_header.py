@@ -1,7 +1,5 @@
 """LAS header: length of the file, CRS, and extra bytes, values per point with a descriptor each (LAS 1.4)."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

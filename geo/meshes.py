@@ -4,8 +4,6 @@ trimesh 5.2.0 reads OBJ in two thirds of the time, but counts negative vertex nu
 of the face, takes vertex 0 for the last vertex, and drops the CRS.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path

@@ -8,8 +8,6 @@ of 5,311,475 m) and drops the CRS. CloudCompare opens properties whose name begi
 without the prefix.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from dataclasses import replace

@@ -11,8 +11,6 @@ Only the map projection and the units are undone and redone: the same datum on b
 | N | `normal` | radius of curvature in the prime vertical [m] |
 """
 
-from __future__ import annotations
-
 import numpy as np
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError

@@ -1,7 +1,5 @@
 """Rasters: read, and written window by window as cloud-optimised GeoTIFF or BAG, whole or not at all."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager

@@ -4,8 +4,6 @@ Of every file the values are checked for rounding (single precision, few digits)
 type the format stores.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Points and triangles in crs coordinates, as files hold them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TypeVar

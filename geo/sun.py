@@ -1,7 +1,5 @@
 """Position of the sun by time and place."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from datetime import UTC, datetime

@@ -5,8 +5,6 @@ oracle), torch (float32 or float64, differentiable) and Dr.Jit (compiled for CPU
 surfaces, are those of numpy and torch.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The functions of `refract._array.namespace` in torch; imported only where torch is already."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import torch

@@ -10,8 +10,6 @@ lens are plain numbers, or arrays that hold those of another lens for each ray.
     kinds    of the lenses among the rays; terms of the others are left out
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache

@@ -9,8 +9,6 @@ Vectors are triples ``(x, y, z)`` of arrays of any one library; all lengths are 
     share          part of D that the path covers in air, 0 to 1; the air leg runs over ``share D``
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

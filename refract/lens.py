@@ -4,8 +4,6 @@ The functions use OpenCV where it has the model. The simulator takes its photogr
 `refract.distortion` use an independent implementation.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

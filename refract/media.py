@@ -11,8 +11,6 @@ its own index puts it, and least squares finds the place between: to first order
 weighted by its share of the texture that is matched.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 

@@ -11,8 +11,6 @@
 (M. Born and E. Wolf, Principles of Optics, section 1.5.)
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -4,8 +4,6 @@ Everything here speaks in triples ``(x, y, z)`` of component arrays of any one l
 `refract.trace` and `refract.project` take and give arrays of vectors.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import KW_ONLY, dataclass
 from typing import Any, Protocol, final

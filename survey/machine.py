@@ -6,8 +6,6 @@ up to the mount counts. A process is in one group of version 2 (cgroups(7)), and
 version 1 where that is mounted; both hierarchies stand where systemd and containers mount them.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from dataclasses import dataclass

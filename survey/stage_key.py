@@ -1,7 +1,5 @@
 """Hash of the inputs of a computation, and of the code of this project: with equal keys a result is reused."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json

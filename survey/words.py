@@ -3,8 +3,6 @@
 Texts of files, as names and settings are, are escaped for where they are shown: terminal, log, Markdown, figures.
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 import textwrap

@@ -7,8 +7,6 @@ absorption. The veil is left out: a few angles cannot separate it from the colou
 loss, too small in turbid water.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Points of the bed that edges hide from the windows of the sweep, found in boxes beside depth steps."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace

@@ -1,7 +1,5 @@
 """Displacements of photographs against their mean in cells of solved tiles, and the surfaces that explain them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 

@@ -1,7 +1,5 @@
 """Surfaces of moving water in photographs, and the photographs as they would be over still water."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace

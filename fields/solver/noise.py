@@ -11,8 +11,6 @@ such a shift and is moved by it. What remains, a shift of the residuals of a pho
 albedo, common to many pixels, gives the variance of the shifts.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -9,8 +9,6 @@ are made with the normal matrix itself, whose information differs from pixel to 
 for both alike.
 """
 
-from __future__ import annotations
-
 from concurrent.futures import Executor
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Photometric least squares: heights of a survey's points and their standard deviations from all photographs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, MutableMapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace

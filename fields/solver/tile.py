@@ -1,7 +1,5 @@
 """Tiles of height maps, solved independently, with a halo each; albedo, gain, offset and noise of photographs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property

@@ -6,8 +6,6 @@ symbol of the Laplacian: the power that the prior expects of the bed is ``1 / (q
 small than at large scale have ``1 / S**slope``. All depends on the ratio of q to A alone.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Fusion of the height maps of a block: agreement with other views, means over them, violations of free space."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

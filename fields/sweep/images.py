@@ -4,8 +4,6 @@ They lie in the memory of the host, whatever the device of the kernels. Planes a
 to extrapolate the bed, and for slopes, walls and edges.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -4,8 +4,6 @@ Maps in memory take 9 bytes a pixel, so that those of a large survey do not fit.
 disk; only maps in work are read.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, MutableMapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

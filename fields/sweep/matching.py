@@ -3,8 +3,6 @@
 The coarse-to-fine passes of the sweep have a scale, windows, hypotheses and neighbours each.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ Points of the height maps are projected into every photograph, refracted at the 
 grey levels there correlate with those of the photographs that the points come from; where it is wrong, they do not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

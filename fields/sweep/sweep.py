@@ -7,8 +7,6 @@ second on the hypotheses follow the relief (`fields.sweep.kernels`), so that win
 The range of heights comes from a full sweep of a few views at thumbnail size.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 

@@ -8,8 +8,6 @@ error, so that nothing later takes it away. Here such pixels are matched at all 
 window needs its surroundings at its own height, or on its own wall, not at the heights of the pass before.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial

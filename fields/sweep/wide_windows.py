@@ -6,8 +6,6 @@ outweighs theirs. The error that ripples leave in a height varies from window to
 heights and averages out in their mean.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import replace
 

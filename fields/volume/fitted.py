@@ -15,8 +15,6 @@ which the mean of f over its paths is small. Both papers train f beside the fiel
 densities that the field ends with.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

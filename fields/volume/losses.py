@@ -21,8 +21,6 @@ pixels, colours as stored, 0 to 1, are correlation, structural similarity, and b
 photographs' own. MonoPatchNeRF (Wu et al. 2024) trains with these.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -26,8 +26,6 @@ Different here: in each step of the second stage one of the branches is rendered
 photographs are compared once a step; planes and vectors of every scale are those of `fields.factors`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 

@@ -1,7 +1,5 @@
 """The interface of all radiance fields over a box: density, colour, learning rates."""
 
-from __future__ import annotations
-
 import math
 from abc import abstractmethod
 from dataclasses import dataclass

@@ -21,8 +21,6 @@ the power b t / ((b - 1) t + 1), b = 10, t the share of the annealing that is do
 themselves outside of the training, where no gradient is taken.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

@@ -16,8 +16,6 @@ among the levels in training, since photographs of a survey have one scale (Inf-
 trains on pictures of several sizes).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

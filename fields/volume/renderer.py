@@ -1,7 +1,5 @@
 """Volume rendering of paths: a model with the water, appearance vectors and a background, as a camera sees it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -10,8 +10,6 @@ At distance r >= 1 a point becomes (x', y', z', u): the point of the sphere belo
 which is finite at u = 0: infinitely far away, where it is d, the direction alone.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor, nn

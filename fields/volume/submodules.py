@@ -16,8 +16,6 @@ Appearance vectors are matched as in Block-NeRF: one submodule keeps its own; th
 fitted until both render the places that they share alike, with all else fixed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The surface of a volume: where each path of the photographs meets it, and what several photographs agree on."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

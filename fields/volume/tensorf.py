@@ -10,8 +10,6 @@ finest cell and linear radiance, as in all models of this folder; the occupied c
 for their alpha mask; and rates fall over the whole training where theirs begin anew at each refinement.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from dataclasses import dataclass
 

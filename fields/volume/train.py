@@ -1,7 +1,5 @@
 """Training of a volume from photographs: paths drawn, sampled in the proxy, rendered, and compared."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field

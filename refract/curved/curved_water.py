@@ -12,8 +12,6 @@ derivatives; Newton's steps at the root attach these (the implicit function theo
 exact, the first two in torch.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from typing import Any

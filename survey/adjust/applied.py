@@ -1,7 +1,5 @@
 """An adjustment applied to its survey, and its cameras as files of other programs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The result of an adjustment: parameters with verdicts, poses, covariance, residuals and control points."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace

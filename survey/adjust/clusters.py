@@ -15,8 +15,6 @@
     the parameters absorb, grows with the square.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -19,8 +19,6 @@ the bend at the water into that ratio: on the block of examples/exports.py, 20 m
 the focal length that was found by 0.5 % and the bed by 15 cm.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -12,8 +12,6 @@
 Notes on the roll of a block about the line of its positions, and refusal of one that is too uncertain.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

@@ -21,8 +21,6 @@
     shade on a dry road is bluer than the lake beside it, dry dunes have larger areas without texture.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from contextlib import suppress

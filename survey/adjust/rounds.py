@@ -1,7 +1,5 @@
 """The rounds of an adjustment: outliers of observations, blunders of positions, correlated errors."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -11,8 +11,6 @@ to where the poses say that it is, and the adjustment starts from there. What is
 and survey.toml say.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The water of a survey from its photographs, for `bathynerf waterline`: values, standard deviations and verdicts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path

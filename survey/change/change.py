@@ -5,8 +5,6 @@ they are replaced by the standard deviation of that mean. What varies of ``std_c
 remains: its variance less the smallest one of the survey, once at the cell and once on the stable ground (mean).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -16,8 +16,6 @@ Source of the level of detection: J. Wheaton et al., Accounting for uncertainty 
 (2010); of correlated errors in volumes: S. Rolstad et al., Spatially integrated geodetic glacier mass balance (2009).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

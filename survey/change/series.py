@@ -4,8 +4,6 @@ All count in the cells that every survey covers, so that areas are the same. An 
 goes into the mean height whole, however many cells there are; that of the first survey shifts all others alike.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Sequence

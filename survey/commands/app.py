@@ -4,8 +4,6 @@ Nothing is imported before Ctrl-C, closed streams and broken pipes are taken car
 `survey.commands.verbs`.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

@@ -1,7 +1,5 @@
 """A command on the console: its options, its results on standard output, its progress and errors on standard error."""
 
-from __future__ import annotations
-
 import inspect
 import sys
 import textwrap

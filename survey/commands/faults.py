@@ -1,7 +1,5 @@
 """Errors that end a command, with message and exit code; standard streams that are closed, full, or a broken pipe."""
 
-from __future__ import annotations
-
 import io
 import os
 import sys

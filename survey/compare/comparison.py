@@ -3,8 +3,6 @@
 If the reference has no faces, distances are heights over local planes through its points.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """The figures of a comparison, its result, and its plain values for ``compare --json`` and report.json."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Inputs of a comparison: files and tables of points read, checked against each other, and their local frame."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace

@@ -2,8 +2,6 @@
 
 # ruff: noqa: RUF009 (calls that make fields)
 
-from __future__ import annotations
-
 import importlib.util
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The figures of a comparison as tables, for the terminal and for report.html."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -5,8 +5,6 @@ OpenDroneMap it is 0, 0. Its lines are ``x y z px py image [name] [role]``, afte
 belong to the same point if they have the same coordinates. Heights of GPX and KML are taken as heights in crs.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Control files of any known format, merged, checked against photographs and cameras, in the crs of the survey."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Parts of a section of report.html, of a text in a terminal, or of a notebook: texts, tables, pictures."""
 
-from __future__ import annotations
-
 import base64
 import html
 from collections.abc import Iterable, Sequence

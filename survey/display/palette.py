@@ -1,7 +1,5 @@
 """The colours of all pictures and of the report, named by their meaning."""
 
-from __future__ import annotations
-
 from matplotlib.colors import LinearSegmentedColormap
 
 # Text and axes; secondary text; places without data; the ground under a cut.

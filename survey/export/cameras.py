@@ -5,8 +5,6 @@ it bends; the files state the plane and the index. A program that traces straigh
 shallow, and blurred, since each camera sees it elsewhere.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

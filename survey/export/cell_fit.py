@@ -15,8 +15,6 @@ points at some distance have the variance D, the correlation is at least 1 - D /
 to D.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

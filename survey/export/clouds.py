@@ -5,8 +5,6 @@ alone, as GDAL's driver reads it. The first line of CSV names its columns, the l
 row: programs take comments for rows.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ A record in the run folder states which products are up to date, and what was in
 somebody has changed since is not replaced.
 """
 
-from __future__ import annotations
-
 import hashlib
 import sqlite3
 from contextlib import closing

@@ -5,8 +5,6 @@ Open3D (the extra ``mesh``) of points with normals from planes through their nei
 and a bottom, for 3D printing and volumes.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The photographs and height maps of a run as an image-based field, for novel views."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The report as PDF, A4, printed by the Chromium, Chrome or Edge of the machine."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

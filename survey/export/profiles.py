@@ -1,7 +1,5 @@
 """`bathynerf profile`: profiles along the lines of a file, written as tables, pictures and DXF."""
 
-from __future__ import annotations
-
 import csv
 import io
 import itertools

@@ -1,7 +1,5 @@
 """Rasters of the bed: heights with their uncertainty (DEM, BAG), orders of IHO S-44, surfaces of the water."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator
 from datetime import UTC, datetime

@@ -1,7 +1,5 @@
 """`bathynerf render`: views of the bed of a run from other cameras, and videos of flights along them."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress

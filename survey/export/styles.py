@@ -1,7 +1,5 @@
 """QGIS styles (.qml) next to rasters and clouds: QGIS applies the one with the name of the file when it opens it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from xml.sax.saxutils import quoteattr

@@ -3,8 +3,6 @@
 Water without a bed was looked at, and no bed found in it: its cells with their causes, as areas or points.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import partial

@@ -3,8 +3,6 @@
 In XML document types and entities are refused; defusedxml does not bound the depth, and forbids no more.
 """
 
-from __future__ import annotations
-
 import csv
 import itertools
 import json

@@ -1,7 +1,5 @@
 """Values converted for JSON, and JSON files written completely or not at all."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

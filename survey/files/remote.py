@@ -3,8 +3,6 @@
 Nothing here is reached unless a user names a URL.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import re

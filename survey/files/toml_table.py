@@ -4,8 +4,6 @@ A dataclass is the schema of a table: its fields are the known keys, their types
 the values of missing keys, with words and limits (`key`). Its ``__post_init__`` checks how keys go together.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import operator

@@ -1,7 +1,5 @@
 """Control points that place a survey without poses, tested against the block of structure from motion."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -4,8 +4,6 @@ Marks are compared with the projections of their points under the poses and lens
 ground of an earlier survey, is cut to the block.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 Keys of survey.toml that have no effect beside what else a survey has, each with its condition, are in `conditions`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -4,8 +4,6 @@ A geo.txt of OpenDroneMap replaces positions in EXIF. Its first line is the CRS;
 phi kappa] [horizontal accuracy] [vertical accuracy]``, easting or longitude first. As there, angles are not used.
 """
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping

@@ -3,8 +3,6 @@
 What cannot be true of any survey is an error; what is unlikely is a warning.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Poses and points of a file, cameras and water in crs and in the local frame; the reprojection error of tie points."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ Velocities of the camera are those of XMP, of positions and times, or of survey.
 shutter.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -3,8 +3,6 @@
 A lens comes from the poses file, else from survey.toml, else from EXIF.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace

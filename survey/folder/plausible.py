@@ -3,8 +3,6 @@
 What cannot be true of any survey is an error; what is unlikely is a warning.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A survey read from its folder into the local frame: cameras with their images, water, and the area of interest."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """The CRS, the datum of heights in EXIF and the origin of poses for a new survey.toml, its keys and questions."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A draft of survey.toml for a folder, from its files, with a comment at every uncertain value."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 

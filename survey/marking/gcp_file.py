@@ -3,8 +3,6 @@
 Lines of gcp_list.txt without a name get the one that their point has here when the mark of such a line is removed.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import warnings

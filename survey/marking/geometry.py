@@ -1,7 +1,5 @@
 """Predicted positions and epipolar curves of marks through the water, by the poses of a run or of a file."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

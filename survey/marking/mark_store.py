@@ -4,8 +4,6 @@ The files are the state: a file is read again if it has changed, the mark is cha
 is replaced, so that changes by other programs are kept.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Masks of photographs, drawn as polygons and kept where `process` looks for them."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 

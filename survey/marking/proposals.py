@@ -1,7 +1,5 @@
 """Marks that are proposed: coded targets, the corners of chequered ones, and what looks like a place that is marked."""
 
-from __future__ import annotations
-
 import re
 from typing import NamedTuple
 

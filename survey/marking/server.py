@@ -4,8 +4,6 @@ Requests need a token: the page takes it from the address that the command print
 of other origins cannot.
 """
 
-from __future__ import annotations
-
 import json
 import secrets
 import sys

@@ -1,7 +1,5 @@
 """State of the page of `bathynerf mark` as plain values: points, marks, residuals, and the next photograph."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path

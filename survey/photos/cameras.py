@@ -3,8 +3,6 @@
 Residuals are those of the collinearity equations; under water rays are bent, see `PinholeCamera.project`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

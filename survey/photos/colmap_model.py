@@ -3,8 +3,6 @@
 Models are text, and binary beside it where names have spaces, at which readers of the text cut them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

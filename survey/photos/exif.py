@@ -1,7 +1,5 @@
 """Metadata of a photograph: size, position, focal length, time; from EXIF and XMP, by Pillow."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """Values of EXIF in all legal forms: position, height reference, focal length, words."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """Photographs: found, fetched from a URL, checked, decoded and made smaller."""
 
-from __future__ import annotations
-
 import os
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping

@@ -8,8 +8,6 @@ Pillow refuses images of more than 179 Mpx on any machine, but photographs of 20
 of the memory while it is decoded.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 import threading

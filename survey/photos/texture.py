@@ -10,8 +10,6 @@ relative to others of the same bed by the same camera. Motion removes detail alo
 directions are evaluated separately.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -5,8 +5,6 @@ Pix4D, `Camera`; programs that rewrite XMP put the position into that of EXIF. T
 so that there are no entities to expand, and damaged XMP loses only the damaged values.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """`bathynerf check`: findings, assumptions, warnings, and the plan with its cost."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence

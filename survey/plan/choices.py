@@ -1,7 +1,5 @@
 """Options of a run, the recipes of its qualities, the size of its photographs, and limits that a cloud has to meet."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields

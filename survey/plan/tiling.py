@@ -8,8 +8,6 @@ they shift sideways by ``d (tan a - n tan b)``, with ``sin a = n sin b``, obliqu
 exceeds a share of a pixel, photographs no longer match.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace

@@ -6,8 +6,6 @@ sum meets within a tenth. Memory is that of the arrays which docs/performance.md
 megapixels) measured.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 Installed packages add formats of their own by entry points of the group `PLUGINS`, each a `Format`.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path

@@ -4,8 +4,6 @@ The layouts are those of COLMAP's ``doc/format.rst`` and ``reconstruction_io_bin
 photograph, also where version 4 has rigs and frames beside them.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass

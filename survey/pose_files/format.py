@@ -3,8 +3,6 @@
 The one place for all formats: a reader names the keys that it reads, and what is left is held against this.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence

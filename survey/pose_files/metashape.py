@@ -6,8 +6,6 @@ Metashape counts the principal point from the middle of the image, writes p1 and
 b1 to the horizontal focal length, and shears columns by b2 (its manual, Camera models).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from pathlib import Path

@@ -3,8 +3,6 @@
 And the camera paths of its viewer, once the normalisation of the poses for a training is undone.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -6,8 +6,6 @@ grid coordinates, whose rotations hold grid scale and convergence: that one is n
 Lenses come in pixels from the upper left corner.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ The local positions lack an offset, which lies in a third file; the map of all i
 tangential coefficients have OpenCV's order and sense.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace

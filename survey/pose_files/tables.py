@@ -6,8 +6,6 @@ write them, in gon if a heading says so; Metashape adds the nine numbers of the 
 which have to agree with the angles.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence

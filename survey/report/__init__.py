@@ -1,7 +1,5 @@
 """The report of a run: one set of figures, for machines as report.json and for people as report.html; its pictures."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """An adjustment in a report: parameters, observations, positions, poses, control and correlations, and their tables."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

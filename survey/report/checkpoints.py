@@ -1,7 +1,5 @@
 """Accuracy of the cloud of a run: height differences at check points, and its stated uncertainty."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

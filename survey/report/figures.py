@@ -3,8 +3,6 @@
 A figure is named here, by its key with its unit (none: m, or [-] of an index), and where the page shows it.
 """
 
-from __future__ import annotations
-
 import math
 from datetime import datetime
 from typing import Any

@@ -1,7 +1,5 @@
 """Pictures of flight and adjustment: cameras with what they see, residuals, parts, correlations of parameters."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """report.html: the figures of a report as one page without further files, for screen and paper."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """Photographs of a run: who took them, when, with which cameras, and the share of each left out of matching."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

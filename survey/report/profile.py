@@ -1,7 +1,5 @@
 """Profile of the bed along the line with the most relief: water, bed, points and reference."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

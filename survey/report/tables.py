@@ -1,7 +1,5 @@
 """The tables of report.html about the cloud, the survey, the plan, the run, and the distance to a reference."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

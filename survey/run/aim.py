@@ -5,8 +5,6 @@ standard deviation of points is foreseen from the poses, what it takes from the 
 docs/targets.md compares both with finished runs.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

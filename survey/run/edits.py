@@ -4,8 +4,6 @@ RUN/edits/<stage>-<checksum>.npz has the steps in their order: rows of the cloud
 can be undone, and edits never meet another cloud than their own: that of other settings has another name.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -6,8 +6,6 @@ bent where they meet the other surface, and the point goes to where they come cl
 higher by d sinks the bed beneath it by (n - 1) d or more.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

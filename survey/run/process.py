@@ -6,8 +6,6 @@ Stages leave their result in the run folder and are used again while what they d
 settings and plan are the result of a run and take the place of an earlier one together, at the end.
 """
 
-from __future__ import annotations
-
 import time
 from contextlib import nullcontext, suppress
 from functools import partial

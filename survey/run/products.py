@@ -1,7 +1,5 @@
 """The results of a run in a folder of their own: cloud, settings with the command that repeats it, plan and report."""
 
-from __future__ import annotations
-
 import shlex
 import shutil
 import time

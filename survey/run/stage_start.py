@@ -1,7 +1,5 @@
 """The stages before the sweep: a test of given poses, the adjustment, the bound of the bed, and views with a map."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, replace

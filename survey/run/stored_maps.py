@@ -1,7 +1,5 @@
 """Height maps and solved maps on disk: scratch files during a stage, one archive after it."""
 
-from __future__ import annotations
-
 import dataclasses
 import shutil
 from collections.abc import Callable, Iterable, Iterator, MutableMapping, Sequence

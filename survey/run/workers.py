@@ -5,8 +5,6 @@ in a folder of its own there; the process of the run gives it its place. Workers
 of a run that has one, and need no common disk.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile

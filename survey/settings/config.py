@@ -1,7 +1,5 @@
 """survey.toml: the settings of a survey, checked key by key, and written back with defaults filled in."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import os

@@ -5,8 +5,6 @@ each georeferenced by GPS positions in EXIF or by control points (`survey.sfm.ab
 point, the result, and the solved blocks, which are stored, in their own frames, to be used again.
 """
 
-from __future__ import annotations
-
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """`bathynerf check` before the flight: predicted accuracy of a planned flight over the bed of a scene file."""
 
-from __future__ import annotations
-
 import math
 from datetime import datetime, timedelta
 from pathlib import Path

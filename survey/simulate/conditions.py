@@ -4,8 +4,6 @@ The radiance of the sky depends on elevation alone, and the sun has a size. The 
 absorption, and from scattering into the path. The sensor turns radiance into grey levels, through a lens.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Rays cross a flat surface by formulas of this module, not by those of `refract`,
 optics there. Other surfaces are crossed by `refract`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Flight patterns: exposure stations by [flight] of a scene file, and their coverage of the bed through the water."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Bodies from files are scaled, turned, heeled and set on the bed. Textures of the
 checker, an image draped from above, or colours of vertices.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

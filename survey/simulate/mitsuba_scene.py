@@ -1,7 +1,5 @@
 """A scene for Mitsuba 3 in two sets of shapes: solids, and the surface of the water."""
 
-from __future__ import annotations
-
 from types import ModuleType
 
 import numpy as np

@@ -24,8 +24,6 @@ under the mean plane. And light of the last row is missing. Skylight, and sunlig
 refracted by every wave.
 """
 
-from __future__ import annotations
-
 import math
 from types import ModuleType
 

@@ -1,7 +1,5 @@
 """The scene file: settings of a simulation in TOML, every key checked (docs/simulation.md lists them)."""
 
-from __future__ import annotations
-
 from dataclasses import MISSING, dataclass, field
 from datetime import datetime
 from pathlib import Path

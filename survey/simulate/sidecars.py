@@ -1,7 +1,5 @@
 """A staged scene, and the files that go with its photographs: survey.toml, cameras.csv, EXIF and XMP."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

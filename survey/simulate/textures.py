@@ -4,8 +4,6 @@ Both are affine functions of position on every face, so that photographs in floa
 interpolates between corners, see the same.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ All is written to a hidden folder beside the survey, and moved at the end; a run
 images that are there.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

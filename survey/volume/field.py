@@ -1,7 +1,5 @@
 """`bathynerf field`: one of the published radiance fields on the photographs of a finished run."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 With monocular depth and normals of photographs, from the files of networks that predict them.
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Iterator, Sequence

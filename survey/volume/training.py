@@ -1,7 +1,5 @@
 """A radiance field trained on the photographs of a run, and its surface."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from functools import partial

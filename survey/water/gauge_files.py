@@ -6,8 +6,6 @@ the unit of crs. Cells without a number, as services write them, are left out an
 What is at fault raises ConfigError.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta, timezone, tzinfo

@@ -16,8 +16,6 @@ says to which wavelength it belongs: then, as from temperature and salinity, the
 green and blue have in the texture of the photographs.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence

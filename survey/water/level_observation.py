@@ -9,8 +9,6 @@ clicks                   CSV with image, x, y, name: places on the waterline, ea
                          where rays, straight as they run in air alone, meet
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime

@@ -5,8 +5,6 @@ services write for none and that lies far from the others. Between readings the 
 deviation is that of a parabola with the curvature of the series; between high and low waters it is half a cosine.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from datetime import UTC, datetime

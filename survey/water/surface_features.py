@@ -1,7 +1,5 @@
 """Points of the water surface in vector files: the vertices of points, lines and polygons, with heights."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path

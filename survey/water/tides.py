@@ -8,8 +8,6 @@ Each photograph has its level relative to `[water] level_m`, which becomes `Pinh
 the water count from level_m in all photographs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime

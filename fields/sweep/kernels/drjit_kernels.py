@@ -19,8 +19,6 @@ first, and then added: the same sums in the same order, for 2 (2 radius + 1) add
 Callers get these functions from `fields.sweep.matching.kernels`; `torch_kernels` has the same without Dr.Jit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

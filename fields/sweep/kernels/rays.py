@@ -19,8 +19,6 @@ projected exactly define an epipolar curve for the others: to 1e-5 px rms over 6
 Each of these numbers may be an array of the device; `drjit_kernels` and `torch_kernels` prepare them.
 """
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from typing import Any

@@ -4,8 +4,6 @@ The same functions with the same signatures and shapes (K neighbours, J hypothes
 computes step by step, so samples are taken in portions that stay in the processor's cache.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -9,8 +9,6 @@ V      normal matrix of each point (M, 3, 3), S that of the parameters with the 
 The loss of observations is Huber's (`survey.adjust.block.problem`).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -10,8 +10,6 @@ A variance from few residuals is uncertain itself. An error over the root of a v
 follows Student's distribution of n degrees of freedom, whose variance is about ``(n + 2) / n``: this factor is applied.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

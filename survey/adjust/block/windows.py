@@ -9,8 +9,6 @@ with brightness and contrast free: steps are solved in the template, (S, S) samp
 own photograph, whose slopes stay as they are.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The result of an adjustment: parameters with verdicts, adjusted poses, and their joint covariance."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass, fields, replace
 from enum import StrEnum

@@ -5,8 +5,6 @@ and good to what is assumed. No pixel is read; it takes seconds. Where the plan 
 that of a run which keeps them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

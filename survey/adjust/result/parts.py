@@ -4,8 +4,6 @@ Photographs of two places with nothing between them that matches, as where a sur
 together, and share the lens and the water; where one part lies against another, positions and control alone tell.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from shown_run import served, small_run
+from small_bed import SLOPE
 
 from refract import PinholeCamera
 from survey.errors import SurveyError
@@ -134,6 +135,32 @@ def test_a_polygon_of_clicks_is_classified(session, run):
     red = shown.colours(CLASS, rows, None)
     assert (red[:, 0] > red[:, 1]).all()
     assert not shown.edits.is_bed[rows].any()
+
+
+def test_volumes_in_a_polygon_are_shown_and_saved(session):
+    shown, editing, half = session.shown, session.editing, 0.8
+    assert "three corners or more" in press(session, editing.measure_polygon)[0][1]
+    x, y, z = shown.middle
+    shown.columns["std_common"] = np.full(len(shown.tree.points), 0.02)
+    # A plane 10 cm under that of the bed.
+    corners = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    editing._corners = [np.array([x + a, y + b, z + SLOPE * a - 0.1]) for a, b in corners]
+    press(session, editing.measure_polygon)
+    (_, found), middle = editing._measured[0], np.abs(shown.tree.points[:, :2] - (x, y)).max(axis=1) < half
+    assert found["area_m2"] == pytest.approx(4.0 * half**2)
+    assert found["with_points_m2"] == pytest.approx(4.0 * half**2, rel=0.01)
+    assert found["bed_over_plane_m3"] == pytest.approx(0.1 * found["with_points_m2"], rel=0.02)
+    assert found["bed_under_plane_m3"] == 0.0
+    depth = np.mean(shown.columns["depth"][middle])
+    assert found["water_m3"] == pytest.approx(depth * found["with_points_m2"], rel=0.02)
+    assert found["water_std_m3"] == pytest.approx(0.02 * found["with_points_m2"])
+    assert "water std" in editing._volumes.content
+    client = browser_above(shown)
+    editing._save_volumes(SimpleNamespace(client=client))
+    (name, content) = client.told[-1]
+    (feature,) = json.loads(content)["features"]
+    assert (name, feature["geometry"]["type"]) == ("volumes.geojson", "Polygon")
+    assert feature["properties"]["water_m3"] == pytest.approx(found["water_m3"], abs=1e-4)
 
 
 def test_saved_points_lie_in_the_run_folder(session, run):

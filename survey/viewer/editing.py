@@ -14,8 +14,9 @@ from survey.errors import SurveyError
 from survey.export.export import cloud_of
 from survey.run.edits import CLASSES, Edits
 from survey.viewer.shown import MARKED, Shown
-from survey.viewer.sightings import row_under, telling
+from survey.viewer.sightings import row_under, send_file, table, telling
 from survey.viewer.tree import camera_in_browser, seen_nodes
+from survey.viewer.volumes import volume_rows, volumes_in, write_volumes
 from survey.words import markdown
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ class Editing:
     ):
         self._server, self._shown, self._edits, self._redraw = server, shown, edits, redraw
         self._corners: list[np.ndarray] = []
+        self._measured: list[tuple[np.ndarray, dict[str, float | None]]] = []
         self._line: Any = None
         self._lock = Lock()
         gui = server.gui
@@ -55,6 +57,9 @@ class Editing:
             gui.add_markdown(_HELP)
             self._text: Any = gui.add_markdown("")
             polygon = gui.add_button("mark what is in the polygon")
+            measure = gui.add_button("measure volumes in the polygon", color="gray")
+            self._volumes: Any = gui.add_markdown("", visible=False)
+            self._hand_out = gui.add_button("save volumes (GeoJSON)", color="gray", visible=False)
             nothing = gui.add_button("mark nothing", color="gray")
             self._class: Any = gui.add_dropdown("class", [f"{code} {name}" for code, name in CLASSES.items()])
             classify = gui.add_button("classify what is marked")
@@ -63,6 +68,7 @@ class Editing:
             save = gui.add_button("save as LAS", color="gray", hint="with all dimensions, into the run folder")
         for button, work in (
             (polygon, self.mark_polygon),
+            (measure, self.measure_polygon),
             (nothing, lambda: self._mark(_NOTHING)),
             (classify, lambda: self._change(lambda rows: edits.classify(rows, int(self._class.value.split()[0])))),
             (delete, lambda: self._change(edits.delete)),
@@ -70,16 +76,29 @@ class Editing:
         ):
             button.on_click(self._answering(work))
         save.on_click(self._save)
+        self._hand_out.on_click(self._save_volumes)
         server.scene.on_rect_select(modifier="shift")(self._box)
         server.scene.on_click(modifier="shift")(self._corner)
         self._say()
 
     def mark_polygon(self) -> None:
         """Mark the points in the polygon whose corners were clicked, whatever their height."""
+        corners = self._shown.new_frame().crs_from_local(self._polygon())[:, :2]
+        self._mark(self._edits.inside(corners))
+
+    def measure_polygon(self) -> None:
+        """Show the volumes in the polygon whose corners were clicked, and keep them to be saved."""
+        corners = self._polygon()
+        self._measured.append((corners, volumes_in(self._shown, corners)))
+        self._volumes.content = table(volume_rows(self._measured[-1][1]))
+        self._volumes.visible = self._hand_out.visible = True
+        self._corners = []
+        self._say()
+
+    def _polygon(self) -> np.ndarray:
         if len(self._corners) < 3:
             raise SurveyError("a polygon has three corners or more: set them with Shift and click on the bed")
-        corners = self._shown.new_frame().crs_from_local(np.array(self._corners))[:, :2]
-        self._mark(self._edits.inside(corners))
+        return np.array(self._corners)
 
     def _answering(self, work: Callable[[], None]) -> Callable[[viser.GuiEvent], None]:
         """The answer to a button; what cannot be done is said in the browser."""
@@ -129,6 +148,13 @@ class Editing:
         with telling([event.client], "save as LAS", "is being written"):
             path = cloud_of(self._shown.folder)
             event.client.add_notification("save as LAS", f"the points with all edits are in {path}")
+
+    def _save_volumes(self, event: viser.GuiEvent) -> None:
+        if event.client is not None:
+            with telling([event.client], "volumes"):
+                send_file(
+                    event.client, "volumes.geojson", lambda path: write_volumes(path, self._shown, self._measured)
+                )
 
     def _say(self) -> None:
         marked = count(int(np.count_nonzero(self._shown.is_marked)))

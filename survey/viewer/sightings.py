@@ -55,6 +55,14 @@ def telling(
             note.remove()
 
 
+def send_file(client: viser.ClientHandle, name: str, write: Callable[[Path], object]) -> None:
+    """Have a browser save what is written to a path of this name."""
+    with TemporaryDirectory(prefix="bathynerf-view-") as folder:
+        path = Path(folder) / name
+        write(path)
+        client.send_file_download(name, path.read_bytes(), save_immediately=True)
+
+
 # Two points (3,) [m], local.
 Ends = tuple[np.ndarray, np.ndarray]
 
@@ -325,20 +333,15 @@ class Clicks:
         """Send the browser all measured lines, or the profile of the last one as a table; or draw that profile."""
         if event.client is None:
             return
-        with (
-            telling([event.client], "line", "is being computed"),
-            TemporaryDirectory(prefix="bathynerf-view-") as folder,
-        ):
-            path = Path(folder) / ("lines.geojson" if self._save.value == LINES else "profile.csv")
+        with telling([event.client], "line", "is being computed"):
             if self._save.value == LINES:
-                write_lines(path, self._shown, self._lines)
+                send_file(event.client, "lines.geojson", lambda path: write_lines(path, self._shown, self._lines))
+                return
+            profile = profile_of(self._shown, self._lines)
+            if self._save.value == PICTURE:
+                self.show(pixels_of(figure_of([profile])))
             else:
-                profile = profile_of(self._shown, self._lines)
-                if self._save.value == PICTURE:
-                    self.show(pixels_of(figure_of([profile])))
-                    return
-                write_csv(path, [profile])
-            event.client.send_file_download(path.name, path.read_bytes(), save_immediately=True)
+                send_file(event.client, "profile.csv", lambda path: write_csv(path, [profile]))
 
     def _mark(self, point: np.ndarray) -> None:
         name = f"/click/point {len(self._nodes)}"

@@ -28,36 +28,40 @@ _ELLIPSOIDAL, _EGM2008, _GEOID = CRS("EPSG:4979"), CRS("EPSG:4326+3855"), "EGM20
 
 
 def read_atl24(path: str | Path, crs: CRS | None, places: np.ndarray) -> Cloud:
-    """Photons of the bed in the box of places (N, 2 or more), both in a CRS with heights; none of low confidence.
+    """Photons of the bed in the box of places (N, 2 or more), both in a CRS with heights; see `photons_between`."""
+    if crs is None or not has_height(crs):
+        raise GeoError(f"the cloud names no CRS with heights, to which the photons of {path} could be transformed.")
+    over = plan_box(places)
+    corners = np.array([[east, north] for east in over[:, 0] for north in over[:, 1]])
+    return photons_between(path, crs, plan_box(np.column_stack(Transformation.between(crs, WGS84, places)(*corners.T))))
+
+
+def photons_between(path: str | Path, crs: CRS, box: np.ndarray) -> Cloud:
+    """Photons of the bed, none of low confidence, in a CRS with heights, in a box (2, 2) of longitude and latitude.
 
     ``extra`` has their standard deviations ``std`` in height and ``std_plan`` in place [m]. Heights are those over
     EGM2008 where the CRS has these, else ellipsoidal ones, for which PROJ needs the grid of its vertical datum. Raises
     UnreadableFile if the file is no ATL24, or has no such photon there; GeoError without that grid.
     """
-    columns = _columns(existing_file(path))
-    if crs is None or not has_height(crs):
-        raise GeoError(f"the cloud names no CRS with heights, to which the photons of {path} could be transformed.")
-    over, vertical = plan_box(places), vertical_crs(crs)
-    corners = np.array([[east, north] for east in over[:, 0] for north in over[:, 1]])
-    low, high = plan_box(np.column_stack(Transformation.between(crs, WGS84, places)(*corners.T)))
+    columns, (low, high), vertical = _columns(existing_file(path)), box, vertical_crs(crs)
     plan = np.column_stack([columns["lon_ph"], columns["lat_ph"]]).astype(np.float64)
     is_bed = (columns["class_ph"] == _BED) & (columns["low_confidence_flag"] == 0)
     used = is_bed & ((plan >= low) & (plan <= high)).all(axis=1)
     if not used.any():
         raise UnreadableFile(
-            f"none of the {int(is_bed.sum())} photons of the bed in {path} lies over the cloud, at longitude "
+            f"none of the {int(is_bed.sum())} photons of the bed in {path} lies over the survey, at longitude "
             f"{low[0]:.4f} to {high[0]:.4f} and latitude {low[1]:.4f} to {high[1]:.4f}; get the granule of that place"
         )
     is_geoid = vertical is not None and vertical.name == _GEOID
     source, height = (_EGM2008, "ortho_h") if is_geoid else (_ELLIPSOIDAL, "ellipse_h")
     points = np.column_stack([plan, columns[height]])[used]
-    to_crs = Reprojection.between(source, crs, where=f"the CRS of the cloud, for {path}", places=points)
+    to_crs = Reprojection.between(source, crs, where=f"the CRS of the survey, for {path}", places=points)
     extra = {name: columns[given][used].astype(np.float64) for name, given in
              (("std", "sigma_tvu"), ("std_plan", "sigma_thu"))}  # fmt: skip
     notes = (
-        f"{Path(path).name}: {int(used.sum())} photons of the bed, of a standard deviation of "
-        f"{np.median(extra['std']):.2f} m in height and {np.median(extra['std_plan']):.1f} m in place (medians): on "
-        "slopes the latter counts too",
+        f"{Path(path).name}: {int(used.sum())} photons of the bed, {height} (heights of the bed, not depths: no tide "
+        f"enters), of a standard deviation of {np.median(extra['std']):.2f} m in height and "
+        f"{np.median(extra['std_plan']):.1f} m in place (medians): on slopes the latter counts too",
         *([] if to_crs.warning is None else [to_crs.warning]),
     )
     return Cloud(to_crs(points), crs=to_crs.crs, extra=extra, notes=notes)

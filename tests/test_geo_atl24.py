@@ -9,6 +9,10 @@ from pyproj import CRS, Transformer
 
 from geo import GeoError, LocalFrame
 from geo.atl24 import read_atl24
+from survey.errors import ControlError
+from survey.folder.control import find_control
+from survey.photos.exif import Exif
+from survey.settings.tables import ControlConfig
 
 h5py = pytest.importorskip("h5py", reason="h5py is not installed: pip install 'bathynerf[atl24]'")
 
@@ -68,6 +72,24 @@ def test_photons_of_the_bed_are_check_points_with_their_own_uncertainty(cloud, g
     assert any("0.15 m in height and 7.0 m in place" in note for note in found["notes"])
 
 
+def test_they_are_check_points_beside_another_reference_and_of_a_survey(cloud, granule, tmp_path):
+    reference = write_las(tmp_path / "r.las", FRAME.crs_from_local(4.0 * grid(0.125)), crs=ON_GEOID)
+    found = compared(cloud, reference, checkpoints=granule)
+    assert found["asprs"]["n_checkpoints"] == compared(cloud, granule)["asprs"]["n_checkpoints"]
+    assert any("no tide enters" in note for note in found["notes"])
+    low, high = FRAME.crs_from_local(np.array([[-20.0, -20.0, 0.0], [20.0, 20.0, 0.0]]))[:, :2]
+    lons, lats = Transformer.from_crs(32632, 4326, always_xy=True).transform(*np.array([low, high]).T)
+    headers = {str(i): Exif((640, 480), (lats[i], lons[i], 60.0), None, 1, "", None) for i in (0, 1)}
+    control, findings = find_control(granule.parent, ControlConfig(checkpoints=granule.name), ON_GEOID, headers)
+    assert len(control.checkpoints) == found["asprs"]["n_checkpoints"] + found["asprs"]["n_not_covered"]
+    point = control.checkpoints[0]
+    assert point.std_m == pytest.approx((7.0, 7.0, STD_M))
+    assert point.place[2] == pytest.approx(-4.0 - LOWER_M, abs=5.0 * STD_M)
+    assert any("no tide enters" in sentence for sentence in findings.assumptions)
+    with pytest.raises(ControlError, match="have none: compare the cloud by bathynerf compare"):
+        find_control(granule.parent, ControlConfig(checkpoints=granule.name), ON_GEOID, {})
+
+
 def test_ellipsoidal_heights_are_used_where_the_cloud_has_these(granule):
     places = FRAME.crs_from_local(4.0 * grid(2.0))
     found = read_atl24(granule, CRS("EPSG:32632").to_3d(), places)
@@ -78,7 +100,7 @@ def test_ellipsoidal_heights_are_used_where_the_cloud_has_these(granule):
 
 
 def test_other_files_and_places_are_refused(granule, tmp_path):
-    with pytest.raises(GeoError, match=r"none of the \d+ photons of the bed .* lies over the cloud, at longitude"):
+    with pytest.raises(GeoError, match=r"none of the \d+ photons of the bed .* lies over the survey, at longitude"):
         read_atl24(granule, ON_GEOID, FRAME.crs_from_local(grid(1.0) + np.array([5000.0, 0.0, 0.0])))
     (tmp_path / "other.h5").write_bytes(b"no HDF5")
     with h5py.File(tmp_path / "empty.h5", "w") as file:

@@ -13,7 +13,16 @@ from small_survey import small_survey
 
 from survey.control.points import Checkpoint, Control, ControlPoint, Mark
 from survey.folder.survey import load_survey
-from survey.report.checkpoints import CE95, LE95, WITHIN_GSD, checkpoint_differences, checkpoints_of, stated_of, table
+from survey.report.checkpoints import (
+    CE95,
+    LE95,
+    WITHIN_GSD,
+    checkpoint_differences,
+    checkpoint_warnings,
+    checkpoints_of,
+    stated_of,
+    table,
+)
 from survey.report.figures import figures_of
 from survey.report.page import cards
 from survey.report.tables import checkpoints as checkpoint_blocks
@@ -82,6 +91,18 @@ def test_all_check_points_are_in_the_figures_those_under_water_and_above_apart(s
     assert groups.rows[0][:2] == ("all", "2")
     assert each.rows[0][3] == "−20.0"
     assert each.rows[1][3] == "unknown"
+
+
+def test_the_uncertainty_of_a_check_point_itself_explains_its_difference(survey):
+    bed = plane_bed(survey)
+    at = bed.xyz[len(bed.xyz) // 2 + 70] + np.array([0.0, 0.0, 0.3])
+    known = replace(check(survey, "photon 1", at), std=np.array([7.0, 7.0, 0.15]))
+    for point, num in ((check(survey, "rod", at), 1), (known, 0)):
+        found = checkpoints_of(changed(survey, checkpoints=(point,)), bed.xyz, GSD_M, bed.std)
+        assert found.rows[0].difference_m == pytest.approx(-0.3, abs=ROUNDING_M)
+        assert len(checkpoint_warnings(found)) == num
+    *_, each = checkpoint_blocks(found)
+    assert each.rows[0][5] == "150"
 
 
 def test_without_check_points_there_are_no_figures_and_without_a_cloud_no_groups(survey):

@@ -13,8 +13,9 @@ from evaluation import Blocks, distance_statistics, is_outlier, reached_by_slope
 from evaluation.bootstrap import LEVEL, NUM_DRAWS
 from evaluation.bootstrap import SEED as BOOTSTRAP_SEED
 from evaluation.c2m import SEED, Sign
-from geo import Cloud, Mesh
+from geo import Mesh
 from geo.atl24 import SUFFIXES as ATL24
+from geo.atl24 import read_atl24
 from geo.files import existing_file, reporting_disk_errors
 from geo.shapes import vertices_of
 from survey.compare import measure
@@ -113,23 +114,25 @@ def _read(cloud: Path, reference: Path, options: CompareOptions) -> tuple[Inputs
     """Cloud and reference, and check points (K, 4) with their file, where there are any."""
     paths = InputPaths(Path(cloud), Path(reference), None if options.visible is None else Path(options.visible))
     places = None if options.checkpoints is None else Path(options.checkpoints)
-    if places is None and is_table(paths.reference):
+    if places is None and (is_table(paths.reference) or paths.reference.suffix.lower() in ATL24):
         # Between measured points nothing is known, so that the cloud is also evaluated at each of them.
         places = paths.reference
     for path in (paths.cloud, paths.reference, paths.visible):
         if path is not None:
             existing_file(path)
     # Before the clouds and meshes, which take longer to read.
-    if places is not None:
+    if places is not None and places.suffix.lower() not in ATL24:
         # Units and depths need the cloud.
         read_checkpoints(places, 0.0)
     with current().stage("Reading"):
         inputs = load_inputs(paths, options.bounds, options.water_level)
-    if places is None and isinstance(inputs.reference, Cloud) and paths.reference.suffix.lower() in ATL24:
-        photons = np.column_stack([inputs.reference.points, inputs.reference.extra["std"]])
-        return inputs, (photons, paths.reference)
     if places is None:
         return inputs, None
+    if places.suffix.lower() in ATL24:
+        photons = read_atl24(places, inputs.crs, inputs.cloud.points)
+        if places != paths.reference:
+            inputs = replace(inputs, notes=inputs.notes + photons.notes)
+        return inputs, (np.column_stack([photons.points, photons.extra["std"]]), places)
     level = level_of_cloud(inputs.cloud) if options.water_level is None else options.water_level
     return inputs, (read_checkpoints(places, level, inputs.crs, Units.of(inputs.crs)), places)
 

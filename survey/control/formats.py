@@ -49,6 +49,7 @@ _MARK_WORDS = words_of({
     "y": ("py", "v", "y_px", "pixel_y", "row"),
 })  # fmt: skip
 _MARK_COLUMNS = ("image", "name", "x", "y")
+_OPTIONAL = ("name", "std", "std_horizontal", *STDS)
 
 
 def _is_check(role: str, where: str) -> bool:
@@ -63,7 +64,7 @@ def _stds(values: Sequence[float], where: str) -> tuple[float, float, float]:
     if not all(0.0 < value <= 10.0 for value in values):
         raise ControlError(
             f"{where}: the standard deviations are {', '.join(f'{value:g}' for value in values)}, expected metres "
-            "above 0 and at most 10; correct them, or leave the columns out and give [control] std_m"
+            "above 0 and at most 10; correct them, or leave the columns out; [control] std_m is that of control"
         )
     east, north, up = values
     return east, north, up
@@ -206,7 +207,7 @@ def read_waypoints(path: Path) -> Content:
 def read_coordinates(path: Path) -> Content:
     """The points of a table ``name,easting,northing,height``, with their accuracy and role if it has these."""
     table = point_table(path, ControlError)
-    rows = read_points(table, optional=("name", "std", "std_horizontal", *STDS, "role", "enable"))
+    rows = read_points(table, optional=(*_OPTIONAL, "role", "enable"))
     require_exact(rows, table)
     if rows and "name" not in table.names:
         raise ControlError(f"{path}: the first line has no column name, expected {','.join(('name', *PLACE))}; add it")
@@ -219,11 +220,14 @@ def _point(row: Row, crs: CRS | None) -> GivenPoint:
     # Metashape adjusts to enabled points, and uses the others as check points.
     is_ticked = row.cells.get("enable", "").casefold() not in ("0", "false")
     is_check = _is_check(row.cells.get("role", ""), row.where) or not is_ticked
-    std = None
+    return GivenPoint(row.text("name"), row.where, _place(row), crs, std_m=_std_of(row), is_check=is_check)
+
+
+def _std_of(row: Row) -> tuple[float, float, float] | None:
     for columns in (STDS, ("std_horizontal", "std_horizontal", "std_height"), ("std", "std", "std")):
-        if std is None and all(row.cells.get(column) for column in columns):
-            std = _stds([row.number(column) for column in columns], row.where)
-    return GivenPoint(row.text("name"), row.where, _place(row), crs, std_m=std, is_check=is_check)
+        if all(row.cells.get(column) for column in columns):
+            return _stds([row.number(column) for column in columns], row.where)
+    return None
 
 
 def _place(row: Row) -> tuple[float, float, float]:
@@ -251,14 +255,15 @@ def read_checkpoints(path: Path, level: float | None = None, survey_crs: CRS | N
         # Depths become heights of the survey; heights have the unit that the file states.
         crs = None if crs is None else horizontal_crs(crs)
         units = Units(Units.of(crs or survey_crs).plan_m, Units.of(survey_crs).height_m)
-    rows = read_points(table, level=level, give_level="give [water] level_m", units=units)
+    rows = read_points(table, optional=_OPTIONAL, level=level, give_level="give [water] level_m", units=units)
     require_exact(rows, table)
     stated = stated_units(table) if units is None else Units(height_m=units.height_m)
     if not rows:
         raise ControlError(f"{path} has no check points, expected lines name,easting,northing,height; add them")
     points: dict[str, GivenPoint] = {}
     for i, row in enumerate(rows, start=1):
-        point = GivenPoint(row.cells.get("name") or str(i), row.where, _place(row), crs, is_check=True, units=stated)
+        name = row.cells.get("name") or str(i)
+        point = GivenPoint(name, row.where, _place(row), crs, _std_of(row), is_check=True, units=stated)
         first = points.setdefault(point.name, point)
         if first is not point:
             raise ControlError(f"{row.where}: check point {point.name} is in {first.where} too; remove or rename one")

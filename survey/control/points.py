@@ -19,13 +19,14 @@ class Checkpoint:
     name: str
     crs: tuple[float, float, float]  # (easting, northing, height)
     local: np.ndarray  # (3,) float64 [m]
+    # (3,) float64 [m]: of `local`: east, north, up; zeros where nothing states it
+    std: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
 class ControlPoint(Checkpoint):
     """A point of known coordinates with marks."""
 
-    std: np.ndarray  # (3,) float64 [m]: of `local`: east, north, up
     is_check: bool = False  # Whether the file calls it a check point, which is not to be adjusted to
     # [m]: the part of `std` common to all points of its file, from a transformation of datums
     common_plan_std: float = 0.0

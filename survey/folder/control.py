@@ -13,6 +13,8 @@ from pyproj import CRS
 from pyproj.crs import CompoundCRS
 from scipy.spatial import KDTree
 
+from geo.atl24 import SUFFIXES as ATL24
+from geo.atl24 import photons_between
 from geo.compatibility import Reprojection, crs_difference
 from geo.crs import has_height, height_unit_m, vertical_crs
 from geo.features import assumed_crs, layer_of, points_inside, read_polygons
@@ -31,7 +33,7 @@ from survey.display.quantities import length, named
 from survey.errors import ControlError, Findings
 from survey.files.point_table import accuracy_warnings, point_table, several_heights
 from survey.photos.cameras import View
-from survey.photos.exif import Exif
+from survey.photos.exif import Exif, exif_places
 from survey.progress import current
 from survey.settings.config import SurveyConfig
 from survey.settings.tables import DEFAULT_MARKS_STD_PX, DEFAULT_STD_M, ControlConfig, per_direction
@@ -91,8 +93,11 @@ def find_control(
     merged, findings = MergedControl(), Findings()
     if config.checkpoints is not None:
         path = folder / config.checkpoints
-        checkpoints, findings = in_crs(read_checkpoints(path, level, crs), crs)
-        findings += Findings(warnings=accuracy_warnings(point_table(path, ControlError)))
+        if path.suffix.lower() in ATL24:
+            checkpoints, findings = _photons(path, crs, headers)
+        else:
+            checkpoints, findings = in_crs(read_checkpoints(path, level, crs), crs)
+            findings += Findings(warnings=accuracy_warnings(point_table(path, ControlError)))
     if config.gcp_files:
         contents = [read_control(folder / name) for name in config.gcp_files]
         if config.marks is not None:
@@ -104,6 +109,25 @@ def find_control(
         config = replace(config, std_m=std_m, marks_std_px=marks_std_px)
     found = FoundControl(config, merged, (*checkpoints, *merged.unmarked))
     return found, findings + Findings(warnings=_doubts(found, crs, level))
+
+
+def _photons(path: Path, crs: CRS, headers: Mapping[str, Exif]) -> tuple[list[GivenPoint], Findings]:
+    """Photons of the bed between the photographs, of a file of ATL24."""
+    places = exif_places(headers)
+    if not len(places):
+        raise ControlError(
+            f"[control] checkpoints is {path}, of which the photons between the GPS positions of photographs are used; "
+            f"the photographs have none: compare the cloud by bathynerf compare RUN {path.name}"
+        )
+    found = photons_between(path, crs, plan_box(places))
+    stds = zip(found.extra["std_plan"].tolist(), found.extra["std"].tolist(), strict=True)
+    points = [
+        GivenPoint(f"photon {number}", str(path), (east, north, height), std_m=(plan, plan, up), is_check=True)
+        for number, ((east, north, height), (plan, up)) in enumerate(
+            zip(found.points.tolist(), stds, strict=True), start=1
+        )
+    ]
+    return points, Findings(found.notes)
 
 
 def _assumed_stds(config: ControlConfig, merged: MergedControl) -> Findings:
@@ -148,7 +172,10 @@ def place_control(
     found: FoundControl, frame: LocalFrame, views: Sequence[str]
 ) -> tuple[Control | None, tuple[Checkpoint, ...], Findings]:
     """Control and check points in the local frame of the views that have a pose, by name."""
-    checkpoints = tuple(Checkpoint(point.name, point.place, _local(point, frame)) for point in found.checkpoints)
+    checkpoints = tuple(
+        Checkpoint(point.name, point.place, _local(point, frame), np.array(point.std_m or np.zeros(3)))
+        for point in found.checkpoints
+    )
     if not found.merged.points:
         return None, checkpoints, Findings()
     posed = set(views)

@@ -1,5 +1,6 @@
 """Accuracy of the cloud of a run: height differences at check points, and its stated uncertainty."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -98,6 +99,7 @@ class CheckpointRow:
     difference_m: float | None
     # Standard deviation of the height of the cloud there, random and shared; None without a difference
     stated_m: float | None = None
+    std_m: float = 0.0  # Standard deviation of the height of the check point itself; 0 where nothing states it
     is_outside: bool = False  # Whether it lies outside [area] bounds, beyond which there is no cloud
 
 
@@ -182,7 +184,9 @@ def checkpoints_of(
         [float(value) if np.isfinite(value) else None for value in values] for values in (depths, differences, stds)
     )
     rows = tuple(
-        CheckpointRow(point.name, east, north, height, depth_m, difference_m, stated_m, bool(is_outside))
+        CheckpointRow(
+            point.name, east, north, height, depth_m, difference_m, stated_m, float(point.std[2]), bool(is_outside)
+        )
         for point, (east, north, height), depth_m, difference_m, stated_m, is_outside in zip(
             given, (point.crs for point in given), *known, outside, strict=True
         )
@@ -195,10 +199,10 @@ def checkpoint_warnings(found: CheckpointAccuracy | None) -> list[str]:
     if found is None:
         return []
     far = [
-        f"{row.name} ({length(row.difference_m)}, stated {length(row.stated_m)})"
+        f"{row.name} ({length(row.difference_m)}, stated {length(math.hypot(row.stated_m, row.std_m))})"
         for row in found.rows
         if row.difference_m is not None and row.stated_m is not None
-        and abs(row.difference_m) > _MOST_STD * row.stated_m
+        and abs(row.difference_m) > _MOST_STD * math.hypot(row.stated_m, row.std_m)
     ]  # fmt: skip
     return named(far, "check point", f"farther from the cloud than {_MOST_STD:g} standard deviations")
 

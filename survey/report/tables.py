@@ -11,6 +11,8 @@ from survey.report.facts import WaveFigures
 
 # Digits of coordinates by their unit: to the centimetre in metres, to about as much in degrees.
 _DECIMALS = {"m": 2, "°": 7}
+# Photons of a lidar as check points are hundreds; report.json has all.
+_MOST_ROWS = 50
 
 
 def cloud(found: dict[str, Any], crs: dict[str, Any]) -> list[Block]:
@@ -126,6 +128,10 @@ def checkpoints(found: CheckpointAccuracy | None) -> list[Block]:
     if num_outside:
         method += f" {num_outside} of {len(found.rows)} lie outside [area] bounds."
     blocks: list[Block] = [Text(method)]
+    shown, heading = found.rows, "Each check point"
+    if len(shown) > _MOST_ROWS:
+        shown = tuple(sorted(shown, key=lambda row: -abs(row.difference_m or 0.0))[:_MOST_ROWS])
+        heading = f"The {_MOST_ROWS} check points of the largest differences"
     if found.groups:
         groups = [
             (group.name, count(group.num),
@@ -137,14 +143,15 @@ def checkpoints(found: CheckpointAccuracy | None) -> list[Block]:
     deep = replace(LengthUnit.of_heights(), decimals=3)
     rows = [
         (row.name, number(row.height, 3), deep.number(row.depth_m), unit.number(row.difference_m),
-         unit.number(row.stated_m), "outside bounds" if row.is_outside else "")
-        for row in found.rows
+         unit.number(row.stated_m), unit.number(row.std_m) if row.std_m else "",
+         "outside bounds" if row.is_outside else "")
+        for row in shown
     ]  # fmt: skip
     titles = (
         "check point", "height in crs", f"depth [{deep.name}]", f"difference [{unit.name}]",
-        f"std stated [{unit.name}]", "note",
+        f"std stated [{unit.name}]", f"its own std [{unit.name}]", "note",
     )  # fmt: skip
-    return [*blocks, Table(titles, rows, heading="Each check point")]
+    return [*blocks, Table(titles, rows, heading=heading)]
 
 
 def waves(found: WaveFigures | None) -> list[Block]:

@@ -72,7 +72,7 @@ def main() -> None:
         start = time.perf_counter()
         mesh = bed_surface(bed, spacing_m=stored.gsd_m, method=method, path=method)
         seconds = time.perf_counter() - start
-        samples = sample_mesh(mesh.vertices, mesh.faces, len(bed))
+        samples, _ = sample_mesh(mesh.vertices, mesh.faces, len(bed))
         sys.stdout.write(truth.line(method, mesh.vertices, samples, len(mesh.faces), seconds))
 
 

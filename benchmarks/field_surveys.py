@@ -94,7 +94,7 @@ def _write_truth(folder: Path, scene: FieldScene) -> np.ndarray:
     inside[near] = _within(scene.flown, frame.crs_from_local(grid[near]))
     vertices, faces = ground_mesh(ground, inside)
     write_ply(folder / "reference.ply", frame.crs_from_local(vertices), faces=faces)
-    points = sample_mesh(vertices, faces, MOST_POINTS, seed=scene.settings.seed)
+    points, _ = sample_mesh(vertices, faces, MOST_POINTS, seed=scene.settings.seed)
     points = points[_within(scene.flown, frame.crs_from_local(points))]
     num_views = sum(seen_by(scene.still, camera, scene.lens, points).astype(int) for camera in scene.cameras)
     points = points[num_views >= MIN_VIEWS]

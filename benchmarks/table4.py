@@ -144,7 +144,7 @@ def measure(case: Case, truth: Survey, reference: Path, samples: int, times_seen
     ours = study.cropped(cloud, middle, *size)
     theirs = study.study_cloud(cloud, middle, wet=case.name != "dry", field=case.chain != "sweep")
     theirs = study.cropped(theirs, middle, *np.minimum(size, study.CROP_M))  # the reference ends there
-    surface = study.cropped(sample_mesh(vertices, mesh.faces, samples), middle, *np.minimum(size, study.OBJECT_M))
+    surface = study.cropped(sample_mesh(vertices, mesh.faces, samples)[0], middle, *np.minimum(size, study.OBJECT_M))
     record |= {"n_points": len(ours), "n_points_study": len(theirs)}
     for label, points in (("ours", ours), ("study", theirs)):
         distances = distance_to_mesh(points, vertices, mesh.faces).signed

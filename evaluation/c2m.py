@@ -76,10 +76,15 @@ def area_vectors(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return 0.5 * np.cross(b - a, c - a)
 
 
+def slope_deg(normals: np.ndarray) -> np.ndarray:
+    """Slopes (F,) [deg] of triangles with normals (F, 3), 0 level to 90 upright, whichever side is up."""
+    return np.degrees(np.arctan2(np.hypot(normals[:, 0], normals[:, 1]), np.abs(normals[:, 2])))
+
+
 def has_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Whether each triangle (F,) has a surface, rather than being a line or a point to rounding."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
-    longest = np.max([np.square(e).sum(axis=1) for e in (b - a, c - b, a - c)], axis=0)
+    longest = np.max([_dot(e, e) for e in (b - a, c - b, a - c)], axis=0)
     return 2.0 * np.linalg.norm(area_vectors(vertices, faces), axis=1) > _THINNEST * longest
 
 
@@ -147,9 +152,7 @@ class MeshDistances:
 
     signed: np.ndarray  # (N,) [m]: NaN for points that are not finite
     nearest: np.ndarray  # (N, 3) [m]: the nearest point of the mesh
-    # (N,) [deg]: slope of the nearest triangle, 0 level to 90 upright, whichever side is up; NaN for points that are
-    # not finite
-    slope_deg: np.ndarray
+    slope_deg: np.ndarray  # (N,) [deg]: slope of the nearest triangle; NaN for points that are not finite
     num_degenerate: int  # Triangles without area, which were left out
 
 
@@ -192,7 +195,7 @@ def distance_to_mesh(
     surface = _Surface(vertices - origin, faces[sound], sign)
     signed = np.full(len(points), np.nan)
     nearest = np.full(points.shape, np.nan)
-    slope_deg = np.full(len(points), np.nan)
+    slope = np.full(len(points), np.nan)
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
     order = finite[_morton_order(points[finite])]
     parts = [order[start : start + _CHUNK] for start in range(0, len(order), _CHUNK)]
@@ -200,10 +203,10 @@ def distance_to_mesh(
         for rows, found in zip(
             parts, pool.map(lambda rows: surface.measure(points[rows] - origin), parts), strict=True
         ):
-            signed[rows], nearest[rows], slope_deg[rows] = found
+            signed[rows], nearest[rows], slope[rows] = found
             if advance is not None:
                 advance(len(rows))
-    return MeshDistances(signed, nearest + origin, slope_deg, int((~sound).sum()))
+    return MeshDistances(signed, nearest + origin, slope, int((~sound).sum()))
 
 
 class _Surface:
@@ -217,7 +220,7 @@ class _Surface:
         if sign == "up":
             normals[normals[:, 2] < -_STEEP_NZ] *= -1.0
         self._normals = normals
-        self._slope_deg = np.degrees(np.arctan2(np.hypot(normals[:, 0], normals[:, 1]), np.abs(normals[:, 2])))
+        self._slope_deg = slope_deg(normals)
         self._tree = igl.AABB()
         self._tree.init(self._vertices, self._faces)
         # Triangles around vertex v: star_faces[star_start[v] : star_start[v + 1]].
@@ -285,8 +288,9 @@ def _spread_bits(values: np.ndarray) -> np.ndarray:
 
 def sample_mesh(
     vertices: np.ndarray, faces: np.ndarray, num_samples: int = NUM_SAMPLES, *, seed: int = SEED
-) -> np.ndarray:
-    """Points (num_samples, 3) [m] spread independently and uniformly by area over a mesh, in the order of its faces.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (num_samples, 3) [m] spread independently and uniformly by area over a mesh, and the face (num_samples,)
+    of each, in the order of the faces.
 
     Vertices (V, 3) [m] are in a Cartesian frame: in a map grid areas would be distorted.
     """
@@ -300,7 +304,7 @@ def sample_mesh(
     # Uniform in a triangle: the square root makes the density along the first coordinate that of its width.
     root, along = np.sqrt(rng.random(num_samples)), rng.random(num_samples)
     weights = np.stack([1.0 - root, root * (1.0 - along), root * along], axis=1)
-    return np.einsum("nk,nkd->nd", weights, vertices[faces[face]])
+    return np.einsum("nk,nkd->nd", weights, vertices[faces[face]]), face
 
 
 def distance_to_cloud(

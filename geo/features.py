@@ -11,11 +11,9 @@ from typing import Any, TypeVar
 from xml.etree import ElementTree
 
 import numpy as np
-import rasterio
 import shapely
 from pyproj import CRS
 from pyproj.exceptions import CRSError
-from rasterio.features import geometry_mask
 from shapely.errors import ShapelyError
 from shapely.geometry import LineString, Point, Polygon, shape
 from shapely.geometry.base import BaseGeometry, BaseMultipartGeometry
@@ -321,7 +319,10 @@ def read_polygons(path: str | Path, crs: CRS, around: np.ndarray) -> dict[str, P
 
 def cells_inside(polygons: Iterable[Polygon], grid: Grid) -> np.ndarray:
     """Whether the middle of each cell (rows, columns) lies in a polygon."""
-    return geometry_mask(list(polygons), grid.shape, rasterio.Affine(*grid.transform), invert=True)
+    from rasterio.features import geometry_mask
+    from rasterio.transform import Affine
+
+    return geometry_mask(list(polygons), grid.shape, Affine(*grid.transform), invert=True)
 
 
 def points_inside(polygons: Iterable[Polygon], points: np.ndarray) -> np.ndarray:

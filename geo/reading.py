@@ -18,7 +18,6 @@ from geo.las import read_cloud
 from geo.meshes import read_gltf, read_obj
 from geo.ply import read_ply
 from geo.projection import ground_units_m
-from geo.raster import read_raster
 from geo.shapes import Cloud, Mesh, vertices_of
 
 # Coarser steps than this begin to spoil a comparison.
@@ -136,13 +135,15 @@ def _shared_places(points: np.ndarray) -> tuple[float, bool]:
         half = 0.5 * np.ptp(points[:, :2], axis=0) * (_ENOUGH / len(points)) ** 0.5
         middle = np.median(points[:, :2], axis=0)
         points = points[(np.abs(points[:, :2] - middle) <= half).all(axis=1)]
-    distinct = np.unique(points, axis=0)
-    _, number, count = np.unique(distinct[:, :2], axis=0, return_inverse=True, return_counts=True)
+    points = points[np.lexsort(points.T[::-1])]
+    is_new = np.diff(points, axis=0, prepend=np.nan) != 0.0
+    # Distinct heights at each place.
+    count = np.add.reduceat(is_new.any(axis=1), np.flatnonzero(is_new[:, :2].any(axis=1)), dtype=np.int64)
     # A few corners above each other, of a box.
-    if len(count) < _FEWEST and len(distinct) < _FEWEST * len(count):
+    if len(count) < _FEWEST and count.sum() < _FEWEST * len(count):
         return 0.0, False
-    rows = np.prod([len(np.unique(values)) for values in distinct[:, :2].T], dtype=np.float64)
-    return float((count[number.ravel()] > 1).mean()), bool(count.max() == 1 and len(count) > _RASTER * rows)
+    rows = np.prod([len(np.unique(values)) for values in points[:, :2].T], dtype=np.float64)
+    return float(count[count > 1].sum() / count.sum()), bool(count.max() == 1 and len(count) > _RASTER * rows)
 
 
 def _rounded_heights(height: np.ndarray, metres: float, path: Path) -> tuple[str, ...]:
@@ -186,6 +187,13 @@ def _no_data_notes(height: np.ndarray, path: Path) -> tuple[str, ...]:
     return ()
 
 
+def _read_raster(path: Path) -> Mesh:
+    # rasterio and what it loads take half a second.
+    from geo.raster import read_raster
+
+    return read_raster(path)
+
+
 _READERS = {
     ".ply": read_ply,
     ".obj": read_obj,
@@ -193,9 +201,9 @@ _READERS = {
     ".laz": read_cloud,  # COPC too: .copc.laz
     ".glb": read_gltf,
     ".gltf": read_gltf,
-    ".tif": read_raster,
-    ".tiff": read_raster,
-    ".bag": read_raster,
+    ".tif": _read_raster,
+    ".tiff": _read_raster,
+    ".bag": _read_raster,
     ".e57": read_e57,
 }
 

@@ -64,9 +64,10 @@ def test_ctrl_c_during_an_import_is_one_sentence(tmp_path, module):
     assert (result.returncode, result.stdout, said) == (STOPPED, "", ["error: stopped"])
 
 
-def test_a_run_with_exact_poses_and_without_a_field_imports_neither_torch_nor_scipy_stats():
-    slow = "{'torch', 'scipy.stats', 'scipy.signal', 'matplotlib'}"
-    code = f"import sys, survey.run.process, survey.run.stages; print({slow} & set(sys.modules))"
+@pytest.mark.parametrize("modules", ["survey.run.process, survey.run.stages", "survey.compare.comparison"])
+def test_runs_with_exact_poses_and_comparisons_import_nothing_that_only_others_need(modules):
+    slow = "{'torch', 'scipy.stats', 'scipy.signal', 'scipy.interpolate', 'matplotlib', 'rasterio'}"
+    code = f"import sys, {modules}; print({slow} & set(sys.modules))"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ended.stdout == "set()\n"
 

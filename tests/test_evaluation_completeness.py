@@ -27,18 +27,19 @@ def test_samples_are_uniform_by_area_across_triangles_of_very_different_size(rng
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     assert areas.max() > 50 * areas.min()
-    samples = sample_mesh(vertices, faces, 100_000)
+    samples, sampled = sample_mesh(vertices, faces, 100_000)
     normals = np.cross(b - a, c - a) / (2 * areas[:, None])
     # The planes of random triangles are all different: the plane says which triangle a sample is of.
     off_plane = np.abs(np.einsum("nfd,fd->nf", samples[::5, None] - a, normals))
     face = off_plane.argmin(axis=1)
     assert off_plane.min(axis=1).max() < 1e-12
+    np.testing.assert_array_equal(sampled[::5], face)
     assert _fits(np.bincount(face, minlength=20), areas / areas.sum())
 
 
 def test_samples_are_uniform_within_a_triangle():
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    samples = sample_mesh(corners, np.array([[0, 1, 2]]), 200_000)
+    samples, _ = sample_mesh(corners, np.array([[0, 1, 2]]), 200_000)
     assert (samples[:, :2] >= 0).all()
     assert (samples[:, :2].sum(axis=1) <= 1 + 1e-12).all()
     # Eight strips by eight: whole cells below the diagonal, halves on it.
@@ -51,14 +52,14 @@ def test_samples_are_uniform_within_a_triangle():
 
 
 def test_one_seed_gives_one_set_of_samples_and_another_seed_another():
-    first, again, other = (sample_mesh(PLANE, PLANE_FACES, 1000, seed=s) for s in (1, 1, 2))
+    first, again, other = (sample_mesh(PLANE, PLANE_FACES, 1000, seed=s)[0] for s in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     assert (first[:, 0] != other[:, 0]).all()
 
 
 def test_triangles_without_area_get_no_sample_and_a_mesh_of_them_is_refused():
     faces = np.array([[0, 0, 1], [0, 1, 2], [2, 2, 2], [0, 2, 3], [1, 1, 3]])
-    samples = sample_mesh(PLANE, faces, 10_000)
+    samples, _ = sample_mesh(PLANE, faces, 10_000)
     assert _fits(np.bincount((samples[:, 0] < 4 * samples[:, 1]).astype(int)), np.array([0.5, 0.5]))
     with pytest.raises(ValueError, match="no area to sample"):
         sample_mesh(PLANE, faces[[0, 2]], 10)
@@ -76,7 +77,7 @@ def test_a_plane_covered_for_a_quarter_is_complete_for_a_quarter_plus_the_tolera
     """A dense cloud over x < 1 of 4 m reaches x < 1.2: a share of 0.3."""
     x, y = np.meshgrid(np.arange(0.0, 1.0 + 1e-9, 0.01), np.arange(-0.3, 1.3, 0.01))
     cloud = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
-    samples = sample_mesh(PLANE, PLANE_FACES, 200_000)
+    samples, _ = sample_mesh(PLANE, PLANE_FACES, 200_000)
     share = is_reached(samples, cloud, tolerance_m=0.2).mean()
     # Binomial, six sigma; between two rows of points, 1 cm apart, the reach falls short by 0.06 mm.
     assert abs(share - 0.3) < 6 * np.sqrt(0.3 * 0.7 / 200_000) + 0.0001

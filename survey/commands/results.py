@@ -181,9 +181,12 @@ def compare(
     with command(verbose, quiet, asked.report_dir or asked.json_path or cloud, reads=cloud) as results:
         from survey.compare.comparison import compare_files
         from survey.compare.tables import sections_of
-        from survey.export.export import cloud_of
 
-        for section in sections_of(compare_files(cloud_of(cloud), reference, options=asked)):
+        if cloud.is_dir():
+            from survey.export.export import cloud_of
+
+            cloud = cloud_of(cloud)
+        for section in sections_of(compare_files(cloud, reference, options=asked)):
             results.section(section)
 
 

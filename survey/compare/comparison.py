@@ -32,7 +32,6 @@ from survey.compare.inputs import (
 )
 from survey.compare.measure import ComparedScene, read_checkpoints
 from survey.compare.options import Bounds, CompareOptions, as_text, check_options, outlier_filter
-from survey.compare.pictures import drawings_of
 from survey.files.json_values import write_json
 from survey.files.paths import ReadFiles, is_json, require_file, require_folder
 from survey.files.point_table import Units
@@ -59,6 +58,9 @@ def compare_files(cloud: str | Path, reference: str | Path, *, options: CompareO
     require_folder("--report", report_dir, ReadFiles.of(*read), may_hold_inputs=True)
     comparison = compare_surfaces(cloud, reference, options)
     if report_dir is not None:
+        # matplotlib, which numbers alone do not need.
+        from survey.compare.pictures import drawings_of
+
         with current().stage("Pictures"):
             with reporting_disk_errors(report_dir):
                 report_dir.mkdir(parents=True, exist_ok=True)

@@ -29,7 +29,7 @@ from evaluation import (
     sample_mesh,
     scores,
 )
-from evaluation.c2m import NUM_SAMPLES, SEED, Sign, num_inconsistent_edges
+from evaluation.c2m import NUM_SAMPLES, SEED, Sign, area_vectors, num_inconsistent_edges, slope_deg
 from evaluation.standards import MIN_CHECKPOINTS
 from evaluation.summary import INCIDENCE_EDGES_DEG, SLOPE_EDGES_DEG, VIEWS_EDGES
 from geo import Cloud, Mesh
@@ -68,6 +68,7 @@ class ComparedScene:
     # cameras see, if known
     samples: np.ndarray
     targets: np.ndarray
+    slope_deg: np.ndarray  # (K,) [deg]: of a mesh at its samples; (0,) of a cloud
 
     @staticmethod
     def of(inputs: Inputs, bounds: Bounds | None, is_left: np.ndarray, largest_m: float) -> ComparedScene:
@@ -76,12 +77,13 @@ class ComparedScene:
         around = near & is_left & ~excluded_points(inputs.cloud)[0]
         cloud = to_local(inputs.frame, inputs.cloud.points[around], inputs.paths.cloud)
         reference = to_local(inputs.frame, vertices_of(inputs.reference), inputs.paths.reference)
-        samples = targets = _samples(reference, inputs.reference)
+        samples, slope = _samples(reference, inputs.reference)
+        targets = samples
         if inputs.visible is not None and inputs.paths.visible is not None:
             visible = to_local(inputs.frame, vertices_of(inputs.visible), inputs.paths.visible)
-            targets = _samples(visible, inputs.visible)
+            targets, _ = _samples(visible, inputs.visible)
         points = cloud[inputs.inside[around]]
-        return ComparedScene(inputs, bounds, np.flatnonzero(around), cloud, points, reference, samples, targets)
+        return ComparedScene(inputs, bounds, np.flatnonzero(around), cloud, points, reference, samples, targets, slope)
 
     def extra(self, names: tuple[str, ...]) -> np.ndarray | None:
         """Values (N,) of the compared points that the cloud has under one of the names, else None."""
@@ -91,9 +93,12 @@ class ComparedScene:
         return np.asarray(self.inputs.cloud.extra[name], dtype=np.float64)[self.inputs.inside]
 
 
-def _samples(vertices: np.ndarray, shape: Mesh | Cloud) -> np.ndarray:
-    """Points (M, 3) spread over a mesh by area; all points of a cloud."""
-    return sample_mesh(vertices, shape.faces, NUM_SAMPLES) if isinstance(shape, Mesh) else vertices
+def _samples(vertices: np.ndarray, shape: Mesh | Cloud) -> tuple[np.ndarray, np.ndarray]:
+    """Points (M, 3) spread over a mesh by area, and its slopes (M,) [deg] there; all points of a cloud, and none."""
+    if isinstance(shape, Cloud):
+        return vertices, np.empty(0)
+    samples, face = sample_mesh(vertices, shape.faces, NUM_SAMPLES)
+    return samples, slope_deg(area_vectors(vertices, shape.faces))[face]
 
 
 @dataclass(frozen=True)
@@ -118,8 +123,9 @@ def distances_of(scene: ComparedScene, sign: Sign, notes: list[str]) -> tuple[Di
             return _over_surface(
                 scene, local_surface(scene.reference, scene.points[:, :2], advance=stage.advance), notes
             )
-    # Together: the tree of a mesh takes as long as its search.
-    num, places = len(scene.points), np.concatenate([scene.points, scene.targets])
+    # Slopes are known where the mesh was sampled; of other targets that of the nearest triangle is looked up.
+    is_sampled = scene.targets is scene.samples
+    num, places = len(scene.points), scene.points if is_sampled else np.concatenate([scene.points, scene.targets])
     with current().stage("Distances", len(places)) as stage:
         result = distance_to_mesh(places, scene.reference, reference.faces, sign=sign, advance=stage.advance)
     num_edges = num_inconsistent_edges(reference.faces) if sign == "winding" else 0
@@ -130,7 +136,8 @@ def distances_of(scene: ComparedScene, sign: Sign, notes: list[str]) -> tuple[Di
         )
     if result.num_degenerate:
         notes.append(f"{result.num_degenerate} triangles of the reference have no area and were left out")
-    return Distances(result.signed[:num], result.nearest[:num], *np.split(result.slope_deg, [num])), None
+    of_targets = scene.slope_deg if is_sampled else result.slope_deg[num:]
+    return Distances(result.signed[:num], result.nearest[:num], result.slope_deg[:num], of_targets), None
 
 
 def _over_surface(scene: ComparedScene, surface: LocalSurface, notes: list[str]) -> tuple[Distances, ReferenceSurface]:

@@ -224,7 +224,7 @@ def _write_truth(folder: Path, scene: StagedScene, pool: ThreadPoolExecutor, ste
     vertices, faces = ground_mesh(ground, inside(frame.crs_from_local(ground.bed.mesh()[0])))
     write_ply(folder / "reference.ply", frame.crs_from_local(vertices), faces=faces)
     count = int(_POINTS_PER_M2 * np.linalg.norm(area_vectors(vertices, faces), axis=1).sum())
-    points = sample_mesh(vertices, faces, count, seed=scene.seed)
+    points, _ = sample_mesh(vertices, faces, count, seed=scene.seed)
     points_crs = frame.crs_from_local(points)
     points, points_crs = points[inside(points_crs)], points_crs[inside(points_crs)]
 

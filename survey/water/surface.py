@@ -13,7 +13,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import KDTree
 
 from evaluation.summary import std_by_median
@@ -228,6 +227,8 @@ def plane_under(plane: FlatWater | None, departure: Departure | None, centre: np
 
 def _between(x: np.ndarray, y: np.ndarray, values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     """Values (rows, columns) at nodes x and y as a function of places (M, 2); beyond them that of the nearest place."""
+    from scipy.interpolate import RegularGridInterpolator
+
     inside = RegularGridInterpolator((x, y), values.T, bounds_error=False, fill_value=np.nan)
     low, high = np.array([x[0], y[0]]), np.array([x[-1], y[-1]])
     return lambda places: inside(np.clip(places, low, high))

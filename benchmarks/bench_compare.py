@@ -20,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -60,14 +61,14 @@ def _ply(path: Path, points: np.ndarray, faces: np.ndarray | None = None) -> Pat
     return path
 
 
-def ours(cloud: Path, mesh: Path, out: Path) -> None:
-    """What the process of our side does."""
+def distances(cloud: Path, mesh: Path) -> np.ndarray:
+    """Signed distances (N,) [m] of the points of a file to the mesh of another, as we compute them."""
     from evaluation import distance_to_mesh
     from geo import read_reference
 
     reference = read_reference(mesh)
     points = read_reference(cloud).points
-    np.save(out, distance_to_mesh(points, reference.vertices, reference.faces, sign="winding").signed)
+    return distance_to_mesh(points, reference.vertices, reference.faces, sign="winding").signed
 
 
 def timed(command: list[str], **environment: str) -> str:
@@ -121,20 +122,75 @@ def run_cloudcompare(program: str, folder: Path, cloud: Path, mesh: Path) -> tup
     return extra[name], cost
 
 
-def num_tied(points: np.ndarray, sizes: np.ndarray, mesh: Path) -> int:
-    """Number of points with two or more triangles at their distance (to 1e-6 m), by testing all that are near."""
-    from evaluation.c2m import closest_on_triangles
+def closest_on_triangles(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """The point (N, 3) of each triangle (N, 3, 3) [m] that is nearest to the point (N, 3) of the same row.
+
+    The Voronoi regions of the triangle in its plane, after C. Ericson, Real-Time Collision Detection (2005), section
+    5.1.5.
+    """
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    ab, ac = b - a, c - a
+    d1, d2 = _dot(ab, points - a), _dot(ac, points - a)
+    d3, d4 = _dot(ab, points - b), _dot(ac, points - b)
+    d5, d6 = _dot(ab, points - c), _dot(ac, points - c)
+    # Barycentric coordinates of the foot on the plane, times a common positive factor.
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    feature = np.select(
+        [
+            (d1 <= 0.0) & (d2 <= 0.0),
+            (d3 >= 0.0) & (d4 <= d3),
+            (d6 >= 0.0) & (d5 <= d6),
+            (vc <= 0.0) & (d1 >= 0.0) & (d3 <= 0.0),
+            (va <= 0.0) & (d4 - d3 >= 0.0) & (d5 - d6 >= 0.0),
+            (vb <= 0.0) & (d2 >= 0.0) & (d6 <= 0.0),
+        ],
+        [4, 5, 6, 1, 2, 3],
+        default=0,
+    )
+    ones, zeros = np.ones_like(d1), np.zeros_like(d1)
+    along_ab = _share(d1, d1 - d3)
+    along_bc = _share(d4 - d3, (d4 - d3) + (d5 - d6))
+    along_ac = _share(d2, d2 - d6)
+    total = va + vb + vc
+    v = np.choose(feature, [_share(vb, total), along_ab, 1.0 - along_bc, zeros, zeros, ones, zeros])
+    w = np.choose(feature, [_share(vc, total), zeros, along_bc, along_ac, zeros, zeros, ones])
+    return a + v[:, None] * ab + w[:, None] * ac
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.einsum("ij,ij->i", a, b)
+
+
+def _share(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    """part / whole, or 0 where the whole is 0; such values belong to a region that is not chosen."""
+    return np.divide(part, whole, out=np.zeros_like(part), where=whole != 0.0)
+
+
+def distances_around(points: np.ndarray, sizes: np.ndarray, mesh: Path) -> Iterator[np.ndarray]:
+    """Of each point, its distances [m] to all triangles that may be as near as its size and a micrometre."""
     from geo import read_reference
 
     reference = read_reference(mesh)
     corners = reference.vertices[reference.faces]
     low, high = corners.min(axis=1), corners.max(axis=1)
-    tied = 0
     for point, size in zip(points, sizes, strict=True):
         near = corners[((low <= point + size + 1e-6) & (high >= point - size - 1e-6)).all(axis=1)]
-        nearest, _ = closest_on_triangles(np.broadcast_to(point, (len(near), 3)), near)
-        tied += np.count_nonzero(np.linalg.norm(nearest - point, axis=1) < size + 1e-6) > 1
-    return tied
+        nearest = closest_on_triangles(np.broadcast_to(point, (len(near), 3)), near)
+        yield np.linalg.norm(nearest - point, axis=1)
+
+
+def num_tied(points: np.ndarray, sizes: np.ndarray, mesh: Path) -> int:
+    """Number of points with two or more triangles at their distance (to 1e-6 m), by testing all that are near."""
+    around = zip(distances_around(points, sizes, mesh), sizes, strict=True)
+    return sum(np.count_nonzero(found < size + 1e-6) > 1 for found, size in around)
+
+
+def largest_error(points: np.ndarray, signed: np.ndarray, mesh: Path, count: int) -> float:
+    """Largest error [m] of the sizes of so many distances, evenly among the points, against all triangles near."""
+    some = np.linspace(0, len(points) - 1, count).astype(int)
+    sizes = np.abs(signed[some]).astype(np.float64)
+    around = zip(distances_around(points[some], sizes + 0.01, mesh), sizes, strict=True)
+    return max(abs(found.min() - size) for found, size in around)
 
 
 def say(text: str) -> None:
@@ -149,7 +205,8 @@ def main() -> None:
     parser.add_argument("--ours", nargs=3, type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.ours:
-        ours(*options.ours)
+        cloud, mesh, out = options.ours
+        np.save(out, distances(cloud, mesh))
         return
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.keep or Path(temporary)

@@ -8,7 +8,7 @@ the side from which its corners run counter-clockwise (``sign="winding"``, as in
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Literal
@@ -20,10 +20,6 @@ from scipy.spatial import cKDTree
 # Twice the area over the square of the longest edge, below which a triangle is a line or a point: rounding
 # (1e-16 relative) would turn its normal by 1e-4 and more.
 _THINNEST = 1e-12
-# Corners of the feature of a triangle on which the nearest point lies, as columns of its face: inside, the
-# edges ab, bc, ca, the vertices a, b, c. A vertex is listed twice, inside is -1.
-FEATURE_CORNERS = np.array([[-1, -1], [0, 1], [1, 2], [2, 0], [0, 0], [1, 1], [2, 2]])
-INSIDE = 0
 NUM_SAMPLES = 1_000_000
 SEED = 20_060_617  # any number, but always the same: two comparisons of one cloud give one result
 # Relative margin of the search, so that its rounding drops nothing that the strict test below would keep.
@@ -84,52 +80,8 @@ def slope_deg(normals: np.ndarray) -> np.ndarray:
 def has_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Whether each triangle (F,) has a surface, rather than being a line or a point to rounding."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
-    longest = np.max([_dot(e, e) for e in (b - a, c - b, a - c)], axis=0)
+    longest = np.max([np.square(e).sum(axis=1) for e in (b - a, c - b, a - c)], axis=0)
     return 2.0 * np.linalg.norm(area_vectors(vertices, faces), axis=1) > _THINNEST * longest
-
-
-def closest_on_triangles(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The point (N, 3) of each triangle (N, 3, 3) [m] that is nearest to the point (N, 3) of the same row.
-
-    The second result (N,) says where on the triangle it lies, a row of `FEATURE_CORNERS`. The Voronoi regions of the
-    triangle in its plane, after C. Ericson, Real-Time Collision Detection (2005), section 5.1.5.
-    """
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    ab, ac = b - a, c - a
-    d1, d2 = _dot(ab, points - a), _dot(ac, points - a)
-    d3, d4 = _dot(ab, points - b), _dot(ac, points - b)
-    d5, d6 = _dot(ab, points - c), _dot(ac, points - c)
-    # Barycentric coordinates of the foot on the plane, times a common positive factor.
-    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
-    feature = np.select(
-        [
-            (d1 <= 0.0) & (d2 <= 0.0),
-            (d3 >= 0.0) & (d4 <= d3),
-            (d6 >= 0.0) & (d5 <= d6),
-            (vc <= 0.0) & (d1 >= 0.0) & (d3 <= 0.0),
-            (va <= 0.0) & (d4 - d3 >= 0.0) & (d5 - d6 >= 0.0),
-            (vb <= 0.0) & (d2 >= 0.0) & (d6 <= 0.0),
-        ],
-        [4, 5, 6, 1, 2, 3],
-        default=INSIDE,
-    )
-    ones, zeros = np.ones_like(d1), np.zeros_like(d1)
-    along_ab = _share(d1, d1 - d3)
-    along_bc = _share(d4 - d3, (d4 - d3) + (d5 - d6))
-    along_ac = _share(d2, d2 - d6)
-    total = va + vb + vc
-    v = np.choose(feature, [_share(vb, total), along_ab, 1.0 - along_bc, zeros, zeros, ones, zeros])
-    w = np.choose(feature, [_share(vc, total), zeros, along_bc, along_ac, zeros, zeros, ones])
-    return a + v[:, None] * ab + w[:, None] * ac, feature
-
-
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.einsum("ij,ij->i", a, b)
-
-
-def _share(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
-    """part / whole, or 0 where the whole is 0; such values belong to a region that is not chosen."""
-    return np.divide(part, whole, out=np.zeros_like(part), where=whole != 0.0)
 
 
 Sign = Literal["up", "winding"]
@@ -142,6 +94,8 @@ _CHUNK = 100_000
 _WORKERS = min(os.cpu_count() or 1, 4)
 # Pairs of point and triangle at a time, where several triangles are equally near.
 _PAIR_CHUNK = 1_000_000
+# Nearest points whose barycentric coordinates say that they are nearer to an edge than this share count as on it.
+_ON_EDGE = 1e-6
 # |cos| that differ by less are equal; rounding of unit vectors is 1e-16, of feet on triangles far away 1e-11.
 _EQUAL_COS = 1e-9
 
@@ -197,7 +151,7 @@ def distance_to_mesh(
     nearest = np.full(points.shape, np.nan)
     slope = np.full(len(points), np.nan)
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
-    order = finite[_morton_order(points[finite])]
+    order = finite[_in_strips(points[finite])]
     parts = [order[start : start + _CHUNK] for start in range(0, len(order), _CHUNK)]
     with ThreadPoolExecutor(_WORKERS) as pool:
         for rows, found in zip(
@@ -230,60 +184,58 @@ class _Surface:
 
     def measure(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Signed distances (N,), nearest points (N, 3) and the slopes there (N,) [deg]."""
+        _, hit, nearest = self._tree.squared_distance(self._vertices, self._faces, points)
         # igl squeezes a single row.
-        hit = np.reshape(self._tree.squared_distance(self._vertices, self._faces, points)[1], len(points))
-        nearest, feature = closest_on_triangles(points, self._vertices[self._faces[hit]])
+        hit, nearest = np.reshape(hit, len(points)), np.reshape(nearest, points.shape)
         direction = points - nearest
         distance = np.linalg.norm(direction, axis=1)
         direction /= np.where(distance > 0.0, distance, 1.0)[:, None]
         positive = np.einsum("ij,ij->i", direction, self._normals[hit]) >= 0.0
-        tied = np.flatnonzero((feature != INSIDE) & (distance > 0.0))
-        for rows, counts in self._blocks(tied, hit, feature):
-            positive[rows] = self._is_above(direction[rows], hit[rows], feature[rows], counts)
+        corners = self._vertices[self._faces[hit]]
+        weights = np.reshape(igl.barycentric_coordinates(nearest, *np.moveaxis(corners, 1, 0)), points.shape)
+        tied = np.flatnonzero((weights.min(axis=1) < _ON_EDGE) & (distance > 0.0))
+        # The vertices with most weight: of an edge both, of a vertex the same twice.
+        order = np.argsort(-weights[tied], axis=1)[:, :2]
+        second = np.take_along_axis(weights[tied], order, axis=1)[:, 1]
+        order[:, 1] = np.where(second < _ON_EDGE, order[:, 0], order[:, 1])
+        feature = np.take_along_axis(self._faces[hit[tied]], order, axis=1)
+        for part, counts in self._blocks(feature[:, 0]):
+            positive[tied[part]] = self._is_above(direction[tied[part]], feature[part], counts)
         return np.where(positive, distance, -distance), nearest, self._slope_deg[hit]
 
-    def _blocks(self, tied: np.ndarray, hit: np.ndarray, feature: np.ndarray):
-        """The tied points in blocks of bounded work, each with the sizes of their stars (triangles around a vertex)."""
-        start = self._faces[hit[tied], FEATURE_CORNERS[feature[tied], 0]]
-        counts = self._star_start[start + 1] - self._star_start[start]
+    def _blocks(self, vertex: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Rows of vertices (N,) in blocks of bounded work, each with the sizes of their stars (triangles around)."""
+        counts = self._star_start[vertex + 1] - self._star_start[vertex]
         block = np.cumsum(counts) // _PAIR_CHUNK
         cuts = np.flatnonzero(np.diff(block)) + 1
-        return zip(np.split(tied, cuts), np.split(counts, cuts), strict=True) if len(tied) else ()
+        return (
+            zip(np.split(np.arange(len(vertex)), cuts), np.split(counts, cuts), strict=True)
+            if len(vertex)
+            else iter(())
+        )
 
-    def _is_above(self, direction: np.ndarray, hit: np.ndarray, feature: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    def _is_above(self, direction: np.ndarray, feature: np.ndarray, counts: np.ndarray) -> np.ndarray:
         """Whether points (N,) in a direction from their nearest point, on an edge or vertex, lie above the surface."""
-        corners = self._faces[hit[:, None], FEATURE_CORNERS[feature]]
         starts = np.cumsum(counts) - counts
-        point = np.repeat(np.arange(len(hit)), counts)
+        point = np.repeat(np.arange(len(feature)), counts)
         within = np.arange(counts.sum()) - starts[point]
-        face = self._star_faces[self._star_start[corners[point, 0]] + within]
+        face = self._star_faces[self._star_start[feature[point, 0]] + within]
         cos = np.einsum("ij,ij->i", direction[point], self._normals[face])
         # Around an edge only the triangles that have its other vertex too.
-        shares = (self._faces[face] == corners[point, 1, None]).any(axis=1)
+        shares = (self._faces[face] == feature[point, 1, None]).any(axis=1)
         orthogonality = np.where(shares, np.abs(cos), -1.0)
         most = np.maximum.reduceat(orthogonality, starts)
         chosen = orthogonality >= most[point] - _EQUAL_COS
         return np.logical_or.reduceat(chosen & (cos >= 0.0), starts)
 
 
-def _morton_order(points: np.ndarray) -> np.ndarray:
-    """Order (N,) of points along a Morton curve in plan: the tree finds its boxes in the cache, six times faster."""
-    if len(points) == 0:
-        return np.empty(0, dtype=np.int64)
+def _in_strips(points: np.ndarray) -> np.ndarray:
+    """Order (N,) of points along strips of the plan: the tree finds its boxes in the cache, six times faster."""
     plan = points[:, :2]
-    low, high = plan.min(axis=0), plan.max(axis=0)
-    step = np.where(high > low, (high - low) / 65535.0, 1.0)
-    column, row = ((plan - low) / step).astype(np.uint32).T
-    code = _spread_bits(column) | (_spread_bits(row) << np.uint32(1))
+    low, high = (plan.min(axis=0), plan.max(axis=0)) if len(plan) else (0.0, 0.0)
+    column, row = ((plan - low) / np.where(high > low, (high - low) / 65535.0, 1.0)).astype(np.uint16).T
     # numpy sorts 16-bit integers by radix sort, ten times as fast as 32-bit ones by comparison.
-    return np.lexsort(((code & np.uint32(0xFFFF)).astype(np.uint16), (code >> np.uint32(16)).astype(np.uint16)))
-
-
-def _spread_bits(values: np.ndarray) -> np.ndarray:
-    """The lower 16 bits of values (N,) uint32 at the even places of 32."""
-    for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
-        values = (values | (values << np.uint32(shift))) & np.uint32(mask)
-    return values
+    return np.lexsort((column, row >> 8))
 
 
 def sample_mesh(

@@ -57,7 +57,9 @@ def test_a_height_map_tells_the_reason(shallow_survey, hole, tmp_path, score, ag
                   np.full(shape, agreeing, np.uint8), np.zeros(shape, np.float16))
         for view in range(len(survey.views))
     ]  # fmt: skip
-    told = with_reasons(hole, survey, PLAN, maps).gaps
+    looked_at: list[int] = []
+    told = with_reasons(hole, survey, PLAN, maps, lambda: looked_at.append(1)).gaps
+    assert len(looked_at) == len(survey.views)
     assert inner(hole).sum() > 10
     assert (told[inner(hole)] == reason).all()
     assert (told[hole.has_point] == 0).all()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from control_files import odm, table
@@ -14,6 +16,8 @@ from survey.folder.found import find_survey
 from survey.marking.gcp_file import ControlMark, header_of, points_without_mark, read_clicks, with_click, with_marks
 from survey.marking.geometry import survey_to_mark
 from survey.marking.mark_store import GROUND, WATER, MarkStore, PointKey
+from survey.marking.masks import mask_path
+from survey.photos.poses import PoseFile, PoseFrame
 
 CRS = parse_crs("EPSG:25832+5778")
 IMAGES = ("0000.jpg", "0001.jpg", "my photograph 2.jpg")
@@ -245,3 +249,12 @@ def test_a_file_that_cannot_be_read_is_not_written_over(tmp_path):
     with pytest.raises(SurveyError, match="not a CRS"):
         store.set(PointKey(GROUND, "p1"), "0000.jpg", (5.0, 3.0))
     assert path.read_text() == "not a list\n"
+
+
+def test_the_poses_file_is_read_once_for_the_masks_of_all_photographs(tmp_path, monkeypatch):
+    found, read = find_survey(small_survey(tmp_path / "s")), []
+    monkeypatch.setattr(
+        "survey.folder.found.read_poses", lambda path: read.append(path) or PoseFile((), PoseFrame.GRID)
+    )
+    assert {mask_path(found, name).name for name in found.images} == {f"{Path(n).stem}_mask.png" for n in found.images}
+    assert read == [found.poses_path]

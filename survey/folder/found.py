@@ -5,13 +5,16 @@ Keys of survey.toml that have no effect beside what else a survey has, each with
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 from pyproj import CRS
 
 from geo.compatibility import require_at
 from geo.crs import EGM96_HEIGHT, height_unit_m, parse_crs
+from geo.errors import GeoError
 from geo.transformation import use_grids
 from refract.lens import MODELS, Lens, coefficients_of
 from survey.errors import FILE_NAME, ConfigError, Findings, PosesError, SurveyError
@@ -65,6 +68,14 @@ class Found:
     def name(self) -> str:
         """Name of the survey by survey.toml, else that of the folder."""
         return self.config.name or self.folder.resolve().name
+
+    @cached_property
+    def own_masks(self) -> Path | None:
+        """The folder of masks that the poses file names, None where there is none, or it cannot be read."""
+        # Such a file is refused by the next run, in words of its own.
+        with suppress(SurveyError, GeoError):
+            return None if self.poses_path is None else read_poses(self.poses_path).masks
+        return None
 
 
 def require_survey_folder(folder: str | Path) -> Path:

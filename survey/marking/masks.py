@@ -1,19 +1,16 @@
 """Masks of photographs, drawn as polygons and kept where `process` looks for them."""
 
-from contextlib import suppress
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from geo.errors import GeoError
 from geo.files import write_whole
-from survey.errors import ImageError, SurveyError
+from survey.errors import ImageError
 from survey.folder.found import Found
 from survey.folder.pairing import masks_of
 from survey.photos.images import read_mask
 from survey.photos.pixels import require_pixels
-from survey.pose_files import read_poses
 
 
 def mask_path(found: Found, image: str) -> Path:
@@ -21,12 +18,8 @@ def mask_path(found: Found, image: str) -> Path:
 
     Folders are those that `survey.folder.pairing.with_masks` takes masks from.
     """
-    photograph, own = found.images[image], None
-    if found.poses_path is not None:
-        # A file that cannot be read is refused by the next run, in words of its own.
-        with suppress(SurveyError, GeoError):
-            own = read_poses(found.poses_path).masks
-    folder, masks = masks_of(found, found.images, own)
+    photograph = found.images[image]
+    folder, masks = masks_of(found, found.images, found.own_masks)
     if folder is not None:
         return masks.get(image, folder / f"{image}.png")
     twins = [other for other in found.images.values() if other.with_suffix("") == photograph.with_suffix("")]

@@ -8,7 +8,7 @@ in front of the cell. What most of the views say is the reason.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -45,8 +45,17 @@ _LEFT_OUT = -0.99
 _SAID = (CONTRADICTED, HIDDEN, UNLIKE, PLAIN, GLINT, NO_PAIR)
 
 
-def with_reasons(cells: SeenCells, survey: Survey, plan: Plan, maps: Sequence[HeightMap]) -> SeenCells:
-    """Cells with the reasons for which those that two or more views look at have no point; maps are of the sweep."""
+def with_reasons(
+    cells: SeenCells,
+    survey: Survey,
+    plan: Plan,
+    maps: Sequence[HeightMap],
+    advance: Callable[[], object] = lambda: None,
+) -> SeenCells:
+    """Cells with the reasons for which those that two or more views look at have no point; maps are of the sweep.
+
+    ``advance`` is called for each view.
+    """
     codes = cells.gaps.copy()
     at = np.nonzero(~cells.has_point & (cells.num_views >= 2))
     places, num_open = cells.middles[at], cells.num_views[at].copy()
@@ -55,6 +64,7 @@ def with_reasons(cells: SeenCells, survey: Survey, plan: Plan, maps: Sequence[He
     middles, number = cells.middles, np.full(codes.shape, -1)
     number[at] = np.arange(len(places))
     for index, view in enumerate(survey.views):
+        advance()
         camera = camera_of(view, plan)
         near = number[around(camera, middles[0, :, 0], middles[:, 0, 1], cells.height)]
         near = near[near >= 0]

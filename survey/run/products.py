@@ -166,7 +166,9 @@ def _write_report(finished: FinishedRun, stored: StoredBed) -> RunVerdict:
     save_flight(folder, job.survey)
     progress.note(f"{len(stored.bed):,} points of the bed")
     cells = cells_of(job.survey, stored.bed.xyz, job.plan.gsd_m)
-    cells = with_reasons(cells, job.survey, job.plan, Stored(finished.stages["sweep"] / MAPS, HeightMap))
+    maps = Stored(finished.stages["sweep"] / MAPS, HeightMap)
+    with progress.stage("Gaps", len(job.survey.views)) as stage:
+        cells = with_reasons(cells, job.survey, job.plan, maps, stage.advance)
     save_arrays(folder / GAPS, codes=cells.gaps, origin=np.array(cells.grid.origin), side=np.array(cells.grid.side_m))
     verdict = verdict_of(job.survey, stored, job.plan.gsd_m, cells)
     verdict = RunVerdict((*verdict.gates, *gates_of_aim(job.chosen, stored, finished.seconds)))

@@ -16,15 +16,9 @@ import numpy as np
 from pyproj import CRS
 from scipy.special import stdtrit
 
+from geo import projection
 from geo.crs import AREA_MARGIN_DEG, EARTH_RADIUS_M, degrees_outside_area, parse_crs
 from geo.errors import PlaceMismatch
-from geo.projection import (
-    MapProjection,
-    enu_from_geocentric,
-    geocentric_from_geodetic,
-    geodetic_from_geocentric,
-    nan_unless_finite,
-)
 
 _MIN_POINTS = 3
 _DRAWS = 500
@@ -127,7 +121,7 @@ class LocalFrame:
 
     crs: CRS  # Compound (horizontal + vertical) or 3D, see `geo.crs.parse_crs`
     origin: tuple[float, float, float]  # easting or longitude, northing or latitude, height: becomes (0, 0, 0)
-    _map: MapProjection = field(init=False, repr=False, compare=False)
+    _map: projection.MapProjection = field(init=False, repr=False, compare=False)
     _origin_lon: float = field(init=False, repr=False, compare=False)
     _origin_geocentric: np.ndarray = field(init=False, repr=False, compare=False)
     _local_from_geocentric: np.ndarray = field(init=False, repr=False, compare=False)
@@ -138,16 +132,16 @@ class LocalFrame:
 
         keep("crs", parse_crs(self.crs))
         keep("origin", tuple(float(v) for v in self.origin))
-        keep("_map", MapProjection(self.crs))
+        keep("_map", projection.MapProjection(self.crs))
         lon, lat, height = self._checked_origin()
         keep("_origin_lon", lon)
-        keep("_origin_geocentric", geocentric_from_geodetic(lon, lat, height, a=self._map.a, b=self._map.b))
-        keep("_local_from_geocentric", enu_from_geocentric(lon, lat))
+        keep("_origin_geocentric", projection.geocentric_from_geodetic(lon, lat, height, a=self._map.a, b=self._map.b))
+        keep("_local_from_geocentric", projection.enu_from_geocentric(lon, lat))
 
     def local_from_crs(self, points) -> np.ndarray:
         """Points (..., 3) in crs as float64 [m], local; NaN where a point is not finite or not on the map."""
         lon, lat, height = self._map.geodetic_from_crs(_as_points(points))
-        xyz = geocentric_from_geodetic(lon, lat, height, a=self._map.a, b=self._map.b)
+        xyz = projection.geocentric_from_geodetic(lon, lat, height, a=self._map.a, b=self._map.b)
         return (xyz - self._origin_geocentric) @ self._local_from_geocentric.T
 
     def crs_from_local(self, points) -> np.ndarray:
@@ -156,8 +150,8 @@ class LocalFrame:
         The inverse of `local_from_crs` to 2e-8 m. Longitudes stay within half a turn of the origin: a survey across the
         antimeridian stays in one piece.
         """
-        xyz = nan_unless_finite(_as_points(points)) @ self._local_from_geocentric + self._origin_geocentric
-        lon, lat, height = geodetic_from_geocentric(xyz, a=self._map.a, b=self._map.b)
+        xyz = projection.nan_unless_finite(_as_points(points)) @ self._local_from_geocentric + self._origin_geocentric
+        lon, lat, height = projection.geodetic_from_geocentric(xyz, a=self._map.a, b=self._map.b)
         half_turns = np.round((lon - self._origin_lon) / (2.0 * math.pi))
         return self._map.crs_from_geodetic(lon - 2.0 * math.pi * half_turns, lat, height)
 
@@ -188,7 +182,7 @@ class LocalFrame:
     def local_from_enu(self, point_crs) -> np.ndarray:
         """Rotation (..., 3, 3) that turns true east, true north and up at points (..., 3) in crs into local axes."""
         lon, lat, _ = self._map.geodetic_from_crs(_as_points(point_crs))
-        return self._local_from_geocentric @ np.swapaxes(enu_from_geocentric(lon, lat), -1, -2)
+        return self._local_from_geocentric @ np.swapaxes(projection.enu_from_geocentric(lon, lat), -1, -2)
 
     def _steps(self, points: np.ndarray) -> np.ndarray:
         """Steps (..., 3, 3) of about `_STEP_M` along easting, northing and height, in units of crs."""

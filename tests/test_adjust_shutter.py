@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from refract.lens import Lens, distorted, undistorted
-from survey.adjust import assembling
 from survey.adjust.applied import apply_adjustment
 from survey.adjust.block.observed import original_rows
 from survey.adjust.block.prediction import predict
@@ -102,7 +101,7 @@ def test_a_slow_flight_does_not_tell_the_readout():
 
 
 def test_a_readout_that_is_of_no_use_is_kept_as_given_and_the_block_adjusted_to_it(monkeypatch):
-    monkeypatch.setattr(assembling, "MOST_STD_ROWS_PX", 1e-6)
+    monkeypatch.setattr("survey.adjust.result.adjustment.MOST_STD_ROWS_PX", 1e-6)
     _, found = adjusted(draw_block(4, **FLOWN), (0.02, 0.02))
     row = found.parameter("camera0.readout_s")
     assert (row.status, row.value) == (Status.UNKNOWN, 0.02)

@@ -26,23 +26,7 @@ from survey.adjust.block.state import (
     with_settings,
 )
 from survey.adjust.observability import Unobservable
-from survey.adjust.result.adjustment import (
-    MOST_STD_FOCAL,
-    MOST_STD_LEVEL_M,
-    MOST_STD_ROWS_PX,
-    AdjustedPoses,
-    Adjustment,
-    ControlResidual,
-    Covariance,
-    Estimate,
-    FitStatistics,
-    Parameter,
-    Residuals,
-    Status,
-    unobservable_verdict,
-    water_limits,
-    with_verdict,
-)
+from survey.adjust.result import adjustment
 from survey.adjust.rounds import RobustSolution, mean_by_kind
 from survey.folder.observations import rows_between
 from survey.folder.survey import Survey
@@ -73,7 +57,7 @@ def assemble_result(
     unobservable: dict[str, Unobservable] | None = None,
     contradicted: Sequence[int] = (),
     hold: Callable[[np.ndarray], RobustSolution] | None = None,
-) -> Adjustment:
+) -> adjustment.Adjustment:
     """Assemble the result of an adjustment of so many observations in total, before any was left out.
 
     ``unobservable``, of water of which nothing was known, has what is not observable, and why, by name. The estimates
@@ -93,11 +77,11 @@ def assemble_result(
     poses = np.sqrt(np.diag(covariance)[layout.first_pose :]).reshape(-1, 6)
     # The apparent rises of a rough bed are nuisance parameters, and no result.
     kept = np.r_[: len(WATER_NAMES), layout.first_lens : len(layout)]
-    return Adjustment(
+    return adjustment.Adjustment(
         parameters=tuple(parameters),
         water=water,
         lenses=tuple(lens_with(lens, state.lenses[i]) for i, lens in enumerate(prior.lenses)),
-        poses=AdjustedPoses(
+        poses=adjustment.AdjustedPoses(
             names=tuple(view.name for view in survey.views),
             lens_of=layout.lens_of,
             centres=state.centres,
@@ -109,8 +93,10 @@ def assemble_result(
             hours=layout.hours,
             focals=state.focals if layout.finds_focals else None,
         ),
-        covariance=Covariance(covariance[np.ix_(kept, kept)], _names_of(survey, layout), prior.place_of_water),
-        residuals=Residuals(used.ties.view, solution.residuals, used.ties.pixel, used.ties.point),
+        covariance=adjustment.Covariance(
+            covariance[np.ix_(kept, kept)], _names_of(survey, layout), prior.place_of_water
+        ),
+        residuals=adjustment.Residuals(used.ties.view, solution.residuals, used.ties.pixel, used.ties.point),
         statistics=_statistics(done, total),
         control=_control(survey, used, solution, state),
         points=state.points,
@@ -119,14 +105,14 @@ def assemble_result(
     )
 
 
-def _statistics(done: RobustSolution, total: int) -> FitStatistics:
+def _statistics(done: RobustSolution, total: int) -> adjustment.FitStatistics:
     """Statistics of the fit of observations, of which there were ``total`` before any was left out."""
     solution, used = done.solution, done.used
     counts = {name: int((used.kind == kind).sum()) for kind, name in enumerate(KINDS)}
     factors = mean_by_kind(done.variance_factor, used.kind)
     of_gps = done.prior.pose_std[:, :3]
     of_gps = of_gps[np.isfinite(of_gps).all(axis=1)]
-    return FitStatistics(
+    return adjustment.FitStatistics(
         std_px={name: float(solution.std_px[kind]) for kind, name in enumerate(KINDS) if counts[name]},
         variance_factor={name: float(factors[kind]) for kind, name in enumerate(KINDS) if counts[name]},
         num_observations={name: count for name, count in counts.items() if count},
@@ -173,37 +159,40 @@ def _parameters_with_verdicts(
     held: np.ndarray,
     unobservable: dict[str, Unobservable] | None,
     contradicted: Sequence[int],
-) -> tuple[list[Parameter], WaterConfig | None, np.ndarray]:
+) -> tuple[list[adjustment.Parameter], WaterConfig | None, np.ndarray]:
     """Parameters of water and lenses with their verdicts, the water, and which (P,) bool of them are not observable."""
     prior, state, layout = done.prior, done.solution.state, done.prior.layout
-    parameters: list[Parameter] = []
+    parameters: list[adjustment.Parameter] = []
     water: WaterConfig | None = None
     if survey.water is not None:
         parameters, water = _water(survey, done, first, held[:NUM_WATER], unobservable, contradicted)
     std, at_of = np.sqrt(np.where(held, np.diag(first), np.diag(done.solution.covariance))), [*range(len(parameters))]
 
     def judge(name: str, at: int, value: float, given: float, limit: float, unit: str) -> None:
-        found, before = Estimate(float(value), float(std[at])), Estimate(float(given), float(prior.std[at]))
-        parameters.append(with_verdict(name, found, before, float(limit), unit))
+        found, before = (
+            adjustment.Estimate(float(value), float(std[at])),
+            adjustment.Estimate(float(given), float(prior.std[at])),
+        )
+        parameters.append(adjustment.with_verdict(name, found, before, float(limit), unit))
         at_of.append(at)
 
     for number, lens in enumerate(prior.lenses):
         values = () if is_held(lens) else zip(LENS_NAMES, state.lenses[number], prior.mean.lenses[number], strict=True)
         for i, (name, value, given) in enumerate(values):
             # Only the focal length scales heights; all else is of use however uncertain.
-            limit, unit = MOST_STD_FOCAL * given if name == "f" else math.inf, " px" if i < 3 else ""
+            limit, unit = adjustment.MOST_STD_FOCAL * given if name == "f" else math.inf, " px" if i < 3 else ""
             judge(f"camera{number}.{name}", layout.lens(number).start + i, value, given, limit, unit)
     if layout.hours is not None:
         given = survey.require_water()[1].level_rate_m_per_h or 0.0
         # Of no use if it leaves the level of a photograph as uncertain as one that is of none.
-        limit = MOST_STD_LEVEL_M / max(float(np.abs(layout.hours).max()), 1e-9)
+        limit = adjustment.MOST_STD_LEVEL_M / max(float(np.abs(layout.hours).max()), 1e-9)
         judge(RATE_NAME, layout.first_rate, given + state.rate, given, limit, " m/h")
     for number in range(len(prior.lenses) if layout.finds_readouts else 0):
         limit = _readout_limit(state, layout, number, prior.lenses[number].height)
         value, given = state.readouts[number], prior.mean.readouts[number]
         judge(f"camera{number}.{READOUT_NAME}", layout.first_readout + number, value, given, limit, " s")
     lost = np.zeros(len(layout), dtype=bool)
-    lost[[at for at, row in zip(at_of, parameters, strict=True) if row.status == Status.UNKNOWN]] = True
+    lost[[at for at, row in zip(at_of, parameters, strict=True) if row.status == adjustment.Status.UNKNOWN]] = True
     return parameters, water, lost
 
 
@@ -214,7 +203,7 @@ def _readout_limit(state: State, layout: Layout, number: int, height: int) -> fl
     px_per_s = (
         np.linalg.norm(layout.velocity_per_row, axis=1) * rows_between(height) * state.lenses[number, 0] / range_m
     )
-    return MOST_STD_ROWS_PX / max(float(px_per_s[layout.lens_of == number].max()), 1e-9)
+    return adjustment.MOST_STD_ROWS_PX / max(float(px_per_s[layout.lens_of == number].max()), 1e-9)
 
 
 def _water(
@@ -224,7 +213,7 @@ def _water(
     held: np.ndarray,
     unobservable: dict[str, Unobservable] | None,
     contradicted: Sequence[int],
-) -> tuple[list[Parameter], WaterConfig]:
+) -> tuple[list[adjustment.Parameter], WaterConfig]:
     """Level, slopes and index in the terms of survey.toml, with verdicts; ``first`` see `_parameters_with_verdicts`."""
     _, water = survey.require_water()
     prior, state, given = done.prior, done.solution.state, settings_of(water)
@@ -234,26 +223,26 @@ def _water(
     std, held_std, given_std = (
         np.sqrt(propagated_variance(by_local, matrix[:NUM_WATER, :NUM_WATER])) for matrix in matrices
     )
-    std, limits = np.where(held, held_std, std), water_limits(state.points)
+    std, limits = np.where(held, held_std, std), adjustment.water_limits(state.points)
     limits[list(contradicted)] = np.inf
-    rows: list[Parameter] = []
+    rows: list[adjustment.Parameter] = []
     for i, name in enumerate(WATER_PARAMETERS):
-        before = Estimate(float(given[i]), float(given_std[i]) if unobservable is None else math.inf)
-        found = Estimate(float(values[i]), float(std[i]))
-        row = with_verdict(name, found, before, float(limits[i]), "" if i else " m")
-        if i in (1, 2) and rows[0].status == Status.UNKNOWN and row.status == Status.FREE:
+        before = adjustment.Estimate(float(given[i]), float(given_std[i]) if unobservable is None else math.inf)
+        found = adjustment.Estimate(float(values[i]), float(std[i]))
+        row = adjustment.with_verdict(name, found, before, float(limits[i]), "" if i else " m")
+        if i in (1, 2) and rows[0].status == adjustment.Status.UNKNOWN and row.status == adjustment.Status.FREE:
             # Slopes turn the plane about a point other than that of the level: without a level they are of no use.
             verdict = "not observable: the level is not; the slope is kept"
-            row = replace(row, value=row.given, status=Status.UNKNOWN, verdict=verdict)
+            row = replace(row, value=row.given, status=adjustment.Status.UNKNOWN, verdict=verdict)
         rows.append(row)
     # Not before slopes are judged: an unobservable level is held, and the slopes found beside it are of use.
     for i, (name, value) in enumerate(zip(WATER_PARAMETERS, given.tolist(), strict=True)):
         if unobservable and (lost := unobservable.get(name)) is not None:
-            rows[i] = unobservable_verdict(name, lost.std, value, lost.reason)
+            rows[i] = adjustment.unobservable_verdict(name, lost.std, value, lost.reason)
     return rows, with_settings(water, np.array([row.value for row in rows]))
 
 
-def _control(survey: Survey, used: Observed, solution, state: State) -> tuple[ControlResidual, ...]:
+def _control(survey: Survey, used: Observed, solution, state: State) -> tuple[adjustment.ControlResidual, ...]:
     """Residuals at control points."""
     control = survey.observations.control
     if control is None:
@@ -268,5 +257,5 @@ def _control(survey: Survey, used: Observed, solution, state: State) -> tuple[Co
         east, north, up = (point - by_name[name].local).tolist()
         rms = float(np.sqrt(np.mean(np.square(solution.residuals[is_mark]))))
         is_check = not np.isfinite(used.point_std[number]).all()
-        found.append(ControlResidual(name, is_check, wet, (east, north, up), int(is_mark.sum()), rms))
+        found.append(adjustment.ControlResidual(name, is_check, wet, (east, north, up), int(is_mark.sum()), rms))
     return tuple(found)

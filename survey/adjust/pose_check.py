@@ -15,19 +15,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from survey.adjust import parameter_tests
 from survey.adjust.block.bundle import solve
 from survey.adjust.block.observed import WINDOW, observed
 from survey.adjust.block.priors import FREE_WATER, prior_of
 from survey.adjust.block.state import HELD_SHARE
 from survey.adjust.block.windows import load_photographs, measure_loaded_windows
-from survey.adjust.parameter_tests import (
-    check_dry_bed,
-    check_given_values,
-    dry_bed_error,
-    misfit,
-    most_contradicted,
-    solve_with_level,
-)
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Adjustment
 from survey.errors import GivenValueTest, SurveyError
@@ -64,12 +57,12 @@ class PoseCheck:
     @property
     def contradiction(self) -> GivenValueTest | None:
         """The most contradicted parameter, if any."""
-        return most_contradicted(self.tests)
+        return parameter_tests.most_contradicted(self.tests)
 
     def require_water(self) -> None:
         """Raise `SurveyError` where photographs show water over a bed that the given level leaves dry."""
         if (level := self.flooded) is not None:
-            raise dry_bed_error(level, "give --poses fixed to use it as it is")
+            raise parameter_tests.dry_bed_error(level, "give --poses fixed to use it as it is")
 
 
 def check_of_windows(
@@ -97,19 +90,21 @@ def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> Pos
     state = replace(prior.state, points=seen.ties.start)
     problem = seen.problem(held, state)
     solution = solve(replace(problem, holds_parameters=True), state)
-    found = misfit(solution.residuals, seen.ties)
-    flooded = check_dry_bed(survey, problem, solution.state, plan.gsd_m)
+    found = parameter_tests.misfit(solution.residuals, seen.ties)
+    flooded = parameter_tests.check_dry_bed(survey, problem, solution.state, plan.gsd_m)
     if flooded is not None:
         return PoseCheck(found, flooded=flooded)
     of_poses = found
     if found is not None and found > MOST_MISFIT_PX and kind == WINDOW:
         # Under the level that fits best.
-        best = solve_with_level(problem, solution.state, FREE_WATER[0])
-        of_poses = None if best is None else misfit(best.residuals, seen.ties)
+        best = parameter_tests.solve_with_level(problem, solution.state, FREE_WATER[0])
+        of_poses = None if best is None else parameter_tests.misfit(best.residuals, seen.ties)
     if of_poses is None or of_poses > MOST_MISFIT_PX:
         # Errors of poses look like those of the water; all is adjusted together then.
         return PoseCheck(found)
-    return PoseCheck(found, tuple(check_given_values(survey, problem, solution.state, of_poses, plan.gsd_m)))
+    return PoseCheck(
+        found, tuple(parameter_tests.check_given_values(survey, problem, solution.state, of_poses, plan.gsd_m))
+    )
 
 
 def _of_middle(survey: Survey, height: float) -> list[int]:

@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from survey.adjust import observability, parameter_tests
 from survey.adjust.applied import at_state
 from survey.adjust.assembling import assemble_result
 from survey.adjust.block.bundle import NotConvergedError
@@ -27,25 +28,6 @@ from survey.adjust.block.windows import RADIUS, measure_windows
 from survey.adjust.clusters import shared_variance
 from survey.adjust.common_height import apply_level_datum, drop_common_height, height_warnings, water_start, with_common
 from survey.adjust.focal_lengths import FocalDrift, with_focal_std, with_focals, with_square_pixels
-from survey.adjust.observability import (
-    Unobservable,
-    adjust_free,
-    adjusted_with,
-    dry_or_within_bounds,
-    name_open_roll,
-    roll_notes,
-    water_std,
-    within_bounds,
-)
-from survey.adjust.parameter_tests import (
-    LEVEL,
-    LEVEL_NAME,
-    check_dry_block,
-    dry_bed_error,
-    release,
-    unnamed_water_warning,
-    worst_contradiction,
-)
 from survey.adjust.result.adjustment import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_LEVEL_M, Adjustment, Status
 from survey.adjust.result.parts import parts_warning
 from survey.adjust.rounds import RobustSolution, adjust
@@ -95,7 +77,7 @@ def adjust_survey(
         return _adjust_in_stages(staged, windows, measure, (lambda _share: None) if silent else advance, use_windows)
 
     if survey.observations.ties is not None or not use_windows:
-        with name_open_roll(prior.rolls):
+        with observability.name_open_roll(prior.rolls):
             first = from_start(survey, prior, None, silent=False)
             again = partial(from_start, windows=None, silent=True)
             found = better_of_two_starts(survey, prior, first, again)
@@ -126,9 +108,9 @@ def _adjust_in_stages(
     if survey.observations.ties is not None:
         shares = _SHARES if use_windows else (1.0, 0.0, 0.0)
         ties = survey.observations.ties
-        done = staged.first_ties(MATCH, dry_or_within_bounds(survey, ties) if free_water else ties)
+        done = staged.first_ties(MATCH, observability.dry_or_within_bounds(survey, ties) if free_water else ties)
         if use_windows and not survey.provenance.is_level_known and not free_water:
-            std = float(water_std(survey, done)[0])
+            std = float(observability.water_std(survey, done)[0])
             # Windows cannot tell it either.
             if not std <= _MOST_GAIN * MOST_STD_LEVEL_M:
                 raise _level_error(survey, std)
@@ -137,7 +119,7 @@ def _adjust_in_stages(
         if windows is None:
             windows = _windows_at(survey, done, measure, lambda part: advance(shares[1] * part))
         while True:
-            before, windows = done, within_bounds(survey, windows) if free_water else windows
+            before, windows = done, observability.within_bounds(survey, windows) if free_water else windows
             if done is None:
                 done = staged.first_ties(WINDOW, windows)
             else:
@@ -153,8 +135,8 @@ def _adjust_in_stages(
     if not free_water:
         done, drift = staged.with_focals(done)
         done, contradictions = staged.without_contradictions(done)
-        notes = roll_notes(survey, done, gsd_m(survey))
-    water = None if survey.water is not None else unnamed_water_warning(done)
+        notes = observability.roll_notes(survey, done, gsd_m(survey))
+    water = None if survey.water is not None else parameter_tests.unnamed_water_warning(done)
     found = staged.result(done, contradictions)
     if not survey.provenance.is_level_known and found.parameter("level_m").status == Status.UNKNOWN:
         raise _level_error(survey, found.parameter("level_m").std)
@@ -204,7 +186,7 @@ def _windows_at(
 
 def _contradiction_text(found: Adjustment, each: GivenValueTest) -> str:
     """A contradiction in words, with both numbers."""
-    row, unit, digits = found.parameter(each.name), *((" m", 3) if each.name == LEVEL_NAME else ("", 4))
+    row, unit, digits = found.parameter(each.name), *((" m", 3) if each.name == parameter_tests.LEVEL_NAME else ("", 4))
     return (
         f"{row.name} is given as {row.given:.{digits}f} +- {each.given_std:.2g}{unit}, and the photographs say "
         f"{row.value:.{digits}f} +- {row.std:.2g}{unit}: the two contradict each other by more than "
@@ -223,7 +205,7 @@ class StagedAdjustment:
     def __init__(self, survey: Survey, prior: PriorKnowledge, free_water: bool):
         self.survey, self.prior, self.free_water = survey, prior, free_water
         self._parts: dict[int, TiePoints] = {}
-        self._unobservable: dict[str, Unobservable] = {}
+        self._unobservable: dict[str, observability.Unobservable] = {}
         self._is_against_positions = False
 
     def first_ties(self, kind: int, ties: TiePoints) -> RobustSolution:
@@ -242,9 +224,9 @@ class StagedAdjustment:
             return self._at_level()
         done = self._adjust(start)
         if self.survey.provenance.is_level_known and not self.free_water:
-            level = check_dry_block(self.survey, start, self._observed(), done)
+            level = parameter_tests.check_dry_block(self.survey, start, self._observed(), done)
             if level is not None:
-                raise dry_bed_error(level, "leave out [water] if the bed is dry")
+                raise parameter_tests.dry_bed_error(level, "leave out [water] if the bed is dry")
         return done
 
     def with_ties(self, kind: int, ties: TiePoints, start: PriorKnowledge) -> RobustSolution:
@@ -265,7 +247,7 @@ class StagedAdjustment:
     def _adjust(self, start: PriorKnowledge) -> RobustSolution:
         if not self.free_water:
             return adjust(start, self._observed())
-        done, self._unobservable = adjust_free(self.survey, start, self._observed())
+        done, self._unobservable = observability.adjust_free(self.survey, start, self._observed())
         return done
 
     def _onto_ground(self, ground: StableGround) -> PriorKnowledge:
@@ -327,11 +309,11 @@ class StagedAdjustment:
         # A sample under the given poses may test with more power than a block with free poses.
         of_sample = self.survey.provenance.contradiction
         is_of_water = of_sample is not None and not of_sample.is_of_lens
-        each = of_sample if is_of_water else worst_contradiction(self.survey, done)
+        each = of_sample if is_of_water else parameter_tests.worst_contradiction(self.survey, done)
         while each is not None and len(contradictions) < NUM_WATER:
             contradictions.append(each)
-            done = self._adjust(release(restarted(done.prior, done), each))
-            each = worst_contradiction(self.survey, done)
+            done = self._adjust(parameter_tests.release(restarted(done.prior, done), each))
+            each = parameter_tests.worst_contradiction(self.survey, done)
         return done, contradictions
 
     def against_control(self) -> list[str]:
@@ -361,9 +343,11 @@ class StagedAdjustment:
         placed, common = apply_level_datum(done)
 
         def hold(held: np.ndarray) -> RobustSolution:
-            return apply_level_datum(adjusted_with(done, held, self.prior.std))[0]
+            return apply_level_datum(observability.adjusted_with(done, held, self.prior.std))[0]
 
-        used = {WATER_PARAMETERS.index(each.name) for each in contradictions} | (set() if common is None else {LEVEL})
+        used = {WATER_PARAMETERS.index(each.name) for each in contradictions} | (
+            set() if common is None else {parameter_tests.LEVEL}
+        )
         found = self._on_ground(assemble_result(self.survey, placed, total, contradicted=sorted(used), hold=hold), done)
         return found if common is None else with_common(found, common, placed.solution.state.water)
 

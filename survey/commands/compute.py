@@ -8,23 +8,12 @@ from typing import Annotated
 
 import typer
 
-from survey.commands.console import (
-    KEPT,
-    DeviceOption,
-    Quiet,
-    RunFolder,
-    SurveyFolder,
-    Verbose,
-    Visible,
-    asking,
-    command,
-    verb,
-)
+from survey.commands import console
 from survey.settings.tables import FieldConfig, InitOptions, ProcessConfig
 from survey.words import COMPARED, RUN_FOLDER, Device
 
 
-@verb("""
+@console.verb("""
     bathynerf process my_survey
     bathynerf process photographs --level 12.34
     bathynerf process my_survey -o draft --quality draft
@@ -46,9 +35,9 @@ def process(
     reference: Annotated[
         Path | None, typer.Option(metavar="FILE", help="True surface, for the report only.", rich_help_panel=COMPARED)
     ] = None,
-    visible: Visible = None,
-    verbose: Verbose = 0,
-    quiet: Quiet = 0,
+    visible: console.Visible = None,
+    verbose: console.Verbose = 0,
+    quiet: console.Quiet = 0,
 ) -> None:
     """Compute the point cloud of the bed and a report in a run folder, from photographs.
 
@@ -60,13 +49,13 @@ def process(
     from survey.files.remote import is_url, local_run
 
     folder = local_run(survey, output)
-    with command(verbose, quiet, folder, stopped=KEPT, reads=survey) as results:
+    with console.command(verbose, quiet, folder, stopped=console.KEPT, reads=survey) as results:
         from survey.init.draft import require_settings
         from survey.machine import require_memory
 
         require_memory()  # before survey.toml is written
 
-        written = require_settings(survey, asking(told, needs_level=True))
+        written = require_settings(survey, console.asking(told, needs_level=True))
         if written is not None:
             results.settings(written, hides=("#", "["))
         from survey.run.process import process
@@ -85,25 +74,25 @@ def process(
         raise typer.Exit(code)
 
 
-@verb("""
+@console.verb("""
     bathynerf waterline my_survey
     bathynerf waterline my_survey --json water.json
 """)
 def waterline(
-    survey: SurveyFolder,
-    device: DeviceOption = Device.auto,
+    survey: console.SurveyFolder,
+    device: console.DeviceOption = Device.auto,
     poses_of: Annotated[
         Path | None, typer.Option("--run", metavar="RUN", help="Use the poses computed by this run.")
     ] = None,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for all results.")] = None,
-    verbose: Verbose = 0,
-    quiet: Quiet = 0,
+    verbose: console.Verbose = 0,
+    quiet: console.Quiet = 0,
 ) -> None:
     """Estimate level, slopes and refractive index of the water from the photographs.
 
     The survey is not changed.
     """
-    with command(verbose, quiet, json or survey, reads=survey) as results:
+    with console.command(verbose, quiet, json or survey, reads=survey) as results:
         from survey.adjust.waterline import estimate_water
 
         found = estimate_water(
@@ -118,7 +107,7 @@ def waterline(
         results.columns(None, [*rows, ("tie points", points), ("residuals", residuals)])
 
 
-@verb("""
+@console.verb("""
     bathynerf field my_survey/bathynerf --model mdw -o mdw
     bathynerf field my_survey/bathynerf --model tensorf \\
         -o t --held-every 8 --reference lidar.ply
@@ -126,21 +115,21 @@ def waterline(
         --cameras cameras.csv
 """)
 def field(
-    run: RunFolder,
+    run: console.RunFolder,
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="DIR", help="New folder, or that of this training to resume.")
     ],
     asked: FieldConfig = FieldConfig(),
-    device: DeviceOption = Device.auto,
-    verbose: Verbose = 0,
-    quiet: Quiet = 0,
+    device: console.DeviceOption = Device.auto,
+    verbose: console.Verbose = 0,
+    quiet: console.Quiet = 0,
 ) -> None:
     """Train a published radiance field on a run: surface, views and figures.
 
     Rays are bent at the water before the field is sampled. The same command resumes a stopped training. Options that
     are not given come from [field] in survey.toml, then the defaults.
     """
-    with command(verbose, quiet, output, reads=run) as results:
+    with console.command(verbose, quiet, output, reads=run) as results:
         from survey.volume.field import rows_of, train_field
         from survey.volume.options import field_config, volume_options
 

@@ -9,26 +9,7 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
-from evaluation import (
-    Blocks,
-    DepthParts,
-    DistanceStatistics,
-    LocalSurface,
-    Scores,
-    asprs_vertical,
-    by_band,
-    by_depth,
-    distance_statistics,
-    distance_to_cloud,
-    distance_to_mesh,
-    height_at,
-    iho_s44,
-    is_reached,
-    local_surface,
-    m3c2_distances,
-    sample_mesh,
-    scores,
-)
+import evaluation
 from evaluation.c2m import NUM_SAMPLES, SEED, Sign, area_vectors, num_inconsistent_edges, slope_deg
 from evaluation.standards import MIN_CHECKPOINTS
 from evaluation.summary import INCIDENCE_EDGES_DEG, SLOPE_EDGES_DEG, VIEWS_EDGES
@@ -97,7 +78,7 @@ def _samples(vertices: np.ndarray, shape: Mesh | Cloud) -> tuple[np.ndarray, np.
     """Points (M, 3) spread over a mesh by area, and its slopes (M,) [deg] there; all points of a cloud, and none."""
     if isinstance(shape, Cloud):
         return vertices, np.empty(0)
-    samples, face = sample_mesh(vertices, shape.faces, NUM_SAMPLES)
+    samples, face = evaluation.sample_mesh(vertices, shape.faces, NUM_SAMPLES)
     return samples, slope_deg(area_vectors(vertices, shape.faces))[face]
 
 
@@ -121,13 +102,13 @@ def distances_of(scene: ComparedScene, sign: Sign, notes: list[str]) -> tuple[Di
     if not isinstance(reference, Mesh):
         with current().stage("Distances", len(scene.points)) as stage:
             return _over_surface(
-                scene, local_surface(scene.reference, scene.points[:, :2], advance=stage.advance), notes
+                scene, evaluation.local_surface(scene.reference, scene.points[:, :2], advance=stage.advance), notes
             )
     # Slopes are known where the mesh was sampled; of other targets that of the nearest triangle is looked up.
     is_sampled = scene.targets is scene.samples
     num, places = len(scene.points), scene.points if is_sampled else np.concatenate([scene.points, scene.targets])
     with current().stage("Distances", len(places)) as stage:
-        result = distance_to_mesh(places, scene.reference, reference.faces, sign=sign, advance=stage.advance)
+        result = evaluation.distance_to_mesh(places, scene.reference, reference.faces, sign=sign, advance=stage.advance)
     num_edges = num_inconsistent_edges(reference.faces) if sign == "winding" else 0
     if num_edges:
         notes.append(
@@ -140,7 +121,9 @@ def distances_of(scene: ComparedScene, sign: Sign, notes: list[str]) -> tuple[Di
     return Distances(result.signed[:num], result.nearest[:num], result.slope_deg[:num], of_targets), None
 
 
-def _over_surface(scene: ComparedScene, surface: LocalSurface, notes: list[str]) -> tuple[Distances, ReferenceSurface]:
+def _over_surface(
+    scene: ComparedScene, surface: evaluation.LocalSurface, notes: list[str]
+) -> tuple[Distances, ReferenceSurface]:
     name, known = scene.inputs.paths.reference.name, np.isfinite(surface.height)
     if not known.any():
         raise CompareError(
@@ -163,17 +146,17 @@ def _over_surface(scene: ComparedScene, surface: LocalSurface, notes: list[str])
     return distances, ReferenceSurface(surface.spacing_m, std_median, std_95)
 
 
-def completeness(scene: ComparedScene, signed: np.ndarray, tolerance_m: float) -> tuple[Scores, np.ndarray]:
+def completeness(scene: ComparedScene, signed: np.ndarray, tolerance_m: float) -> tuple[evaluation.Scores, np.ndarray]:
     """Scores at one tolerance of the cloud, cropped to the bounds and the tolerance more, and the targets reached (M,).
 
     Distances (N,) [m] are those of the compared points.
     """
     margin = metres_in_crs(scene.inputs.frame, tolerance_m)
     cloud = scene.cloud[within(scene.inputs.cloud.points[scene.around], scene.bounds, margin)]
-    reached, visible = is_reached(scene.samples, cloud, tolerance_m=tolerance_m), None
+    reached, visible = evaluation.is_reached(scene.samples, cloud, tolerance_m=tolerance_m), None
     if scene.inputs.visible is not None:
-        visible = is_reached(scene.targets, cloud, tolerance_m=tolerance_m)
-    scored = scores(signed, tolerance_m=tolerance_m, is_reached=reached, is_reached_visible=visible)
+        visible = evaluation.is_reached(scene.targets, cloud, tolerance_m=tolerance_m)
+    scored = evaluation.scores(signed, tolerance_m=tolerance_m, is_reached=reached, is_reached_visible=visible)
     return scored, reached if visible is None else visible
 
 
@@ -192,10 +175,10 @@ def bed_depth(scene: ComparedScene, nearest: np.ndarray, water_level: float | No
     return None if depth is None else depth + scene.points[:, 2] - nearest[:, 2]
 
 
-def parts(scene: ComparedScene, distances: Distances, depth: np.ndarray | None, blocks: Blocks) -> Parts:
+def parts(scene: ComparedScene, distances: Distances, depth: np.ndarray | None, blocks: evaluation.Blocks) -> Parts:
     """Statistics by depth, incidence, number of views and slope, as far as these are known."""
     incidence, views, slope = (
-        () if values is None else by_band(distances.signed, values, edges, blocks)
+        () if values is None else evaluation.by_band(distances.signed, values, edges, blocks)
         for values, edges in (
             (scene.extra(_INCIDENCE_NAMES), INCIDENCE_EDGES_DEG),
             (scene.extra(_VIEWS_NAMES), VIEWS_EDGES),
@@ -205,9 +188,11 @@ def parts(scene: ComparedScene, distances: Distances, depth: np.ndarray | None, 
     return Parts(depth_parts(distances.signed, depth, blocks), incidence, views, slope)
 
 
-def depth_parts(distances: np.ndarray, depth: np.ndarray | None, blocks: Blocks) -> DepthParts | None:
+def depth_parts(
+    distances: np.ndarray, depth: np.ndarray | None, blocks: evaluation.Blocks
+) -> evaluation.DepthParts | None:
     """Statistics of distances (N,) [m] by depth (N,) [m]; None where no depth is known."""
-    return None if depth is None or not np.isfinite(depth).any() else by_depth(distances, depth, blocks)
+    return None if depth is None or not np.isfinite(depth).any() else evaluation.by_depth(distances, depth, blocks)
 
 
 def uncertainty(
@@ -220,16 +205,19 @@ def uncertainty(
     message = "vertical difference to the reference; at walls a horizontal offset counts in full"
     if errors is None:
         errors, message = distances.signed, "height over the plane through the nearest points of the reference"
-    iho = None if depth is None else iho_s44(errors, depth, distances.reference_std)
+    iho = None if depth is None else evaluation.iho_s44(errors, depth, distances.reference_std)
     return None if iho is None else VerticalUncertainty(iho, message)
 
 
-def cloud_to_cloud(scene: ComparedScene) -> dict[str, DistanceStatistics]:
+def cloud_to_cloud(scene: ComparedScene) -> dict[str, evaluation.DistanceStatistics]:
     """Distances without sign to the samples of the reference, and from them to the cloud."""
     with current().stage("Cloud to cloud"):
-        to_reference, _ = distance_to_cloud(scene.points, scene.samples)
-        to_cloud, _ = distance_to_cloud(scene.samples, scene.points)
-    return {"to_reference": distance_statistics(to_reference), "to_cloud": distance_statistics(to_cloud)}
+        to_reference, _ = evaluation.distance_to_cloud(scene.points, scene.samples)
+        to_cloud, _ = evaluation.distance_to_cloud(scene.samples, scene.points)
+    return {
+        "to_reference": evaluation.distance_statistics(to_reference),
+        "to_cloud": evaluation.distance_statistics(to_cloud),
+    }
 
 
 def m3c2(scene: ComparedScene, radius_m: float) -> M3C2:
@@ -240,9 +228,9 @@ def m3c2(scene: ComparedScene, radius_m: float) -> M3C2:
     )
     core = core[np.random.default_rng(SEED).permutation(len(core))[:_CORE_POINTS]]
     with current().stage("M3C2"):
-        found = m3c2_distances(near, scene.points, core, radius_m=radius_m, reach_m=_REACH * radius_m)
+        found = evaluation.m3c2_distances(near, scene.points, core, radius_m=radius_m, reach_m=_REACH * radius_m)
     known = np.isfinite(found.signed) & np.isfinite(found.detection_m)
-    detection, statistics = found.detection_m[known], distance_statistics(found.signed)
+    detection, statistics = found.detection_m[known], evaluation.distance_statistics(found.signed)
     if not len(detection):
         return M3C2(statistics, radius_m, math.nan, math.nan)
     significant = float((np.abs(found.signed[known]) > detection).mean())
@@ -274,11 +262,11 @@ def read_checkpoints(
 def checkpoint_accuracy(scene: ComparedScene, table: np.ndarray, path: Path, notes: list[str]) -> CheckpointFigures:
     """Vertical accuracy of the compared cloud at check points (K, 4); adds notes on their shortcomings as a test."""
     places = to_local(scene.inputs.frame, table[:, :3], path)
-    residuals = height_at(scene.points, places[:, :2]) - places[:, 2]
+    residuals = evaluation.height_at(scene.points, places[:, :2]) - places[:, 2]
     if not np.isfinite(residuals).any():
         require_same_place(scene.points, places, "the cloud", path.name)
         raise CompareError(f"none of the {len(places)} check points of {path.name} has points of the cloud around it")
-    accuracy = asprs_vertical(residuals, table[:, 3])
+    accuracy = evaluation.asprs_vertical(residuals, table[:, 3])
     lines, crs = [f"point {i}" for i in range(1, len(table) + 1)], scene.inputs.crs
     several = several_heights(lines, table, 1.0 if crs is None else height_unit_m(crs))
     notes += named(several, "place", f"of {path.name} with several heights, of which one is true at most")

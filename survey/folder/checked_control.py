@@ -20,15 +20,7 @@ from survey.folder.pose_priors import GPS_STD_M, PosePrior
 from survey.photos.cameras import View
 from survey.photos.poses import connected_parts, least_track
 from survey.pose_files import find_unread
-from survey.sfm.control_fit import (
-    MIN_POINTS,
-    BlockControl,
-    fit_majority,
-    intersect_marks,
-    line_of_control,
-    require_consistent_marks,
-    spread_of,
-)
+from survey.sfm import control_fit
 from survey.sfm.gps import frame_about, is_whole, what_is_missing
 from survey.sfm.gps_fit import ROLL_REMEDY
 from survey.words import GEO_TXT
@@ -44,7 +36,7 @@ _MOST_STD, _BENT_SHARE = 6.0, 0.02
 _FEWEST_TO_TEST = 4
 
 
-def control_of_block(found: Found) -> BlockControl | None:
+def control_of_block(found: Found) -> control_fit.BlockControl | None:
     """The control points of a survey in a local frame of their own; None where there are none."""
     given = found.control.given
     if not given:
@@ -57,7 +49,7 @@ def control_of_block(found: Found) -> BlockControl | None:
     return None if control is None else _for_block(control, frame, found)
 
 
-def require_placing_control(found: Found) -> BlockControl:
+def require_placing_control(found: Found) -> control_fit.BlockControl:
     """The control of a survey without GPS positions and poses."""
     require_near(found.control.points, None, found.crs)
     control = control_of_block(found)
@@ -71,24 +63,24 @@ def require_placing_control(found: Found) -> BlockControl:
     if control is None:
         unread = "".join(f". {sentence}" for sentence in find_unread(found.folder))
         raise PosesError(
-            f"{message}, or at least {MIN_POINTS} control points; name a file of poses in [cameras] poses in "
-            f"{FILE_NAME}, or control points with their marks in [control] gcps{unread}"
+            f"{message}, or at least {control_fit.MIN_POINTS} control points; name a file of poses in [cameras] poses "
+            f"in {FILE_NAME}, or control points with their marks in [control] gcps{unread}"
         )
     enough = with_two_marks(control)
-    if len(enough) < MIN_POINTS:
+    if len(enough) < control_fit.MIN_POINTS:
         count = Counter(mark.point for mark in control.marks)
         marks = ", ".join(f"{point.name} {count[point.name]}" for point in control.points[:10])
         raise ControlError(
             f"{message}; {len(enough)} of {len(control.points)} control points are marked in two photographs or more "
-            f"(marks: {marks}), expected at least {MIN_POINTS} not on a line; mark more"
+            f"(marks: {marks}), expected at least {control_fit.MIN_POINTS} not on a line; mark more"
         )
-    line = line_of_control(enough)
+    line = control_fit.line_of_control(enough)
     if line is not None and not may_hold_roll(found):
         raise ControlError(f"{line.describe(len(enough))}; {ROLL_REMEDY}")
     return control
 
 
-def with_two_marks(control: BlockControl) -> list[ControlPoint]:
+def with_two_marks(control: control_fit.BlockControl) -> list[ControlPoint]:
     """The points with two marks or more."""
     count = Counter(mark.point for mark in control.marks)
     return [point for point in control.points if count[point.name] >= 2]
@@ -101,7 +93,7 @@ def may_hold_roll(found: Found) -> bool:
     )
 
 
-def _for_block(control: Control, frame: LocalFrame, found: Found) -> BlockControl:
+def _for_block(control: Control, frame: LocalFrame, found: Found) -> control_fit.BlockControl:
     """Control for structure from motion without check points, with a tolerance in height for the refraction."""
     points = tuple(point for point in control.points if not point.is_check)
     heights = np.array([point.crs[2] for point in points]) * height_unit_m(frame.crs)
@@ -110,7 +102,7 @@ def _for_block(control: Control, frame: LocalFrame, found: Found) -> BlockContro
         level = found.config.water.level_m
         # Where the level is unknown, the highest point may be just above it.
         slack = _APPARENT_SHARE * np.maximum((heights.max() if level is None else level) - heights, 0.0)
-    return BlockControl(frame, points, control.marks, slack)
+    return control_fit.BlockControl(frame, points, control.marks, slack)
 
 
 def checked_parts(block: PlacedViews) -> tuple[PlacedViews, Findings]:
@@ -170,13 +162,13 @@ def _checked(
     """Control and priors without contradicted ones, which warnings name, and what moves the block to its control."""
     block = _for_block(control, frame, found)
     posed = {view.name: view.camera for view in views}
-    seen = intersect_marks(block, posed)
-    require_consistent_marks(block, posed, seen)
+    seen = control_fit.intersect_marks(block, posed)
+    control_fit.require_consistent_marks(block, posed, seen)
     fit = None
-    if len(seen.points) >= MIN_POINTS:
+    if len(seen.points) >= control_fit.MIN_POINTS:
         # On one line points determine no similarity by themselves.
-        _, across, least = spread_of(seen.local, seen.std)
-        fit = fit_majority(seen, posed) if across >= least else None
+        _, across, least = control_fit.spread_of(seen.local, seen.std)
+        fit = control_fit.fit_majority(seen, posed) if across >= least else None
     wrong = {} if fit is None else fit.wrong
     warnings = named(
         [f"{mark.point} in {mark.view}" for mark in seen.wrong_marks],

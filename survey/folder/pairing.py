@@ -15,15 +15,9 @@ from refract.lens import MODELS, Lens, LensError, coefficients_of
 from survey.control.reading import require_near
 from survey.display.quantities import named
 from survey.errors import FILE_NAME, ConfigError, Findings, ImageError, PosesError
+from survey.folder import local_frame
 from survey.folder.found import MIN_VIEWS, Circumstances, Found, below, unused_keys
 from survey.folder.gps_placement import place_poses
-from survey.folder.local_frame import (
-    given_in_local,
-    points_in_local,
-    reprojection,
-    transformation_into_crs,
-    views_in_local,
-)
 from survey.folder.observations import Observations, PlacedViews, Provenance
 from survey.folder.plausible import angle_warnings
 from survey.folder.pose_priors import priors_of_gps, priors_of_poses
@@ -261,7 +255,7 @@ def read_file_poses(found: Found, path: Path) -> tuple[PlacedViews, Path | None,
         len(find_poses(found.folder)) > 1,
     )  # fmt: skip
     warnings = [*angle_warnings(poses, file.frame), *unused_keys(circumstances)]
-    frame, views = views_in_local(found, file, poses)
+    frame, views = local_frame.views_in_local(found, file, poses)
     if file.tool is not None and found.config.water is not None:
         warnings.append(
             f"{file.tool} ignores refraction: tie points under water have biased its poses; the plan says whether they "
@@ -272,8 +266,8 @@ def read_file_poses(found: Found, path: Path) -> tuple[PlacedViews, Path | None,
     by_name = {view.name: view for view in views}
     ties, points, misses = read_ties(path), None, None
     if ties is not None:
-        points = points_in_local(file, placed.points(ties), frame, cameras.gps_height)
-        misses = reprojection(ties, points, {name: by_name[pose.name] for name, pose in paired.items()})
+        points = local_frame.points_in_local(file, placed.points(ties), frame, cameras.gps_height)
+        misses = local_frame.reprojection(ties, points, {name: by_name[pose.name] for name, pose in paired.items()})
         good = np.isfinite(points).all(axis=1) & (ties.num_views >= least_track(len(views)))
         points = points[good]
     if placed.by_gps is None:
@@ -286,7 +280,7 @@ def read_file_poses(found: Found, path: Path) -> tuple[PlacedViews, Path | None,
 
 def _datum(found: Found, file: PoseFile) -> tuple[DatumStd, Findings]:
     """Std that the transformation of the poses into crs adds, with a warning where it does."""
-    transformation = transformation_into_crs(file, found.crs)
+    transformation = local_frame.transformation_into_crs(file, found.crs)
     if transformation is None:
         return EXACT, Findings()
     std = found.config.cameras.position_std_m
@@ -302,7 +296,7 @@ def _with_clicked_level(found: Found, file: PoseFile, poses: list[Pose]) -> tupl
     if water is None or water.clicks is None:
         return found, Findings()
     # The frame of the survey lies at the level, which is not known yet: another serves here.
-    frame, views = views_in_local(replace(found, config=replace(found.config, water=None)), file, poses)
+    frame, views = local_frame.views_in_local(replace(found, config=replace(found.config, water=None)), file, poses)
     config, clicked, findings = with_level_of_clicks(found.folder, found.config, views, frame)
     return replace(found, config=config, levels=found.levels + clicked), findings
 
@@ -315,6 +309,6 @@ def _given(
     if not known:
         return {}
     places = np.array([given.place for given in known.values()])
-    local = given_in_local(file, places, frame, found.config.cameras.gps_height)
+    local = local_frame.given_in_local(file, places, frame, found.config.cameras.gps_height)
     stds = zip(known, local, known.values(), strict=True)
     return {name: (position, given.std) for name, position, given in stds if np.isfinite(position).all()}

@@ -15,17 +15,7 @@ from matplotlib.patches import Patch
 from scipy import ndimage
 
 from geo.crs import height_unit_m
-from survey.display.canvas import (
-    Picture,
-    colour_bar,
-    empty_figure,
-    finished,
-    map_canvas,
-    nice_limit,
-    plain_log_ticks,
-    save,
-    show,
-)
+from survey.display import canvas
 from survey.display.palette import (
     COUNTS,
     DEPTHS,
@@ -69,7 +59,7 @@ _UNSEEN_PIXELS = 900
 _LEGEND_COLUMNS = 4
 
 
-def draw_orthophoto(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
+def draw_orthophoto(path: Path, facts: ReportFacts, grid: PlanGrid) -> canvas.Picture:
     """The cloud in its colours, in plan, the highest point of each cell on top."""
     colours = without_pinholes(grid.highest(facts.points_crs[:, 2], facts.bed.rgb))
     known = np.isfinite(colours[..., 0])
@@ -78,10 +68,10 @@ def draw_orthophoto(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     axes = _show(image, facts, grid)
     subtitle = f"the cloud in its own colours, cells of {length(grid.side_m)}"
     words = "The cloud in its own colours; where points lie above each other, the highest."
-    return finished(axes, path, "The bed from above", subtitle, words)
+    return canvas.finished(axes, path, "The bed from above", subtitle, words)
 
 
-def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid, cut: Cut | None) -> Picture:
+def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid, cut: Cut | None) -> canvas.Picture:
     """Depth below the water in plan, or height in a dry survey, shaded by the relief; with the line of a cut."""
     height = without_pinholes(grid.mean(facts.points_crs[:, 2])) * height_unit_m(facts.survey.frame.crs)
     depth, title, label = None, "Height of the ground", f"height [{LengthUnit.of_heights().name}]"
@@ -98,22 +88,22 @@ def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid, cut: Cut | None
         draw_line(axes, facts, cut)
     axes.set_facecolor("white")  # the grey of other maps' gaps is that of dry ground here
     _bar(axes, scale, label, is_depth=depth is not None)
-    return finished(axes, path, title, f"cells of {length(grid.side_m)}", words)
+    return canvas.finished(axes, path, title, f"cells of {length(grid.side_m)}", words)
 
 
-def draw_num_views(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
+def draw_num_views(path: Path, facts: ReportFacts, grid: PlanGrid) -> canvas.Picture:
     """Mean number of views that agree, in plan."""
     values = without_pinholes(grid.mean(facts.bed.num_views))
     top = max(4, int(np.nanquantile(values, 0.99)) + 1)
     steps = np.arange(1, top + 1, max(1, top // 10))
     scale = ScalarMappable(BoundaryNorm(np.append(steps, steps[-1] + 1), 256), COUNTS)
     axes = _show(image_of(values, scale), facts, grid)
-    colour_bar(axes, scale, "views", extend="max").minorticks_off()
+    canvas.colour_bar(axes, scale, "views", extend="max").minorticks_off()
     words = "Number of views that see a point at the same height; the more, the more reliable."
-    return finished(axes, path, "Views that agree", f"mean of each cell of {length(grid.side_m)}", words)
+    return canvas.finished(axes, path, "Views that agree", f"mean of each cell of {length(grid.side_m)}", words)
 
 
-def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
+def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> canvas.Picture:
     """Random standard deviation of the heights, in plan."""
     values = without_pinholes(grid.mean(facts.bed.std))
     known = values[np.isfinite(values)]
@@ -122,15 +112,15 @@ def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     unit = LengthUnit.of([middle])
     scale = ScalarMappable(LogNorm(low * unit.per_metre, max(high, 1.1 * low) * unit.per_metre), SPREADS)
     axes = _show(image_of(values * unit.per_metre, scale), facts, grid)
-    bar = colour_bar(axes, scale, f"standard deviation [{unit.name}]")
-    plain_log_ticks(bar.ax.yaxis)
+    bar = canvas.colour_bar(axes, scale, f"standard deviation [{unit.name}]")
+    canvas.plain_log_ticks(bar.ax.yaxis)
     source = _OF_SOLVER if facts.plan.solves else _OF_SWEEP
     words = f"Random part for each point, {source}; without the part common to all heights by water, lens and poses."
     subtitle = f"mean of each cell of {length(grid.side_m)}"
-    return finished(axes, path, "Standard deviation of the height", subtitle, words)
+    return canvas.finished(axes, path, "Standard deviation of the height", subtitle, words)
 
 
-def draw_view(path: Path, facts: ReportFacts, height_maps: Sequence[HeightMap]) -> Picture:
+def draw_view(path: Path, facts: ReportFacts, height_maps: Sequence[HeightMap]) -> canvas.Picture:
     """A photograph next to its height map, shown as depths."""
     # That with the most pixels that another view confirms.
     height_map = height_maps[int(np.argmax([np.count_nonzero(each.agreeing) for each in height_maps]))]
@@ -145,7 +135,7 @@ def draw_view(path: Path, facts: ReportFacts, height_maps: Sequence[HeightMap]) 
     depth = None if facts.survey.water is None else np.where(height < 0.0, -height, np.nan)
     image, scale = shaded_bed(depth, height, facts.plan.gsd_m * facts.plan.image_scale / scale_of_map)
 
-    figure = empty_figure(11.0, max(2.5, 4.9 * rows / columns + 0.45))
+    figure = canvas.empty_figure(11.0, max(2.5, 4.9 * rows / columns + 0.45))
     left, right = figure.subplots(1, 2)
     left.imshow(load_image(view, scale=min(scale_of_map, 1.0)))
     right.imshow(image, interpolation="nearest")
@@ -158,35 +148,35 @@ def draw_view(path: Path, facts: ReportFacts, height_maps: Sequence[HeightMap]) 
     right.set_title(f"Its depth map: {name}", loc="left", color=INK, fontsize=12, weight="bold")
     label = f"height over the local origin [{LengthUnit.of_heights().name}]"
     _bar(right, scale, label, is_depth=depth is not None)
-    save(figure, path)
+    canvas.save(figure, path)
     words = f"Another view confirms {share_confirmed:.0%} of the pixels; the others are left grey."
-    return Picture(path, "A photograph and its depth map", words)
+    return canvas.Picture(path, "A photograph and its depth map", words)
 
 
-def draw_waves(path: Path, facts: ReportFacts, surfaces: WaveSurfaces) -> Picture:
+def draw_waves(path: Path, facts: ReportFacts, surfaces: WaveSurfaces) -> canvas.Picture:
     """The surface of the water, without its tilt, in the photograph where it has the largest std, in plan."""
     surface = max((each.without_tilt() for each in surfaces.over(facts.bed.xyz)), key=lambda each: each.std)
-    limit = nice_limit(surface.height)
+    limit = canvas.nice_limit(surface.height)
     unit = LengthUnit.of([limit])
     end = limit * unit.per_metre
     scale = ScalarMappable(Normalize(-end, end), DIFFERENCES)
-    _, axes = map_canvas(surface.grid.extent, facts.survey.frame.crs)
-    show(axes, image_of(surface.height * unit.per_metre, scale), surface.grid.extent)
-    colour_bar(axes, scale, f"height of the water [{unit.name}]")
+    _, axes = canvas.map_canvas(surface.grid.extent, facts.survey.frame.crs)
+    canvas.show(axes, image_of(surface.height * unit.per_metre, scale), surface.grid.extent)
+    canvas.colour_bar(axes, scale, f"height of the water [{unit.name}]")
     words = (
         "The roughest of all photographs, where its rays to the bed cross the water, without its tilt, which an error "
         "of the pose is, too."
     )
     subtitle = f"{figure_text(surface.name)}, standard deviation {length(surface.std)}"
-    return finished(axes, path, "Surface of the water in a photograph", subtitle, words)
+    return canvas.finished(axes, path, "Surface of the water in a photograph", subtitle, words)
 
 
-def draw_wave_shifts(path: Path, facts: ReportFacts, surfaces: WaveSurfaces) -> Picture:
+def draw_wave_shifts(path: Path, facts: ReportFacts, surfaces: WaveSurfaces) -> canvas.Picture:
     """How the photograph that waves displace most shows the bed displaced, before and after its surface was found."""
     place, before, after = surfaces.shifts_in_crs(_MOST_ARROWS)
     rms, left = (float(np.sqrt(np.mean(each**2))) for each in (before, after))
     unit, (low, high) = LengthUnit.of([rms]), (limit(place, axis=0) for limit in (np.min, np.max))
-    _, axes = map_canvas((float(low[0]), float(high[0]), float(low[1]), float(high[1])), facts.survey.frame.crs)
+    _, axes = canvas.map_canvas((float(low[0]), float(high[0]), float(low[1]), float(high[1])), facts.survey.frame.crs)
     # An arrow of two standard deviations spans the distance to the next.
     scale, shown = 2.0 * rms / np.sqrt(np.prod(high - low) / len(place)), 10.0 ** np.floor(np.log10(2.0 * rms))
     rows = ((before, "before", 0.66, OBLIQUE, 0.002), (after, "after", 0.93, INK, 0.003))
@@ -202,7 +192,7 @@ def draw_wave_shifts(path: Path, facts: ReportFacts, surfaces: WaveSurfaces) -> 
         f"{figure_text(surfaces.shown)}, {unit.number(rms)} {unit.name} before and {unit.number(left)} {unit.name} "
         "after, along an axis"
     )
-    return finished(axes, path, "Residual shifts of a photograph", subtitle, words)
+    return canvas.finished(axes, path, "Residual shifts of a photograph", subtitle, words)
 
 
 def _bar(axes: Axes, scale: ScalarMappable, label: str, *, is_depth: bool) -> None:
@@ -210,19 +200,19 @@ def _bar(axes: Axes, scale: ScalarMappable, label: str, *, is_depth: bool) -> No
     unit = LengthUnit.of_heights()
     low, high = scale.get_clim()
     shown = ScalarMappable(Normalize(low * unit.per_metre, high * unit.per_metre), scale.get_cmap())
-    bar = colour_bar(axes, shown, f"true depth below the water [{unit.name}]" if is_depth else label)
+    bar = canvas.colour_bar(axes, shown, f"true depth below the water [{unit.name}]" if is_depth else label)
     if is_depth:
         bar.ax.invert_yaxis()
 
 
 def _show(image: np.ndarray, facts: ReportFacts, grid: PlanGrid) -> Axes:
     """An image (rows, columns, 4) uint8 of a grid, in axes in crs and true to scale."""
-    _, axes = map_canvas(grid.extent, facts.survey.frame.crs)
-    show(axes, image, grid.extent)
+    _, axes = canvas.map_canvas(grid.extent, facts.survey.frame.crs)
+    canvas.show(axes, image, grid.extent)
     return axes
 
 
-def draw_unseen(path: Path, facts: ReportFacts) -> Picture:
+def draw_unseen(path: Path, facts: ReportFacts) -> canvas.Picture:
     """Ground with points, and without, by the reason."""
     survey = facts.survey
     cells = cells_of(survey, facts.bed.xyz, facts.plan.gsd_m) if facts.cells is None else facts.cells
@@ -230,10 +220,10 @@ def draw_unseen(path: Path, facts: ReportFacts) -> Picture:
     missing = float(np.mean(~cells.has_point[seen])) if seen.any() else 0.0
     grid, shown = cells.in_crs(codes, survey.frame, _UNSEEN_PIXELS)
     named = [(code, REASONS.get(code, "has points").partition(":")[0]) for code in _COLOURS if (codes == code).any()]
-    figure, axes = map_canvas(grid.extent, survey.frame.crs, below_in=0.3 * -(-len(named) // _LEGEND_COLUMNS))
+    figure, axes = canvas.map_canvas(grid.extent, survey.frame.crs, below_in=0.3 * -(-len(named) // _LEGEND_COLUMNS))
     colours = np.full((256, 4), to_rgba(EMPTY))
     colours[list(_COLOURS)] = [to_rgba(colour) for colour in _COLOURS.values()]
-    show(axes, np.rint(255.0 * colours).astype(np.uint8)[shown], grid.extent)
+    canvas.show(axes, np.rint(255.0 * colours).astype(np.uint8)[shown], grid.extent)
     figure.legend(
         handles=[Patch(color=_COLOURS[code], label=f"{name}, {share(np.mean(codes[cells.num_views > 0] == code))}")
                  for code, name in named],
@@ -244,7 +234,7 @@ def draw_unseen(path: Path, facts: ReportFacts) -> Picture:
         "photographs look at. Nothing is filled in there."
     )
     subtitle = f"{share(missing)} of the ground that two or more views see"
-    return finished(axes, path, "Where no bed was found, and why", subtitle, words)
+    return canvas.finished(axes, path, "Where no bed was found, and why", subtitle, words)
 
 
 def without_pinholes(raster: np.ndarray) -> np.ndarray:

@@ -31,20 +31,11 @@ from survey.files.json_values import read_json_object
 from survey.plan.area import inside, within
 from survey.plan.sweep_block import camera_of
 from survey.progress import shares
+from survey.run import stored
 from survey.run.job import colour_of
 from survey.run.points import through_raised, through_surface
 from survey.run.stage_solver import SOLVED, WAVES
 from survey.run.stage_sweep import KEPT, MAPS
-from survey.run.stored import (
-    BED_FILE,
-    SURVEY_FILE,
-    Column,
-    StoredBed,
-    columns_in,
-    mapped_arrays,
-    save_bed,
-    write_arrays,
-)
 from survey.run.stored_maps import Stored, load_masks
 
 if TYPE_CHECKING:
@@ -52,7 +43,7 @@ if TYPE_CHECKING:
     from survey.run.job import Job
 
 LEAST_STD_PX = 0.01
-FILES = (BED_FILE, SURVEY_FILE)
+FILES = (stored.BED_FILE, stored.SURVEY_FILE)
 POINTS = "points.npz"
 # In the folder of the stage, while it lasts: the points of all tiles.
 GATHERED = "gathered.npz"
@@ -148,8 +139,8 @@ def find_points(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     bed = points_of_bed(job, needs) if len(Stored(needs["sweep"] / MAPS, HeightMap)) else BedPoints.empty()
     if job.cell is not None:
         bed = bed[inside(bed.xyz, job.cell)]
-    columns: dict[str, np.ndarray | Column] = {each.name: getattr(bed, each.name) for each in fields(BedPoints)}
-    write_arrays(folder / POINTS, (columns | {"points_crs": in_crs(job.survey_job.survey, bed.xyz)}).items())
+    columns: dict[str, np.ndarray | stored.Column] = {each.name: getattr(bed, each.name) for each in fields(BedPoints)}
+    stored.write_arrays(folder / POINTS, (columns | {"points_crs": in_crs(job.survey_job.survey, bed.xyz)}).items())
 
 
 def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
@@ -178,16 +169,16 @@ def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
     return bed
 
 
-def in_crs(survey: Survey, xyz: np.ndarray) -> Column:
+def in_crs(survey: Survey, xyz: np.ndarray) -> stored.Column:
     """Points (N, 3) [m], local, as a column in crs."""
     parts = (survey.frame.crs_from_local(xyz[rows]) for rows in portions(len(xyz), _PORTION))
-    return Column(np.dtype(np.float64), xyz.shape, parts)
+    return stored.Column(np.dtype(np.float64), xyz.shape, parts)
 
 
 def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Points of all tiles with the parts of their std that follow from the whole bed."""
     survey, found = job.asked or job.survey, read_adjustment(needs["adjust"]) if "adjust" in needs else None
-    with job.progress.stage("Bed"), columns_in(folder) as new_column:
+    with job.progress.stage("Bed"), stored.columns_in(folder) as new_column:
         bed, xyz_in_crs = _gathered([p for each in needs.values() if (p := each / POINTS).is_file()], folder / GATHERED)
         if len(bed) == 0:
             raise SurveyError(
@@ -212,7 +203,9 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         basis = BASIS_STATED if found is None else BASIS_ADJUSTED
         job.progress.detail(f"std_common: {length(median_of(common))} (median), by {basis}")
         of_places = common, std_placed, in_plan
-        save_bed(folder, StoredBed(bed, xyz_in_crs, survey.frame.crs, survey.name, job.plan.gsd_m, *of_places))
+        stored.save_bed(
+            folder, stored.StoredBed(bed, xyz_in_crs, survey.frame.crs, survey.name, job.plan.gsd_m, *of_places)
+        )
     (folder / GATHERED).unlink(missing_ok=True)
 
 
@@ -223,16 +216,16 @@ def use_bed(job: Job, _folder: Path) -> None:
         job.use_survey(asked)
 
 
-def _gathered(of_parts: Sequence[Path], path: Path) -> tuple[BedPoints, np.ndarray | Column]:
+def _gathered(of_parts: Sequence[Path], path: Path) -> tuple[BedPoints, np.ndarray | stored.Column]:
     """Points of `find_points`, local and (N, 3) in crs; those of several tiles are gathered in a file."""
     if len(of_parts) > 1:
         names = [*(each.name for each in fields(BedPoints)), "points_crs"]
 
-        def column(name: str) -> Column:
-            parts = [mapped_arrays(each, (name,))[name] for each in of_parts]
-            return Column(parts[0].dtype, (sum(map(len, parts)), *parts[0].shape[1:]), parts)
+        def column(name: str) -> stored.Column:
+            parts = [stored.mapped_arrays(each, (name,))[name] for each in of_parts]
+            return stored.Column(parts[0].dtype, (sum(map(len, parts)), *parts[0].shape[1:]), parts)
 
-        write_arrays(path, ((name, column(name)) for name in names))
-    columns = mapped_arrays(path if len(of_parts) > 1 else of_parts[0])
+        stored.write_arrays(path, ((name, column(name)) for name in names))
+    columns = stored.mapped_arrays(path if len(of_parts) > 1 else of_parts[0])
     points_crs = columns.pop("points_crs")
     return BedPoints(**columns), points_crs

@@ -19,18 +19,10 @@ from survey.display.quantities import listed
 from survey.errors import ControlError, PosesError, SurveyError
 from survey.photos.poses import least_track
 from survey.sfm import block as sfm_block
+from survey.sfm import gps_fit
 from survey.sfm.control_fit import BlockControl, ControlFit, Intersections, fit_control, intersect_marks
 from survey.sfm.features import CameraBody
 from survey.sfm.gps import GpsPositions
-from survey.sfm.gps_fit import (
-    LineAxes,
-    PositionLine,
-    gps_std,
-    line_of,
-    roll_by_attitudes,
-    roll_by_control,
-    roll_by_ground,
-)
 from survey.sfm.solve import GIVE_POSES, FreeBlocks
 
 if TYPE_CHECKING:
@@ -67,12 +59,12 @@ def place_by_gps(
     def by_positions(block: pycolmap.Reconstruction) -> str:
         trusted = _to_positions(block, gps.local)
         poses = sfm_block.poses_of(block)
-        std = gps_std([poses[name][0] - position for name, position in trusted.items()])
+        std = gps_fit.gps_std([poses[name][0] - position for name, position in trusted.items()])
         message = (
             f"{len(trusted)} GPS positions differ from it by about {std[0]:.2f} m east and north and {std[2]:.2f} m "
             "up, before the adjustment"
         )
-        line = line_of(list(trusted.values()), float(std.max()))
+        line = gps_fit.line_of(list(trusted.values()), float(std.max()))
         if line is None:
             return message
         # Control over an area is the better start.
@@ -209,23 +201,23 @@ def _to_positions(block: pycolmap.Reconstruction, positions: Mapping[str, np.nda
 
 def _roll(
     block: pycolmap.Reconstruction,
-    line: PositionLine,
+    line: gps_fit.PositionLine,
     attitudes: Mapping[str, np.ndarray],
     intersections: Intersections | None,
 ) -> str:
     """Roll a block about the line of its positions by attitudes, control or the ground; returns which of them."""
-    poses, across = sfm_block.poses_of(block), LineAxes.of(line)
+    poses, across = sfm_block.poses_of(block), gps_fit.LineAxes.of(line)
     with_attitude = [name for name in poses if name in attitudes]
     if with_attitude:
         ours = np.array([poses[name][1] for name in with_attitude])
-        angle = roll_by_attitudes(across, ours, np.array([attitudes[name] for name in with_attitude]))
+        angle = gps_fit.roll_by_attitudes(across, ours, np.array([attitudes[name] for name in with_attitude]))
         by = f"the initial roll is that of the attitudes of {len(with_attitude)} photographs in XMP"
     elif intersections is not None and intersections.points:
-        angle = roll_by_control(across, intersections.places, intersections.local)
+        angle = gps_fit.roll_by_control(across, intersections.places, intersections.local)
         by = f"the initial roll is that by control ({listed([point.name for point in intersections.points])})"
     else:
         rotations = np.array([rotation for _, rotation in poses.values()])
-        angle = roll_by_ground(across, rotations, sfm_block.points_of(block))
+        angle = gps_fit.roll_by_ground(across, rotations, sfm_block.points_of(block))
         by = "at the initial roll photographs look straight down across it"
     sfm_block.transform(block, across.rolled(angle))
     return by

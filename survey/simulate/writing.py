@@ -22,18 +22,9 @@ from refract.lens import Lens, distorted, normalised
 from survey.errors import SurveyError
 from survey.machine import num_cores
 from survey.progress import Progress, Step
+from survey.simulate import sidecars
 from survey.simulate.direct import DirectRenderer, depth_below
 from survey.simulate.ground import Ground
-from survey.simulate.sidecars import (
-    GAUGE,
-    StagedScene,
-    cameras_csv,
-    exif_of_views,
-    gauge_csv,
-    survey_toml,
-    write_image,
-    xmp_of_views,
-)
 
 # Candidates for visible points per square metre of ground.
 _POINTS_PER_M2 = 1000
@@ -122,7 +113,7 @@ def depth_map(renderer: DirectRenderer, camera: PinholeCamera, lens: Lens) -> tu
 def write_survey(
     folder: Path,
     settings: dict,
-    stage_scene: Callable[[], StagedScene],
+    stage_scene: Callable[[], sidecars.StagedScene],
     *,
     again: bool = False,
     progress: Progress | None = None,
@@ -189,19 +180,22 @@ def _put_back(folder: Path, work: Path) -> None:
         shutil.rmtree(old)
 
 
-def _write(folder: Path, scene: StagedScene, progress: Progress) -> None:
+def _write(folder: Path, scene: sidecars.StagedScene, progress: Progress) -> None:
     for name in ("images", "truth/depth", "truth/wet"):
         (folder / name).mkdir(parents=True, exist_ok=True)
-    texts = {"survey.toml": survey_toml(scene), "cameras.csv": cameras_csv(scene.names, scene.cameras, scene.frame)}
-    for name, text in (texts | ({GAUGE: gauge_csv(scene)} if scene.duration_s > 0.0 else {})).items():
+    texts = {
+        "survey.toml": sidecars.survey_toml(scene),
+        "cameras.csv": sidecars.cameras_csv(scene.names, scene.cameras, scene.frame),
+    }
+    for name, text in (texts | ({sidecars.GAUGE: sidecars.gauge_csv(scene)} if scene.duration_s > 0.0 else {})).items():
         (folder / name).write_text(text, encoding="utf-8")
     # Positions first: PROJ's transformations are not for several threads.
-    exifs, xmps = exif_of_views(scene), xmp_of_views(scene)
+    exifs, xmps = sidecars.exif_of_views(scene), sidecars.xmp_of_views(scene)
 
     def take(index: int) -> None:
         path = folder / "images" / scene.names[index]
         if not path.exists():
-            write_image(path, scene.photograph(index), exifs[index], xmps[index])
+            sidecars.write_image(path, scene.photograph(index), exifs[index], xmps[index])
 
     # Each view takes about 0.2 GB while it is evaluated; a custom renderer runs its own threads.
     count, threads = len(scene.cameras), min(num_cores(), 8)
@@ -213,7 +207,7 @@ def _write(folder: Path, scene: StagedScene, progress: Progress) -> None:
         _write_truth(folder / "truth", scene, pool, step)
 
 
-def _write_truth(folder: Path, scene: StagedScene, pool: ThreadPoolExecutor, step: Step) -> None:
+def _write_truth(folder: Path, scene: sidecars.StagedScene, pool: ThreadPoolExecutor, step: Step) -> None:
     frame, ground = scene.frame, scene.renderer.ground
     e0, n0, e1, n1 = scene.bounds
 

@@ -15,17 +15,8 @@ from survey.export.loaded import LoadedRun
 from survey.files.paths import ReadFiles
 from survey.progress import current
 from survey.run.folder import RunDir
+from survey.viewer import layers
 from survey.viewer.editing import Editing
-from survey.viewer.layers import (
-    OnDemand,
-    Panel,
-    add_cameras,
-    add_field,
-    add_water,
-    reference_node,
-    set_initial_view,
-    terrain_node,
-)
 from survey.viewer.overview import add_key_frames, grid_node
 from survey.viewer.page import Overlay, address, close_server, open_server, require_page, write_page
 from survey.viewer.shown import Shown, Style, load_shown
@@ -141,8 +132,8 @@ class ViewSession:
         self.shown, self.server = shown, server
         self._clouds: dict[int, CloudInBrowser] = {}
         self._lock = Lock()
-        set_initial_view(self.server, shown)
-        self.panel = Panel(self.server, shown, self._restyle)
+        layers.set_initial_view(self.server, shown)
+        self.panel = layers.Panel(self.server, shown, self._restyle)
         self._add_layers()
         beside = server.gui.add_panel()
         self.clicks = Clicks(self.server, beside, shown)
@@ -153,24 +144,28 @@ class ViewSession:
         beside.dock_below(server.gui.main_panel)
         add_key_frames(server, shown)
         for field in shown.fields:
-            add_field(server, field, self.clicks.show)
+            layers.add_field(server, field, self.clicks.show)
         if shown.reference is not None:
             Thread(target=self._compare, daemon=True).start()
         self.server.on_client_connect(self._add_browser)
         self.server.on_client_disconnect(self._remove_browser)
 
     def _add_layers(self) -> None:
-        water = add_water(self.server, self.shown)
-        cameras, self._thumbnails = add_cameras(self.server, self.shown)
+        water = layers.add_water(self.server, self.shown)
+        cameras, self._thumbnails = layers.add_cameras(self.server, self.shown)
         if water is not None:
             self.panel.add_layer("water surface", is_on=True, show=lambda on: setattr(water, "visible", on))
         self.panel.add_layer("cameras", is_on=True, show=lambda on: setattr(cameras, "visible", on))
-        self._terrain = OnDemand(self.server, "terrain model", lambda: terrain_node(self.server, self.shown))
+        self._terrain = layers.OnDemand(
+            self.server, "terrain model", lambda: layers.terrain_node(self.server, self.shown)
+        )
         self._box_of_terrain = self.panel.add_layer("terrain model", is_on=False, show=self._terrain.show)
-        grid = OnDemand(self.server, "grid of coordinates", lambda: grid_node(self.server, self.shown))
+        grid = layers.OnDemand(self.server, "grid of coordinates", lambda: grid_node(self.server, self.shown))
         self.panel.add_layer("grid of coordinates", is_on=False, show=grid.show)
         if (reference := self.shown.reference) is not None:
-            node = OnDemand(self.server, "reference", lambda: reference_node(self.server, reference, self.shown.gsd_m))
+            node = layers.OnDemand(
+                self.server, "reference", lambda: layers.reference_node(self.server, reference, self.shown.gsd_m)
+            )
             self.panel.add_layer("reference", is_on=False, show=node.show)
 
     def _compare(self) -> None:

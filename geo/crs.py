@@ -132,11 +132,6 @@ def is_geographic(crs: CRS) -> bool:
     return horizontal_crs(crs).is_geographic
 
 
-def quoted_crs(crs: CRS) -> str:
-    """The code of a CRS, or its WKT in quotes, as a cell of a table in CSV."""
-    return crs_code(crs) or '"' + crs.to_wkt().replace('"', '""') + '"'
-
-
 def crs_name(crs: CRS) -> str:
     """The name of a CRS, or a description where its text gives none, as for a PROJ string.
 

@@ -12,7 +12,7 @@ import pytest
 
 from geo.errors import GeoError
 from survey.errors import SurveyError
-from survey.run.folder import RunDir, seconds_of, versions
+from survey.run.folder import RunDir, stage_record, versions
 from survey.run.stages import recompute_reason
 from survey.run.stored import load_arrays, save_arrays
 from survey.stage_key import stage_key
@@ -71,7 +71,7 @@ def test_the_record_of_a_stage_has_key_parts_seconds_and_versions(tmp_path):
     record = json.loads((folder / "stage.json").read_text())
     assert record["key"] == stage_key(A)
     assert record["parts"] == A
-    assert 0.0 <= record["seconds"] == seconds_of(folder)
+    assert 0.0 <= record["seconds"] == stage_record(folder)["seconds"]
     assert record["versions"] == versions()
     assert {"bathynerf", "python", "numpy"} <= set(record["versions"])
 

@@ -203,8 +203,7 @@ def recover_poses(survey: Survey, workspace: Path, report: Callable[[str], None]
         centres, rotations = (np.array([found.poses[views[k].name][part] for k in numbers]) for part in range(2))
         onto = _align(centres, rotations, given[numbers], all_rotations[numbers])
         all_centres[numbers], all_rotations[numbers] = onto(centres), rotations @ onto.rotation.T
-        ties = found.ties.renumbered(numbers)
-        parts.append(replace(ties, start=onto(ties.start)))
+        parts.append(replace(found.ties, view=numbers[found.ties.view], start=onto(found.ties.start)))
     return RecoveredPoses(TiePoints.together(parts), all_centres, all_rotations)
 
 

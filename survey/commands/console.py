@@ -183,19 +183,16 @@ def _with_options_of_records(command: Callable[..., None]) -> Callable[..., None
 
     @wraps(command)
     def run(**given: Any) -> None:
+        # Options that are given several times come as lists.
+        given = {option: tuple(value) if isinstance(value, list) else value for option, value in given.items()}
         records = {
-            name: group(**{option: _frozen(given.pop(option)) for option in offered[name]})
-            for name, group in groups.items()
+            name: group(**{option: given.pop(option) for option in offered[name]}) for name, group in groups.items()
         }
         command(**given, **records)
 
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return run
-
-
-def _frozen(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
 
 
 def _offered(group: type) -> dict[str, Any]:

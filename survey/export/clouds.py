@@ -11,7 +11,7 @@ import numpy as np
 from pyproj import CRS
 
 from evaluation.standards import TO_95, TO_95_IN_PLAN
-from geo.crs import is_geographic, quoted_crs
+from geo.crs import crs_code, is_geographic
 from geo.files import write_whole
 from geo.las import is_withheld
 from survey.errors import SurveyError
@@ -131,7 +131,7 @@ def _write_table(path: Path, rows: np.ndarray, crs: CRS) -> None:
         form, head, first_end = " ".join(f"%.{number}f" for number in digits[:3]), "", ""
     else:
         form, head = ",".join(f"%.{number}f" for number in digits) + ",", f"{_HEAD}\n"
-        first_end = quoted_crs(crs)
+        first_end = crs_code(crs) or '"' + crs.to_wkt().replace('"', '""') + '"'
     with write_whole(path) as stream:
         stream.write(head.encode())
         for first in range(0, len(rows), _ROWS):

@@ -216,17 +216,14 @@ def _with_stored_reasons(run: LoadedRun, cells: SeenCells) -> SeenCells:
 
 def write_gaps(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     """Reasons for which ground inside the bounds has no point, wet or dry, as GeoTIFF; 0 is all other ground."""
-    cells, tags = seen_of(run), _tags_of_reasons()
+    cells = seen_of(run)
+    tags = {f"CODE_{code}": reason for code, reason in REASONS.items()} | {"CODE_0": "everything else"}
     grid, codes = cells.in_crs(cells.gaps, run.flight.frame)
     for code, count in zip(*np.unique(cells.gaps[cells.gaps > 0], return_counts=True), strict=True):
         tags[f"AREA_{code}_M2"] = f"{cells.grid.side_m**2 * count:.6g}"
     band = RasterBand("reason for no bed", "code")
     form = RasterForm(grid.crs, grid.transform, grid.shape, (band,), "uint8", tags=tags, resampling="NEAREST")
     write_cog(path, form, [(0, 0, codes[None])])
-
-
-def _tags_of_reasons() -> dict[str, str]:
-    return {f"CODE_{code}": reason for code, reason in REASONS.items()} | {"CODE_0": "everything else"}
 
 
 def with_unseen(

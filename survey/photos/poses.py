@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import unicodedata
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path, PurePosixPath
 
@@ -130,10 +130,6 @@ class TiePoints:
     def __len__(self) -> int:
         return len(self.start)
 
-    def renumbered(self, views: np.ndarray) -> TiePoints:
-        """The same points with view ``i`` as number ``views[i]``."""
-        return replace(self, view=views[self.view])
-
     @classmethod
     def together(cls, parts: Sequence[TiePoints]) -> TiePoints:
         """The points of several parts, one after the other; views are numbered alike in all."""
@@ -210,11 +206,6 @@ def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
 
 
-def name_key(name: str) -> str:
-    """A name normalised for comparison: case, slashes and the encoding of accents."""
-    return unicodedata.normalize("NFC", name.replace("\\", "/")).casefold()
-
-
 class ImageNames:
     """The photographs of a survey, looked up by the names in a file: by the longest common tail of the paths."""
 
@@ -267,7 +258,8 @@ class ImageNames:
 
 
 def _parts(name: str) -> tuple[str, ...]:
-    return PurePosixPath(name_key(name.strip())).parts
+    """Folders and file of a name, whatever its case, slashes and encoding of accents."""
+    return PurePosixPath(unicodedata.normalize("NFC", name.strip().replace("\\", "/")).casefold()).parts
 
 
 def _agree(a: tuple[str, ...], b: tuple[str, ...]) -> bool:

@@ -68,7 +68,7 @@ class Owner:
         return cls(name, sizes, {image: content_hash(path) for image, path in images.items()})
 
     @classmethod
-    def from_record(cls, record: Mapping) -> Owner | None:
+    def fromstage_record(cls, record: Mapping) -> Owner | None:
         """Owner from its record; None before a run is claimed, and of a run of a version that kept none."""
         return cls(record["survey"], record["photographs"], record.get("contents", {})) if "survey" in record else None
 
@@ -169,7 +169,7 @@ class RunDir:
 
     def owner(self) -> Owner | None:
         """The survey whose run this is; None in a run of a version that did not keep it."""
-        return Owner.from_record(read_json_object(self.path / MARKER))
+        return Owner.fromstage_record(read_json_object(self.path / MARKER))
 
     def _mark(self, owner: dict) -> None:
         made_by = {"made_by": f"bathynerf {importlib.metadata.version('bathynerf')}"}
@@ -279,7 +279,7 @@ class RunDir:
     def finished_stage(self, name: str, key: Key, leaves: Iterable[str] = ()) -> Path | None:
         """The folder of a stage that was finished with this key and has these files; None if there is none."""
         folder = self.place(name, key)
-        is_whole = _record(folder).get("key") == stage_key(dict(key)) and all(
+        is_whole = stage_record(folder).get("key") == stage_key(dict(key)) and all(
             (folder / leaf).is_file() for leaf in leaves
         )
         return folder if is_whole else None
@@ -291,7 +291,7 @@ class RunDir:
 
     def earlier_keys(self, name: str) -> list[Key]:
         """Keys with which a stage was finished before."""
-        records = [_record(folder) for folder in self.stages_path.glob(f"{name}-*")]
+        records = [stage_record(folder) for folder in self.stages_path.glob(f"{name}-*")]
         return [record["parts"] for record in records if isinstance(record.get("parts"), dict)]
 
     def open_stage(self, name: str) -> Path:
@@ -329,7 +329,7 @@ class RunDir:
     def load_stage(self, name: str) -> Path:
         """The folder of a stage of the result that stands in the run."""
         folder = self.stages_path / self.result().get("stages", {}).get(name, f"{name}-none")
-        if not _record(folder):
+        if not stage_record(folder):
             raise SurveyError(
                 f"the run {self.path} has no finished stage {name}; run the same `bathynerf process` again, "
                 "it resumes where it stopped"
@@ -373,19 +373,9 @@ def run_in(path: Path) -> Path:
     return within if (within / MARKER).is_file() and not (path / MARKER).is_file() else path
 
 
-def _record(folder: Path) -> dict:
+def stage_record(folder: Path) -> dict:
     """The record of a finished stage; empty if there is none, or none that can be read."""
     return read_json_object(folder / STAGE_RECORD)
-
-
-def seconds_of(folder: Path) -> float:
-    """Computation time [s] of the finished stage in a folder."""
-    return _record(folder)["seconds"]
-
-
-def versions_of(folder: Path) -> dict[str, str]:
-    """Versions of the libraries that computed the finished stage in a folder, by name."""
-    return _record(folder)["versions"]
 
 
 def versions() -> dict[str, str]:

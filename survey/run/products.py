@@ -32,7 +32,7 @@ from survey.report.gap_reasons import with_reasons
 from survey.report.photographs import PhotographFigures, left_out_shares, photograph_warnings, photographs_of
 from survey.report.seen_cells import SeenCells, cells_of
 from survey.run.flight import save_flight
-from survey.run.folder import GAPS, RunDir, seconds_of, versions, versions_of
+from survey.run.folder import GAPS, RunDir, stage_record, versions
 from survey.run.gate import gates_of_aim, verdict_of
 from survey.run.job import Job
 from survey.run.stage_solver import SIGHTINGS, WAVES, load_surfaces
@@ -198,10 +198,10 @@ def _facts(
     earlier = {
         f"{name} ({stage})": version
         for stage, place in done.items()
-        for name, version in versions_of(place).items()
+        for name, version in stage_record(place)["versions"].items()
         if version != now.get(name)
     }
-    timings = {name: seconds_of(place) for name, place in done.items()}
+    timings = {name: stage_record(place)["seconds"] for name, place in done.items()}
     if survey.config.cameras.poses is None:
         from survey.sfm.poses import seconds_of_solve
 

@@ -191,11 +191,6 @@ def _compute_into(tile: TileJob, task: Task, folder: Path, needs: Mapping[str, P
     return list(recorded.lines)
 
 
-def require_reachable(url: str) -> None:
-    """Raise SurveyError where this process cannot reach a URL."""
-    Remote(url).files(JOBS)
-
-
 class _WorkerJob:
     """A job on a worker; where photographs have sources, they are fetched and decoded for one tile at a time."""
 

@@ -23,9 +23,11 @@ from typing import Any, TypeVar
 from geo.errors import GeoError
 from geo.files import reporting_disk_errors
 from survey.errors import SurveyError
+from survey.files.remote import Remote
 from survey.plan.tiling import NO_DASK, has_dask
 from survey.progress import current
-from survey.run.worker_task import ANOTHER_VERSION, Messages, Task, compute_task, require_reachable
+from survey.run.remote_run import JOBS
+from survey.run.worker_task import ANOTHER_VERSION, Messages, Task, compute_task
 from survey.stage_key import code_hash
 
 Item = TypeVar("Item")
@@ -308,7 +310,7 @@ def _check(client: Any, needs: WorkerNeeds) -> None:
 def _seen(url: str | None, token: Path, photograph: Path) -> tuple[str, bool, bool]:
     """Code of a worker, whether it sees a run and its photographs, or reaches the URL where they are."""
     if url is not None:
-        require_reachable(url)
+        Remote(url).files(JOBS)  # Raises where it cannot be reached
     return code_hash(), url is not None or token.is_dir(), url is not None or photograph.is_file()
 
 

@@ -69,18 +69,15 @@ class Photographs:
             known.append({name: started.get(name, own - start) for name, own in up.items()})
         if self.ground_m is not None and up:
             middle = float(np.median(list(up.values())))
-            over = _rounded_up(middle - self.ground_m)
+            over = middle - self.ground_m
+            # Rounded up, so that another level of the water asks for the same pairs.
+            over = over if over < LEAST_HEIGHT_M else _STEP ** math.ceil(math.log(over, _STEP))
             known.append({name: over + own - middle for name, own in up.items()})
         # The start may lie far above the water, and positions may have another datum: the larger reaches further.
         heights = {name: max(each[name] for each in known) for name in up} if known else {}
         if not heights or np.median(list(heights.values())) < LEAST_HEIGHT_M:
             return {}
         return {name: max(height, LEAST_HEIGHT_M) for name, height in heights.items()}
-
-
-def _rounded_up(height_m: float) -> float:
-    """A height rounded up, so that another level of the water asks for the same pairs."""
-    return height_m if height_m < LEAST_HEIGHT_M else _STEP ** math.ceil(math.log(height_m, _STEP))
 
 
 @dataclass(frozen=True)

@@ -102,8 +102,6 @@ _EQUAL_COS = 1e-9
 
 @dataclass(frozen=True)
 class MeshDistances:
-    """Distances of points to a mesh."""
-
     signed: np.ndarray  # (N,) [m]: NaN for points that are not finite
     nearest: np.ndarray  # (N, 3) [m]: the nearest point of the mesh
     slope_deg: np.ndarray  # (N,) [deg]: slope of the nearest triangle; NaN for points that are not finite

@@ -72,7 +72,6 @@ class Source:
 
     @property
     def num_bytes(self) -> int:
-        """Size in memory."""
         return sum(each.nbytes for each in (self.rgb, self.mask, self.heights) if each is not None)
 
     def observe(self, points: np.ndarray, water: FlatWater | None) -> Observation:

@@ -32,7 +32,6 @@ class LazyImages(Sequence):
         return self._count
 
     def __getitem__(self, number):
-        """The image of a number."""
         if not 0 <= number < self._count:
             raise IndexError(f"there are {self._count} images, got number {number}")
         return self._made(number)
@@ -78,7 +77,6 @@ class GreyImages(LazyImages):
         self._hold(kept)
 
     def window(self, view: int, rows: slice, columns: slice) -> np.ndarray:
-        """Window of an image."""
         return _window(self._kept[view], rows, columns)
 
     def is_masked(self, view: int) -> bool:
@@ -126,7 +124,6 @@ class Masks(Sequence):
         return len(self._bits)
 
     def __getitem__(self, number):
-        """The mask of a number."""
         shape = self._shapes[number]
         return np.unpackbits(self._bits[number], count=int(np.prod(shape))).reshape(shape).view(bool)
 

@@ -170,7 +170,6 @@ def geodetic_crs(crs: CRS) -> CRS:
 
 
 def ellipsoid(crs: CRS) -> Ellipsoid:
-    """The ellipsoid under a CRS."""
     return cast("Ellipsoid", geodetic_crs(crs).ellipsoid)
 
 

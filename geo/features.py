@@ -56,8 +56,6 @@ _FAULTS = (
 
 @dataclass(frozen=True)
 class Feature:
-    """A geometry with its attributes."""
-
     geometry: BaseGeometry  # Easting or longitude first
     properties: dict[str, Any]  # With the layer of a drawing and the folder of KML as "layer"
 

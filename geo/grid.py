@@ -31,7 +31,6 @@ class Window:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
         return self.bottom - self.top, self.right - self.left
 
     def grown(self, cells: int, shape: tuple[int, int]) -> Window:
@@ -114,7 +113,6 @@ class Grid:
 
     @property
     def whole(self) -> Window:
-        """The window of all cells."""
         return Window(0, self.shape[0], 0, self.shape[1])
 
     def columns_rows(self, points: np.ndarray) -> np.ndarray:

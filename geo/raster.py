@@ -43,16 +43,12 @@ _DRIVERS = {".tif": "GTiff", ".tiff": "GTiff", ".bag": "BAG"}
 
 @dataclass(frozen=True)
 class RasterBand:
-    """Band of a raster."""
-
     name: str  # What it holds, e.g. "height".
     unit: str = ""  # E.g. "metre"; empty for none.
 
 
 @dataclass(frozen=True)
 class RasterForm:
-    """Metadata of a raster."""
-
     crs: CRS
     # Coefficients a to f of ``east = a column + b row + c, north = d column + e row + f``, from outer corners
     transform: tuple[float, float, float, float, float, float]

@@ -38,8 +38,6 @@ _NOT_IN_NAMES = re.compile(r"[<>/\\\":;?*|=`\x00-\x1f]")
 
 @dataclass(frozen=True)
 class Layer:
-    """Features of one kind."""
-
     name: str  # One word, e.g. "contours".
     kind: Literal["Point", "LineString", "Polygon"]
     # For each feature a place (2,), a line (N, 2), or closed rings (N, 2), the outer one first; easting first

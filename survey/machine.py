@@ -89,8 +89,6 @@ def free_disk_bytes(folder: Path) -> int:
 
 @dataclass(frozen=True)
 class GroupMemory:
-    """Memory of one control group with a limit."""
-
     limit: int  # [bytes]
     # [bytes]: by all processes in it and below, without cached files that are not in use; 0 where the system does not
     # tell

@@ -27,8 +27,6 @@ _STEPS = 2  # Of the search for the crossing; docs/optics.md
 
 
 class Occluder(NamedTuple):
-    """Height map as an occluder."""
-
     height: np.ndarray  # (height, width) float32 [m] over the water plane
     agreeing_once: np.ndarray  # (height, width) bool: at least one other view agrees
 

@@ -61,7 +61,6 @@ class BedPoints:
 
     @staticmethod
     def empty() -> BedPoints:
-        """Bed without points."""
         none = np.empty(0, dtype=np.float32)
         return BedPoints(
             np.empty((0, 3)), np.empty((0, 3), dtype=np.uint8), none, none.astype(np.uint8), none, none, none > 0.0

@@ -167,11 +167,9 @@ class Block(Overlap):
         return self._corner_rays[key]
 
     def with_images(self, images: GreyImages) -> Block:
-        """The block with other images."""
         return Block(self.device, self.cameras, images, self.water, self.height, self.saturated, self.ground)
 
     def part(self, chosen: list[int]) -> Block:
-        """Block of a subset of the views."""
         cameras, images = [self.cameras[view] for view in chosen], (self.images[view] for view in chosen)
         return Block(self.device, cameras, images, self.water, self.height)
 

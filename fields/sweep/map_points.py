@@ -145,8 +145,6 @@ def _hash_cells(points: np.ndarray, distance: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class SteepPixels:
-    """Steep pixels of height maps."""
-
     steep: Masks
     addable: Masks  # Those of them that may be added
     trusted: Masks  # All pixels, steep or not, whose heights count against a point

@@ -61,7 +61,6 @@ class OrderedMaps(Sequence):
         return self._maps[self.views[number]]
 
     def clear(self) -> None:
-        """Remove all maps."""
         self.views = []
         self._maps.clear()
 

@@ -131,8 +131,6 @@ class SweepSettings:
 
 @dataclass(frozen=True)
 class ViewPass:
-    """Work of one pass for one view."""
-
     view: int  # index of the view
     neighbours: list[int]  # indices of the views that it is compared with
     count: int  # number of height hypotheses

@@ -304,5 +304,4 @@ class Footprint:
         return footprints
 
     def meets(self, other: Footprint) -> bool:
-        """Whether two footprints overlap."""
         return bool((self.low <= other.high).all() and (other.low <= self.high).all())

@@ -123,8 +123,6 @@ GRID_EVERY = 4  # Of the steps of the second stage, one in so many renders the b
 
 @dataclass(frozen=True)
 class GroundPlaneSettings:
-    """Settings of a ground-plane volume."""
-
     scales: int = 3  # L
     channels: int = 8  # Of each plane, a multiple of 4
     n_min: int = 16  # Cells along the longest edge at the coarsest scale
@@ -210,6 +208,5 @@ class GroundPlaneVolume(VolumeModel):
 
 
 def ground(of: Setup) -> GroundPlaneVolume:
-    """The model of a setup."""
     settings = GroundPlaneSettings(n_min=max(of.cells // 4, 2), n_max=of.cells, steps=of.steps)
     return GroundPlaneVolume(of.box, settings, of.device, appearance=of.appearance)

@@ -32,8 +32,6 @@ SCORED, POINTS, PAIRS = 16, 32, 4
 
 @dataclass(frozen=True)
 class OctreeSettings:
-    """Settings of an octree volume."""
-
     cells: int = 16  # N: of a node, along its longest edge
     depth: int = 3  # Levels at most
     features: int = 8
@@ -242,6 +240,5 @@ class OctreeVolume(VolumeModel):
 
 
 def octree(of: Setup) -> OctreeVolume:
-    """The model of a setup."""
     settings = OctreeSettings(cells=max(of.cells // 4, 2), steps=of.steps)
     return OctreeVolume(of.box, settings, appearance=of.appearance)

@@ -104,7 +104,6 @@ class Submodule:
 
     @property
     def box(self) -> Box:
-        """Its box."""
         return self.renderer.model.box
 
 

@@ -171,6 +171,5 @@ COARSEST = 128 / 300  # Cells at first, of those at last
 
 
 def tensorf(of: Setup) -> TensorfVolume:
-    """The model of a setup."""
     settings = TensorfSettings(n_min=max(round(COARSEST * of.cells), 2), n_max=of.cells, steps=of.steps)
     return TensorfVolume(of.box, settings, of.device, appearance=of.appearance)

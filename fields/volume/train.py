@@ -28,8 +28,6 @@ CHUNK = 1 << 18  # Cells of the proxy whose density is evaluated at once
 
 @dataclass(frozen=True)
 class Training:
-    """Settings of the training of a volume."""
-
     # steps, rays: Steps, and paths of each
     steps: int = 2000
     rays: int = 4096

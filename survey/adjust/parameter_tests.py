@@ -138,14 +138,12 @@ def check_given_values(
 
 
 def _tested_parameters(prior: PriorKnowledge, state: State, fewest_wet: int) -> list[int]:
-    """Numbers of the tested parameters."""
     is_wet = state.water is not None and int((state.water.depth(state.points) > 0.0).sum()) >= fewest_wet
     starts = [prior.layout.lens(number).start for number, lens in enumerate(prior.lenses) if not is_held(lens)]
     return [*((LEVEL, _INDEX) if is_wet else ()), *(start + each for start in starts for each in _OF_LENS)]
 
 
 def _name_and_value(survey: Survey, prior: PriorKnowledge, number: int) -> tuple[str, float]:
-    """Name and given value of a parameter."""
     if number < NUM_WATER:
         name = WATER_PARAMETERS[number]
         return name, float(getattr(survey.require_water()[1], name))

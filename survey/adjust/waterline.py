@@ -27,8 +27,6 @@ from survey.words import SFM_FOLDER
 
 @dataclass(frozen=True)
 class WaterEstimate:
-    """Estimate of the water from the photographs."""
-
     water: WaterConfig  # Values to use: estimates of the observable parameters, those of survey.toml for the rest
     parameters: tuple[Parameter, ...]  # Level, slopes and index first, then those of the lenses
     covariance: np.ndarray  # (4, 4): of level, slopes and index

@@ -75,8 +75,6 @@ def align(differences: Differences, stable: np.ndarray, correlation: Correlation
 
 @dataclass(frozen=True)
 class Change:
-    """Changes between two surveys."""
-
     differences: Differences
     cells: Grid
     inside: np.ndarray  # (rows, columns) bool: cells that count

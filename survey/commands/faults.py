@@ -30,8 +30,6 @@ _DISK_FULL = ("no space left on device", "disk is full")
 
 @dataclass(frozen=True)
 class Fault:
-    """Failure of a command."""
-
     code: int  # Exit code
     message: str  # For the user; empty if standard output was closed
 

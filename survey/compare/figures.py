@@ -98,8 +98,6 @@ class Figures:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A finished comparison."""
-
     figures: Figures
     points: np.ndarray  # (N, 3), in crs: the compared points
     distances: np.ndarray  # (N,) [m]: Theirs, signed; NaN where a reference of points does not surround them

@@ -63,8 +63,6 @@ class StableGround:
 
 @dataclass(frozen=True)
 class GivenPoint:
-    """The coordinates of a point in a file."""
-
     name: str
     where: str  # File and line, for messages
     # (easting or longitude, northing or latitude, height): horizontally in `crs`; the height has the datum of the crs
@@ -90,8 +88,6 @@ class Content:
 
 @dataclass(frozen=True)
 class ControlFormat:
-    """A format of control files."""
-
     name: str  # In a sentence: "expected ..."
     recognises: Callable[[Path], bool]  # whether a path, which is a file, is of this format
     read: Callable[[Path], Content]  # the content of such a file; raises ControlError

@@ -49,8 +49,6 @@ class Folded:
 
 @dataclass(frozen=True)
 class Sentences:
-    """A list of sentences."""
-
     kind: ClassVar[str] = "sentences"
     sentences: Sequence[str]
 

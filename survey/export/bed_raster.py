@@ -119,7 +119,6 @@ class BedRaster:
 
     @property
     def height_unit_m(self) -> float:
-        """The unit of heights in crs [m]."""
         return height_unit_m(self.cells.crs)
 
 

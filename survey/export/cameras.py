@@ -94,7 +94,6 @@ def write_nerfstudio(path: Path, run: LoadedRun, _options: ExportOptions) -> Non
 
 
 def _nerfstudio_lens(lens: Lens) -> dict:
-    """The lens of one photograph."""
     rational = lens.model == "FULL_OPENCV"
     if lens["skew"] or (rational and (lens["k4"] or lens["k5"] or lens["k6"])):
         raise SurveyError(

@@ -204,8 +204,6 @@ class LoadedRun:
 
 @dataclass(frozen=True)
 class Photograph:
-    """Photograph as a product uses it."""
-
     view: View
     camera: PinholeCamera  # At the scale
     scale: float  # [-]: at most 1

@@ -37,7 +37,6 @@ class UnspecifiedFoot(float):
 
 
 def same_unit(a: float, b: float) -> bool:
-    """Whether two units [m] are one."""
     return abs(a / b - 1.0) < _SAME_UNIT
 
 
@@ -48,8 +47,6 @@ def words_of(columns: Mapping[str, Iterable[str]]) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Row:
-    """Row of a table."""
-
     where: str  # Path and line number, for messages
     cells: dict[str, str]  # Texts of the requested columns, by name; of optional ones only those that the table has
     decimal: str  # "." or ","
@@ -86,8 +83,6 @@ class Row:
 
 @dataclass(frozen=True)
 class Column:
-    """Column of a table."""
-
     cell: str  # Its name in the file, lower case
     name: str  # What it means by the words of its reader; as in the file where it is none of them
     unit_m: float | None  # [m], where its name in the file states one

@@ -58,8 +58,6 @@ def begins_with(path: Path, sign: bytes) -> bool:
 
 @dataclass(frozen=True)
 class ReadFiles:
-    """Files that a command reads."""
-
     files: tuple[Path, ...] = ()  # Those that do not exist are not input
     folders: tuple[Path, ...] = ()  # Everything in them and below them is read
 

@@ -67,8 +67,6 @@ _OF_SOUNDINGS = ["height", "depth_m"]
 
 @dataclass(frozen=True)
 class Units:
-    """Units of the coordinates of a table."""
-
     # plan_m, height_m [m] or None: None where nothing says them, and of degrees
     plan_m: float | None = None
     height_m: float | None = None

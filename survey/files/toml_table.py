@@ -45,8 +45,6 @@ _NUMBER, _CONTROL = re.compile(r"[+-]?[\d.,' ]*\d[\d.,' ]*(\s*[A-Za-z%°]+)?"), 
 
 @dataclasses.dataclass(frozen=True)
 class Option:
-    """An option of the command line."""
-
     panel: str
     metavar: str | None  # What stands for its value in the help
     help: str
@@ -326,7 +324,6 @@ def _place(dotted: str, is_table: bool = False) -> str:
 
 
 def _words(kind: Any) -> str:
-    """A kind of value in words."""
     parts = typing.get_args(kind)
     if isinstance(kind, types.UnionType):
         return " or ".join(dict.fromkeys(_words(part) for part in parts if part is not type(None)))

@@ -81,7 +81,6 @@ def require_placing_control(found: Found) -> control_fit.BlockControl:
 
 
 def with_two_marks(control: control_fit.BlockControl) -> list[ControlPoint]:
-    """The points with two marks or more."""
     count = Counter(mark.point for mark in control.marks)
     return [point for point in control.points if count[point.name] >= 2]
 

@@ -274,7 +274,6 @@ def water_in_local(
 
 
 def water_plane(frame: LocalFrame, given: WaterConfig) -> FlatWater:
-    """The water plane in local."""
     if given.refractive_index is None:
         raise ValueError("refractive_index is not known before its default is filled in")
     point_crs = np.array([*given.known_level_at, given.known_level_m / height_unit_m(frame.crs)])

@@ -41,8 +41,6 @@ _HOVERS_M_S = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Velocity:
-    """Velocity of the camera at one photograph."""
-
     local: np.ndarray  # (3,) float64 [m/s], local
     source: str  # `BY_XMP`, `BY_TIMES` or `BY_SETTINGS`
 

@@ -167,8 +167,6 @@ def angle_warnings(poses: list[Pose], frame: PoseFrame) -> list[str]:
 
 @dataclass(frozen=True)
 class GroundHeight:
-    """Approximate height of dry ground."""
-
     height: float  # [m], local
     source: str  # What it is known from, for the plan
     is_guess: bool = False  # Whether it is known from the usual overlap of photographs alone

@@ -37,8 +37,6 @@ BY_FILE, BY_POSES = "GPS in the poses file", "poses file"
 
 @dataclass(frozen=True, eq=False)
 class PosePrior:
-    """Prior of the pose of one view."""
-
     # (3,) float64 [m], local, or None: of the camera: by GPS, or of its pose in the poses file
     position: np.ndarray | None
     position_std: np.ndarray | None  # (3,) float64 [m] or None: East, north, up. None where it is not known.

@@ -172,8 +172,6 @@ def _placed_views(
 
 @dataclass(frozen=True)
 class _LocalWater:
-    """The water of a survey in its local frame."""
-
     config: SurveyConfig  # The settings with its level, place and index filled in
     plane: FlatWater | None  # None for a dry survey
     departure: Departure | None  # From the plane; None where none is given

@@ -81,7 +81,6 @@ class MarkStore:
 
     @property
     def can_undo(self) -> bool:
-        """Whether there is an edit to undo."""
         return bool(self._done)
 
     def points(self) -> dict[PointKey, GivenPoint | None]:

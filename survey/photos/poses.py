@@ -66,8 +66,6 @@ class GivenPosition:
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """The pose of one photograph in a poses file."""
-
     name: str  # Of the image, as the file has it
     centre: np.ndarray  # (3,) float64: of the camera, in the frame of the file
     # (3, 3) float64: rotation into cam (x right, y down, z forward), from the axes of the frame of the file
@@ -79,8 +77,6 @@ class Pose:
 
 @dataclass(frozen=True)
 class PoseFile:
-    """Contents of a poses file."""
-
     poses: tuple[Pose, ...]  # Of different names
     frame: PoseFrame
     # Of GRID and ENU: that of the positions; of GEOCENTRIC: the one on whose datum they are. None: the crs of the

@@ -104,7 +104,6 @@ def cameras_of_block(survey: Survey, plan: Plan) -> list[PinholeCamera]:
 
 
 def backend(plan: Plan) -> Device:
-    """The device that the plan chose."""
     return choose_device(device_word(plan))
 
 

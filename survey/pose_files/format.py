@@ -28,8 +28,6 @@ _WORDS = re.compile(
 
 @dataclass(frozen=True)
 class Format:
-    """A format of poses files."""
-
     name: str  # In a sentence: "expected ..."
     # files or folders of this format in a survey folder, best known places only
     find: Callable[[Path], list[Path]]

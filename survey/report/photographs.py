@@ -30,8 +30,6 @@ _FEW_SERIALS = 4
 
 @dataclass(frozen=True)
 class PhotographFigures:
-    """Figures of a photograph."""
-
     name: str
     saturated: float  # [-]: share of its pixels that are white or beside white: left out
     # [-] or None: share of its points of the bed at which it contradicts the others, so that its weight is below half;

@@ -133,8 +133,6 @@ def settings_text(job: Job, options: dict) -> str:
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """A run whose stages are finished."""
-
     run: RunDir
     job: Job
     stages: Mapping[str, Path]  # Their folders, by name
@@ -144,7 +142,6 @@ class FinishedRun:
 
 
 def write_products(finished: FinishedRun) -> RunVerdict:
-    """Write all results of a run."""
     stored, cloud = load_bed(finished.stages["bed"]), finished.result / "cloud.las"
     # Beside the report, which reads it only to compare it.
     with ThreadPoolExecutor(1) as pool:

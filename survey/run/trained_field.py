@@ -159,7 +159,6 @@ def novel_view(seen: VolumeImage, water: FlatWater | None, *, has_background: bo
 
 
 def save_layer_field(folder: Path, field: RestoredField) -> None:
-    """Write a field in a layer into a folder."""
     layer = {each.name: getattr(field.renderer.model.box, each.name) for each in fields(Layer)}
     state = {
         "step": field.step,
@@ -185,7 +184,6 @@ def load_layer_field(folder: Path, water: FlatWater | None, device: str) -> Rest
 
 
 def read_state(path: Path) -> dict[str, Any]:
-    """The saved state of a training."""
     try:
         with zipfile.ZipFile(path) as archive:  # torch.load does not check the CRC
             damaged = archive.testzip()

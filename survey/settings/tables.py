@@ -156,7 +156,6 @@ class ControlConfig:
 
     @property
     def files(self) -> tuple[str, ...]:
-        """All files that the table names."""
         named = (self.marks, self.checkpoints, self.reference, self.stable)
         return (*self.gcp_files, *(name for name in named if name is not None))
 

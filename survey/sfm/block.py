@@ -45,7 +45,6 @@ def camera_of(block: pycolmap.Reconstruction, name: str) -> pycolmap.Camera:
 
 
 def lens_of(block: pycolmap.Reconstruction, name: str) -> Lens:
-    """The lens of the camera of an image."""
     camera = camera_of(block, name)
     return Lens(camera.model_name, tuple(float(p) for p in camera.params), camera.width, camera.height)
 

@@ -41,8 +41,6 @@ _MOST_TRIED = 30
 
 @dataclass(frozen=True, eq=False)
 class BlockControl:
-    """Control for a block of photographs."""
-
     frame: LocalFrame  # That of `ControlPoint.local`
     points: tuple[ControlPoint, ...]  # Control, no check points
     marks: tuple[Mark, ...]

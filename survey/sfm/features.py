@@ -193,7 +193,6 @@ def _match_all(database: Path, pairs: Sequence[tuple[str, str]], pool: Workers |
 
 
 def _features_in(opened: pycolmap.Database, image: pycolmap.Image) -> ImageFeatures:
-    """Features of an image in a database."""
     keypoints, descriptors = opened.read_keypoints(image.image_id), opened.read_descriptors(image.image_id)
     return ImageFeatures(opened.read_camera(image.camera_id), keypoints[:, :2], descriptors.data)
 
@@ -227,8 +226,6 @@ def features_of(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class ImageFeatures:
-    """Features of an image as the database has them."""
-
     camera: pycolmap.Camera
     pixels: np.ndarray  # (N, 2) float32 [px]
     descriptors: np.ndarray  # (N, 128) uint8

@@ -20,8 +20,6 @@ _RAYS_AT_A_TIME = 1 << 15
 
 @dataclass(frozen=True)
 class Hits:
-    """First hits of rays."""
-
     points: np.ndarray  # (N, 3) [m], local: NaN for a ray that meets nothing
     # body, face (N,): body of the ground, `BED` for the bed, `NOTHING` for none, and the face of it
     body: np.ndarray

@@ -185,8 +185,6 @@ class AreaSettings:
 
 @dataclass(frozen=True)
 class SceneSettings:
-    """Settings of a scene file."""
-
     crs: str
     origin: tuple[float, float, float]  # easting, northing, height: of the local frame
     area: AreaSettings

@@ -168,8 +168,6 @@ def thumbnail(view: View, longer_px: int = THUMBNAIL_PX) -> np.ndarray:
 
 
 class PhotographCache:
-    """Cache of photographs at full size."""
-
     def __init__(self, views: Sequence[View]):
         pixels = max((view.camera.width * view.camera.height for view in views), default=1)
         by_name = {view.name: view for view in views}

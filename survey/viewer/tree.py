@@ -161,7 +161,6 @@ def camera_of_screen(
 
 
 def camera_in_browser(camera: viser.CameraHandle) -> PinholeCamera:
-    """The camera of a browser."""
     rotation = rotation_from_quaternion(*(float(v) for v in camera.wxyz))
     return camera_of_screen(np.asarray(camera.position), rotation.T, camera.fov, camera.aspect, camera.image_height)
 

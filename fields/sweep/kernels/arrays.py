@@ -41,7 +41,6 @@ def _torch() -> Any:
 
 
 def is_torch(array: Any) -> bool:
-    """Whether an array is torch's."""
     return namespace(array).name == "torch"
 
 
@@ -83,7 +82,6 @@ def zeros_of(like: Any) -> Any:
 
 
 def gather(flat: Any, index: Any) -> Any:
-    """Values at indices."""
     if is_torch(flat):
         return flat[index]
     return _drjit().gather(type(flat), flat, _drjit().uint32_array_t(type(index))(index))
@@ -244,7 +242,6 @@ Job = Generator[Callable[[], Launch], list[np.ndarray], Found]
 
 
 def run_job(device: Device, job: Job[Found]) -> Found:
-    """Result of a single job."""
     (found,) = run_jobs(device, [job])
     return found
 

@@ -113,7 +113,6 @@ class CameraTerms:
 
     @staticmethod
     def of(cameras: list[PinholeCamera]) -> CameraTerms:
-        """Terms of some cameras."""
         moves, tides = any(c.motion is not None for c in cameras), any(c.tide != 0.0 for c in cameras)
         return CameraTerms(kinds_of(c.distortion for c in cameras), moves, tides)
 

@@ -144,8 +144,6 @@ def levenberg_marquardt(
 
 @dataclass(frozen=True)
 class _Iterate:
-    """A state of the iteration."""
-
     state: State
     cost: float
     damping: float  # Of the step that led there, or of the first trial of the next one

@@ -106,8 +106,6 @@ def system_with(problem: Problem, state: State, weights: np.ndarray) -> System:
 
 @dataclass
 class LinearisedObservations:
-    """Observations linearised at a state."""
-
     residuals: np.ndarray  # (N, 2)
     by_point: np.ndarray  # (N, 2, 3): X
     design: np.ndarray | None  # (N, 2, K): B, see `Prediction.by_parameters`; None where the parameters are held

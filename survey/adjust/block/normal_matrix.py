@@ -169,7 +169,6 @@ class DenseFactor:
 
     @staticmethod
     def of(normal: NormalMatrix, damping: float) -> DenseFactor:
-        """The factor of a normal matrix."""
         matrix = normal.dense()
         scale = _scale_of(np.diag(matrix))
         _scale_rows(matrix, scale)
@@ -215,7 +214,6 @@ class BlockFactor:
 
     @staticmethod
     def of(normal: NormalMatrix, order: EliminationOrder, damping: float) -> BlockFactor:
-        """The factor of a normal matrix."""
         scale = _scale_of(normal.diagonal())
         sequence = np.concatenate([*order.blocks, order.shared])
         by_scale = diags_array(scale[sequence])

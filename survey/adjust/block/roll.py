@@ -45,8 +45,6 @@ _FEWEST = 3
 
 @dataclass(frozen=True, eq=False)
 class Roll:
-    """The common roll of some photographs."""
-
     views: np.ndarray  # (K,) int64
     across: LineAxes  # The line
     turns: np.ndarray  # (K, 3): of each photograph, the axis of the line in cam

@@ -202,7 +202,6 @@ class Layout:
         return found
 
     def lens(self, number: int) -> slice:
-        """Parameters of a lens."""
         return slice(self.first_lens + NUM_LENS * number, self.first_lens + NUM_LENS * (number + 1))
 
 

@@ -63,8 +63,6 @@ Area = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Density:
-    """Density of windows in a photograph."""
-
     most: int  # The best textured ones
     apart_px: int  # Least distance between them, so that each sees a separate piece of bed
 
@@ -275,8 +273,6 @@ def measure_loaded_windows(
 
 @dataclass(frozen=True)
 class PreparedImage:
-    """A photograph prepared for matching."""
-
     spline: np.ndarray  # (height, width) float32: coefficients of its cubic spline
     clear: np.ndarray  # (height, width) bool: where samples of a window may lie, away from masked pixels
 

@@ -118,8 +118,6 @@ class Residuals:
 
 @dataclass(frozen=True)
 class FitStatistics:
-    """Statistics of the fit of the observations."""
-
     # std_px, variance_factor, num_observations by kind of observation: standard deviation of a pixel coordinate;
     # factor on its variance, for errors that neighbours and ground share; how many were used
     std_px: dict[str, float]
@@ -156,7 +154,6 @@ class Adjustment:
     ground: GroundFit | None = None  # How it was placed on the dry ground of an earlier survey
 
     def parameter(self, name: str) -> Parameter:
-        """The parameter of that name."""
         return next(found for found in self.parameters if found.name == name)
 
     @property
@@ -223,7 +220,6 @@ def write_adjustment(folder: Path, found: Adjustment) -> None:
 
 
 def read_adjustment(folder: Path) -> Adjustment:
-    """Read an adjustment from its folder."""
     record = read_json_object(folder / JSON)
     if not record:
         raise SurveyError(f"{folder} has no adjustment; run process again with --no-resume")

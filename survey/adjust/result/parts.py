@@ -79,8 +79,6 @@ def _places_of_mean(found: Adjustment) -> TiePoints:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of an adjusted block."""
-
     names: tuple[str, ...]  # Of its photographs
     listed: str  # The same as runs of neighbours, "a to d, f, k to m"
     num_points: int  # Tie points

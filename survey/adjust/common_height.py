@@ -7,11 +7,8 @@ beside that of L; and the block is lowered by it. Water and cameras of the block
 ``T C T' + k s^2 u u'`` after, with ``T = 1 - k u l'``: u has ones at heights, l one at that of the water.
 """
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,10 +22,8 @@ from survey.adjust.result.adjustment import MOST_SIGMAS, MOST_STD_LEVEL_M, Adjus
 from survey.adjust.result.parts import common_error
 from survey.adjust.rounds import RobustSolution
 from survey.folder.local_frame import over_points
+from survey.folder.survey import Survey
 from survey.sfm.gps import WELL_KNOWN_M
-
-if TYPE_CHECKING:
-    from survey.folder.survey import Survey
 
 # A position by GPS without corrections is off by less.
 _GPS_WITHIN_M = 10.0

@@ -5,16 +5,14 @@ photograph shows in one direction; what points can follow of them does no harm t
 wrong level, and the bed with them: this is tested on its own (`survey.adjust.parameter_tests`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fields.sweep.block import Block
 from survey.adjust import parameter_tests
 from survey.adjust.block.bundle import solve
 from survey.adjust.block.observed import WINDOW, observed
@@ -31,9 +29,6 @@ from survey.plan.check import CheckSection
 from survey.plan.choices import Choices
 from survey.plan.plan import MOST_MISFIT_PX, Plan, make_plan
 from survey.progress import current
-
-if TYPE_CHECKING:
-    from fields.sweep.block import Block
 
 # So many photographs of the middle of the block are looked at; with fewer in all there is nothing to sample.
 SAMPLE = 10

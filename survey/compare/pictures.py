@@ -1,12 +1,9 @@
 """Pictures of a comparison: histogram and map of the distances, map of unreached parts, bias and spread by class."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,7 +11,7 @@ from matplotlib.colors import Normalize
 from pyproj import CRS
 
 from evaluation import Band
-from survey.compare.figures import Parts
+from survey.compare.figures import Comparison, Parts
 from survey.compare.tables import limits_label
 from survey.display.canvas import (
     Extent,
@@ -31,9 +28,6 @@ from survey.display.canvas import (
 from survey.display.palette import BLUE, DIFFERENCES, INK, NOT_REACHED, PALE, RED, SIZES, SOFT
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, count, length, share
-
-if TYPE_CHECKING:
-    from survey.compare.figures import Comparison
 
 # Points that a cell should have on average: few where a hole is a hole, more where points lie at random.
 _POINTS_PER_CELL, _SAMPLES_PER_CELL = 3.0, 6.0

@@ -3,20 +3,21 @@
 Drawn without a display, on separate figures: matplotlib's global state is neither used nor changed.
 """
 
-from __future__ import annotations
-
 import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
-from matplotlib.image import PcolorImage
+from matplotlib.image import AxesImage, PcolorImage
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
 from matplotlib.transforms import Bbox
 from pyproj import CRS
@@ -27,12 +28,6 @@ from geo.projection import ground_units_m
 from survey.display.palette import EMPTY, INK, SOFT
 from survey.display.quantities import round_up
 from survey.words import figure_text
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colorbar import Colorbar
-    from matplotlib.image import AxesImage
 
 Extent = tuple[float, float, float, float]
 

@@ -5,20 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from geo.frames import LocalFrame
+from survey.folder.found import Found
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.settings.config import CamerasConfig
 from survey.settings.tables import per_axis
 from survey.sfm.gps import EXACT, WELL_KNOWN_M, DatumStd, datum_stds, positions_in_crs
 from survey.sfm.gps_fit import attitudes_of
-
-if TYPE_CHECKING:
-    from survey.folder.found import Found
 
 # DJI's code of a fixed RTK solution; its standard deviations are those of the receiver.
 _RTK_FIXED = 50

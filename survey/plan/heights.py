@@ -10,10 +10,7 @@ many is a weighted mean of where the pairs meet. The tangential image of the mos
 these, so that its share of the true depth gives the greatest depth at which the point can lie.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,9 +18,7 @@ from geo.crs import height_unit_m
 from refract import apparent_depth_tangential
 from survey.errors import FILE_NAME, ConfigError
 from survey.folder.plausible import GroundHeight, ground_below
-
-if TYPE_CHECKING:
-    from survey.folder.survey import Survey
+from survey.folder.survey import Survey
 
 # Search limits in flying heights: above the water, and below it. Drones fly 8 m above 10 m of clear water, and beside
 # banks nearly as high as they are.

@@ -1,13 +1,11 @@
 """The photographs of a survey as a block of `fields`, at the scale of its plan."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,15 +15,13 @@ from fields.sweep.block import Block
 from refract import PinholeCamera
 from survey import machine
 from survey.errors import SurveyError
+from survey.folder.survey import Survey
+from survey.photos.cameras import View
 from survey.photos.images import ImageStore, load_mask
 from survey.photos.texture import saturated_pixels
 from survey.plan.area import AREA_MARGIN_M, grown, local_area
 from survey.plan.heights import dry_ground
-
-if TYPE_CHECKING:
-    from survey.folder.survey import Survey
-    from survey.photos.cameras import View
-    from survey.plan.plan import Plan
+from survey.plan.plan import Plan
 
 # Memory [bytes] for photographs that are decoded side by side, and what a pixel of each takes meanwhile.
 _DECODING_BYTES, _BYTES_OF_PIXEL = 1.0e9, 16

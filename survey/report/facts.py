@@ -1,17 +1,17 @@
 """Inputs of a report: all that a run knows at its end, and the verdict on its requirements."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fields.sweep.bed import BedPoints
+from fields.sweep.maps import HeightMap
 from geo.shapes import ComputedColumn
 from survey.adjust.result.adjustment import Adjustment
+from survey.compare.figures import Comparison
 from survey.display.plan_grid import median
 from survey.display.quantities import height
 from survey.folder.survey import Survey
@@ -21,12 +21,7 @@ from survey.plan.plan import Plan
 from survey.report.checkpoints import CheckpointAccuracy, checkpoints_of
 from survey.report.photographs import PhotographFigures
 from survey.report.seen_cells import SeenCells
-
-if TYPE_CHECKING:
-    from fields.sweep.bed import BedPoints
-    from fields.sweep.maps import HeightMap
-    from survey.compare.figures import Comparison
-    from survey.water.wave_surfaces import WaveSurfaces
+from survey.water.wave_surfaces import WaveSurfaces
 
 
 @dataclass(frozen=True)

@@ -6,18 +6,18 @@ shows it masked does not count. In a height map the square of pixels about its m
 in front of the cell. What most of the views say is the reason.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from fields.sweep.maps import HeightMap, trusted, views_of
+from survey.folder.survey import Survey
+from survey.photos.cameras import View
 from survey.photos.images import grey_levels, load_mask, load_pixels
 from survey.photos.texture import PLAIN_STD, saturated_pixels
+from survey.plan.plan import Plan
 from survey.plan.sweep_block import camera_of
 from survey.report.seen_cells import (
     CONTRADICTED,
@@ -32,11 +32,6 @@ from survey.report.seen_cells import (
     around,
 )
 from survey.water.surface import height_above, plane_under
-
-if TYPE_CHECKING:
-    from survey.folder.survey import Survey
-    from survey.photos.cameras import View
-    from survey.plan.plan import Plan
 
 # Windows without anything in common score higher in one pixel of forty (`fields.sweep.matching.DiscontinuitySearch`).
 _MATCHED = 0.68

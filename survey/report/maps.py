@@ -1,11 +1,8 @@
 """Maps of the bed: colour, depth and standard deviation, the bed in one photograph, and where no bed was found."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,6 +11,7 @@ from matplotlib.colors import BoundaryNorm, Colormap, LightSource, LogNorm, Norm
 from matplotlib.patches import Patch
 from scipy import ndimage
 
+from fields.sweep.maps import HeightMap
 from geo.crs import height_unit_m
 from survey.display import canvas
 from survey.display.palette import (
@@ -36,11 +34,8 @@ from survey.photos.images import load_image
 from survey.report.facts import ReportFacts
 from survey.report.profile import Cut, draw_line
 from survey.report.seen_cells import REASONS, cells_of
+from survey.water.wave_surfaces import WaveSurfaces
 from survey.words import figure_text
-
-if TYPE_CHECKING:
-    from fields.sweep.maps import HeightMap
-    from survey.water.wave_surfaces import WaveSurfaces
 
 # The most pixels of a height map along its longer side.
 _PIXELS = 2000

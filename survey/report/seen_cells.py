@@ -1,27 +1,20 @@
 """Cells of the ground in plan: which have a point of the bed, how many views see each, the water over them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from geo.frames import LocalFrame
 from geo.grid import Grid, plan_box
 from geo.projection import ground_units_m
+from refract import FlatWater, PinholeCamera
 from survey.display.plan_grid import PlanGrid, median
-from survey.plan.area import local_area
-from survey.water.surface import plane_under
-
-if TYPE_CHECKING:
-    from geo.frames import LocalFrame
-    from refract import FlatWater, PinholeCamera
-    from survey.folder.survey import Survey
-    from survey.water.surface import Departure
-
-    Area = tuple[float, float, float, float]
+from survey.folder.survey import Survey
+from survey.plan.area import Area, local_area
+from survey.water.surface import Departure, plane_under
 
 # Side of a cell, in ground sampling distances: large against the spacing of points, about one, and smaller than a gap
 # that matters.

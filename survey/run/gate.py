@@ -10,23 +10,18 @@ where that is more: a level read to some centimetres is no failure of a low flig
 A standard deviation or a time that was asked for is required, too.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fields.sweep.bed import BedPoints
 from survey.display.plan_grid import median
 from survey.display.quantities import NO_BREAK, length, share
+from survey.folder.survey import Survey
 from survey.plan.choices import MAX_STD_GSD, STD_QUANTILE, Choices, max_height_std
 from survey.report.facts import Gate, RunVerdict, height_std
 from survey.report.seen_cells import SeenCells, cells_of
-
-if TYPE_CHECKING:
-    from fields.sweep.bed import BedPoints
-    from survey.folder.survey import Survey
-    from survey.run.stored import StoredBed
+from survey.run.stored import StoredBed
 
 MIN_COVERED_SHARE = 0.5
 MIN_VIEWS = 2

@@ -8,27 +8,23 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from fields.sweep.block import Block
 from fields.sweep.kernels.arrays import release
-from fields.sweep.maps import Sources
+from fields.sweep.maps import HeightMap, Sources
+from refract import PinholeCamera
 from survey.adjust.starts import PoseRecovery, recover_poses
 from survey.errors import SurveyError
+from survey.folder.survey import Survey
 from survey.photos.images import ImageStore
-from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
+from survey.plan.area import AREA_MARGIN_M, Area, grown, limits, local_area
+from survey.plan.choices import Choices
+from survey.plan.plan import Plan
 from survey.plan.sweep_block import camera_of, cameras_of_block, load_block
+from survey.progress import Progress
 from survey.run.stored import ArrayFiles
 from survey.stage_key import code_hash, stage_key
-
-if TYPE_CHECKING:
-    from fields.sweep.block import Block
-    from fields.sweep.maps import HeightMap
-    from refract import PinholeCamera
-    from survey.folder.survey import Survey
-    from survey.plan.area import Area
-    from survey.plan.choices import Choices
-    from survey.plan.plan import Plan
-    from survey.progress import Progress
 
 
 @dataclass(frozen=True)

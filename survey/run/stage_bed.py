@@ -3,12 +3,9 @@
 Each tile has points; the bed is those of all, with the parts of their std that follow from it as a whole.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,19 +25,16 @@ from survey.display.plan_grid import median as median_of
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object
+from survey.folder.survey import Survey
 from survey.plan.area import inside, within
 from survey.plan.sweep_block import camera_of
 from survey.progress import shares
 from survey.run import stored
-from survey.run.job import colour_of
+from survey.run.job import Job, colour_of
 from survey.run.points import through_raised, through_surface
 from survey.run.stage_solver import SOLVED, WAVES
 from survey.run.stage_sweep import KEPT, MAPS
 from survey.run.stored_maps import Stored, load_masks
-
-if TYPE_CHECKING:
-    from survey.folder.survey import Survey
-    from survey.run.job import Job
 
 LEAST_STD_PX = 0.01
 FILES = (stored.BED_FILE, stored.SURVEY_FILE)

@@ -3,13 +3,11 @@
 What the solver has to know of a survey is learned from a sample of all its tiles, before each is solved.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +18,10 @@ from fields.sweep.maps import HeightMap
 from fields.waves.waves import Waves
 from survey.display.quantities import length
 from survey.files.json_values import read_json_object, write_json
+from survey.folder.survey import Survey
 from survey.progress import shares
+from survey.run.flight import Flight
+from survey.run.job import Job
 from survey.run.stage_sweep import (
     KEPT,
     MAPS,
@@ -36,11 +37,6 @@ from survey.run.stage_sweep import (
 from survey.run.stored import load_arrays, save_arrays
 from survey.run.stored_maps import Stored, StoredMasks, load_masks, map_store, save_maps
 from survey.water.wave_surfaces import WaveSurfaces
-
-if TYPE_CHECKING:
-    from survey.folder.survey import Survey
-    from survey.run.flight import Flight
-    from survey.run.job import Job
 
 FIGURES, SOLVED, SIGHTINGS, WAVES = "figures.json", "solved.npz", "sightings.json", "waves.json"
 # Where the water is not still.

@@ -4,12 +4,10 @@ A survey in tiles has a sweep for each; their maps are joined to those of whole 
 of the water is estimated where survey.toml does not say it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 
@@ -18,6 +16,7 @@ from fields.solver.moving_water import without_waves
 from fields.solver.solver import count_in_squares, sampled, spread
 from fields.solver.views import Views
 from fields.sweep.bed import unique_pixels
+from fields.sweep.block import Block
 from fields.sweep.fusion import remove_free_space_violations
 from fields.sweep.map_points import places_in_plan
 from fields.sweep.maps import HeightMap, views_of
@@ -31,13 +30,10 @@ from survey.errors import Findings, SurveyError
 from survey.files.json_values import read_json_object, write_json
 from survey.plan.area import grown, inside, plane_name
 from survey.progress import shares
+from survey.run.job import Job, Window
 from survey.run.stored import load_arrays, save_arrays
 from survey.run.stored_maps import IN_MEMORY, Stored, StoredMasks, load_masks, map_store, save_maps, save_masks
-
-if TYPE_CHECKING:
-    from fields.sweep.block import Block
-    from survey.run.job import Job, Window
-    from survey.run.tile_job import TileJob
+from survey.run.tile_job import TileJob
 
 MAPS = "maps.npz"
 # Of each photograph by its name: the share of white pixels, and whether it shows the bed that was found.

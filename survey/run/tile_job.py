@@ -4,13 +4,11 @@ All tiles are in the local frame of the survey: float32 holds a place to half a 
 bed comes out 0.4 mm too high.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,17 +17,14 @@ from fields.sweep.block import Block
 from fields.sweep.view_pass import outline_of
 from fields.sweep.views import Footprint, ground_points, pixels_in
 from refract import FlatWater, PinholeCamera
+from survey.folder.survey import Survey
 from survey.photos.cameras import View
 from survey.photos.images import ImageStore
-from survey.plan.area import Area, flattened, grown, limits, within
+from survey.plan.area import Area, Tiling, flattened, grown, limits, within
 from survey.plan.sweep_block import backend
 from survey.plan.tiling import places_of
+from survey.progress import Progress
 from survey.run.job import BedSearch, Job, Window
-
-if TYPE_CHECKING:
-    from survey.folder.survey import Survey
-    from survey.plan.area import Tiling
-    from survey.progress import Progress
 
 # Windows begin at whole pixels of images at a quarter of the size. Their rows there are whole vectors of 16 pixels:
 # other widths would need other kernels.

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -25,6 +25,7 @@ from fields.sweep.maps import HeightMap, Sources, trusted
 from fields.volume.fitted import appearance_vectors
 from fields.volume.layer import Layer
 from fields.volume.model import Setup, build_model
+from fields.volume.nerfacto import Proposal
 from fields.volume.paths import Box
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeImage, VolumeRenderer, render_volume
@@ -38,18 +39,14 @@ from geo.files import write_whole
 from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object, write_json
-from survey.plan.area import within
+from survey.plan.area import Area, within
 from survey.plan.sweep_block import device_word
 from survey.progress import Step
+from survey.run.job import Job
 from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import MAPS
 from survey.run.stored import FIELD_SETTINGS, FIELD_STATE
 from survey.run.stored_maps import Stored
-
-if TYPE_CHECKING:
-    from fields.volume.nerfacto import Proposal
-    from survey.plan.area import Area
-    from survey.run.job import Job
 
 _DAMAGE = (OSError, RuntimeError, KeyError, TypeError, ValueError, EOFError, pickle.UnpicklingError, zipfile.BadZipFile)
 # Of each path inside the layer: the paper samples within +-s of the proxy surface.

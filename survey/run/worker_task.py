@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 
@@ -29,22 +29,18 @@ from fields.sweep.block import Block
 from geo.files import reporting_disk_errors
 from survey.errors import SurveyError
 from survey.files.remote import Remote, is_url
+from survey.folder.survey import Survey
+from survey.photos.cameras import View
 from survey.photos.images import ImageStore, fetched_tags
-from survey.plan.plan import device_decision
+from survey.plan.choices import Choices
+from survey.plan.plan import Plan, device_decision
 from survey.plan.sweep_block import backend, grey_image
 from survey.progress import Progress
-from survey.run.job import Job
+from survey.run.job import BedSearch, Job
 from survey.run.remote_run import JOBS, PARTS, PHOTOGRAPHS
 from survey.run.stored import ArrayFiles
 from survey.run.tile_job import TileJob
 from survey.stage_key import code_hash, content_hash
-
-if TYPE_CHECKING:
-    from survey.folder.survey import Survey
-    from survey.photos.cameras import View
-    from survey.plan.choices import Choices
-    from survey.plan.plan import Plan
-    from survey.run.job import BedSearch
 
 ANOTHER_VERSION = "another version of bathynerf than the run; install the same on all, and start the workers again"
 # URL and name of a file, and its tag where it may change there; else an empty one.

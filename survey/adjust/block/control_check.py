@@ -16,11 +16,9 @@ So the block is adjusted without control; marks less those that the coordinates 
 ``X S X' + s^2 + B C B'``, which a test of chi-square takes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc
@@ -34,11 +32,9 @@ from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import NUM_POSE, NUM_RELIEF, Layout, State
 from survey.control.points import Control
 from survey.display.quantities import named
+from survey.folder.survey import Survey
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
-
-if TYPE_CHECKING:
-    from survey.folder.survey import Survey
 
 # A point is rejected whose coordinates are off by more than `_WRONG` standard deviations and by `_STANDS_OUT` times as
 # much as most points. A wrong point biases the block at the others, so that some of them are rejected with it: a

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -15,10 +14,8 @@ from survey.adjust.block.priors import PriorKnowledge, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import State, is_held
 from survey.control.points import Control, StableGround
+from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
-
-if TYPE_CHECKING:
-    from survey.folder.survey import Survey
 
 PixelMap = Callable[[Lens, np.ndarray], np.ndarray]
 Sizes = Sequence[tuple[int, int]]  # (width, height) [px] of each photograph

@@ -1,11 +1,8 @@
 """Initial values and priors of an adjustment."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,10 +24,8 @@ from survey.adjust.block.state import (
 )
 from survey.folder.observations import rows_between
 from survey.folder.pose_priors import BY_POSES, GPS_STD_M, common_up_std
+from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
-
-if TYPE_CHECKING:
-    from survey.folder.survey import Survey
 
 # What holds where survey.toml says nothing: a level read at a staff, an index by the temperature, level water.
 LEVEL_STD_M, INDEX_STD, SLOPE_STD = 0.02, 0.001, 0.0

@@ -15,27 +15,21 @@ Level water alone does not hold it well enough: over the valley that rays bent a
 the end of an adjustment says three times too little of its width (`survey.adjust.observability.roll_notes` refuses it).
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from survey.adjust.block.state import NUM_POSE, Layout
+from survey.control.points import ControlPoint
+from survey.folder.pose_priors import PosePrior
+from survey.folder.survey import Survey
+from survey.photos.cameras import View
 from survey.photos.poses import connected_parts, least_track
 from survey.sfm.control_fit import line_of_control
 from survey.sfm.gps_fit import LineAxes, PositionLine, gps_std, line_of, roll_by_attitudes
-
-if TYPE_CHECKING:
-    from survey.control.points import ControlPoint
-    from survey.folder.pose_priors import PosePrior
-    from survey.folder.survey import Survey
-    from survey.photos.cameras import View
-
 
 # Of a roll without attitudes: keeps the normal equations regular.
 _OPEN_STD = math.radians(20.0)

@@ -25,7 +25,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import ndimage
@@ -39,10 +38,8 @@ from survey.adjust.block.prediction import design_matrix, linearise
 from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, prior_of
 from survey.adjust.block.state import NUM_RELIEF, NUM_WATER, Layout, State
 from survey.adjust.result.adjustment import Adjustment
+from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
-
-if TYPE_CHECKING:
-    from survey.folder.survey import Survey
 
 # Squares along the longer side of the bed, from each of which one place at most is taken, of wet and dry points each.
 _SQUARES = 14

@@ -71,6 +71,11 @@ def image_detail(path: Path) -> ImageDetail:
     return ImageDetail(detail_of(grey), float(saturated_pixels(grey).mean()), is_plain)
 
 
+def bytes_per_pixel(paths: Sequence[Path], sizes: Sequence[tuple[int, int]]) -> np.ndarray:
+    """Bytes per pixel (N,) of the files of photographs: few where these show little."""
+    return np.array([path.stat().st_size / (w * h) for path, (w, h) in zip(paths, sizes, strict=True)])
+
+
 def detail_of(grey: np.ndarray) -> np.ndarray:
     """Ratios (4,) of fine to coarse detail along rows, columns and both diagonals; the higher, the sharper.
 

@@ -26,7 +26,7 @@ from survey.folder.observations import velocities_of
 from survey.folder.survey import Survey
 from survey.photos.exif import Exif, middle_of
 from survey.photos.poses import enu_from_yaw_pitch_roll
-from survey.photos.texture import MOSTLY_WHITE, image_detail, relative_sharpness
+from survey.photos.texture import MOSTLY_WHITE, bytes_per_pixel, image_detail, relative_sharpness
 from survey.plan.area import ASSUMED_DEPTH_M, Places, in_the_middle, places_of
 from survey.plan.check import Checked, CheckSection, Verdict, verdict_by_limits, verdict_text
 from survey.plan.choices import gsd_m
@@ -264,7 +264,7 @@ def _some(found: Found) -> list[str]:
     mpx = np.median([header.size_px[0] * header.size_px[1] for header in found.headers.values()]) / 1e6
     number = int(np.clip(_MOST_MPX / mpx, 3, len(names)))
     chosen = {names[place] for place in np.linspace(0, len(names) - 1, number).round().astype(int)}
-    per_pixel = np.array([found.images[n].stat().st_size / math.prod(found.headers[n].size_px) for n in names])
+    per_pixel = bytes_per_pixel([found.images[name] for name in names], [found.headers[name].size_px for name in names])
     small = np.flatnonzero(per_pixel < _SMALL * np.median(per_pixel))
     return sorted(chosen | {names[place] for place in small[np.argsort(per_pixel[small], kind="stable")][:_MOST_SMALL]})
 

@@ -68,7 +68,7 @@ class Owner:
         return cls(name, sizes, {image: content_hash(path) for image, path in images.items()})
 
     @classmethod
-    def fromstage_record(cls, record: Mapping) -> Owner | None:
+    def from_record(cls, record: Mapping) -> Owner | None:
         """Owner from its record; None before a run is claimed, and of a run of a version that kept none."""
         return cls(record["survey"], record["photographs"], record.get("contents", {})) if "survey" in record else None
 
@@ -169,7 +169,7 @@ class RunDir:
 
     def owner(self) -> Owner | None:
         """The survey whose run this is; None in a run of a version that did not keep it."""
-        return Owner.fromstage_record(read_json_object(self.path / MARKER))
+        return Owner.from_record(read_json_object(self.path / MARKER))
 
     def _mark(self, owner: dict) -> None:
         made_by = {"made_by": f"bathynerf {importlib.metadata.version('bathynerf')}"}

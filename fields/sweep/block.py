@@ -40,14 +40,15 @@ class Overlap:
         ground: tuple[float, float, float, float] | None = None,
     ):
         self.cameras, self.water, self.ground = cameras, water, ground
+        self._middle_paths = dict[int, BentPaths]()
         self.set_overlap_height(height)
 
     def set_overlap_height(self, height: float) -> None:
         """Set the height [m] over the water plane at which overlap is judged; clears neighbours and coverage."""
         views.require_ground(self.cameras, self._z_of(height))
         self.height = height
+        self._found_neighbours = dict[tuple[int, tuple[int, ...] | None], list[int]]()
         self.__dict__.pop("_coverage", None)
-        self.__dict__.pop("_found_neighbours", None)
 
     def _z_of(self, height: float) -> float:
         if self.water is None:
@@ -90,14 +91,6 @@ class Overlap:
             candidates = list(range(len(self.cameras))) if candidates is None else candidates
             self._found_neighbours[key] = views.neighbours(self.cameras, self.seen, self.cells, view, candidates, most)
         return self._found_neighbours[key][:count]
-
-    @cached_property
-    def _found_neighbours(self) -> dict[tuple[int, tuple[int, ...] | None], list[int]]:
-        return {}
-
-    @cached_property
-    def _middle_paths(self) -> dict[int, BentPaths]:
-        return {}
 
     def parallax(self, view: int, others: list[int], height: float) -> float:
         """Parallax [px/m] at full size in other views per metre of height of a bed point of `view`."""

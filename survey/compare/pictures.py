@@ -13,18 +13,7 @@ from pyproj import CRS
 from evaluation import Band
 from survey.compare.figures import Comparison, Parts
 from survey.compare.tables import limits_label
-from survey.display.canvas import (
-    Extent,
-    Picture,
-    canvas,
-    colour_bar,
-    empty_figure,
-    finished,
-    map_canvas,
-    nice_limit,
-    save,
-    show,
-)
+from survey.display import canvas
 from survey.display.palette import BLUE, DIFFERENCES, INK, NOT_REACHED, PALE, RED, SIZES, SOFT
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, count, length, share
@@ -40,7 +29,7 @@ _NOWHERE = np.full((1, 1), np.nan), (0.0, 1.0, 0.0, 1.0)
 _FEWEST, _SHOWN_WHOLE = 20, 0.001
 
 
-def drawings_of(comparison: Comparison) -> Iterator[tuple[str, Callable[[Path], Picture]]]:
+def drawings_of(comparison: Comparison) -> Iterator[tuple[str, Callable[[Path], canvas.Picture]]]:
     """Names of the pictures of a comparison, and functions that draw them; bands where parts are known."""
     figures, crs = comparison.figures, comparison.inputs.crs
     scores, distances = figures.tolerances[0], figures.distances
@@ -59,13 +48,13 @@ def drawings_of(comparison: Comparison) -> Iterator[tuple[str, Callable[[Path], 
         yield "bands", lambda path: draw_bands(figures.parts, path)
 
 
-def histogram(distances: np.ndarray, path: Path, *, tolerance_m: float | None = None) -> Picture:
+def histogram(distances: np.ndarray, path: Path, *, tolerance_m: float | None = None) -> canvas.Picture:
     """Draw how often each distance (N,) [m] occurs, without NaN; the text names the share within a tolerance [m]."""
     d = distances[np.isfinite(distances)]
-    limit = nice_limit(d)
+    limit = canvas.nice_limit(d)
     unit = LengthUnit.of([limit])
     low, num = (-limit, 121) if (d < 0.0).any() else (0.0, 81)
-    _, axes = canvas(7.2, 4.0)
+    _, axes = canvas.canvas(7.2, 4.0)
     edges = np.linspace(low, limit, num) * unit.per_metre
     d_in_unit = d * unit.per_metre
     inner = float(np.quantile(np.abs(d_in_unit), 0.9)) if len(d) else math.nan
@@ -87,28 +76,28 @@ def histogram(distances: np.ndarray, path: Path, *, tolerance_m: float | None = 
     axes.set_ylabel("share of the points [%]")
     axes.legend(loc="upper left" if low else "center right", frameon=False, fontsize=9)
     title, words = "Distance of the cloud to the reference", "Nothing was aligned or shifted before."
-    return finished(axes, path, title, "  ·  ".join(parts), words)
+    return canvas.finished(axes, path, title, "  ·  ".join(parts), words)
 
 
 def error_map(
     points: np.ndarray, distances: np.ndarray, path: Path, *, crs: CRS | None = None, subtitle: str = ""
-) -> Picture:
+) -> canvas.Picture:
     """Draw signed distances (N,) [m] of points (N, 3), in crs, in plan view: mean per cell, red above and blue below.
 
     Points with NaN are left out; the crs names the axes and, if geographic, gives their aspect.
     """
     known = np.isfinite(distances)
     points, d = points[known], distances[known]
-    limit = nice_limit(d)
+    limit = canvas.nice_limit(d)
     unit = LengthUnit.of([limit])
     end, is_signed = limit * unit.per_metre, bool((d < 0.0).any())
     axes, image, extent = _map_of_means(points, d * unit.per_metre, _POINTS_PER_CELL, crs)
     norm = Normalize(-end if is_signed else 0.0, end)
-    drawn = show(axes, image, extent, cmap=DIFFERENCES if is_signed else SIZES, norm=norm)
+    drawn = canvas.show(axes, image, extent, cmap=DIFFERENCES if is_signed else SIZES, norm=norm)
     label = f"{'above (+) or below (−)' if is_signed else 'distance to'} the reference [{unit.name}]"
-    colour_bar(axes, drawn, label, extend="both" if is_signed else "max")
+    canvas.colour_bar(axes, drawn, label, extend="both" if is_signed else "max")
     words = "Red lies above the reference, blue below it."
-    return finished(axes, path, "Distance to the reference in plan view", subtitle, words)
+    return canvas.finished(axes, path, "Distance to the reference in plan view", subtitle, words)
 
 
 def completeness_map(
@@ -119,25 +108,25 @@ def completeness_map(
     crs: CRS | None = None,
     tolerance_m: float = 0.2,
     subtitle: str = "",
-) -> Picture:
+) -> canvas.Picture:
     """Draw in plan view where the cloud does not reach points (M, 3) of the reference, in crs, in red."""
     axes, image, extent = _map_of_means(targets, 100.0 * (1.0 - is_reached), _SAMPLES_PER_CELL, crs)
-    drawn = show(axes, image, extent, cmap=NOT_REACHED, norm=Normalize(0.0, 100.0))
-    colour_bar(axes, drawn, "not reached [%]", extend="neither")
+    drawn = canvas.show(axes, image, extent, cmap=NOT_REACHED, norm=Normalize(0.0, 100.0))
+    canvas.colour_bar(axes, drawn, "not reached [%]", extend="neither")
     axes.set_facecolor("white")
     words = f"Red: no point of the cloud within {tolerance_m:g} m."
-    return finished(axes, path, "What the cloud does not reach", subtitle, words)
+    return canvas.finished(axes, path, "What the cloud does not reach", subtitle, words)
 
 
 def _map_of_means(
     points: np.ndarray, values: np.ndarray, per_cell: float, crs: CRS | None
-) -> tuple[Axes, np.ndarray, Extent]:
+) -> tuple[Axes, np.ndarray, canvas.Extent]:
     """Axes of a map of points (N, 3), and means (rows, columns) of values (N,) over its cells with their extent."""
     image, extent = _NOWHERE
     if len(points):
         grid = PlanGrid.over(points, crs, max_cells=_CELLS, per_cell=per_cell)
         image, extent = grid.mean(values), grid.extent
-    return map_canvas(extent, crs)[1], image, extent
+    return canvas.map_canvas(extent, crs)[1], image, extent
 
 
 def _panels(parts: Parts) -> list[tuple[tuple[Band, ...], str, str]]:
@@ -146,10 +135,10 @@ def _panels(parts: Parts) -> list[tuple[tuple[Band, ...], str, str]]:
     return [(bands, labels[key], unit) for key, _, unit, bands in parts.banded if key in labels]
 
 
-def draw_bands(parts: Parts, path: Path) -> Picture:
+def draw_bands(parts: Parts, path: Path) -> canvas.Picture:
     """Mean with its confidence interval, and one standard deviation to both sides, in each band."""
     panels = _panels(parts)
-    figure = empty_figure(11.0, 3.6)
+    figure = canvas.empty_figure(11.0, 3.6)
     widths = [len(bands) + 2 for bands, _, _ in panels]
     row = figure.subplots(1, len(panels), sharey=True, squeeze=False, width_ratios=widths)[0]
     # The axis holds zero and the bands with a fair share of the points.
@@ -169,9 +158,9 @@ def draw_bands(parts: Parts, path: Path) -> Picture:
     figure.suptitle("Bias and spread in bands", x=0.01, ha="left", color=INK, fontsize=12, weight="bold")
     handles, labels = row[0].get_legend_handles_labels()
     figure.legend(handles, labels, frameon=False, fontsize=8.5, loc="outside lower center", ncols=3)
-    save(figure, path)
+    canvas.save(figure, path)
     words = "Mean and spread of the distances in each band, with the number of its points above it."
-    return Picture(path, "Bias and spread by depth, incidence and number of views", words)
+    return canvas.Picture(path, "Bias and spread by depth, incidence and number of views", words)
 
 
 def _panel(axes: Axes, bands: tuple[Band, ...], unit: str, per_metre: float) -> None:

@@ -96,6 +96,11 @@ def distance_text(metres: float) -> str:
     return f"{km:,.0f} km" if km >= 9.95 else f"{km:.1f}".removesuffix(".0") + " km"
 
 
+def decimals_of(std: float | None) -> int:
+    """Decimals that show two digits of a standard deviation; four where it is none."""
+    return min(max(1 - math.floor(math.log10(std)), 0), 9) if is_known(std) and std > 0.0 else 4
+
+
 def is_known(value: float | None) -> TypeGuard[float]:
     """Whether there is a finite value; None, NaN and infinity are shown as unknown."""
     return value is not None and math.isfinite(value)

@@ -150,12 +150,8 @@ def write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     write_bag_file(path, form, noted_if_empty(path, _parts(grid, values), _BAG_NODATA), tags)
 
 
-def check_s44(_path: Path, run: LoadedRun, _options: ExportOptions) -> None:
-    """Raise SurveyError for a dry survey."""
-    _index_of_water(run)
-
-
-def _index_of_water(run: LoadedRun) -> float:
+def check_s44(_path: Path, run: LoadedRun, _options: ExportOptions) -> float:
+    """The index of the water; raises SurveyError for a dry survey."""
     n_water = None if run.config.water is None else run.config.water.refractive_index
     if n_water is None or run.is_dry:
         raise SurveyError("--s44 judges what lies under water, but the survey is dry; leave it out")
@@ -164,7 +160,7 @@ def _index_of_water(run: LoadedRun) -> float:
 
 def write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     """The orders."""
-    grid, n_water = bed_raster(run, options), _index_of_water(run)
+    grid, n_water = bed_raster(run, options), check_s44(path, run, options)
 
     def values(window: Window) -> np.ndarray:
         std, depth = grid.stds(window), grid.depths(window)
@@ -196,12 +192,8 @@ def plan_std(std: np.ndarray, sine: np.ndarray, pixel_m: float, shared_std: floa
     return np.sqrt((tangent * std) ** 2 + (0.5 * pixel_m) ** 2 + shared_std**2)
 
 
-def check_waves(_path: Path, run: LoadedRun, _options: ExportOptions) -> None:
-    """Raise SurveyError where the run has no surfaces of the water."""
-    _surfaces(run)
-
-
-def _surfaces(run: LoadedRun) -> WaveSurfaces:
+def check_waves(_path: Path, run: LoadedRun, _options: ExportOptions) -> WaveSurfaces:
+    """The surfaces of the water; raises SurveyError where the run has none."""
     why, what = f"the run {run.folder.path} has no surfaces of the water", "leave out --waves"
     if "solver" not in run.stages:
         raise SurveyError(f"{why}: it was made without the solver, which finds them; process with --quality standard")
@@ -216,10 +208,10 @@ def _surfaces(run: LoadedRun) -> WaveSurfaces:
     return surfaces
 
 
-def write_waves(path: Path, run: LoadedRun, _options: ExportOptions) -> None:
+def write_waves(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     """The surface of the water in each photograph that shows some, a raster for each."""
     band = RasterBand("height of the water over its level", "metre")
-    for surface in _surfaces(run).over(run.bed.bed.xyz):
+    for surface in check_waves(path, run, options).over(run.bed.bed.xyz):
         file, grid = path / f"{surface.name}.tif", surface.grid
         with reporting_disk_errors(file):
             file.parent.mkdir(parents=True, exist_ok=True)

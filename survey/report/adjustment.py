@@ -11,7 +11,7 @@ from survey.adjust.block.state import NUM_RELIEF
 from survey.adjust.result.adjustment import Adjustment, ControlResidual, Parameter
 from survey.adjust.result.parts import Part, common_error, parts_of_adjustment
 from survey.display.blocks import Block, Rows, Sentences, Table, Text
-from survey.display.quantities import NO_BREAK, LengthUnit, count, is_known, length, number
+from survey.display.quantities import NO_BREAK, LengthUnit, count, decimals_of, length, number
 from survey.folder.survey import Survey
 from survey.report.checkpoints import CE95, LE95
 
@@ -186,15 +186,10 @@ def parameter_table(parameters: Sequence[Parameter]) -> Table:
         if row.given_std is not None and row.given_std < _HELD_STD:
             numbers = [f"{row.value:.6g}", "exact", f"{row.given:.6g}", "exact"]
         else:
-            numbers = [number(value, _digits(row.std)) for value in (row.value, row.std, row.given)]
-            numbers.append(number(row.given_std, _digits(row.given_std)))
+            numbers = [number(value, decimals_of(row.std)) for value in (row.value, row.std, row.given)]
+            numbers.append(number(row.given_std, decimals_of(row.given_std)))
         rows.append((row.name, row.status, *numbers))
     return Table(titles, rows, num_texts=2, heading="Water and lens")
-
-
-def _digits(std: float | None) -> int:
-    """Decimals that show two digits of a standard deviation."""
-    return min(max(1 - math.floor(math.log10(std)), 0), 9) if is_known(std) and std > 0.0 else 4
 
 
 def _position_rows(given: dict[str, Any] | None) -> list[tuple[str, str]]:
@@ -235,7 +230,7 @@ def _ground(fit: GroundFit | None) -> list[Table]:
     rows = []
     for name, moved, std, before in zip(NAMES, fit.moved, fit.std, without, strict=True):
         part, unit = name.rsplit("_", 1)
-        values = (number(moved, _digits(std)), number(std, _digits(std)), number(before, _digits(before)))
+        values = (number(moved, decimals_of(std)), number(std, decimals_of(std)), number(before, decimals_of(before)))
         rows.append((f"{part.replace('_', ' about ')} [{unit}]", *values))
     heading = (
         f"Placement on {fit.reference}: {count(fit.num_points)} points, {length(fit.rms_m)} rms from its ground "

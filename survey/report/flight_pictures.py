@@ -17,20 +17,7 @@ from geo.projection import ground_units_m
 from refract import PinholeCamera
 from survey.adjust.result.adjustment import Adjustment
 from survey.adjust.result.parts import part_numbers
-from survey.display.canvas import (
-    Picture,
-    canvas,
-    colour_bar,
-    empty_figure,
-    extent_around,
-    finished,
-    map_canvas,
-    nice_limit,
-    save,
-    show,
-    write_labels,
-    write_title,
-)
+from survey.display import canvas
 from survey.display.palette import BLUE, BOUNDS, DIFFERENCES, INK, LAND, OBLIQUE, RED, SERIES, SOFT, SPREADS, WATER
 from survey.display.plan_grid import PlanGrid, median
 from survey.display.quantities import LengthUnit, distance, height, length, number
@@ -61,14 +48,14 @@ _FEW_OUTLINES = 20
 _FAR, _CUT = 10.0, 1.5
 
 
-def draw_image_residuals(path: Path, found: Adjustment) -> Picture:
+def draw_image_residuals(path: Path, found: Adjustment) -> canvas.Picture:
     """Mean residual of each cell of the photographs of each lens, as arrows."""
     lenses = shown_lenses(found)
     num = len(lenses)
     tall = max(found.lenses[lens].height / found.lenses[lens].width for lens in lenses)
-    figure = empty_figure(6.2 * num, 6.2 * tall + 0.55)
+    figure = canvas.empty_figure(6.2 * num, 6.2 * tall + 0.55)
     fields = [mean_residuals(found, lens) for lens in lenses]
-    longest = nice_limit(np.concatenate([np.linalg.norm(vectors, axis=1) for _, vectors, _ in fields]))
+    longest = canvas.nice_limit(np.concatenate([np.linalg.norm(vectors, axis=1) for _, vectors, _ in fields]))
     subtitle = f"magnified: an arrow as long as a cell is wide means {longest:.2g} px"
     all_axes = np.ravel(figure.subplots(1, num))
     for lens, axes, (places, vectors, side) in zip(lenses, all_axes, fields, strict=True):
@@ -77,12 +64,12 @@ def draw_image_residuals(path: Path, found: Adjustment) -> Picture:
         size = found.lenses[lens]
         axes.set(xlim=(0, size.width), ylim=(size.height, 0), xticks=[], yticks=[], aspect="equal")
         which = f" of lens {lens}" if len(found.lenses) > 1 else ""
-        write_title(axes, f"Mean residual over the photographs{which}", subtitle)
-    save(figure, path)
+        canvas.write_title(axes, f"Mean residual over the photographs{which}", subtitle)
+    canvas.save(figure, path)
     words = "Measured less predicted place, over all photographs. A pattern is distortion that the lens model lacks."
     if num < len(found.lenses):
         words += f" Of {len(found.lenses)} lenses the {num} with the most residuals."
-    return Picture(path, "Residuals over the photographs", words)
+    return canvas.Picture(path, "Residuals over the photographs", words)
 
 
 def _arrows(axes: Axes, places: np.ndarray, steps: np.ndarray, **style) -> None:
@@ -104,7 +91,7 @@ def mean_residuals(found: Adjustment, lens: int) -> tuple[np.ndarray, np.ndarray
     return places, means[rows, columns], side
 
 
-def draw_ground_residuals(path: Path, survey: Survey, found: Adjustment) -> Picture:
+def draw_ground_residuals(path: Path, survey: Survey, found: Adjustment) -> canvas.Picture:
     """Root mean square residual of each cell of the ground, with cameras, control and tie points."""
     crs = survey.frame.crs
     points = survey.frame.crs_from_local(found.points)
@@ -112,26 +99,28 @@ def draw_ground_residuals(path: Path, survey: Survey, found: Adjustment) -> Pict
     grid = PlanGrid.over(points[found.residuals.point], crs, max_cells=_GROUND_CELLS, per_cell=_PER_CELL)
     rms = np.sqrt(grid.mean(0.5 * np.sum(found.residuals.px**2, axis=1)))
     known = rms[np.isfinite(rms)]
-    scale = ScalarMappable(Normalize(0.0, nice_limit(known)), SPREADS)
-    extent = extent_around(np.concatenate([grid.box, cameras[:, :2]]), crs, _BESIDE)
-    figure, axes = map_canvas(extent, crs, below_in=0.5)
-    show(axes, scale.to_rgba(np.ma.masked_invalid(rms)), grid.extent)
-    colour_bar(axes, scale, "rms residual of a coordinate [px]", extend="max")
+    scale = ScalarMappable(Normalize(0.0, canvas.nice_limit(known)), SPREADS)
+    extent = canvas.extent_around(np.concatenate([grid.box, cameras[:, :2]]), crs, _BESIDE)
+    figure, axes = canvas.map_canvas(extent, crs, below_in=0.5)
+    canvas.show(axes, scale.to_rgba(np.ma.masked_invalid(rms)), grid.extent)
+    canvas.colour_bar(axes, scale, "rms residual of a coordinate [px]", extend="max")
     axes.plot(*points[:, :2].T, ".", ms=1.2, color=INK, alpha=0.35, label="point", zorder=3)
     axes.plot(*cameras[:, :2].T, "o", ms=4.0, mfc=INK, mec="white", mew=0.6, label="camera", zorder=5)
     _draw_control(axes, survey, found)
     figure.legend(loc="lower center", ncols=4, frameon=False, fontsize=9)
     words = "Where they are large: waves, moving things, or few photographs."
-    return finished(axes, path, "Residuals over the ground", f"cells of {grid.side_m:.2g} m", words)
+    return canvas.finished(axes, path, "Residuals over the ground", f"cells of {grid.side_m:.2g} m", words)
 
 
-def draw_parts(path: Path, survey: Survey, found: Adjustment) -> Picture:
+def draw_parts(path: Path, survey: Survey, found: Adjustment) -> canvas.Picture:
     """Cameras and tie points of a block that falls apart, each part in a colour of its own."""
     crs, number_of = survey.frame.crs, part_numbers(found)
     points, cameras = (survey.frame.crs_from_local(places)[:, :2] for places in (found.points, found.poses.centres))
     part_of_point = np.full(len(points), -1)
     part_of_point[found.residuals.point] = number_of[found.residuals.view]
-    figure, axes = map_canvas(extent_around(np.concatenate([points, cameras]), crs, _BESIDE), crs, below_in=0.5)
+    figure, axes = canvas.map_canvas(
+        canvas.extent_around(np.concatenate([points, cameras]), crs, _BESIDE), crs, below_in=0.5
+    )
     for part in range(int(number_of.max()) + 1):
         colour, of_part = SERIES[part % len(SERIES)], number_of == part
         label = f"part {part + 1}: {int(of_part.sum())} photographs"
@@ -143,7 +132,7 @@ def draw_parts(path: Path, survey: Survey, found: Adjustment) -> Picture:
     figure.legend(loc="lower center", ncols=3, frameon=False, fontsize=9)
     title = "Parts of the block without common points"
     subtitle = "dots: tie points of each part; no tie point belongs to two parts"
-    return finished(axes, path, title, subtitle, "Only positions, control and water connect the parts.")
+    return canvas.finished(axes, path, title, subtitle, "Only positions, control and water connect the parts.")
 
 
 def _draw_control(axes: Axes, survey: Survey, found: Adjustment) -> None:
@@ -155,7 +144,7 @@ def _draw_control(axes: Axes, survey: Survey, found: Adjustment) -> None:
             axes.plot(*np.array(rows).T, mark, ms=6.5, mfc=colour, mec="white", mew=0.8, label=label, zorder=6)
 
 
-def draw_correlation(path: Path, found: Adjustment) -> Picture:
+def draw_correlation(path: Path, found: Adjustment) -> canvas.Picture:
     """Correlations of the parameters of water and lenses."""
     names, matrix = correlations(found)
     labels = []
@@ -165,7 +154,7 @@ def draw_correlation(path: Path, found: Adjustment) -> Picture:
         own = f"{last} ({lens.removeprefix('camera')})" if len(found.lenses) > 1 else last
         labels.append(_LABELS.get(name, own))
     side = 1.6 + 0.42 * len(names)
-    figure, axes = canvas(side + 0.9, side)
+    figure, axes = canvas.canvas(side + 0.9, side)
     image = axes.imshow(matrix, cmap=DIFFERENCES, norm=Normalize(-1.0, 1.0))
     axes.set_xticks(range(len(names)), labels, rotation=55, ha="right", fontsize=8)
     axes.set_yticks(range(len(names)), labels, fontsize=8)
@@ -176,13 +165,13 @@ def draw_correlation(path: Path, found: Adjustment) -> Picture:
             axes.text(column, row, number(value, 2), ha="center", va="center", fontsize=6.5, color=colour)
     axes.spines[:].set_visible(False)
     axes.grid(visible=False)
-    colour_bar(axes, image, "correlation", extend="neither")
-    write_title(axes, "Correlation of water and lens")
-    save(figure, path)
+    canvas.colour_bar(axes, image, "correlation", extend="neither")
+    canvas.write_title(axes, "Correlation of water and lens")
+    canvas.save(figure, path)
     words = (
         "Near 1 or -1 the photographs do not separate the two: each is only as good as the given value of the other."
     )
-    return Picture(path, "Correlation of the parameters", words)
+    return canvas.Picture(path, "Correlation of the parameters", words)
 
 
 @dataclass(frozen=True)
@@ -212,14 +201,14 @@ def residuals_of(
     return list(found.values())
 
 
-def draw_residuals(path: Path, survey: Survey, residuals: Sequence[Residual]) -> Picture:
+def draw_residuals(path: Path, survey: Survey, residuals: Sequence[Residual]) -> canvas.Picture:
     """Residuals of points: an arrow for the plan, and one along the map's north for the height."""
     crs = survey.frame.crs
     places = np.array([each.place for each in residuals])
     off = np.array([each.off_m for each in residuals])
     unit_m = ground_units_m(crs, places[0])
-    extent = extent_around(places, crs, _MARGIN)
-    figure, axes = map_canvas(extent, crs, below_in=0.5)
+    extent = canvas.extent_around(places, crs, _MARGIN)
+    figure, axes = canvas.map_canvas(extent, crs, below_in=0.5)
     axes.set_facecolor("white")
     distances = np.sqrt(np.nansum(off**2, axis=1))
     off, longest, is_far = clip_outliers(off)
@@ -235,12 +224,12 @@ def draw_residuals(path: Path, survey: Survey, residuals: Sequence[Residual]) ->
         if part.any():
             axes.plot(*places[part].T, mark, ms=6.0, mfc=colour, mec=INK, mew=0.8, label=label, zorder=5)
     cut = [f" (shortened: {length(distance)})" if far else "" for far, distance in zip(is_far, distances, strict=True)]
-    write_labels(axes, places, [f"{each.name}{short}" for each, short in zip(residuals, cut, strict=True)])
+    canvas.write_labels(axes, places, [f"{each.name}{short}" for each, short in zip(residuals, cut, strict=True)])
     figure.legend(loc="lower center", ncols=2, frameon=False, fontsize=9)
     unit = LengthUnit.of([longest])
     subtitle = f"magnified: an arrow an eighth as long as the map is wide means {unit.text(longest)}"
     words = "The adjusted point less the given one; of check points without marks, the height of the cloud less theirs."
-    return finished(axes, path, "Control and check points", subtitle, words)
+    return canvas.finished(axes, path, "Control and check points", subtitle, words)
 
 
 def clip_outliers(off: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
@@ -251,12 +240,12 @@ def clip_outliers(off: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
     in_all = np.sqrt(np.nansum(off**2, axis=1))
     is_far = in_all > _FAR * np.median(in_all)
     near = off if is_far.all() else off[~is_far]
-    longest = nice_limit(np.concatenate([np.hypot(near[:, 0], near[:, 1]), near[:, 2]]))
+    longest = canvas.nice_limit(np.concatenate([np.hypot(near[:, 0], near[:, 1]), near[:, 2]]))
     share = np.minimum(_CUT * longest / np.maximum(in_all, 1e-9), 1.0)
     return np.where(is_far[:, None], off * share[:, None], off), longest, is_far
 
 
-def draw_plan(path: Path, facts: ReportFacts) -> Picture:
+def draw_plan(path: Path, facts: ReportFacts) -> canvas.Picture:
     """Cameras with footprints and directions of view, bed under water, dry ground and bounds, in plan."""
     survey, cameras = facts.survey, [view.camera for view in facts.survey.views]
     crs, centres = survey.frame.crs, survey.frame.crs_from_local(np.array([c.centre for c in cameras]))[:, :2]
@@ -266,8 +255,8 @@ def draw_plan(path: Path, facts: ReportFacts) -> Picture:
         ground = float(np.median([camera.centre[2] for camera in cameras])) - facts.plan.height_m
     footprints = [survey.frame.crs_from_local(_footprint(camera, survey, ground))[:, :2] for camera in cameras]
     bounds = np.reshape(() if survey.bounds is None else survey.bounds, (-1, 2))
-    extent = extent_around(np.concatenate([*footprints, centres, bounds]), crs, 0.025)
-    figure, axes = map_canvas(extent, crs, below_in=0.5)
+    extent = canvas.extent_around(np.concatenate([*footprints, centres, bounds]), crs, 0.025)
+    figure, axes = canvas.map_canvas(extent, crs, below_in=0.5)
     axes.set_facecolor("white")
     if len(facts.bed):
         grid = PlanGrid.over(facts.points_crs, crs, max_cells=_PLAN_CELLS)
@@ -275,7 +264,7 @@ def draw_plan(path: Path, facts: ReportFacts) -> Picture:
         is_wet = is_wet >= np.maximum(count, 1)
         for part, colour, label in ((is_wet, WATER, "bed under water"), ((count > 0) & ~is_wet, LAND, "dry ground")):
             if part.any():
-                show(axes, np.where(part[..., None], to_rgba(colour), (0.0, 0.0, 0.0, 0.0)), grid.extent)
+                canvas.show(axes, np.where(part[..., None], to_rgba(colour), (0.0, 0.0, 0.0, 0.0)), grid.extent)
                 axes.plot([], [], "s", ms=9.0, color=colour, label=label)
     outline = to_rgba(INK, min(0.4, max(0.08, 0.4 * _FEW_OUTLINES / len(cameras))))
     axes.add_collection(PolyCollection(footprints, facecolors="none", edgecolors=outline, lw=0.7))
@@ -308,7 +297,9 @@ def draw_plan(path: Path, facts: ReportFacts) -> Picture:
         rises = f", which rises by {100.0 * slope:.2g} %" if slope else ""
         over = f"the water at {height(water.known_level_m)}{rises}"
     subtitle = f"{len(cameras)} views, {distance(facts.plan.height_m)} over {over}"
-    return finished(axes, path, "The flight in plan", subtitle, f"Outlines: what each photograph covers on {over}.")
+    return canvas.finished(
+        axes, path, "The flight in plan", subtitle, f"Outlines: what each photograph covers on {over}."
+    )
 
 
 def flight_lines(seconds: np.ndarray, centres: np.ndarray) -> np.ndarray:

@@ -90,11 +90,7 @@ class ProcessConfig(PlanOptions):
 
     def over(self, lower: ProcessConfig) -> ProcessConfig:
         """These options completed from `lower`; options of an aim and those of a recipe exclude each other."""
-        displaced: tuple[str, ...] = ()
-        if self._says(_AIM):
-            displaced += _RECIPE
-        if self._says(_RECIPE):
-            displaced += _AIM
+        displaced = _RECIPE * self._says(_AIM) + _AIM * self._says(_RECIPE)
         names = [field.name for field in dataclasses.fields(self)]
         inherited = {
             name: getattr(lower, name) for name in names if name not in displaced and getattr(self, name) is None

@@ -14,6 +14,7 @@ from refract.lens import Lens
 from survey.adjust.block.on_ground import GroundFit
 from survey.adjust.block.priors import parameters_of
 from survey.adjust.block.state import NUM_RELIEF, READOUT_NAME, Layout, State
+from survey.display.quantities import decimals_of
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object, write_json
 from survey.files.toml_table import parse_values, table_of
@@ -260,15 +261,15 @@ def with_verdict(name: str, found: Estimate, before: Estimate, limit: float, uni
     """A parameter with its verdict, found and as given before; of no use beyond a standard deviation of ``limit``."""
     (value, std), (given, given_std) = found, before
     prior = given_std if math.isfinite(given_std) else None
-    against = "" if prior is None else f" (given {given:.{_digits(std)}f} +- {prior:.2g}{unit})"
-    shown = f"{value:.{_digits(std)}f} +- {std:.2g}{unit}{against}"
+    against = "" if prior is None else f" (given {given:.{decimals_of(std)}f} +- {prior:.2g}{unit})"
+    shown = f"{value:.{decimals_of(std)}f} +- {std:.2g}{unit}{against}"
     if given_std < _EXACT:
         value, status, verdict = given, Status.HELD, f"held: {given:.6g}{unit}, exactly as given"
     elif std > limit and not given_std <= limit:
         value, status = given, Status.UNKNOWN
         verdict = (
             f"not observable: 1 sigma is {std:.2g}{unit}, at most {limit:.2g}{unit} would be of use; "
-            f"{given:.{_digits(given_std)}f}{unit} is kept"
+            f"{given:.{decimals_of(given_std)}f}{unit} is kept"
         )
     elif std > _LITTLE * given_std:
         status, verdict = Status.HELD, f"held: {shown}; the photographs add nothing"
@@ -281,13 +282,6 @@ def unobservable_verdict(name: str, std: float, given: float, reason: str) -> Pa
     """A parameter of the water that keeps its given value for a reason."""
     kept = f"{given:.3f} m" if name == "level_m" else f"{given:.5f}"
     return Parameter(name, given, std, given, None, Status.UNKNOWN, f"not observable: {reason}; {kept} is kept")
-
-
-def _digits(std: float) -> int:
-    """Decimals that show two digits of a standard deviation."""
-    if not math.isfinite(std) or std <= 0.0:
-        return 4
-    return min(max(1 - math.floor(math.log10(std)), 0), 9)
 
 
 def water_limits(points: np.ndarray) -> np.ndarray:

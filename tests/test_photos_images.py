@@ -12,6 +12,7 @@ from small_survey import write_image
 from refract.lens import Lens
 from survey import machine
 from survey.errors import ImageError
+from survey.folder.headers import read_headers
 from survey.photos.cameras import View
 from survey.photos.exif import read_exif
 from survey.photos.images import list_images, load_image, load_mask, same_files
@@ -86,6 +87,18 @@ def test_thumbnails_of_file_managers_and_storage_are_no_photographs(tmp_path, hi
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         Image.new("RGB", (8, 6)).save(tmp_path / name)
     assert list(list_images(tmp_path)) == ["card/0001.jpg"]
+
+
+def test_single_bands_beside_photographs_are_none_of_the_survey(tmp_path):
+    for name in ("DJI_1_D.JPG", "b/IMG_2_RGB.JPG", "c_NIR.tif", "flight_R.tif"):
+        write_image(tmp_path / name)
+    for name in ("DJI_1_MS_NIR.TIF", "DJI_1_MS_RE.TIF", "b/IMG_2_GRE.TIF"):
+        Image.fromarray(np.zeros((48, 64), np.uint16)).save(tmp_path / name)
+    images = list_images(tmp_path)
+    assert list(images) == ["DJI_1_D.JPG", "b/IMG_2_RGB.JPG", "c_NIR.tif", "flight_R.tif"]
+    _, findings = read_headers(tmp_path, tmp_path, images)
+    left_out = "3 images of single bands beside photographs, left out: DJI_1_MS_NIR.TIF, DJI_1_MS_RE.TIF, IMG_2_GRE.TIF"
+    assert left_out in findings.assumptions
 
 
 def test_a_file_that_is_no_image_is_refused(tmp_path):

@@ -25,6 +25,7 @@ from survey.errors import Findings, PosesError
 from survey.files.csv_table import number_of
 from survey.files.foreign_text import odm_lines
 from survey.photos.exif import SUFFIXES, Exif, TablePlace, read_exif, without_void_fixes
+from survey.photos.images import bands_beside
 from survey.photos.poses import ImageNames
 from survey.settings.config import SurveyConfig
 from survey.words import GEO_TXT
@@ -57,7 +58,8 @@ def read_headers(folder: Path, place: Path, images: Mapping[str, Path]) -> tuple
     if (table := find_geo_txt(folder, place)) is not None:
         headers, findings = with_positions(table, headers)
     headers = without_void_fixes(headers)
-    return headers, findings + Findings(assumptions=burst_notes(headers))
+    bands = named(bands_beside(images), "image", "of single bands beside photographs, left out")
+    return headers, findings + Findings(assumptions=(*bands, *burst_notes(headers)))
 
 
 def find_geo_txt(folder: Path, images: Path) -> Path | None:

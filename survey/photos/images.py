@@ -1,8 +1,9 @@
 """Photographs: found, fetched from a URL, checked, decoded and made smaller."""
 
 import os
+import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from hashlib import blake2b
 from pathlib import Path
@@ -33,6 +34,8 @@ _NOT_OF_CAMERAS = (
     *("@eadir", "@__thumb", "__macosx", "thumbnails", "thumbs", "system volume information", "lost+found"),
     *("$recycle.bin", "#recycle", "@recycle", "#snapshot", "@recently-snapshot"),
 )
+# Single bands of DJI's and Parrot's multispectral cameras: near infrared, red edge, red, green, blue.
+_BAND = re.compile(r"(.+?)(?:_MS)?_(?:NIR|RE|R|G|B|REG|RED|GRE)\.TIFF?", re.IGNORECASE)
 # Each has the bytes of its file in memory.
 _MOST_AT_ONCE = 8
 _LOSSY = (".jpg", ".jpeg")
@@ -46,7 +49,8 @@ def list_images(folder: Path, *, deep: bool = True) -> dict[str, Path]:
     """Images in a folder and, if `deep`, below it, by name: the path in the folder with forward slashes.
 
     Hidden files and folders, and those in which storage devices and archives keep thumbnails, are left out.
-    A file named like another one with _mask behind, as OpenDroneMap has them, is its mask, and no image.
+    A file named like another one with _mask behind, as OpenDroneMap has them, is its mask, and no image; nor are the
+    single bands beside the photographs of a multispectral camera: `bands_beside`.
     """
     if not folder.is_dir():
         raise ImageError(
@@ -60,13 +64,26 @@ def list_images(folder: Path, *, deep: bool = True) -> dict[str, Path]:
     names = {path.with_suffix("") for path in files} | set(files)
     named = (path for path in files if path.stem.lower().endswith(MASK_ENDING))
     masks = {path for path in named if path.with_name(path.stem[: -len(MASK_ENDING)]) in names}
-    files = [path for path in files if path not in masks]
+    files = [path for path in files if path not in masks and not _is_band(path, names)]
     if not files:
         raise ImageError(
             f"no images in {folder}{photographs_elsewhere(folder.parent, folder)}; expected files ending in "
             f"{', '.join(SUFFIXES)}"
         )
     return {path.relative_to(folder).as_posix(): path for path in files}
+
+
+def bands_beside(images: Mapping[str, Path]) -> list[str]:
+    """Names of the TIFFs of single bands, as DJI_1_MS_NIR.TIF with DJI_1_D.JPG, in the folders of images."""
+    names = {path.with_suffix("") for path in images.values()}
+    places = sorted({path.parent for path in images.values()})
+    return [path.name for place in places for path in sorted(place.iterdir()) if _is_band(path, names)]
+
+
+def _is_band(path: Path, names: Collection[Path]) -> bool:
+    """Whether a file is a band of one of the photographs, of whose names without their ends some are given."""
+    found = _BAND.fullmatch(path.name)
+    return found is not None and any(path.with_name(found[1] + end) in names for end in ("_D", "_RGB"))
 
 
 def photographs_below(folder: Path, but: Path | None = None) -> dict[str, int]:

@@ -95,6 +95,25 @@ def test_only_who_knows_the_token_and_is_this_page_gets_an_answer(server):
     assert answer(server, "/undo", {}, **{TOKEN_HEADER: "guessed"})[0] == 403
 
 
+def test_the_page_is_answered_while_proposals_are_searched(server, monkeypatch):
+    is_decoding, is_answered, seen = threading.Event(), threading.Event(), []
+
+    def grey(_image):
+        is_decoding.set()
+        seen.append(is_answered.wait(10.0))
+        return np.zeros((480, 640), dtype=np.uint8)
+
+    monkeypatch.setattr(server.session, "grey", grey)
+    server.session.store.add("ground", "p7", (E0, N0, LEVEL))
+    searching = threading.Thread(target=answer, args=(server, "/propose?kind=ground&name=p7"))
+    searching.start()
+    assert is_decoding.wait(60.0)
+    state(server)
+    is_answered.set()
+    searching.join()
+    assert all(seen)
+
+
 NO_PIXELS = ([1e300, 0], [10**400, 1], [True, 1], ["1", "2"], {"a": 1}, "12", 5, [[1], [2]])
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+from geo.atl24 import SUFFIXES as ATL24
 from geo.files import write_text
 from survey.control.formats import is_gcp_list, read_checkpoints, read_gcp_list
 from survey.control.points import Content, GivenPoint, Mark
@@ -71,7 +72,8 @@ class MarkStore:
         contents = [*files.values()]
         if control.marks is not None:
             contents.append(Content(marks=read_control(found.folder / control.marks).marks))
-        if control.checkpoints is not None:
+        # No photograph shows where photons of a lidar were reflected.
+        if control.checkpoints is not None and Path(control.checkpoints).suffix.lower() not in ATL24:
             contents.append(Content(points=read_checkpoints(found.folder / control.checkpoints)))
         self._fixed = self._in_survey_crs([point for content in contents for point in content.points])
         # Marks of other files go into gcp_list.txt when it is written first.

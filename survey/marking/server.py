@@ -160,7 +160,8 @@ class _Handler(BaseHTTPRequestHandler):
         if url.path == "/look":
             return self._json(lambda session: session.look(_key(asked), asked["image"]))
         if url.path == "/propose":
-            return self._json(lambda session: session.propose(_key(asked)))
+            proposed = self.server.session.propose(_key(asked), self.server.lock)
+            return self._json(lambda _session: proposed)
         if url.path.startswith("/mask/"):
             return HTTPStatus.OK, "image/png", packed(self.server.session.found, unquote(url.path[6:]))
         if url.path.startswith("/tile/"):

@@ -1,6 +1,7 @@
 """State of the page of `bathynerf mark` as plain values: points, marks, residuals, and the next photograph."""
 
 from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
 from functools import lru_cache
 from pathlib import Path
 
@@ -92,13 +93,17 @@ class MarkingSession:
             "next": [name for name in self._next(key, point, place, own, image) if name not in own][:_MOST_NEXT],
         }
 
-    def propose(self, key: PointKey) -> list[dict]:
-        """Marks that are proposed for a point, the most alike first; with its own marks they meet in one place."""
-        points, marks = self.store.points(), self.store.marks()
-        point, own = points[key], marks.get(key, {})
-        place, water = self._place(key, point, own, self._common(points, marks)[0]), self._water_of(key)
+    def propose(self, key: PointKey, lock: AbstractContextManager = nullcontext()) -> list[dict]:
+        """Marks that are proposed for a point, the most alike first; with its own marks they meet in one place.
+
+        Photographs are decoded and searched outside of the lock, which is that of all other calls.
+        """
+        with lock:
+            points, marks = self.store.points(), self.store.marks()
+            point, own = points[key], marks.get(key, {})
+            place, water = self._place(key, point, own, self._common(points, marks)[0]), self._water_of(key)
+            names = [name for name in self._next(key, point, place, own, None) if name not in own]
         marked = [name for name in own if name in self._views]
-        names = [name for name in self._next(key, point, place, own, None) if name not in own]
 
         def nearest(name: str) -> tuple[float, str]:
             """Distance of the nearest camera with a mark [m], and its photograph."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -159,6 +160,7 @@ def test_a_page_has_all_in_one_file(shown, tmp_path):
     write_page(path, shown)
     text = path.read_text()
     assert "<title>small</title>" in text
+    assert re.search(r">small</b><br>[\d\u202f]+ points, .*height</div>", text)
     assert "__VISER_EMBED_DATA__=" in text
     require_page(path, ReadFiles())
     (tmp_path / "own.html").write_text("<html>mine</html>")

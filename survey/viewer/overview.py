@@ -13,6 +13,7 @@ import numpy as np
 from geo.errors import GeoError
 from geo.files import write_text
 from refract import PinholeCamera
+from survey.display.quantities import round_up
 from survey.errors import SurveyError
 from survey.run.edits import FOLDER
 from survey.viewer.shown import Shown, Style
@@ -83,6 +84,22 @@ def grid_node(server: viser.ViserServer, shown: Shown) -> Any:
         ends = np.array([ends for _, ends in lines])
         server.scene.add_line_segments("/grid/lines", ends, (90, 100, 110), thickness=1.0, thickness_units="screen")
     return top
+
+
+def add_scale(server: viser.ViserServer, shown: Shown) -> None:
+    """A bar of a round length, a fifth to half of the cloud's width, and an arrow north of it, south of the cloud."""
+    length_m = round_up(float((shown.high - shown.low)[0]) / 5.0, (1.0, 2.0, 5.0, 10.0))
+    start = np.array([shown.low[0], shown.low[1] - 0.5 * length_m, shown.middle[2]])
+    east, north = np.diag([length_m, length_m, 0.0])[:2]
+    tip = start - 0.3 * east + 0.45 * north
+    ends = [(start, start + east), *((start + k * east, start + k * east + 0.08 * north) for k in (0.0, 1.0))]
+    ends += [(start - 0.3 * east, tip), *((tip, tip - 0.15 * north + side * east) for side in (-0.08, 0.08))]
+    server.scene.add_frame("/scale and north", show_axes=False)
+    server.scene.add_line_segments(
+        "/scale and north/lines", np.array(ends), (34, 48, 60), thickness=2.5, thickness_units="screen"
+    )
+    server.scene.add_label("/scale and north/length", f"{length_m:g} m", position=start + 0.5 * east)
+    server.scene.add_label("/scale and north/north", "N", position=tip)
 
 
 def write_key_frames(path: Path, shown: Shown, cameras: Sequence[PinholeCamera]) -> None:

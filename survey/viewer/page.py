@@ -20,11 +20,12 @@ import numpy as np
 
 from geo.files import write_text
 from refract import PinholeCamera
+from survey.display.quantities import count
 from survey.errors import OutputError, SurveyError
 from survey.files.paths import ReadFiles, require_file
 from survey.marking.server import is_own_page
 from survey.viewer.layers import add_cameras, add_water, set_initial_view
-from survey.viewer.overview import footprint, go_to, overview
+from survey.viewer.overview import add_scale, footprint, go_to, overview
 from survey.viewer.shown import SCALES, Shown
 from survey.viewer.sightings import AIM_PX, facts_of
 from survey.viewer.tree import CloudTree, camera_in_browser, pick
@@ -36,6 +37,11 @@ if TYPE_CHECKING:
 # Points of a page: some 20 MB.
 MOST_POINTS = 1_000_000
 _SUFFIX, _MARK, _TITLE = ".html", b"Viser client", "<title>Viser</title>"
+_HEADING = (
+    '<div style="position:fixed;z-index:5;width:100%;top:12px;text-align:center;pointer-events:none;color:#22303c;'
+    'font:13px sans-serif">'
+    '<b style="font-size:17px">{name}</b><br>{facts}</div>'
+)
 
 
 def open_server(host: str, port: int, title: str, overlay: Overlay | None = None) -> viser.ViserServer:
@@ -146,11 +152,14 @@ def write_page(path: Path, shown: Shown) -> None:
         set_initial_view(server, shown)
         add_water(server, shown)
         _, thumbnails = add_cameras(server, shown)
-        rows = thinned(shown.tree, MOST_POINTS)
+        add_scale(server, shown)
+        rows, crs = thinned(shown.tree, MOST_POINTS), shown.flight.frame.crs
         _add_points(server, shown, rows[np.isfinite(shown.tree.points[rows, 0])])
         if thumbnails is not None:
             thumbnails.close(at_once=False)
-        page = server.scene.as_html().replace(_TITLE, f"<title>{html.escape(printable(shown.name))}</title>", 1)
+        name, facts = (html.escape(printable(text)) for text in (shown.name, f"{count(len(rows))} points, {crs.name}"))
+        page = server.scene.as_html().replace(_TITLE, f"<title>{name}</title>", 1)
+        page = page.replace("</body>", _HEADING.format(name=name, facts=facts) + "</body>", 1)
     finally:
         close_server(server)
     write_text(path, page)

@@ -1,7 +1,5 @@
 """How often truth lies within what adjustments of drawn blocks state: level, index, focal length and poses."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from pathlib import Path

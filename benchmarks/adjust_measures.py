@@ -1,7 +1,5 @@
 """How far a run is from the truth: its cloud, rods, parameters of its adjustment, poses."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -1,7 +1,5 @@
 """The rows of bench_adjust.py: survey folders as someone would have them, made from surveys whose truth is known."""
 
-from __future__ import annotations
-
 import io
 import os
 import shutil

@@ -6,8 +6,6 @@ refraction extends these directions as straight lines; they meet in the apparent
 Symbols: N points, V views; arrays over both are padded, ``is_seen`` marks valid entries.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 # Reciprocal condition of the normal equations below which rays are parallel.

@@ -11,8 +11,6 @@ folder.
 With --coverage: how often the truth of so many drawn blocks, without images, lies within what is stated.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import tempfile

@@ -12,8 +12,6 @@ beside: once, with a Huber loss; what it is compared with has its rounds, checks
 time, building and solving apart; the ratio is that of the sums.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import resource

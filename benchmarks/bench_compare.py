@@ -10,8 +10,6 @@ differ per point. Coordinates are drawn in float32 near zero, in which CloudComp
 --points 10000000 --triangles 2000000.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import resource

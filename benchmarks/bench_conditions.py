@@ -9,8 +9,6 @@ in the fifth of the largest std; median std, exit code. FOLDER/conditions.json h
 again; --publish writes their means into docs/stress.md. About a minute of one core for each.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import tomllib

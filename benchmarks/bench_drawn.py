@@ -9,8 +9,6 @@ table; --publish writes the results into benchmarks/results/drawn.json, of which
 docs/benchmark.md, and the picture into docs/img/.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import shutil

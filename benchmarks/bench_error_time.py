@@ -9,8 +9,6 @@ were held out are rendered: PSNR, and median error of the distance to the surfac
 docs/img/field_error_time.png, of the first seed.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

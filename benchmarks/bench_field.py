@@ -12,8 +12,6 @@ again. With --draw the pictures of docs/field.md are drawn. The defaults are for
 --cells 256 --steps 30000 --rays 4096.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -8,8 +8,6 @@ visible points at 5 cm and 2 cm, of a mesh by as many samples of its surface as 
 core. Poisson needs the extra ``mesh``. docs/meshes.md has the figures.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time

@@ -8,8 +8,6 @@ results.json and front.png, the picture of time over error; prints a table, and 
 results.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import platform

@@ -10,8 +10,6 @@ appearance. Learning rates fall to a tenth, as here. Without nerfstudio (`pip in
 out. Every row is a file in WORK; what is there is not computed again.
 """
 
-from __future__ import annotations
-
 import argparse
 import statistics
 import sys

@@ -7,8 +7,6 @@ plain lines; with --plain only these. Two minutes; on a busy machine believe no 
 which count processor time.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import os

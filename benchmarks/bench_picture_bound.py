@@ -8,8 +8,6 @@ one, of the stored one, and of the noisy one stored, against it: means of square
 photograph has noise of its own, so that a little more of it survives than of a rendering.
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 import sys

@@ -12,8 +12,6 @@ within 1.96 of std and of std with std_common, and the processor time. With ``--
 much rays of a point are skew over a kilometre of river (0.1 to 1 %, a riffle every 125 m), and the tiles of the plan.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

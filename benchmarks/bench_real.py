@@ -14,8 +14,6 @@ picture. BATHYNERF_DATA names the folder of the data. The first takes some minut
 time of structure from motion and some seconds for each target.
 """
 
-from __future__ import annotations
-
 import argparse
 import csv
 import json

@@ -11,8 +11,6 @@ the greatest of several seeds, and the std of the true bed averaged over 1 to 4 
 std of its points is true, `bench_coverage.py` tells.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import shutil

@@ -12,8 +12,6 @@ have finished: the same command again does what is missing. SURVEY is only read.
 reference.ply and visible.ply of the survey.
 """
 
-from __future__ import annotations
-
 import argparse
 import csv
 import json

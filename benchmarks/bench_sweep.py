@@ -8,8 +8,6 @@ deviation of the inner 90 % of the signed distances, completeness over the point
 each survey and table in FOLDER, not computed again; prints the tables in Markdown.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

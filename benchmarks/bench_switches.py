@@ -7,8 +7,6 @@ Writes FOLDER/switches.md: PSNR of held-out views, error of depth there, and pro
 compared with.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import time

@@ -11,8 +11,6 @@ inner 90 %. FOLDER/tides.json has them, and what it has is not computed again; -
 docs/prove-it.md. About ten minutes of one core.
 """
 
-from __future__ import annotations
-
 import argparse
 import csv
 import json

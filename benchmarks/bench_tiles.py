@@ -9,8 +9,6 @@ errors against the truth within the bounds of the survey mean and std of the inn
 of each, in both clouds. The cloud in one piece has no such lines, and says by how much strips differ without them.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import shutil

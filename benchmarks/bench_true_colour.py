@@ -10,8 +10,6 @@ with the bed in dry air: difference in a* and b* of CIELAB after one factor comm
 absolute brightness cannot be observed; median over points, and over means of cells of 0.25 m, by depth.
 """
 
-from __future__ import annotations
-
 import argparse
 import shutil
 import sys

@@ -3,8 +3,6 @@
 The truth of all of them is the bed under still water; the poses are those of the flight.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace

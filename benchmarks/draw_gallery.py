@@ -5,8 +5,6 @@
 Names are those of the pictures without their ending; default: all, into docs/img. Takes seconds.
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

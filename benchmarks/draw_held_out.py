@@ -5,8 +5,6 @@
 WORK is the folder of `bench_survey_field.py SURVEY -o WORK --rows held`. A minute after that has run.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from pathlib import Path

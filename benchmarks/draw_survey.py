@@ -5,8 +5,6 @@
 RUN is a finished run; that of the documentation is of wreck_water, standard. Some minutes of one core.
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 from pathlib import Path

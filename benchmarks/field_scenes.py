@@ -4,8 +4,6 @@ Every ray through the middle of a pixel is refracted at the waves and followed t
 the places they meet are interpolated, and the texture is averaged over four of them per pixel.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from functools import cache

@@ -1,7 +1,5 @@
 """Random settings of surveys as they come from the field: what is there, and what the surveyor knows of it."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass

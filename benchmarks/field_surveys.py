@@ -8,8 +8,6 @@ checkpoints.csv; truth/: cameras.csv, truth.toml, survey.toml (with the true len
 visible.ply. A survey that is there is kept.
 """
 
-from __future__ import annotations
-
 import argparse
 import shutil
 import time

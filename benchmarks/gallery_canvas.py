@@ -1,7 +1,5 @@
 """Plots of the gallery: colours, vertical sections, words beside lines. Used by draw_gallery.py."""
 
-from __future__ import annotations
-
 import io
 import math
 from pathlib import Path

@@ -3,8 +3,6 @@
 Used by draw_gallery.py.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

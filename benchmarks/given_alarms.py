@@ -9,8 +9,6 @@ with their true poses, lens and water, too; --exact any others that were drawn. 
 and points adjusted anew under what is wrong. Appends to alarms.json in FOLDER, and goes on there where it was stopped.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import shutil

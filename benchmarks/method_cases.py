@@ -1,7 +1,5 @@
 """The surveys of a benchmark: folders with a known truth, and drawn ones."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ and sweep as the whole chain; only the refraction is taken away, by a survey wit
 the literature does.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 Changes are judged over several surveys, by their scatter; of a single one they are only shown.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path

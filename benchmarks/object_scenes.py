@@ -1,7 +1,5 @@
 """Objects with known surfaces to compare fields on: a wreck from the air, a sailing ship, a hull under water."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory

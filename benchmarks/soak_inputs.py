@@ -8,8 +8,6 @@ A reader may return, or raise SurveyError or GeoError; anything else, a warning 
 gigabyte, is printed with its seed and kept in FOLDER. Exits 1 if there was one.
 """
 
-from __future__ import annotations
-
 import argparse
 import random
 import re

@@ -9,8 +9,6 @@ byte, nothing half written may lie beside it, and the next one starts from nothi
 processing, and exits 1 if a cloud differs or a run ends with an error.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import os

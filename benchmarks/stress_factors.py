@@ -1,7 +1,5 @@
 """What the stress campaign makes worse, step by step."""
 
-from __future__ import annotations
-
 import math
 import shutil
 import tomllib

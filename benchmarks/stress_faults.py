@@ -3,8 +3,6 @@
 A fault is a command that runs another one: `run_bathynerf(..., under=fault(value, folder, usual_s))`.
 """
 
-from __future__ import annotations
-
 import hashlib
 import shutil
 from collections.abc import Callable

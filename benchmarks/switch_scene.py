@@ -4,8 +4,6 @@ Colours are a sum of waves in space (a solid texture), so that every photograph 
 the bed and the top of the block have next to none.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

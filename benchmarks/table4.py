@@ -10,8 +10,6 @@ in eight, whose PSNR is printed (Table 3). Runs lie in FOLDER and are used again
 table4.json: the study's protocol (`study`), and ours (nothing dropped, nothing aligned), beside its figures.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

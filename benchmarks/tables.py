@@ -6,8 +6,6 @@ Commands that measure write the results with --publish; those of real photograph
 tables, too.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from textwrap import fill

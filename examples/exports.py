@@ -8,8 +8,6 @@ The poses are those of COLMAP's structure from motion on these photographs, with
 aligned to the positions. The water level is 584.2 m in DHHN2016; truth/ has the bed. Existing photographs are kept.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import shutil

@@ -6,8 +6,6 @@ RUN is the run folder of a survey with [control] checkpoints (docs/prove-it.md).
 quarters of each depth.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import sys

@@ -1,7 +1,5 @@
 """Volumes whose density and colour are formulas, and paths through them, for the tests of losses."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Drawn blocks as surveys out of structure from motion; their truth as a solved adjustment and as its state."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A survey with other values of its records."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 from survey.folder.survey import Survey

@@ -1,7 +1,5 @@
 """The command line for tests: called in this process, or in one of its own as a shell would start it."""
 
-from __future__ import annotations
-
 import io
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """A level square in a map grid and clouds about it, for tests of `compare`."""
 
-from __future__ import annotations
-
 import laspy
 import numpy as np
 from laspy.vlrs.known import GeoKeyDirectoryVlr, GeoKeyEntryStruct

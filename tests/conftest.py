@@ -1,7 +1,5 @@
 """Fixtures shared by all tests: fixed seeds, the folder of external surveys, and what several files build alike."""
 
-from __future__ import annotations
-
 import gc
 import os
 import sys

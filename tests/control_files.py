@@ -1,7 +1,5 @@
 """Small files of control in every format, of the same three points in two photographs of the small survey."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from small_survey import CRS, E0, LEVEL, N0

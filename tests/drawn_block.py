@@ -4,8 +4,6 @@ What an adjustment gets, and what it should find: poses, lens and water differ f
 errors of the stated standard deviations.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ exact places with noise, and mapping ends in COLMAP's bundle adjustment of poses
 water.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Drawn blocks over a bed and a bank of one smooth relief, the bank surveyed before, and positions off by a shift."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Verified matches of a drawn block in a database of pycolmap, in place of those of photographs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The folder of a survey of two photographs without poses, of a rough bed with or without water, drawn exactly."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Small drawn surveys, processed from end to end, for tests that look at what comes out."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from functools import cache, cached_property

@@ -1,7 +1,5 @@
 """A drawn survey of a shore under tilted water, and how near to exact its figures are."""
 
-from __future__ import annotations
-
 from survey.simulate.drawn import DrawnScene
 
 # Rounding of float64 over 10 m of path, and the projection's 1e-9 m, at 280 px focal length and 8 m: 4e-8 px.

@@ -1,7 +1,5 @@
 """Derivatives in 50 digits, which those of the libraries are held against."""
 
-from __future__ import annotations
-
 import mpmath
 import numpy as np
 

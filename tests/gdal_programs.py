@@ -1,7 +1,5 @@
 """GDAL's own programs, where they are installed: readers that share no process with what writes."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """A radiance field for tests: it begins as an opaque level surface in the middle of its box."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

@@ -1,7 +1,5 @@
 """A survey whose photographs were painted, so that the colours of its bed are known, and a run with its points."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

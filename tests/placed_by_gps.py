@@ -1,7 +1,5 @@
 """What structure from motion would make of the small survey, without running it."""
 
-from __future__ import annotations
-
 import sys
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Fields over the analytic plane of `plane_survey`: photographs in colour, height maps that are right or displaced."""
 
-from __future__ import annotations
-
 import numpy as np
 from plane_survey import PlaneBed, texture
 

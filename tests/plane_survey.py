@@ -3,8 +3,6 @@
 The texture is a sum of waves, long against a pixel, so that bilinear interpolation hardly changes it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Two photographs of a sloping bed under water whose ripples move between the exposures, drawn exactly."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A server of S3 in this process, by moto, and an empty bucket in it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from uuid import uuid4

@@ -1,7 +1,5 @@
 """A scene file of a small flight over a level bed, for tests to change, and meshes for its beds and objects."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

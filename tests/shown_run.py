@@ -1,7 +1,5 @@
 """A small run as the viewer has it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cases of a parametrized test that the slow run has beside those of the default run."""
 
-from __future__ import annotations
-
 import pytest
 
 

@@ -3,8 +3,6 @@
 Scalar Python only: angles instead of vectors, and decimal arithmetic where float64 would limit the oracle.
 """
 
-from __future__ import annotations
-
 
 def meeting_of_lines(origins, directions) -> list[float]:
     """Point nearest to all lines, by the normal equations of ``sum |(I - d d^T)(x - o)|^2`` and Cramer's rule."""

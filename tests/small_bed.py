@@ -1,7 +1,5 @@
 """A drawn bed over the small survey: a plane that rises out of the water, as a run would find it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

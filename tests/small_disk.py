@@ -1,7 +1,5 @@
 """A disk that is full, or nearly."""
 
-from __future__ import annotations
-
 import resource
 import signal
 from contextlib import contextmanager

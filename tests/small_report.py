@@ -1,7 +1,5 @@
 """The report of a run over the small survey: a plane, compared with a reference 4 mm above it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

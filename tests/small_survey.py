@@ -1,7 +1,5 @@
 """A survey folder of a few tiny images, whole and correct, for tests to spoil."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

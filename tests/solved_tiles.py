@@ -1,7 +1,5 @@
 """Tiles of the solver whose information, stiffness and noise are known."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import ndimage
 

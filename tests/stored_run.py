@@ -1,7 +1,5 @@
 """Run folders with a cloud in them and nothing else, for tests of what is exported."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rays over a water surface and back, and arrays of each library, for the tests of `refract`."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

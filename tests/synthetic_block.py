@@ -1,7 +1,5 @@
 """A block of pycolmap with known truth, without images."""
 
-from __future__ import annotations
-
 import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """The bundle adjustment: exact blocks, the elimination of points, covariance, and refusals."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields, replace
 

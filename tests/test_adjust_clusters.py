@@ -1,7 +1,5 @@
 """What neighbouring observations share: the design effect."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Blocks whose positions have an error in height in common: the level of the water says how high they lie."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Control that is wrong is named, and marks of points with few of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Poses of a file that are too far off for windows: found anew, and brought to where the file says that they are."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """What an adjustment writes is read back as it was, and its cameras can be given back as [cameras] poses."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

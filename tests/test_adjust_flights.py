@@ -4,8 +4,6 @@ Straight rays put focal lengths of such blocks 2 % off, some 8 %, and the camera
 by decimetres to metres.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Focal lengths that differ between photographs: predictions, whether a block shows them, and what is kept of them."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

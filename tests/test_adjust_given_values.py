@@ -1,7 +1,5 @@
 """Values that are given, and water that nobody named, are held against the photographs."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

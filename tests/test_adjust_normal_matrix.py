@@ -1,7 +1,5 @@
 """The normal equations of an adjustment and their factors, against dense ones."""
 
-from __future__ import annotations
-
 import tracemalloc
 from dataclasses import replace
 

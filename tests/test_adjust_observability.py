@@ -1,7 +1,5 @@
 """What an adjustment cannot tell is held at its given value, in the block too."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A block placed on the dry ground of an earlier survey: against known shifts, and on ground that changed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

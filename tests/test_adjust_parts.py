@@ -1,7 +1,5 @@
 """Parts of a block that share no points: which views are of which, and how well one is known against another."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Poses that are given as exact, held against a sample of photographs."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """How good poses of a file are, where nobody says so: as the block shows it, positions and rotations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

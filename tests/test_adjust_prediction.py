@@ -1,7 +1,5 @@
 """Lines of sight, Brown's lens and predicted pixels: against refract, OpenCV and finite differences."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

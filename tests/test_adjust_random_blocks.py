@@ -1,7 +1,5 @@
 """Random blocks: truth lies within what an adjustment states, as often as it should, or it says what is wrong."""
 
-from __future__ import annotations
-
 import adjust_coverage as benchmark
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Lenses of an adjustment: several cameras, fisheyes, square pixels, and verdicts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

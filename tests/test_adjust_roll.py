@@ -1,7 +1,5 @@
 """Roll of blocks over one strip: what holds it, how well, and what is refused."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Rounds of an adjustment: outliers, blunders of positions, positions of unknown accuracy."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

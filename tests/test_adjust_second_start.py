@@ -1,7 +1,5 @@
 """Two photographs placed by control are adjusted from a level start, too, and the better solution is used."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rolling shutters in the adjustment: predictions, derivatives, blocks flown in all directions, and their readout."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

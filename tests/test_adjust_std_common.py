@@ -1,7 +1,5 @@
 """The standard deviation that all heights share: what geometry says of each parameter, and a Monte Carlo."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What an adjusted block that lies askew or beside its place does to heights, over slopes and level ground."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """An adjustment finds the water: level, slopes and index, and the rate at which the level rises."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Windows in photographs with masked pixels and with lens distortion, and the water that they tell."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Baselines against closed forms and the brute-force predictions for whole networks of cameras."""
 
-from __future__ import annotations
-
 import gzip
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The Python interface: what it exports, and packages of other projects that have the names of ours."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import importlib.metadata

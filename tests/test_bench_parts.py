@@ -1,7 +1,5 @@
 """Parts of benchmarks: what they draw, measure and write."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from importlib import import_module

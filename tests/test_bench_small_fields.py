@@ -1,7 +1,5 @@
 """Errors over time, tables of fields and colours without water, as their benchmarks measure them."""
 
-from __future__ import annotations
-
 import bench_error_time
 import bench_field
 import numpy as np

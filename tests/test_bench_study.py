@@ -1,7 +1,5 @@
 """The steps of the simulation study's protocol, as the benchmark of its tables takes them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from study import near_their_planes, study_cloud, trimmed

@@ -1,7 +1,5 @@
 """What the benchmark of the survey field measures by: masts, held-out photographs, water pixels, steps of depth."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import bench_survey_field as benchmark

@@ -1,7 +1,5 @@
 """The benchmark: its records, what it calls better or worse, its baselines, and the command on a tiny survey."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

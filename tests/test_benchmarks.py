@@ -1,7 +1,5 @@
 """Every benchmark runs at its smallest size."""
 
-from __future__ import annotations
-
 import os
 import runpy
 import shlex

@@ -1,7 +1,5 @@
 """Drawn photographs placed by control, with GPS and without, and what is said of bad input: from the folder on."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import re

@@ -1,7 +1,5 @@
 """Guards of the guards: what would fail silently if nobody looked."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.metadata
 import os

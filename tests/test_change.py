@@ -1,7 +1,5 @@
 """Volumes of change: their intervals hold the truth as often as they say."""
 
-from __future__ import annotations
-
 import csv
 import json
 

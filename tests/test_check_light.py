@@ -1,7 +1,5 @@
 """What `check` says of sun, glitter, motion and sharpness, against closed forms and images that were blurred."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from datetime import UTC, datetime

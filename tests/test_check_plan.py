@@ -1,7 +1,5 @@
 """`bathynerf check` before the flight: a plan of patterns or of poses, and what it promises."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The water taken away from colours, and its absorption told by views along ways of different length."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

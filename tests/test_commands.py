@@ -1,7 +1,5 @@
 """The command line: what the verbs print, how quiet they are, and the options that they hand on."""
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

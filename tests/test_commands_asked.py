@@ -1,7 +1,5 @@
 """What is asked of a run: by options, by [process] of survey.toml, in this order."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re

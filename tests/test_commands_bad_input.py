@@ -1,7 +1,5 @@
 """Input that is wrong: exit code 2 and one sentence that names it and the remedy."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

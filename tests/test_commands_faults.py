@@ -1,7 +1,5 @@
 """Errors while a command runs: each becomes a sentence and its exit code; limits on memory are refused before."""
 
-from __future__ import annotations
-
 import errno
 import subprocess
 import sys

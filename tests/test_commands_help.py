@@ -1,7 +1,5 @@
 """The pages of help: whole words, an example each, units and exit codes."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

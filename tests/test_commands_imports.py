@@ -1,7 +1,5 @@
 """What a command imports: nothing slow before it is needed, and one sentence where it is stopped meanwhile."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

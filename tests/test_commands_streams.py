@@ -1,7 +1,5 @@
 """Standard streams that are closed, full or broken do not stop a command, or stop it in one sentence."""
 
-from __future__ import annotations
-
 import errno
 import io
 import os

@@ -1,7 +1,5 @@
 """`compare` on small files: what it measures, what it refuses and what it writes."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """Inputs of a comparison: points of tables, heights and depths; points that their file calls no bed take no part."""
 
-from __future__ import annotations
-
 import laspy
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """What `compare` measures beside the distance: parts, intervals, vertical differences, check points and more."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

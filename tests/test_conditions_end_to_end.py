@@ -1,7 +1,5 @@
 """Drawn surveys by a rolling shutter and over rising water, from photographs to cloud, told of it and not told."""
 
-from __future__ import annotations
-
 import pytest
 from drawn_runs import GSD, DrawnRun, drawn, inner90
 

@@ -1,7 +1,5 @@
 """A sentence for every mistake in a file of control, and none that ends in another error."""
 
-from __future__ import annotations
-
 import contextlib
 
 import pytest

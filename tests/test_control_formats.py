@@ -1,7 +1,5 @@
 """Control in every format and CRS: the same points and marks."""
 
-from __future__ import annotations
-
 from html import escape
 
 import numpy as np

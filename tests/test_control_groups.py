@@ -1,7 +1,5 @@
 """Memory limits of control groups, on made-up trees of /proc and /sys/fs/cgroup."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Control in another CRS than crs: the message names the likely one, of the file or of the place; `init` takes it."""
 
-from __future__ import annotations
-
 import tomllib
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Standard deviations are true: on a drawn survey, processed from its photographs, they cover its errors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from drawn_runs import drawn

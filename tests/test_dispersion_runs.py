@@ -1,7 +1,5 @@
 """A survey drawn in three colours that bend differently: with the wavelength of its index, its bed is where it is."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The commands that documents show are those of the program: verbs, and options of each verb."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

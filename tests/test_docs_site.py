@@ -1,7 +1,5 @@
 """The site of the documentation has every page and the options of every command."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The random blocks that adjustments are tested on: what they state is consistent with what is true."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The whole chain on small drawn surveys: photographs in, a cloud at true depth out."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import signal

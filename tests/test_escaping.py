@@ -1,7 +1,5 @@
 """Texts of files at every place that shows them: nothing in them is obeyed by a terminal, a browser or Markdown."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

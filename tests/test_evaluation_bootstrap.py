@@ -1,7 +1,5 @@
 """The confidence of a mean: independent errors, correlated ones, and too few of them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

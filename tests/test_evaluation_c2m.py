@@ -1,7 +1,5 @@
 """Cloud to mesh: closed forms, an independent slow implementation, and the two ways to sign."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from bench_compare import closest_on_triangles

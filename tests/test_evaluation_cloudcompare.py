@@ -1,7 +1,5 @@
 """Distances against those of CloudCompare itself, where it is installed; no part of it is used otherwise."""
 
-from __future__ import annotations
-
 import bench_compare as bench
 import numpy as np
 import pytest

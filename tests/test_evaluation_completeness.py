@@ -1,7 +1,5 @@
 """Completeness: samples spread by area, and a tolerance that is strict."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree

@@ -1,7 +1,5 @@
 """Heights over a reference of points: whatever its spacing, errors are those of what is compared, or said to be not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """M3C2 against the two planes that py4dgeo itself is tested with."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

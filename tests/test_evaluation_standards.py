@@ -1,7 +1,5 @@
 """Vertical accuracy by two standards, check points and outliers: by hand and by closed forms."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

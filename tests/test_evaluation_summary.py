@@ -1,7 +1,5 @@
 """Statistics of distances: of all, by depth and shore, and in cells."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

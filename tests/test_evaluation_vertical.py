@@ -1,7 +1,5 @@
 """Vertical differences: planes, holes, overhangs, and a ray caster of another library."""
 
-from __future__ import annotations
-
 import igl
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The example that holds a run against rods: the table of a report, and its sentences of refusal."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from pathlib import Path

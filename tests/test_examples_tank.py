@@ -1,7 +1,5 @@
 """The example for a laboratory's tank: index and pane come back from drawn corners, as well as it says."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from dataclasses import replace

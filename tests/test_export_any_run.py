@@ -1,7 +1,5 @@
 """Every product of runs whose cloud is no ordinary bed: it is written, or refused in a sentence, and never half."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

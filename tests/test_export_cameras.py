@@ -1,7 +1,5 @@
 """Cameras of a run for other programs: pycolmap and the formula of nerfstudio see what ours see without water."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Heights of cells: planes through their points, what is seen from above, gaps, and how well all of it is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a run stored of its cloud, and the files of points that are exported from it, soundings among them."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import fields, replace
 

@@ -1,7 +1,5 @@
 """The bed from above, from photographs that were painted so that its colours are known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Profiles of the bed along lines, and the formats that lines come in."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

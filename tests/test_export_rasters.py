@@ -1,7 +1,5 @@
 """Rasters of the bed as readers other than their writer see them: DEM, BAG, orders of IHO S-44."""
 
-from __future__ import annotations
-
 import json
 import zlib
 from pathlib import Path

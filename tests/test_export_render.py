@@ -1,7 +1,5 @@
 """`bathynerf render`: pictures of a bed from poses in a file, and what is said where they cannot be made."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Lines and areas of a run: where they lie by the drawn plane, read by other libraries than those that wrote them."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sqlite3

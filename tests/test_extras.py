@@ -1,7 +1,5 @@
 """What needs a library that is not installed says which extra brings it."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

@@ -1,7 +1,5 @@
 """`bathynerf field`: a published field on a run with a known bed; it goes on, and says what it cannot use."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

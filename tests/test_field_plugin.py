@@ -1,7 +1,5 @@
 """Radiance fields of other packages: the example of docs/own-field.md trains by its path and by an entry point."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

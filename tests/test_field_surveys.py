@@ -1,7 +1,5 @@
 """Random surveys as they come from the field: what their folders state agrees with their truth."""
 
-from __future__ import annotations
-
 import dataclasses
 import tomllib
 from pathlib import Path

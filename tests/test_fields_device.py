@@ -1,7 +1,5 @@
 """The choice of what runs the kernels, and that torch alone suffices."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import os

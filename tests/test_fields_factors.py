@@ -1,7 +1,5 @@
 """Planes times vectors: the equations against loops, the fused lookup against torch."""
 
-from __future__ import annotations
-
 import math
 import threading
 from dataclasses import replace

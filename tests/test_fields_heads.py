@@ -1,7 +1,5 @@
 """Heads of the field: density coarse and weighted, and colour, against their equations."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

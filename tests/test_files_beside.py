@@ -1,7 +1,5 @@
 """What other programs leave beside a file: it goes with the file that is replaced, or keeps it from being replaced."""
 
-from __future__ import annotations
-
 import sqlite3
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tables in text files: what may separate the values, and every fault with its line."""
 
-from __future__ import annotations
-
 import pytest
 
 from survey.errors import ConfigError, PosesError

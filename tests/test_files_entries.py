@@ -1,7 +1,5 @@
 """Pipes, sockets and devices in folders of surveys and runs are named, and never opened."""
 
-from __future__ import annotations
-
 import os
 import socket
 

@@ -1,7 +1,5 @@
 """Files of other programs given as poses, control or areas: KML and GPX are read, the rest is named with a remedy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from pyproj import CRS, Transformer

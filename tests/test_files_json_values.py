@@ -1,7 +1,5 @@
 """Values in JSON files: plain, without NaN, each file whole."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Where results may go: never over an input, never over a file of another kind."""
 
-from __future__ import annotations
-
 import os
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tables of points: any order of columns, any separator and name of the trade give the same points, or an error."""
 
-from __future__ import annotations
-
 from itertools import permutations, product
 
 import numpy as np

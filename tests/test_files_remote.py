@@ -1,7 +1,5 @@
 """Folders at URLs: what is put is fetched as it was, and what does not go ends in a sentence."""
 
-from __future__ import annotations
-
 import errno
 
 import pytest

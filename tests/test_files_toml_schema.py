@@ -1,7 +1,5 @@
 """The JSON schema of survey.toml: it takes what the reader takes, and refuses what it refuses by kind."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files of a survey folder: settings that are none, several of poses, photographs elsewhere, inputs of no result."""
 
-from __future__ import annotations
-
 import shutil
 
 import pytest

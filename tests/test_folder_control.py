@@ -1,7 +1,5 @@
 """Control and check points of a survey folder: beside its cameras, in its local frame, with their accuracies."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Vertical datums: heights that cannot belong together, what would explain it, and grids of geoids beside the data."""
 
-from __future__ import annotations
-
 import gzip
 import shutil
 from dataclasses import replace

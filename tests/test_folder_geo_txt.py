@@ -1,7 +1,5 @@
 """geo.txt of OpenDroneMap: its positions and accuracies count instead of EXIF, in every CRS and form."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 

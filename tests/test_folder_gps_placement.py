@@ -1,7 +1,5 @@
 """Blocks with axes and a scale of their own, in each format that can hold one, against GPS positions in EXIF."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, replace
 from functools import cache

@@ -1,7 +1,5 @@
 """A survey folder with few settings or without poses: what is inferred, what is handed to structure from motion."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Rolling shutters of a survey folder: velocities by XMP, times or settings, motion of the cameras, and warnings."""
 
-from __future__ import annotations
-
 from datetime import datetime, timedelta
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Blocks whose start is under their water or far above it, and starts that are doubted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

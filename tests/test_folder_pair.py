@@ -1,7 +1,5 @@
 """Two photographs without poses: placed by control, adjusted by what they tell, refused where that is too little."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from drawn_pair import FRAME, draw_pair

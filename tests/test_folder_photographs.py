@@ -1,7 +1,5 @@
 """Photographs of a survey folder as users have them: masks beside them, several cameras, pages, rotated ones, HEIC."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import datetime, timedelta
 

@@ -1,7 +1,5 @@
 """What is known of the poses besides the photographs: where it comes from, and in which frame it is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

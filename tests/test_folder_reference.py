@@ -1,7 +1,5 @@
 """[control] reference: which points of an earlier survey hold a block, in whose unit and crs, and how well."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """A survey folder: cameras and water in the local frame, and every way in which a folder can be spoilt."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

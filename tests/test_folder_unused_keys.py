@@ -1,7 +1,5 @@
 """Keys of survey.toml without an effect: each key, under circumstances where it has one and where it has none."""
 
-from __future__ import annotations
-
 import pytest
 from small_survey import TOML, small_survey, unposed
 

@@ -1,7 +1,5 @@
 """What `check` promises from poses alone, against what adjustments of drawn blocks reach."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The figures that docs/gallery.md states, against the code that draws its pictures."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

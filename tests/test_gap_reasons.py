@@ -1,7 +1,5 @@
 """Reasons for cells without a point, from masks, white pixels and height maps that are made to hold each of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

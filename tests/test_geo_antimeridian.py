@@ -1,7 +1,5 @@
 """Shapes across the meridian of 180 degrees: cut there, with all of their area and none beside it."""
 
-from __future__ import annotations
-
 import json
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """ICESat-2 ATL24 as a reference: files in the layout of the product, drawn over a level bed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from compare_plane import compared, grid, write_las

@@ -1,7 +1,5 @@
 """COPC: what laspy's and copclib's readers find by place, by level and of each point."""
 
-from __future__ import annotations
-
 import struct
 from io import BytesIO
 

@@ -1,7 +1,5 @@
 """CRSs: what is accepted, refused and written, and which are the same."""
 
-from __future__ import annotations
-
 import laspy
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Files of others under every suffix that is read: content of another format is refused, what it names is not read."""
 
-from __future__ import annotations
-
 import re
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer

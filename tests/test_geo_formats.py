@@ -1,7 +1,5 @@
 """References in formats that extras read: glTF, GeoTIFF, E57, each written by its own library."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The local frame against closed forms, PROJ's own topocentric step, and poses that were made elsewhere."""
 
-from __future__ import annotations
-
 import copy
 import csv
 import math

@@ -1,7 +1,5 @@
 """LAS and LAZ: the bytes of the header, what other readers see, and what damaged or foreign files lead to."""
 
-from __future__ import annotations
-
 import datetime
 import struct
 

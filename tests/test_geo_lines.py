@@ -1,7 +1,5 @@
 """Lines and polygons of vector files: layers, units of drawings, closed lines, parts, and what misses the cloud."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """From one CRS to another: heights and datums, and the scale of maps."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

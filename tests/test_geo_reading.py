@@ -1,7 +1,5 @@
 """References: PLY and OBJ in full double precision, polygons cut, damage named."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import struct

@@ -1,7 +1,5 @@
 """What files say of their coordinates beside the numbers: unit of heights, CRS in comments, first row of a raster."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The place of the sun against published values and what geometry says of any."""
 
-from __future__ import annotations
-
 import math
 from datetime import UTC, datetime, timedelta, timezone
 

@@ -1,7 +1,5 @@
 """The one way between CRSs: units, accuracy, missing grids, and that nothing goes past it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Values that were rounded on their way, and marks of no data, whatever file they are in."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import laspy

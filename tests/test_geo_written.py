@@ -1,7 +1,5 @@
 """What was written is opened once more before it takes its place."""
 
-from __future__ import annotations
-
 import laspy
 import numpy as np
 import pytest

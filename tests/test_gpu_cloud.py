@@ -1,7 +1,5 @@
 """A CUDA device gives the cloud that the processor gives, but for rounding; and how long both take, for who looks."""
 
-from __future__ import annotations
-
 import sys
 import time
 

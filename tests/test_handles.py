@@ -1,7 +1,5 @@
 """A survey and its run as objects: from the folder to cloud, terrain model, profile and picture."""
 
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """docs/how-it-works.md tells the truth about its example: its geometry is computed again from what it gives."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

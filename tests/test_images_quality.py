@@ -1,7 +1,5 @@
 """Measures of images: against another library, their definitions, and on masks."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

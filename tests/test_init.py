@@ -1,7 +1,5 @@
 """`bathynerf init`: a folder as a program leaves it becomes one that check accepts."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 from dataclasses import replace

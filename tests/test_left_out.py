@@ -1,7 +1,5 @@
 """White pixels of photographs: left out, small holes closed for windows, counted and named."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter

@@ -1,7 +1,5 @@
 """Inputs beyond all measure are refused in a short sentence, before they take time or memory."""
 
-from __future__ import annotations
-
 import pytest
 from command_line import bathynerf
 from shown_run import small_run

@@ -1,7 +1,5 @@
 """What this machine has, asked of the machine that the tests run on."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import subprocess

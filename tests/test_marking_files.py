@@ -1,7 +1,5 @@
 """Marks put into gcp_list.txt and clicks.csv: what is there stays, and the readers of `process` get every pixel."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

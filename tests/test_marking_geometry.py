@@ -1,7 +1,5 @@
 """Geometry of marking against closed forms: Snell's law over a plane, collinearity, covariance of an intersection."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Marks that are proposed in other photographs: by likeness through the water, and of coded and chequered targets."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The page of marking and its data over HTTP: who gets them, what a click writes, and the same in a real browser."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

@@ -1,7 +1,5 @@
 """The light whose texture is matched, and the index of the water for it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Surfaces of the bed: vertices where points are, holes where none are, and files that other libraries read."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The bed beside and under edges, where photographs agree pixel by pixel."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Packages and their folders: who may import whom, who touches the disk and the console, what each package offers."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import re

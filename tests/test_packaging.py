@@ -1,7 +1,5 @@
 """The package: licences of what it needs, its citation, its source distribution, machines without pycolmap."""
 
-from __future__ import annotations
-
 import itertools
 import re
 import runpy

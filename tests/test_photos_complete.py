@@ -1,7 +1,5 @@
 """Files that are cut off or damaged are told from complete ones, in every format."""
 
-from __future__ import annotations
-
 import io
 from functools import cache
 

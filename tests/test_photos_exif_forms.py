@@ -1,7 +1,5 @@
 """One position, height and time in all of the legal forms that EXIF and XMP have for them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta

@@ -1,7 +1,5 @@
 """Photographs at a URL: the survey is read as with them beside it, and each is fetched once."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Photographs: as they were taken and smaller, masks, damaged files, and what EXIF says."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

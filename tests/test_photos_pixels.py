@@ -1,7 +1,5 @@
 """Pixels with the depth of their file: 16 bits without a loss, transparency, orientation, pages, HEIC, masks."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import replace
 

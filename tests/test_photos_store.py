@@ -1,7 +1,5 @@
 """Photographs that several stages use: decoded once while memory lasts, and the same to the last bit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from small_survey import replaced, small_survey

@@ -1,7 +1,5 @@
 """What the headers of photographs say of accuracy, attitude, speed and focal length."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

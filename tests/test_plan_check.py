@@ -1,7 +1,5 @@
 """`bathynerf check` and the plan: what they say of a survey, with numbers computed by hand."""
 
-from __future__ import annotations
-
 import math
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """A survey of kilometres over one plane: heights over the water as they are where it touches the Earth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Between which heights a bed is looked for: as asked for, by matched points on straight rays, or by the flight."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

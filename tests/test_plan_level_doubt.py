@@ -1,7 +1,5 @@
 """What the directions of photographs promise for a level that is not given, before anything is computed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """What a plan says, which parts follow from its options, and between which heights a bed is looked for."""
 
-from __future__ import annotations
-
 import pytest
 from small_survey import TOML, small_survey
 

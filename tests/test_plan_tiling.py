@@ -1,7 +1,5 @@
 """Tiles of the ground, and how many a run takes."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What a run will take: as its parts do, against the memory of three surveys, and against what the machine has."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

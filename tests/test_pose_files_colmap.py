@@ -1,7 +1,5 @@
 """COLMAP models with rigs, frames and every lens, against pycolmap."""
 
-from __future__ import annotations
-
 import shutil
 import struct
 import tracemalloc

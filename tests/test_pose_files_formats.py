@@ -1,7 +1,5 @@
 """Poses files: cameras.csv and COLMAP, against hand computation, pycolmap and each other."""
 
-from __future__ import annotations
-
 import math
 import shutil
 import struct

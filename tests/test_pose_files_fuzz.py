@@ -1,7 +1,5 @@
 """No file of poses, however damaged, ends in anything but poses or one clear sentence."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings

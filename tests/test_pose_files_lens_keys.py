@@ -1,7 +1,5 @@
 """Any key of a foreign file that changes the lens is read or refused, in every format that has a lens."""
 
-from __future__ import annotations
-
 import json
 from xml.etree.ElementTree import fromstring
 

@@ -1,7 +1,5 @@
 """Metashape's cameras.xml: chunk, component and Earth, its lens, and what its cameras know of themselves."""
 
-from __future__ import annotations
-
 import re
 from xml.sax.saxutils import escape
 

@@ -1,7 +1,5 @@
 """nerfstudio's transforms.json: what its converter applied, lenses of all and of each frame, masks."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

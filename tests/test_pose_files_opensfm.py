@@ -1,7 +1,5 @@
 """OpenSfM and OpenDroneMap: poses, lenses, references, tracks and masks."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

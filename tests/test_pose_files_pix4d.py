@@ -1,7 +1,5 @@
 """Pix4D's calibrated cameras: two files that agree, an offset, a map."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from foreign_block import CLOSE_PX, SIZE, draw_block, grid_at, in_utm, load, most_missed_px, opk_deg

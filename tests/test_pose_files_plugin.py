@@ -1,7 +1,5 @@
 """A format of poses from another installed package, as CONTRIBUTING describes it."""
 
-from __future__ import annotations
-
 import pytest
 
 from survey import pose_files

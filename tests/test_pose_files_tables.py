@@ -1,7 +1,5 @@
 """Tables and lines of poses: every order, separator and kind of angles, against a block with exact points."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The share of a run that is done and the time that is left, by a clock that the test turns."""
 
-from __future__ import annotations
-
 import io
 import re
 

@@ -1,7 +1,5 @@
 """The lines of progress where there is no terminal, and durations as people read them."""
 
-from __future__ import annotations
-
 import io
 import logging
 import time

@@ -1,7 +1,5 @@
 """Real points that straight rays made, and their cameras: what each correction of them errs (bench_real_points.py)."""
 
-from __future__ import annotations
-
 import bench_real_points as benchmark
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Pinhole cameras: half pixels, scaling, and the round trip from pixel to bed and back."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Curved water: laws of optics on numpy and torch, derivatives, and surfaces of one's own."""
 
-from __future__ import annotations
-
 import importlib
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Distortion of lenses: against OpenCV and COLMAP, back and forth, where a model folds back, and in three libraries."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Derivatives of bent paths, and one source in three libraries: against differences, fifty digits and float64."""
 
-from __future__ import annotations
-
 import math
 
 import mpmath

@@ -1,7 +1,5 @@
 """Refractive indices against the check values of their paper, a second model, and what cannot be."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Bent paths: legs, crossing and heights, and what becomes of every ray, in all libraries."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

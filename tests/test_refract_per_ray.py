@@ -1,7 +1,5 @@
 """A number of the water for each ray: levels, slopes, tides and indices of shape (...), and one per channel."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """There and back over all geometries, libraries and precisions; digits at the edge; where a point appears."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

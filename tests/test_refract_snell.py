@@ -1,7 +1,5 @@
 """Snell's law, its invariants, and where no ray passes; apparent depth in closed form; Fresnel's shares, both ways."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The figures of a report, their sources, and the files that hold them, which need nothing else."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import asdict, replace

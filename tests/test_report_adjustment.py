@@ -1,7 +1,5 @@
 """The part of the report about the adjustment: its figures, tables and pictures, and what it says of the water."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

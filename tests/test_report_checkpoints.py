@@ -1,7 +1,5 @@
 """The cloud of a run at check points, and what it states of its heights: figures that are known, and as shown."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

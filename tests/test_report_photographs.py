@@ -1,7 +1,5 @@
 """Who took the photographs, when and with what, which are used, which not, and why."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 

@@ -1,7 +1,5 @@
 """The pictures of a report: all of them, of every kind of bed, with a profile where there are points for one."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta

@@ -1,7 +1,5 @@
 """Cells and light of the maps of a report: means, tops, holes, hills lit from the north-west; columns in portions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from pyproj import CRS

@@ -1,7 +1,5 @@
 """Feet in the report, the report as PDF, and what was seen of the water."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from chromium import PROGRAM

@@ -1,7 +1,5 @@
 """A target standard deviation or a time in place of a quality: the choice before the run, and the gates after it."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Arrays and maps of a run: they come back as they were, or are named where they cannot be read."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Points found under a plane of water that is none: where they are under the true surface, against exact rays."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from types import SimpleNamespace

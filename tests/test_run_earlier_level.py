@@ -1,7 +1,5 @@
 """A level that changes after a run: by little, the points are moved, by more the bed is searched again."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

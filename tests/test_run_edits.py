@@ -1,7 +1,5 @@
 """Points deleted and classified by hand: undone, kept beside the cloud, and followed by everything made of it."""
 
-from __future__ import annotations
-
 import laspy
 import numpy as np
 import pytest

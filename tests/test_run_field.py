@@ -1,7 +1,5 @@
 """The field of a run: trained in a layer about displaced heights, stored, and rendered."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """A run folder: stages used again only where nothing changed, results that are replaced whole, no half files."""
 
-from __future__ import annotations
-
 import json
 import resource
 from contextlib import suppress

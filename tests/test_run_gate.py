@@ -1,7 +1,5 @@
 """The quality gate: ground that two views see and points that are known well enough, against counts by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Who may write a run folder: one process at a time, and the survey whose run it is; other folders are refused."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

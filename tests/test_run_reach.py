@@ -1,7 +1,5 @@
 """A short reach whose water is no plane, drawn and processed: by one plane, and by its surface in one piece and two."""
 
-from __future__ import annotations
-
 import math
 
 import bench_reach as drawn

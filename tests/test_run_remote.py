@@ -1,7 +1,5 @@
 """A run at a URL: what one machine has finished another takes up, and a result is there whole or not at all."""
 
-from __future__ import annotations
-
 import shutil
 from contextlib import contextmanager
 

@@ -1,7 +1,5 @@
 """The options of a run are written where it is found, with the command that repeats it."""
 
-from __future__ import annotations
-
 import shlex
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Workers that share no disk with the run: all that a tile needs comes by its URL, and the cloud is the same."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from dataclasses import replace

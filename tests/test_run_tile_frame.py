@@ -1,7 +1,5 @@
 """Tiles of a survey as jobs: what they answer for themselves, and in a survey of kilometres their own ranges."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """A small survey in tiles: the same bed as in one piece, nothing twice, and a run that goes on."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

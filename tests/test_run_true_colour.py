@@ -1,7 +1,5 @@
 """`--true-colour` from end to end: a drawn shore, whose colours without water are known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Windows of photographs that show a tile, and arrays of which parts are read from files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

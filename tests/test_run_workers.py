@@ -1,7 +1,5 @@
 """Tiles by worker processes: the cloud of one process, also where workers end on the way."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import pickle

@@ -1,7 +1,5 @@
 """survey.toml: every known key, and a sentence for every mistake."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

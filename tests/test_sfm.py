@@ -1,7 +1,5 @@
 """Structure from motion: similarities, GPS positions into local, adjustment, and real photographs end to end."""
 
-from __future__ import annotations
-
 import csv
 import math
 import re

@@ -1,7 +1,5 @@
 """Blocks placed by control points alone: exact ones with a fault each, and what is said of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

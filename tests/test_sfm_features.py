@@ -1,7 +1,5 @@
 """Features of photographs: where pycolmap finds them, in pixels of the stored photograph, the largest first."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Incremental mapping: poses of a drawn block, the same again and by the steps of the mapper one by one."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Pairs of photographs that are matched: by footprints of positions, or by likeness where there are none."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from dataclasses import replace

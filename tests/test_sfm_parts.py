@@ -1,7 +1,5 @@
 """Surveys whose photographs fall into blocks that share no points: each is placed by itself, and all are kept."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Wrong GPS positions: named by their neighbours before, and by the block after structure from motion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import datetime, timedelta
 

@@ -1,7 +1,5 @@
 """Features and matches on workers: the same rows of the database as without."""
 
-from __future__ import annotations
-
 import pickle
 import sqlite3
 from contextlib import closing, nullcontext

@@ -1,7 +1,5 @@
 """A simulated survey: an ordinary one that projects its truth, drawn again only where its scene changed."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Drawn surveys: geometry that is projected back onto its pixels, and what photographs hold."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

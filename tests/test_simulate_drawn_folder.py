@@ -1,7 +1,5 @@
 """The folder of a drawn survey: the same bytes from the same scene, whole or absent, and refused where it is none."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

@@ -1,7 +1,5 @@
 """Flights: overlaps and ground sampling are those asked for, through the water; blocks that tell no level are named."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

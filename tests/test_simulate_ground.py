@@ -1,7 +1,5 @@
 """The ground of a simulated scene: shapes, meshes, clouds and objects, and rays that meet them."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The path tracer: its geometry is that of `refract`, its light that of closed forms and of Mitsuba's own tracer."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scene files: keys are checked, examples can be flown, sun and water are where the file says."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

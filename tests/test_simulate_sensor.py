@@ -1,7 +1,5 @@
 """Photographs of a scene: distortion of the lens, noise, exposure and blur of the sensor, light of the sky."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """The sun on waves in drawn surveys: as strong as asked for, other waves in each photograph, the truth as it was."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from condition_scenes import caustics, glitter

@@ -1,7 +1,5 @@
 """The solver against closed forms and drawn beds; which heights of the sweep it keeps."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Displacements of photographs in cells of solved tiles."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

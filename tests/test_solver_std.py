@@ -1,7 +1,5 @@
 """Std of solved heights, part by part: noise, relief that is smoothed away, shifts; and the spectral slope of beds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

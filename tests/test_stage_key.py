@@ -1,7 +1,5 @@
 """What the stages of a run depend on: keys, and the settings that are in them."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -5,8 +5,6 @@ above the point, and least squares says where: no image is needed to know that p
 against a number that owes nothing to it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The stress campaign: what it draws, how it makes a machine fail, and what it calls a lie."""
 
-from __future__ import annotations
-
 import math
 import shutil
 import subprocess

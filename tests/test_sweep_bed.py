@@ -1,7 +1,5 @@
 """From height maps to points: every piece of the bed once, only what is trusted, back on the pixel it came from."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

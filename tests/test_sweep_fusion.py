@@ -1,7 +1,5 @@
 """Agreement of height maps, and heights that others see through."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The standard deviation of the heights of the sweep alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Images between the kernels of the sweep, medians, and planes through heights."""
 
-from __future__ import annotations
-
 import gc
 import weakref
 

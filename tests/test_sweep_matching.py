@@ -1,7 +1,5 @@
 """Matching of one view among height hypotheses: plane beds of known height, masks, edges and strips."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, match, ring

@@ -1,7 +1,5 @@
 """The queue of kernel jobs: results, their order, and independence of both from the schedule."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, ring

@@ -1,7 +1,5 @@
 """Epipolar curves through three exact points of the height hypotheses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Scores of warped images and the best height among hypotheses, in Dr.Jit and in torch, against slow references."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Passes that refine only what becomes a point: which pixels these are, and that they are refined as all would be."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from plane_survey import SIZE, TILTED, PlaneBed, ring

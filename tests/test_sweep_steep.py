@@ -1,7 +1,5 @@
 """Steep pixels, gaps and points beneath others: kept or dropped by the votes of height maps."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

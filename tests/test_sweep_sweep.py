@@ -1,7 +1,5 @@
 """The sweep over drawn surveys, and the range of heights from thumbnails."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 import cv2

@@ -1,7 +1,5 @@
 """Views in a pass: columns that see an area, and edges at which all heights are tried."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import partial
 

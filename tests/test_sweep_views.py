@@ -1,7 +1,5 @@
 """Who sees what: coverage, choice of views and neighbours, parallax; and the block that holds them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

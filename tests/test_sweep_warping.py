@@ -1,7 +1,5 @@
 """Images carried along bent paths, in Dr.Jit and in torch, against float64 optics and closed forms."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Windows that widen where photographs have little in common, and heights of pairs of photographs of water."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import cv2

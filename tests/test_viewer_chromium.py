@@ -1,7 +1,5 @@
 """The viewer in a real browser: headless Chromium, drawn by a software renderer."""
 
-from __future__ import annotations
-
 import io
 
 import chromium

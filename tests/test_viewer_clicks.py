@@ -1,7 +1,5 @@
 """What clicks show and what layers are made of: references, terrain, texts, and the page for others."""
 
-from __future__ import annotations
-
 import html
 import re
 from types import SimpleNamespace

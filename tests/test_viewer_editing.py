@@ -1,7 +1,5 @@
 """Points marked, deleted and classified in the scene, what stands over it, and what is saved of it."""
 
-from __future__ import annotations
-
 import json
 import urllib.error
 import urllib.request

@@ -1,7 +1,5 @@
 """The cloud from above, the ground of a screen, the grid of coordinates, and key frames of a flight."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """A run on a server: what a browser is sent as its camera moves, and what is refused."""
 
-from __future__ import annotations
-
 import re
 import time
 import urllib.error

@@ -1,7 +1,5 @@
 """Bent rays and windows of one point, and the colours of many."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

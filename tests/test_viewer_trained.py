@@ -1,7 +1,5 @@
 """A trained field from where a browser looks."""
 
-from __future__ import annotations
-
 import math
 import time
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """What of a cloud is drawn, and which point a click means: the octree, its selection and the ray through it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

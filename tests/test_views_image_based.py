@@ -1,7 +1,5 @@
 """Image-based rendering: photographs of a known bed, seen from elsewhere, through the water and without it."""
 
-from __future__ import annotations
-
 import weakref
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Volumes in the memory of a CUDA device: the numbers and gradients of the processor, and training that learns."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

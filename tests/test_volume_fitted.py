@@ -1,7 +1,5 @@
 """Appearance vectors touch colour alone and can be matched; visibility learns what lies before a wall."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The layer about a bed: its raster, its coordinates, and where bent paths meet it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

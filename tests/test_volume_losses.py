@@ -1,7 +1,5 @@
 """Losses on weights, density, priors and patches: closed forms, loops, gradients; nothing where they must vanish."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields
 

@@ -1,7 +1,5 @@
 """Perceptrons: the encoding in closed form, networks and ground planes against slow ones, two stages, learning."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The hash grid against a slow reference; proposals against their equations; what learns from what."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

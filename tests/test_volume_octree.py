@@ -1,7 +1,5 @@
 """The octree of fields: nodes, lookups and consistency against loops, growth, learning, storage."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

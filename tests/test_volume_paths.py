@@ -1,7 +1,5 @@
 """Bent paths through a box: where they enter and leave it, and where they stand, against the paths of `refract`."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rendering of volumes with known answers: fog of constant density, an opaque bed under water, water and backdrop."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Samples along paths, what each stands for; weights, the law of the bed and heights, in closed form and by loops."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

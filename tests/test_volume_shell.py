@@ -1,7 +1,5 @@
 """The shell about the box: inversion in closed form, its two ends, and a backdrop learned from paths."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A trained field that is read back from its folder shows what its training showed."""
 
-from __future__ import annotations
-
 import json
 import math
 import shutil

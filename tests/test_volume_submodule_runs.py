@@ -1,7 +1,5 @@
 """`bathynerf field --submodules`: a field for each cell; it goes on cell by cell, and is rendered from its folder."""
 
-from __future__ import annotations
-
 import gc
 import re
 import shutil

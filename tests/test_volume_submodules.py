@@ -1,7 +1,5 @@
 """Submodules: cells on the ground, the blend of rendered pixels as printed, looks that match, what views do without."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

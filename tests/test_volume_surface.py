@@ -1,7 +1,5 @@
 """The surface of a volume: where paths meet it by each rule, and what photographs agree on."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

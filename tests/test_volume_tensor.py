@@ -1,7 +1,5 @@
 """VM, DW, M and MDW-NeRF as one model: what differs, the switch from coarse to fine and what is stored."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 

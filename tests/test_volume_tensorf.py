@@ -1,7 +1,5 @@
 """TensoRF at full strength: its equations transcribed, its refinements, and a state that comes back at any level."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Training of volumes from photographs of a painted bed under water, and its parts."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 
 import numpy as np

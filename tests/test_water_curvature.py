@@ -1,7 +1,5 @@
 """Still water over a large survey: heights below its tangent plane, and the bed under it, against a sphere."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

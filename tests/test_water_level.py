@@ -1,7 +1,5 @@
 """The level of the water from points of its surface and from a gauge: known planes, wrong points, refusals."""
 
-from __future__ import annotations
-
 import dataclasses
 from datetime import UTC, datetime
 

@@ -1,7 +1,5 @@
 """The water level from vector files and from clicks in photographs: known places, what they are worth, refusals."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """Places on the water beside the cameras: in another order, of another water, on no map."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from pyproj import CRS, Transformer

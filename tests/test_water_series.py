@@ -1,7 +1,5 @@
 """Series of levels: readings that are no level, gaps, high and low waters, and the forms of services."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime, timedelta
 
 import numpy as np

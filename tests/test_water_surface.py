@@ -1,7 +1,5 @@
 """Water by points and rasters of its surface, and whether one plane is enough."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A level of the water for each photograph: by a gauge, a table or a rate, and where one level will do."""
 
-from __future__ import annotations
-
 import dataclasses
 from datetime import UTC, datetime
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The surfaces of the water in photographs that the solver found, as rasters and as a picture."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Surfaces of the water in single photographs, and displacements by them."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

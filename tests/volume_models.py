@@ -1,7 +1,5 @@
 """What every volume model has to do, whatever it is made of: its interface, and learning a bed seen through water."""
 
-from __future__ import annotations
-
 import copy
 import io
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Volumes whose answer is known in closed form, and small photographs of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor, nn

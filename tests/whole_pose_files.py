@@ -1,7 +1,5 @@
 """The files of a small survey in each format of poses, as other programs write them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

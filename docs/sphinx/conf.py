@@ -1,7 +1,5 @@
 """Sphinx settings: `make docs` builds the site from docs/ and the pages of the repository's root."""
 
-from __future__ import annotations
-
 import sys
 from importlib.metadata import version as installed_version
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Sphinx directive `{help}`: what `bathynerf VERB --help` prints."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

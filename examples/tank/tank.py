@@ -19,8 +19,6 @@ optics are estimated together by least squares, with rays bent at each interface
 deviation, and for each photograph the root mean square of its residuals.
 """
 
-from __future__ import annotations
-
 import argparse
 import csv
 import sys

@@ -1,7 +1,5 @@
 """Of no rays and no points `trace` and `project` give no results."""
 
-from __future__ import annotations
-
 from dataclasses import fields, is_dataclass
 
 import numpy as np

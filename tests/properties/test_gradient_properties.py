@@ -1,7 +1,5 @@
 """No single ray or point makes the gradient of what it shares with others NaN."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Files of hostile hands: every reader of heads, levels and masks ends in one clear error, or reads what there is."""
 
-from __future__ import annotations
-
 import io
 import json
 import struct

@@ -1,7 +1,5 @@
 """Laws of the optics that must hold for every survey that can be thought of, on generated ones."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

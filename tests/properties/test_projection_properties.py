@@ -1,7 +1,5 @@
 """Laws of `trace` and `project` together, on any plane of water that can be thought of."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -138,11 +138,6 @@ def root(value):
     return math.sqrt(value) if xp.name == "numpy" and not _is_array(value) else xp.sqrt(value)
 
 
-def alike(*values) -> tuple:
-    """`values`, plain numbers included, as arrays of the one library found among them; numpy becomes float64."""
-    return common(**{f"argument {k}": value for k, value in enumerate(values, start=1)})
-
-
 def as_numpy(array) -> np.ndarray:
     """A copy in numpy float64 of an array of numpy or torch, without its gradient."""
     return np.asarray(array.detach().cpu() if namespace(array).name == "torch" else array, dtype=np.float64)

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from refract._array import OutsideFit, alike, as_numpy, require
+from refract._array import OutsideFit, as_numpy, common, require
 
 # Effective wavelengths of red, green and blue of a camera in daylight. Sensors differ by some 10 nm, which changes the
 # index by 3e-4 in the red and 6e-4 in the blue: 0.02 and 0.04 % of the depth.
@@ -99,7 +99,7 @@ def freezing_point(salinity_psu):
 
 def _water(wavelength_nm, temperature_c, salinity_psu):
     """The arguments as arrays of one library, for water that exists; warns where the equation was not fitted."""
-    wave, t, s = alike(wavelength_nm, temperature_c, salinity_psu)
+    wave, t, s = common(wavelength_nm=wavelength_nm, temperature_c=temperature_c, salinity_psu=salinity_psu)
     require("wavelength_nm", wave, lambda v: v > 0.0, "more than 0")
     # Water holds no more salt than 26 % of its mass.
     require("salinity_psu", s, lambda v: (v >= 0.0) & (v <= 360.0), "0 to 360")

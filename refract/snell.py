@@ -15,7 +15,7 @@ import math
 from typing import Any, NamedTuple
 
 from refract import kernels
-from refract._array import alike, common, components, hold, namespace, quiet, stack
+from refract._array import common, components, hold, namespace, quiet, stack
 
 
 @quiet
@@ -67,28 +67,28 @@ def apparent_depth(depth, angle, *, n_water: float):
     point; cameras in one vertical plane through the point see the *tangential* image on the caustic. A real network of
     views lies between the two, and always above the bed: straight rays make the bed too shallow.
     """
-    depth, angle = alike(depth, angle)
+    depth, angle = common(depth=depth, angle=angle)
     xp = namespace(depth, angle)
     return depth * xp.cos(angle) / xp.sqrt(n_water**2 - xp.sin(angle) ** 2)
 
 
 def true_depth(apparent, angle, *, n_water: float):
     """Inverse of `apparent_depth`: true depth [m] of a point whose sagittal image lies at `apparent` [m]."""
-    apparent, angle = alike(apparent, angle)
+    apparent, angle = common(apparent=apparent, angle=angle)
     xp = namespace(apparent, angle)
     return apparent * xp.sqrt(n_water**2 - xp.sin(angle) ** 2) / xp.cos(angle)
 
 
 def apparent_depth_tangential(depth, angle, *, n_water: float):
     """Tangential apparent depth [m]: ``h n^2 cos^3(a) / (n^2 - sin^2 a)^(3/2)``."""
-    depth, angle = alike(depth, angle)
+    depth, angle = common(depth=depth, angle=angle)
     xp = namespace(depth, angle)
     return depth * n_water**2 * xp.cos(angle) ** 3 / (n_water**2 - xp.sin(angle) ** 2) ** 1.5
 
 
 def tangential_shift(depth, angle, *, n_water: float):
     """Shift [m] of the tangential image toward the camera: ``h (n^2 - 1) tan^3(angle in water)``."""
-    depth, angle = alike(depth, angle)
+    depth, angle = common(depth=depth, angle=angle)
     xp = namespace(depth, angle)
     sine = xp.sin(angle) / n_water
     return depth * (n_water**2 - 1.0) * (sine / xp.sqrt(1.0 - sine**2)) ** 3

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from pyproj import CRS
@@ -31,13 +30,10 @@ from geo.projection import ground_units_m
 from survey.display.quantities import length, round_up
 from survey.errors import SurveyError
 from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells
-from survey.export.registry import require_not_too_fine
+from survey.export.loaded import LoadedRun
+from survey.export.registry import ExportOptions, require_not_too_fine
 from survey.files.toml_table import require_options
 from survey.progress import current
-
-if TYPE_CHECKING:
-    from survey.export.loaded import LoadedRun
-    from survey.export.registry import ExportOptions
 
 # Side of a cell where none is asked for [px]: some ten points in each.
 _DEFAULT_PX = 4.0

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from pyproj import CRS
 
 from geo.features import Line
@@ -18,6 +20,8 @@ from geo.las import read_cloud, read_window
 from geo.raster import open_raster, read_raster
 from geo.shapes import Cloud, Mesh
 from geo.vectors import Layer, geodataframe
+from survey.compare.figures import Figures
+from survey.compare.options import CompareOptions
 from survey.display.blocks import picture_html, table_html
 from survey.errors import SurveyError
 from survey.export.export import cloud_of, export
@@ -33,13 +37,6 @@ from survey.folder.found import Found, find_survey
 from survey.plan.check import CheckSection, check_survey
 from survey.plan.choices import Choices
 from survey.run.folder import RunDir
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from survey.compare.figures import Figures
-    from survey.compare.options import CompareOptions
 
 # Names of the bands of the product, in order.
 _BANDS = ("height", "std", "std_common", "num_points", "depth", "origin")
@@ -219,7 +216,6 @@ class Run:
     def compare(self, reference: str | Path, options: CompareOptions | None = None) -> Figures:
         """Compare the cloud with a reference; see `survey.compare.comparison.compare_files`."""
         from survey.compare.comparison import compare_files
-        from survey.compare.options import CompareOptions
 
         return compare_files(cloud_of(self.folder), Path(reference), options=options or CompareOptions())
 

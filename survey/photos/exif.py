@@ -14,17 +14,7 @@ from PIL import ExifTags, Image
 from pyproj import CRS
 
 from geo.crs import middle_lon_lat, utm_code
-from survey.photos.exif_values import (
-    altitude_reference,
-    first,
-    focal_px,
-    focal_warning,
-    other_datum,
-    plain,
-    position_of,
-    std_of_gps,
-    words,
-)
+from survey.photos import exif_values
 from survey.photos.pixels import HEIC_SUFFIXES, channel_bits, damage_named, open_image, stored_size, without_complaints
 from survey.photos.xmp import (
     SEA_LEVEL,
@@ -125,30 +115,30 @@ def _read_exif(path: Path, _changed: int, _size: int) -> Exif:
     xmp = xmp[:_LONGEST_XMP].decode("utf-8", errors="replace") if isinstance(xmp, bytes) else xmp
     xmp = with_known_prefixes(xmp[:_LONGEST_XMP]) if isinstance(xmp, str) else ""
     seconds = number(details.get(ExifTags.Base.ExposureTime))
-    camera = " ".join(words(exif.get(tag, "")) for tag in (ExifTags.Base.Make, ExifTags.Base.Model))
+    camera = " ".join(exif_values.words(exif.get(tag, "")) for tag in (ExifTags.Base.Make, ExifTags.Base.Model))
     orientation = exif.get(ExifTags.Base.Orientation, 1)
-    position, fault = position_of(gps, xmp)
+    position, fault = exif_values.position_of(gps, xmp)
     return Exif(
         size_px=size,
         lat_lon_height=position,
-        focal_px=focal_px(size, details, xmp),
+        focal_px=exif_values.focal_px(size, details, xmp),
         orientation=orientation if orientation in range(1, 9) else 1,
         camera=camera.strip(),
         above_start_m=xmp_number(xmp, "RelativeAltitude"),
         taken=exposure_time(xmp) or _taken(gps, details, changed),
         rtk=rtk_of(xmp),
         motion=motion_of(xmp),
-        std_m=stated_std(xmp) or std_of_gps(gps),
-        height_datum=height_datum(xmp) or (SEA_LEVEL if altitude_reference(gps) in (2, 3) else None),
+        std_m=stated_std(xmp) or exif_values.std_of_gps(gps),
+        height_datum=height_datum(xmp) or (SEA_LEVEL if exif_values.altitude_reference(gps) in (2, 3) else None),
         bits=bits,
         has_pages=has_pages,
         clock=_clock(details),
         exposure_s=seconds if 0.0 < seconds < _LONGEST_EXPOSURE_S else None,
         gps_fault=fault,
-        gps_datum=other_datum(gps, xmp) if position is not None else "",
-        is_void=position is not None and plain(gps.get(ExifTags.GPS.GPSStatus))[:1].upper() == "V",
-        focal_warning=focal_warning(size, details, xmp),
-        serial=words(details.get(ExifTags.Base.BodySerialNumber, "")) or words(serial_of(xmp)),
+        gps_datum=exif_values.other_datum(gps, xmp) if position is not None else "",
+        is_void=position is not None and exif_values.plain(gps.get(ExifTags.GPS.GPSStatus))[:1].upper() == "V",
+        focal_warning=exif_values.focal_warning(size, details, xmp),
+        serial=exif_values.words(details.get(ExifTags.Base.BodySerialNumber, "")) or exif_values.words(serial_of(xmp)),
     )
 
 
@@ -172,14 +162,14 @@ def _taken(gps: dict, details: dict, changed: Any) -> datetime | None:
 
     ``changed`` is EXIF's DateTime.
     """
-    day = plain(gps.get(ExifTags.GPS.GPSDateStamp))
+    day = exif_values.plain(gps.get(ExifTags.GPS.GPSDateStamp))
     clock = gps.get(ExifTags.GPS.GPSTimeStamp)
     with suppress(TypeError, ValueError, OverflowError):
         hours, minutes, seconds = (number(part) for part in clock or ())
         passed = timedelta(hours=hours, minutes=minutes, seconds=seconds)
         return datetime.strptime(day, "%Y:%m:%d").replace(tzinfo=UTC) + passed
     # A receiver that has no date yet hides no camera that has one.
-    local = plain(details.get(ExifTags.Base.DateTimeOriginal))
+    local = exif_values.plain(details.get(ExifTags.Base.DateTimeOriginal))
     for offset in _offsets(details, local, changed):
         with suppress(ValueError, OverflowError):
             return datetime.strptime(local + offset, "%Y:%m:%d %H:%M:%S%z").astimezone(UTC)
@@ -194,12 +184,12 @@ def _offsets(details: dict, local: str, changed: Any) -> list[str]:
     """
     base = ExifTags.Base
     times = {
-        base.OffsetTimeOriginal: "", base.OffsetTimeDigitized: plain(details.get(base.DateTimeDigitized)),
-        base.OffsetTime: plain(changed),
+        base.OffsetTimeOriginal: "", base.OffsetTimeDigitized: exif_values.plain(details.get(base.DateTimeDigitized)),
+        base.OffsetTime: exif_values.plain(changed),
     }  # fmt: skip
-    offsets = [plain(details.get(tag)) for tag, time in times.items() if time in ("", local)]
+    offsets = [exif_values.plain(details.get(tag)) for tag, time in times.items() if time in ("", local)]
     # Of TIFF/EP, before EXIF had a tag: whole hours, those of the exposure first.
-    hours = first(details.get(base.TimeZoneOffset))
+    hours = exif_values.first(details.get(base.TimeZoneOffset))
     if isinstance(hours, int) and abs(hours) <= _MOST_OFFSET_H:
         offsets.append(f"{hours:+03d}:00")
     return [offset.replace(" ", "") for offset in offsets]
@@ -207,10 +197,10 @@ def _offsets(details: dict, local: str, changed: Any) -> list[str]:
 
 def _clock(details: dict) -> datetime | None:
     # Digits behind the decimal point, as many as the camera counts.
-    digits = plain(details.get(ExifTags.Base.SubsecTimeOriginal))
+    digits = exif_values.plain(details.get(ExifTags.Base.SubsecTimeOriginal))
     fraction = float(f"0.{digits}") if digits.isascii() and digits.isdigit() else 0.0
     with suppress(ValueError):
-        text = plain(details.get(ExifTags.Base.DateTimeOriginal))
+        text = exif_values.plain(details.get(ExifTags.Base.DateTimeOriginal))
         return datetime.strptime(text, "%Y:%m:%d %H:%M:%S") + timedelta(seconds=fraction)
     return None
 

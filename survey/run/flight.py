@@ -1,10 +1,7 @@
 """The photographs of a run with their adjusted cameras, water and local frame, stored for later products."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from pyproj import CRS
@@ -14,11 +11,9 @@ from refract import FlatWater
 from refract.lens import Lens
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object, write_json
+from survey.folder.survey import Survey
 from survey.photos.cameras import View
 from survey.water.surface import Departure, StillWater
-
-if TYPE_CHECKING:
-    from survey.folder.survey import Survey
 
 FLIGHT = "flight.json"
 _WATER = ("point", "n_water", "slope_x", "slope_y")

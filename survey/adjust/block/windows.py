@@ -21,7 +21,7 @@ from scipy.ndimage import distance_transform_edt, map_coordinates, spline_filter
 from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap, trusted
 from fields.sweep.matching import PASSES
-from fields.sweep.sweep import sweep
+from fields.sweep.sweep import find_range, sweep
 from fields.sweep.view_pass import SweepSettings
 from fields.sweep.views import cells_of, overlaps
 from refract import FlatWater, PinholeCamera
@@ -243,8 +243,6 @@ def measure_windows(survey: Survey, *, device: str = "auto", advance: Callable[[
 def load_photographs(survey: Survey, plan: Plan) -> tuple[Block, tuple[float, float]]:
     """The photographs of a survey, and the range of heights over the water plane [m] in which its bed lies."""
     # Starts Dr.Jit, which the adjustment does not need.
-    from fields.sweep.sweep import find_range
-
     block = load_block(survey, plan, lambda _amount: None)
     try:
         return block, find_range(block, limits(survey))

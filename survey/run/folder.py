@@ -244,7 +244,10 @@ class RunDir:
             write_json(folder / RECORD, record)
             folder.rename(self.path / _COMPLETE)
             self._move_into_place()
-            self._prune()
+            kept = self.kept_stages()
+            for stage in self.stages_path.iterdir():
+                if stage.is_dir() and stage.name[0] != "." and stage.name not in kept:
+                    shutil.rmtree(stage, ignore_errors=True)
 
     def _move_into_place(self) -> None:
         """Move a complete result to its place, replacing the old one; does nothing without one."""
@@ -269,12 +272,6 @@ class RunDir:
         record = self.result()
         kept = {name for stages in (record["stages"], *record["others"].values()) for name in stages.values()}
         return kept | {name for names in self._unfinished().values() for name in names}
-
-    def _prune(self) -> None:
-        kept = self.kept_stages()
-        for folder in self.stages_path.iterdir():
-            if folder.is_dir() and folder.name[0] != "." and folder.name not in kept:
-                shutil.rmtree(folder, ignore_errors=True)
 
     def finished_stage(self, name: str, key: Key, leaves: Iterable[str] = ()) -> Path | None:
         """The folder of a stage that was finished with this key and has these files; None if there is none."""

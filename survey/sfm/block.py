@@ -8,7 +8,7 @@ Cholesky factors at every size.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -47,12 +47,6 @@ def camera_of(block: pycolmap.Reconstruction, name: str) -> pycolmap.Camera:
 def lens_of(block: pycolmap.Reconstruction, name: str) -> Lens:
     camera = camera_of(block, name)
     return Lens(camera.model_name, tuple(float(p) for p in camera.params), camera.width, camera.height)
-
-
-def drop_images(block: pycolmap.Reconstruction, names: Collection[str]) -> None:
-    """Remove images, and points that then one image alone sees, from a block; in place."""
-    for image in [image for image in block.images.values() if image.has_pose and image.name in names]:
-        block.deregister_frame(image.frame_id)
 
 
 def transform(block: pycolmap.Reconstruction, similarity: Similarity) -> None:

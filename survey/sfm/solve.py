@@ -180,7 +180,9 @@ def without_shared_images(blocks: Sequence[pycolmap.Reconstruction]) -> tuple[py
     taken: set[str] = set()
     separate = []
     for block in blocks:
-        sfm_block.drop_images(block, taken)
+        # And points that then one image alone sees.
+        for image in [image for image in block.images.values() if image.has_pose and image.name in taken]:
+            block.deregister_frame(image.frame_id)
         if block.num_reg_images() >= least:
             taken |= sfm_block.poses_of(block).keys()
             separate.append(block)

@@ -65,6 +65,15 @@ def test_a_surface_is_the_mean_of_the_photographs_that_agree(water):
 
 def test_one_photograph_alone_has_no_surface():
     renderer, cells = VolumeRenderer(Slab(DENSE, top=TOP)), Cells.everywhere(BOX, 16)
-    points = points_on_surface(renderer, photographs(1, WATER), cells, samples=60)
+    points = list(points_on_surface(renderer, photographs(1, WATER), cells, samples=60))
     assert len(points[0])
     assert len(surface_of(points, BOX, 0.25).xyz) == 0
+
+
+def test_sums_over_photographs_give_their_mean_and_the_spread_of_their_heights(rng):
+    heights = rng.normal(-1.4, 0.01, 5)
+    parts = [np.array([[0.1, 0.1, z, 10.0 * k, 0.0, 0.0, 0.1 * k]] * (k + 1)) for k, z in enumerate(heights)]
+    surface = surface_of(iter(parts), BOX, 10.0)
+    np.testing.assert_allclose(surface.xyz, [[0.1, 0.1, heights.mean()]], rtol=1e-12)
+    np.testing.assert_allclose(surface.std, heights.std(ddof=1) / np.sqrt(5.0), rtol=1e-6)
+    assert (surface.rgb.tolist(), surface.num_views.tolist()) == ([[20, 0, 0]], [5])

@@ -1,6 +1,6 @@
 """The surface of a volume: where each path of the photographs meets it, and what several photographs agree on."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,8 +52,6 @@ def distance_of(rendered: Rendered, rule: Rule = Rule.median, density: float = 0
     return torch.where(is_hit, distance, torch.nan)
 
 
-@half_the_threads()
-@torch.no_grad()
 def points_on_surface(
     renderer: VolumeRenderer,
     photographs: Photographs,
@@ -62,39 +60,37 @@ def points_on_surface(
     samples: int,
     distance: Callable[[Rendered], Tensor] = distance_of,
     advance: Callable[[], object] = lambda: None,
-) -> list[np.ndarray]:
-    """Points on the surface of a volume, for `surface_of`, from all pixels of each photograph that show it.
+) -> Iterator[np.ndarray]:
+    """Points on the surface of a volume, for `surface_of`, of one photograph after the other.
 
-    ``cells``: the proxy of the volume. ``samples``: of each path. ``distance``: as `distance_of`. ``advance``: called
-    after each photograph.
+    Of all pixels that show it. ``cells``: the proxy of the volume. ``samples``: of each path. ``distance``: as
+    `distance_of`. ``advance``: called after each photograph.
     """
-    parts, cells = [], cells.to(renderer.model.place)
+    box, cells, chunk = renderer.model.box, cells.to(renderer.model.place), chunk_of(renderer, samples)
 
+    @half_the_threads()
+    @torch.no_grad()
     def distances(paths: Paths) -> Tensor:
         return distance(renderer.render(paths, renderer.samples(paths, cells, samples, jitter=False)))
 
-    some = photographs.draw(SAMPLE, renderer.model.box, np.random.default_rng(0)).to(renderer.model.place)
-    chunk = chunk_of(renderer, samples)
-    met = [distances(some[first : first + chunk]).isfinite().any() for first in range(0, SAMPLE, chunk)]
-    if not any(met):
-        return [np.zeros((0, 8))]
-    for view in range(len(photographs.cameras)):
-        parts.append(_of_view(renderer, photographs, view, chunk, distances))
-        advance()
-    return parts
+    some = photographs.draw(SAMPLE, box, np.random.default_rng(0)).to(renderer.model.place)
+    if any(distances(some[first : first + chunk]).isfinite().any() for first in range(0, SAMPLE, chunk)):
+        for view in range(len(photographs.cameras)):
+            yield _of_view(renderer, photographs, view, chunk, distances)
+            advance()
 
 
 def _of_view(
     renderer: VolumeRenderer, photographs: Photographs, view: int, chunk: int, distances: Callable[[Paths], Tensor]
 ) -> np.ndarray:
-    """Points of a photograph, rows of x, y, z, red, green, blue, incidence and the number of the photograph.
+    """Points of a photograph, rows of x, y, z, red, green, blue and incidence.
 
     ``distances`` gives those of the surface [m] along paths, NaN where there is none, for a chunk of pixels at a time.
     """
     camera, box = photographs.cameras[view], renderer.model.box
     water = photographs.water
     up = np.asarray(water.up if isinstance(water, FlatWater) else (0.0, 0.0, 1.0))
-    parts = [np.zeros((0, 8))]
+    parts = [np.zeros((0, 7))]
     pixels = photographs.pixels[view]
     for flat in np.array_split(pixels, -(-len(pixels) // chunk)) if len(pixels) else ():
         rows, columns = np.divmod(flat, camera.width)
@@ -105,30 +101,40 @@ def _of_view(
         is_hit = torch.isfinite(distance).cpu().numpy()
         points = paths.at(torch.nan_to_num(distance)[:, None])[:, 0].cpu().numpy()[is_hit].astype(np.float64)
         incidence = np.arccos(np.clip(-(paths.air.cpu().numpy()[is_hit] @ up), -1.0, 1.0))
-        parts.append(np.column_stack([points, rgb[is_hit], incidence, np.full(is_hit.sum(), view)]))
+        parts.append(np.column_stack([points, rgb[is_hit], incidence]))
     return np.concatenate(parts)
 
 
-def surface_of(parts: list[np.ndarray], box: Box, side: float) -> Surface:
-    """Surface in cells of a side [m]: means of the points of each photograph, then over the photographs."""
-    found = np.concatenate(parts)
-    found = found[((found[:, :3] > box.low) & (found[:, :3] < box.high)).all(axis=1)]
+def surface_of(parts: Iterable[np.ndarray], box: Box, side: float) -> Surface:
+    """Surface in cells of a side [m]: means of the points of each photograph, then over the photographs.
+
+    In memory are the points of one photograph at a time, and for each cell sums over photographs, twice at most.
+    """
     shape = tuple(np.maximum(np.ceil(box.size / side), 1).astype(int).tolist())
-    index = np.minimum(((found[:, :3] - box.low) / side).astype(int), np.array(shape) - 1)
-    cell_and_view = np.ravel_multi_index((*index.T, found[:, 7].astype(int)), (*shape, len(parts)))
-    of_view, key = _means(found, cell_and_view)
-    mean, cells = _means(of_view, key // len(parts))
-    number = np.searchsorted(cells, key // len(parts))
-    count = np.bincount(number)
-    squared = np.bincount(number, (of_view[:, 2] - mean[number, 2]) ** 2)
-    keep = count >= LEAST_VIEWS
-    mean, count = mean[keep], count[keep]
-    std = np.sqrt(squared[keep] / (count * (count - 1)))
-    return Surface(mean[:, :3], np.round(mean[:, 3:6]).astype(np.uint8), std, count, mean[:, 6])
+    of_cells = [(np.zeros((0, 9)), np.zeros(0, dtype=np.int64))]
+    for part in parts:
+        found = part[((part[:, :3] > box.low) & (part[:, :3] < box.high)).all(axis=1)]
+        index = np.minimum(((found[:, :3] - box.low) / side).astype(int), np.array(shape) - 1)
+        total, count, of_view = _sums(found - [*box.low, 0, 0, 0, 0], np.ravel_multi_index(tuple(index.T), shape))
+        mean = total / count[:, None]
+        of_cells.append((np.column_stack([mean, mean[:, 2] ** 2, np.ones(len(mean))]), of_view))
+        if sum(len(cells) for _, cells in of_cells[1:]) > len(of_cells[0][1]):
+            of_cells = [_joined(of_cells)]
+    sums, _ = _joined(of_cells)
+    sums = sums[sums[:, 8] >= LEAST_VIEWS]
+    count = sums[:, 8]
+    mean = sums[:, :7] / count[:, None]
+    std = np.sqrt(np.maximum(sums[:, 7] - count * mean[:, 2] ** 2, 0.0) / (count * (count - 1)))
+    return Surface(mean[:, :3] + box.low, np.round(mean[:, 3:6]).astype(np.uint8), std, count.astype(int), mean[:, 6])
 
 
-def _means(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Means (G, C) of values (N, C) by group (N,), and the groups (G,), rising."""
-    groups, inverse = np.unique(group, return_inverse=True)
-    sums = np.stack([np.bincount(inverse, column, len(groups)) for column in values.T], axis=-1)
-    return sums / np.bincount(inverse, minlength=len(groups))[:, None], groups
+def _joined(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    """Sums (G, C) and groups (G,) of several of them."""
+    total, _, groups = _sums(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+    return total, groups
+
+
+def _sums(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Sums (G, C) of values (N, C) by group (N,), how many values each has, and the groups (G,), rising."""
+    groups, inverse, count = np.unique(group, return_inverse=True, return_counts=True)
+    return np.stack([np.bincount(inverse, column, len(groups)) for column in values.T], axis=-1), count, groups

@@ -1,7 +1,5 @@
 """Bent paths through a box: where they enter and leave it, and where they stand, against the paths of `refract`."""
 
-from dataclasses import fields
-
 import numpy as np
 import pytest
 import torch
@@ -93,16 +91,6 @@ def test_the_direction_is_that_of_the_medium_and_only_the_wet_part_counts_as_wat
     dry = whole(camera, None)
     assert (dry.reflectance == 0.0).all()
     assert torch.isinf(dry.crossing).all()
-
-
-def test_paths_are_taken_and_joined_whole():
-    one, other = whole(looking_down(), WATER, view=3), whole(looking_down(tilt=0.3), WATER, view=5)
-    both = Paths.concatenate([one, other])
-    assert len(both) == len(one) + len(other)
-    assert both.view.unique().tolist() == [3, 5]
-    last = both[len(one) :]
-    for field in fields(Paths):
-        torch.testing.assert_close(getattr(last, field.name), getattr(other, field.name), rtol=0, atol=0)
 
 
 @pytest.mark.parametrize(("low", "high"), [((0, 0), (1, 1)), ((0, 0, 1), (1, 1, 1)), ((0, 0, np.nan), (1, 1, 1))])

@@ -7,7 +7,7 @@ from volume_scenes import BOX, WATER, Slab, looking_down
 
 from fields.models import Rule
 from fields.volume.paths import paths_of
-from fields.volume.photographs import Photographs
+from fields.volume.photographs import Photographs, pixels_over
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
 from fields.volume.surface import distance_of, points_on_surface, surface_of
@@ -20,7 +20,7 @@ DENSE = 100.0
 def photographs(num: int, water) -> Photographs:
     cameras = [looking_down(x=0.2 * k, tilt=0.1 * k) for k in range(num)]
     grey = [np.full((c.height, c.width, 3), 40 * (k + 1), dtype=np.uint8) for k, c in enumerate(cameras)]
-    return Photographs.over(cameras, grey, BOX, water)
+    return Photographs(cameras, grey, [pixels_over(camera, BOX, water) for camera in cameras], water)
 
 
 @pytest.mark.parametrize("water", [None, WATER])

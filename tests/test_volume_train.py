@@ -12,7 +12,7 @@ from volume_scenes import BOX, WATER, Slab, bed_photographs, looking_down
 from fields.device import choose_device
 from fields.volume import train
 from fields.volume.model import Rates, has_converged
-from fields.volume.photographs import Photographs
+from fields.volume.photographs import pixels_over
 from fields.volume.renderer import VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.tensor import TensorSettings, TensorVolume
@@ -85,7 +85,7 @@ def test_paths_are_drawn_from_the_pixels_given_each_photograph_by_its_share():
 @pytest.mark.parametrize("water", [None, WATER])
 def test_a_bed_in_a_box_is_seen_by_the_pixels_whose_path_leaves_through_the_floor(water):
     cameras = [looking_down(tilt=tilt, size=30) for tilt in (0.0, 0.4)]
-    found = Photographs.over(cameras, [], BOX, water).pixels
+    found = [pixels_over(camera, BOX, water) for camera in cameras]
     for camera, pixels in zip(cameras, found, strict=True):
         bent = camera.paths(camera.pixel_centres().reshape(-1, 2), water)
         floor = bent.at_height(np.full(900, BOX.low[2]), water)

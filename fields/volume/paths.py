@@ -125,11 +125,6 @@ class Paths:
         """The same paths in the memory of a device."""
         return Paths(*(getattr(self, f.name).to(place) for f in fields(self)))
 
-    @staticmethod
-    def concatenate(parts: list[Paths]) -> Paths:
-        """Paths of several views in one."""
-        return Paths(*(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Paths)))
-
     def at(self, s: Tensor) -> Tensor:
         """Positions (N, K, 3) [m] at path lengths s (N, K) [m]."""
         dry = torch.minimum(s, self.crossing[:, None])

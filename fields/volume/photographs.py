@@ -105,13 +105,6 @@ class Photographs:
     starts: list[np.ndarray] | None = None
     names: tuple[str, ...] = ()  # of the photographs, where they are asked for
 
-    @staticmethod
-    def over(
-        cameras: list[PinholeCamera], images: list[np.ndarray], box: Box, water: WaterSurface | None = None
-    ) -> Photographs:
-        """Photographs of a bed inside a box, of the pixels that show it; see `pixels_over`."""
-        return Photographs(cameras, images, [pixels_over(camera, box, water) for camera in cameras], water)
-
     @property
     def left_half(self) -> Photographs:
         """The photographs with the pixels of their left halves alone."""

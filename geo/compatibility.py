@@ -24,22 +24,7 @@ from pyproj.enums import PJType
 from pyproj.exceptions import CRSError, ProjError
 from scipy.ndimage import map_coordinates
 
-from geo.crs import (
-    AREA_MARGIN_DEG,
-    crs_of,
-    degrees_outside_area,
-    ellipsoid,
-    geodetic_crs,
-    has_height,
-    height_unit_m,
-    horizontal_crs,
-    horizontal_unit,
-    is_geographic,
-    middle_lon_lat,
-    parse_crs,
-    prime_meridian_rad,
-    vertical_crs,
-)
+import geo.crs
 from geo.errors import GeoError, PlaceMismatch
 from geo.grid import plan_box
 from geo.projection import MapProjection, nan_unless_finite
@@ -63,19 +48,19 @@ def crs_difference(a: CRS, b: CRS) -> str | None:
     """
     if a.equals(b, ignore_axis_order=True):
         return None
-    if _horizontal_differs(horizontal_crs(a), horizontal_crs(b)):
-        names = [horizontal_crs(crs).name for crs in (a, b)]
+    if _horizontal_differs(geo.crs.horizontal_crs(a), geo.crs.horizontal_crs(b)):
+        names = [geo.crs.horizontal_crs(crs).name for crs in (a, b)]
         if names[0] == names[1]:
             names = [f"{crs.name} ({crs.axis_info[0].unit_name})" for crs in (a, b)]
         return f"{names[0]} against {names[1]}"
-    if not (has_height(a) and has_height(b)):
+    if not (geo.crs.has_height(a) and geo.crs.has_height(b)):
         return None
-    names = [(v.name if (v := vertical_crs(crs)) else "ellipsoidal height") for crs in (a, b)]
+    names = [(v.name if (v := geo.crs.vertical_crs(crs)) else "ellipsoidal height") for crs in (a, b)]
     axes = [crs.axis_info[2] for crs in (a, b)]
-    if abs(height_unit_m(a) - height_unit_m(b)) > 1e-9 or axes[0].direction != axes[1].direction:
+    if abs(geo.crs.height_unit_m(a) - geo.crs.height_unit_m(b)) > 1e-9 or axes[0].direction != axes[1].direction:
         names = [f"{name} ({axis.unit_name}, {axis.direction})" for name, axis in zip(names, axes, strict=True)]
         return f"heights {names[0]} against {names[1]}"
-    first, second = vertical_crs(a), vertical_crs(b)
+    first, second = geo.crs.vertical_crs(a), geo.crs.vertical_crs(b)
     is_one_ellipsoidal = (first is None) != (second is None)
     if is_one_ellipsoidal or (first and second and _names_differ(first.datum, second.datum)):
         return f"heights {names[0]} against {names[1]}"
@@ -151,13 +136,13 @@ def _horizontal_differs(a: CRS, b: CRS) -> bool:
 
 def _frame_numbers(crs: CRS) -> list[float]:
     """Semi-axes [m], prime meridian [m on the equator] and unit (of 1000 m, or of a turn)."""
-    a, b = ellipsoid(crs).semi_major_metre, ellipsoid(crs).semi_minor_metre
-    return [a, b, prime_meridian_rad(crs) * a, 1000.0 * horizontal_unit(crs)]
+    a, b = geo.crs.ellipsoid(crs).semi_major_metre, geo.crs.ellipsoid(crs).semi_minor_metre
+    return [a, b, geo.crs.prime_meridian_rad(crs) * a, 1000.0 * geo.crs.horizontal_unit(crs)]
 
 
 def _grids_differ(a: CRS, b: CRS) -> bool:
     """Whether places around the origin of the grid of a have other coordinates in b, whatever their notations."""
-    unit, projection = horizontal_unit(a), a.coordinate_operation
+    unit, projection = geo.crs.horizontal_unit(a), a.coordinate_operation
     if projection is None:
         raise GeoError(f"{a.name} has no map projection; expected a projected CRS.")
     false_origin = [
@@ -189,7 +174,7 @@ _WORLDWIDE_DEG = 350.0
 
 def require_in_area(crs: CRS, points: np.ndarray, subject: str, where: str = "crs") -> None:
     """Raise PlaceMismatch, which names ``where``, if the middle of points (N, 2 or 3) lies far outside the area."""
-    middle = middle_of(horizontal_crs(crs), np.asarray(points, dtype=np.float64))
+    middle = middle_of(geo.crs.horizontal_crs(crs), np.asarray(points, dtype=np.float64))
     if middle is not None:
         _require_in_area(crs, np.radians(middle), subject, where)
 
@@ -197,16 +182,16 @@ def require_in_area(crs: CRS, points: np.ndarray, subject: str, where: str = "cr
 def require_at(crs: CRS, lon_lat_deg: np.ndarray, subject: str, where: str) -> None:
     """Raise PlaceMismatch as `require_in_area`, for longitudes and latitudes (N, 2) of WGS 84 [deg]."""
     if len(lon_lat_deg):
-        east, north = middle_lon_lat(lon_lat_deg).tolist()
+        east, north = geo.crs.middle_lon_lat(lon_lat_deg).tolist()
         lon, lat = np.radians([east, north])
         subject += f" (about latitude {north:.3f}, longitude {east:.3f})"
-        _require_in_area(crs, np.array([lon - prime_meridian_rad(crs), lat]), subject, where)
+        _require_in_area(crs, np.array([lon - geo.crs.prime_meridian_rad(crs), lat]), subject, where)
 
 
 def _require_in_area(crs: CRS, middle: np.ndarray, subject: str, where: str) -> None:
     lon, lat = middle.tolist()
-    excess = degrees_outside_area(crs, lon, lat)
-    if excess > AREA_MARGIN_DEG:
+    excess = geo.crs.degrees_outside_area(crs, lon, lat)
+    if excess > geo.crs.AREA_MARGIN_DEG:
         raise PlaceMismatch(
             f"{subject} lie {excess:.0f} degrees outside the area that {crs.name} is made for; choose the CRS of the "
             f"place ({where})"
@@ -249,7 +234,7 @@ def likely_crs(points: np.ndarray, lon_lat_deg: tuple[float, float], within_m: f
         away_m = float(np.median(Geod(ellps="WGS84").inv(east[finite], north[finite], *places)[2]))
         if away_m <= within_m:
             # Of a grid with its axes swapped, only the name differs here.
-            is_other = geodetic_crs(crs) != geodetic_crs(like) or "(N-E)" in crs.name
+            is_other = geo.crs.geodetic_crs(crs) != geo.crs.geodetic_crs(like) or "(N-E)" in crs.name
             found.append((is_other, round(away_m, -2), int(info.code), crs))
     return [crs for *_, crs in sorted(found, key=lambda item: item[:3])]
 
@@ -312,7 +297,7 @@ class Reprojection:
         Errors name ``where``; places (N, 2 or 3) of the survey, in the source, decide between regional operations.
         """
         target = _with_height(source, target, where)
-        plan = horizontal_crs(source), horizontal_crs(target)
+        plan = geo.crs.horizontal_crs(source), geo.crs.horizontal_crs(target)
         keeps_height = has_same_heights(source, target)
         remedy = "or name a horizontal CRS alone, which keeps the heights as they are."
         operation = best_operation(*(plan if keeps_height else (source, target)), where, remedy, places)
@@ -341,7 +326,7 @@ class Reprojection:
         else:
             east, north, height = self._transformer.transform(east, north, height)
         turned = nan_unless_finite(np.stack([east, north, height], axis=-1))
-        if is_geographic(self.crs) and crosses(turned):
+        if geo.crs.is_geographic(self.crs) and crosses(turned):
             raise GeoError(
                 f"the survey lies on the meridian of 180 degrees, where the longitudes of {self.crs.name} jump; choose "
                 "a projected CRS of the place, e.g. UTM zone 1 or 60; GeoJSON of lines and areas is cut there."
@@ -354,23 +339,27 @@ class Reprojection:
 def _with_height(source: CRS, target: str | CRS, where: str) -> CRS:
     """The target as a CRS with heights: its own, else those of the source."""
     try:
-        target_crs = crs_of(target)
+        target_crs = geo.crs.crs_of(target)
     except CRSError as error:
         raise GeoError(
             f'{where} is "{str(target)[:80]}", which is not a known coordinate reference system; give an EPSG code '
             'such as "EPSG:32632", WKT or a PROJ string.'
         ) from error
-    if not has_height(target_crs) and (target_crs.is_projected or target_crs.is_geographic):
-        vertical = vertical_crs(source)
+    if not geo.crs.has_height(target_crs) and (target_crs.is_projected or target_crs.is_geographic):
+        vertical = geo.crs.vertical_crs(source)
         compound = vertical and CompoundCRS(f"{target_crs.name} + {vertical.name}", [target_crs, vertical])
         target_crs = compound or target_crs.to_3d()
-    return parse_crs(target_crs, where=where)
+    return geo.crs.parse_crs(target_crs, where=where)
 
 
 def has_same_heights(source: CRS, target: CRS) -> bool:
     """Whether both count heights from the same surface and in the same unit."""
-    before, after = vertical_crs(source), vertical_crs(target)
+    before, after = geo.crs.vertical_crs(source), geo.crs.vertical_crs(target)
     if before is None or after is None:
-        same_ellipsoid = horizontal_crs(source).geodetic_crs == horizontal_crs(target).geodetic_crs
-        return before is after is None and same_ellipsoid and height_unit_m(source) == height_unit_m(target)
+        same_ellipsoid = geo.crs.horizontal_crs(source).geodetic_crs == geo.crs.horizontal_crs(target).geodetic_crs
+        return (
+            before is after is None
+            and same_ellipsoid
+            and geo.crs.height_unit_m(source) == geo.crs.height_unit_m(target)
+        )
     return before.equals(after)

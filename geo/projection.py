@@ -15,16 +15,7 @@ import numpy as np
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
-from geo.crs import (
-    angular_unit_rad,
-    crs_name,
-    ellipsoid,
-    geodetic_crs,
-    has_height,
-    height_unit_m,
-    horizontal_crs,
-    horizontal_unit,
-)
+import geo.crs
 from geo.errors import GeoError
 
 # Bowring's iteration gains about five digits a step below 10 km of height; three steps reach the last bit.
@@ -75,21 +66,21 @@ class MapProjection:
     """The map projection of a CRS with heights (`geo.crs.parse_crs`), in float64."""
 
     def __init__(self, crs: CRS):
-        axes, horizontal = ellipsoid(crs), horizontal_crs(crs)
+        axes, horizontal = geo.crs.ellipsoid(crs), geo.crs.horizontal_crs(crs)
         self.a, self.b = axes.semi_major_metre, axes.semi_minor_metre  # [m]: semi-axes of the ellipsoid
-        self.horizontal_unit = horizontal_unit(crs)  # [m] or [rad]: one unit of easting or of longitude
-        self.height_unit_m = height_unit_m(crs)
+        self.horizontal_unit = geo.crs.horizontal_unit(crs)  # [m] or [rad]: one unit of easting or of longitude
+        self.height_unit_m = geo.crs.height_unit_m(crs)
         self.is_geographic = horizontal.is_geographic  # Whether horizontal coordinates are angles
-        self._angle_unit = angular_unit_rad(crs)
+        self._angle_unit = geo.crs.angular_unit_rad(crs)
         self._lonlat_from_grid: Transformer | None = None
         if not self.is_geographic:
             # The one place that fixes the order of axes: easting before northing, longitude before latitude.
             try:
-                self._lonlat_from_grid = Transformer.from_crs(horizontal, geodetic_crs(crs), always_xy=True)
+                self._lonlat_from_grid = Transformer.from_crs(horizontal, geo.crs.geodetic_crs(crs), always_xy=True)
             except ProjError as error:
                 raise GeoError(
-                    f"{crs_name(crs)} has a map projection that PROJ cannot compute ({str(error)[:120]}); give one of "
-                    "EPSG, e.g. EPSG:25832"
+                    f"{geo.crs.crs_name(crs)} has a map projection that PROJ cannot compute ({str(error)[:120]}); "
+                    "give one of EPSG, e.g. EPSG:25832"
                 ) from error
 
     def geodetic_from_crs(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -138,17 +129,19 @@ def ground_units_m(crs: CRS, place: np.ndarray) -> np.ndarray:
     units is one unit on the ground. Degrees are shorter along parallels, and Web Mercator stretches the ground by 1.49
     at 48 degrees. Places are rounded to a hundredth of a degree, or a kilometre, so that neighbours agree.
     """
-    unit = horizontal_unit(crs)
-    rounded = np.radians(0.01) / unit if horizontal_crs(crs).is_geographic else 1000.0 / unit
+    unit = geo.crs.horizontal_unit(crs)
+    rounded = np.radians(0.01) / unit if geo.crs.horizontal_crs(crs).is_geographic else 1000.0 / unit
     near = np.round(np.asarray(place, dtype=np.float64)[None, :2] / rounded) * rounded
-    true = metres_per_unit(crs if has_height(crs) else crs.to_3d(), near)
+    true = metres_per_unit(crs if geo.crs.has_height(crs) else crs.to_3d(), near)
     is_to_scale = (np.abs(true / unit - 1.0) <= _TO_SCALE).all() or not np.isfinite(true).all()
     return np.full(2, unit) if is_to_scale else true
 
 
 def is_to_scale(crs: CRS, place: np.ndarray) -> bool:
     """Whether coordinates in crs are lengths on the ground, to a hundredth, near a place (east, north, ...)."""
-    return not horizontal_crs(crs).is_geographic and bool((ground_units_m(crs, place) == horizontal_unit(crs)).all())
+    return not geo.crs.horizontal_crs(crs).is_geographic and bool(
+        (ground_units_m(crs, place) == geo.crs.horizontal_unit(crs)).all()
+    )
 
 
 def nan_unless_finite(values: np.ndarray) -> np.ndarray:

@@ -18,16 +18,8 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
+import geo.crs
 from geo.compatibility import crs_difference
-from geo.crs import (
-    checked_height_unit,
-    ellipsoid,
-    ellipsoidal_wkt1,
-    has_height,
-    horizontal_crs,
-    unit_named,
-    vertical_crs,
-)
 from geo.errors import UnreadableFile, UnwritableFile, first_line
 from geo.files import disk_error_text, existing_file, write_whole_at
 from geo.shapes import Mesh
@@ -95,8 +87,8 @@ def write_bag(path: str | Path, form: RasterForm, parts: Iterable[Part], variabl
     with write_whole_at(path) as part, _working_folder(part, Path(path)) as work:
         # GDAL knows the format by the suffix.
         copy = work / "copy.bag"
-        if vertical_crs(form.crs) is None and has_height(form.crs):
-            variables = variables | {"VERT_WKT": ellipsoidal_wkt1(form.crs)}
+        if geo.crs.vertical_crs(form.crs) is None and geo.crs.has_height(form.crs):
+            variables = variables | {"VERT_WKT": geo.crs.ellipsoidal_wkt1(form.crs)}
         template = {f"VAR_{name}": value for name, value in variables.items()}
         # In memory first: on a full disk HDF5 prints a page of its own messages, and fails again when closed.
         with MemoryFile(ext=".bag") as memory:
@@ -116,8 +108,10 @@ def _write(path: Path | str, form: RasterForm, parts: Iterable[Part], **profile)
     with raster:
         if profile["driver"] == "GTiff":
             heights = {}
-            if has_height(form.crs) and not has_height(stored_crs(form.crs)):
-                heights["HEIGHT_DATUM"] = f"ellipsoid {ellipsoid(form.crs).name}, {form.crs.axis_info[2].unit_name}"
+            if geo.crs.has_height(form.crs) and not geo.crs.has_height(stored_crs(form.crs)):
+                heights["HEIGHT_DATUM"] = (
+                    f"ellipsoid {geo.crs.ellipsoid(form.crs).name}, {form.crs.axis_info[2].unit_name}"
+                )
             raster.update_tags(TIFFTAG_SOFTWARE=SOFTWARE, AREA_OR_POINT="Area", **heights, **form.tags)
             if form.is_colour:
                 raster.colorinterp = [getattr(ColorInterp, name) for name in ("red", "green", "blue", "alpha")]
@@ -146,7 +140,9 @@ def _require_readable(copy: Path, path: Path, form: RasterForm) -> None:
             f"cannot write {path}: the CRS {crs.name} cannot be read back from this format; export in one of common "
             "EPSG codes (--crs), e.g. the UTM zone with a height datum."
         )
-    reason = crs_difference(read, crs) or ("its heights have no datum" if has_height(crs) > has_height(read) else None)
+    reason = crs_difference(read, crs) or (
+        "its heights have no datum" if geo.crs.has_height(crs) > geo.crs.has_height(read) else None
+    )
     if reason is not None:
         raise UnwritableFile(
             f"cannot write {path}: the CRS {crs.name} reads as another one ({reason}); choose another --crs."
@@ -158,7 +154,7 @@ def stored_crs(crs: CRS) -> CRS:
 
     No GeoTIFF keys that GDAL reads back say "above the ellipsoid" of a projected CRS; a tag says it instead.
     """
-    return horizontal_crs(crs) if crs.is_projected and vertical_crs(crs) is None else crs
+    return geo.crs.horizontal_crs(crs) if crs.is_projected and geo.crs.vertical_crs(crs) is None else crs
 
 
 @contextmanager
@@ -196,9 +192,9 @@ def read_raster(path: str | Path) -> Mesh:
     heights, t, crs, named = _read_band(path)
     rows, columns = np.mgrid[0 : heights.shape[0], 0 : heights.shape[1]] + 0.5
     east, north = t.a * columns + t.b * rows + t.c, t.d * columns + t.e * rows + t.f
-    unit = unit_named(named)
+    unit = geo.crs.unit_named(named)
     note = f"{path} gives its heights in {(named or '')[:40]!r}, which is not a known unit of length."
-    height_unit = checked_height_unit(crs, unit, path, f"the unit of its band, {named},")
+    height_unit = geo.crs.checked_height_unit(crs, unit, path, f"the unit of its band, {named},")
     faces = _triangles(np.isfinite(heights))
     # From south to north, or mirrored, the triangles would face down.
     if t.a * t.e - t.b * t.d > 0.0:

@@ -21,19 +21,7 @@ from pyproj import CRS, Transformer, datadir
 from pyproj.exceptions import ProjError
 from pyproj.transformer import AreaOfInterest, TransformerGroup
 
-from geo.crs import (
-    EARTH_RADIUS_M,
-    crs_name,
-    ellipsoid,
-    geodetic_crs,
-    has_height,
-    height_unit_m,
-    horizontal_crs,
-    horizontal_unit,
-    is_geographic,
-    middle_lon_lat,
-    vertical_crs,
-)
+import geo.crs
 from geo.errors import GeoError, UnknownUnit
 
 
@@ -103,7 +91,7 @@ class Transformation:
     def between(source: CRS, target: CRS, places: np.ndarray) -> Transformation:
         """The operation for places (N, 2 or 3) in the source; the middle of those that are on its map counts."""
         ends = _with_own_operation(source), _with_own_operation(target)
-        source, target = horizontal_crs(source), horizontal_crs(target)
+        source, target = geo.crs.horizontal_crs(source), geo.crs.horizontal_crs(target)
         middle = middle_of(source, np.asarray(places, dtype=np.float64))
         if middle is None:
             return Transformation(source, target, 0.0, (), True, Transformer.from_crs(*ends, always_xy=True))
@@ -130,9 +118,9 @@ class Transformation:
         """Raise GeoError where PROJ has no operation: two datums may lie hundreds of metres apart."""
         if not self.is_known:
             raise GeoError(
-                f"{subject}: PROJ knows no operation between the datums of {crs_name(self.source)} and "
-                f"{crs_name(self.target)}, which may lie hundreds of metres apart; name the datum (an EPSG code, or "
-                f"+towgs84 in a PROJ string), {remedy}"
+                f"{subject}: PROJ knows no operation between the datums of {geo.crs.crs_name(self.source)} and "
+                f"{geo.crs.crs_name(self.target)}, which may lie hundreds of metres apart; name the datum "
+                f"(an EPSG code, or +towgs84 in a PROJ string), {remedy}"
             )
 
     def warning(self, subject: str) -> str | None:
@@ -141,12 +129,13 @@ class Transformation:
             return None
         if self.is_outside and self.accuracy_m is not None:
             return (
-                f"{subject} are transformed from {crs_name(self.source)} to {crs_name(self.target)} outside the area "
-                f"of each operation that PROJ knows, which are good to {self.accuracy_m:.2g} m there: an error common "
-                "to all of them"
+                f"{subject} are transformed from {geo.crs.crs_name(self.source)} to {geo.crs.crs_name(self.target)} "
+                f"outside the area of each operation that PROJ knows, which are good to {self.accuracy_m:.2g} m there: "
+                "an error common to all of them"
             )
         known = "an unknown accuracy" if self.accuracy_m is None else f"an accuracy of {self.accuracy_m:.2g} m by PROJ"
-        subject = f"{subject} are transformed from {crs_name(self.source)} to {crs_name(self.target)} with {known}"
+        names = f"{geo.crs.crs_name(self.source)} to {geo.crs.crs_name(self.target)}"
+        subject = f"{subject} are transformed from {names} with {known}"
         if self.missing_grids:
             grids = " and ".join(self.missing_grids)
             return (
@@ -169,8 +158,8 @@ def height_scale(source: CRS, target: CRS, subject: str, *, unit_m: float | None
     A source without heights of its own has those of the target, in ``unit_m`` [m] where the program that wrote them
     defines it. Errors name the subject, e.g. "the heights of control points in gcp_list.txt".
     """
-    if has_height(source):
-        first, second = vertical_crs(source), vertical_crs(target)
+    if geo.crs.has_height(source):
+        first, second = geo.crs.vertical_crs(source), geo.crs.vertical_crs(target)
         is_one = first is not None and second is not None and (first.equals(second) or first.datum == second.datum)
         if not is_one and not first is second is None:
             names = [part.name if part is not None else "the ellipsoid" for part in (first, second)]
@@ -178,19 +167,19 @@ def height_scale(source: CRS, target: CRS, subject: str, *, unit_m: float | None
                 f"{subject} are above {names[0]}, expected above {names[1]}; convert them, or correct the vertical "
                 "part of the CRS"
             )
-        return height_unit_m(source) / height_unit_m(target)
+        return geo.crs.height_unit_m(source) / geo.crs.height_unit_m(target)
     if unit_m is not None:
-        return unit_m / height_unit_m(target)
-    in_plan = 1.0 if is_geographic(source) else horizontal_unit(source)
-    if abs(in_plan / height_unit_m(target) - 1.0) < _SAME_UNIT:
+        return unit_m / geo.crs.height_unit_m(target)
+    in_plan = 1.0 if geo.crs.is_geographic(source) else geo.crs.horizontal_unit(source)
+    if abs(in_plan / geo.crs.height_unit_m(target) - 1.0) < _SAME_UNIT:
         return 1.0
-    if is_geographic(source):
-        return 1.0 / height_unit_m(target)
-    plan = horizontal_crs(source)
+    if geo.crs.is_geographic(source):
+        return 1.0 / geo.crs.height_unit_m(target)
+    plan = geo.crs.horizontal_crs(source)
     raise UnknownUnit(
-        f"{subject} have no unit: {crs_name(plan)} counts east and north in {plan.axis_info[0].unit_name}, and heights "
-        f"of the survey are in {target.axis_info[2].unit_name}; name the CRS with its vertical part, whose unit counts "
-        "(of heights above NAVD 88: +5703 in metres, +8228 in feet, +6360 in US survey feet)"
+        f"{subject} have no unit: {geo.crs.crs_name(plan)} counts east and north in {plan.axis_info[0].unit_name}, and "
+        f"heights of the survey are in {target.axis_info[2].unit_name}; name the CRS with its vertical part, "
+        "whose unit counts (of heights above NAVD 88: +5703 in metres, +8228 in feet, +6360 in US survey feet)"
     )
 
 
@@ -199,8 +188,8 @@ def best_operation(source: CRS, target: CRS, where: str, remedy: str, places: np
 
     Errors name ``where`` and end with ``remedy``; places (N, 2 or 3) in the source decide between regional operations.
     """
-    subject = f"{where}: the transformation from {crs_name(source)} to {crs_name(target)}"
-    middle = None if places is None else middle_of(horizontal_crs(source), np.asarray(places, dtype=np.float64))
+    subject = f"{where}: the transformation from {geo.crs.crs_name(source)} to {geo.crs.crs_name(target)}"
+    middle = None if places is None else middle_of(geo.crs.horizontal_crs(source), np.asarray(places, dtype=np.float64))
     try:
         group = operations(source, target, None if middle is None else area_about(*middle.tolist()))
     except ProjError as error:
@@ -216,8 +205,9 @@ def best_operation(source: CRS, target: CRS, where: str, remedy: str, places: np
 
 def _missing(subject: str, source: CRS, target: CRS, grids: Sequence[str], remedy: str) -> GeoError:
     return GeoError(
-        f"{subject}: the transformation from {crs_name(source)} to {crs_name(target)} needs {' and '.join(grids)}, "
-        f"which PROJ does not have; fetch it into its data folder (pyproj sync --file {grids[0]}), {remedy}"
+        f"{subject}: the transformation from {geo.crs.crs_name(source)} to {geo.crs.crs_name(target)} needs "
+        f"{' and '.join(grids)}, which PROJ does not have; fetch it into its data folder "
+        f"(pyproj sync --file {grids[0]}), {remedy}"
     )
 
 
@@ -231,19 +221,19 @@ def _with_own_operation(crs: CRS) -> CRS:
     """The horizontal part of a CRS, with the transformation to WGS 84 in its text where PROJ knows no other."""
     part = crs.sub_crs_list[0] if crs.is_compound else crs
     if not part.is_bound:
-        return horizontal_crs(crs)
+        return geo.crs.horizontal_crs(crs)
     try:
-        group = operations(geodetic_crs(part), WGS84, None)
+        group = operations(geo.crs.geodetic_crs(part), WGS84, None)
         # Even if the grid of one is missing.
         is_known = bool(group.transformers or group.unavailable_operations)
     except ProjError:
         is_known = False
-    return horizontal_crs(crs) if is_known else part.to_2d()
+    return geo.crs.horizontal_crs(crs) if is_known else part.to_2d()
 
 
 def _may_be_one_datum(a: CRS, b: CRS) -> bool:
     """Whether two CRSs may share a datum: one datum has no name, and the ellipsoids are alike."""
-    datums, axes = [geodetic_crs(crs).datum for crs in (a, b)], [ellipsoid(crs) for crs in (a, b)]
+    datums, axes = [geo.crs.geodetic_crs(crs).datum for crs in (a, b)], [geo.crs.ellipsoid(crs) for crs in (a, b)]
     is_nameless = any(datum is None or datum.name.lower().startswith(("unknown", "unnamed")) for datum in datums)
     apart_m = np.ptp([[axis.semi_major_metre, axis.semi_minor_metre] for axis in axes], axis=0)
     return is_nameless and bool((apart_m < _SAME_ELLIPSOID_M).all())
@@ -255,12 +245,12 @@ def middle_of(source: CRS, places: np.ndarray) -> np.ndarray | None:
         return None
     own = places[:, :2]
     if not source.is_geographic:
-        own = np.column_stack(_projection(source.srs, geodetic_crs(source).srs).transform(*own.T))
+        own = np.column_stack(_projection(source.srs, geo.crs.geodetic_crs(source).srs).transform(*own.T))
     known = np.isfinite(own).all(axis=1)
     if not known.any():
         return None
-    unit = geodetic_crs(source).axis_info[0].unit_conversion_factor
-    return middle_lon_lat(np.degrees(own[known] * unit))
+    unit = geo.crs.geodetic_crs(source).axis_info[0].unit_conversion_factor
+    return geo.crs.middle_lon_lat(np.degrees(own[known] * unit))
 
 
 @lru_cache(maxsize=64)
@@ -292,7 +282,7 @@ def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> Transformation:
         return chosen(transformer, None, is_known=bool(missing))
     except ProjError as error:
         raise GeoError(
-            f"the transformation from {crs_name(source)} to {crs_name(target)} is not known to PROJ "
+            f"the transformation from {geo.crs.crs_name(source)} to {geo.crs.crs_name(target)} is not known to PROJ "
             f"({str(error)[:80]}); choose another CRS"
         ) from error
 
@@ -306,8 +296,8 @@ def _spread_m(candidates: list[Transformer], source: CRS, target: CRS, middle: n
     if len(rated) < 2 or candidates[0] not in rated:
         return None
     places = np.array([_degrees_by(candidate, source, target, middle) for candidate in rated])
-    unit = geodetic_crs(target).axis_info[0].unit_conversion_factor
-    offsets = (places - places[rated.index(candidates[0])]) * unit * EARTH_RADIUS_M
+    unit = geo.crs.geodetic_crs(target).axis_info[0].unit_conversion_factor
+    offsets = (places - places[rated.index(candidates[0])]) * unit * geo.crs.EARTH_RADIUS_M
     offsets[:, 0] *= np.cos(places[:, 1] * unit)
     far = np.hypot(*offsets.T)
     return float(max(far[np.isfinite(far)].max(initial=0.0), candidates[0].accuracy))
@@ -315,7 +305,7 @@ def _spread_m(candidates: list[Transformer], source: CRS, target: CRS, middle: n
 
 def _keeps_degrees(source: CRS, target: CRS, transformer: Transformer, middle: np.ndarray) -> bool:
     """Whether longitude and latitude stay what they are."""
-    ends = (geodetic_crs(source), geodetic_crs(target))
+    ends = (geo.crs.geodetic_crs(source), geo.crs.geodetic_crs(target))
     if any(abs(np.degrees(end.axis_info[0].unit_conversion_factor) - 1.0) > _SAME_UNIT for end in ends):
         return False
     return bool(np.abs(_degrees_by(transformer, source, target, middle) - middle).max() < _UNCHANGED_DEG)
@@ -325,8 +315,8 @@ def _degrees_by(transformer: Transformer, source: CRS, target: CRS, middle: np.n
     """Longitude and latitude (2,) of a place in the target by an operation, from those in the source."""
     x, y = middle
     if not source.is_geographic:
-        x, y = _projection(geodetic_crs(source).srs, source.srs).transform(x, y)
+        x, y = _projection(geo.crs.geodetic_crs(source).srs, source.srs).transform(x, y)
     x, y = transformer.transform(x, y)
     if not target.is_geographic:
-        x, y = _projection(target.srs, geodetic_crs(target).srs).transform(x, y)
+        x, y = _projection(target.srs, geo.crs.geodetic_crs(target).srs).transform(x, y)
     return np.array([x, y])

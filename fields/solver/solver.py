@@ -8,19 +8,11 @@ from itertools import groupby, islice
 import cv2
 import numpy as np
 
+from fields.solver import noise as noise_model
 from fields.solver import uncertainty
 from fields.solver.displacements import displacements_of, moved
 from fields.solver.gauss_newton import TileSolution, shift_information
 from fields.solver.moving_water import MOVING_PX, with_waves
-from fields.solver.noise import (
-    NoiseShares,
-    Shifts,
-    depth_of,
-    median_response,
-    noise_shares,
-    null_solutions_of,
-    shifts_of,
-)
 from fields.solver.roughness import START_GSD, roughness_of, spectral_slope_of
 from fields.solver.tile import SolverTile, requested_in_squares
 from fields.solver.uncertainty import QUANTILE_95, SIGMAS_95
@@ -63,8 +55,8 @@ class SolverFigures:
     """Parameters that the solver estimates from samples of a survey."""
 
     roughness_m: float  # Of the bed, from pixel to pixel: `fields.solver.roughness.roughness_of`
-    shifts: Shifts  # Between photographs: `fields.solver.noise.shifts_of`
-    noise: NoiseShares  # Variances by noise: `fields.solver.noise.noise_shares`
+    shifts: noise_model.Shifts  # Between photographs: `fields.solver.noise.shifts_of`
+    noise: noise_model.NoiseShares  # Variances by noise: `fields.solver.noise.noise_shares`
     spectral_slope: float  # Of the bed: `fields.solver.roughness.spectral_slope_of`
     sweep_slope_noise_ratio: float  # `fields.solver.solver.sweep_slope_noise_ratio`
     moved_px: float = 0.0  # Displacements under water, without surfaces: `fields.solver.displacements.moved`
@@ -124,7 +116,7 @@ def solve_maps(
             places = spread([requested_in_squares(wanted, SAMPLE_PX) if others else [] for wanted, others in filled])
             figures = figures_of(_solved_squares(views, kept, places, gsd, pool), gsd, is_wet=True)
             # What the surfaces leave of the waves is in their own variance.
-            figures = replace(figures, shifts=Shifts(figures.shifts.pose_std_px, 0.0))
+            figures = replace(figures, shifts=noise_model.Shifts(figures.shifts.pose_std_px, 0.0))
         learned = figures
 
         def part(job: TileTask, each: TileSolution) -> tuple[_PartSolution, np.ndarray]:
@@ -175,12 +167,12 @@ def figures_of(samples: list[tuple[SolverTile, TileSolution]], gsd: float, *, is
     """Parameters of a survey, estimated from solved squares of one block or of several."""
     with ThreadPoolExecutor(WORKERS) as pool:
         roughness = roughness_of(samples, gsd, pool)
-    response = median_response(samples)
-    null_solutions = null_solutions_of(samples, roughness, response)
+    response = noise_model.median_response(samples)
+    null_solutions = noise_model.null_solutions_of(samples, roughness, response)
     # Noise and shifts are confounded: first all counts as noise, then what remains without the shifts.
-    all_noise = noise_shares(null_solutions, response, Shifts(0.0, 0.0), is_wet)
-    shifts = shifts_of(samples, all_noise.height_variance_ratio, is_wet)
-    noise = noise_shares(null_solutions, response, shifts, is_wet)
+    all_noise = noise_model.noise_shares(null_solutions, response, noise_model.Shifts(0.0, 0.0), is_wet)
+    shifts = noise_model.shifts_of(samples, all_noise.height_variance_ratio, is_wet)
+    noise = noise_model.noise_shares(null_solutions, response, shifts, is_wet)
     return SolverFigures(
         roughness,
         shifts,
@@ -236,7 +228,7 @@ def _with_std(m: HeightMap, parts: list[_PartSolution], figures: SolverFigures, 
     found = _PartSolution(*(column[order] for column in columns))
     photographs = m.agreeing.flat[found.pixels] + np.float32(1.0)
     # What shifts the photographs shifts the bed in the map that shows it, too.
-    shift = figures.shifts.variance(depth_of(found.height, is_wet))
+    shift = figures.shifts.variance(noise_model.depth_of(found.height, is_wet))
     variance = small_sample_factor(photographs) * found.noise + found.relief + shift * (found.shift + found.rise**2)
     return SolvedMap(found.pixels, found.height, np.sqrt(variance).astype(np.float32))
 
@@ -245,7 +237,7 @@ def rejects_update(
     tile: SolverTile,
     solved: TileSolution,
     by_noise: np.ndarray,
-    noise: NoiseShares,
+    noise: noise_model.NoiseShares,
     slope_noise_ratio: float,
     tolerance: float,
 ) -> np.ndarray:
@@ -266,7 +258,7 @@ def rejects_update(
 
 
 def sweep_slope_noise_ratio(
-    samples: list[tuple[SolverTile, TileSolution]], roughness: float, noise: NoiseShares
+    samples: list[tuple[SolverTile, TileSolution]], roughness: float, noise: noise_model.NoiseShares
 ) -> float:
     """Standard deviation of the slopes by noise of the sweep, relative to that of a solved height by noise.
 

@@ -7,24 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from refract.lens import Lens, is_affine
+from survey.adjust.block import state as block_state
 from survey.adjust.block.control_check import control_warnings
 from survey.adjust.block.normal_matrix import propagated_variance
 from survey.adjust.block.observed import KINDS, MARK, Observed
-from survey.adjust.block.state import (
-    FOCAL_NAME,
-    LENS_NAMES,
-    NUM_WATER,
-    RATE_NAME,
-    READOUT_NAME,
-    WATER_NAMES,
-    WATER_PARAMETERS,
-    Layout,
-    State,
-    is_held,
-    settings_by_local,
-    settings_of,
-    with_settings,
-)
 from survey.adjust.observability import Unobservable
 from survey.adjust.result import adjustment
 from survey.adjust.rounds import RobustSolution, mean_by_kind
@@ -39,7 +25,7 @@ FEW_MATCHES = 6
 
 def lens_with(lens: Lens, parameters: np.ndarray) -> Lens:
     """A lens with adjusted parameters (8,)."""
-    if is_held(lens):
+    if block_state.is_held(lens):
         return lens
     fx, fy = lens.focal
     f, cx, cy, k1, k2, k3, p1, p2 = parameters.tolist()
@@ -76,7 +62,7 @@ def assemble_result(
     state, covariance = solution.state, solution.covariance
     poses = np.sqrt(np.diag(covariance)[layout.first_pose :]).reshape(-1, 6)
     # The apparent rises of a rough bed are nuisance parameters, and no result.
-    kept = np.r_[: len(WATER_NAMES), layout.first_lens : len(layout)]
+    kept = np.r_[: len(block_state.WATER_NAMES), layout.first_lens : len(layout)]
     return adjustment.Adjustment(
         parameters=tuple(parameters),
         water=water,
@@ -122,15 +108,15 @@ def _statistics(done: RobustSolution, total: int) -> adjustment.FitStatistics:
     )
 
 
-def _names_of(survey: Survey, layout: Layout) -> tuple[str, ...]:
+def _names_of(survey: Survey, layout: block_state.Layout) -> tuple[str, ...]:
     """Names of the rows of the covariance."""
     num_lenses, num_readouts = len(layout.aspect), layout.first_rate - layout.first_readout
     return (
-        *WATER_NAMES,
-        *(f"camera{i}.{name}" for i in range(num_lenses) for name in LENS_NAMES),
-        *(f"camera{i}.{READOUT_NAME}" for i in range(num_readouts)),
-        *(RATE_NAME for _ in range(layout.first_focal - layout.first_rate)),
-        *(f"{view.name}.{FOCAL_NAME}" for view in survey.views if layout.finds_focals),
+        *block_state.WATER_NAMES,
+        *(f"camera{i}.{name}" for i in range(num_lenses) for name in block_state.LENS_NAMES),
+        *(f"camera{i}.{block_state.READOUT_NAME}" for i in range(num_readouts)),
+        *(block_state.RATE_NAME for _ in range(layout.first_focal - layout.first_rate)),
+        *(f"{view.name}.{block_state.FOCAL_NAME}" for view in survey.views if layout.finds_focals),
         *(f"{view.name}.{name}" for view in survey.views for name in _POSE_NAMES),
     )
 
@@ -165,7 +151,7 @@ def _parameters_with_verdicts(
     parameters: list[adjustment.Parameter] = []
     water: WaterConfig | None = None
     if survey.water is not None:
-        parameters, water = _water(survey, done, first, held[:NUM_WATER], unobservable, contradicted)
+        parameters, water = _water(survey, done, first, held[: block_state.NUM_WATER], unobservable, contradicted)
     std, at_of = np.sqrt(np.where(held, np.diag(first), np.diag(done.solution.covariance))), [*range(len(parameters))]
 
     def judge(name: str, at: int, value: float, given: float, limit: float, unit: str) -> None:
@@ -177,7 +163,11 @@ def _parameters_with_verdicts(
         at_of.append(at)
 
     for number, lens in enumerate(prior.lenses):
-        values = () if is_held(lens) else zip(LENS_NAMES, state.lenses[number], prior.mean.lenses[number], strict=True)
+        values = (
+            ()
+            if block_state.is_held(lens)
+            else zip(block_state.LENS_NAMES, state.lenses[number], prior.mean.lenses[number], strict=True)
+        )
         for i, (name, value, given) in enumerate(values):
             # Only the focal length scales heights; all else is of use however uncertain.
             limit, unit = adjustment.MOST_STD_FOCAL * given if name == "f" else math.inf, " px" if i < 3 else ""
@@ -186,17 +176,17 @@ def _parameters_with_verdicts(
         given = survey.require_water()[1].level_rate_m_per_h or 0.0
         # Of no use if it leaves the level of a photograph as uncertain as one that is of none.
         limit = adjustment.MOST_STD_LEVEL_M / max(float(np.abs(layout.hours).max()), 1e-9)
-        judge(RATE_NAME, layout.first_rate, given + state.rate, given, limit, " m/h")
+        judge(block_state.RATE_NAME, layout.first_rate, given + state.rate, given, limit, " m/h")
     for number in range(len(prior.lenses) if layout.finds_readouts else 0):
         limit = _readout_limit(state, layout, number, prior.lenses[number].height)
         value, given = state.readouts[number], prior.mean.readouts[number]
-        judge(f"camera{number}.{READOUT_NAME}", layout.first_readout + number, value, given, limit, " s")
+        judge(f"camera{number}.{block_state.READOUT_NAME}", layout.first_readout + number, value, given, limit, " s")
     lost = np.zeros(len(layout), dtype=bool)
     lost[[at for at, row in zip(at_of, parameters, strict=True) if row.status == adjustment.Status.UNKNOWN]] = True
     return parameters, water, lost
 
 
-def _readout_limit(state: State, layout: Layout, number: int, height: int) -> float:
+def _readout_limit(state: block_state.State, layout: block_state.Layout, number: int, height: int) -> float:
     """Limit of use [s] of the readout of a lens: its last row moves against the first by half a pixel on the ground."""
     assert layout.velocity_per_row is not None
     range_m = np.maximum(state.centres[:, 2] - np.median(state.points[:, 2]), 1e-6)
@@ -216,17 +206,18 @@ def _water(
 ) -> tuple[list[adjustment.Parameter], WaterConfig]:
     """Level, slopes and index in the terms of survey.toml, with verdicts; ``first`` see `_parameters_with_verdicts`."""
     _, water = survey.require_water()
-    prior, state, given = done.prior, done.solution.state, settings_of(water)
-    by_local = settings_by_local(survey, np.array(prior.place_of_water))
+    prior, state, given = done.prior, done.solution.state, block_state.settings_of(water)
+    by_local = block_state.settings_by_local(survey, np.array(prior.place_of_water))
     values = given + by_local @ (state.water_parameters() - prior.mean.water_parameters())
-    matrices = done.solution.covariance, first, np.diag(prior.std[:NUM_WATER] ** 2)
+    matrices = done.solution.covariance, first, np.diag(prior.std[: block_state.NUM_WATER] ** 2)
     std, held_std, given_std = (
-        np.sqrt(propagated_variance(by_local, matrix[:NUM_WATER, :NUM_WATER])) for matrix in matrices
+        np.sqrt(propagated_variance(by_local, matrix[: block_state.NUM_WATER, : block_state.NUM_WATER]))
+        for matrix in matrices
     )
     std, limits = np.where(held, held_std, std), adjustment.water_limits(state.points)
     limits[list(contradicted)] = np.inf
     rows: list[adjustment.Parameter] = []
-    for i, name in enumerate(WATER_PARAMETERS):
+    for i, name in enumerate(block_state.WATER_PARAMETERS):
         before = adjustment.Estimate(float(given[i]), float(given_std[i]) if unobservable is None else math.inf)
         found = adjustment.Estimate(float(values[i]), float(std[i]))
         row = adjustment.with_verdict(name, found, before, float(limits[i]), "" if i else " m")
@@ -236,13 +227,15 @@ def _water(
             row = replace(row, value=row.given, status=adjustment.Status.UNKNOWN, verdict=verdict)
         rows.append(row)
     # Not before slopes are judged: an unobservable level is held, and the slopes found beside it are of use.
-    for i, (name, value) in enumerate(zip(WATER_PARAMETERS, given.tolist(), strict=True)):
+    for i, (name, value) in enumerate(zip(block_state.WATER_PARAMETERS, given.tolist(), strict=True)):
         if unobservable and (lost := unobservable.get(name)) is not None:
             rows[i] = adjustment.unobservable_verdict(name, lost.std, value, lost.reason)
-    return rows, with_settings(water, np.array([row.value for row in rows]))
+    return rows, block_state.with_settings(water, np.array([row.value for row in rows]))
 
 
-def _control(survey: Survey, used: Observed, solution, state: State) -> tuple[adjustment.ControlResidual, ...]:
+def _control(
+    survey: Survey, used: Observed, solution, state: block_state.State
+) -> tuple[adjustment.ControlResidual, ...]:
     """Residuals at control points."""
     control = survey.observations.control
     if control is None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
+import geo.shapes
 from evaluation import weld
 from evaluation.c2m import has_area
 from geo import LocalFrame, require_same_crs, require_same_place
@@ -17,16 +18,6 @@ from geo.compatibility import bounds_in_other_order
 from geo.crs import has_height, height_unit_m, is_geographic
 from geo.files import existing_file
 from geo.reading import check_values, read_reference, rounded_coordinates
-from geo.shapes import (
-    Cloud,
-    Mesh,
-    as_classes,
-    excluded_points,
-    in_height_unit,
-    masked_cloud,
-    used_as_ground,
-    vertices_of,
-)
 from survey.compare.options import Bounds, CompareError, as_text
 from survey.files.csv_table import Row
 from survey.files.foreign_text import crs_of_comment
@@ -51,7 +42,7 @@ def is_table(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
 
 
-def read_shape(path: Path, water_level: float | None, crs: CRS | None = None) -> Mesh | Cloud:
+def read_shape(path: Path, water_level: float | None, crs: CRS | None = None) -> geo.shapes.Mesh | geo.shapes.Cloud:
     """A mesh or cloud as `geo.read_reference`, or the points of a table, depths below the level of the water.
 
     The level is in the CRS of the comparison; `crs` is that of a table that names none, and of the heights of one that
@@ -77,7 +68,7 @@ def read_shape(path: Path, water_level: float | None, crs: CRS | None = None) ->
     extra = {} if has_depths(table) else {"depth": np.array([row.number("depth", default=np.nan) for row in rows])}
     extra = {name: values for name, values in extra.items() if np.isfinite(values).any()}
     notes = (*check_values(points, own, path), *notes)
-    return Cloud(points=points, crs=own, classification=classes, extra=extra, notes=notes)
+    return geo.shapes.Cloud(points=points, crs=own, classification=classes, extra=extra, notes=notes)
 
 
 def _classes_of(rows: Sequence[Row], path: Path) -> tuple[np.ndarray | None, tuple[str, ...]]:
@@ -88,7 +79,7 @@ def _classes_of(rows: Sequence[Row], path: Path) -> tuple[np.ndarray | None, tup
     classes = np.empty(len(rows), dtype=np.uint8)
     for number, (row, cell) in enumerate(zip(rows, parts, strict=True)):
         with suppress(CompareError):
-            found = as_classes(np.array([row.number("classification", default=_UNCLASSIFIED)]))
+            found = geo.shapes.as_classes(np.array([row.number("classification", default=_UNCLASSIFIED)]))
             if found is not None:
                 classes[number] = found[0]
                 continue
@@ -96,9 +87,9 @@ def _classes_of(rows: Sequence[Row], path: Path) -> tuple[np.ndarray | None, tup
     return classes, ()
 
 
-def level_of_cloud(shape: Mesh | Cloud) -> float | None:
+def level_of_cloud(shape: geo.shapes.Mesh | geo.shapes.Cloud) -> float | None:
     """Height of the water over a cloud, in its CRS, by the depths of its points; None where it has no one level."""
-    if not isinstance(shape, Cloud):
+    if not isinstance(shape, geo.shapes.Cloud):
         return None
     depth = next((shape.extra[name] for name in DEPTH_NAMES if name in shape.extra), np.empty(0))
     if not (depth > 0.0).any():
@@ -138,12 +129,12 @@ class Inputs:
     """A cloud, its reference and a frame for both."""
 
     paths: InputPaths
-    cloud: Cloud  # As read, not cropped
+    cloud: geo.shapes.Cloud  # As read, not cropped
     # (N,) bool: the points that are compared: within the bounds, and of the ground by what the file says of them
     inside: np.ndarray
     num_cropped: int  # Points beyond the bounds
-    reference: Mesh | Cloud
-    visible: Mesh | Cloud | None
+    reference: geo.shapes.Mesh | geo.shapes.Cloud
+    visible: geo.shapes.Mesh | geo.shapes.Cloud | None
     crs: CRS | None  # Of all coordinates; None if no file has one
     frame: LocalFrame | ShiftedFrame  # Near the points that are compared
     notes: tuple[str, ...]  # Assumptions, where files state nothing
@@ -162,19 +153,19 @@ def load_inputs(paths: InputPaths, bounds: Bounds | None, water_level: float | N
     for path, shape in shapes.items():
         if shape.crs is None and crs is not None and is_geographic(crs):
             # Check the rounding again as degrees, in which a tenth of a metre is six decimals.
-            notes += rounded_coordinates(vertices_of(shape), crs, path)
+            notes += rounded_coordinates(geo.shapes.vertices_of(shape), crs, path)
     cloud = _in_common_unit(compared, paths.cloud, crs, notes)
-    if isinstance(cloud, Mesh):
-        cloud = Cloud(points=cloud.vertices, crs=cloud.crs)
+    if isinstance(cloud, geo.shapes.Mesh):
+        cloud = geo.shapes.Cloud(points=cloud.vertices, crs=cloud.crs)
         notes.append(f"{paths.cloud.name} is a mesh: its vertices are compared")
-    others: dict[Path, Mesh | Cloud] = {}
+    others: dict[Path, geo.shapes.Mesh | geo.shapes.Cloud] = {}
     for path, given_shape in given.items():
         shape = _in_common_unit(given_shape, path, crs, notes)
-        if isinstance(shape, Cloud):
-            others[path] = masked_cloud(shape, _is_ground(shape, path, notes))
+        if isinstance(shape, geo.shapes.Cloud):
+            others[path] = geo.shapes.masked_cloud(shape, _is_ground(shape, path, notes))
         else:
             others[path] = _welded(shape, path)
-        require_same_place(cloud.points, vertices_of(others[path]), str(paths.cloud), str(path))
+        require_same_place(cloud.points, geo.shapes.vertices_of(others[path]), str(paths.cloud), str(path))
     reference = others[paths.reference]
     cropped = _cropped(cloud, bounds, paths.cloud)
     cloud_notes: list[str] = []
@@ -182,16 +173,18 @@ def load_inputs(paths: InputPaths, bounds: Bounds | None, water_level: float | N
     kept = cloud.points[inside]
     if not len(kept):
         raise CompareError(f"no point of {paths.cloud} within the bounds is of the ground, by its class or flag")
-    require_same_place(kept, vertices_of(reference), f"{paths.cloud} (cropped)", str(paths.reference))
+    require_same_place(kept, geo.shapes.vertices_of(reference), f"{paths.cloud} (cropped)", str(paths.reference))
     east, north, height = (float(v) for v in 0.5 * (kept.min(axis=0) + kept.max(axis=0)))
     origin = (east, north, height)
     frame = ShiftedFrame(origin) if crs is None else LocalFrame(crs, origin)
-    notes += cloud_notes + _height_warnings(kept, vertices_of(reference), paths, frame)
+    notes += cloud_notes + _height_warnings(kept, geo.shapes.vertices_of(reference), paths, frame)
     visible = None if paths.visible is None else others[paths.visible]
     return Inputs(paths, cloud, inside, int(cropped.sum()), reference, visible, crs, frame, tuple(notes))
 
 
-def _read_shapes(paths: InputPaths, water_level: float | None) -> tuple[Mesh | Cloud, dict[Path, Mesh | Cloud]]:
+def _read_shapes(
+    paths: InputPaths, water_level: float | None
+) -> tuple[geo.shapes.Mesh | geo.shapes.Cloud, dict[Path, geo.shapes.Mesh | geo.shapes.Cloud]]:
     """What is compared as its file has it, and reference and visible points by their paths, in the same CRS."""
     crs = None
     if is_table(paths.cloud):
@@ -201,7 +194,7 @@ def _read_shapes(paths: InputPaths, water_level: float | None) -> tuple[Mesh | C
     compared = read_shape(paths.cloud, water_level, crs)
     level = level_of_cloud(compared) if water_level is None else water_level
     given = {
-        path: read_atl24(path, compared.crs, vertices_of(compared))
+        path: read_atl24(path, compared.crs, geo.shapes.vertices_of(compared))
         if path.suffix.lower() in ATL24
         else read_shape(path, level, compared.crs)
         for path in (paths.reference, paths.visible)
@@ -212,7 +205,7 @@ def _read_shapes(paths: InputPaths, water_level: float | None) -> tuple[Mesh | C
     return compared, given
 
 
-def _cropped(cloud: Cloud, bounds: Bounds | None, path: Path) -> np.ndarray:
+def _cropped(cloud: geo.shapes.Cloud, bounds: Bounds | None, path: Path) -> np.ndarray:
     """Mask (N,) of the points beyond the bounds; raise CompareError where that is all of them."""
     if bounds is not None and (meant := bounds_in_other_order(bounds, cloud.points)) is not None:
         raise CompareError(
@@ -229,7 +222,9 @@ def _cropped(cloud: Cloud, bounds: Bounds | None, path: Path) -> np.ndarray:
     return cropped
 
 
-def _in_common_unit(shape: Mesh | Cloud, path: Path, crs: CRS | None, notes: list[str]) -> Mesh | Cloud:
+def _in_common_unit(
+    shape: geo.shapes.Mesh | geo.shapes.Cloud, path: Path, crs: CRS | None, notes: list[str]
+) -> geo.shapes.Mesh | geo.shapes.Cloud:
     """A shape with heights in the unit of the common CRS, where its file gives a unit beside its own CRS."""
     unit_m = 1.0 if crs is None else height_unit_m(crs)
     if shape.height_unit_m is not None and abs(shape.height_unit_m - unit_m) > 1e-9:
@@ -237,24 +232,24 @@ def _in_common_unit(shape: Mesh | Cloud, path: Path, crs: CRS | None, notes: lis
             f"{path.name} gives its heights in units of {shape.height_unit_m:.10g} m: converted to units of "
             f"{unit_m:.10g} m"
         )
-    return in_height_unit(shape, unit_m)
+    return geo.shapes.in_height_unit(shape, unit_m)
 
 
-def _is_ground(cloud: Cloud, path: Path, notes: list[str]) -> np.ndarray:
+def _is_ground(cloud: geo.shapes.Cloud, path: Path, notes: list[str]) -> np.ndarray:
     """Mask (N,) of the points that are compared, by the classes and flags of their file; notes count the others."""
-    out, kinds = excluded_points(cloud)
+    out, kinds = geo.shapes.excluded_points(cloud)
     if out.all():
         raise CompareError(f"no point of {path} is of the ground: it holds {kinds}; give it with the points of the bed")
     if kinds:
         notes.append(
             f"{int(out.sum())} of {len(out)} points of {path.name} are not of the ground and left out: {kinds}"
         )
-    if doubtful := used_as_ground(cloud):
+    if doubtful := geo.shapes.used_as_ground(cloud):
         notes.append(f"{path.name} counts as ground with {doubtful}: leave them out of the file where they are none")
     return ~out
 
 
-def _welded(shape: Mesh, path: Path) -> Mesh:
+def _welded(shape: geo.shapes.Mesh, path: Path) -> geo.shapes.Mesh:
     """A mesh with equal vertices merged, so that triangles share edges."""
     vertices, faces = weld(shape.vertices, shape.faces)
     if not has_area(vertices, faces).any():

@@ -18,21 +18,10 @@ from geo.errors import UnreadableFile
 from geo.features import read_features
 from survey.control.points import Content, ControlFormat, GivenPoint, Mark
 from survey.errors import ControlError
+from survey.files import point_table as point_tables
 from survey.files.csv_table import Row, Table, column_names, number_of, text_lines, words_of
 from survey.files.foreign_text import crs_of_chunk, crs_of_comment, is_odm_crs, odm_lines, read_chunk
 from survey.files.paths import begins_with
-from survey.files.point_table import (
-    PLACE,
-    STDS,
-    WORDS,
-    Units,
-    accuracy_warnings,
-    has_depths,
-    point_table,
-    read_points,
-    require_exact,
-    stated_units,
-)
 from survey.photos.exif import SUFFIXES
 from survey.words import GCP_LIST
 
@@ -49,7 +38,7 @@ _MARK_WORDS = words_of({
     "y": ("py", "v", "y_px", "pixel_y", "row"),
 })  # fmt: skip
 _MARK_COLUMNS = ("image", "name", "x", "y")
-_OPTIONAL = ("name", "std", "std_horizontal", *STDS)
+_OPTIONAL = ("name", "std", "std_horizontal", *point_tables.STDS)
 
 
 def _is_check(role: str, where: str) -> bool:
@@ -206,14 +195,16 @@ def read_waypoints(path: Path) -> Content:
 
 def read_coordinates(path: Path) -> Content:
     """The points of a table ``name,easting,northing,height``, with their accuracy and role if it has these."""
-    table = point_table(path, ControlError)
-    rows = read_points(table, optional=(*_OPTIONAL, "role", "enable"))
-    require_exact(rows, table)
+    table = point_tables.point_table(path, ControlError)
+    rows = point_tables.read_points(table, optional=(*_OPTIONAL, "role", "enable"))
+    point_tables.require_exact(rows, table)
     if rows and "name" not in table.names:
-        raise ControlError(f"{path}: the first line has no column name, expected {','.join(('name', *PLACE))}; add it")
-    crs, units = crs_of_comment(path, ControlError), stated_units(table)
+        raise ControlError(
+            f"{path}: the first line has no column name, expected {','.join(('name', *point_tables.PLACE))}; add it"
+        )
+    crs, units = crs_of_comment(path, ControlError), point_tables.stated_units(table)
     points = tuple(replace(_point(row, crs), units=units) for row in rows)
-    return Content(points, warnings=accuracy_warnings(table))
+    return Content(points, warnings=point_tables.accuracy_warnings(table))
 
 
 def _point(row: Row, crs: CRS | None) -> GivenPoint:
@@ -224,14 +215,14 @@ def _point(row: Row, crs: CRS | None) -> GivenPoint:
 
 
 def _std_of(row: Row) -> tuple[float, float, float] | None:
-    for columns in (STDS, ("std_horizontal", "std_horizontal", "std_height"), ("std", "std", "std")):
+    for columns in (point_tables.STDS, ("std_horizontal", "std_horizontal", "std_height"), ("std", "std", "std")):
         if all(row.cells.get(column) for column in columns):
             return _stds([row.number(column) for column in columns], row.where)
     return None
 
 
 def _place(row: Row) -> tuple[float, float, float]:
-    easting, northing, height = (row.number(name) for name in PLACE)
+    easting, northing, height = (row.number(name) for name in point_tables.PLACE)
     return easting, northing, height
 
 
@@ -250,14 +241,18 @@ def read_checkpoints(path: Path, level: float | None = None, survey_crs: CRS | N
 
     Depths count from the ``level`` of the water in the crs of the survey, where it has one.
     """
-    table, crs, units = point_table(path, ControlError), crs_of_comment(path, ControlError), None
-    if survey_crs is not None and has_depths(table):
+    table, crs, units = point_tables.point_table(path, ControlError), crs_of_comment(path, ControlError), None
+    if survey_crs is not None and point_tables.has_depths(table):
         # Depths become heights of the survey; heights have the unit that the file states.
         crs = None if crs is None else horizontal_crs(crs)
-        units = Units(Units.of(crs or survey_crs).plan_m, Units.of(survey_crs).height_m)
-    rows = read_points(table, optional=_OPTIONAL, level=level, give_level="give [water] level_m", units=units)
-    require_exact(rows, table)
-    stated = stated_units(table) if units is None else Units(height_m=units.height_m)
+        units = point_tables.Units(
+            point_tables.Units.of(crs or survey_crs).plan_m, point_tables.Units.of(survey_crs).height_m
+        )
+    rows = point_tables.read_points(
+        table, optional=_OPTIONAL, level=level, give_level="give [water] level_m", units=units
+    )
+    point_tables.require_exact(rows, table)
+    stated = point_tables.stated_units(table) if units is None else point_tables.Units(height_m=units.height_m)
     if not rows:
         raise ControlError(f"{path} has no check points, expected lines name,easting,northing,height; add them")
     points: dict[str, GivenPoint] = {}
@@ -290,7 +285,7 @@ FORMATS = (
     ControlFormat("a table image,name,x,y of marks", lambda path: _has(path, _MARK_COLUMNS, _MARK_WORDS), read_marks),
     ControlFormat(
         "a table name,easting,northing,height",
-        lambda path: path.suffix.casefold() == ".csv" or _has(path, ("name", *PLACE), WORDS),
+        lambda path: path.suffix.casefold() == ".csv" or _has(path, ("name", *point_tables.PLACE), point_tables.WORDS),
         read_coordinates,
     ),
 )

@@ -8,17 +8,8 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
+import geo.crs
 from geo.compatibility import likely_crs
-from geo.crs import (
-    EARTH_RADIUS_M,
-    checked_height_unit,
-    crs_name,
-    height_unit_m,
-    horizontal_crs,
-    horizontal_unit,
-    is_geographic,
-    vertical_crs,
-)
 from geo.errors import GeoError
 from geo.transformation import Transformation, height_scale, lon_lat
 from survey.control.formats import FORMATS
@@ -99,9 +90,9 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS) -> tuple[list[GivenPoint], Fi
             continue
         rows = [i for i, point in enumerate(points) if (point.crs, point.units) == (stated, units)]
         first, source = points[rows[0]], crs if stated is None else stated
-        scale, name = _height_scale(first, source, crs), crs_name(source)
+        scale, name = _height_scale(first, source, crs), geo.crs.crs_name(source)
         places, datum_std = np.array([points[i].place for i in rows]), 0.0
-        if not horizontal_crs(source).equals(horizontal_crs(crs), ignore_axis_order=True):
+        if not geo.crs.horizontal_crs(source).equals(geo.crs.horizontal_crs(crs), ignore_axis_order=True):
             what, remedy = f"{first.where}: points in {name}", "or give the points in crs"
             transformation = Transformation.between(source, crs, places)
             transformation.require_best(what, remedy)
@@ -109,7 +100,7 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS) -> tuple[list[GivenPoint], Fi
             places = np.column_stack([*transformation(places[:, 0], places[:, 1]), places[:, 2]])
             datum_std, warning = transformation.accuracy_m or 0.0, transformation.warning(what)
             heights = "are converted to the unit of crs" if scale != 1.0 else "are taken as heights in crs"
-            to = horizontal_crs(crs).name
+            to = geo.crs.horizontal_crs(crs).name
             assumption = f"points in {name} ({first.where}) are transformed to {to}; their heights {heights}"
             findings += Findings((assumption,), () if warning is None else (warning,))
         elif scale != 1.0:
@@ -134,8 +125,10 @@ def _height_scale(first: GivenPoint, source: CRS, crs: CRS) -> float:
         raise ControlError(f"{first.where}: {fault}; convert them")
     if first.crs is None:
         return units.height_factor(Units.of(crs))
-    unit_m = checked_height_unit(source, units.height_m, Path(first.where), "the unit of its column of heights")
-    return height_scale(source, crs, f"{first.where}: the heights of points in {crs_name(source)}", unit_m=unit_m)
+    unit_m = geo.crs.checked_height_unit(source, units.height_m, Path(first.where), "the unit of its column of heights")
+    return height_scale(
+        source, crs, f"{first.where}: the heights of points in {geo.crs.crs_name(source)}", unit_m=unit_m
+    )
 
 
 def merge_control(
@@ -168,7 +161,7 @@ def merge_control(
 def _points(given: Sequence[GivenPoint], crs: CRS) -> dict[str, GivenPoint]:
     if not given:
         raise ControlError("[control] gcps has no points; name a file with name,easting,northing,height beside marks")
-    same = _SAME_DEG if is_geographic(crs) else _SAME_M
+    same = _SAME_DEG if geo.crs.is_geographic(crs) else _SAME_M
     points: dict[str, GivenPoint] = {}
     for point in given:
         first = points.setdefault(point.name, point)
@@ -256,7 +249,7 @@ def require_near(points: Sequence[GivenPoint], cameras: np.ndarray | None, crs: 
                     f"{message} lies {distance_text(distance)} from the cameras, and among them with easting and "
                     "northing (or longitude and latitude) swapped; swap the two columns in the file"
                 )
-        if not is_geographic(crs) and abs(east) <= 180.0 and abs(north) <= 90.0:
+        if not geo.crs.is_geographic(crs) and abs(east) <= 180.0 and abs(north) <= 90.0:
             among = at_cameras and f", where {at_cameras}"
             raise ControlError(
                 f"{message} looks like longitude and latitude, expected {crs.name}{among}; convert it, or name the CRS "
@@ -282,7 +275,7 @@ def _with_swapped_axes(point: GivenPoint, crs: CRS) -> GivenPoint | None:
 
 def _height_warnings(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) -> list[str]:
     """Warnings about points above all cameras, or whose heights lie far from those of all others."""
-    unit = height_unit_m(crs)
+    unit = geo.crs.height_unit_m(crs)
     heights, top = unit * np.array([point.place[2] for point in points]), unit * cameras[:, 2].max()
     texts = [f"{height:.2f} m in {point.where}" for point, height in zip(points, heights, strict=True)]
     if (heights > top).any():
@@ -304,10 +297,10 @@ def _height_warnings(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS
 
 def _distance_m(point: GivenPoint, cameras: np.ndarray, crs: CRS) -> float:
     """Horizontal distance [m] from the nearest camera, on the map."""
-    unit = horizontal_unit(crs)
+    unit = geo.crs.horizontal_unit(crs)
     steps = (cameras[:, :2] - np.array(point.place[:2])) * unit
-    if is_geographic(crs):
-        steps *= EARTH_RADIUS_M * np.array([math.cos(float(np.median(cameras[:, 1])) * unit), 1.0])
+    if geo.crs.is_geographic(crs):
+        steps *= geo.crs.EARTH_RADIUS_M * np.array([math.cos(float(np.median(cameras[:, 1])) * unit), 1.0])
     nearest = float(np.linalg.norm(steps, axis=1).min())
     return nearest if math.isfinite(nearest) else math.inf
 
@@ -323,7 +316,7 @@ def _crs_advice(points: Sequence[GivenPoint], far: GivenPoint, middle: np.ndarra
     if not others:
         return "correct it, or crs in survey.toml, or state the CRS of the file (# EPSG:n in its first line)"
     codes = " or ".join(f"EPSG:{other.to_epsg()} ({other.name})" for other in others)
-    vertical, code = vertical_crs(crs), f"EPSG:{others[0].to_epsg()}"
+    vertical, code = geo.crs.vertical_crs(crs), f"EPSG:{others[0].to_epsg()}"
     heights = "" if vertical is None or vertical.to_epsg() is None else f"+{vertical.to_epsg()}"
     return (
         f"in {codes} it lies among them: if that is the CRS of the file, state it in its first line (# {code}), or "

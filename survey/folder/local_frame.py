@@ -8,17 +8,8 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
+import geo.crs
 from geo.compatibility import crs_difference
-from geo.crs import (
-    angular_unit_rad,
-    ellipsoid,
-    geodetic_crs,
-    has_height,
-    height_unit_m,
-    horizontal_crs,
-    prime_meridian_rad,
-    vertical_crs,
-)
 from geo.frames import LocalFrame
 from geo.projection import MapProjection, enu_from_geocentric, geocentric_from_geodetic, geodetic_from_geocentric
 from geo.transformation import Transformation, height_scale
@@ -55,14 +46,14 @@ def points_in_crs(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: str)
         raise PosesError(f"the file of poses: {fault}; convert them")
     if file.crs is None:
         return points * [1.0, 1.0, units.height_factor(Units.of(crs))]
-    stated, own = units.height_m, height_unit_m(file.crs) if has_height(file.crs) else None
+    stated, own = units.height_m, geo.crs.height_unit_m(file.crs) if geo.crs.has_height(file.crs) else None
     if stated is not None and own is not None and not same_unit(stated, own):
         raise PosesError(
             f"{_HEIGHTS} are in units of {stated:.10g} m by the name of their column, and of {own:.10g} m by the CRS "
             "of their file; correct one of them"
         )
     height = points[:, 2] * height_scale(file.crs, crs, _HEIGHTS, unit_m=units.height_m)
-    if crs_difference(horizontal_crs(file.crs), horizontal_crs(crs)) is None:
+    if crs_difference(geo.crs.horizontal_crs(file.crs), geo.crs.horizontal_crs(crs)) is None:
         return np.column_stack([points[:, :2], height])
     transformation = Transformation.between(file.crs, crs, points)
     return np.column_stack([*transformation(points[:, 0], points[:, 1]), height])
@@ -70,17 +61,17 @@ def points_in_crs(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: str)
 
 def _from_geocentric(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: str) -> np.ndarray:
     own = _WGS84 if file.crs is None else file.crs
-    if prime_meridian_rad(own) or angular_unit_rad(own) != math.radians(1.0):
+    if geo.crs.prime_meridian_rad(own) or geo.crs.angular_unit_rad(own) != math.radians(1.0):
         raise PosesError(f"the poses are geocentric on {own.name}, whose degrees are not from Greenwich; export WGS 84")
     lon, lat, height = geodetic(file, points)
-    east, north = Transformation.between(geodetic_crs(own), crs, np.column_stack([lon, lat]))(lon, lat)
-    if file.crs is not None and has_height(file.crs):
-        if vertical_crs(file.crs) is not None:
+    east, north = Transformation.between(geo.crs.geodetic_crs(own), crs, np.column_stack([lon, lat]))(lon, lat)
+    if file.crs is not None and geo.crs.has_height(file.crs):
+        if geo.crs.vertical_crs(file.crs) is not None:
             height_scale(file.crs, crs, _HEIGHTS)
         # Geocentric heights are ellipsoidal: of heights over a geoid, the program has added that.
         gps_height = "ellipsoidal"
     if gps_height == "crs":
-        return np.column_stack([east, north, height / height_unit_m(crs)])
+        return np.column_stack([east, north, height / geo.crs.height_unit_m(crs)])
     known = np.isfinite(lon) & np.isfinite(lat)
     to_height = height_transformer(crs, area_at(lon[known], lat[known]))
     return np.column_stack([east, north, to_height.transform(lon, lat, height)[2]])
@@ -88,7 +79,7 @@ def _from_geocentric(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: s
 
 def geodetic(file: PoseFile, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Longitudes and latitudes [deg] and heights [m] above the ellipsoid of geocentric points (..., 3) of a file."""
-    axes = ellipsoid(_WGS84 if file.crs is None else file.crs)
+    axes = geo.crs.ellipsoid(_WGS84 if file.crs is None else file.crs)
     lon, lat, height = geodetic_from_geocentric(points, a=axes.semi_major_metre, b=axes.semi_minor_metre)
     return np.degrees(lon), np.degrees(lat), height
 
@@ -99,7 +90,7 @@ def transformation_into_crs(file: PoseFile, crs: CRS) -> Transformation | None:
     if file.frame is PoseFrame.LOCAL or not len(places):
         return None
     if file.frame is PoseFrame.GEOCENTRIC:
-        own = geodetic_crs(_WGS84 if file.crs is None else file.crs)
+        own = geo.crs.geodetic_crs(_WGS84 if file.crs is None else file.crs)
         return Transformation.between(own, crs, np.column_stack(geodetic(file, places)[:2]))
     return None if file.crs is None else Transformation.between(file.crs, crs, places)
 
@@ -110,11 +101,14 @@ def cams_from_local(file: PoseFile, poses: Sequence[Pose], centres_crs: np.ndarr
     if file.frame is PoseFrame.LOCAL:
         return rotations
     own = frame.crs if file.crs is None else file.crs
-    if file.frame is PoseFrame.GRID and crs_difference(horizontal_crs(own), horizontal_crs(frame.crs)) is None:
+    if (
+        file.frame is PoseFrame.GRID
+        and crs_difference(geo.crs.horizontal_crs(own), geo.crs.horizontal_crs(frame.crs)) is None
+    ):
         return rotations @ np.swapaxes(frame.local_from_grid(centres_crs), -1, -2)
     if file.frame is PoseFrame.GRID:
         # From true east, north and up to the grid axes of the file's own crs, at its poses.
-        grid = LocalFrame(own if has_height(own) else own.to_3d(), tuple(np.median(centres, axis=0).tolist()))
+        grid = LocalFrame(own if geo.crs.has_height(own) else own.to_3d(), tuple(np.median(centres, axis=0).tolist()))
         rotations = rotations @ np.swapaxes(grid.local_from_grid(centres), -1, -2) @ grid.local_from_enu(centres)
     elif file.frame is PoseFrame.GEOCENTRIC:
         lon, lat, _ = geodetic(file, centres)
@@ -150,9 +144,9 @@ def given_in_local(file: PoseFile, places: np.ndarray, frame: LocalFrame, gps_he
 
     Their heights are of the same kind as those of the poses.
     """
-    if file.frame is not PoseFrame.GEOCENTRIC or file.crs is None or vertical_crs(file.crs) is not None:
+    if file.frame is not PoseFrame.GEOCENTRIC or file.crs is None or geo.crs.vertical_crs(file.crs) is not None:
         return points_in_local(replace(file, frame=PoseFrame.ENU), places, frame, gps_height)
-    own = MapProjection(file.crs if has_height(file.crs) else file.crs.to_3d())
+    own = MapProjection(file.crs if geo.crs.has_height(file.crs) else file.crs.to_3d())
     geocentric = geocentric_from_geodetic(*own.geodetic_from_crs(places), a=own.a, b=own.b)
     return points_in_local(file, geocentric, frame, gps_height)
 
@@ -214,7 +208,7 @@ def views_in_local(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Loc
         in_crs = points_in_crs(file, centres, found.crs, found.config.cameras.gps_height)
         known = np.isfinite(in_crs).all(axis=1)
         water, places = found.config.water, in_crs[known] if known.any() else in_crs
-        ground = places[:, 2].min() if water is None else water.known_level_m / height_unit_m(found.crs)
+        ground = places[:, 2].min() if water is None else water.known_level_m / geo.crs.height_unit_m(found.crs)
         frame = frame_about(found.crs, places, ground)
         local = frame.local_from_crs(in_crs)
         _require_on_map(poses, local, found.poses_path, found.crs)
@@ -240,7 +234,7 @@ def with_level_of_points(
     centres = np.array([view.camera.centre for view in views])
     x, y, _ = np.median(centres, axis=0)
     start = frame.crs_from_local(np.array([[x, y, over_points(points, centres)]]))[0, 2]
-    level = round(float(start) * height_unit_m(frame.crs), 2)
+    level = round(float(start) * geo.crs.height_unit_m(frame.crs), 2)
     message = f"level_m is not given: the search for it starts at {level:g} m, above the matched points"
     water = replace(config.water, level_m=level, level_std_m=MOST_LEVEL_STD_M)
     return replace(config, water=water), Findings((message,))
@@ -276,7 +270,7 @@ def water_in_local(
 def water_plane(frame: LocalFrame, given: WaterConfig) -> FlatWater:
     if given.refractive_index is None:
         raise ValueError("refractive_index is not known before its default is filled in")
-    point_crs = np.array([*given.known_level_at, given.known_level_m / height_unit_m(frame.crs)])
+    point_crs = np.array([*given.known_level_at, given.known_level_m / geo.crs.height_unit_m(frame.crs)])
     point = frame.local_from_crs(point_crs)
     if not np.isfinite(point).all():
         raise ConfigError(f"[water] level_at is {list(given.known_level_at)}, not on the map of {frame.crs.name}")

@@ -16,17 +16,9 @@ from refract.lens import Lens
 from survey.control.reading import require_near
 from survey.display.quantities import distance_text, named
 from survey.errors import FILE_NAME, ControlError, Findings, ImageError, PosesError, SurveyError
+from survey.folder import heights as height_checks
 from survey.folder.checked_control import control_of_block, may_hold_roll, require_placing_control, with_two_marks
 from survey.folder.found import Found
-from survey.folder.heights import (
-    DRONE_HEIGHT_M,
-    above_start_of,
-    explanation,
-    place_of,
-    require_level_fits,
-    start_height_warnings,
-    xmp_height_warnings,
-)
 from survey.folder.observations import shutter_warnings
 from survey.folder.plausible import height_by_overlap, most_over_water, require_focal_lengths
 from survey.folder.pose_priors import GPS_STD_M, best_plan_std, common_up_std_of_exif
@@ -60,9 +52,11 @@ def require_level_fits_exif(found: Found) -> None:
     heights = places[:, 2]
     over_water = heights - water.level_m
     lon, lat = middle_lon_lat(places[:, 1::-1]).tolist()
-    why = explanation(float(np.median(over_water)), water.level_m, (lat, lon), found.crs, above_start_of(headers))
+    why = height_checks.explanation(
+        float(np.median(over_water)), water.level_m, (lat, lon), found.crs, height_checks.above_start_of(headers)
+    )
     unknown_m = _MOST_STD * common_up_std_of_exif(config.cameras, headers)
-    most_m = DRONE_HEIGHT_M
+    most_m = height_checks.DRONE_HEIGHT_M
     if why and config.cameras.position_std_m is None:
         unknown_m = 0.0
     if not why:
@@ -71,7 +65,7 @@ def require_level_fits_exif(found: Found) -> None:
     if over_water.max() > -unknown_m and over_water.min() <= most_m + unknown_m:
         return
     like = f"the heights in EXIF{why}; if they are a barometer's, say so: [cameras] position_std_m = [3, 3, 80]"
-    require_level_fits(water, "EXIF has the cameras", heights, over_water, like, most_m=most_m)
+    height_checks.require_level_fits(water, "EXIF has the cameras", heights, over_water, like, most_m=most_m)
 
 
 def require_solver(module: str = "pycolmap") -> None:
@@ -110,9 +104,9 @@ def require_solvable(found: Found) -> list[str]:
         warnings += require_near(found.control.points, in_crs, crs)
         if found.config.water is not None and (level_m := found.config.water.level_m) is not None:
             over = dict(zip(positions, (in_crs[:, 2] * height_unit_m(crs) - level_m).tolist(), strict=True))
-            at = place_of(crs, np.median(in_crs, axis=0))
-            warnings += start_height_warnings(over, headers, level_m, at, crs)
-    warnings += xmp_height_warnings(cameras.gps_height, crs, headers)
+            at = height_checks.place_of(crs, np.median(in_crs, axis=0))
+            warnings += height_checks.start_height_warnings(over, headers, level_m, at, crs)
+    warnings += height_checks.xmp_height_warnings(cameras.gps_height, crs, headers)
     warnings += shutter_warnings(cameras, headers, None)
     for path in found.images.values():
         if path.suffix.lower() in HEIC_SUFFIXES:

@@ -12,17 +12,8 @@ from pyproj import CRS
 from pyproj.database import query_crs_info
 from pyproj.enums import PJType
 
+import geo.crs
 from geo.compatibility import height_systems_at, likely_crs, require_at
-from geo.crs import (
-    EGM96_HEIGHT,
-    crs_code,
-    has_height,
-    horizontal_crs,
-    middle_lon_lat,
-    parse_crs,
-    utm_code,
-    vertical_crs,
-)
 from geo.transformation import lon_lat
 from survey.control.points import GivenPoint
 from survey.errors import ConfigError, PosesError
@@ -92,7 +83,7 @@ class FolderPhotographs:
             return float(lat), float(lon)
         if self.control and (crs := self.control[0].crs) is not None:
             places = np.array([point.place[:2] for point in self.control])
-            lon, lat = middle_lon_lat(lon_lat(horizontal_crs(crs), places)).tolist()
+            lon, lat = geo.crs.middle_lon_lat(lon_lat(geo.crs.horizontal_crs(crs), places)).tolist()
             return lat, lon
         return None
 
@@ -111,7 +102,7 @@ def write_crs(photographs: FolderPhotographs, options: InitOptions, top: Setting
         def read(given: str) -> tuple[str, CRS]:
             if not given:
                 raise ConfigError(f'{by}; init and process take it as --crs "EPSG:25832+7837"')
-            crs = parse_crs(given, where="--crs")
+            crs = geo.crs.parse_crs(given, where="--crs")
             at = np.array([] if photographs.lat_lon is None else [photographs.lat_lon[::-1]]).reshape(-1, 2)
             require_at(crs, at, "the photographs", "--crs")
             return given, crs
@@ -121,16 +112,16 @@ def write_crs(photographs: FolderPhotographs, options: InitOptions, top: Setting
         else:
             given, crs = read(options.crs or "")
         top.set("crs", given, crs.name)
-        if photographs.says_ellipsoidal and vertical_crs(crs) is not None:
+        if photographs.says_ellipsoidal and geo.crs.vertical_crs(crs) is not None:
             cameras.set("gps_height", "ellipsoidal", "XMP says so")
         return crs
-    if has_height(CRS(horizontal)):
+    if geo.crs.has_height(CRS(horizontal)):
         top.set("crs", horizontal, by)
-        return parse_crs(horizontal)
+        return geo.crs.parse_crs(horizontal)
     vertical, comment, more = _vertical(photographs, horizontal, options, cameras)
     code = f"{horizontal}+{vertical}"
     top.set("crs", code, f"{by}, with {comment}", more)
-    return parse_crs(code)
+    return geo.crs.parse_crs(code)
 
 
 def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
@@ -142,19 +133,19 @@ def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
         and is_on_map
         and file.crs is not None
         and file.crs.is_projected
-        and (code := crs_code(file.crs))
+        and (code := geo.crs.crs_code(file.crs))
     ):
         return code, f"that of the poses, {file.crs.name}"
     if file is None:
         tables = [header.table_place.crs for header in photographs.headers.values() if header.table_place is not None]
-        if tables and tables[0].is_projected and (code := crs_code(tables[0])) is not None:
+        if tables and tables[0].is_projected and (code := geo.crs.crs_code(tables[0])) is not None:
             return code, f"that of {GEO_TXT}"
         if (by_control := _of_control(photographs)) is not None:
             return by_control
     zone = utm_code_of(dict(photographs.headers))
     by = f"the UTM zone of the GPS positions in {position_sources(photographs.headers)}"
     if zone is None and place is not None:
-        zone, by = utm_code(*place), f"the UTM zone of the {'control points' if file is None else 'poses'}"
+        zone, by = geo.crs.utm_code(*place), f"the UTM zone of the {'control points' if file is None else 'poses'}"
     if zone is None and file is None and not photographs.control:
         raise ConfigError(
             "nothing tells where the photographs lie: they have no GPS positions, and there are neither poses nor "
@@ -163,13 +154,13 @@ def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
     if zone is None:
         return None, "neither the photographs nor their poses tell the coordinate reference system (crs)"
     if file is not None and file.crs is None and is_on_map:
-        crs, names = CRS(f"EPSG:{zone}+{EGM96_HEIGHT}"), ImageNames(photographs.headers)
+        crs, names = CRS(f"EPSG:{zone}+{geo.crs.EGM96_HEIGHT}"), ImageNames(photographs.headers)
         centres = points_in_crs(file, np.array([pose.centre for pose in file.poses]), crs, "crs")
         images = [names.find(pose.name, str(photographs.poses_path)) for pose in file.poses]
         known = {name: centre for name, centre in zip(images, centres, strict=True) if name is not None}
         distances = distances_to_exif(crs, known, photographs.headers)
         if not distances.size or np.median(distances) > SAME_PLACE_M:
-            return None, f"{photographs.poses_path} is not in {horizontal_crs(crs).name}, nor says its crs"
+            return None, f"{photographs.poses_path} is not in {geo.crs.horizontal_crs(crs).name}, nor says its crs"
     return f"EPSG:{zone}", by
 
 
@@ -179,12 +170,12 @@ def _of_control(photographs: FolderPhotographs) -> tuple[str, str] | None:
     stated = points[0].crs if points else None
     if stated is not None:
         # Of a CRS without a code, as OpenDroneMap has them, EPSG's that is nearly the same.
-        plan = horizontal_crs(stated)
-        code = crs_code(stated) or (f"EPSG:{epsg}" if (epsg := plan.to_epsg()) is not None else None)
+        plan = geo.crs.horizontal_crs(stated)
+        code = geo.crs.crs_code(stated) or (f"EPSG:{epsg}" if (epsg := plan.to_epsg()) is not None else None)
         return (code, "that of the control points") if code is not None and plan.is_projected else None
     if not points or place is None:
         return None
-    zone = CRS(f"EPSG:{utm_code(*place)}")
+    zone = CRS(f"EPSG:{geo.crs.utm_code(*place)}")
     fitting = likely_crs(np.array([point.place for point in points]), place[::-1], _NEAR_CONTROL_M, zone)
     if not fitting or zone in fitting:
         return None
@@ -219,7 +210,7 @@ def _vertical(
         chosen = options.ask("\n".join(lines), read)
     national = "" if chosen is None else f"the heights of {_area(chosen)} ({chosen.name})"
     if photographs.says_ellipsoidal:
-        if chosen is not None and _has_geoid(photographs, parse_crs(f"{horizontal}+{chosen.to_epsg()}")):
+        if chosen is not None and _has_geoid(photographs, geo.crs.parse_crs(f"{horizontal}+{chosen.to_epsg()}")):
             cameras.set("gps_height", "ellipsoidal", "XMP says so")
             return chosen.to_epsg(), national, ()
         return (
@@ -236,7 +227,7 @@ def _vertical(
         return chosen.to_epsg(), national, (warning,)
     hint = "Not certain: levels of water may be in the heights of a country; then put its code here:"
     more = (hint, *(f"    {system}" for system in listed)) if listed else ()
-    return EGM96_HEIGHT, f"heights above mean sea level (EGM96), as in {source}", more
+    return geo.crs.EGM96_HEIGHT, f"heights above mean sea level (EGM96), as in {source}", more
 
 
 def _has_geoid(photographs: FolderPhotographs, crs: CRS) -> bool:

@@ -15,21 +15,8 @@ from pyproj import CRS
 
 from geo.crs import middle_lon_lat, utm_code
 from survey.photos import exif_values
+from survey.photos import xmp as in_xmp
 from survey.photos.pixels import HEIC_SUFFIXES, channel_bits, damage_named, open_image, stored_size, without_complaints
-from survey.photos.xmp import (
-    SEA_LEVEL,
-    Motion,
-    Rtk,
-    exposure_time,
-    height_datum,
-    motion_of,
-    number,
-    rtk_of,
-    serial_of,
-    stated_std,
-    with_known_prefixes,
-    xmp_number,
-)
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", *HEIC_SUFFIXES)
 
@@ -71,8 +58,8 @@ class Exif:
     above_start_m: float | None  # DJI's and Autel's height over the take-off point [m]
     # In UTC: by DJI's XMP, else of the GPS clock, else of the camera's with its offset; None where there is none
     taken: datetime | None = None
-    rtk: Rtk | None = None  # Accuracy of the position by the receiver, where DJI's XMP has it
-    motion: Motion = field(default_factory=Motion)  # Attitudes, speed and shutter at the exposure, by XMP
+    rtk: in_xmp.Rtk | None = None  # Accuracy of the position by the receiver, where DJI's XMP has it
+    motion: in_xmp.Motion = field(default_factory=in_xmp.Motion)  # Attitudes, speed and shutter at the exposure, by XMP
     # (east, north, up) [m] or None: accuracy of the position where XMP states it in the namespace of Pix4D, as senseFly
     # and Parrot do, or EXIF in GPSHPositioningError
     std_m: tuple[float, float, float] | None = None
@@ -113,8 +100,8 @@ def _read_exif(path: Path, _changed: int, _size: int) -> Exif:
         gps, details = exif.get_ifd(ExifTags.IFD.GPSInfo), exif.get_ifd(ExifTags.IFD.Exif)
         changed = exif.get(ExifTags.Base.DateTime)
     xmp = xmp[:_LONGEST_XMP].decode("utf-8", errors="replace") if isinstance(xmp, bytes) else xmp
-    xmp = with_known_prefixes(xmp[:_LONGEST_XMP]) if isinstance(xmp, str) else ""
-    seconds = number(details.get(ExifTags.Base.ExposureTime))
+    xmp = in_xmp.with_known_prefixes(xmp[:_LONGEST_XMP]) if isinstance(xmp, str) else ""
+    seconds = in_xmp.number(details.get(ExifTags.Base.ExposureTime))
     camera = " ".join(exif_values.words(exif.get(tag, "")) for tag in (ExifTags.Base.Make, ExifTags.Base.Model))
     orientation = exif.get(ExifTags.Base.Orientation, 1)
     position, fault = exif_values.position_of(gps, xmp)
@@ -124,12 +111,13 @@ def _read_exif(path: Path, _changed: int, _size: int) -> Exif:
         focal_px=exif_values.focal_px(size, details, xmp),
         orientation=orientation if orientation in range(1, 9) else 1,
         camera=camera.strip(),
-        above_start_m=xmp_number(xmp, "RelativeAltitude"),
-        taken=exposure_time(xmp) or _taken(gps, details, changed),
-        rtk=rtk_of(xmp),
-        motion=motion_of(xmp),
-        std_m=stated_std(xmp) or exif_values.std_of_gps(gps),
-        height_datum=height_datum(xmp) or (SEA_LEVEL if exif_values.altitude_reference(gps) in (2, 3) else None),
+        above_start_m=in_xmp.xmp_number(xmp, "RelativeAltitude"),
+        taken=in_xmp.exposure_time(xmp) or _taken(gps, details, changed),
+        rtk=in_xmp.rtk_of(xmp),
+        motion=in_xmp.motion_of(xmp),
+        std_m=in_xmp.stated_std(xmp) or exif_values.std_of_gps(gps),
+        height_datum=in_xmp.height_datum(xmp)
+        or (in_xmp.SEA_LEVEL if exif_values.altitude_reference(gps) in (2, 3) else None),
         bits=bits,
         has_pages=has_pages,
         clock=_clock(details),
@@ -138,7 +126,8 @@ def _read_exif(path: Path, _changed: int, _size: int) -> Exif:
         gps_datum=exif_values.other_datum(gps, xmp) if position is not None else "",
         is_void=position is not None and exif_values.plain(gps.get(ExifTags.GPS.GPSStatus))[:1].upper() == "V",
         focal_warning=exif_values.focal_warning(size, details, xmp),
-        serial=exif_values.words(details.get(ExifTags.Base.BodySerialNumber, "")) or exif_values.words(serial_of(xmp)),
+        serial=exif_values.words(details.get(ExifTags.Base.BodySerialNumber, ""))
+        or exif_values.words(in_xmp.serial_of(xmp)),
     )
 
 
@@ -165,7 +154,7 @@ def _taken(gps: dict, details: dict, changed: Any) -> datetime | None:
     day = exif_values.plain(gps.get(ExifTags.GPS.GPSDateStamp))
     clock = gps.get(ExifTags.GPS.GPSTimeStamp)
     with suppress(TypeError, ValueError, OverflowError):
-        hours, minutes, seconds = (number(part) for part in clock or ())
+        hours, minutes, seconds = (in_xmp.number(part) for part in clock or ())
         passed = timedelta(hours=hours, minutes=minutes, seconds=seconds)
         return datetime.strptime(day, "%Y:%m:%d").replace(tzinfo=UTC) + passed
     # A receiver that has no date yet hides no camera that has one.

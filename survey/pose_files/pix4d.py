@@ -17,15 +17,7 @@ from refract.lens import LensError
 from survey.errors import PosesError
 from survey.files.csv_table import text_lines
 from survey.files.foreign_text import crs_of_text
-from survey.photos.poses import (
-    CAM_FROM_OPK_CAM,
-    Pose,
-    PoseFile,
-    PoseFrame,
-    grid_from_opk,
-    is_rotation,
-    nearest_rotation,
-)
+from survey.photos import poses as pose_data
 from survey.pose_files.format import Format, brown_lens, numbers_in
 
 _EXTERNAL, _CAMERAS = "_calibrated_external_camera_parameters.txt", "_calibrated_camera_parameters.txt"
@@ -38,7 +30,7 @@ _AGREE = 1e-3
 _EXPORT = "export it again in Pix4D (1. Initial Processing > Calibration > Camera Internals and Externals)"
 
 
-def read_pix4d(path: Path) -> PoseFile:
+def read_pix4d(path: Path) -> pose_data.PoseFile:
     """Poses in crs, with lenses where the file of cameras is there."""
     path = _files_in(path)[0] if path.is_dir() else path
     stem = _stem(path)
@@ -57,10 +49,10 @@ def read_pix4d(path: Path) -> PoseFile:
         unit_m = None if has_height(crs) or not crs.is_projected else horizontal_unit(crs)
         heights = "" if unit_m is None else f", its heights in {horizontal_crs(crs).axis_info[0].unit_name}"
         notes = (f"the poses are in {crs.name}{heights}, as {stem}{_MAP} says",)
-    return PoseFile(tuple(poses), PoseFrame.GRID, crs, "Pix4D", notes=notes, height_unit_m=unit_m)
+    return pose_data.PoseFile(tuple(poses), pose_data.PoseFrame.GRID, crs, "Pix4D", notes=notes, height_unit_m=unit_m)
 
 
-def _external(path: Path, cameras: Mapping[str, Pose]) -> Iterator[Pose]:
+def _external(path: Path, cameras: Mapping[str, pose_data.Pose]) -> Iterator[pose_data.Pose]:
     """The pose of each image; names may hold spaces."""
     for number, line in text_lines(path, PosesError):
         where, cells = f"{path}, line {number}", line.split()
@@ -69,19 +61,19 @@ def _external(path: Path, cameras: Mapping[str, Pose]) -> Iterator[Pose]:
         if len(cells) < 7:
             raise PosesError(f"{where}: {len(cells)} values were found, expected a name and six numbers; {_EXPORT}")
         name, numbers = line.strip().rsplit(None, 6)[0], numbers_in(cells[-6:], 6, where, _EXPORT)
-        cam_from_grid = (grid_from_opk(*map(math.radians, numbers[3:])) @ CAM_FROM_OPK_CAM).T
+        cam_from_grid = (pose_data.grid_from_opk(*map(math.radians, numbers[3:])) @ pose_data.CAM_FROM_OPK_CAM).T
         camera = cameras.get(name)
         if camera is not None and not np.abs(cam_from_grid - camera.cam_from_world).max() < _AGREE:
             raise PosesError(
                 f"{where}: the angles of {name} are not those of its rotation in the file of cameras, expected "
                 f"both of one project; {_EXPORT}"
             )
-        yield Pose(name, np.array(numbers[:3]), cam_from_grid, None if camera is None else camera.lens)
+        yield pose_data.Pose(name, np.array(numbers[:3]), cam_from_grid, None if camera is None else camera.lens)
 
 
-def _cameras(path: Path) -> dict[str, Pose]:
+def _cameras(path: Path) -> dict[str, pose_data.Pose]:
     """Poses and lenses of a file of cameras by the names of their images; positions lack the offset."""
-    found: dict[str, Pose] = {}
+    found: dict[str, pose_data.Pose] = {}
     lines = [(f"{path}, line {number}", line.strip()) for number, line in text_lines(path, PosesError)]
     head = next((i for i, (_, line) in enumerate(lines) if line.startswith(_LAST_OF_HEAD)), None)
     if head is None:
@@ -100,20 +92,20 @@ def _cameras(path: Path) -> dict[str, Pose]:
     return found
 
 
-def _camera(where: str, title: str, lines: list[str]) -> Pose:
+def _camera(where: str, title: str, lines: list[str]) -> pose_data.Pose:
     name, *size = title.rsplit(None, 2)
     if len(size) != 2 or not all(text.isdecimal() and len(text) < 10 for text in size):
         raise PosesError(f'{where}: "{title}" was found, expected a name, width and height; {_EXPORT}')
     rows = [numbers_in(line.split(), 2 if i == 4 else 3, where, _EXPORT) for i, line in enumerate(lines[1:])]
     inner, (k1, k2, k3), (p1, p2), local, rotation = (rows[:3], rows[3], rows[4], np.array(rows[5]), np.array(rows[6:]))
-    if not is_rotation(rotation, _AGREE) or inner[0][1] != 0.0 or inner[2] != [0.0, 0.0, 1.0]:
+    if not pose_data.is_rotation(rotation, _AGREE) or inner[0][1] != 0.0 or inner[2] != [0.0, 0.0, 1.0]:
         raise PosesError(f"{where}: its matrices are not a rotation and a camera without skew; {_EXPORT}")
     params = (inner[0][0], inner[1][1], inner[0][2], inner[1][2], k1, k2, p1, p2)
     try:
         lens = brown_lens(params, (int(size[0]), int(size[1])), k3=k3)
     except LensError as error:
         raise PosesError(f"{where}: {error}") from error
-    return Pose(name, local, nearest_rotation(rotation), lens)
+    return pose_data.Pose(name, local, pose_data.nearest_rotation(rotation), lens)
 
 
 def _offset(path: Path, wanted_by: Path) -> np.ndarray:

@@ -18,15 +18,7 @@ from pyproj import CRS
 from survey.errors import PosesError
 from survey.files.csv_table import Row, Table, column_names, number_of, text_lines, words_of
 from survey.files.foreign_text import crs_of_comment
-from survey.photos.poses import (
-    CAM_FROM_OPK_CAM,
-    GivenPosition,
-    Pose,
-    PoseFile,
-    PoseFrame,
-    enu_from_yaw_pitch_roll,
-    grid_from_opk,
-)
+from survey.photos import poses as pose_data
 from survey.pose_files.format import Format, is_lens_key
 from survey.words import GEO_TXT
 
@@ -65,7 +57,7 @@ def is_table(path: Path) -> bool:
     return _columns(column_names(path, _WORDS)) is not None
 
 
-def read_table(path: Path) -> PoseFile:
+def read_table(path: Path) -> pose_data.PoseFile:
     """Poses in crs from a table with the columns of `COLUMNS` or their like, in any order; others are not read.
 
     Columns longitude and latitude are those of WGS 84, unless a comment names the CRS, as Metashape writes it. Where
@@ -78,7 +70,7 @@ def read_table(path: Path) -> PoseFile:
     poses = [_pose_of_row(row, names, units) for row in rows]
     of_lens = [column.cell for column in table.columns if is_lens_key(column.cell)]
     warning = f"columns of a lens in {path.name} ({', '.join(of_lens[:10])}) are not read: give it in [cameras]"
-    frame, notes = PoseFrame.GRID, tuple[str, ...]()
+    frame, notes = pose_data.PoseFrame.GRID, tuple[str, ...]()
     if "omega" not in columns:
         is_of_gimbal = "gimbal_yaw" in columns
         pitch = float(np.median([row.number(names[5]) for row in rows] or [0.0]))
@@ -90,11 +82,11 @@ def read_table(path: Path) -> PoseFile:
         # RealityCapture's table counts its heading from the north of the grid that it exports.
         head = next((line.casefold() for _, line in text_lines(path, PosesError) if line.strip()), "")
         is_of_grid = head.startswith("#name") and "heading" in head
-        frame = PoseFrame.GRID if is_of_grid else PoseFrame.ENU
+        frame = pose_data.PoseFrame.GRID if is_of_grid else pose_data.PoseFrame.ENU
         north = "grid north, as RealityCapture writes it" if is_of_grid else "true north, not from the grid's"
         down = "-90 looks" if is_of_gimbal else "0 looks"
         notes = (f"yaw in {path.name} counts from {north}, and a pitch of {down} straight down",)
-    return PoseFile(
+    return pose_data.PoseFile(
         tuple(poses),
         frame,
         crs_of_comment(path, PosesError) or (CRS("EPSG:4326") if names[1] == "longitude" else None),
@@ -119,26 +111,26 @@ def _columns(names: Sequence[str]) -> dict[str, str] | None:
     return None
 
 
-def _pose_of_row(row: Row, names: tuple[str, ...], units: Mapping[str, float]) -> Pose:
+def _pose_of_row(row: Row, names: tuple[str, ...], units: Mapping[str, float]) -> pose_data.Pose:
     *place, a, b, c = (row.number(name) for name in names[1:])
     centre, angles = np.array(place), [math.radians(angle) for angle in (a, b, c)]
     if names[4].startswith("omega"):
-        world_from_cam = grid_from_opk(*angles) @ CAM_FROM_OPK_CAM
+        world_from_cam = pose_data.grid_from_opk(*angles) @ pose_data.CAM_FROM_OPK_CAM
     else:
         lift = math.radians(_GIMBAL_DOWN_DEG) if names[4] == "gimbal_yaw" else 0.0
-        world_from_cam = enu_from_yaw_pitch_roll(angles[0], angles[1] - lift, angles[2])
+        world_from_cam = pose_data.enu_from_yaw_pitch_roll(angles[0], angles[1] - lift, angles[2])
     given, stds = None, [name if row.cells.get(name) else "std" for name in _STDS]
     if all(row.cells.get(name) for name in stds):
         values = np.array([row.number(name) * units.get(name, 1.0) for name in stds])
         if not (values > 0.0).all():
             raise PosesError(f"{row.where}: the accuracy is {values.tolist()}, expected above 0; correct it")
-        given = GivenPosition(centre, values)
-    return Pose(row.text("image"), centre, world_from_cam.T, given=given, where=row.where)
+        given = pose_data.GivenPosition(centre, values)
+    return pose_data.Pose(row.text("image"), centre, world_from_cam.T, given=given, where=row.where)
 
 
-def read_lines(path: Path) -> PoseFile:
+def read_lines(path: Path) -> pose_data.PoseFile:
     """Poses in crs from the lines of a file that are neither empty nor headings."""
-    poses: list[Pose] = []
+    poses: list[pose_data.Pose] = []
     heading = ""
     for number, line in text_lines(path, PosesError):
         if _is_heading(line) and not poses:
@@ -152,23 +144,25 @@ def read_lines(path: Path) -> PoseFile:
             f"{path} begins with a CRS, as OpenDroneMap's geo.txt does, whose angles are not poses: under the name "
             f"{GEO_TXT} its positions are used without being named; {_EXPECTED}"
         )
-    return PoseFile(tuple(poses), PoseFrame.GRID, tool="Metashape" if "photoid" in heading else None)
+    return pose_data.PoseFile(
+        tuple(poses), pose_data.PoseFrame.GRID, tool="Metashape" if "photoid" in heading else None
+    )
 
 
-def _pose_of_line(name: str, values: list[float], unit: float, where: str) -> Pose:
+def _pose_of_line(name: str, values: list[float], unit: float, where: str) -> pose_data.Pose:
     omega, phi, kappa = (unit * angle for angle in values[3:6])
     if max(abs(omega), abs(phi), abs(kappa)) > 360.0:
         raise PosesError(
             f"{where}: the angles are {values[3]:g}, {values[4]:g}, {values[5]:g}, expected degrees within 360; write "
             "gon into the heading if that is their unit"
         )
-    grid_from_photo = grid_from_opk(*(math.radians(angle) for angle in (omega, phi, kappa)))
+    grid_from_photo = pose_data.grid_from_opk(*(math.radians(angle) for angle in (omega, phi, kappa)))
     if len(values) == _WITH_MATRIX and not np.abs(np.reshape(values[6:], (3, 3)) - grid_from_photo.T).max() < _AGREE:
         raise PosesError(
             f"{where}: the nine numbers of its rotation are not those of omega, phi and kappa, expected the "
             "rotation from the grid into photo axes (x right, y up); export the cameras again as omega, phi, kappa"
         )
-    return Pose(name, np.array(values[:3]), (grid_from_photo @ CAM_FROM_OPK_CAM).T, where=where)
+    return pose_data.Pose(name, np.array(values[:3]), (grid_from_photo @ pose_data.CAM_FROM_OPK_CAM).T, where=where)
 
 
 def _split(line: str, where: str) -> tuple[str, list[float]]:

@@ -20,20 +20,9 @@ from survey.display.quantities import length
 from survey.files.json_values import read_json_object, write_json
 from survey.folder.survey import Survey
 from survey.progress import shares
+from survey.run import stage_sweep
 from survey.run.flight import Flight
 from survey.run.job import Job
-from survey.run.stage_sweep import (
-    KEPT,
-    MAPS,
-    OWN,
-    SCRATCH,
-    SQUARES,
-    learned_from,
-    load_rough_water,
-    maps_by_view,
-    places_of_tiles,
-    solvable,
-)
 from survey.run.stored import load_arrays, save_arrays
 from survey.run.stored_maps import Stored, StoredMasks, load_masks, map_store, save_maps
 from survey.water.wave_surfaces import WaveSurfaces
@@ -48,7 +37,7 @@ def learn_figures(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Parameters of the solver for the survey, estimated from a sample of the pixels of all its parts."""
     places = [needs[part.stage_name("sweep")] for part in job.parts]
     with job.progress.stage("Sample of the solver"):
-        squares = [read_json_object(place / SQUARES)["pixels"] for place in places]
+        squares = [read_json_object(place / stage_sweep.SQUARES)["pixels"] for place in places]
         filled = [each for of_part in squares for each in of_part]
         maps_of = [(part, number) for part, each in enumerate(squares) for number in range(len(each))]
         figures = None
@@ -58,8 +47,10 @@ def learn_figures(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
             for part, (each, place) in enumerate(zip(job.parts, places, strict=True)):
                 of_part = [(number, square) for of, number, square in chosen if of == part]
                 if of_part:
-                    views = Views.of(each.block, Stored(place / MAPS, HeightMap), load_rough_water(place)[0])
-                    sample += solve_sample(views, learned_from(each, place), of_part, each.plan.gsd_m)
+                    views = Views.of(
+                        each.block, Stored(place / stage_sweep.MAPS, HeightMap), stage_sweep.load_rough_water(place)[0]
+                    )
+                    sample += solve_sample(views, stage_sweep.learned_from(each, place), of_part, each.plan.gsd_m)
                     each.release()
             figures = figures_of(sample, job.plan.gsd_m, is_wet=job.survey.water is not None)
             job.progress.detail(f"solver: {figures}")
@@ -90,14 +81,17 @@ def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     from survey.report.facts import WaveFigures  # Imports matplotlib
 
     swept = needs["sweep"]
-    maps, figures = Stored(swept / MAPS, HeightMap), load_figures(needs["figures"])
+    maps, figures = Stored(swept / stage_sweep.MAPS, HeightMap), load_figures(needs["figures"])
     if not len(maps):
         save_maps(folder / SOLVED, SolvedMap, [])
         write_json(folder / SIGHTINGS, {})
         write_json(folder / WAVES, asdict(WaveFigures(0.0, None)))
         return
-    kept, (before, moved_px) = solvable(job.block, maps, load_masks(swept / KEPT)), load_rough_water(swept)
-    with job.progress.stage("Solver", 1.0) as stage, map_store(folder / SCRATCH, SolvedMap) as make_store:
+    kept, (before, moved_px) = (
+        stage_sweep.solvable(job.block, maps, load_masks(swept / stage_sweep.KEPT)),
+        stage_sweep.load_rough_water(swept),
+    )
+    with job.progress.stage("Solver", 1.0) as stage, map_store(folder / stage_sweep.SCRATCH, SolvedMap) as make_store:
         solved, visibility, waves = solve_maps(
             Views.of(job.block, maps, before), kept, figures, job.plan.gsd_m, shares(stage), make_store
         )
@@ -131,7 +125,7 @@ def _save_waves(job: Job, folder: Path, moved_px: float, waves: Waves | None) ->
 
 def join_solved(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Solved maps of whole photographs, in the order of `join_sweeps`, and how often each photograph was seen."""
-    swept, solved = (places_of_tiles(job, needs, name) for name in ("sweep", "solver"))
+    swept, solved = (stage_sweep.places_of_tiles(job, needs, name) for name in ("sweep", "solver"))
     save_maps(folder / SOLVED, SolvedMap, _whole_solved(job, swept, solved))
     sightings = [read_json_object(place / SIGHTINGS) for place in solved]
     names = [view.name for view in job.survey.views]
@@ -145,10 +139,10 @@ def join_solved(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 def _whole_solved(job: Job, swept: Sequence[Path], solved: Sequence[Path]) -> Iterator[SolvedMap]:
     width, maps = job.cameras[0].width, [Stored(place / SOLVED, SolvedMap) for place in solved]
     own, views = (
-        [StoredMasks(place / OWN) for place in swept],
-        [Stored(place / MAPS, HeightMap).views for place in swept],
+        [StoredMasks(place / stage_sweep.OWN) for place in swept],
+        [Stored(place / stage_sweep.MAPS, HeightMap).views for place in swept],
     )
-    for of_view in maps_by_view(job, swept).values():
+    for of_view in stage_sweep.maps_by_view(job, swept).values():
         parts = []
         for tile, number, window in of_view:
             of_tile, mask = maps[tile.number][number], own[tile.number][number].ravel()

@@ -32,6 +32,7 @@ from survey.files.json_values import read_json_object
 from survey.folder.local_frame import water_plane
 from survey.folder.survey import Survey
 from survey.plan.tiling import SHARED
+from survey.run import stage_sweep
 from survey.run.folder import Key, RunDir
 from survey.run.job import PARTS, Job, colour_of
 from survey.run.remote_run import RemoteRun
@@ -39,17 +40,6 @@ from survey.run.stage_bed import FILES, POINTS, find_points, make_bed, use_bed
 from survey.run.stage_solver import FIGURES, SIGHTINGS, SOLVED, WAVES, join_solved, learn_figures, solve_heights
 from survey.run.stage_start import FILES as ADJUSTMENT_FILES
 from survey.run.stage_start import MISFIT, adjust_block, check_poses, find_range, use_adjustment, use_misfit, use_range
-from survey.run.stage_sweep import (
-    COLOUR_FILE,
-    CONSISTENCY,
-    MAPS,
-    SATURATED,
-    estimate_colour,
-    join_sweeps,
-    sweep_views,
-    use_colour,
-)
-from survey.run.stage_sweep import FILES as SWEEP_FILES
 from survey.run.stored import FIELD_FILES
 from survey.run.tile_job import TileJob
 from survey.run.worker_task import Messages, Task, save_job
@@ -135,10 +125,16 @@ STAGES = (
         name="sweep",
         needs=("range",),
         depends_on=(*_VIEWS, "heights", "area", "gsd", "refined"),
-        files=SWEEP_FILES,
-        compute=sweep_views,
+        files=stage_sweep.FILES,
+        compute=stage_sweep.sweep_views,
         is_of_tiles=True,
-        joined=Stage("sweep", ("sweep",), _VIEWS, (MAPS, SATURATED, CONSISTENCY), join_sweeps),
+        joined=Stage(
+            "sweep",
+            ("sweep",),
+            _VIEWS,
+            (stage_sweep.MAPS, stage_sweep.SATURATED, stage_sweep.CONSISTENCY),
+            stage_sweep.join_sweeps,
+        ),
     ),
     Stage(
         name="figures",
@@ -162,10 +158,10 @@ STAGES = (
         name="water_colour",
         needs=("sweep",),
         depends_on=_VIEWS,
-        files=(COLOUR_FILE,),
-        compute=estimate_colour,
+        files=(stage_sweep.COLOUR_FILE,),
+        compute=stage_sweep.estimate_colour,
         is_on=lambda job: job.chosen.true_colour and colour_of(job.survey)[0] is None,
-        apply=use_colour,
+        apply=stage_sweep.use_colour,
     ),
     Stage(
         name="field",

@@ -35,14 +35,7 @@ from survey.errors import FILE_NAME, ConfigError, Findings
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.photos.texture import MatchedLight
-from survey.settings.config import (
-    MOST_LEVEL_STD_M,
-    MOST_SLOPE,
-    NO_LEVEL_FILES,
-    SurveyConfig,
-    WaterConfig,
-    require_slope,
-)
+from survey.settings import config as settings
 from survey.water.level_observation import COMMON_STD_M, LevelObservation, levels_of_clicks, points_of_surface
 from survey.water.surface import SURFACE, plane_warning
 from survey.water.tides import MovingLevel, Tide, tide_of_gauge, tide_of_levels, tide_of_rate
@@ -80,8 +73,8 @@ class SurfaceFit:
 
 
 def with_level(
-    folder: Path, config: SurveyConfig, headers: Mapping[str, Exif], crs: CRS
-) -> tuple[SurveyConfig, tuple[LevelObservation, ...], Tide | None, Findings]:
+    folder: Path, config: settings.SurveyConfig, headers: Mapping[str, Exif], crs: CRS
+) -> tuple[settings.SurveyConfig, tuple[LevelObservation, ...], Tide | None, Findings]:
     """Settings with the water level from the file that [water] names, the measurements, and the tide.
 
     Clicks are left for `with_level_of_clicks`.
@@ -129,8 +122,8 @@ def _require_apart(path: Path, points: Sequence[LevelObservation], crs: CRS) -> 
 
 
 def with_plane_of_surface(
-    config: SurveyConfig, levels: Sequence[LevelObservation], views: Sequence[View], frame: LocalFrame
-) -> tuple[SurveyConfig, Findings]:
+    config: settings.SurveyConfig, levels: Sequence[LevelObservation], views: Sequence[View], frame: LocalFrame
+) -> tuple[settings.SurveyConfig, Findings]:
     """Settings with the plane through the points of [water] surface under the photographs, or through all of them."""
     points = [level for level in levels if level.source == SURFACE and level.place is not None]
     if config.water is None or not points:
@@ -148,8 +141,8 @@ def with_plane_of_surface(
 
 
 def with_level_of_clicks(
-    folder: Path, config: SurveyConfig, views: Sequence[View], frame: LocalFrame
-) -> tuple[SurveyConfig, tuple[LevelObservation, ...], Findings]:
+    folder: Path, config: settings.SurveyConfig, views: Sequence[View], frame: LocalFrame
+) -> tuple[settings.SurveyConfig, tuple[LevelObservation, ...], Findings]:
     """Settings with the water level where rays of clicks in the photographs meet, and the heights of all places."""
     water = config.water
     if water is None or water.clicks is None:
@@ -159,7 +152,9 @@ def with_level_of_clicks(
     return replace(config, water=water), places, findings + of_level
 
 
-def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS) -> tuple[WaterConfig, Findings]:
+def _of_points(
+    water: settings.WaterConfig, points: Sequence[LevelObservation], crs: CRS
+) -> tuple[settings.WaterConfig, Findings]:
     """The water through points of its surface, with the standard deviation of its level at ``level_at``."""
     source = points[0].source if points else "points"
     coordinates = np.array([(*each.place, each.level_m) for each in points if each.place is not None]).reshape(-1, 3)
@@ -174,7 +169,7 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS)
     fit = fit_surface(coordinates, stds, with_slopes=free, least=1 if source == "clicks" else 3)
     slope = (fit.slope_east or water.slope_east, fit.slope_north or water.slope_north)
     remedy = "points of two waters, of the bed or the bank are not of one surface: give those of the water alone"
-    require_slope(slope, f"the points in [water] {source} have slopes east and north of", remedy)
+    settings.require_slope(slope, f"the points in [water] {source} have slopes east and north of", remedy)
     # By the slopes, from the middle of the points to level_at.
     east, north = (np.array(fit.level_at) / unit_m).tolist()
     level_at = water.level_at or (east, north)
@@ -187,7 +182,7 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS)
         f"level_m = {level:.3f} +- {std:.3f} from {len(coordinates)} points in [water] {source}, slope "
         f"{slope[0]:.5f} east and {slope[1]:.5f} north{shared}"
     )
-    level_std_m = water.level_std_m or min(std, MOST_LEVEL_STD_M)
+    level_std_m = water.level_std_m or min(std, settings.MOST_LEVEL_STD_M)
     warning = None
     if source in _MEASURED:
         residuals = coordinates[:, 2] - fit.level_m - (coordinates[:, :2] - fit.level_at) @ slope
@@ -195,7 +190,7 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS)
         warning = warning or _far_warning(residuals, stds, source)
     water = replace(
         water, level_m=level, level_at=level_at, slope_east=slope[0], slope_north=slope[1], level_std_m=level_std_m,
-        layer=None, **NO_LEVEL_FILES,
+        layer=None, **settings.NO_LEVEL_FILES,
     )  # fmt: skip
     return water, Findings((message,), () if warning is None else (warning,))
 
@@ -240,7 +235,7 @@ def fit_surface(
     spread = np.linalg.svd(design[:, 1:], compute_uv=False)
     if with_slopes and len(points) >= _FEW and spread[1] > 0.05 * spread[0]:
         values, covariance = _robust(design, points[:, 2], stds)
-        if math.hypot(*values[1:]) > MOST_SLOPE:
+        if math.hypot(*values[1:]) > settings.MOST_SLOPE:
             # The scatter of few points may be small by chance: no water slopes so.
             values, covariance = _robust(design, points[:, 2], stds, 1.0)
         if values[1:] @ np.linalg.solve(covariance[1:, 1:], values[1:]) > _SIGNIFICANT**2:
@@ -271,8 +266,8 @@ def _robust(
 
 
 def _with_moving(
-    config: SurveyConfig, water: WaterConfig, moving: MovingLevel, note: str
-) -> tuple[SurveyConfig, tuple[LevelObservation, ...], Tide, Findings]:
+    config: settings.SurveyConfig, water: settings.WaterConfig, moving: MovingLevel, note: str
+) -> tuple[settings.SurveyConfig, tuple[LevelObservation, ...], Tide, Findings]:
     """Settings with the mean level over the photographs, and a sentence on it.
 
     Its standard deviation includes that of a reading, of the zero of the gauge, and of what lies between readings.
@@ -284,12 +279,12 @@ def _with_moving(
         f"level_m = {moving.level_m:.3f} +- {std:.3f} from [water] {source}: {note}, over which it changes by "
         f"{1000.0 * moving.tide.moves_m:.0f} mm"
     )
-    level_std = water.level_std_m or min(std, MOST_LEVEL_STD_M)
-    water = replace(water, level_m=moving.level_m, level_std_m=level_std, gauge_zero_m=None, **NO_LEVEL_FILES)
+    level_std = water.level_std_m or min(std, settings.MOST_LEVEL_STD_M)
+    water = replace(water, level_m=moving.level_m, level_std_m=level_std, gauge_zero_m=None, **settings.NO_LEVEL_FILES)
     return replace(config, water=water), moving.observations, moving.tide, Findings((text,)) + moving.findings
 
 
-def refractive_index(given: WaterConfig, light: Callable[[], MatchedLight]) -> tuple[float, Findings]:
+def refractive_index(given: settings.WaterConfig, light: Callable[[], MatchedLight]) -> tuple[float, Findings]:
     """Index of the water relative to air, for the light that is matched, and what is assumed.
 
     ``light`` measures that of the photographs; it is called only where the index depends on it.

@@ -32,14 +32,10 @@ from survey.files.json_values import read_json_object
 from survey.folder.local_frame import water_plane
 from survey.folder.survey import Survey
 from survey.plan.tiling import SHARED
-from survey.run import stage_sweep
+from survey.run import stage_bed, stage_solver, stage_start, stage_sweep
 from survey.run.folder import Key, RunDir
 from survey.run.job import PARTS, Job, colour_of
 from survey.run.remote_run import RemoteRun
-from survey.run.stage_bed import FILES, POINTS, find_points, make_bed, use_bed
-from survey.run.stage_solver import FIGURES, SIGHTINGS, SOLVED, WAVES, join_solved, learn_figures, solve_heights
-from survey.run.stage_start import FILES as ADJUSTMENT_FILES
-from survey.run.stage_start import MISFIT, adjust_block, check_poses, find_range, use_adjustment, use_misfit, use_range
 from survey.run.stored import FIELD_FILES
 from survey.run.tile_job import TileJob
 from survey.run.worker_task import Messages, Task, save_job
@@ -92,34 +88,34 @@ def _train_field(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 
 # What decides the rays of the photographs, and the size and the pixels that are worked on.
 _VIEWS = ("photographs", "cameras", "water", "device", "size")
-_SOLVED = (SOLVED, SIGHTINGS, WAVES)
+_SOLVED = (stage_solver.SOLVED, stage_solver.SIGHTINGS, stage_solver.WAVES)
 
 STAGES = (
     Stage(
         name="pose_check",
         needs=(),
         depends_on=(*_VIEWS, "frame", "area", "heights"),
-        files=(MISFIT,),
-        compute=check_poses,
+        files=(stage_start.MISFIT,),
+        compute=stage_start.check_poses,
         is_on=lambda job: job.plan.pose_choice == "check",
-        apply=use_misfit,
+        apply=stage_start.use_misfit,
     ),
     Stage(
         name="adjust",
         needs=(),
         depends_on=(*_VIEWS, "frame", "water_settings", "area", "heights", "ties", "priors", "control", "freed"),
-        files=ADJUSTMENT_FILES,
-        compute=adjust_block,
+        files=stage_start.FILES,
+        compute=stage_start.adjust_block,
         is_on=lambda job: job.plan.pose_choice == "refine",
-        apply=use_adjustment,
+        apply=stage_start.use_adjustment,
     ),
     Stage(
         name="range",
         needs=(),
         depends_on=(*_VIEWS, "heights", "area", "coverage", "tiles"),
         files=(SHARED,),
-        compute=find_range,
-        apply=use_range,
+        compute=stage_start.find_range,
+        apply=stage_start.use_range,
     ),
     Stage(
         name="sweep",
@@ -140,8 +136,8 @@ STAGES = (
         name="figures",
         needs=("sweep",),
         depends_on=(*_VIEWS, "gsd"),
-        files=(FIGURES,),
-        compute=learn_figures,
+        files=(stage_solver.FIGURES,),
+        compute=stage_solver.learn_figures,
         is_on=lambda job: job.plan.solves,
     ),
     Stage(
@@ -149,10 +145,10 @@ STAGES = (
         needs=("sweep", "figures"),
         depends_on=(*_VIEWS, "gsd"),
         files=_SOLVED,
-        compute=solve_heights,
+        compute=stage_solver.solve_heights,
         is_on=lambda job: job.plan.solves,
         is_of_tiles=True,
-        joined=Stage("solver", ("sweep", "solver"), _VIEWS, _SOLVED, join_solved),
+        joined=Stage("solver", ("sweep", "solver"), _VIEWS, _SOLVED, stage_solver.join_solved),
     ),
     Stage(
         name="water_colour",
@@ -175,17 +171,17 @@ STAGES = (
         name="points",
         needs=("sweep", "solver"),
         depends_on=(*_VIEWS, "area", "frame", "gsd", "true_colour", "boxes"),
-        files=(POINTS,),
-        compute=find_points,
+        files=(stage_bed.POINTS,),
+        compute=stage_bed.find_points,
         is_of_tiles=True,
     ),
     Stage(
         name="bed",
         needs=("adjust", "points", "solver"),
         depends_on=(*_VIEWS, "water_settings", "priors", "frame", "name", "gsd"),
-        files=FILES,
-        compute=make_bed,
-        apply=use_bed,
+        files=stage_bed.FILES,
+        compute=stage_bed.make_bed,
+        apply=stage_bed.use_bed,
     ),
 )
 

@@ -100,7 +100,7 @@ def test_the_uncertainty_of_a_check_point_itself_explains_its_difference(survey)
         assert found.rows[0].difference_m == pytest.approx(-0.3, abs=ROUNDING_M)
         assert len(checkpoint_warnings(found)) == num
     *_, each = checkpoint_blocks(found)
-    assert each.rows[0][5] == "150"
+    assert (each.rows[0][5], found.groups[0].own_m) == ("150", pytest.approx(0.15))
 
 
 def test_without_check_points_there_are_no_figures_and_without_a_cloud_no_groups(survey):

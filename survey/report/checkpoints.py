@@ -114,6 +114,7 @@ class CheckpointGroup:
     rms_m: float
     largest_m: float
     le95_m: float  # [m]: 1.96 times `rms_m`: 95 % of normal errors are smaller
+    own_m: float = 0.0  # [m]: root mean square of the standard deviations of the check points themselves
 
 
 @dataclass(frozen=True)
@@ -213,8 +214,10 @@ def _groups(rows: Sequence[CheckpointRow]) -> list[CheckpointGroup]:
     parts = [("all", rows), *([("under water", wet), ("above water", dry)] if wet and dry else [])]
     groups = []
     for name, part in parts:
-        known = np.array([row.difference_m for row in part if row.difference_m is not None])
-        if known.size:
-            largest, rms = known[int(np.argmax(np.abs(known)))], float(np.sqrt(np.mean(known**2)))
-            groups.append(CheckpointGroup(name, len(known), float(known.mean()), rms, float(largest), LE95 * rms))
+        pairs = [(row.difference_m, row.std_m) for row in part if row.difference_m is not None]
+        if pairs:
+            known, own = np.array(pairs).T
+            largest, (rms, own_m) = known[np.argmax(np.abs(known))], np.sqrt(np.mean([known**2, own**2], axis=1))
+            numbers = (float(value) for value in (known.mean(), rms, largest, LE95 * rms, own_m))
+            groups.append(CheckpointGroup(name, len(known), *numbers))
     return groups

@@ -20,7 +20,6 @@ from tests.drawn_block import DrawnBlock, draw_block
 READOUT = 0.03
 FLOWN = {"num_points": 300, "num_views": 16, "nadir_only": False, "dry_share": 0.3, "num_control": 6,
          "speed": 5.0, "readout": READOUT, "pixel_std": 0.15, "height": 22.0}  # fmt: skip
-STEP = 1e-5
 
 
 def test_predictions_are_the_pixels_of_cameras_that_fly_on_while_they_are_read_out():

@@ -2,7 +2,6 @@
 
 import dataclasses
 import tomllib
-from pathlib import Path
 
 import field_scenes
 import field_settings
@@ -13,8 +12,6 @@ from PIL import Image
 
 from refract.lens import distorted
 from survey.settings.config import read_config
-
-BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
 
 
 def small(**changes):

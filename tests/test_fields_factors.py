@@ -1,7 +1,6 @@
 """Planes times vectors: the equations against loops, the fused lookup against torch."""
 
 import math
-import threading
 from dataclasses import replace
 
 import numpy as np
@@ -119,25 +118,6 @@ def gradients(factors: Factors, u: torch.Tensor, weights: torch.Tensor) -> list[
 def in_order(device) -> None:
     if device.name != "llvm":
         pytest.skip("sums are in the order of the samples on LLVM alone")
-
-
-@pytest.fixture
-def crowded():
-    """Two other threads take the cores now and again."""
-    done = threading.Event()
-    numbers = np.random.default_rng(0).standard_normal(200_000)
-
-    def work():
-        while not done.is_set():
-            np.sort(numbers)
-
-    threads = [threading.Thread(target=work) for _ in range(2)]
-    for thread in threads:
-        thread.start()
-    yield
-    done.set()
-    for thread in threads:
-        thread.join()
 
 
 def test_gradients_are_the_same_to_the_last_bit_on_any_number_of_threads(device, rng):

@@ -53,7 +53,6 @@ MOST_SHARED = 12
 OUTSIDE = {"tests", "benchmarks", "docs"}
 CONSOLE_FOLDER, CONSOLE_FILES = "survey/commands", {"survey/progress.py", "bathynerf/__main__.py"}
 CONSOLE = {"print", "input", "sys.exit", "exit", "quit", "typer.echo", "Console"}
-STREAMS = {"stdout", "stderr"}
 DISK = (
     {"open", ".open", ".read_text", ".read_bytes", ".write_text", ".write_bytes", "write_whole"}
     | {".unlink", ".mkdir", ".rmdir", ".rename", ".touch"}

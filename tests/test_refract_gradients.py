@@ -155,7 +155,6 @@ def test_vmap_over_all_numbers_is_the_loop_over_them(function):
 
 
 EPS32 = np.finfo(np.float32).eps
-FOCAL_PX = 1750.0  # of a drone camera; one radian off the axis is this many pixels
 # Worst angle [rad] in float32 over the drone geometry below, and where it comes from; measured times two.
 BY_STEPS = {
     1: 1.6e-5,  # the iteration: 8.0e-6 at 5 m over 15 m of water, 1.8e-7 rms

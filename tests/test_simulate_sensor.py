@@ -8,16 +8,10 @@ import numpy as np
 import pytest
 from scene_files import scene_file, staged
 
-from refract.lens import Lens
 from survey.folder.survey import load_survey
 from survey.photos.images import load_image
 from survey.simulate.conditions import Light, Sensor
 from survey.simulate.simulate import simulate
-
-LENSES = [
-    Lens("OPENCV", (160.0, 160.0, 47.0, 37.0, -0.12, 0.03, 1e-3, -2e-3), 96, 72),
-    Lens("OPENCV_FISHEYE", (160.0, 160.0, 48.0, 36.0, 0.01, -0.02, 0.0, 0.0), 96, 72),
-]
 
 
 @pytest.mark.slow

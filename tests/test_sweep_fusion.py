@@ -138,7 +138,6 @@ def test_windows_give_as_many_points_as_their_share_of_the_photograph(device):
     assert 0.0 < window < 0.35 * whole
 
 
-BED = PlaneBed(TILTED, -2.0)
 # Half a metre is a parallax of 10 px.
 OVER_M = 0.5
 PATCH = np.s_[30:42, 40:56]

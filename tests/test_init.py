@@ -125,7 +125,7 @@ def test_a_terminal_is_asked_for_what_no_file_tells(tmp_path):
 
 
 def test_a_mistyped_answer_is_asked_for_again(monkeypatch):
-    answers, terminal = ["deep", "", " 12.34 sea "], Terminal()
+    answers, terminal = ["deep", "", " 12,34 sea "], Terminal()
     monkeypatch.setattr("typer.prompt", lambda *_args, **_options: answers.pop(0))
     monkeypatch.setattr("sys.stdin", terminal)
     monkeypatch.setattr("sys.stderr", terminal)

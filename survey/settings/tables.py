@@ -259,7 +259,7 @@ class InitOptions:
                 return replace(self, dry=True)
             if level and kind in ("", "sea"):
                 with suppress(ValueError):
-                    return replace(self, level_m=float(level), sea=self.sea or bool(kind))
+                    return replace(self, level_m=float(level.replace(",", ".")), sea=self.sea or bool(kind))
             if text:
                 raise ConfigError(f'the answer is "{text}", expected a number such as 12.34, 12.34 sea, or dry')
             if can_do_without and (self.ask is not None or not self.needs_level):

@@ -33,23 +33,31 @@ from survey.adjust.refine import adjust_survey
 from survey.folder.survey import Survey
 from survey.plan.choices import gsd_m
 from tests.block_survey import pose_errors, survey_of
-from tests.drawn_block import draw_block
+from tests.drawn_block import DrawnBlock, draw_block
 
 _SPACING, _HEIGHT_M, _DEPTH_M, _POINTS = 0.3, 25.0, 1.5, 30
 
 
-def measured(num_views: int, *, strip: bool, position_std: float, dry: bool, by_pycolmap: bool) -> dict:
-    """Figures of one block."""
+def drawn(num_views: int, *, strip: bool = False, position_std: float = 0.3, dry: bool) -> tuple[DrawnBlock, Survey]:
+    """A block, and the survey that it makes."""
     layout = {"strip": True} if strip else {"spacing": _SPACING}
     block = draw_block(
         5, num_points=_POINTS * num_views, num_views=num_views, nadir_only=True, num_control=0, dry_share=float(dry),
         height=_HEIGHT_M, depth=_DEPTH_M, position_std=(position_std,) * 3, **layout,
     )  # fmt: skip
     survey = survey_of(block)
-    if dry:
-        survey = replace(survey, water=None, config=replace(survey.config, water=None))
-    # What is imported and compiled at the first call.
+    return block, replace(survey, water=None, config=replace(survey.config, water=None)) if dry else survey
+
+
+def warm_up() -> None:
+    """Import and compile what the first adjustment does."""
     adjust_survey(survey_of(draw_block(5, num_points=90, num_views=6)), use_windows=False)
+
+
+def measured(num_views: int, *, strip: bool, position_std: float, dry: bool, by_pycolmap: bool) -> dict:
+    """Figures of one block."""
+    block, survey = drawn(num_views, strip=strip, position_std=position_std, dry=dry)
+    warm_up()
     start = time.process_time()
     _build(survey)
     building = time.process_time() - start
@@ -59,7 +67,7 @@ def measured(num_views: int, *, strip: bool, position_std: float, dry: bool, by_
     errors, _ = pose_errors(block, found.poses.centres, found.poses.rotations)
     beside = {}
     if by_pycolmap:
-        build_s, solve_s = _seconds_of_pycolmap(survey)
+        _, build_s, solve_s = solved_by_pycolmap(survey)
         ratio = seconds / (build_s + solve_s)
         beside = {"pycolmap_build_s": build_s, "pycolmap_solve_s": solve_s, "ratio": ratio}
     return {
@@ -85,8 +93,8 @@ def _build(survey: Survey) -> None:
     seen.problem(prior, replace(prior.state, points=seen.ties.start))
 
 
-def _seconds_of_pycolmap(survey: Survey) -> tuple[float, float]:
-    """Processor times [s] in which pycolmap builds and solves a dry survey."""
+def solved_by_pycolmap(survey: Survey) -> tuple[np.ndarray, float, float]:
+    """Centres (V, 3) [m] of a dry survey by pycolmap, and processor times [s] in which it builds and solves it."""
     start = time.process_time()
     block, lens, priors = pycolmap.Reconstruction(), survey.views[0].lens, []
     params = [*lens.focal, *(lens[name] for name in ("cx", "cy", "k1", "k2", "p1", "p2"))]
@@ -115,7 +123,9 @@ def _seconds_of_pycolmap(survey: Survey) -> tuple[float, float]:
     adjuster = pycolmap.create_pose_prior_bundle_adjuster(options, of_priors, config, priors, block)
     built = time.process_time()
     adjuster.solve()
-    return built - start, time.process_time() - built
+    solved = time.process_time()
+    centres = np.array([block.image(number + 1).projection_center() for number in range(len(survey.views))])
+    return centres, built - start, solved - built
 
 
 def _peak_mb() -> float:

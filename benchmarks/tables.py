@@ -141,6 +141,8 @@ def tables() -> dict[tuple[Path, str], list[str]]:
     }
     tiles = json.loads((RESULTS / "tiles.json").read_text(encoding="utf-8"))
     found[DOCS / "scaling.md", "tiles"] = tile_rows(tiles)
+    peers = json.loads((RESULTS / "peers.json").read_text(encoding="utf-8"))
+    found[DOCS / "performance.md", "peers"] = peer_rows(peers)
     return found | {(DOCS / "real.md", name): rows(real[name]) for name, rows in TABLES.items()}
 
 
@@ -212,6 +214,35 @@ def tile_rows(found: dict) -> list[str]:
         f"{times('processor_s'):.2f} times |",
         f"| peak of memory | {many['memory_bytes'] / 1e9:.2f} for {one['memory_bytes'] / 1e9:.2f} GB |",
     ]
+
+
+def peer_rows(found: dict) -> list[str]:
+    """What the same work costs by ours and by other programs; the first row of each work is ours."""
+    words = {
+        "adjustment": "adjustment, {size} photographs",
+        "c2m": f"C2M, {found['points']:,} points",
+        "laz": f"LAZ, {9 * found['points'] / 1e6:.1f} million points",
+        "dense": "dense, demo, draft",
+    }
+    lines = [
+        "| work | program | processor [s] | wall [s] | memory [GB] | error [mm] | ours/theirs |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    ours: dict = {}
+    for row in found["rows"]:
+        is_ours = row["program"] == "bathynerf"
+        ours = row if is_ours else ours
+        work = words[row["work"]].format(size=row["size"]) if is_ours else ""
+        # Of AquaMVS one photograph of 20.
+        times = 20 if row["program"].startswith("aquamvs") else 1
+        program = row["program"].split()[0] + (" (1/20)" if times > 1 else "")
+        ratio = "" if is_ours else f"{ours['cpu_s'] / (times * row['cpu_s']):.2g}"
+        lines.append(
+            f"| {work} | {program} | {row['cpu_s']:.2g} | {row['wall_s']:.2g} | {row['peak_mb'] / 1e3:.2f} | "
+            f"{row['accuracy']} | {ratio} |"
+        )
+    missing = ", ".join(found["missing"])
+    return [*lines, *(["", f"Left out, as they were not installed: {missing}."] if missing else [])]
 
 
 def main() -> None:

@@ -25,6 +25,7 @@ SMALLEST = {
     "bench_methods": "{survey} --methods sweep --qualities draft -o {work}",
     "bench_nerfstudio": "{work} --objects ship --models vm --seconds 0.1 --scale 0.05 --cells 16 --rays 64 --samples 8",
     "bench_optics": "--plain",
+    "bench_peers": "--only adjustment c2m laz --photographs 6 --points 1000 --runs 1",
     "bench_random": "--seeds 102-102 -o {work} --quality draft",
     "bench_reach": "{work} --kilometre",
     "bench_solver": "{survey} --ways solver -o {work}",

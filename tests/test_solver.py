@@ -16,7 +16,7 @@ from fields.device import choose_device
 from fields.image_store import GreyImages
 from fields.solver import solver
 from fields.solver.gauss_newton import Start, TileSolution, second_differences_of, stiffness_of
-from fields.solver.moving_water import bed_of, still_photograph, without_waves
+from fields.solver.moving_water import bed_of, still_photograph, with_waves, without_waves
 from fields.solver.noise import NoiseShares
 from fields.solver.roughness import roughness_of
 from fields.solver.tile import SolverTile, appearance_of, brightness_of, log_likelihood_ratio, tiles_of
@@ -125,10 +125,9 @@ def middle(margin: int = 14) -> np.ndarray:
 
 def learned(block, maps, kept) -> solver.SolverFigures:
     """What a sample of the kept pixels of a block tells of its survey."""
-    places = solver.spread(solver.count_in_squares(block, maps, kept))
-    return solver.figures_of(
-        solver.solve_sample(Views.of(block, maps), kept, places, GSD), GSD, is_wet=block.water is not None
-    )
+    views = Views.of(block, maps)
+    places = solver.spread(solver.count_in_squares(views.others, kept))
+    return solver.figures_of(solver.solve_sample(views, kept, places, GSD), GSD, is_wet=block.water is not None)
 
 
 def solved(
@@ -181,7 +180,7 @@ def still_block(block: Block, maps: list[HeightMap]) -> Block | None:
     """A block as it would be over still water."""
     kept = [middle(6) if m.view == 0 else np.zeros(m.height.shape, dtype=bool) for m in maps]
     views = Views.of(block, maps)
-    sample = solver.sampled(views, kept, solver.spread(solver.count_in_squares(block, maps, kept)))
+    sample = solver.sampled(views, kept, solver.spread(solver.count_in_squares(views.others, kept)))
     found = without_waves(block, views, kept, sample, GSD)
     return None if found is None else found[0]
 
@@ -229,6 +228,28 @@ def test_a_photograph_through_a_known_surface_is_as_over_still_water():
         still = bed.photograph(block.cameras[view], 1.0, 0.0)
         left = still_photograph(views, waves, view, points) - still
         assert np.nanstd(left) < 0.2 * np.std(through[view] - still)
+
+
+def test_waves_are_found_at_half_size_first_where_a_linear_step_reaches_twice_as_far(monkeypatch):
+    block, maps, _ = survey(1.0, 0.1, 0.0)
+    aside = [np.roll(image, 3 * (view == 3), axis=1) for view, image in enumerate(block.images)]
+    kept = [middle(6) if m.view == 0 else np.zeros(m.height.shape, dtype=bool) for m in maps]
+    spacings, found_px = [], []
+
+    def waves_of(parts, still, spacing, _before, *, is_last):
+        moved = np.concatenate([part.measured[part.view == 3] for part in parts])
+        spacings.append(spacing / GSD)
+        found_px.append(np.median(np.hypot(*moved.T)) / GSD)
+        return still
+
+    monkeypatch.setattr("fields.solver.moving_water.waves_of", waves_of)
+    monkeypatch.setattr("fields.solver.moving_water.MOST_ROUNDS", 1)
+    views = Views.of(block.with_images(GreyImages(aside)), maps)
+    with ThreadPoolExecutor(1) as pool:
+        with_waves(views, kept, GSD, pool)
+    np.testing.assert_allclose(spacings, [16.0, 8.0])
+    assert abs(found_px[0] - 3.0) < 0.4
+    assert abs(found_px[1] - 3.0) > 0.8
 
 
 def test_photographs_of_smooth_water_are_swept_as_they_are():
@@ -372,7 +393,7 @@ def test_a_map_takes_solved_heights_and_keeps_the_others():
 def test_nothing_kept_is_nothing_solved():
     block, maps, _ = survey(4.0, 0.2)
     nothing = [np.zeros((SIZE, SIZE), dtype=bool)] * 9
-    assert solver.count_in_squares(block, maps, nothing) == [[]] * 9
+    assert solver.count_in_squares([(1,)] * 9, nothing) == [[]] * 9
     found, visibility, _ = solver.solve_maps(Views.of(block, maps), nothing, None, GSD, lambda share: None)
     assert [len(each.pixels) for each in found] == [0] * 9
     assert not visibility.any()

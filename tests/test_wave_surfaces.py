@@ -104,7 +104,7 @@ def test_splines_are_those_of_the_solver(block, tmp_path):
         place = block[1].frame.local_from_crs(np.dstack([surface.grid.middles(), np.zeros(surface.grid.shape)]))
         at = np.rint((place[..., :2] - found.corner[view]) * 2.0 / SPACING).astype(int)
         known = np.isfinite(surface.height)
-        nearest = waves.raster(view)[0][at[known][:, 1], at[known][:, 0]]
+        nearest = waves.raster(view)[at[known][:, 1], at[known][:, 0], 0]
         # A quarter of a spacing away at most along either axis, by slopes of 0.02.
         assert np.abs(surface.height[known] - nearest).max() < 0.02 * 0.36 * SPACING
 

@@ -65,11 +65,8 @@ def heights_from_half(solved: gauss_newton.TileSolution, half: Half, roughness: 
     height = solved.height
     for number in range(_ROUNDS):
         stiffness = gauss_newton.stiffness_of(solved.differences.matrix @ height, roughness)
-        right = (
-            -half.gradient
-            - half.information * (height - solved.height)
-            - solved.differences.gradient(stiffness, height)
-        )
+        right = half.information * (solved.height - height) - half.gradient
+        right -= solved.differences.gradient(stiffness, height)
         diagonal = half.information + solved.differences.squared @ stiffness + gauss_newton.LEAST_INFORMATION
         matrix = gauss_newton.normal_matrix(half.information, solved.differences, stiffness)
         residual = gauss_newton.CG_RESIDUAL if number + 1 == _ROUNDS else gauss_newton.CG_RESIDUAL_BEFORE
@@ -155,9 +152,8 @@ def spectral_slope_of(
     # Steps and edges do not move the rest.
     power, by_noise = (np.quantile(each, uncertainty.ONE_STD, axis=-1) for each in (bed, noise))
     middle = float(np.median(log_ratio))
-    chance = np.sqrt(
-        2.0 * uncertainty.spectral_means(middle, uncertainty.PRIOR_SPECTRAL_SLOPE).correlated_px / len(log_ratio)
-    )
+    correlated_px = uncertainty.spectral_means(middle, uncertainty.PRIOR_SPECTRAL_SLOPE).correlated_px
+    chance = np.sqrt(2.0 * correlated_px / len(log_ratio))
     known = np.hypot(chance * power, np.hypot(chance, _NOISE_KNOWN) * by_noise)
     residual, costs = (power - by_noise) / known, []
     for spectral_slope in _SPECTRAL_SLOPES:

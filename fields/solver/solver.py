@@ -18,10 +18,9 @@ from fields.solver.tile import SolverTile, requested_in_squares
 from fields.solver.uncertainty import QUANTILE_95, SIGMAS_95
 from fields.solver.views import WORKERS, TileTask, Views
 from fields.solver.visibility import visibility_counts
-from fields.sweep.block import Block
 from fields.sweep.images import gradient_of
 from fields.sweep.kernels.arrays import sharing_cores
-from fields.sweep.maps import HeightMap, OrderedMaps, small_sample_factor, views_of
+from fields.sweep.maps import HeightMap, OrderedMaps, small_sample_factor
 from fields.waves.waves import Waves
 
 # What a survey is like is learned from so many tiles of this side, spread over those that hold this share of the kept
@@ -112,8 +111,7 @@ def solve_maps(
         moves = views.waves is not None or figures.moved_px > MOVING_PX
         if views.water is not None and views.water.n_water > 1.0 and moves:
             views = with_waves(views, kept, gsd, pool)
-            filled = zip(kept, views.others, strict=True)
-            places = spread([requested_in_squares(wanted, SAMPLE_PX) if others else [] for wanted, others in filled])
+            places = spread(count_in_squares(views.others, kept))
             figures = figures_of(_solved_squares(views, kept, places, gsd, pool), gsd, is_wet=True)
             # What the surfaces leave of the waves is in their own variance.
             figures = replace(figures, shifts=noise_model.Shifts(figures.shifts.pose_std_px, 0.0))
@@ -135,12 +133,9 @@ def solve_maps(
     return found, visibility, views.waves
 
 
-def count_in_squares(block: Block, maps: Sequence[HeightMap], kept: Sequence[np.ndarray]) -> list[list[int]]:
-    """Kept pixels in each square of `SAMPLE_PX` of each map that has some; none of maps that no other view overlaps."""
-    return [
-        requested_in_squares(wanted, SAMPLE_PX) if block.neighbours(view, 1) else []
-        for view, wanted in zip(views_of(maps), kept, strict=True)
-    ]
+def count_in_squares(others: Sequence[Sequence[int]], kept: Sequence[np.ndarray]) -> list[list[int]]:
+    """Kept pixels in each square of `SAMPLE_PX` of each map that has some; none of maps without overlapping others."""
+    return [requested_in_squares(wanted, SAMPLE_PX) if of else [] for of, wanted in zip(others, kept, strict=True)]
 
 
 def solve_sample(

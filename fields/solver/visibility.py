@@ -13,7 +13,7 @@ import numpy as np
 from fields.device import Device
 from fields.image_store import GreyImages
 from fields.solver.tile import Brightness, SolverTile
-from fields.sweep.kernels.arrays import constant, floats, host
+from fields.sweep.kernels.arrays import constant, evaluate, floats, host
 from fields.sweep.kernels.rays import point_at, project, refracted_rays
 from fields.sweep.kernels.stack import CameraTerms, camera_table, kernel_water
 from fields.waves.waves import Waves, interpolated
@@ -78,18 +78,14 @@ class TileProjection:
     def sample(self, images: GreyImages | Mapping[int, np.ndarray], change: np.ndarray) -> np.ndarray:
         """Grey values (K, N) at start height plus change (N,) [m]; NaN where not seen."""
         values = np.full(self.seen.shape, np.nan, dtype=np.float32)
+        window = images.window if isinstance(images, GreyImages) else lambda view, *part: images[view][part]
         for value, view, at, rise, index in zip(
             values, self.views, self.position, self.rise, self._places, strict=True
         ):
             if len(index):
                 x, y = at.take(index, axis=1) + rise.take(index, axis=1) * change.take(index)
                 rows, columns = lookup_window(x, y)
-                image = (
-                    images.window(view, rows, columns)
-                    if isinstance(images, GreyImages)
-                    else images[view][rows, columns]
-                )
-                value[index] = lookup(image, x - columns.start, y - rows.start, cv2.INTER_CUBIC)
+                value[index] = lookup(window(view, rows, columns), x - columns.start, y - rows.start, cv2.INTER_CUBIC)
         return values
 
 
@@ -227,22 +223,14 @@ class Projector:
         camera = [constant(self.device, c) for c in camera_table([self._cameras[view]], beyond, self._water)[0]]
         u, v, z = (floats(self.device, each) for each in (pixels[:, 0], pixels[:, 1], heights))
         points = point_at(refracted_rays(camera, u, v, self._water, beyond), z)
-        _compute(self.device, *points)
+        evaluate(*points)
         return points
 
     def seen(self, view: int, points: tuple[Any, ...]) -> tuple[np.ndarray, np.ndarray]:
         """Positions of points in a photograph, (2, P) float32 [px], and whether inside it, (P,) bool."""
         u, v, inside = project(self._rows[view], points, self._water, self._beyond, _STEPS)
-        _compute(self.device, u, v, inside)
+        evaluate(u, v, inside)
         return np.stack([host(self.device, u), host(self.device, v)]), host(self.device, inside)
-
-
-def _compute(device: Device, *arrays) -> None:
-    """Evaluate the traced arrays of Dr.Jit."""
-    if device.module is not None:
-        import drjit
-
-        drjit.eval(*arrays)
 
 
 def visibility_counts(views: Sequence[int], brightness: Brightness, photographs: int) -> np.ndarray:

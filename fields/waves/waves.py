@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
-from scipy import fft
 
 from fields.waves.surfaces import Posterior, Sea
 from refract import kernels
@@ -16,8 +15,11 @@ LEAST_DEPTH = 0.1
 _STEPS = 2
 # Nodes of the raster of a surface to a spacing of its coefficients: cubic lookups keep waves of four spacings.
 _FINER = 2
-# Of the search for where a ray meets the surface: each leaves a fifth of the error, or less.
-_SEARCH_STEPS = 3
+# A cubic B-spline and its slope at nodes, for correlation with coefficients.
+_VALUES = np.array([1.0, 8.0, 23.0, 32.0, 23.0, 8.0, 1.0]) / 48.0
+_SLOPES = np.array([-1.0, -4.0, -5.0, 0.0, 5.0, 4.0, 1.0]) / 8.0
+# Linear steps of the search for where a ray meets the surface, each of which leaves a fifth of the error, or less.
+_SEARCH_STEPS = 2
 _LEVEL = (0.0, 0.0, 1.0)
 # OpenCV takes positions as an image, with sides below 32768: they are laid out in lines of so many.
 _LINE = 2048
@@ -116,13 +118,17 @@ class Waves:
 
     def through(self, view: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Places (2, N) [m] at which the rays to points (3, N) [m] meet a surface, and their `displacement`."""
-        place = self.crossings(view, points).place
+        rays, (*centre, above) = self.crossings(view, points), self.centres[view].astype(np.float32)
+        place, share = rays.place, above / (above + rays.depth / np.float32(self.n_water))
+        aside = (place - np.array(centre)[:, None]) / above
         for _ in range(_SEARCH_STEPS):
-            place, displacement = self._traced(view, place, points)
+            height, gradient = self.surface(view, place)
+            place = rays.place + share * rays.displacement(height, gradient) - aside * height
+        place, displacement = self._traced(view, place, points)
         return place, np.where(points[2] < self.tides[view], displacement, np.float32(0.0))
 
     def _traced(self, view: int, place: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """One step of `through`: places (2, N) [m] from guesses, and the displacements (2, N) [m] at these."""
+        """Last step of `through`: places (2, N) [m] from guesses, and the displacements (2, N) [m] at these."""
         centre, depth = self.centres[view].astype(np.float32)[:, None], np.float32(self.tides[view]) - points[2]
         height, gradient = self.surface(view, place)
         air = np.vstack([place, height[None]]) - centre
@@ -139,22 +145,18 @@ class Waves:
     def surface(self, view: int, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Heights (N,) [m] and gradients (2, N) of a surface at places (2, N) [m]."""
         node = (place - self.corner[view][:, None]) * (_FINER / self.spacing)
-        height, *slopes = (interpolated(each, node, cv2.INTER_CUBIC) for each in self.raster(view))
+        height, *slopes = interpolated(self.raster(view), node, cv2.INTER_CUBIC).T
         return height, np.stack(slopes)
 
     def raster(self, view: int) -> np.ndarray:
-        """Height of a surface and its slopes (3, rows, columns), at `_FINER` nodes to a spacing."""
+        """Height of a surface and its slopes (rows, columns, 3), at `_FINER` nodes to a spacing."""
         if view not in self._rasters:
             columns, rows = self.coefficients[view].shape
-            turned = 2.0 * np.pi * fft.fftfreq(columns)[:, None], 2.0 * np.pi * fft.rfftfreq(rows)[None]
-            # A B-spline has these values and slopes at its nodes.
-            x, y = ((2.0 + np.cos(k)) / 3.0 for k in turned)
-            dx, dy = (1j * np.sin(k) / self.spacing for k in turned)
-            parts = fft.rfft2(self.coefficients[view]) * np.stack([x * y, dx * y, x * dy])
-            padded, half = np.zeros((3, _FINER * columns, parts.shape[2]), dtype=complex), columns // 2
-            padded[:, :half], padded[:, half - columns :] = parts[:, :half], parts[:, half:]
-            fine = fft.irfft2(padded, s=(_FINER * columns, _FINER * rows)) * _FINER**2
-            self._rasters[view] = np.ascontiguousarray(fine.transpose(0, 2, 1), dtype=np.float32)
+            fine = np.zeros((_FINER * rows, _FINER * columns), dtype=np.float32)
+            fine[::_FINER, ::_FINER] = self.coefficients[view].T
+            slope = _SLOPES / self.spacing
+            filters = (_VALUES, _VALUES), (slope, _VALUES), (_VALUES, slope)
+            self._rasters[view] = np.dstack([cv2.sepFilter2D(fine, -1, x, y) for x, y in filters])
         return self._rasters[view]
 
     def variances(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -167,10 +169,10 @@ class Waves:
 
 
 def interpolated(raster: np.ndarray, node: np.ndarray, interpolation: int) -> np.ndarray:
-    """Values (N,) of a raster (rows, columns) at nodes (2, N), column and row, by a flag of OpenCV; 0 beyond."""
+    """Values (N, ...) of a raster (rows, columns, ...) at nodes (2, N), column, row, by a flag of OpenCV; 0 beyond."""
     lines = -(-node.shape[1] // _LINE)
     at = np.zeros((2, lines * _LINE), dtype=np.float32)
     at[:, : node.shape[1]] = node
     across, down = at.reshape(2, lines, _LINE)
     found = cv2.remap(raster, across, down, interpolation, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0)
-    return found.ravel()[: node.shape[1]]
+    return found.reshape(-1, *raster.shape[2:])[: node.shape[1]]

@@ -7,7 +7,7 @@ of the water is estimated where survey.toml does not say it.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -89,9 +89,8 @@ def load_rough_water(folder: Path) -> tuple[Waves | None, float]:
     if not (folder / ROUGH_WATER).is_file():
         return None, 0.0
     found = load_arrays(folder / ROUGH_WATER)
-    centres, tides, n_water, corner, spacing, coefficients, variance, of = (found[name] for name in _OF_WAVES)
-    waves = Waves(centres, tides, float(n_water), corner, float(spacing), coefficients, variance, of)
-    return waves, float(found["moved_px"])
+    arrays: dict[str, Any] = {name: found[name] if found[name].ndim else float(found[name]) for name in _OF_WAVES}
+    return Waves(**arrays), float(found["moved_px"])
 
 
 def _sweep_block(job: Job, folder: Path, block: Block, title: str) -> list[list[int]]:
@@ -125,16 +124,15 @@ def _choose_pixels(job: Job, folder: Path) -> list[list[int]]:
     block, maps = job.block, Stored(folder / MAPS, HeightMap, IN_MEMORY)
     kept = unique_pixels(block, maps, job.plan.gsd_m)
     save_masks(folder / KEPT, kept)
-    if job.cell is None:
-        return count_in_squares(block, maps, learned_from(job, folder))
-    own, around = kept.copy(), grown(job.cell, _BESIDE_GSD * job.plan.gsd_m)
-    for number, m in enumerate(maps):
-        places = places_in_plan(block, m)
-        kept[number] = kept[number] & inside(places, around)
-        own[number] = inside(places, job.cell)
-    save_masks(folder / KEPT, kept)
-    save_masks(folder / OWN, own)
-    return count_in_squares(block, maps, learned_from(job, folder))
+    if job.cell is not None:
+        own, around = kept.copy(), grown(job.cell, _BESIDE_GSD * job.plan.gsd_m)
+        for number, m in enumerate(maps):
+            places = places_in_plan(block, m)
+            kept[number] = kept[number] & inside(places, around)
+            own[number] = inside(places, job.cell)
+        save_masks(folder / KEPT, kept)
+        save_masks(folder / OWN, own)
+    return count_in_squares([block.neighbours(view, 1) for view in maps.views], learned_from(job, folder))
 
 
 def learned_from(job: Job, folder: Path) -> Masks:

@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 from geo.compatibility import require_in_area
 from geo.crs import EARTH_RADIUS_M, has_height, height_unit_m, horizontal_crs, horizontal_unit, is_geographic
 from geo.transformation import lon_lat
-from survey.display.quantities import named
+from survey.display.quantities import listed, named
 from survey.errors import Findings, PosesError
 from survey.files.csv_table import number_of
 from survey.files.foreign_text import odm_lines
@@ -58,8 +58,9 @@ def read_headers(folder: Path, place: Path, images: Mapping[str, Path]) -> tuple
     if (table := find_geo_txt(folder, place)) is not None:
         headers, findings = with_positions(table, headers)
     headers = without_void_fixes(headers)
-    bands = named(bands_beside(images), "image", "of single bands beside photographs, left out")
-    return headers, findings + Findings(assumptions=(*bands, *burst_notes(headers)))
+    names = bands_beside(images)
+    bands = f"{len(names)} images of single bands beside photographs, left out: {listed(names, 2)}"
+    return headers, findings + Findings(assumptions=(*[bands] * bool(names), *burst_notes(headers)))
 
 
 def find_geo_txt(folder: Path, images: Path) -> Path | None:

@@ -164,9 +164,16 @@ def test_a_tensorboard_that_cannot_write_is_said_and_left_out(tmp_path, monkeypa
     assert caplog.text.count("TensorBoard gets no curve of the training: descriptors cannot be created") == 1
 
 
+def test_photographs_held_out_that_do_not_show_the_box_are_none(folder, run):
+    with pytest.raises(SurveyError, match=r"none of the photographs 0, 4, 8, \.\.\. shows the box"):
+        train_field(run, folder / "beside", replace(SHORT, bounds=(589019.0, 5194727.0, 589024.0, 5194732.0)))
+
+
 def test_what_fewer_steps_made_is_gone_once_there_is_a_state_of_more(folder, run, monkeypatch):
     train_field(run, folder / "more", SHORT)
     made = [folder / "more" / name for name in ("cloud.las", "bed", "report.json", "held out")]
+    views = folder / "more" / "views"
+    views.mkdir()
 
     def stop(*_arguments, **_options):
         raise KeyboardInterrupt
@@ -179,7 +186,7 @@ def test_what_fewer_steps_made_is_gone_once_there_is_a_state_of_more(folder, run
                 train_field(run, folder / "more", replace(SHORT, steps=6))
         settings = json.loads((folder / "more" / "settings.json").read_text())
         assert settings["steps"] == (4 if is_there else 6)
-        assert [path.exists() for path in made] == [is_there] * 4
+        assert [path.exists() for path in (*made, views)] == [is_there] * 5
     assert train_field(run, folder / "more", replace(SHORT, steps=6))["training"]["steps"] == 6
     assert all(path.exists() for path in made)
 

@@ -179,7 +179,9 @@ def test_a_camera_path_is_in_the_frame_before_the_training(tmp_path, block):
     ("changes", "beside", "words"),
     [
         ({}, None, "copy dataparser_transforms.json of that training"),
-        ({}, {"scale": 1.0}, "applied_transform is not a 3 x 4 matrix"),
+        ({}, {"scale": 1.0}, "dataparser_transforms.json has a transform of None and a scale of 1.0, expected a 3 x 4"),
+        ({}, {"transform": [[1.0, 0.0, 0.0, 0.0]] * 3, "scale": 0}, "a scale of 0, expected"),
+        ({"camera_path": [{"camera_to_world": [1.0] * 16}]}, "kept", "has a fov of 0 degrees, expected"),
         ({}, [], "or .* no transform"),
         ({"camera_path": {}}, {}, "has no list of cameras"),
         ({"camera_path": [{"camera_to_world": [1.0] * 15, "fov": 50}]}, "kept", "its transform_matrix is not a 4 x 4"),

@@ -13,7 +13,7 @@ from evaluation import Blocks, distance_statistics, is_outlier, reached_by_slope
 from evaluation.bootstrap import LEVEL, NUM_DRAWS
 from evaluation.bootstrap import SEED as BOOTSTRAP_SEED
 from evaluation.c2m import SEED, Sign
-from geo import Mesh
+from geo import Cloud, Mesh
 from geo.atl24 import SUFFIXES as ATL24
 from geo.atl24 import read_atl24
 from geo.files import existing_file, reporting_disk_errors
@@ -119,7 +119,7 @@ def _read(cloud: Path, reference: Path, options: CompareOptions) -> tuple[Inputs
     if places is None and (is_table(paths.reference) or paths.reference.suffix.lower() in ATL24):
         # Between measured points nothing is known, so that the cloud is also evaluated at each of them.
         places = paths.reference
-    for path in (paths.cloud, paths.reference, paths.visible):
+    for path in (paths.cloud, paths.reference, paths.visible, places):
         if path is not None:
             existing_file(path)
     # Before the clouds and meshes, which take longer to read.
@@ -131,8 +131,10 @@ def _read(cloud: Path, reference: Path, options: CompareOptions) -> tuple[Inputs
     if places is None:
         return inputs, None
     if places.suffix.lower() in ATL24:
-        photons = read_atl24(places, inputs.crs, inputs.cloud.points)
-        if places != paths.reference:
+        if places == paths.reference and isinstance(inputs.reference, Cloud):
+            photons = inputs.reference
+        else:
+            photons = read_atl24(places, inputs.crs, inputs.cloud.points)
             inputs = replace(inputs, notes=inputs.notes + photons.notes)
         return inputs, (np.column_stack([photons.points, photons.extra["std"]]), places)
     level = level_of_cloud(inputs.cloud) if options.water_level is None else options.water_level

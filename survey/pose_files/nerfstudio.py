@@ -88,14 +88,25 @@ def _as_frames(path: Path, data: dict) -> dict:
     given, kind = read_foreign_json(beside, PosesError), data.get("camera_type", "perspective")
     if not isinstance(views, list) or not all(isinstance(each, dict) for each in (given, *views)):
         raise PosesError(f"{path} has no list of cameras, or {beside} no transform; save them again with nerfstudio")
+    if _matrix(given.get("transform"), 3) is None or not (finite_number(given.get("scale")) or 0.0) > 0.0:
+        raise PosesError(
+            f"{beside} has a transform of {given.get('transform')!r:.60} and a scale of {given.get('scale')!r:.20}, "
+            "expected a 3 x 4 matrix and a number above 0; copy it again from the folder of the training"
+        )
+    fovs = [finite_number(view.get("fov")) or 0.0 for view in views]
+    if not all(0.0 < fov < 180.0 for fov in fovs):
+        raise PosesError(
+            f"{path} has a fov of {min(fovs):g} degrees, expected one between 0 and 180 at each camera; save the path "
+            "again with nerfstudio's viewer"
+        )
     frames = [
         {
             "file_path": f"view{number:04d}",
             "transform_matrix": view.get("camera_to_world"),
             # Of the height of the picture; pixels are square.
-            "camera_angle_y": math.radians(finite_number(view.get("fov")) or 0.0),
+            "camera_angle_y": math.radians(fov),
         }
-        for number, view in enumerate(views)
+        for number, (view, fov) in enumerate(zip(views, fovs, strict=True))
     ]
     lens = {"camera_model": "PINHOLE" if kind == "perspective" else kind}
     lens |= {"w": data.get("render_width"), "h": data.get("render_height")}

@@ -90,7 +90,7 @@ class ProcessConfig(PlanOptions):
 
     def over(self, lower: ProcessConfig) -> ProcessConfig:
         """These options completed from `lower`; options of an aim and those of a recipe exclude each other."""
-        displaced = _RECIPE * self._says(_AIM) + _AIM * self._says(_RECIPE)
+        displaced = (*(_RECIPE if self._says(_AIM) else ()), *(_AIM if self._says(_RECIPE) else ()))
         names = [field.name for field in dataclasses.fields(self)]
         inherited = {
             name: getattr(lower, name) for name in names if name not in displaced and getattr(self, name) is None

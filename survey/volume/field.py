@@ -23,11 +23,9 @@ from survey.progress import current
 from survey.run.flight import Flight
 from survey.run.stored import FIELD_BED, FIELD_CLOUD, StoredBed, save_bed
 from survey.volume.options import VolumeOptions
-from survey.volume.scene import HELD, REPORT, VolumeFolder, load_scene
+from survey.volume.scene import HELD, REPORT, VIEWS, VolumeFolder, load_scene
 from survey.volume.submodules import train_submodules
 from survey.volume.training import FieldResult, surface_in, train
-
-VIEWS = "views"
 
 
 def train_field(run: str | Path, output: str | Path, options: VolumeOptions | None = None) -> dict[str, Any]:

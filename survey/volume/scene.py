@@ -39,7 +39,7 @@ _INNER, _REACH, _REACH_CELLS = (0.1, 99.9), 0.1, 3.0
 _PIXELS_PER_CELL = 2.0  # Photographs are reduced until a cell of the volume is so many pixels wide
 # A photograph counts if it shows the box with this share of its pixels.
 _LEAST_SHARE = 0.002
-REPORT, HELD, CURVE = "report.json", "held out", "training.png"
+REPORT, HELD, VIEWS, CURVE = "report.json", "held out", "views", "training.png"
 _EVERY_S, _SHARE = 5.0, 0.05  # Seconds between two states, unless these would take more than a share of the time
 
 
@@ -126,9 +126,20 @@ def load_scene(run: LoadedRun, flight: Flight, options: VolumeOptions, advance: 
 
 
 def held_photographs(ground: BedBox, flight: Flight, options: VolumeOptions) -> Photographs:
-    """Every so many of the photographs of a flight, from the first on as nerfstudio does, where they show the box."""
-    held = () if options.held_every is None else flight.views[:: options.held_every]
-    return _decoded(_showing(ground, replace(flight, views=held)), ground.bent)
+    """Every so many of the photographs of a flight, from the first on, of which those that show the box count.
+
+    So does nerfstudio with ``eval_mode interval``. Raises SurveyError if photographs are to be held out and none of
+    them shows the box.
+    """
+    if options.held_every is None:
+        return _decoded((), ground.bent)
+    held = _decoded(_showing(ground, replace(flight, views=flight.views[:: options.held_every])), ground.bent)
+    if not held.names:
+        raise SurveyError(
+            f"none of the photographs 0, {options.held_every}, {2 * options.held_every}, ... shows the box of the "
+            "field, so that none is held out; give another --held-every, or larger --bounds"
+        )
+    return held
 
 
 def training_photographs(
@@ -264,7 +275,7 @@ class VolumeFolder:
         with reporting_disk_errors(self.path):
             for name in (REPORT, FIELD_CLOUD):
                 (self.path / name).unlink(missing_ok=True)
-            for name in (FIELD_BED, HELD):
+            for name in (FIELD_BED, HELD, VIEWS):
                 shutil.rmtree(self.path / name, ignore_errors=True)
         write_json(self.path / FIELD_SETTINGS, self._settings)
         self._is_renewed = True

@@ -242,7 +242,6 @@ def measure_windows(survey: Survey, *, device: str = "auto", advance: Callable[[
 
 def load_photographs(survey: Survey, plan: Plan) -> tuple[Block, tuple[float, float]]:
     """The photographs of a survey, and the range of heights over the water plane [m] in which its bed lies."""
-    # Starts Dr.Jit, which the adjustment does not need.
     block = load_block(survey, plan, lambda _amount: None)
     try:
         return block, find_range(block, limits(survey))

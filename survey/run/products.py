@@ -164,16 +164,17 @@ def _write_report(finished: FinishedRun, stored: StoredBed) -> RunVerdict:
     progress.note(f"{len(stored.bed):,} points of the bed")
     cells = cells_of(job.survey, stored.bed.xyz, job.plan.gsd_m)
     maps = Stored(finished.stages["sweep"] / MAPS, HeightMap)
-    with progress.stage("Gaps", len(job.survey.views)) as stage:
+    with progress.stage("Report", len(job.survey.views) + NUM_STEPS) as stage:
         cells = with_reasons(cells, job.survey, job.plan, maps, stage.advance)
-    save_arrays(folder / GAPS, codes=cells.gaps, origin=np.array(cells.grid.origin), side=np.array(cells.grid.side_m))
-    verdict = verdict_of(job.survey, stored, job.plan.gsd_m, cells)
-    verdict = RunVerdict((*verdict.gates, *gates_of_aim(job.chosen, stored, finished.seconds)))
-    facts = _facts(finished, stored, options, cells, verdict)
-    for text in (*dry_warnings(job.survey, stored.bed), *photograph_warnings(facts.photographs)):
-        progress.warn(text)
-    progress.detail(*(f"{label}: {share}" for label, share in left_out_shares(facts.photographs)))
-    with progress.stage("Report", NUM_STEPS) as stage:
+        save_arrays(
+            folder / GAPS, codes=cells.gaps, origin=np.array(cells.grid.origin), side=np.array(cells.grid.side_m)
+        )
+        verdict = verdict_of(job.survey, stored, job.plan.gsd_m, cells)
+        verdict = RunVerdict((*verdict.gates, *gates_of_aim(job.chosen, stored, finished.seconds)))
+        facts = _facts(finished, stored, options, cells, verdict)
+        for text in (*dry_warnings(job.survey, stored.bed), *photograph_warnings(facts.photographs)):
+            progress.warn(text)
+        progress.detail(*(f"{label}: {share}" for label, share in left_out_shares(facts.photographs)))
         figures = write_report(folder, facts, stage.advance)
     for text in checkpoint_warnings(facts.checkpoints):
         progress.warn(text)

@@ -23,7 +23,8 @@ from fields.waves.waves import Waves
 # Where photographs are displaced by more under water, surfaces of it are found, in rounds until one finds no more than
 # that, and so many at most, at each of two sizes.
 MOVING_PX, MOST_ROUNDS = 0.1, 4
-# Where they are displaced by more, windows match the wrong heights: the sweep is to see them as over still water.
+# Where they are displaced by more, windows match the wrong heights: the sweep is to see them as over still water, once
+# a round finds less than half of it.
 ROUGH_PX = 0.5
 # Displacements are found at nodes so far apart, at the bed of every so many pixels of the maps.
 _NODE_PX = 4
@@ -87,7 +88,7 @@ def without_waves(
         moved_px = moved(list(_measured(views, sample, pool))) / gsd
         if moved_px < ROUGH_PX:
             return None
-        views = with_waves(views, kept, gsd, pool, ROUGH_PX)
+        views = with_waves(views, kept, gsd, pool, 0.5 * ROUGH_PX)
     if views.waves is None:
         return None
     bed = bed_of(views, kept)

@@ -152,6 +152,12 @@ def test_a_thinned_cloud_is_even(most):
     assert counts.min() > 0.4 * counts.mean()
 
 
+def test_a_page_of_a_thinned_cloud_says_of_how_many_points(shown, tmp_path, monkeypatch):
+    monkeypatch.setattr("survey.viewer.page.MOST_POINTS", 100)
+    write_page(tmp_path / "thin.html", shown)
+    assert re.search(r"<br>100 of [\d\u202f]{4,} points, ", (tmp_path / "thin.html").read_text())
+
+
 def test_a_page_has_all_in_one_file(shown, tmp_path):
     path = tmp_path / "view.html"
     require_page(path, ReadFiles())

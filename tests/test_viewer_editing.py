@@ -11,6 +11,7 @@ from shown_run import served, small_run
 from small_bed import SLOPE
 
 from refract import PinholeCamera
+from survey.display.quantities import share
 from survey.errors import SurveyError
 from survey.export.export import cloud_of
 from survey.run.edits import DELETED, Edits
@@ -21,6 +22,7 @@ from survey.viewer.session import ViewOptions, _load
 from survey.viewer.shown import CLASS, MARKED
 from survey.viewer.sightings import profile_of, write_lines
 from survey.viewer.tree import pick
+from survey.viewer.volumes import volume_rows, volumes_in
 
 # From x right, y down, z forward to east, south, down: north is up on the screen.
 UP = np.array([0.0, 0.0, 5.0])
@@ -136,7 +138,8 @@ def test_a_polygon_of_clicks_is_classified(session, run):
 
 
 def test_volumes_in_a_polygon_are_shown_and_saved(session):
-    shown, editing, half = session.shown, session.editing, 0.8
+    # No multiple of a cell of 0.4 m.
+    shown, editing, half = session.shown, session.editing, 0.73
     assert "three corners or more" in press(session, editing.measure_polygon)[0][1]
     x, y, z = shown.middle
     shown.columns["std_common"] = np.full(len(shown.tree.points), 0.02)
@@ -146,19 +149,39 @@ def test_volumes_in_a_polygon_are_shown_and_saved(session):
     press(session, editing.measure_polygon)
     (_, found), middle = editing._measured[0], np.abs(shown.tree.points[:, :2] - (x, y)).max(axis=1) < half
     assert found["area_m2"] == pytest.approx(4.0 * half**2)
-    assert found["with_points_m2"] == pytest.approx(4.0 * half**2, rel=0.01)
+    assert found["with_points_m2"] == pytest.approx(4.0 * half**2, rel=1e-9)
+    assert found["covered_share"] == pytest.approx(1.0)
     assert found["bed_over_plane_m3"] == pytest.approx(0.1 * found["with_points_m2"], rel=0.02)
     assert found["bed_under_plane_m3"] == 0.0
     depth = np.mean(shown.columns["depth"][middle])
     assert found["water_m3"] == pytest.approx(depth * found["with_points_m2"], rel=0.02)
     assert found["water_std_m3"] == pytest.approx(0.02 * found["with_points_m2"])
-    assert "water std" in editing._volumes.content
+    assert "errors that all heights share" in editing._volumes.content
     client = browser_above(shown)
     editing._save_volumes(SimpleNamespace(client=client))
     (name, content) = client.told[-1]
     (feature,) = json.loads(content)["features"]
     assert (name, feature["geometry"]["type"]) == ("volumes.geojson", "Polygon")
     assert feature["properties"]["water_m3"] == pytest.approx(found["water_m3"], abs=1e-4)
+
+
+def test_volumes_of_a_strip_narrower_than_a_cell_and_of_a_gap_say_what_they_cover(session):
+    shown, (x, y, z) = session.shown, session.shown.middle
+    square = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+    strip = volumes_in(shown, shown.middle + square * (0.5, 0.07, 1.0))
+    assert (strip["area_m2"], strip["covered_share"]) == (pytest.approx(0.14), pytest.approx(1.0))
+    near = np.abs(shown.tree.points[:, :2] - (x, y)).max(axis=1) < 0.5
+    depth = np.mean(shown.columns["depth"][near])
+    assert strip["water_m3"] == pytest.approx(0.14 * depth, rel=0.05)
+    high = volumes_in(shown, shown.middle + square * (0.5, 0.07, 1.0) + (0.0, 0.0, 5.0))
+    assert str(high["bed_over_plane_m3"]) == "0.0"
+    # A half of the square lies beside the cloud.
+    edge = np.array([shown.high[0], y, z])
+    beside = volumes_in(shown, edge + square)
+    assert beside["covered_share"] == pytest.approx(0.5, abs=0.2)  # By half a cell of 0.4 m
+    assert ("share of the area that the volumes cover", share(beside["covered_share"])) in volume_rows(beside)
+    with pytest.raises(SurveyError, match="has no area"):
+        volumes_in(shown, shown.middle + np.array([[-0.5, 0, 0], [0.5, 0, 0], [0.0, 0, 0]]))
 
 
 def test_saved_points_lie_in_the_run_folder(session, run):

@@ -1,5 +1,7 @@
 """The cloud from above, the ground of a screen, the grid of coordinates, and key frames of a flight."""
 
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from shown_run import shown_of
 from refract import PinholeCamera
 from survey.folder.local_frame import poses_in_local
 from survey.pose_files import read_poses
-from survey.viewer.overview import footprint, grid_lines, overview, write_key_frames
+from survey.viewer.overview import add_scale, footprint, grid_lines, overview, write_key_frames
 from survey.viewer.shown import MARKED, Style
 
 
@@ -26,6 +28,11 @@ def test_the_overview_has_north_up_and_the_colours_of_the_cloud(shown):
     assert marked[:20, :20].any()
     assert not marked[picture.shape[0] // 2 :].any()
     assert not marked[:, picture.shape[1] // 2 :].any()
+
+
+def test_a_cloud_without_width_has_no_bar(shown):
+    low = shown.middle
+    add_scale(None, SimpleNamespace(low=low, high=low + np.array([0.0, 3.0, 1.0]), middle=low))
 
 
 def test_the_ground_of_a_screen_is_where_its_corners_look(shown):

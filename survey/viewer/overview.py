@@ -87,8 +87,14 @@ def grid_node(server: viser.ViserServer, shown: Shown) -> Any:
 
 
 def add_scale(server: viser.ViserServer, shown: Shown) -> None:
-    """A bar of a round length, a fifth to half of the cloud's width, and an arrow north of it, south of the cloud."""
-    length_m = round_up(float((shown.high - shown.low)[0]) / 5.0, (1.0, 2.0, 5.0, 10.0))
+    """A bar of a round length, a fifth to half of the cloud's width, and an arrow north of it, south of the cloud.
+
+    A cloud without width has none.
+    """
+    width_m = float((shown.high - shown.low)[0])
+    if not width_m > 0.0:
+        return
+    length_m = round_up(width_m / 5.0, (1.0, 2.0, 5.0, 10.0))
     start = np.array([shown.low[0], shown.low[1] - 0.5 * length_m, shown.middle[2]])
     east, north = np.diag([length_m, length_m, 0.0])[:2]
     tip = start - 0.3 * east + 0.45 * north

@@ -154,10 +154,13 @@ def write_page(path: Path, shown: Shown) -> None:
         _, thumbnails = add_cameras(server, shown)
         add_scale(server, shown)
         rows, crs = thinned(shown.tree, MOST_POINTS), shown.flight.frame.crs
-        _add_points(server, shown, rows[np.isfinite(shown.tree.points[rows, 0])])
+        rows = rows[np.isfinite(shown.tree.points[rows, 0])]
+        _add_points(server, shown, rows)
         if thumbnails is not None:
             thumbnails.close(at_once=False)
-        name, facts = (html.escape(printable(text)) for text in (shown.name, f"{count(len(rows))} points, {crs.name}"))
+        num_all = int(np.isfinite(shown.tree.points[:, 0]).sum())
+        points = f"{count(len(rows))}{'' if len(rows) == num_all else f' of {count(num_all)}'} points"
+        name, facts = (html.escape(printable(text)) for text in (shown.name, f"{points}, {crs.name}"))
         page = server.scene.as_html().replace(_TITLE, f"<title>{name}</title>", 1)
         page = page.replace("</body>", _HEADING.format(name=name, facts=facts) + "</body>", 1)
     finally:

@@ -6,23 +6,34 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from geo.features import points_inside
 from geo.grid import Grid
 from geo.vectors import Layer, write_geojson
-from survey.display.quantities import area, volume
+from survey.display.quantities import area, share, volume
 from survey.errors import SurveyError
 from survey.export.bed_raster import seen_from_above
 from survey.viewer.shown import Shown
 
 # Side of a cell [ground sampling distances], as of a terrain model.
 _SIDE_GSD = 4.0
+_LABELS = {
+    "area_m2": ("area", area),
+    "with_points_m2": ("of it in cells with points", area),
+    "covered_share": ("share of the area that the volumes cover", share),
+    "bed_over_plane_m3": ("bed over the plane", volume),
+    "bed_under_plane_m3": ("bed under the plane", volume),
+    "water_m3": ("water over the bed", volume),
+    "water_std_m3": ("its standard deviation by errors that all heights share", volume),
+}
 
 
 def volumes_in(shown: Shown, corners: np.ndarray) -> dict[str, float | None]:
-    """Areas and volumes, by names with units, in a polygon (C, 3) [m], local, over its cells that hold points.
+    """Areas and volumes, by names with units, in a polygon (C, 3) [m], local.
+
+    Each cell that holds points counts by its area in the polygon, others do not: see ``covered_share``.
 
     The plane is the least-squares fit to the corners. The standard deviation of the water is that by the errors which
-    all heights share, None where unknown. Raises SurveyError where no point of the bed is in the polygon.
+    all heights share, None where unknown. Raises SurveyError where no point of the bed is in the polygon, or it has
+    no area.
     """
     assert shown.edits is not None
     rows = shown.edits.inside(shown.new_frame().crs_from_local(corners)[:, :2])
@@ -39,19 +50,24 @@ def volumes_in(shown: Shown, corners: np.ndarray) -> dict[str, float | None]:
     cell = np.ravel_multi_index(grid.index(points), grid.shape)
     counts = np.bincount(cell, minlength=grid.shape[0] * grid.shape[1])
     polygon = shapely.make_valid(shapely.Polygon(plan))
-    inside = points_inside([polygon], grid.middles().reshape(-1, 2)) & (counts > 0)
+    used = counts > 0
+    west, south = (grid.middles().reshape(-1, 2)[used] - 0.5 * side_m).T
+    area_m2 = shapely.area(shapely.intersection(shapely.box(west, south, west + side_m, south + side_m), polygon))
+    if not area_m2.sum() > 0.0:
+        raise SurveyError("the polygon has no area; set its corners about some points of the bed, in order")
 
     def volumes(heights: np.ndarray) -> tuple[float, float, float]:
         """Of heights (N,) of the points over zero: volumes over and under it [m³], and the area of the first [m²]."""
-        mean = side_m**2 * np.bincount(cell, heights, len(counts))[inside] / counts[inside]
-        over = mean > 0.0
-        return float(mean[over].sum()), -float(mean[~over].sum()), side_m**2 * int(over.sum())
+        found = area_m2 * np.bincount(cell, heights, len(counts))[used] / counts[used]
+        over, under = np.maximum(found, 0.0).sum(), np.maximum(-found, 0.0).sum()
+        return float(over), float(under), float(area_m2[found > 0.0].sum())
 
     plane, *_ = np.linalg.lstsq(np.column_stack([plan, np.ones(len(plan))]), corners[:, 2])
     over_m3, under_m3, _ = volumes(points[:, 2] - points[:, :2] @ plane[:2] - plane[2])
     found: dict[str, float | None] = {
         "area_m2": polygon.area,
-        "with_points_m2": side_m**2 * int(inside.sum()),
+        "with_points_m2": float(area_m2.sum()),
+        "covered_share": float(area_m2.sum() / polygon.area),
         "bed_over_plane_m3": over_m3,
         "bed_under_plane_m3": under_m3,
     }
@@ -64,12 +80,7 @@ def volumes_in(shown: Shown, corners: np.ndarray) -> dict[str, float | None]:
 
 def volume_rows(found: dict[str, float | None]) -> list[tuple[str, str]]:
     """What `volumes_in` finds as labels and texts."""
-    rows = [
-        (name.rpartition("_")[0].replace("_", " "), (area if name.endswith("_m2") else volume)(value))
-        for name, value in found.items()
-        if value is not None
-    ]
-    return [(label, f"{text} (one sigma, shared)" if "std" in label else text) for label, text in rows]
+    return [(_LABELS[name][0], _LABELS[name][1](value)) for name, value in found.items() if value is not None]
 
 
 def write_volumes(path: Path, shown: Shown, measured: Sequence[tuple[np.ndarray, dict[str, float | None]]]) -> None:

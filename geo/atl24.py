@@ -36,12 +36,13 @@ def read_atl24(path: str | Path, crs: CRS | None, places: np.ndarray) -> Cloud:
     return photons_between(path, crs, plan_box(np.column_stack(Transformation.between(crs, WGS84, places)(*corners.T))))
 
 
-def photons_between(path: str | Path, crs: CRS, box: np.ndarray) -> Cloud:
+def photons_between(path: str | Path, crs: CRS, box: np.ndarray, box_is: str = "") -> Cloud:
     """Photons of the bed, none of low confidence, in a CRS with heights, in a box (2, 2) of longitude and latitude.
 
     ``extra`` has their standard deviations ``std`` in height and ``std_plan`` in place [m]. Heights are those over
     EGM2008 where the CRS has these, else ellipsoidal ones, for which PROJ needs the grid of its vertical datum. Raises
-    UnreadableFile if the file is no ATL24, or has no such photon there; GeoError without that grid.
+    UnreadableFile if the file is no ATL24, or has no such photon there, naming what the box is; GeoError without that
+    grid.
     """
     columns, (low, high), vertical = _columns(existing_file(path)), box, vertical_crs(crs)
     plan = np.column_stack([columns["lon_ph"], columns["lat_ph"]]).astype(np.float64)
@@ -50,7 +51,8 @@ def photons_between(path: str | Path, crs: CRS, box: np.ndarray) -> Cloud:
     if not used.any():
         raise UnreadableFile(
             f"none of the {int(is_bed.sum())} photons of the bed in {path} lies over the survey, at longitude "
-            f"{low[0]:.4f} to {high[0]:.4f} and latitude {low[1]:.4f} to {high[1]:.4f}; get the granule of that place"
+            f"{low[0]:.4f} to {high[0]:.4f} and latitude {low[1]:.4f} to {high[1]:.4f}{box_is}; "
+            "get the granule of that place"
         )
     is_geoid = vertical is not None and vertical.name == _GEOID
     source, height = (_EGM2008, "ortho_h") if is_geoid else (_ELLIPSOIDAL, "ellipse_h")

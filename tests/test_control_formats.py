@@ -10,6 +10,7 @@ from pyproj import CRS, Transformer
 from geo.crs import height_unit_m
 from survey.control.formats import read_checkpoints
 from survey.control.reading import in_crs, merge_control, read_control
+from survey.errors import ControlError
 
 WKT = CRS("EPSG:25832").to_wkt("WKT1_GDAL")
 FORMAT_FILES = {
@@ -82,6 +83,15 @@ def test_accuracies_and_roles_come_from_the_file(tmp_path):
     assert (a.is_check, b.is_check, b.std_m) == (True, False, (0.1, 0.1, 0.1))
     (path,) = written(tmp_path, gcp_list__txt="EPSG:25832\n1 2 3 4 5 a.jpg a check\n1 2 3 4 5 b.jpg a\n")
     assert [point.is_check for point in read_control(path).points] == [True, False]
+
+
+def test_a_standard_deviation_of_0_is_unknown_for_check_points_and_refused_for_control(tmp_path):
+    (path,) = written(tmp_path, points__csv="name,easting,northing,height,std,role\na,1,2,3,0,check\nb,1,2,4,0.1,\n")
+    assert [point.std_m for point in read_checkpoints(path)] == [None, (0.1, 0.1, 0.1)]
+    assert [point.std_m for point in read_control(path).points] == [None, (0.1, 0.1, 0.1)]
+    path.write_text(path.read_text().replace(",check", ","))
+    with pytest.raises(ControlError, match=r"are 0, 0, 0, expected .* columns out and give \[control\] std_m"):
+        read_control(path)
 
 
 def test_check_points_without_marks_are_kept_and_control_points_without_are_named(tmp_path):

@@ -1,5 +1,7 @@
 """ICESat-2 ATL24 as a reference: files in the layout of the product, drawn over a level bed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from compare_plane import compared, grid, write_las
@@ -75,11 +77,20 @@ def test_they_are_check_points_beside_another_reference_and_of_a_survey(cloud, g
     found = compared(cloud, reference, checkpoints=granule)
     assert found["asprs"]["n_checkpoints"] == compared(cloud, granule)["asprs"]["n_checkpoints"]
     assert any("no tide enters" in note for note in found["notes"])
-    low, high = FRAME.crs_from_local(np.array([[-20.0, -20.0, 0.0], [20.0, 20.0, 0.0]]))[:, :2]
+    low, high = FRAME.crs_from_local(np.array([[-4.0, -4.0, 0.0], [4.0, 4.0, 0.0]]))[:, :2]
     lons, lats = Transformer.from_crs(32632, 4326, always_xy=True).transform(*np.array([low, high]).T)
-    headers = {str(i): Exif((640, 480), (lats[i], lons[i], 60.0), None, 1, "", None) for i in (0, 1)}
+    headers = {str(i): Exif((640, 480), (lats[i], lons[i], 60.0), None, 1, "", 16.0) for i in (0, 1)}
     control, findings = find_control(granule.parent, ControlConfig(checkpoints=granule.name), ON_GEOID, headers)
-    assert len(control.checkpoints) == found["asprs"]["n_checkpoints"] + found["asprs"]["n_not_covered"]
+    # The box of the positions, 16 m larger on each side, is that of the cloud; one position has the same beams.
+    over_cloud = found["asprs"]["n_checkpoints"] + found["asprs"]["n_not_covered"]
+    assert len(control.checkpoints) == pytest.approx(over_cloud, abs=2)
+    one, config = {"0": headers["0"]}, ControlConfig(checkpoints=granule.name)
+    assert len(find_control(granule.parent, config, ON_GEOID, one)[0].checkpoints) > 0.7 * over_cloud
+    low = find_control(granule.parent, config, ON_GEOID, {"0": replace(one["0"], above_start_m=None)}, 48.0)[0]
+    assert 0.5 * over_cloud < len(low.checkpoints) < 0.7 * over_cloud
+    far = {"0": replace(one["0"], lat_lon_height=(0.0, 0.0, 60.0))}
+    with pytest.raises(GeoError, match=r"0\.0001, 16 m \(the flying height\) about the GPS positions; get"):
+        find_control(granule.parent, config, ON_GEOID, far)
     point = control.checkpoints[0]
     assert point.std_m == pytest.approx((7.0, 7.0, STD_M))
     assert point.place[2] == pytest.approx(-4.0 - LOWER_M, abs=5.0 * STD_M)

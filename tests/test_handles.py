@@ -145,6 +145,9 @@ def test_layers_and_profiles_are_frames_with_their_places(run, tmp_path):
     assert [(each.x, each.y) for each in frame.geometry] == [tuple(place) for place in profile.places]
     np.testing.assert_array_equal(frame["bed"], profile.bed)
     assert frame.crs.is_projected
+
+
+def test_a_layer_that_is_none_is_refused(run):
     with pytest.raises(SurveyError, match="expected one of footprints, shoreline, contours, unseen, checkpoints"):
         run.layer("walls")
 

@@ -125,7 +125,7 @@ def test_a_terminal_is_asked_for_what_no_file_tells(tmp_path):
 
 
 def test_a_mistyped_answer_is_asked_for_again(monkeypatch):
-    answers, terminal = ["deep", "", " 12,34 sea "], Terminal()
+    answers, terminal = ["deep", "nan", "1e9", "", " 12,34 sea "], Terminal()
     monkeypatch.setattr("typer.prompt", lambda *_args, **_options: answers.pop(0))
     monkeypatch.setattr("sys.stdin", terminal)
     monkeypatch.setattr("sys.stderr", terminal)
@@ -134,6 +134,11 @@ def test_a_mistyped_answer_is_asked_for_again(monkeypatch):
     said = " ".join(terminal.getvalue().split())
     assert 'the answer is "deep", expected a number such as 12.34, 12.34 sea, or dry' in said
     assert "the height of the water in metres is not known" in said
+    for level in ("nan", "1e9"):
+        assert (
+            f'the answer is "{level}", expected a number such as 12.34, 12.34 sea, or dry; levels are -500 to 9000 m'
+            in said
+        )
 
 
 @pytest.mark.parametrize(

@@ -95,6 +95,10 @@ def test_single_bands_beside_photographs_are_none_of_the_survey(tmp_path):
     images = list_images(tmp_path)
     assert list(images) == ["DJI_1_D.JPG", "b/IMG_2_RGB.JPG", "c_NIR.tif", "flight_R.tif"]
     _, findings = read_headers(tmp_path, tmp_path, images)
+    (tmp_path / "rig").mkdir()
+    for view in "DFLRB":
+        Image.new("RGB", (64, 48)).save(tmp_path / "rig" / f"0001_{view}.tif")
+    assert len(list_images(tmp_path / "rig")) == 5
     left_out = "3 images of single bands beside photographs, left out: DJI_1_MS_NIR.TIF, DJI_1_MS_RE.TIF and 1 more"
     assert left_out in findings.assumptions
 

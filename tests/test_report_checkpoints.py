@@ -101,6 +101,8 @@ def test_the_uncertainty_of_a_check_point_itself_explains_its_difference(survey)
         assert len(checkpoint_warnings(found)) == num
     *_, each = checkpoint_blocks(found)
     assert (each.rows[0][5], found.groups[0].own_m) == ("150", pytest.approx(0.15))
+    both = checkpoints_of(changed(survey, checkpoints=(check(survey, "rod", at), known)), bed.xyz, GSD_M).groups[0]
+    assert (both.num, both.num_own, both.own_m) == (2, 1, pytest.approx(0.15))
 
 
 def test_without_check_points_there_are_no_figures_and_without_a_cloud_no_groups(survey):

@@ -37,7 +37,9 @@ class CompareOptions:
         None, "Positive above, or on the front of a face by its winding.", default="up", one_of=("up", "winding")
     )
     # See `survey.compare.measure`
-    checkpoints: Path | None = _measured("CSV", "Check points: easting, northing, height and, if known, sigma.")
+    checkpoints: Path | None = _measured(
+        "FILE", "Check points: CSV (easting, northing, height, sigma if known) or ICESat-2 ATL24."
+    )
     c2c: bool = _measured(None, "Also cloud-to-cloud distances, both ways.", name="--c2c", default=False)
     # See `evaluation.m3c2_distances`
     m3c2_radius_m: float | None = _measured(

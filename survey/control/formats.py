@@ -48,12 +48,15 @@ def _is_check(role: str, where: str) -> bool:
     return word in _CHECK
 
 
-def _stds(values: Sequence[float], where: str) -> tuple[float, float, float]:
-    """Standard deviations [m] that a file has."""
+def _stds(values: Sequence[float], where: str, *, is_check: bool) -> tuple[float, float, float] | None:
+    """Standard deviations [m] that a file has; None for check points with a 0, which is that of no measurement."""
+    if is_check and 0.0 in values:
+        return None
     if not all(0.0 < value <= 10.0 for value in values):
         raise ControlError(
             f"{where}: the standard deviations are {', '.join(f'{value:g}' for value in values)}, expected metres "
-            "above 0 and at most 10; correct them, or leave the columns out; [control] std_m is that of control"
+            "above 0 and at most 10; correct them, or leave the columns out"
+            f"{'' if is_check else ' and give [control] std_m'}"
         )
     east, north, up = values
     return east, north, up
@@ -139,11 +142,10 @@ def read_metashape_xml(path: Path) -> Content:
     for marker in chunk.iter("marker"):
         reference, name = marker.find("reference"), marker.get("label")
         if name and reference is not None and reference.get("x") is not None:
-            where, std = f'{path}, marker "{name}"', None
+            where, std, is_check = f'{path}, marker "{name}"', None, not _is_true(reference, "enabled")
             x, y, z = (_attribute(reference, key, where) for key in "xyz")
             if all(reference.get(key) is not None for key in ("sx", "sy", "sz")):
-                std = _stds([_attribute(reference, key, where) for key in ("sx", "sy", "sz")], where)
-            is_check = not _is_true(reference, "enabled")
+                std = _stds([_attribute(reference, key, where) for key in ("sx", "sy", "sz")], where, is_check=is_check)
             points.append(GivenPoint(name, where, (x, y, z), crs, std, is_check=is_check))
         key = marker.get("marker_id") or marker.get("id") or ""
         for location in marker.iter("location"):
@@ -211,13 +213,13 @@ def _point(row: Row, crs: CRS | None) -> GivenPoint:
     # Metashape adjusts to enabled points, and uses the others as check points.
     is_ticked = row.cells.get("enable", "").casefold() not in ("0", "false")
     is_check = _is_check(row.cells.get("role", ""), row.where) or not is_ticked
-    return GivenPoint(row.text("name"), row.where, _place(row), crs, std_m=_std_of(row), is_check=is_check)
+    return GivenPoint(row.text("name"), row.where, _place(row), crs, _std_of(row, is_check=is_check), is_check=is_check)
 
 
-def _std_of(row: Row) -> tuple[float, float, float] | None:
+def _std_of(row: Row, *, is_check: bool) -> tuple[float, float, float] | None:
     for columns in (point_tables.STDS, ("std_horizontal", "std_horizontal", "std_height"), ("std", "std", "std")):
         if all(row.cells.get(column) for column in columns):
-            return _stds([row.number(column) for column in columns], row.where)
+            return _stds([row.number(column) for column in columns], row.where, is_check=is_check)
     return None
 
 
@@ -258,7 +260,7 @@ def read_checkpoints(path: Path, level: float | None = None, survey_crs: CRS | N
     points: dict[str, GivenPoint] = {}
     for i, row in enumerate(rows, start=1):
         name = row.cells.get("name") or str(i)
-        point = GivenPoint(name, row.where, _place(row), crs, _std_of(row), is_check=True, units=stated)
+        point = GivenPoint(name, row.where, _place(row), crs, _std_of(row, is_check=True), is_check=True, units=stated)
         first = points.setdefault(point.name, point)
         if first is not point:
             raise ControlError(f"{row.where}: check point {point.name} is in {first.where} too; remove or rename one")

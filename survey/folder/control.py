@@ -47,6 +47,9 @@ _ONE_POINT_M = 0.05
 _FAR_LEVEL_M, _TIMES_NEARER = 3.0, 5.0
 # Check points deeper than so many flying heights are none of this water.
 _DEEP = 1.5
+# Flying height where nothing states it: the highest without a permit in most countries.
+_USUAL_HEIGHT_M = 120.0
+_EARTH_RADIUS_M = 6_371_000.0
 # A single mark this many times as far off as the median belongs to another point.
 _TIMES = 10.0
 # Assumed accuracy of a reference that states none: airborne lidar, or photogrammetry on control.
@@ -94,7 +97,7 @@ def find_control(
     if config.checkpoints is not None:
         path = folder / config.checkpoints
         if path.suffix.lower() in ATL24:
-            checkpoints, findings = _photons(path, crs, headers)
+            checkpoints, findings = _photons(path, crs, headers, level)
         else:
             checkpoints, findings = in_crs(read_checkpoints(path, level, crs), crs)
             findings += Findings(warnings=accuracy_warnings(point_table(path, ControlError)))
@@ -111,15 +114,27 @@ def find_control(
     return found, findings + Findings(warnings=_doubts(found, crs, level))
 
 
-def _photons(path: Path, crs: CRS, headers: Mapping[str, Exif]) -> tuple[list[GivenPoint], Findings]:
-    """Photons of the bed between the photographs, of a file of ATL24."""
+def _photons(
+    path: Path, crs: CRS, headers: Mapping[str, Exif], level: float | None
+) -> tuple[list[GivenPoint], Findings]:
+    """Photons of the bed under the photographs, of a file of ATL24, to a flying height about the GPS positions.
+
+    A footprint reaches about as far: half of the diagonal of a wide lens, and some of the tilt of an oblique one.
+    """
     places = exif_places(headers)
     if not len(places):
         raise ControlError(
-            f"[control] checkpoints is {path}, of which the photons between the GPS positions of photographs are used; "
+            f"[control] checkpoints is {path}, of which the photons about the GPS positions of photographs are used; "
             f"the photographs have none: compare the cloud by bathynerf compare RUN {path.name}"
         )
-    found = photons_between(path, crs, plan_box(places))
+    given_m = [header.above_start_m or np.nan for header in headers.values()]
+    if level is not None:
+        over_m = level * height_unit_m(crs)
+        given_m += [header.lat_lon_height[2] - over_m for header in headers.values() if header.lat_lon_height]
+    reach_m = max((height_m for height_m in given_m if height_m > 0.0), default=_USUAL_HEIGHT_M)
+    reach = np.degrees(reach_m / _EARTH_RADIUS_M) / np.array([np.cos(np.radians(places[:, 1].mean())), 1.0])
+    about = f", {reach_m:.0f} m (the flying height) about the GPS positions"
+    found = photons_between(path, crs, plan_box(places) + np.array([-reach, reach]), about)
     stds = zip(found.extra["std_plan"].tolist(), found.extra["std"].tolist(), strict=True)
     points = [
         GivenPoint(f"photon {number}", str(path), (east, north, height), std_m=(plan, plan, up), is_check=True)

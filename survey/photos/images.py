@@ -34,8 +34,9 @@ _NOT_OF_CAMERAS = (
     *("@eadir", "@__thumb", "__macosx", "thumbnails", "thumbs", "system volume information", "lost+found"),
     *("$recycle.bin", "#recycle", "@recycle", "#snapshot", "@recently-snapshot"),
 )
-# Single bands of DJI's and Parrot's multispectral cameras: near infrared, red edge, red, green, blue.
-_BAND = re.compile(r"(.+?)(?:_MS)?_(?:NIR|RE|R|G|B|REG|RED|GRE)\.TIFF?", re.IGNORECASE)
+# Single bands of DJI's and Parrot's multispectral cameras: near infrared, red edge, red, green, blue. Their photographs
+# end in _D and _RGB; views of oblique rigs in _D, _F, _L, _R, _B too.
+_BAND = re.compile(r"(.+?)(?:(_MS_(?:NIR|RE|R|G|B))|_(?:NIR|REG|RED|GRE))\.TIFF?", re.IGNORECASE)
 # Each has the bytes of its file in memory.
 _MOST_AT_ONCE = 8
 _LOSSY = (".jpg", ".jpeg")
@@ -83,7 +84,7 @@ def bands_beside(images: Mapping[str, Path]) -> list[str]:
 def _is_band(path: Path, names: Collection[Path]) -> bool:
     """Whether a file is a band of one of the photographs, of whose names without their ends some are given."""
     found = _BAND.fullmatch(path.name)
-    return found is not None and any(path.with_name(found[1] + end) in names for end in ("_D", "_RGB"))
+    return found is not None and path.with_name(found[1] + ("_D" if found[2] else "_RGB")) in names
 
 
 def photographs_below(folder: Path, but: Path | None = None) -> dict[str, int]:

@@ -33,6 +33,8 @@ WITHIN_GSD = 5.0
 _MOST_STD = 3.0
 # Radius of the search for candidates, in that radius.
 _SEARCH = 4.0
+# Check points that the table lists and the map labels: those of the largest differences.
+MOST_ROWS = 50
 # Number of nearest points whose standard deviations give that at a check point.
 _NEAREST = 8
 
@@ -114,7 +116,9 @@ class CheckpointGroup:
     rms_m: float
     largest_m: float
     le95_m: float  # [m]: 1.96 times `rms_m`: 95 % of normal errors are smaller
-    own_m: float = 0.0  # [m]: root mean square of the standard deviations of the check points themselves
+    # [m]: root mean square of the standard deviations of those check points themselves that state one, and their number
+    own_m: float = 0.0
+    num_own: int = 0
 
 
 @dataclass(frozen=True)
@@ -217,7 +221,9 @@ def _groups(rows: Sequence[CheckpointRow]) -> list[CheckpointGroup]:
         pairs = [(row.difference_m, row.std_m) for row in part if row.difference_m is not None]
         if pairs:
             known, own = np.array(pairs).T
-            largest, (rms, own_m) = known[np.argmax(np.abs(known))], np.sqrt(np.mean([known**2, own**2], axis=1))
-            numbers = (float(value) for value in (known.mean(), rms, largest, LE95 * rms, own_m))
-            groups.append(CheckpointGroup(name, len(known), *numbers))
+            own = own[own > 0.0]
+            largest, rms = float(known[np.argmax(np.abs(known))]), float(np.sqrt(np.mean(known**2)))
+            own_m = float(np.sqrt(np.mean(own**2))) if len(own) else 0.0
+            numbers = float(known.mean()), rms, largest, LE95 * rms, own_m
+            groups.append(CheckpointGroup(name, len(known), *numbers, len(own)))
     return groups

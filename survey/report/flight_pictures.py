@@ -23,7 +23,7 @@ from survey.display.plan_grid import PlanGrid, median
 from survey.display.quantities import LengthUnit, distance, height, length, number
 from survey.folder.survey import Survey
 from survey.report.adjustment import correlations, shown_lenses
-from survey.report.checkpoints import CheckpointAccuracy
+from survey.report.checkpoints import MOST_ROWS, CheckpointAccuracy
 from survey.report.facts import ReportFacts
 
 # Cells along the longer side of a photograph, and the fewest residuals in one that is shown.
@@ -224,7 +224,9 @@ def draw_residuals(path: Path, survey: Survey, residuals: Sequence[Residual]) ->
         if part.any():
             axes.plot(*places[part].T, mark, ms=6.0, mfc=colour, mec=INK, mew=0.8, label=label, zorder=5)
     cut = [f" (shortened: {length(distance)})" if far else "" for far, distance in zip(is_far, distances, strict=True)]
-    canvas.write_labels(axes, places, [f"{each.name}{short}" for each, short in zip(residuals, cut, strict=True)])
+    checks = np.flatnonzero(is_check)
+    named = [*np.flatnonzero(~is_check).tolist(), *checks[np.argsort(-distances[checks])[:MOST_ROWS]].tolist()]
+    canvas.write_labels(axes, places[named], [f"{residuals[i].name}{cut[i]}" for i in named])
     figure.legend(loc="lower center", ncols=2, frameon=False, fontsize=9)
     unit = LengthUnit.of([longest])
     subtitle = f"magnified: an arrow an eighth as long as the map is wide means {unit.text(longest)}"

@@ -200,7 +200,7 @@ def cards(figures: ReportFigures) -> Iterator[Card]:
     if (accuracy := figures["checkpoints"]) is not None and accuracy.groups:
         group = accuracy.groups[0]
         detail = f"RMS at {group.num} of {len(accuracy.rows)}, mean {length(group.mean_m)}"
-        detail += f"; their own std {length(group.own_m)}" if group.own_m else ""
+        detail += f"; own std {length(group.own_m)}, stated by {group.num_own}" if group.num_own else ""
         yield Card("Check points", length(group.rms_m), detail)
     if comparison is not None:
         yield from _cards_of_comparison(comparison)

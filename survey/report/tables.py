@@ -6,13 +6,12 @@ from typing import Any
 from survey.display.blocks import Block, Rows, Table, Text
 from survey.display.quantities import LengthUnit, area, count, density, distance, height, length, number, share, volume
 from survey.plan.plan import Plan
-from survey.report.checkpoints import CheckpointAccuracy
+from survey.report.checkpoints import MOST_ROWS, CheckpointAccuracy
 from survey.report.facts import WaveFigures
 
 # Digits of coordinates by their unit: to the centimetre in metres, to about as much in degrees.
 _DECIMALS = {"m": 2, "°": 7}
 # Photons of a lidar as check points are hundreds; report.json has all.
-_MOST_ROWS = 50
 
 
 def cloud(found: dict[str, Any], crs: dict[str, Any]) -> list[Block]:
@@ -129,9 +128,9 @@ def checkpoints(found: CheckpointAccuracy | None) -> list[Block]:
         method += f" {num_outside} of {len(found.rows)} lie outside [area] bounds."
     blocks: list[Block] = [Text(method)]
     shown, heading = found.rows, "Each check point"
-    if len(shown) > _MOST_ROWS:
-        shown = tuple(sorted(shown, key=lambda row: -abs(row.difference_m or 0.0))[:_MOST_ROWS])
-        heading = f"The {_MOST_ROWS} check points of the largest differences"
+    if len(shown) > MOST_ROWS:
+        shown = tuple(sorted(shown, key=lambda row: -abs(row.difference_m or 0.0))[:MOST_ROWS])
+        heading = f"The {MOST_ROWS} check points of the largest differences"
     if found.groups:
         groups = [
             (group.name, count(group.num),

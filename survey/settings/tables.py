@@ -125,7 +125,7 @@ class ControlConfig:
     """[control]: files of control and check points, and how well they are known."""
 
     gcps: str | tuple[str, ...] | None = key(None, 'a file, e.g. "gcp_list.txt", or a list of files')
-    checkpoints: str | None = None  # CSV of points that are only reported: name, easting, northing, height
+    checkpoints: str | None = None  # only reported: CSV of name, easting, northing, height, or ATL24 (.h5)
     std_m: float | tuple[float, float] | None = std_key(
         10.0, "metres", "GNSS with corrections has about 0.01 to 0.03", _PER_DIRECTION
     )
@@ -222,6 +222,8 @@ class FieldConfig:
         return dataclasses.replace(self, **{n: getattr(lower, n) for n in names if getattr(self, n) is None})
 
 
+# Between those of the Dead Sea and of the highest lakes, with room for shifted heights.
+_LEVELS_M = (-500.0, 9000.0)
 _told = partial(option, "Of photographs without survey.toml", alone=True)
 
 
@@ -259,9 +261,14 @@ class InitOptions:
                 return replace(self, dry=True)
             if level and kind in ("", "sea"):
                 with suppress(ValueError):
-                    return replace(self, level_m=float(level.replace(",", ".")), sea=self.sea or bool(kind))
+                    level_m = float(level.replace(",", "."))
+                    if _LEVELS_M[0] <= level_m <= _LEVELS_M[1]:
+                        return replace(self, level_m=level_m, sea=self.sea or bool(kind))
             if text:
-                raise ConfigError(f'the answer is "{text}", expected a number such as 12.34, 12.34 sea, or dry')
+                raise ConfigError(
+                    f'the answer is "{text}", expected a number such as 12.34, 12.34 sea, or dry; levels are '
+                    f"{_LEVELS_M[0]:g} to {_LEVELS_M[1]:g} m"
+                )
             if can_do_without and (self.ask is not None or not self.needs_level):
                 return self
             raise ConfigError(

@@ -32,8 +32,7 @@ def volumes_in(shown: Shown, corners: np.ndarray) -> dict[str, float | None]:
     Each cell that holds points counts by its area in the polygon, others do not: see ``covered_share``.
 
     The plane is the least-squares fit to the corners. The standard deviation of the water is that by the errors which
-    all heights share, None where unknown. Raises SurveyError where no point of the bed is in the polygon, or it has
-    no area.
+    all heights share, None where unknown. Raises SurveyError where no point of the bed is in the polygon.
     """
     assert shown.edits is not None
     rows = shown.edits.inside(shown.new_frame().crs_from_local(corners)[:, :2])
@@ -53,8 +52,6 @@ def volumes_in(shown: Shown, corners: np.ndarray) -> dict[str, float | None]:
     used = counts > 0
     west, south = (grid.middles().reshape(-1, 2)[used] - 0.5 * side_m).T
     area_m2 = shapely.area(shapely.intersection(shapely.box(west, south, west + side_m, south + side_m), polygon))
-    if not area_m2.sum() > 0.0:
-        raise SurveyError("the polygon has no area; set its corners about some points of the bed, in order")
 
     def volumes(heights: np.ndarray) -> tuple[float, float, float]:
         """Of heights (N,) of the points over zero: volumes over and under it [m³], and the area of the first [m²]."""

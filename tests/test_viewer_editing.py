@@ -175,10 +175,10 @@ def test_volumes_of_a_strip_narrower_than_a_cell_and_of_a_gap_say_what_they_cove
     assert strip["water_m3"] == pytest.approx(0.14 * depth, rel=0.05)
     high = volumes_in(shown, shown.middle + square * (0.5, 0.07, 1.0) + (0.0, 0.0, 5.0))
     assert str(high["bed_over_plane_m3"]) == "0.0"
-    # A half of the square lies beside the cloud.
+    # A half of the square is outside of the cloud.
     edge = np.array([shown.high[0], y, z])
     beside = volumes_in(shown, edge + square)
-    assert beside["covered_share"] == pytest.approx(0.5, abs=0.2)  # By half a cell of 0.4 m
+    assert beside["covered_share"] == pytest.approx(0.5, abs=0.2)  # By a cell of 0.4 m at the edge of the cloud, of 2 m
     assert ("share of the area that the volumes cover", share(beside["covered_share"])) in volume_rows(beside)
     with pytest.raises(SurveyError, match="no point of the bed lies in the polygon"):
         volumes_in(shown, shown.middle + np.array([[-0.5, 0, 0], [0.5, 0, 0], [0.0, 0, 0]]))

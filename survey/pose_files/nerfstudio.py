@@ -78,12 +78,12 @@ def read_nerfstudio(path: Path) -> PoseFile:
 
 
 def _as_frames(path: Path, data: dict) -> dict:
-    """A camera path as a transforms.json, with the normalisation that lies beside it as what was applied."""
+    """A camera path as a transforms.json, with the normalisation in the same folder as what was applied."""
     beside, views = path.with_name(_NORMALISATION), data["camera_path"]
     if not beside.is_file():
         raise PosesError(
-            f"{path} is a camera path, in the normalised frame of a training; copy {_NORMALISATION} of that training, "
-            "which lies beside its config.yml, beside the path"
+            f"{path} is a camera path, in the normalised frame of a training; copy {_NORMALISATION} of that training "
+            "from the folder of its config.yml into the folder of the path"
         )
     given, kind = read_foreign_json(beside, PosesError), data.get("camera_type", "perspective")
     if not isinstance(views, list) or not all(isinstance(each, dict) for each in (given, *views)):
